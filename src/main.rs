@@ -1,0 +1,2 @@
+//! Roomcast.
+fn main() {}
