@@ -1,1 +1,21 @@
-//! Roomcast.
+//! Roomcast says, in time to matter, which room a person will be in next.
+//!
+//! One direction of flow; the modules stand in its order and nothing flows back:
+//!
+//! ```text
+//! observation -> narration -> history -> prompt -> label trie -> label scores -> item scores
+//!             -> partition scores -> policy -> decision
+//! ```
+//!
+//! What is pure stays pure: narration, prompt, label trie, semantic map, grounding and policy read no clock, no port and
+//! no model. `scorer::llama` alone talks to llama.cpp, the crate `roomcast-ipc` alone talks to iceoryx2.
+//!
+//! The method is that of GG-LLM (Graule and Isler, "Geometrically Grounding Large Language Models for Zero-shot Human
+//! Activity Forecasting in Human-Aware Task Planning"); equation numbers in this documentation are those of the paper.
+
+// In the order of the flow, not of the alphabet; the empty lines keep rustfmt from sorting them.
+pub mod semantic_map;
+
+pub mod exit_code;
+
+pub mod cli;
