@@ -1,0 +1,96 @@
+# Two commands do everything on a fresh Debian or Ubuntu machine: `make demo` and `make test`. `make help` lists the rest.
+#
+# Everything is built by one profile (release), so that llama.cpp and HiGHS are compiled once and shared by programs, lints and tests.
+
+SHELL := /usr/bin/env bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+
+# rustup puts cargo here; a shell that was open before does not have it on its path.
+export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
+TARGET := $(or $(CARGO_TARGET_DIR),target)
+VENV := $(TARGET)/python
+
+.PHONY: help
+help: ## Lists the commands.
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{ printf "  make %-14s %s\n", $$1, $$2 }'
+
+.PHONY: setup
+setup: ## Installs what is missing, or says what to install.
+	@.ci/setup
+
+.PHONY: build
+build: setup ## Builds the roomcast binary.
+	@echo "build: the first build compiles llama.cpp and HiGHS and takes 10 to 20 minutes on two cores, later ones seconds"
+	cargo build --release --locked
+
+.PHONY: demo
+demo: build ## Builds, then shows the whole system at work on this machine.
+	$(TARGET)/release/roomcast demo
+
+.PHONY: test
+test: setup format lint unit docs licences python ## Runs every check: format, lints, tests, documentation, licences, Python.
+	@echo "test: all checks passed"
+
+.PHONY: format
+format:
+	@echo "test: format"
+	cargo fmt --all --check
+
+.PHONY: lint
+lint:
+	@echo "test: lints (the first run compiles llama.cpp and HiGHS: 10 to 20 minutes on two cores)"
+	cargo clippy --release --locked --workspace --all-targets -- -D warnings
+
+.PHONY: unit
+unit:
+	@echo "test: unit, property and multi-process tests"
+	cargo test --release --locked --workspace
+
+.PHONY: docs
+docs:
+	@echo "test: documentation"
+	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps
+
+# The advisory database is fetched over the network, so advisories are not part of the offline check: `make advisories`.
+.PHONY: licences
+licences:
+	@if cargo deny --version >/dev/null 2>&1; then \
+	    echo "test: licences, bans and sources of the dependencies"; \
+	    cargo deny --offline check licenses bans sources; \
+	else \
+	    echo "test: SKIPPED licences: cargo-deny is not installed ('cargo install --locked cargo-deny')"; \
+	fi
+
+.PHONY: advisories
+advisories: ## Checks the dependencies against the RustSec advisories (needs the network and cargo-deny).
+	cargo deny check advisories
+
+# The Python parts: the tests of the training pipeline that need no PyTorch, and the client package where it can be installed.
+.PHONY: python
+python:
+	@if ! compgen -G 'training/tests/test_*.py' >/dev/null && ! compgen -G 'clients/python/tests/test_*.py' >/dev/null; then \
+	    exit 0; \
+	fi; \
+	echo "test: Python parts"; \
+	test -x $(VENV)/bin/python || python3 -m venv $(VENV); \
+	if ! $(VENV)/bin/python -c 'import pytest' 2>/dev/null && \
+	   ! $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check 'pytest==8.4.2' 'numpy==2.3.3'; then \
+	    echo "test: SKIPPED Python parts: pytest cannot be installed (no network?)"; \
+	    exit 0; \
+	fi; \
+	if compgen -G 'training/tests/test_*.py' >/dev/null; then \
+	    $(VENV)/bin/python -m pytest -q training/tests; \
+	fi; \
+	if compgen -G 'clients/python/tests/test_*.py' >/dev/null; then \
+	    if $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -e clients/python; then \
+	        ROOMCAST=$(abspath $(TARGET))/release/roomcast $(VENV)/bin/python -m pytest -q clients/python/tests; \
+	    else \
+	        echo "test: SKIPPED the Python client: iceoryx2 cannot be installed from PyPI (no network?)"; \
+	    fi; \
+	fi
+
+.PHONY: clean
+clean: ## Removes everything that was built.
+	cargo clean
