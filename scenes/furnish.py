@@ -26,6 +26,8 @@ GAP_M = 0.01  # between neighbours on a shelf, and to its edge
 EDGE_M = 0.02  # thickness of a shelf and of the sides of a piece of furniture
 DOOR_M = (0.9, 0.04, 2.05)  # along the wall, through it, height
 DOOR_CLEAR_M = 0.6  # free floor that a door needs on each side
+WALLS = ("north", "south", "east", "west")
+PIECE_KEYS = ("put", "wall", "at_m", "centre_m", "size_m", "z_m", "on", "in", "under", "around")
 
 
 class PlanError(Exception):
@@ -80,12 +82,12 @@ def metres(point):
 
 
 class Scene:
-    """One plan, built."""
+    """One plan, built: `plan`, `catalogue` and `aliases` are the TOML files of those names."""
 
-    def __init__(self, name, catalogue, aliases):
+    def __init__(self, name, plan, catalogue, aliases):
         self.name = name
         self.catalogue = catalogue
-        self.plan = tomllib.loads((PLANS / f"{name}.toml").read_text(encoding="utf-8"))
+        self.plan = plan
         self.items = []
         height_m = self.plan["height_m"]
         self.rooms = {
@@ -101,7 +103,7 @@ class Scene:
         self.aliases = self.choose_aliases(aliases)
 
     def fail(self, text):
-        raise PlanError(f"{self.name}: {text}")
+        raise PlanError(text)
 
     def kind(self, label):
         if label not in self.catalogue:
@@ -131,13 +133,20 @@ class Scene:
     def place(self, room, piece):
         """Puts one piece of furniture or one fixture, then what lies on, in, under and around it."""
         label = piece["put"]
+        unknown = sorted(set(piece) - set(PIECE_KEYS))
+        if unknown:
+            self.fail(f"{room}: {label} has {unknown}: a piece can have {', '.join(PIECE_KEYS)}")
+        if ("wall" in piece) == ("centre_m" in piece):
+            self.fail(f"{room}: {label} needs either a `wall` or a `centre_m`")
+        if piece.get("wall", WALLS[0]) not in WALLS:
+            self.fail(f"{room}: {label} stands at the wall '{piece['wall']}', which is none of {', '.join(WALLS)}")
         kind = self.kind(label)
         along, depth, height = piece.get("size_m", kind["size_m"])
         box = self.rooms[room]
         z = piece.get("z_m", kind.get("z_m", 0.0))
         if "wall" in piece:
             wall = piece["wall"]
-            axis = 0 if wall in ("north", "south") else 1
+            axis = 0 if wall in ("north", "south") else 1  # along the wall
             low, high = [0.0, 0.0, z], [0.0, 0.0, z + height]
             low[axis] = box.low[axis] + piece["at_m"]
             high[axis] = low[axis] + along
@@ -306,6 +315,17 @@ class Scene:
             for part in room.get("part", []):
                 if not self.rooms[room["id"]].holds(self.part_box(part)):
                     yield f"part {part['id']} sticks out of {room['id']}"
+            if "part" in room:
+                yield from self.part_problems(room)
+
+    def part_problems(self, room):
+        """Items that no part of their room holds more of than any other: where they belong would be chance."""
+        for item in self.items:
+            if item.room != room["id"]:
+                continue
+            shares = sorted(item.box.volume_shared(self.part_box(part)) for part in room["part"])
+            if shares[-1] <= 0.0 or (len(shares) > 1 and shares[-1] - shares[-2] < 0.01 * shares[-1]):
+                yield f"{item.id} is in no part of {item.room} more than in another: move it or the parts"
 
     def count_problems(self):
         found = {
@@ -378,6 +398,21 @@ def rows(value):
     return json.dumps(value)
 
 
+def report(scene, write):
+    """Prints what is wrong with a scene, and writes it if nothing is and it should; returns how much is wrong."""
+    problems = list(scene.problems())
+    out = HERE / f"{scene.name}.json"
+    if write and not problems:
+        out.write_text(scene.text(), encoding="utf-8")
+    if not write and (not out.exists() or out.read_text(encoding="utf-8") != scene.text()):
+        problems.append(f"{out.name} is not what the plan makes: run scenes/furnish.py")
+    for problem in problems:
+        print(f"{scene.name}: {problem}", file=sys.stderr)
+    labels = {item.label for item in scene.items}
+    print(f"{scene.name}: {len(scene.items)} items, {len(labels)} labels, {len(problems)} problems")
+    return len(problems)
+
+
 def main(arguments):
     if arguments not in ([], ["--check"]):
         print(__doc__, file=sys.stderr)
@@ -389,22 +424,14 @@ def main(arguments):
         if path.stem in ("catalogue", "aliases"):
             continue
         try:
-            scene = Scene(path.stem, catalogue, aliases)
-        except PlanError as error:
-            print(error, file=sys.stderr)
+            plan = tomllib.loads(path.read_text(encoding="utf-8"))
+            scene = Scene(path.stem, plan, catalogue, aliases)
+        except (PlanError, tomllib.TOMLDecodeError, KeyError) as error:
+            text = f"{error} is missing, or nothing has this name" if isinstance(error, KeyError) else error
+            print(f"{path.name}: {text}", file=sys.stderr)
             wrong += 1
             continue
-        problems = list(scene.problems())
-        out = HERE / f"{scene.name}.json"
-        if arguments == ["--check"]:
-            if not out.exists() or out.read_text(encoding="utf-8") != scene.text():
-                problems.append(f"{out.name} is not what the plan makes: run scenes/furnish.py")
-        elif not problems:
-            out.write_text(scene.text(), encoding="utf-8")
-        for problem in problems:
-            print(f"{scene.name}: {problem}", file=sys.stderr)
-        wrong += len(problems)
-        print(f"{scene.name}: {len(scene.items)} items, {len({i.label for i in scene.items})} labels, {len(problems)} problems")
+        wrong += report(scene, write=not arguments)
     return 1 if wrong else 0
 
 
