@@ -30,7 +30,7 @@ demo: build ## Builds, then shows the whole system at work on this machine.
 	$(TARGET)/release/roomcast demo
 
 .PHONY: test
-test: setup format lint unit docs licences python ## Runs every check: format, lints, tests, documentation, licences, Python.
+test: setup format lint unit docs licences scenes python ## Runs every check: format, lints, tests, documentation, licences, Python.
 	@echo "test: all checks passed"
 
 .PHONY: format
@@ -66,6 +66,16 @@ licences:
 .PHONY: advisories
 advisories: ## Checks the dependencies against the RustSec advisories (needs the network and cargo-deny).
 	cargo deny check advisories
+
+.PHONY: scenes
+scenes:
+	@if ! python3 -c 'import tomllib' 2>/dev/null; then \
+	    echo "test: SKIPPED scenes: furnishing them needs Python 3.11"; \
+	    exit 0; \
+	fi; \
+	echo "test: scenes"; \
+	python3 scenes/furnish.py --check; \
+	python3 -m unittest discover -q -s scenes
 
 # The Python parts: the tests of the training pipeline that need no PyTorch, and the client package where it can be installed.
 .PHONY: python
