@@ -150,7 +150,8 @@ class Shipped(unittest.TestCase):
         for name, *numbers in rows:
             scene = json.loads((HERE / f"{name}.json").read_text(encoding="utf-8"))
             labels = {item["label"] for item in scene["items"]}
-            self.assertEqual([int(number) for number in numbers], [len(scene["rooms"]), len(scene["items"]), len(labels)])
+            found = [len(scene["rooms"]), len(scene["items"]), len(labels)]
+            self.assertEqual([int(number) for number in numbers], found)
 
 
 if __name__ == "__main__":
