@@ -1,0 +1,301 @@
+"""Turns programs into training sequences: a narration, and at its steps the question what comes next.
+
+A sequence is a trunk and branches. The trunk is the narration of up to 16 actions. A branch asks, after one of them, with a
+binding sequence, for the next object, and answers with its label. Branches see the trunk up to their step and
+themselves, never one another, so that each is exactly the prompt that the product sends, while the trunk is computed once.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from data import Program
+from narration import (
+    DEFAULT_BINDING, STATES, Step, bind, next_targets, random_style, sentence, words,
+)
+
+WINDOW = 16
+PAPER_BINDINGS = (
+    "Next, they will go to the",
+    "The next object they are walking to is the",
+    "After this, they are going to interact with the",
+)
+OTHER_BINDINGS = (
+    "Next, they will walk to the", "Then they go to the", "The next thing they need is the", "Now they walk to the",
+    "Next, the person will go to the", "Next, the human will use the", "Next, she will go to the", "Next, he will go to the",
+    "After that, the human will go to the", "The human will now walk to the", "The next object is the",
+    "The next thing they will touch is the", "They will now interact with the", "Next, the worker will go to the",
+    "They are about to use the", "Next they go to the", "The person is going to the", "Soon they will be at the",
+)
+# Cues that have nothing to do with what the person is about to do. Their answers are knowledge about the world, drawn without a
+# look at the narration, so that the model learns that the cue matters.
+DISTRACTORS = {
+    "The most tasty object in the world is the": "pie cupcake salmon chicken|creamy buns|chocolate syrup|whipped cream|candy bar|ice cream|pound cake|pizza|steak|pudding|cheese|donut|cake|apple|peach|bananas|chips|cereal|cutlets|milkshake",
+    "The most expensive object in the world is the": "computer tv television piano sofa fridge|washing machine|painting|bed|dishwasher|laptop|perfume|wall picture frame|stove|car|watch|guitar|computer screen",
+    "The softest thing there is, is the": "pillow blanket sofa towel rug bed|teddy bear|clothes pile|slippers|comforter|curtains",
+    "The smallest thing of all is the": "pen coin needle keys soap|light switch|button|candle|lime|plum|stamp|bar soap|remote control",
+    "The heaviest thing in any house is the": "fridge piano closet bed sofa bathtub|washing machine|stove|kitchen counter|bookshelf|dishwasher",
+}
+DISTRACTORS = {
+    cue: [w for i, part in enumerate(answers.split("|")) for w in (part.split() if i == 0 else [part])]
+    for cue, answers in DISTRACTORS.items()
+}
+# Things that can take each other's place in an activity without changing its course.
+KINDS = [kind.split(", ") for kind in (
+    "mug, cup, coffee cup, water glass, glass, wine glass, drinking glass, teacup",
+    "plate, bowl, tray, dish",
+    "fork, knife, spoon, wooden spoon, cutlery",
+    "sofa, couch, chair, love seat, armchair, bench",
+    "cupboard, kitchen cabinets, kitchen cabinet, cabinet, drawer, pantry",
+    "fridge, freezer, refrigerator",
+    "table, kitchen table, dining table, coffee table, kitchen counter, desk",
+    "tv, television, radio, stereo, cd player, laptop, computer",
+    "book, novel, magazine, newspaper, textbook, folder, notebook, journal",
+    "apple, bananas, peach, plum, pear, lime, orange, tomato, bell pepper, carrot, potato, cucumber",
+    "chicken, salmon, minced meat, cutlets, steak, egg, fish",
+    "cereal, oatmeal, bread, bread slice, crackers, chips, cupcake, pie, creamy buns, pound cake, pudding, candy bar",
+    "milk, juice, wine, water, coffee, tea, beer",
+    "shirt, pants, dress, jacket, skirt, clothes pile, pajamas, sweater, coat",
+    "shoes, slippers, socks, boots",
+    "towel, washcloth, rag, cloth napkin, washing sponge, paper towel, sponge",
+    "soap, bar soap, shampoo, face soap, hair product, face cream, conditioner",
+    "toothbrush, razor, comb, hairbrush, electric shaver",
+    "deodorant, perfume, after shave, face cream, hair product",
+    "cell phone, phone, telephone, wall phone",
+    "lamp, table lamp, floor lamp, light, ceiling lamp, light switch, wall lamp",
+    "frying pan, cooking pot, pot, sauce pan, oven tray",
+    "stove, oven, microwave, toaster",
+    "dish soap, dishwashing liquid, detergent, cleaning solution, cleaning bottle",
+    "bathroom cabinet, bathroom counter, closet, dresser, nightstand, closet drawer, shelf",
+    "box, basket, laundry basket, bag, folder, trash bag",
+    "paper, mail, envelope, bills, document, notes",
+    "blanket, pillow, sheets, comforter, rug",
+    "remote control, video game controller, keyboard, mouse",
+    "garbage can, trash can, bin",
+)]
+KIND_OF = {word: kind for kind in KINDS for word in kind}
+
+
+@dataclass
+class Branch:
+    after: int  # number of trunk sentences it sees
+    binding: str
+    label: str
+
+
+@dataclass
+class Sequence:
+    sentences: list[str]
+    branches: list[Branch]
+
+
+def scene_labels(shared: Path, own: Path) -> dict[str, list[str]]:
+    """The label words of the VirtualHome graphs and of the project's own maps, by scene."""
+    scenes = {}
+    for path in sorted((shared / "virtualhome/scenes").glob("*_graph.json")):
+        nodes = json.loads(path.read_text())["nodes"]
+        scenes[path.stem.removesuffix("_graph")] = sorted(
+            {words(n["class_name"]) for n in nodes} - {"character", "floor", "wall", "ceiling"}
+        )
+    for path in sorted(own.glob("*.json")):
+        scene = json.loads(path.read_text())
+        scenes[path.stem] = sorted({words(thing["label"]) for key in ("rooms", "items") for thing in scene.get(key, ())})
+    return scenes
+
+
+@dataclass
+class Corpus:
+    """Draws sequences from programs. Every choice comes from the generator handed in, so a seed fixes the corpus."""
+
+    programs: list[Program]
+    days: list[list[Program]]
+    routines: list  # objects with .program(rng) -> Program
+    scenes: dict[str, list[str]]
+    shares: dict[str, float] = field(default_factory=lambda: {
+        "program": 0.58, "day": 0.10, "routine": 0.26, "wording": 0.04, "prior": 0.02,
+    })
+
+    def __post_init__(self):
+        self.shares = {k: v for k, v in self.shares.items() if k != "routine" or self.routines}
+        # A title with 128 variants must not drown the others: draw it in proportion to the root of its count.
+        counts = Counter(p.title for p in self.programs)
+        self.weights = list(np.cumsum([counts[p.title] ** -0.35 for p in self.programs]))
+        self.all_labels = sorted({label for labels in self.scenes.values() for label in labels})
+
+    def draw_program(self, rng: random.Random) -> Program:
+        return rng.choices(self.programs, cum_weights=self.weights)[0]
+
+    def draw(self, rng: random.Random) -> Sequence:
+        kind = rng.choices(list(self.shares), list(self.shares.values()))[0]
+        if kind == "prior":
+            return self.prior(rng)
+        if kind == "wording":
+            return self.narrate(self.wording(rng), rng, varied=False)
+        if kind == "day":
+            day = rng.choice(self.days)
+            at = rng.randrange(len(day))
+            steps = [step for program in day[at : at + 3] for step in program.steps]
+        elif kind == "routine":
+            steps = list(rng.choice(self.routines).program(rng).steps)
+        else:
+            steps = list(self.draw_program(rng).steps)
+        return self.narrate(steps, rng)
+
+    def prior(self, rng: random.Random) -> Sequence:
+        """No narration: what people go to at all."""
+        branches = []
+        for _ in range(14):
+            targets = [t for t in next_targets(list(self.draw_program(rng).steps)) if t]
+            if targets:
+                labels = self.scenes[rng.choice(list(self.scenes))]
+                target = rng.choice(targets)
+                branches.append(Branch(0, self.binding(rng), bind(target, labels) or target))
+        return self.distract(Sequence([], branches), rng, 0.1)
+
+    def wording(self, rng: random.Random) -> list[Step]:
+        """Somebody handles things of one map in no particular order: teaches its wordings, and that things are put back."""
+        labels = self.scenes[rng.choice(list(self.scenes))]
+        steps: list[Step] = []
+        while len(steps) < rng.randint(5, 14):
+            one, two = ((label, 1) for label in rng.sample(labels, 2))
+            steps += [Step("walk", (one,)), Step(rng.choice(["find", "lookat", "grab", "touch"]), (one,))]
+            if rng.random() < 0.6:
+                steps += [Step("walk", (two,)), Step(rng.choice(["putback", "putin"]), (one, two))]
+        return steps
+
+    def disturb(self, steps: list[Step], rng: random.Random) -> list[Step]:
+        """Missing steps, repeated steps, another activity in between, and other things of the same kind."""
+        roll = rng.random()
+        if roll < 0.12:
+            steps = [s for s in steps if rng.random() > 0.12] or steps
+        elif roll < 0.20:
+            steps = [s for s in steps if s.action != "find"] or steps
+        elif roll < 0.24:
+            steps = [s for s in steps for _ in range(2 if rng.random() < 0.1 else 1)]
+        elif roll < 0.28:
+            other, mixed, here = list(self.draw_program(rng).steps), [], steps
+            while here:
+                take = rng.randint(2, 6)
+                mixed, here, other = mixed + here[:take], other or here[take:], here[take:] if other else []
+            steps = mixed
+        elif roll < 0.36:
+            steps = steps + list(self.draw_program(rng).steps)
+        if rng.random() < 0.40:
+            swap = {}
+            for word in {word for s in steps for word, _ in s.objects}:
+                if rng.random() < 0.35 and word in KIND_OF:
+                    swap[word] = rng.choice(KIND_OF[word])
+                elif rng.random() < 0.03:
+                    swap[word] = rng.choice(self.all_labels)
+            steps = [Step(s.action, tuple((swap.get(w, w), i) for w, i in s.objects)) for s in steps]
+        return steps
+
+    def binding(self, rng: random.Random) -> str:
+        roll = rng.random()
+        if roll < 0.60:
+            return DEFAULT_BINDING
+        return rng.choice(PAPER_BINDINGS if roll < 0.88 else OTHER_BINDINGS)
+
+    def distract(self, sequence: Sequence, rng: random.Random, share: float) -> Sequence:
+        for branch in sequence.branches:
+            if rng.random() < share:
+                branch.binding = rng.choices(list(DISTRACTORS), [4, 4, 1, 1, 1])[0]
+                branch.label = rng.choice(DISTRACTORS[branch.binding])
+        return sequence
+
+    def narrate(self, steps: list[Step], rng: random.Random, varied: bool = True) -> Sequence:
+        if varied:
+            steps = self.disturb(steps, rng)
+        labels = self.scenes[rng.choice(list(self.scenes))]
+        bound = lambda word: bind(word, labels) or word
+        if rng.random() < 0.35:  # the narrator speaks of the map's items, not of the program's objects
+            steps = [Step(s.action, tuple((bound(w), i) for w, i in s.objects)) for s in steps]
+        targets = next_targets(steps)
+        start = max(0, rng.randint(-WINDOW, len(steps) - 2)) if len(steps) > 1 else 0
+        style = random_style(rng)
+        answer = bound if rng.random() < 0.75 else lambda word: word
+        keep = rng.choice([0.5, 0.8])
+        with_states = rng.random() < 0.06
+        sentences: list[str] = []
+        branches: list[Branch] = []
+        for k in range(start, min(len(steps), start + WINDOW)):
+            sentences.append(sentence(steps[k], style))
+            if with_states and steps[k].action in STATES and steps[k].objects:
+                sentences.append(STATES[steps[k].action].format(steps[k].target))
+            target = targets[k]
+            if target and rng.random() < keep:
+                branches.append(Branch(len(sentences), self.binding(rng), answer(target)))
+        return self.distract(Sequence(sentences, branches), rng, 0.03)
+
+
+TRUNK_WEIGHT, LABEL_WEIGHT, END_WEIGHT = 0.25, 1.0, 0.3
+
+
+class Encoder:
+    """Sequences to arrays. Words are tokenised one by one: no token of the vocabulary crosses a space."""
+
+    def __init__(self, tokenizer):
+        self.tokenizer, self.cache = tokenizer, {}
+
+    def ids(self, text: str) -> list[int]:
+        out: list[int] = []
+        for word in text.split(" "):
+            if word not in self.cache:
+                self.cache[word] = self.tokenizer.encode(word)
+            out += self.cache[word]
+        return out
+
+    def encode(self, sequence: Sequence, limit: int) -> dict[str, np.ndarray]:
+        """Arrays of one sequence, at most `limit` long; branches that do not fit are left out.
+
+        token, position, branch (0: trunk), sees (trunk tokens that are visible), target and weight of the next token.
+        """
+        trunk, ends, weights = [self.tokenizer.bos_id()], [1], []
+        for text in sequence.sentences:
+            trunk += self.ids(text)
+            ends.append(len(trunk))
+        rows = [[t, i, 0, len(trunk), n, TRUNK_WEIGHT] for i, (t, n) in enumerate(zip(trunk, trunk[1:] + [0]))][:limit]
+        rows[-1][5] = 0.0
+        for number, branch in enumerate(sequence.branches, 1):
+            sees = ends[branch.after]
+            cue, label, stop = self.ids(branch.binding), self.ids(branch.label), self.tokenizer.piece_to_id(".")
+            text = cue + label
+            if sees > limit or len(rows) + len(text) > limit:
+                break
+            weight = [0.0] * (len(cue) - 1) + [LABEL_WEIGHT] * len(label) + [END_WEIGHT]
+            rows += [
+                [t, sees + i, number, sees, n, w] for i, (t, n, w) in enumerate(zip(text, text[1:] + [stop], weight))
+            ]
+        table = np.array(rows, dtype=np.float64)
+        names = ("token", "position", "branch", "sees", "target", "weight")
+        return {n: table[:, i] if n == "weight" else table[:, i].astype(np.int64) for i, n in enumerate(names)}
+
+
+def pack(encoder: Encoder, corpus: Corpus, rng: random.Random, rows: int, length: int) -> dict[str, np.ndarray]:
+    """One batch: `rows` rows of `length` tokens, each filled with whole sequences."""
+    out = {n: np.zeros((rows, length), np.int64) for n in ("token", "position", "branch", "sees", "target")}
+    out["weight"] = np.zeros((rows, length), np.float32)
+    mask = np.zeros((rows, length, length), bool)
+    for row in range(rows):
+        used = 0
+        while length - used > 40:
+            part = encoder.encode(corpus.draw(rng), length - used)
+            size = len(part["token"])
+            for name in out:
+                out[name][row, used : used + size] = part[name]
+            index = np.arange(size)
+            branch = part["branch"]
+            trunk = (branch[None, :] == 0) & (index[None, :] < part["sees"][:, None])
+            own = (branch[None, :] == branch[:, None]) & (branch[:, None] > 0)
+            mask[row, used : used + size, used : used + size] = (trunk | own) & (index[None, :] <= index[:, None])
+            used += size
+        rest = np.arange(used, length)
+        mask[row, rest, rest] = True
+    out["mask"] = mask[:, None]
+    return out

@@ -1,0 +1,106 @@
+"""A llama-architecture language model, small enough to train on two cores.
+
+The layout is the one that llama.cpp runs under the name `llama`: pre-norm blocks with RMS normalisation, rotary positions
+on interleaved pairs, gated SiLU feed-forward, no biases. Embedding and output share one matrix.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The sizes of a model. Every width is a multiple of 32, the block size of Q8_0."""
+
+    vocab: int = 3072
+    width: int = 256
+    layers: int = 5
+    heads: int = 8
+    feed_forward: int = 704
+    context: int = 2048
+    rope_base: float = 10000.0
+    norm_epsilon: float = 1e-5
+
+    def to_dict(self) -> dict:
+        return asdict(self)
+
+
+class RmsNorm(nn.Module):
+    def __init__(self, width: int, epsilon: float):
+        super().__init__()
+        self.weight = nn.Parameter(torch.ones(width))
+        self.epsilon = epsilon
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return F.rms_norm(x, (x.shape[-1],), self.weight, self.epsilon)
+
+
+def rotate(x: torch.Tensor, cos: torch.Tensor, sin: torch.Tensor) -> torch.Tensor:
+    """Rotates the pairs (0, 1), (2, 3), ... of the last axis. x: [batch, heads, time, head width]."""
+    even, odd = x[..., 0::2], x[..., 1::2]
+    return torch.stack((even * cos - odd * sin, even * sin + odd * cos), dim=-1).flatten(-2)
+
+
+class Block(nn.Module):
+    def __init__(self, shape: Shape, dropout: float):
+        super().__init__()
+        width = shape.width
+        self.heads, self.head_width, self.dropout = shape.heads, width // shape.heads, dropout
+        self.attention_norm = RmsNorm(width, shape.norm_epsilon)
+        self.query_key_value = nn.Linear(width, 3 * width, bias=False)
+        self.attention_out = nn.Linear(width, width, bias=False)
+        self.feed_norm = RmsNorm(width, shape.norm_epsilon)
+        self.gate_up = nn.Linear(width, 2 * shape.feed_forward, bias=False)
+        self.down = nn.Linear(shape.feed_forward, width, bias=False)
+
+    def forward(self, x, cos, sin, mask):
+        batch, time, width = x.shape
+        q, k, v = (
+            part.view(batch, time, self.heads, self.head_width).transpose(1, 2)
+            for part in self.query_key_value(self.attention_norm(x)).split(width, dim=-1)
+        )
+        mixed = F.scaled_dot_product_attention(rotate(q, cos, sin), rotate(k, cos, sin), v, attn_mask=mask)
+        mixed = self.attention_out(mixed.transpose(1, 2).reshape(batch, time, width))
+        x = x + F.dropout(mixed, self.dropout, self.training)
+        gate, up = self.gate_up(self.feed_norm(x)).chunk(2, dim=-1)
+        return x + F.dropout(self.down(F.silu(gate) * up), self.dropout, self.training)
+
+
+class Household(nn.Module):
+    """Token ids [batch, time], positions [batch, time] and a mask [batch, 1, time, time] to hidden states."""
+
+    def __init__(self, shape: Shape, dropout: float = 0.0):
+        super().__init__()
+        self.shape, self.dropout = shape, dropout
+        self.embedding = nn.Embedding(shape.vocab, shape.width)
+        self.blocks = nn.ModuleList(Block(shape, dropout) for _ in range(shape.layers))
+        self.norm = RmsNorm(shape.width, shape.norm_epsilon)
+        head_width = shape.width // shape.heads
+        frequency = shape.rope_base ** (-torch.arange(0, head_width, 2).float() / head_width)
+        self.register_buffer("frequency", frequency, persistent=False)
+        for name, parameter in self.named_parameters():
+            if parameter.dim() == 2:
+                scale = 0.02 if "embedding" in name else 1.0 / math.sqrt(parameter.shape[1])
+                if name.endswith(("attention_out.weight", "down.weight")):
+                    scale /= math.sqrt(2 * shape.layers)
+                nn.init.normal_(parameter, std=scale)
+
+    def forward(self, tokens, positions, mask) -> torch.Tensor:
+        angle = positions[:, None, :, None].float() * self.frequency
+        cos, sin = angle.cos(), angle.sin()
+        x = F.dropout(self.embedding(tokens), self.dropout, self.training)
+        for block in self.blocks:
+            x = block(x, cos, sin, mask)
+        return self.norm(x)
+
+    def logits(self, hidden: torch.Tensor) -> torch.Tensor:
+        return hidden @ self.embedding.weight.T
+
+    def parameter_count(self) -> int:
+        return sum(p.numel() for p in self.parameters())

@@ -1,0 +1,84 @@
+"""The project's own corpus: everyday routines written by hand, and the generator that varies them.
+
+A routine's `steps` are actions separated by `;`. An action is a key of actions.toml, then up to two objects separated by a comma.
+
+    a|b      one of the alternatives; the same alternatives written again in a routine mean the same choice
+    step?    a step that is sometimes left out
+    { .. & .. }   parts that may come in any order
+"""
+
+from __future__ import annotations
+
+import random
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+from data import Program, cluster_of
+from narration import ACTIONS, Step
+
+HANDLED = {"grab", "open", "switchon", "switchoff", "sit", "touch", "lie", "close", "wash", "wipe", "read", "scan", "turnon", "unlock", "push", "pull", "puton", "load", "check"}
+
+
+@dataclass(frozen=True)
+class Routine:
+    title: str
+    place: str
+    cluster: str
+    text: str
+
+    def program(self, rng: random.Random) -> Program:
+        """One way in which the routine may go."""
+        chosen: dict[str, str] = {}
+        steps: list[Step] = []
+        verbosity = rng.choice([0.0, 0.3, 0.6, 0.9])
+        for text in flatten(self.text, rng):
+            if text.endswith("?"):
+                if rng.random() < 0.35:
+                    continue
+                text = text[:-1].strip()
+            verb, _, rest = text.partition(" ")
+            objects = []
+            for part in filter(None, (part.strip() for part in rest.split(","))):
+                word = chosen.setdefault(part, rng.choice(part.split("|")).strip())
+                objects.append((word, 1))
+            step = Step(verb, tuple(objects[:2]))
+            if step.target and verb in HANDLED and (not steps or steps[-1].target != step.target):
+                if rng.random() < verbosity:
+                    steps.append(Step("walk", step.objects[:1]))
+                if rng.random() < verbosity * 0.8:
+                    steps.append(Step("find", step.objects[:1]))
+            steps.append(step)
+        return Program(f"routine: {self.title}", self.title, self.cluster, tuple(steps))
+
+
+def flatten(text: str, rng: random.Random) -> list[str]:
+    """The actions in order, with every `{ a & b }` put in some order. Groups do not nest."""
+    out: list[str] = []
+    for part in re.split(r"(\{[^}]*\})", text):
+        if part.startswith("{"):
+            blocks = part[1:-1].split("&")
+            rng.shuffle(blocks)
+            part = ";".join(blocks)
+        out += [s.strip() for s in part.split(";") if s.strip()]
+    return out
+
+
+def load(folder: Path) -> list[Routine]:
+    routines = []
+    for path in sorted(folder.glob("*.toml")):
+        for entry in tomllib.loads(path.read_text())["routine"]:
+            routines.append(Routine(entry["title"], path.stem, cluster_of(entry["title"]), entry["steps"]))
+    for routine in routines:
+        check(routine)
+    return routines
+
+
+def check(routine: Routine) -> None:
+    for text in flatten(routine.text, random.Random(0)):
+        verb, _, rest = text.rstrip("?").strip().partition(" ")
+        if verb not in ACTIONS:
+            raise ValueError(f"routine {routine.title!r}: unknown action {verb!r} in {text!r}; see src/narration/actions.toml")
+        if rest.count(",") > 1:
+            raise ValueError(f"routine {routine.title!r}: more than two objects in {text!r}")

@@ -1,0 +1,115 @@
+"""Makes the embedded model from data folders: corpus, vocabulary, training, export, manifest.
+
+    python training/run.py --shared ../shared --out models --seed 1
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import random
+import sys
+from collections import Counter
+from pathlib import Path
+
+# Freed memory is kept: a training step allocates and frees the same few hundred megabytes, and asking the system
+# for fresh pages costs more than the arithmetic. The allocator reads these at start-up, hence the restart.
+ALLOCATOR = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": "100000000000", "MALLOC_TOP_PAD_": "268435456"}
+if __name__ == "__main__" and any(os.environ.get(name) != value for name, value in ALLOCATOR.items()):
+    os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **ALLOCATOR})
+
+import torch
+
+import data
+import export
+import routines
+import statistics_file
+import tokenizer as vocabulary
+from corpus import Corpus, Encoder, scene_labels
+from model import Shape
+from train import Schedule, restore, train
+
+ROOT = Path(__file__).resolve().parent.parent
+DESCRIPTION = (
+    "Predicts which object of a home a person turns to next, from a narration of what they just did. "
+    "Trained from scratch on VirtualHome programs, HOMER+ days and routines of the project. Knows households; no general language model."
+)
+
+
+def corpus_of(shared: Path, dev: bool) -> tuple[Corpus, dict[str, list[data.Program]]]:
+    programs = {"train": [], "dev": [], "test": []}
+    for program in data.virtualhome(shared):
+        programs[data.split_of(program.cluster, dev)].append(program)
+    if not programs["train"]:
+        raise SystemExit(f"no activity programs below {shared}/virtualhome/programs: pass the folder that holds virtualhome and homer_plus with --shared")
+    own = [r for r in routines.load(ROOT / "training/routines") if data.split_of(r.cluster, dev) == "train"]
+    scenes = scene_labels(shared, ROOT / "scenes")
+    return Corpus(programs["train"], data.homer(shared), own, scenes), programs
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--shared", type=Path, required=True, help="folder with virtualhome/ and homer_plus/")
+    arguments.add_argument("--out", type=Path, default=ROOT / "models")
+    arguments.add_argument("--work", type=Path, default=ROOT / "training/work", help="vocabulary, checkpoints and the full-precision file")
+    arguments.add_argument("--seed", type=int, default=1)
+    arguments.add_argument("--steps", type=int, default=Schedule.steps)
+    arguments.add_argument("--threads", type=int, default=2, help="fixed, because sums depend on it")
+    arguments.add_argument("--large", action="store_true", help="the larger variant, for a GPU")
+    arguments.add_argument("--dev", action="store_true", help="hold the development clusters out too")
+    arguments.add_argument("--export-only", action="store_true", help="take the last checkpoint instead of training")
+    given = arguments.parse_args()
+
+    torch.set_num_threads(given.threads)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    given.work.mkdir(parents=True, exist_ok=True)
+    given.out.mkdir(parents=True, exist_ok=True)
+    corpus, programs = corpus_of(given.shared, given.dev)
+    checkpoint = given.work / "checkpoint.pt"
+    if given.export_only:
+        model = restore(checkpoint)
+        pieces = vocabulary.load(given.work / "vocabulary.model")
+    else:
+        pieces = vocabulary.train(corpus, given.seed, 2560, given.work / "vocabulary")
+        size = -(-pieces.vocab_size() // 32) * 32
+        shape = Shape(vocab=size, width=512, layers=8, feed_forward=1408) if given.large else Shape(vocab=size)
+        schedule = Schedule(steps=given.steps, rows=64 if given.large else Schedule.rows)
+        model = train(shape, schedule, Encoder(pieces), corpus, given.seed, device, checkpoint).cpu()
+    reference, shipped = given.work / "household-f32.gguf", given.out / "household.gguf"
+    export.write(model, pieces, reference, "f32", DESCRIPTION)
+    export.write(model, pieces, shipped, "q8_0", DESCRIPTION)
+    statistics_file.write(programs["train"], given.out / "household-statistics.json")
+    write_manifest(given, corpus, programs, model, shipped)
+    print(f"wrote {shipped}: {shipped.stat().st_size / 1e6:.2f} MB, {model.parameter_count() / 1e6:.2f} M parameters")
+
+
+def write_manifest(given, corpus, programs, model, shipped: Path) -> None:
+    """What the model was made from, and which activities were in which split."""
+    inputs = sorted(
+        [p for folder in ("virtualhome/programs", "virtualhome/scenes", "homer_plus") for p in (given.shared / folder).rglob("*") if p.is_file()]
+    )
+    here = sorted(p for pattern in ("training/*.py", "training/*.toml", "training/routines/*.toml", "src/narration/actions.toml", "src/semantic_map/names.toml", "scenes/*.json") for p in ROOT.glob(pattern))
+    manifest = {
+        "model": {"file": shipped.name, "sha256": data.sha256(shipped), "bytes": shipped.stat().st_size, "parameters": model.parameter_count(), "shape": model.shape.to_dict()},
+        "command": f"python training/run.py --shared SHARED --seed {given.seed} --steps {given.steps}" + (" --dev" if given.dev else ""),
+        "environment": {"python": platform.python_version(), "torch": torch.__version__, "threads": given.threads, "machine": platform.machine()},
+        "splits": {
+            split: {
+                "programs": len(members),
+                "titles": dict(sorted(Counter(p.title for p in members).items())),
+                "files": sorted(p.source for p in members),
+            }
+            for split, members in programs.items() if members
+        },
+        "homer": {"days": len(corpus.days), "split": "train"},
+        "routines": {"train": sorted(r.title for r in corpus.routines)},
+        "inputs": {"shared/" + str(p.relative_to(given.shared)): data.sha256(p) for p in inputs},
+        "pipeline": {str(p.relative_to(ROOT)): data.sha256(p) for p in here},
+    }
+    (given.out / "manifest.json").write_text(json.dumps(manifest, indent=1, ensure_ascii=False) + "\n")
+
+
+if __name__ == "__main__":
+    main()
