@@ -7,8 +7,9 @@
 //!
 //! 1. To the partition with which its box overlaps most, by volume (the paper's argmax of V_o). The overlap with a group is
 //!    the sum over its rooms.
-//! 2. Several partitions with exactly the same largest overlap: the one that stands last in the scene file. So what lies in
-//!    a nook is the nook's when the nook is written after the room around it.
+//! 2. Several partitions with the same largest overlap: the one that stands last in the scene file. So what lies in a nook
+//!    is the nook's when the nook is written after the room around it. Volumes that differ by less than one part in 10^9
+//!    are the same, lest rounding decide.
 //! 3. No overlap with any partition, because the box is flat or empty or lies outside: the last partition that contains the
 //!    item's position.
 //! 4. At the level of parts: else the nearest part of the room that rules 1 to 3 give at the level of rooms.
@@ -22,6 +23,9 @@ use crate::semantic_map::{Box3, ItemId, PartitionId, RoomId, SemanticMap};
 
 /// Most entries of the matrix of labels by partitions: 256 MiB.
 pub const MAX_WEIGHTS: usize = 1 << 25;
+
+/// Largest relative difference of volumes that is taken for a tie.
+const TIE: f64 = 1e-9;
 
 /// What a partition is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
@@ -56,7 +60,9 @@ impl Default for GroundingOptions {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum GroundingError {
     /// Nothing to score.
-    #[error("the map `{map}` has no items and room names are switched off as labels, so there is nothing to score; add items or allow room labels")]
+    #[error(
+        "the map `{map}` has no items and room names are switched off as labels, so there is nothing to score; add items or allow room labels"
+    )]
     NoLabels {
         /// The map's name.
         map: String,
@@ -75,7 +81,9 @@ pub enum GroundingError {
         partitions: usize,
     },
     /// Scores for another list of labels.
-    #[error("{given} label scores were given for {expected} labels; score exactly the list of `label_texts`, in its order")]
+    #[error(
+        "{given} label scores were given for {expected} labels; score exactly the list of `label_texts`, in its order"
+    )]
     WrongLength {
         /// How many were given.
         given: usize,
@@ -280,7 +288,16 @@ impl Grounding {
                 within().for_each(|partition| weights[(label, partition)] += 1.0 / (scored.count * parts));
             }
         }
-        Ok(Self { partitions, scored_labels, item_partition, item_placement, unassigned, weights, item_terms, term_start })
+        Ok(Self {
+            partitions,
+            scored_labels,
+            item_partition,
+            item_placement,
+            unassigned,
+            weights,
+            item_terms,
+            term_start,
+        })
     }
 
     /// The labels to score, in the order in which [`Grounding::ground`] expects their scores.
@@ -360,8 +377,9 @@ impl Grounding {
             let (given, expected) = (label_log_prob_nats.len(), self.scored_labels.len());
             return Err(GroundingError::WrongLength { given, expected });
         }
-        // The tolerance is for probabilities of one that rounding made a little larger; NaN fails, too.
-        let wrong = label_log_prob_nats.iter().position(|log_prob_nats| !(*log_prob_nats <= 1e-3));
+        // The tolerance is for probabilities of one that rounding made a little larger.
+        let wrong =
+            label_log_prob_nats.iter().position(|log_prob_nats| log_prob_nats.is_nan() || *log_prob_nats > 1e-3);
         wrong.map_or(Ok(()), |label| {
             let log_prob_nats = label_log_prob_nats[label];
             Err(GroundingError::NotALogProbability { label: self.scored_labels[label].text.clone(), log_prob_nats })
@@ -475,21 +493,18 @@ fn scored_labels(map: &SemanticMap, room_labels: bool) -> Vec<ScoredLabel> {
 
 /// Rules 1 to 3.
 fn place(bounds: &Box3, position_m: &[f64; 3], partitions: &[Partition]) -> Option<(PartitionId, Placement)> {
-    let mut largest_m3 = 0.0;
-    let mut found = None;
-    for (index, partition) in (0u32..).zip(partitions) {
-        let overlap_m3 = partition.overlap_m3(bounds);
-        if overlap_m3 > largest_m3 {
-            found = Some((PartitionId(index), Placement::Overlap));
-            largest_m3 = overlap_m3;
-        } else if overlap_m3 == largest_m3 && found.is_some() {
-            found = Some((PartitionId(index), Placement::Tie));
-        }
+    let overlaps_m3 = || (0u32..).zip(partitions.iter().map(|partition| partition.overlap_m3(bounds)));
+    let largest_m3 = overlaps_m3().map(|(_, overlap_m3)| overlap_m3).fold(0.0, f64::max);
+    if largest_m3 > 0.0 {
+        let mut largest = overlaps_m3().filter(|(_, overlap_m3)| *overlap_m3 >= largest_m3 * (1.0 - TIE));
+        let first = largest.next()?.0;
+        return Some(match largest.last() {
+            Some((last, _)) => (PartitionId(last), Placement::Tie),
+            None => (PartitionId(first), Placement::Overlap),
+        });
     }
-    found.or_else(|| {
-        let last = (0u32..).zip(partitions).filter(|(_, partition)| partition.contains(position_m)).last()?;
-        Some((PartitionId(last.0), Placement::Position))
-    })
+    let last = (0u32..).zip(partitions).filter(|(_, partition)| partition.contains(position_m)).last()?;
+    Some((PartitionId(last.0), Placement::Position))
 }
 
 /// The first of the nearest partitions, of one room or of all, and its distance in metres.
@@ -536,7 +551,11 @@ mod tests {
         let (map, parts) = grounding(PartitionLevel::Part);
         assert_eq!(of(&map, &parts, "table-1"), (Some("kitchen/dining".into()), Placement::Overlap));
         assert_eq!(of(&map, &parts, "mug-3"), (Some("kitchen/dining".into()), Placement::NearestPart));
-        assert_eq!(of(&map, &parts, "sofa-1"), (Some("living-room".into()), Placement::Overlap), "a room without parts");
+        assert_eq!(
+            of(&map, &parts, "sofa-1"),
+            (Some("living-room".into()), Placement::Overlap),
+            "a room without parts"
+        );
 
         let (map, groups) = grounding(PartitionLevel::Group);
         assert_eq!(groups.partitions.len(), 1);
@@ -635,7 +654,10 @@ mod tests {
         map.labels.clear();
         let options = GroundingOptions { room_labels: false, ..GroundingOptions::default() };
         assert!(matches!(Grounding::new(&map, &options), Err(GroundingError::NoLabels { .. })));
-        assert_eq!(Grounding::new(&map, &GroundingOptions::default()).unwrap().label_texts(), ["kitchen", "living room"]);
+        assert_eq!(
+            Grounding::new(&map, &GroundingOptions::default()).unwrap().label_texts(),
+            ["kitchen", "living room"]
+        );
     }
 
     #[test]
@@ -716,7 +738,7 @@ mod tests {
                     .collect();
                 let largest = overlaps.iter().copied().fold(0.0, f64::max);
                 let room = if largest > 0.0 {
-                    overlaps.iter().rposition(|overlap| *overlap == largest)
+                    overlaps.iter().rposition(|overlap| *overlap >= largest * (1.0 - TIE))
                 } else {
                     map.rooms_at(item.position_m).last().map(|room| room.0 as usize)
                 };

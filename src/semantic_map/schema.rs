@@ -169,7 +169,8 @@ impl Place<'_> {
     }
 
     fn id(self) -> Result<(), SceneError> {
-        check_text(self.id, MAX_TEXT_BYTES).map_err(|problem| self.error("id", problem, "give every element a short id"))
+        check_text(self.id, MAX_TEXT_BYTES)
+            .map_err(|problem| self.error("id", problem, "give every element a short id"))
     }
 
     fn label(self, label: &str) -> Result<(), SceneError> {
@@ -292,11 +293,11 @@ impl SemanticMap {
         if text.len() as u64 > MAX_FILE_BYTES {
             return Err(SceneError::FileTooLarge);
         }
-        let parser = &mut serde_json::Deserializer::from_str(text);
+        let mut parser = serde_json::Deserializer::from_str(text);
         let json_error = |element: String, message: String| SceneError::Json { element, message };
-        let file: SceneFile = serde_path_to_error::deserialize(parser)
+        let file: SceneFile = serde_path_to_error::deserialize(&mut parser)
             .map_err(|error| json_error(error.path().to_string(), error.inner().to_string()))?;
-        serde_json::Deserializer::end(parser).map_err(|error| json_error("end".to_owned(), error.to_string()))?;
+        parser.end().map_err(|error| json_error("end".to_owned(), error.to_string()))?;
         Self::check(file)
     }
 
@@ -304,7 +305,7 @@ impl SemanticMap {
     #[must_use]
     pub fn to_json(&self) -> String {
         #[expect(clippy::expect_used, reason = "the file's types hold nothing that JSON cannot say: keys are strings")]
-        to_json_lines(&self.to_file()).expect("a scene is always JSON") 
+        to_json_lines(&self.to_file()).expect("a scene is always JSON")
     }
 
     /// The first 16 hexadecimal digits of the fingerprint, for people.
@@ -321,7 +322,8 @@ impl SemanticMap {
         let scene = Place { list: "scene", index: 0, id: &file.name };
         check_text(&file.name, MAX_TEXT_BYTES).map_err(|problem| scene.error("name", problem, "give a short name"))?;
         for (field, prose) in [("description", &file.description), ("source", &file.source)] {
-            check_prose(prose, MAX_PROSE_BYTES).map_err(|problem| scene.error(field, problem, "shorten it to one line"))?;
+            check_prose(prose, MAX_PROSE_BYTES)
+                .map_err(|problem| scene.error(field, problem, "shorten it to one line"))?;
         }
         check_count("rooms", file.rooms.len(), MAX_ROOMS)?;
         check_count("parts", file.parts.len(), 10 * MAX_ROOMS)?;
