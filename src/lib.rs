@@ -16,6 +16,8 @@
 // In the order of the flow, not of the alphabet; the empty lines keep rustfmt from sorting them.
 pub mod semantic_map;
 
+pub mod narration;
+
 pub mod grounding;
 
 pub mod exit_code;
