@@ -20,6 +20,8 @@ pub mod narration;
 
 pub mod grounding;
 
+pub mod policy;
+
 pub mod exit_code;
 
 pub mod cli;

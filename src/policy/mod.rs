@@ -1,0 +1,268 @@
+//! Policies: where a robot that is free goes next, given the rooms' scores. Pure, and random only through the generator given.
+//!
+//! One file per policy. Rooms are partitions of the grounding, by index; "room" and "partition" are one here.
+
+use std::fmt;
+use std::str::FromStr;
+
+use rand::{Rng, RngExt};
+
+use crate::semantic_map::PartitionId;
+
+mod coverage_aware;
+mod greedy_avoidance;
+mod informed_avoidance;
+mod naive;
+mod uncovered_first;
+
+pub use coverage_aware::{CoverageAware, DP_PARTITIONS_MAX, Plan, WEIGHT_DEFAULT_S, plan};
+pub use greedy_avoidance::GreedyAvoidance;
+pub use informed_avoidance::InformedAvoidance;
+pub use naive::Naive;
+pub use uncovered_first::UncoveredFirst;
+
+/// What a policy may know of the robot when it is free to choose.
+#[derive(Debug, Clone, Copy)]
+pub struct RobotState<'a> {
+    /// Where it is; `None` outside every partition.
+    pub partition: Option<PartitionId>,
+    /// Per partition: its work there is done.
+    pub covered: &'a [bool],
+    /// How long robot and person are expected to share each partition in each of the slots left, in seconds: slots times
+    /// partitions, slot by slot. Empty without a forecast or a horizon.
+    pub expected_shared_s: &'a [f64],
+}
+
+/// A decision and why it was taken.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Choice {
+    /// Where to go.
+    pub partition: PartitionId,
+    /// For people and logs; names no room, since the policy knows only their numbers.
+    pub reason: String,
+}
+
+/// Why no decision can be taken.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum PolicyError {
+    /// There is no partition to go to.
+    #[error("there is no partition to choose from: the scene needs at least one room")]
+    NoPartitions,
+    /// Inputs are of different sizes.
+    #[error(
+        "{what} has {found} entries where {expected} were expected: scores and robot state must come from the same map"
+    )]
+    Shape {
+        /// Which input.
+        what: &'static str,
+        /// Its entries.
+        found: usize,
+        /// The number expected.
+        expected: usize,
+    },
+    /// A score is no number.
+    #[error("the score of partition {partition} is no number: the scores cannot be compared")]
+    NotANumber {
+        /// Which partition.
+        partition: usize,
+    },
+    /// No policy of this name.
+    #[error("unknown policy `{name}`: known are {}", PolicyName::ALL.map(PolicyName::as_str).join(", "))]
+    Unknown {
+        /// As given.
+        name: String,
+    },
+}
+
+/// Chooses the next partition.
+pub trait Policy: fmt::Debug + Send {
+    /// Its name on the command line.
+    fn name(&self) -> PolicyName;
+
+    /// Chooses among `scores.len()` partitions; a greater score is a likelier presence of the person (S_j of Equation 3 or
+    /// its normalised probability: only the order matters to the paper's policies).
+    ///
+    /// # Errors
+    /// [`PolicyError`] when there is nothing to choose from or the inputs do not fit together.
+    fn choose(&mut self, state: &RobotState<'_>, scores: &[f64], rng: &mut dyn Rng) -> Result<Choice, PolicyError>;
+}
+
+/// The policies, by their names on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum PolicyName {
+    /// [`Naive`], the paper's baseline.
+    Naive,
+    /// [`InformedAvoidance`] of the paper.
+    InformedAvoidance,
+    /// [`GreedyAvoidance`] of the paper.
+    GreedyAvoidance,
+    /// [`UncoveredFirst`].
+    UncoveredFirst,
+    /// [`CoverageAware`].
+    CoverageAware,
+}
+
+impl PolicyName {
+    /// All of them, the paper's first.
+    pub const ALL: [Self; 5] =
+        [Self::Naive, Self::InformedAvoidance, Self::GreedyAvoidance, Self::UncoveredFirst, Self::CoverageAware];
+
+    /// The name on the command line.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Naive => "naive",
+            Self::InformedAvoidance => "informed-avoidance",
+            Self::GreedyAvoidance => "greedy-avoidance",
+            Self::UncoveredFirst => "uncovered-first",
+            Self::CoverageAware => "coverage-aware",
+        }
+    }
+
+    /// The policy; coverage-aware with its default weight.
+    #[must_use]
+    pub fn policy(self) -> Box<dyn Policy> {
+        match self {
+            Self::Naive => Box::new(Naive),
+            Self::InformedAvoidance => Box::new(InformedAvoidance),
+            Self::GreedyAvoidance => Box::new(GreedyAvoidance),
+            Self::UncoveredFirst => Box::new(UncoveredFirst),
+            Self::CoverageAware => Box::new(CoverageAware::new(WEIGHT_DEFAULT_S)),
+        }
+    }
+}
+
+impl fmt::Display for PolicyName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl FromStr for PolicyName {
+    type Err = PolicyError;
+
+    fn from_str(name: &str) -> Result<Self, PolicyError> {
+        Self::ALL
+            .into_iter()
+            .find(|policy| policy.as_str() == name)
+            .ok_or_else(|| PolicyError::Unknown { name: name.to_owned() })
+    }
+}
+
+/// Checks what every policy relies on: some partitions, comparable scores, one `covered` entry each.
+fn check(state: &RobotState<'_>, scores: &[f64]) -> Result<(), PolicyError> {
+    if scores.is_empty() {
+        return Err(PolicyError::NoPartitions);
+    }
+    if let Some(partition) = scores.iter().position(|score| score.is_nan()) {
+        return Err(PolicyError::NotANumber { partition });
+    }
+    if state.covered.len() != scores.len() {
+        return Err(PolicyError::Shape { what: "covered", found: state.covered.len(), expected: scores.len() });
+    }
+    if !state.expected_shared_s.len().is_multiple_of(scores.len()) {
+        return Err(PolicyError::Shape {
+            what: "the forecast's last slot",
+            found: state.expected_shared_s.len() % scores.len(),
+            expected: scores.len(),
+        });
+    }
+    Ok(())
+}
+
+/// The index of a partition as an id. Grounding bounds the number of partitions far below 2^32.
+fn partition_id(index: usize) -> PartitionId {
+    PartitionId(u32::try_from(index).unwrap_or(u32::MAX))
+}
+
+/// Uniform over the given partitions. The generator advances by one draw whatever their number, so that paired runs stay paired.
+fn uniform(partitions: &[usize], rng: &mut dyn Rng) -> Option<usize> {
+    let draw: f64 = rng.random();
+    // A draw below 1 times the length may round up to the length itself.
+    let index = ((draw * partitions.len() as f64) as usize).min(partitions.len().saturating_sub(1));
+    partitions.get(index).copied()
+}
+
+/// Those of `candidates` whose score equals the least.
+fn least(candidates: impl Iterator<Item = usize> + Clone, scores: &[f64]) -> Vec<usize> {
+    let best = candidates.clone().map(|p| scores[p]).fold(f64::INFINITY, f64::min);
+    candidates.filter(|p| scores[*p] == best).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    fn shares(name: PolicyName, covered: &[bool], scores: &[f64]) -> Vec<f64> {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let mut policy = name.policy();
+        let state = RobotState { partition: None, covered, expected_shared_s: &[] };
+        let mut counts = vec![0.0; scores.len()];
+        for _ in 0..20_000 {
+            counts[policy.choose(&state, scores, &mut rng).unwrap().partition.0 as usize] += 1.0 / 20_000.0;
+        }
+        counts
+    }
+
+    fn assert_shares(name: PolicyName, covered: &[bool], scores: &[f64], expected: &[f64]) {
+        let found = shares(name, covered, scores);
+        for (found, expected) in found.iter().zip(expected) {
+            assert!((found - expected).abs() < 0.02, "{name}: {found} instead of {expected}");
+        }
+    }
+
+    #[test]
+    fn each_policy_chooses_as_defined() {
+        let (none, some) = ([false; 4], [true, false, false, true]);
+        let scores = [0.1, 0.5, 0.3, 0.1];
+        assert_shares(PolicyName::Naive, &some, &scores, &[0.25; 4]);
+        assert_shares(PolicyName::GreedyAvoidance, &some, &scores, &[0.5, 0.0, 0.0, 0.5]);
+        assert_shares(PolicyName::InformedAvoidance, &some, &scores, &[1.0 / 3.0, 0.0, 1.0 / 3.0, 1.0 / 3.0]);
+        assert_shares(PolicyName::UncoveredFirst, &some, &scores, &[0.0, 0.0, 1.0, 0.0]);
+        assert_shares(PolicyName::UncoveredFirst, &none, &scores, &[0.5, 0.0, 0.0, 0.5]);
+        assert_shares(PolicyName::UncoveredFirst, &[true; 4], &scores, &[0.5, 0.0, 0.0, 0.5]);
+        assert_shares(PolicyName::CoverageAware, &some, &scores, &[0.0, 0.0, 1.0, 0.0]);
+    }
+
+    #[test]
+    fn ties_and_single_rooms_are_no_trap() {
+        assert_shares(PolicyName::InformedAvoidance, &[false; 2], &[0.5, 0.5], &[0.5, 0.5]);
+        assert_shares(PolicyName::InformedAvoidance, &[false], &[1.0], &[1.0]);
+        assert_shares(PolicyName::GreedyAvoidance, &[false; 2], &[f64::NEG_INFINITY; 2], &[0.5, 0.5]);
+    }
+
+    #[test]
+    fn faults_are_named() {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let mut choose = |covered: &[bool], expected_shared_s: &[f64], scores: &[f64]| {
+            let state = RobotState { partition: None, covered, expected_shared_s };
+            Naive.choose(&state, scores, &mut rng).unwrap_err().to_string()
+        };
+        assert!(choose(&[], &[], &[]).contains("at least one room"));
+        assert!(choose(&[true], &[], &[0.1, 0.2]).contains("covered has 1 entries where 2"));
+        assert!(choose(&[true; 2], &[0.0; 3], &[0.1, 0.2]).contains("forecast"));
+        assert!(choose(&[true; 2], &[], &[0.1, f64::NAN]).contains("partition 1 is no number"));
+        assert!("greedy".parse::<PolicyName>().unwrap_err().to_string().contains("greedy-avoidance"));
+    }
+
+    proptest! {
+        #[test]
+        fn the_choice_is_always_a_partition(
+            scores in prop::collection::vec(prop_oneof![Just(f64::NEG_INFINITY), -10.0..10.0f64], 1..20),
+            slots in 0usize..5, seed: u64,
+        ) {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let covered: Vec<bool> = scores.iter().map(|_| rng.random()).collect();
+            let expected: Vec<f64> = (0..slots * scores.len()).map(|_| rng.random()).collect();
+            let state = RobotState { partition: None, covered: &covered, expected_shared_s: &expected };
+            for name in PolicyName::ALL {
+                prop_assert_eq!(name.as_str().parse::<PolicyName>(), Ok(name));
+                let choice = name.policy().choose(&state, &scores, &mut rng).unwrap();
+                prop_assert!((choice.partition.0 as usize) < scores.len());
+            }
+        }
+    }
+}
