@@ -23,5 +23,7 @@ pub mod grounding;
 pub mod policy;
 
 pub mod exit_code;
+pub mod gguf;
+pub mod hub;
 
 pub mod cli;

@@ -8,6 +8,7 @@ use clap::{Parser, Subcommand};
 use crate::exit_code;
 
 mod completions;
+mod model;
 
 /// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
 #[derive(Debug)]
@@ -52,6 +53,8 @@ pub struct Cli {
 enum Command {
     /// Print a completion script for a shell.
     Completions(completions::Args),
+    /// Inspect and fetch language models.
+    Model(model::Args),
 }
 
 /// Parses the command line, runs it and gives the exit code; prints an error once, on standard error.
@@ -59,6 +62,7 @@ enum Command {
 pub fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Completions(args) => completions::run(&args),
+        Command::Model(args) => model::run(&args),
     };
     match result {
         Ok(()) => ExitCode::from(exit_code::OK),
