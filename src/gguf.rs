@@ -39,7 +39,9 @@ pub enum GgufError {
         source: std::io::Error,
     },
     /// The first four bytes are not `GGUF`.
-    #[error("{path} is no GGUF model: it starts with {found:?}, not with \"GGUF\"; convert it with llama.cpp's convert_hf_to_gguf.py or choose a .gguf file")]
+    #[error(
+        "{path} is no GGUF model: it starts with {found:?}, not with \"GGUF\"; convert it with llama.cpp's convert_hf_to_gguf.py or choose a .gguf file"
+    )]
     Magic {
         /// The file.
         path: PathBuf,
@@ -47,7 +49,9 @@ pub enum GgufError {
         found: String,
     },
     /// A version other than 2 and 3, or a big-endian file.
-    #[error("{path} has GGUF version {version}, and versions 2 and 3 in little-endian order can be read; convert the model again with a current llama.cpp")]
+    #[error(
+        "{path} has GGUF version {version}, and versions 2 and 3 in little-endian order can be read; convert the model again with a current llama.cpp"
+    )]
     Version {
         /// The file.
         path: PathBuf,
@@ -55,7 +59,9 @@ pub enum GgufError {
         version: u32,
     },
     /// The file ends inside the header or before its last tensor.
-    #[error("{path} is truncated: {place} needs bytes up to {needed}, and the file has {size_bytes}; copy or download it again")]
+    #[error(
+        "{path} is truncated: {place} needs bytes up to {needed}, and the file has {size_bytes}; copy or download it again"
+    )]
     Truncated {
         /// The file.
         path: PathBuf,
@@ -67,7 +73,9 @@ pub enum GgufError {
         size_bytes: u64,
     },
     /// The header contradicts itself or passes a limit.
-    #[error("{path} is malformed at {place}: {reason}; the file is damaged or was written by a faulty tool, get it again from its source")]
+    #[error(
+        "{path} is malformed at {place}: {reason}; the file is damaged or was written by a faulty tool, get it again from its source"
+    )]
     Malformed {
         /// The file.
         path: PathBuf,
@@ -77,7 +85,9 @@ pub enum GgufError {
         reason: String,
     },
     /// A sound GGUF file that holds no language model that can score text.
-    #[error("{path} holds no language model that Roomcast can run: {reason}; choose a GGUF file of a causal language model with its vocabulary")]
+    #[error(
+        "{path} holds no language model that Roomcast can run: {reason}; choose a GGUF file of a causal language model with its vocabulary"
+    )]
     NotALanguageModel {
         /// The file.
         path: PathBuf,
@@ -297,7 +307,9 @@ impl Cursor<'_> {
         let number = self.u32(key)?;
         let length = self.u64(key)?;
         if length > ARRAY_ELEMENTS_MAX {
-            return Err(self.malformed(key, format!("an array of {length} elements, the limit is {ARRAY_ELEMENTS_MAX}")));
+            return Err(
+                self.malformed(key, format!("an array of {length} elements, the limit is {ARRAY_ELEMENTS_MAX}"))
+            );
         }
         if number == TYPE_STRING {
             for _ in 0..length {
@@ -338,7 +350,9 @@ impl Cursor<'_> {
             return Err(self.malformed(&place, format!("unknown tensor type {number}")));
         };
         if shape.first().copied().unwrap_or(1) % block_elements != 0 {
-            return Err(self.malformed(&place, format!("rows that are no multiple of {kind}'s {block_elements} elements")));
+            return Err(
+                self.malformed(&place, format!("rows that are no multiple of {kind}'s {block_elements} elements"))
+            );
         }
         let size_bytes = (elements / block_elements)
             .checked_mul(block_bytes)
@@ -418,12 +432,19 @@ impl Header {
             let place = format!("tensor {:?}", tensor.name);
             // llama.cpp wants the tensors packed in the order of their descriptions; anything else overlaps or leaves holes.
             if offset != expected_offset {
-                return Err(cursor.malformed(&place, format!("its data starts at {offset}, expected {expected_offset}")));
+                return Err(
+                    cursor.malformed(&place, format!("its data starts at {offset}, expected {expected_offset}"))
+                );
             }
             tensor.start = data_start.saturating_add(offset);
             let needed = tensor.start.saturating_add(tensor.size_bytes);
             if needed > cursor.size_bytes {
-                return Err(GgufError::Truncated { path: path.to_owned(), place, needed, size_bytes: cursor.size_bytes });
+                return Err(GgufError::Truncated {
+                    path: path.to_owned(),
+                    place,
+                    needed,
+                    size_bytes: cursor.size_bytes,
+                });
             }
             expected_offset = (offset + tensor.size_bytes).next_multiple_of(alignment);
             placed.push(tensor);
@@ -459,10 +480,15 @@ impl Header {
         let mut seen = HashSet::with_capacity(self.vocabulary.len());
         for (index, token) in self.vocabulary.iter().enumerate() {
             if !token.is_empty() && !seen.insert(token.as_slice()) {
-                return refuse(format!("token {index} of the vocabulary, {:?}, occurs twice", String::from_utf8_lossy(token)));
+                return refuse(format!(
+                    "token {index} of the vocabulary, {:?}, occurs twice",
+                    String::from_utf8_lossy(token)
+                ));
             }
         }
-        for (key, elements) in [("tokenizer.ggml.scores", ["f32", "i32"]), ("tokenizer.ggml.token_type", ["i32", "i32"])] {
+        for (key, elements) in
+            [("tokenizer.ggml.scores", ["f32", "i32"]), ("tokenizer.ggml.token_type", ["i32", "i32"])]
+        {
             match self.metadata.get(key) {
                 None => {}
                 Some(Value::Array { element, length }) if elements.contains(element) && *length >= tokens => {}
@@ -486,7 +512,10 @@ impl Header {
             return refuse("the tensor token_embd.weight is missing".into());
         };
         if embedding.shape.get(1) != Some(&tokens) {
-            return refuse(format!("token_embd.weight has the shape {:?}, and the vocabulary has {tokens} tokens", embedding.shape));
+            return refuse(format!(
+                "token_embd.weight has the shape {:?}, and the vocabulary has {tokens} tokens",
+                embedding.shape
+            ));
         }
         Ok(())
     }
@@ -616,7 +645,9 @@ pub(crate) mod tests {
 
     #[test]
     fn other_files_are_named_as_such() {
-        assert!(read(b"PK\x03\x04 a zip archive").unwrap_err().to_string().contains(r#""PK\\x03\\x04", not with "GGUF""#));
+        assert!(
+            read(b"PK\x03\x04 a zip archive").unwrap_err().to_string().contains(r#""PK\\x03\\x04", not with "GGUF""#)
+        );
         let mut old = tiny(&["a"]);
         old[4] = 1;
         assert!(matches!(read(&old).unwrap_err(), GgufError::Version { version: 1, .. }));
@@ -634,7 +665,8 @@ pub(crate) mod tests {
         text(&mut spm, "llama");
         spm.extend(&bytes[at + 4..]);
         // One byte longer than before: the padding before the tensor data shrinks by it.
-        let header_end = spm.windows(17).position(|window| window == b"token_embd.weight").unwrap() + 17 + 4 + 16 + 4 + 8;
+        let header_end =
+            spm.windows(17).position(|window| window == b"token_embd.weight").unwrap() + 17 + 4 + 16 + 4 + 8;
         spm.remove(header_end);
         let error = read(&spm).unwrap_err().to_string();
         assert!(error.contains("no token for the byte 0x00"), "{error}");

@@ -21,7 +21,9 @@ pub const ENDPOINT_DEFAULT: &str = "https://huggingface.co";
 #[derive(Debug, thiserror::Error)]
 pub enum HubError {
     /// A repository or file name that is none.
-    #[error("{given:?} is no {expected}; for example: roomcast model pull HuggingFaceTB/SmolLM2-135M-Instruct-GGUF smollm2-135m-instruct-q8_0.gguf")]
+    #[error(
+        "{given:?} is no {expected}; for example: roomcast model pull HuggingFaceTB/SmolLM2-135M-Instruct-GGUF smollm2-135m-instruct-q8_0.gguf"
+    )]
     Name {
         /// What was given.
         given: String,
@@ -29,7 +31,9 @@ pub enum HubError {
         expected: &'static str,
     },
     /// The hub cannot be reached.
-    #[error("failed to reach {endpoint}: {reason}; without a network use the embedded household model, which every command does when no --model is given")]
+    #[error(
+        "failed to reach {endpoint}: {reason}; without a network use the embedded household model, which every command does when no --model is given"
+    )]
     Unreachable {
         /// The hub's address.
         endpoint: String,
@@ -51,7 +55,9 @@ pub enum HubError {
         remedy: &'static str,
     },
     /// The hub's answer makes no sense.
-    #[error("{endpoint} does not answer as a model hub does: {reason}; check the address given by --endpoint or HF_ENDPOINT")]
+    #[error(
+        "{endpoint} does not answer as a model hub does: {reason}; check the address given by --endpoint or HF_ENDPOINT"
+    )]
     Protocol {
         /// The hub's address.
         endpoint: String,
@@ -59,7 +65,9 @@ pub enum HubError {
         reason: String,
     },
     /// The file that arrived is not the file that the hub described; it has been deleted.
-    #[error("{path} arrived damaged: its SHA-256 is {found}, the hub states {stated}; it has been deleted, run the command again")]
+    #[error(
+        "{path} arrived damaged: its SHA-256 is {found}, the hub states {stated}; it has been deleted, run the command again"
+    )]
     Checksum {
         /// Where the file was.
         path: PathBuf,
@@ -72,7 +80,9 @@ pub enum HubError {
     #[error("another process is downloading this file (lock {0}); wait for it, or delete the lock if there is none")]
     Locked(PathBuf),
     /// The cache cannot be written, or a file in it cannot be read.
-    #[error("failed to use the cache: {0}; check that there is room and that it may be written, or choose another by --cache")]
+    #[error(
+        "failed to use the cache: {0}; check that there is room and that it may be written, or choose another by --cache"
+    )]
     Cache(#[from] std::io::Error),
     /// The file arrived whole, but it is no model that can be used.
     #[error(transparent)]
@@ -178,7 +188,9 @@ fn explain(error: ApiError, endpoint: &str, repository: &str, file: &str) -> Hub
         ApiError::RequestError(request) => match *request {
             ureq::Error::StatusCode(status) => {
                 let remedy = match status {
-                    401 | 403 => "the repository is private, gated, or does not exist; accept its terms on the hub and store a token with its own tool",
+                    401 | 403 => {
+                        "the repository is private, gated, or does not exist; accept its terms on the hub and store a token with its own tool"
+                    }
                     404 => "there is no such repository or file; file names are case-sensitive",
                     416 => "the interrupted download in the cache is longer than the file; delete the .part file there",
                     429 => "too many requests; wait a while",
@@ -231,7 +243,9 @@ mod tests {
                     let mut lines = BufReader::new(stream.try_clone().unwrap()).lines();
                     let request = lines.next().unwrap().unwrap();
                     let headers: Vec<_> = lines.map_while(Result::ok).take_while(|line| !line.is_empty()).collect();
-                    let range = headers.iter().find_map(|line| line.to_lowercase().strip_prefix("range: bytes=").map(String::from));
+                    let range = headers
+                        .iter()
+                        .find_map(|line| line.to_lowercase().strip_prefix("range: bytes=").map(String::from));
                     let head = match request.split(' ').nth(1).unwrap() {
                         "/someone/models/resolve/main/tiny.gguf" => format!(
                             "HTTP/1.1 302 Found\r\nLocation: {base}/content\r\nX-Linked-ETag: \"{tag}\"\r\nX-Repo-Commit: {COMMIT}\r\nContent-Length: 0"
@@ -305,7 +319,9 @@ mod tests {
         content[last] ^= 1;
         let server = Server::start(content, sum.clone(), None);
         let cache = tempfile::tempdir().unwrap();
-        let Err(HubError::Checksum { path, stated, .. }) = server.hub(cache.path()).pull("someone/models", "tiny.gguf", ()) else {
+        let Err(HubError::Checksum { path, stated, .. }) =
+            server.hub(cache.path()).pull("someone/models", "tiny.gguf", ())
+        else {
             panic!("a damaged file must be refused");
         };
         assert_eq!(stated, sum);
@@ -334,9 +350,14 @@ mod tests {
     #[test]
     fn names_cannot_leave_the_cache() {
         let hub = Hub::default();
-        for (repository, file) in
-            [("someone", "a.gguf"), ("../x", "a.gguf"), ("a/b/c", "a.gguf"), ("a/b", "../a.gguf"), ("a/b", "/etc/passwd"), ("a/b", "")]
-        {
+        for (repository, file) in [
+            ("someone", "a.gguf"),
+            ("../x", "a.gguf"),
+            ("a/b/c", "a.gguf"),
+            ("a/b", "../a.gguf"),
+            ("a/b", "/etc/passwd"),
+            ("a/b", ""),
+        ] {
             assert!(matches!(hub.pull(repository, file, ()), Err(HubError::Name { .. })), "{repository} {file}");
         }
         let server = Server::start(content().0, "../../../../escape".into(), None);

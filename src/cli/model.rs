@@ -91,7 +91,14 @@ fn table(path: &Path, header: &Header, sha256: &str) -> String {
         ("architecture", text("general.architecture")),
         ("parameters", Some(format!("{:.1} million", header.parameters() as f64 / 1e6))),
         ("quantisation", Some(shares.join(", "))),
-        ("vocabulary", Some(format!("{} tokens ({})", header.vocabulary_size(), header.text("tokenizer.ggml.model").unwrap_or("?")))),
+        (
+            "vocabulary",
+            Some(format!(
+                "{} tokens ({})",
+                header.vocabulary_size(),
+                header.text("tokenizer.ggml.model").unwrap_or("?")
+            )),
+        ),
         ("context", number("context_length").map(|tokens| format!("{tokens} tokens"))),
         ("layers", number("block_count")),
         ("width", number("embedding_length")),
