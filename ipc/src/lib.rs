@@ -1,1 +1,75 @@
-//! Contract.
+//! The contract between Roomcast's processes: services, messages and ports over iceoryx2.
+//!
+//! A planner of somebody else's needs this crate alone. Three contracts, one direction:
+//!
+//! ```text
+//! narrator --(narration)--> daemon --(room scores, item scores, forecast)--> planner --(decision)--> whoever listens
+//! ```
+//!
+//! | service | payload | publishers | subscribers | buffer | history |
+//! | --- | --- | --- | --- | --- | --- |
+//! | `roomcast/v1/narration` | [`NarrationV1`] | 8 | 4 | 256 | 32 |
+//! | `roomcast/v1/room-scores` | [`RoomScoresV1`], a full snapshot | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/item-scores` | slice of [`ItemScoreV1`] with [`ItemScoresHeaderV1`] | 1 | 8 | 2 | 1 |
+//! | `roomcast/v1/forecast` | [`ForecastV1`] | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/decision` | [`DecisionV1`] | 8 | 16 | 16 | 1 |
+//! | `roomcast/v1/status` | [`StatusRequestV1`] to [`StatusResponseV1`] | 1 server | 8 clients | 2 | - |
+//!
+//! All publish-subscribe services overflow safely: a publisher never waits for a slow subscriber, and what was overwritten
+//! shows as a gap in the sequence numbers ([`sequence`]). Each has an event service of the same name, so that a
+//! subscriber sleeps until there is news ([`Subscriber::wait`]).
+//!
+//! # What holds for every message
+//!
+//! - `#[repr(C)]`, fixed-width integers, `f32` and `f64` only, no padding, little endian on all supported machines. Offsets
+//!   stand in each field's documentation, are asserted at compile time, and are listed by `cargo run -p roomcast-ipc
+//!   --example layout` for other languages. The iceoryx2 type name is the message's [`Message::TYPE_NAME`].
+//! - Text is UTF-8 in a fixed array, zero padded, without control characters ([`text`]).
+//! - `*_ns` is `CLOCK_MONOTONIC` ([`clock::monotonic_ns`]), for ages; `*_unix_ns` is wall clock, for people only.
+//! - An epoch is random per process start; a sequence starts at 1 and grows by 1 within an epoch.
+//! - Scores are f64 in nats. `-inf` says that nothing of the map's labels lies there.
+//! - Reserved bytes are zero; a minor number in each message grows when one of them gets a meaning. A breaking change is a new
+//!   type name and a new service name, published beside the old one.
+//! - A message is data: it is copied out of shared memory before it is looked at, and [`Message::check`] judges the copy.
+//!
+//! # A planner in ten lines
+//!
+//! ```no_run
+//! use std::time::Duration;
+//! use roomcast_ipc::{Domain, RoomScoresV1};
+//!
+//! let node = Domain::default_for_user().open("my-planner")?;
+//! let scores = node.subscriber::<RoomScoresV1>()?;
+//! loop {
+//!     scores.wait(Duration::from_millis(500))?;
+//!     let Some(snapshot) = scores.newest()? else { continue };
+//!     for room in snapshot.rooms() {
+//!         println!("{} {:.3}", room.id(), room.probability);
+//!     }
+//! }
+//! # #[expect(unreachable_code)]
+//! # Ok::<(), roomcast_ipc::IpcError>(())
+//! ```
+
+pub mod clock;
+mod domain;
+mod error;
+mod message;
+mod port;
+pub mod sequence;
+pub mod text;
+
+pub use domain::{Domain, Node};
+pub use error::{IpcError, MessageError};
+pub use message::{
+    ALL_PERSONS, DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout, MAX_HORIZONS,
+    MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES, NARRATION_TEXT_BYTES, NO_PARTITION, NarrationV1, REASON_TEXT_BYTES,
+    RoomScoresV1, RoomV1, ServiceQuality, StatusRequestV1, StatusResponseV1, action, decision_flags, narration_kind,
+    reached, score_flags,
+};
+pub use port::{
+    ItemScores, ItemScoresPublisher, ItemScoresSubscriber, Publisher, StatusClient, StatusServer, Subscriber,
+};
+
+/// The exact version of iceoryx2 that every participant of a domain must run, patch included.
+pub const ICEORYX2_VERSION: &str = "0.10.0";

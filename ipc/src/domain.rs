@@ -1,0 +1,332 @@
+//! Where participants meet: a root path, a name, and the nodes that join.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use std::{env, fs, io};
+
+use iceoryx2::config::Config;
+use iceoryx2::prelude::{
+    CallbackProgression, FileName, LogLevel, NodeBuilder, NodeName, SemanticString, SignalHandlingMode,
+};
+use iceoryx2::service::ipc_threadsafe;
+use rustix::process::geteuid;
+
+use crate::IpcError;
+use crate::message::Message;
+use crate::port::{ItemScoresPublisher, ItemScoresSubscriber, Publisher, StatusClient, StatusServer, Subscriber};
+
+/// The flavour of iceoryx2 used throughout: shared memory, and ports that may move between threads.
+pub(crate) type Flavour = ipc_threadsafe::Service;
+
+/// Most characters of a domain's name: with the rest of iceoryx2's file names it must fit a Unix socket's address.
+const NAME_LIMIT: usize = 24;
+/// Most bytes of the root path, for the same reason.
+const ROOT_LIMIT: usize = 40;
+/// How long opening a service is retried: a peer that starts, stops or has just died is in the way for moments only.
+const OPEN_FOR: Duration = Duration::from_secs(3);
+/// Where iceoryx2 keeps its shared memory on Linux.
+const SHARED_MEMORY: &str = "/dev/shm";
+
+/// A private world of services: participants see one another when root path and name are equal, and nobody else.
+///
+/// The root path holds sockets and service files and belongs to one user, mode 0700; shared memory lies in `/dev/shm` under
+/// the domain's name, mode 0600. That user id is the boundary: there are no access lists.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Domain {
+    root: PathBuf,
+    name: String,
+}
+
+impl Domain {
+    /// A domain at `root` (at most 40 bytes, absolute) named `name` (at most 24 of `a-z`, `0-9`, `-`).
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::BadRoot`] and [`IpcError::BadDomainName`].
+    pub fn new(root: impl Into<PathBuf>, name: &str) -> Result<Self, IpcError> {
+        let root = root.into();
+        let fits = root.is_absolute() && root.as_os_str().len() <= ROOT_LIMIT;
+        if !fits || FileName::new(root.as_os_str().as_encoded_bytes()).is_ok() {
+            let problem =
+                format!("give an absolute path of at most {ROOT_LIMIT} bytes (a Unix socket's address must hold it)");
+            return Err(IpcError::BadRoot { path: root, problem });
+        }
+        let plain = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
+        if name.is_empty() || name.len() > NAME_LIMIT || !name.bytes().all(plain) {
+            return Err(IpcError::BadDomainName { name: name.to_owned(), limit: NAME_LIMIT });
+        }
+        Ok(Self { root, name: name.to_owned() })
+    }
+
+    /// The domain that all commands use when none is given: under `$XDG_RUNTIME_DIR` when it is set and short enough, else
+    /// `/tmp/roomcast-UID`; named `roomcast`.
+    #[must_use]
+    pub fn default_for_user() -> Self {
+        let fallback = || PathBuf::from(format!("/tmp/roomcast-{}", geteuid().as_raw()));
+        let root = env::var_os("XDG_RUNTIME_DIR").map(|base| Path::new(&base).join("roomcast"));
+        let root =
+            root.filter(|root| root.is_absolute() && root.as_os_str().len() <= ROOT_LIMIT).unwrap_or_else(fallback);
+        Self { root, name: "roomcast".to_owned() }
+    }
+
+    /// The root path.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Joins under `participant`, a name for people (at most 100 characters).
+    ///
+    /// Makes the root directory if it is missing, and cleans up after participants that died. Signals stay the caller's.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::BadRoot`] when the root belongs to somebody else or others may write there, [`IpcError::Join`] when
+    /// iceoryx2 cannot make the node.
+    pub fn open(&self, participant: &str) -> Result<Node, IpcError> {
+        self.prepare_root()?;
+        // iceoryx2 logs to standard error; what matters comes back as an error.
+        iceoryx2::prelude::set_log_level(LogLevel::Fatal);
+        let join = |cause: String| IpcError::Join { root: self.root.clone(), cause };
+        let config = self.config()?;
+        let name =
+            NodeName::new(participant).map_err(|error| join(format!("participant {participant:?}: {error:?}")))?;
+        let node = NodeBuilder::new()
+            .name(&name)
+            .config(&config)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<Flavour>()
+            .map_err(|error| join(format!("{error:?}")))?;
+        Ok(Node { node, config })
+    }
+
+    /// Removes what dead participants left, and, when nobody is left alive, everything of the domain: its shared memory and its
+    /// root directory. Returns whether it is gone.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::BadRoot`] when a file cannot be removed.
+    pub fn clean_up(&self) -> Result<bool, IpcError> {
+        if !self.root.exists() {
+            return Ok(self.remove_shared_memory().is_ok());
+        }
+        let config = self.config()?;
+        // A node's own creation removes what the dead left.
+        drop(self.open("clean-up")?);
+        if self.alive(&config) > 0 {
+            return Ok(false);
+        }
+        self.remove_shared_memory()
+            .and_then(|()| fs::remove_dir_all(&self.root))
+            .map_err(|error| self.bad_root(format!("cannot remove what is left there: {error}")))?;
+        Ok(true)
+    }
+
+    /// Participants alive, this process's own included.
+    fn alive(&self, config: &Config) -> usize {
+        let mut alive = 0;
+        // A list that fails half-way counts as somebody alive: nothing is removed on a guess.
+        let listed = iceoryx2::node::Node::<Flavour>::list(config, |state| {
+            alive += usize::from(!matches!(state, iceoryx2::node::NodeState::Dead(_)));
+            CallbackProgression::Continue
+        });
+        if listed.is_err() { alive.max(1) } else { alive }
+    }
+
+    /// File names of iceoryx2 begin with the prefix. No domain's prefix begins another's: the name has no underscore.
+    fn prefix(&self) -> String {
+        format!("{}_", self.name)
+    }
+
+    fn remove_shared_memory(&self) -> io::Result<()> {
+        let prefix = self.prefix();
+        for entry in fs::read_dir(SHARED_MEMORY)? {
+            let entry = entry?;
+            if entry.file_name().to_string_lossy().starts_with(&prefix) {
+                match fs::remove_file(entry.path()) {
+                    Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+                    _ => {}
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn bad_root(&self, problem: String) -> IpcError {
+        IpcError::BadRoot { path: self.root.clone(), problem }
+    }
+
+    /// Makes the root, or refuses one that others could put files into.
+    fn prepare_root(&self) -> Result<(), IpcError> {
+        use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+
+        let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(&self.root);
+        made.map_err(|error| self.bad_root(format!("cannot make it: {error}")))?;
+        let metadata =
+            fs::symlink_metadata(&self.root).map_err(|error| self.bad_root(format!("cannot look at it: {error}")))?;
+        if !metadata.is_dir() {
+            return Err(self.bad_root("not a directory (a symbolic link does not count as one)".to_owned()));
+        }
+        if metadata.uid() != geteuid().as_raw() {
+            let owner = metadata.uid();
+            return Err(self.bad_root(format!(
+                "belongs to user {owner}; all participants run as one user: run as that user, or use another root"
+            )));
+        }
+        if metadata.mode() & 0o022 != 0 {
+            let mode = metadata.mode() & 0o7777;
+            return Err(self.bad_root(format!("others may write there (mode {mode:o}); chmod go-w it")));
+        }
+        Ok(())
+    }
+
+    fn config(&self) -> Result<Config, IpcError> {
+        let mut config = Config::default();
+        let root = iceoryx2::prelude::Path::new(self.root.as_os_str().as_encoded_bytes());
+        let root = root.map_err(|error| self.bad_root(format!("iceoryx2 refuses it: {error:?}")))?;
+        config.global.set_root_path(&root);
+        let bad_name = |_| IpcError::BadDomainName { name: self.name.clone(), limit: NAME_LIMIT };
+        config.global.prefix = FileName::new(self.prefix().as_bytes()).map_err(bad_name)?;
+        Ok(config)
+    }
+}
+
+/// A participant's place in a domain. Ports live on when it is dropped before them.
+#[derive(Debug)]
+pub struct Node {
+    node: iceoryx2::node::Node<Flavour>,
+    config: Config,
+}
+
+impl Node {
+    /// A publisher of `M`. Fails with [`IpcError::Occupied`] when its places are taken.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError`], with both sides named where versions or types differ.
+    pub fn publisher<M: Message>(&self) -> Result<Publisher<M>, IpcError> {
+        self.retry(|| Publisher::open(self))
+    }
+
+    /// A subscriber of `M`; it gets the service's history.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn subscriber<M: Message>(&self) -> Result<Subscriber<M>, IpcError> {
+        self.retry(|| Subscriber::open(self))
+    }
+
+    /// The publisher of item scores.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn item_scores_publisher(&self) -> Result<ItemScoresPublisher, IpcError> {
+        self.retry(|| ItemScoresPublisher::open(self))
+    }
+
+    /// A subscriber of item scores; as long as it lives, the daemon sends them.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn item_scores_subscriber(&self) -> Result<ItemScoresSubscriber, IpcError> {
+        self.retry(|| ItemScoresSubscriber::open(self))
+    }
+
+    /// The place that answers status requests.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn status_server(&self) -> Result<StatusServer, IpcError> {
+        self.retry(|| StatusServer::open(self))
+    }
+
+    /// Asks for status.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn status_client(&self) -> Result<StatusClient, IpcError> {
+        self.retry(|| StatusClient::open(self))
+    }
+
+    /// Removes what participants that died left behind; iceoryx2 does it when something is opened, a long-running process also
+    /// by itself now and then.
+    pub fn clean_up_dead(&self) {
+        let _report = self.node.try_cleanup_dead_nodes();
+    }
+
+    pub(crate) fn inner(&self) -> &iceoryx2::node::Node<Flavour> {
+        &self.node
+    }
+
+    pub(crate) fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// Repeats while the failure may pass: a peer is starting, stopping, or has died a moment ago.
+    fn retry<T>(&self, mut open: impl FnMut() -> Result<T, OpenFailure>) -> Result<T, IpcError> {
+        let start = Instant::now();
+        let mut pause = Duration::from_millis(2);
+        loop {
+            match open() {
+                Ok(port) => return Ok(port),
+                Err(OpenFailure::Final(error)) => return Err(error),
+                Err(OpenFailure::Passing(error)) if start.elapsed() > OPEN_FOR => {
+                    return Err(match error {
+                        IpcError::Open { service, cause, .. } => {
+                            IpcError::Open { service, cause, tried_ms: start.elapsed().as_millis() }
+                        }
+                        other => other,
+                    });
+                }
+                Err(OpenFailure::Passing(_)) => {
+                    self.clean_up_dead();
+                    std::thread::sleep(pause);
+                    pause = (pause * 2).min(Duration::from_millis(100));
+                }
+            }
+        }
+    }
+}
+
+/// Whether trying again may help.
+#[derive(Debug)]
+pub(crate) enum OpenFailure {
+    Final(IpcError),
+    Passing(IpcError),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_roots_that_cannot_work_are_refused() {
+        for name in ["", "Room", "a_b", "a/b", "a very long name that does not fit"] {
+            assert!(matches!(Domain::new("/tmp/roomcast-x", name), Err(IpcError::BadDomainName { .. })), "{name}");
+        }
+        for root in ["relative", "/tmp/a-path-that-is-much-too-long-for-a-socket"] {
+            assert!(matches!(Domain::new(root, "x"), Err(IpcError::BadRoot { .. })), "{root}");
+        }
+    }
+
+    #[test]
+    fn a_root_that_others_may_write_to_is_refused() {
+        use std::os::unix::fs::PermissionsExt;
+        let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        fs::set_permissions(directory.path(), fs::Permissions::from_mode(0o777)).unwrap();
+        let domain = Domain::new(directory.path(), "open-door").unwrap();
+        let error = domain.open("test").unwrap_err().to_string();
+        assert!(error.contains("others may write"), "{error}");
+    }
+}

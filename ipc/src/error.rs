@@ -1,0 +1,164 @@
+//! What can go wrong between processes.
+
+use std::path::PathBuf;
+
+/// A message that says something which no honest sender says. It is counted and dropped; nothing else happens.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum MessageError {
+    /// The text does not fit.
+    #[error("{field}: text of {bytes} bytes, at most {limit} fit; shorten it")]
+    TextTooLong {
+        /// Which field.
+        field: &'static str,
+        /// What was given.
+        bytes: usize,
+        /// What fits.
+        limit: usize,
+    },
+    /// The text is empty where there must be one.
+    #[error("{field}: empty")]
+    Empty {
+        /// Which field.
+        field: &'static str,
+    },
+    /// The bytes are not UTF-8.
+    #[error("{field}: not UTF-8 from byte {at} on")]
+    NotUtf8 {
+        /// Which field.
+        field: &'static str,
+        /// First bad byte.
+        at: usize,
+    },
+    /// A control character, or one that makes text look like other text.
+    #[error("{field}: control character U+{code_point:04X} at byte {at}")]
+    ControlCharacter {
+        /// Which field.
+        field: &'static str,
+        /// Where.
+        at: usize,
+        /// Which.
+        code_point: u32,
+    },
+    /// Bytes after the end of the text are not zero.
+    #[error("{field}: bytes after the end of the text are not zero")]
+    Untidy {
+        /// Which field.
+        field: &'static str,
+    },
+    /// A number outside what the field allows.
+    #[error("{field}: {value}, allowed is {allowed}")]
+    OutOfRange {
+        /// Which field.
+        field: &'static str,
+        /// What was given.
+        value: f64,
+        /// In words.
+        allowed: &'static str,
+    },
+}
+
+/// A service, port or domain that cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum IpcError {
+    /// The domain's name cannot be part of a file name.
+    #[error("domain name {name:?}: use 1 to {limit} characters of a-z, 0-9 and '-'")]
+    BadDomainName {
+        /// What was given.
+        name: String,
+        /// Most characters.
+        limit: usize,
+    },
+    /// The domain's root path is not usable.
+    #[error("domain root {}: {problem}", path.display())]
+    BadRoot {
+        /// Which path.
+        path: PathBuf,
+        /// What is wrong, and the remedy.
+        problem: String,
+    },
+    /// The node, a participant's entry in the domain, could not be made.
+    #[error("cannot join the domain at {}: {cause}; is {} writable and has /dev/shm space left?", root.display(), root.display())]
+    Join {
+        /// The domain's root path.
+        root: PathBuf,
+        /// iceoryx2's word for it.
+        cause: String,
+    },
+    /// The service exists with other message types.
+    #[error(
+        "service {service}: it carries {theirs}, this program speaks {ours}; stop the program of the other version, or use one version throughout"
+    )]
+    TypeMismatch {
+        /// Service name.
+        service: &'static str,
+        /// Type and size that the running service has.
+        theirs: String,
+        /// Type and size that this program has.
+        ours: String,
+    },
+    /// The service was made by another version of iceoryx2.
+    #[error(
+        "service {service}: made with iceoryx2 {theirs}, this program has iceoryx2 {ours}; every participant of a domain must have exactly the same version"
+    )]
+    VersionMismatch {
+        /// Service name.
+        service: &'static str,
+        /// What could be found out about the other side.
+        theirs: String,
+        /// [`crate::ICEORYX2_VERSION`].
+        ours: &'static str,
+    },
+    /// Somebody else holds the only place.
+    #[error(
+        "service {service}: {holder} already is its {role}, and there can be {limit}; stop it first, or use another domain"
+    )]
+    Occupied {
+        /// Service name.
+        service: &'static str,
+        /// Who, as far as known.
+        holder: String,
+        /// "publisher", "subscriber", "server", "client".
+        role: &'static str,
+        /// How many places there are.
+        limit: usize,
+    },
+    /// The service could not be opened within the time allowed for it.
+    #[error("service {service}: cannot open it: {cause}; tried for {tried_ms} ms")]
+    Open {
+        /// Service name.
+        service: &'static str,
+        /// iceoryx2's word for it.
+        cause: String,
+        /// How long it was tried.
+        tried_ms: u128,
+    },
+    /// A port failed while in use.
+    #[error("service {service}: {operation} failed: {cause}")]
+    Port {
+        /// Service name.
+        service: &'static str,
+        /// "send", "receive", "wait", "connect".
+        operation: &'static str,
+        /// iceoryx2's word for it.
+        cause: String,
+    },
+    /// What was to be sent is malformed.
+    #[error("service {service}: refused to send")]
+    Refused {
+        /// Service name.
+        service: &'static str,
+        /// Why.
+        #[source]
+        source: MessageError,
+    },
+    /// Nobody answered.
+    #[error("service {service}: no answer within {waited_ms} ms; is the daemon running in this domain?")]
+    NoAnswer {
+        /// Service name.
+        service: &'static str,
+        /// How long was waited.
+        waited_ms: u128,
+    },
+}

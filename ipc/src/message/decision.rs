@@ -1,0 +1,125 @@
+use iceoryx2::prelude::ZeroCopySend;
+
+use super::{Message, NAME_BYTES, ServiceQuality, at_most, in_range, layout};
+use crate::{MessageError, text};
+
+/// Most bytes of a decision's reason.
+pub const REASON_TEXT_BYTES: usize = 256;
+
+/// Values of [`DecisionV1::action`].
+pub mod action {
+    /// The robot stays where it is.
+    pub const STAY: u32 = 0;
+    /// The robot goes to `to` and works there.
+    pub const GO: u32 = 1;
+}
+
+/// Bits of [`DecisionV1::flags`].
+pub mod decision_flags {
+    /// Not the policy's choice but the safe fallback.
+    pub const FALLBACK: u32 = 1;
+    /// The scores were older than the planner's deadline.
+    pub const STALE: u32 = 1 << 1;
+    /// No scores were received at all.
+    pub const NO_SCORES: u32 = 1 << 2;
+    /// The daemon was silent for longer than its heartbeat allows.
+    pub const DAEMON_SILENT: u32 = 1 << 3;
+    /// Every room has been covered.
+    pub const COVERED: u32 = 1 << 4;
+}
+
+layout! {
+    /// Where a robot goes next, and why.
+    #[type_name("roomcast.DecisionV1")]
+    pub struct DecisionV1 [768] {
+        /// The robot.
+        0 => robot: u64,
+        /// Random per start of the planner.
+        8 => epoch: u64,
+        /// 1, 2, 3, ... within the epoch.
+        16 => sequence: u64,
+        /// When it was decided: monotonic nanoseconds.
+        24 => decided_ns: u64,
+        /// The same in Unix nanoseconds, for people.
+        32 => decided_unix_ns: u64,
+        /// Epoch of the scores it rests on; 0 for none.
+        40 => scores_epoch: u64,
+        /// Sequence of those scores.
+        48 => scores_sequence: u64,
+        /// Age of those scores at the decision, in nanoseconds.
+        56 => scores_age_ns: u64,
+        /// When the newest narration in those scores was observed: monotonic nanoseconds.
+        64 => observed_ns: u64,
+        /// Bit i: room i has been covered.
+        72 => covered: u64,
+        /// The score of the room gone to, 0 to 1.
+        80 => probability: f64,
+        /// How long the robot will stay there, in nanoseconds.
+        88 => stay_ns: u64,
+        /// One of [`action`].
+        96 => action: u32,
+        /// Bits of [`decision_flags`].
+        100 => flags: u32,
+        /// Minor version of the layout: 0.
+        104 => minor: u32,
+        /// Zero.
+        108 => reserved_a: [u8; 4],
+        /// The room it is in, UTF-8, zero padded; empty when unknown.
+        112 => from: [u8; NAME_BYTES],
+        /// The room it goes to (or stays in).
+        160 => to: [u8; NAME_BYTES],
+        /// The policy's name.
+        208 => policy: [u8; NAME_BYTES],
+        /// Why, in words, UTF-8, zero padded, cut to fit.
+        256 => reason: [u8; REASON_TEXT_BYTES],
+        /// Zero.
+        512 => reserved: [u8; 256],
+    }
+}
+
+impl DecisionV1 {
+    /// The room the robot is in.
+    #[must_use]
+    pub fn from(&self) -> &str {
+        text::checked(&self.from)
+    }
+
+    /// The room it goes to.
+    #[must_use]
+    pub fn to(&self) -> &str {
+        text::checked(&self.to)
+    }
+
+    /// The policy's name.
+    #[must_use]
+    pub fn policy(&self) -> &str {
+        text::checked(&self.policy)
+    }
+
+    /// Why.
+    #[must_use]
+    pub fn reason(&self) -> &str {
+        text::checked(&self.reason)
+    }
+
+    /// Whether a bit of [`decision_flags`] is set.
+    #[must_use]
+    pub fn has(&self, flag: u32) -> bool {
+        self.flags & flag != 0
+    }
+}
+
+impl Message for DecisionV1 {
+    const SERVICE: ServiceQuality =
+        ServiceQuality { name: "roomcast/v1/decision", publishers: 8, subscribers: 16, buffer: 16, history: 1 };
+
+    fn check(&self) -> Result<(), MessageError> {
+        at_most("action", self.action, action::GO as usize, "0 or 1")?;
+        in_range("probability", self.probability, 0.0, 1.0, "0 to 1")?;
+        for (field, bytes) in [("from", &self.from), ("to", &self.to), ("policy", &self.policy)] {
+            text::decode(field, bytes)?;
+        }
+        text::decode("reason", &self.reason)?;
+        Ok(())
+    }
+}

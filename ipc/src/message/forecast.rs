@@ -1,0 +1,71 @@
+use iceoryx2::prelude::ZeroCopySend;
+
+use super::{MAX_ROOMS, Message, NAME_BYTES, ServiceQuality, at_most, in_range, layout};
+use crate::{MessageError, text};
+
+/// Most points in time of a forecast.
+pub const MAX_HORIZONS: usize = 16;
+
+layout! {
+    /// P(room is occupied at `computed_ns` + horizon), for a grid of horizons.
+    #[type_name("roomcast.ForecastV1")]
+    pub struct ForecastV1 [7360] {
+        /// Epoch of the room scores that it follows from.
+        0 => epoch: u64,
+        /// Sequence of those room scores.
+        8 => sequence: u64,
+        /// When it was computed: monotonic nanoseconds.
+        16 => computed_ns: u64,
+        /// When this message was sent: monotonic nanoseconds.
+        24 => published_ns: u64,
+        /// Rooms, at most 64.
+        32 => room_count: u32,
+        /// Horizons, at most 16.
+        36 => horizon_count: u32,
+        /// Person, or [`crate::ALL_PERSONS`].
+        40 => person: u32,
+        /// Minor version of the layout: 0.
+        44 => minor: u32,
+        /// Zero.
+        48 => reserved: [u8; 80],
+        /// The horizons in seconds, rising.
+        128 => horizon_s: [f32; MAX_HORIZONS],
+        /// The rooms' ids, UTF-8, zero padded.
+        192 => id: [[u8; NAME_BYTES]; MAX_ROOMS],
+        /// `probability[room][horizon]`, 0 to 1; a room's row does not sum to one, a horizon's column does.
+        3264 => probability: [[f32; MAX_HORIZONS]; MAX_ROOMS],
+    }
+}
+
+impl ForecastV1 {
+    /// Room `index`'s id and its probabilities, one per horizon; none when there is no such room.
+    #[must_use]
+    pub fn room(&self, index: usize) -> Option<(&str, &[f32])> {
+        if index >= self.room_count as usize {
+            return None;
+        }
+        let row = self.probability.get(index)?.get(..self.horizon_count as usize)?;
+        Some((text::checked(self.id.get(index)?), row))
+    }
+}
+
+impl Message for ForecastV1 {
+    const SERVICE: ServiceQuality =
+        ServiceQuality { name: "roomcast/v1/forecast", publishers: 1, subscribers: 16, buffer: 2, history: 1 };
+
+    fn check(&self) -> Result<(), MessageError> {
+        at_most("room_count", self.room_count, MAX_ROOMS, "0 to 64")?;
+        at_most("horizon_count", self.horizon_count, MAX_HORIZONS, "0 to 16")?;
+        let (rooms, horizons) = (self.room_count as usize, self.horizon_count as usize);
+        for horizon_s in self.horizon_s.iter().take(horizons) {
+            in_range("horizon_s", f64::from(*horizon_s), 0.0, f64::from(f32::MAX), "0 or more, finite")?;
+        }
+        for (id, row) in self.id.iter().zip(&self.probability).take(rooms) {
+            text::decode("room id", id)?;
+            for probability in row.iter().take(horizons) {
+                in_range("probability", f64::from(*probability), 0.0, 1.0, "0 to 1")?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,55 @@
+use iceoryx2::prelude::ZeroCopySend;
+
+use super::{NAME_BYTES, layout};
+use crate::text;
+
+/// Value of [`ItemScoreV1::partition`]: the item lies in none.
+pub const NO_PARTITION: u32 = u32::MAX;
+
+layout! {
+    /// User header of a slice of item scores: which snapshot they belong to.
+    #[type_name("roomcast.ItemScoresHeaderV1")]
+    pub struct ItemScoresHeaderV1 [64] {
+        /// Epoch of the room scores that these items add up to.
+        0 => epoch: u64,
+        /// Sequence of those room scores.
+        8 => sequence: u64,
+        /// When they were computed: monotonic nanoseconds.
+        16 => computed_ns: u64,
+        /// Minor version of the layout: 0.
+        24 => minor: u32,
+        /// Zero.
+        28 => reserved: [u8; 36],
+    }
+}
+
+layout! {
+    /// The score of one item of the map. Sent only while somebody subscribes.
+    #[type_name("roomcast.ItemScoreV1")]
+    pub struct ItemScoreV1 [112] {
+        /// The item's id in the map, UTF-8, zero padded, cut to fit.
+        0 => id: [u8; NAME_BYTES],
+        /// Its label, UTF-8, zero padded, cut to fit.
+        48 => label: [u8; NAME_BYTES],
+        /// s_i = s_c / n_l, in nats.
+        96 => log_score_nats: f64,
+        /// Index of its room in [`crate::RoomScoresV1::rooms`], or [`NO_PARTITION`].
+        104 => partition: u32,
+        /// Items of the map with this label, n_l.
+        108 => label_items: u32,
+    }
+}
+
+impl ItemScoreV1 {
+    /// The item's id; empty when malformed.
+    #[must_use]
+    pub fn id(&self) -> &str {
+        text::checked(&self.id)
+    }
+
+    /// The item's label; empty when malformed.
+    #[must_use]
+    pub fn label(&self) -> &str {
+        text::checked(&self.label)
+    }
+}

@@ -1,0 +1,191 @@
+//! Payloads, their layout, and what may be said in them.
+
+mod decision;
+mod forecast;
+mod item_scores;
+mod narration;
+mod room_scores;
+mod status;
+
+pub use decision::{DecisionV1, REASON_TEXT_BYTES, action, decision_flags};
+pub use forecast::{ForecastV1, MAX_HORIZONS};
+pub use item_scores::{ItemScoreV1, ItemScoresHeaderV1, NO_PARTITION};
+pub use narration::{NARRATION_TEXT_BYTES, NarrationV1, narration_kind};
+pub use room_scores::{ALL_PERSONS, IncludedV1, MAX_ROOMS, MAX_SOURCES, RoomScoresV1, RoomV1, reached, score_flags};
+pub use status::{StatusRequestV1, StatusResponseV1};
+
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::MessageError;
+
+/// Bytes of a name in a message (room, item, label, policy), UTF-8, zero padded.
+pub const NAME_BYTES: usize = 48;
+
+/// One field of a message, for documentation and for other languages.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Field {
+    /// Bytes from the start of the message.
+    pub offset: usize,
+    /// Its name.
+    pub name: &'static str,
+    /// Its Rust type; arrays are stored in order, without gaps.
+    pub kind: &'static str,
+    /// Bytes.
+    pub size: usize,
+}
+
+/// A structure whose every byte is accounted for.
+pub trait Layout {
+    /// iceoryx2's name of the type, the same in every language.
+    const TYPE_NAME: &'static str;
+    /// Every field in order; together they cover the structure without gaps.
+    const FIELDS: &'static [Field];
+}
+
+/// Quality of service of a publish-subscribe service. The first participant's settings hold as long as anyone keeps the
+/// service open, so everybody states all of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ServiceQuality {
+    /// Service name; the event service that wakes subscribers has the same.
+    pub name: &'static str,
+    /// Most publishers.
+    pub publishers: usize,
+    /// Most subscribers.
+    pub subscribers: usize,
+    /// Samples that wait for a subscriber; the oldest gives way.
+    pub buffer: usize,
+    /// Samples that a late subscriber gets.
+    pub history: usize,
+}
+
+/// A message of a publish-subscribe service.
+pub trait Message: Layout + Copy + std::fmt::Debug + ZeroCopySend + 'static {
+    /// Its service.
+    const SERVICE: ServiceQuality;
+
+    /// Judges a copy of a message: lengths, text, ranges. Nothing of a message may be believed before.
+    ///
+    /// # Errors
+    ///
+    /// The first fault, with the field's name.
+    fn check(&self) -> Result<(), MessageError>;
+}
+
+/// All bytes zero.
+pub(crate) trait Zero {
+    const ZERO: Self;
+}
+
+macro_rules! zero {
+    ($($kind:ty = $zero:expr),*) => { $(impl Zero for $kind { const ZERO: Self = $zero; })* };
+}
+zero!(u8 = 0, u32 = 0, u64 = 0, f32 = 0.0, f64 = 0.0);
+
+impl<T: Zero + Copy, const N: usize> Zero for [T; N] {
+    const ZERO: Self = [T::ZERO; N];
+}
+
+/// Defines a structure with its offsets written down, and refuses to compile when they are wrong or leave gaps.
+macro_rules! layout {
+    (
+        $(#[doc = $doc:literal])*
+        #[type_name($type_name:tt)]
+        pub struct $name:ident [$size:literal] {
+            $($(#[doc = $field_doc:literal])* $offset:literal => $field:ident: $kind:ty,)*
+        }
+    ) => {
+        $(#[doc = $doc])*
+        #[doc = ""]
+        #[doc = concat!("Size ", $size, " bytes, type name `", $type_name, "`.")]
+        #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
+        #[repr(C)]
+        #[type_name($type_name)]
+        pub struct $name {
+            $($(#[doc = $field_doc])* #[doc = concat!("(Offset ", $offset, ".)")] pub $field: $kind,)*
+        }
+
+        impl $crate::message::Layout for $name {
+            const TYPE_NAME: &'static str = $type_name;
+            const FIELDS: &'static [$crate::message::Field] = &[
+                $($crate::message::Field {
+                    offset: $offset,
+                    name: stringify!($field),
+                    kind: stringify!($kind),
+                    size: size_of::<$kind>(),
+                },)*
+            ];
+        }
+
+        const _: () = {
+            let mut end = 0;
+            $(
+                assert!($offset == end, "a gap or an overlap before this field");
+                assert!(std::mem::offset_of!($name, $field) == $offset);
+                end += size_of::<$kind>();
+            )*
+            assert!(end == $size && size_of::<$name>() == $size);
+        };
+
+        impl $crate::message::Zero for $name {
+            const ZERO: Self = Self { $($field: <$kind as $crate::message::Zero>::ZERO,)* };
+        }
+
+        impl Default for $name {
+            /// All bytes zero.
+            fn default() -> Self {
+                <Self as $crate::message::Zero>::ZERO
+            }
+        }
+    };
+}
+pub(crate) use layout;
+
+/// Refuses what is not finite or outside `low..=high`.
+fn in_range(field: &'static str, value: f64, low: f64, high: f64, allowed: &'static str) -> Result<(), MessageError> {
+    if value >= low && value <= high { Ok(()) } else { Err(MessageError::OutOfRange { field, value, allowed }) }
+}
+
+/// Refuses a count above the capacity of its array.
+fn at_most(field: &'static str, count: u32, capacity: usize, allowed: &'static str) -> Result<(), MessageError> {
+    if count as usize <= capacity {
+        Ok(())
+    } else {
+        Err(MessageError::OutOfRange { field, value: f64::from(count), allowed })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn covers_without_gaps<T: Layout>() {
+        let mut end = 0;
+        for field in T::FIELDS {
+            assert_eq!(field.offset, end, "{} of {}", field.name, T::TYPE_NAME);
+            end += field.size;
+        }
+        assert_eq!(end, size_of::<T>());
+    }
+
+    #[test]
+    fn every_byte_of_every_message_is_accounted_for() {
+        covers_without_gaps::<NarrationV1>();
+        covers_without_gaps::<IncludedV1>();
+        covers_without_gaps::<RoomV1>();
+        covers_without_gaps::<RoomScoresV1>();
+        covers_without_gaps::<ItemScoreV1>();
+        covers_without_gaps::<ItemScoresHeaderV1>();
+        covers_without_gaps::<ForecastV1>();
+        covers_without_gaps::<DecisionV1>();
+        covers_without_gaps::<StatusRequestV1>();
+        covers_without_gaps::<StatusResponseV1>();
+    }
+
+    #[test]
+    fn the_type_name_is_the_one_that_iceoryx2_compares() {
+        // SAFETY: reading a type's name touches no memory of the type.
+        #[expect(unsafe_code, reason = "the trait's method is unsafe to call")]
+        let name = unsafe { <NarrationV1 as ZeroCopySend>::type_name() };
+        assert_eq!(name, NarrationV1::TYPE_NAME);
+    }
+}

@@ -1,0 +1,567 @@
+//! Ports: what a participant sends and receives through.
+
+use std::cell::Cell;
+use std::fmt::Debug;
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+use iceoryx2::node::NodeView;
+use iceoryx2::port::client::Client;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::server::Server;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::{
+    AllocationStrategy, CallbackProgression, EventId, MessagingPattern, NodeState, PortFactory, Service, ServiceName,
+};
+use iceoryx2::service::builder::event::EventOpenOrCreateError;
+use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
+use iceoryx2::service::builder::request_response::{RequestResponseOpenError, RequestResponseOpenOrCreateError};
+use iceoryx2::service::port_factory::publish_subscribe;
+
+use crate::domain::{Flavour, Node, OpenFailure};
+use crate::message::{ItemScoreV1, ItemScoresHeaderV1, Layout, Message, StatusRequestV1, StatusResponseV1};
+use crate::{ICEORYX2_VERSION, IpcError, MessageError};
+
+/// Event ids on every event service.
+const DATA: usize = 1;
+const CREATED: usize = 2;
+const DROPPED: usize = 3;
+const DEAD: usize = 4;
+/// Participants that may have one service open at once.
+const MAX_NODES: usize = 32;
+
+const ITEM_SCORES: &str = "roomcast/v1/item-scores";
+const STATUS: &str = "roomcast/v1/status";
+const STATUS_CLIENTS: usize = 8;
+
+type Factory<P, H> = publish_subscribe::PortFactory<Flavour, P, H>;
+
+/// Sends messages of one kind. Never blocks on a slow subscriber.
+///
+/// A subscriber notices a new publisher when it next receives. What was sent before that dies with the publisher, so one
+/// that means to leave waits until it was noticed: a narrator, until scores include what it said.
+#[derive(Debug)]
+pub struct Publisher<M: Message> {
+    publisher: iceoryx2::port::publisher::Publisher<Flavour, M, ()>,
+    factory: Factory<M, ()>,
+    notifier: Notifier<Flavour>,
+    /// Subscribers at the last tick.
+    known: Cell<usize>,
+}
+
+impl<M: Message> Publisher<M> {
+    pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
+        let quality = M::SERVICE;
+        let factory = open_service::<M>(node)?;
+        // The publisher first: it is the place that others may hold.
+        let publisher = factory.publisher_builder().create();
+        let publisher = publisher.map_err(|_| occupied(&factory, quality.name, "publisher", quality.publishers))?;
+        let notifier = open_event(node, quality.name, quality.publishers, quality.subscribers)?
+            .notifier_builder()
+            .default_event_id(EventId::new(DATA))
+            .create();
+        let notifier = notifier.map_err(|error| passing(quality.name, &error))?;
+        Ok(Self { publisher, factory, notifier, known: Cell::new(0) })
+    }
+
+    /// Sends a copy and wakes the subscribers.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Refused`] when the message is malformed; [`IpcError::Port`] when iceoryx2 cannot deliver.
+    pub fn send(&self, message: &M) -> Result<(), IpcError> {
+        message.check().map_err(|source| IpcError::Refused { service: M::SERVICE.name, source })?;
+        self.send_unchecked(message)
+    }
+
+    /// As [`Publisher::send`] without the check: for tests of what receivers do with malformed messages.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn send_unchecked(&self, message: &M) -> Result<(), IpcError> {
+        self.publisher.send_copy(*message).map_err(|error| port(M::SERVICE.name, "send", &error))?;
+        self.wake();
+        Ok(())
+    }
+
+    /// Hands the history to subscribers that joined since; to be called every 100 ms or so.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn tick(&self) -> Result<(), IpcError> {
+        let subscribers = self.subscribers();
+        self.publisher.update_connections().map_err(|error| port(M::SERVICE.name, "connect", &error))?;
+        // A newcomer has its history now and may be asleep.
+        if self.known.replace(subscribers) != subscribers {
+            self.wake();
+        }
+        Ok(())
+    }
+
+    /// Subscribers connected to the service.
+    #[must_use]
+    pub fn subscribers(&self) -> usize {
+        self.factory.dynamic_config().number_of_subscribers()
+    }
+
+    /// A wake-up that fails is not worth failing for: the message lies in the buffer, and a subscriber that waits looks there
+    /// when its time-out ends.
+    fn wake(&self) {
+        let _listeners_woken = self.notifier.notify();
+    }
+}
+
+/// Receives messages of one kind, each copied out of shared memory and checked.
+#[derive(Debug)]
+pub struct Subscriber<M: Message> {
+    subscriber: iceoryx2::port::subscriber::Subscriber<Flavour, M, ()>,
+    factory: Factory<M, ()>,
+    listener: Listener<Flavour>,
+}
+
+/// What a [`Subscriber`] took: a good message, or why it was dropped.
+pub type Received<M> = Result<M, MessageError>;
+
+impl<M: Message> Subscriber<M> {
+    pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
+        let quality = M::SERVICE;
+        let factory = open_service::<M>(node)?;
+        // The listener is there before the subscriber: no wake-up falls between the two.
+        let events = open_event(node, quality.name, quality.publishers, quality.subscribers)?;
+        let listener = events.listener_builder().create().map_err(|error| passing(quality.name, &error))?;
+        let subscriber = factory.subscriber_builder().buffer_size(quality.buffer).create();
+        let subscriber = subscriber.map_err(|_| occupied(&factory, quality.name, "subscriber", quality.subscribers))?;
+        Ok(Self { subscriber, factory, listener })
+    }
+
+    /// Sleeps until there is news (a message, a publisher that comes, goes or dies) or `timeout` is over, whichever is first;
+    /// returns whether there was news. A signal ends the sleep too.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn wait(&self, timeout: Duration) -> Result<bool, IpcError> {
+        use iceoryx2::port::listener::ListenerWaitError;
+        match self.listener.timed_wait(|_| (), timeout) {
+            Ok(news) => Ok(news > 0),
+            Err(ListenerWaitError::InterruptSignal) => Ok(false),
+            Err(error) => Err(port(M::SERVICE.name, "wait", &error)),
+        }
+    }
+
+    /// Takes the oldest message that waits, if any: a good one, or why it was dropped.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    ///
+    /// ```
+    /// # let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp")?;
+    /// # let domain = roomcast_ipc::Domain::new(root.path(), &format!("doc-{}", std::process::id()))?;
+    /// use roomcast_ipc::{NarrationV1, narration_kind};
+    ///
+    /// let node = domain.open("both-ends")?;
+    /// let subscriber = node.subscriber::<NarrationV1>()?;
+    /// let message = NarrationV1::new(narration_kind::SENTENCE, "They grab the mug.")?;
+    /// node.publisher()?.send(&NarrationV1 { source: 7, epoch: 1, sequence: 1, ..message })?;
+    /// # drop(subscriber);
+    /// # drop(node);
+    /// # domain.clean_up()?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn receive(&self) -> Result<Option<Received<M>>, IpcError> {
+        let sample = self.subscriber.receive().map_err(|error| port(M::SERVICE.name, "receive", &error))?;
+        Ok(sample.map(|sample| {
+            // Its sender can still write to the sample. What is checked must be what is used: copy first; the black box keeps the
+            // compiler from reading the shared memory a second time.
+            let copy = black_box(*sample.payload());
+            copy.check().map(|()| copy)
+        }))
+    }
+
+    /// Takes all that wait and returns the newest good one.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn newest(&self) -> Result<Option<M>, IpcError> {
+        let mut newest = None;
+        while let Some(received) = self.receive()? {
+            newest = received.ok().or(newest);
+        }
+        Ok(newest)
+    }
+
+    /// Publishers connected to the service.
+    #[must_use]
+    pub fn publishers(&self) -> usize {
+        self.factory.dynamic_config().number_of_publishers()
+    }
+}
+
+/// A snapshot of all items' scores.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ItemScores {
+    /// Which room scores they belong to.
+    pub header: ItemScoresHeaderV1,
+    /// One per item, in the map's order.
+    pub items: Vec<ItemScoreV1>,
+}
+
+/// Sends item scores, a slice with a header.
+#[derive(Debug)]
+pub struct ItemScoresPublisher {
+    publisher: iceoryx2::port::publisher::Publisher<Flavour, [ItemScoreV1], ItemScoresHeaderV1>,
+    factory: Factory<[ItemScoreV1], ItemScoresHeaderV1>,
+}
+
+impl ItemScoresPublisher {
+    pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
+        let factory = open_item_scores(node)?;
+        let publisher = factory
+            .publisher_builder()
+            .initial_max_slice_len(512)
+            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            .create()
+            .map_err(|_| occupied(&factory, ITEM_SCORES, "publisher", 1))?;
+        Ok(Self { publisher, factory })
+    }
+
+    /// Whether anybody wants them; sending is not worth its time otherwise.
+    #[must_use]
+    pub fn wanted(&self) -> bool {
+        self.factory.dynamic_config().number_of_subscribers() > 0
+    }
+
+    /// Sends the scores of all items.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn send(
+        &self,
+        header: ItemScoresHeaderV1,
+        items: impl ExactSizeIterator<Item = ItemScoreV1>,
+    ) -> Result<(), IpcError> {
+        let sample = self.publisher.loan_slice_uninit(items.len());
+        let mut sample = sample.map_err(|error| port(ITEM_SCORES, "send", &error))?;
+        *sample.user_header_mut() = header;
+        let mut items = items;
+        let sample = sample.write_from_fn(|_| items.next().unwrap_or_default());
+        sample.send().map_err(|error| port(ITEM_SCORES, "send", &error))?;
+        Ok(())
+    }
+
+    /// Hands the history to subscribers that joined since.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn tick(&self) -> Result<(), IpcError> {
+        self.publisher.update_connections().map_err(|error| port(ITEM_SCORES, "connect", &error))
+    }
+}
+
+/// Receives item scores.
+#[derive(Debug)]
+pub struct ItemScoresSubscriber {
+    subscriber: iceoryx2::port::subscriber::Subscriber<Flavour, [ItemScoreV1], ItemScoresHeaderV1>,
+}
+
+impl ItemScoresSubscriber {
+    pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
+        let factory = open_item_scores(node)?;
+        let subscriber = factory.subscriber_builder().create();
+        let subscriber = subscriber.map_err(|_| occupied(&factory, ITEM_SCORES, "subscriber", 8))?;
+        Ok(Self { subscriber })
+    }
+
+    /// Takes all that wait and returns the newest, copied.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn newest(&self) -> Result<Option<ItemScores>, IpcError> {
+        let mut newest = None;
+        while let Some(sample) = self.subscriber.receive().map_err(|error| port(ITEM_SCORES, "receive", &error))? {
+            newest = Some(ItemScores { header: *sample.user_header(), items: sample.payload().to_vec() });
+        }
+        Ok(newest)
+    }
+}
+
+/// Answers status requests.
+#[derive(Debug)]
+pub struct StatusServer {
+    server: Server<Flavour, StatusRequestV1, (), StatusResponseV1, ()>,
+}
+
+impl StatusServer {
+    pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
+        let factory = open_status(node)?;
+        let server = factory.server_builder().create();
+        let server = server.map_err(|_| {
+            OpenFailure::Passing(IpcError::Occupied {
+                service: STATUS,
+                holder: holder(&factory),
+                role: "server",
+                limit: 1,
+            })
+        })?;
+        Ok(Self { server })
+    }
+
+    /// Answers all requests that wait; returns how many.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn answer(&self, response: impl Fn() -> StatusResponseV1) -> Result<usize, IpcError> {
+        let mut answered = 0;
+        while let Some(request) = self.server.receive().map_err(|error| port(STATUS, "receive", &error))? {
+            // An asker that has gone away meanwhile is no failure of the daemon.
+            answered += usize::from(request.send_copy(response()).is_ok());
+        }
+        Ok(answered)
+    }
+}
+
+/// Asks the daemon how it is.
+#[derive(Debug)]
+pub struct StatusClient {
+    client: Client<Flavour, StatusRequestV1, (), StatusResponseV1, ()>,
+}
+
+impl StatusClient {
+    pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
+        let factory = open_status(node)?;
+        let client = factory.client_builder().create().map_err(|error| passing(STATUS, &error))?;
+        Ok(Self { client })
+    }
+
+    /// Asks, and waits for the answer.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::NoAnswer`] after `timeout`; [`IpcError::Port`].
+    pub fn ask(&self, timeout: Duration) -> Result<StatusResponseV1, IpcError> {
+        let start = Instant::now();
+        // A daemon that starts after the question was sent never gets it: ask again now and then.
+        while start.elapsed() < timeout {
+            let pending = self.client.send_copy(StatusRequestV1::default());
+            let pending = pending.map_err(|error| port(STATUS, "send", &error))?;
+            let sent = Instant::now();
+            while sent.elapsed() < Duration::from_millis(300) && start.elapsed() < timeout {
+                if let Some(response) = pending.receive().map_err(|error| port(STATUS, "receive", &error))? {
+                    return Ok(black_box(*response.payload()));
+                }
+                std::thread::sleep(Duration::from_millis(2));
+            }
+        }
+        Err(IpcError::NoAnswer { service: STATUS, waited_ms: timeout.as_millis() })
+    }
+}
+
+fn open_service<M: Message>(node: &Node) -> Result<Factory<M, ()>, OpenFailure> {
+    let quality = M::SERVICE;
+    let opened = node
+        .inner()
+        .service_builder(&service_name(quality.name)?)
+        .publish_subscribe::<M>()
+        .max_publishers(quality.publishers)
+        .max_subscribers(quality.subscribers)
+        .max_nodes(MAX_NODES)
+        .subscriber_max_buffer_size(quality.buffer)
+        .subscriber_max_borrowed_samples(2)
+        .history_size(quality.history)
+        .enable_safe_overflow(true)
+        .open_or_create();
+    opened
+        .map_err(|error| publish_subscribe_failure(node, quality.name, &described(M::TYPE_NAME, size_of::<M>()), error))
+}
+
+fn open_item_scores(node: &Node) -> Result<Factory<[ItemScoreV1], ItemScoresHeaderV1>, OpenFailure> {
+    let opened = node
+        .inner()
+        .service_builder(&service_name(ITEM_SCORES)?)
+        .publish_subscribe::<[ItemScoreV1]>()
+        .user_header::<ItemScoresHeaderV1>()
+        .max_publishers(1)
+        .max_subscribers(8)
+        .max_nodes(MAX_NODES)
+        .subscriber_max_buffer_size(2)
+        .subscriber_max_borrowed_samples(2)
+        .history_size(1)
+        .enable_safe_overflow(true)
+        .open_or_create();
+    let ours = described(ItemScoreV1::TYPE_NAME, size_of::<ItemScoreV1>());
+    opened.map_err(|error| publish_subscribe_failure(node, ITEM_SCORES, &ours, error))
+}
+
+type StatusFactory =
+    iceoryx2::service::port_factory::request_response::PortFactory<Flavour, StatusRequestV1, (), StatusResponseV1, ()>;
+
+fn open_status(node: &Node) -> Result<StatusFactory, OpenFailure> {
+    let opened = node
+        .inner()
+        .service_builder(&service_name(STATUS)?)
+        .request_response::<StatusRequestV1, StatusResponseV1>()
+        .max_servers(1)
+        .max_clients(STATUS_CLIENTS)
+        .max_nodes(MAX_NODES)
+        .max_active_requests_per_client(4)
+        .max_response_buffer_size(2)
+        .max_borrowed_responses_per_pending_response(2)
+        .max_loaned_requests(2)
+        .enable_fire_and_forget_requests(true)
+        .enable_safe_overflow_for_requests(true)
+        .enable_safe_overflow_for_responses(true)
+        .open_or_create();
+    opened.map_err(|error| match &error {
+        RequestResponseOpenOrCreateError::RequestResponseOpenError(cause) => match cause {
+            RequestResponseOpenError::IncompatibleRequestOrResponseType => OpenFailure::Final(IpcError::TypeMismatch {
+                service: STATUS,
+                theirs: "other types".to_owned(),
+                ours: described(StatusResponseV1::TYPE_NAME, size_of::<StatusResponseV1>()),
+            }),
+            RequestResponseOpenError::VersionMismatch => OpenFailure::Final(version_mismatch(node, STATUS)),
+            _ => passing(STATUS, &error),
+        },
+        _ => passing(STATUS, &error),
+    })
+}
+
+fn open_event(
+    node: &Node,
+    name: &'static str,
+    notifiers: usize,
+    listeners: usize,
+) -> Result<iceoryx2::service::port_factory::event::PortFactory<Flavour>, OpenFailure> {
+    use iceoryx2::service::builder::event::EventOpenError;
+    let opened = node
+        .inner()
+        .service_builder(&service_name(name)?)
+        .event()
+        .max_notifiers(notifiers)
+        .max_listeners(listeners)
+        .max_nodes(MAX_NODES)
+        .event_id_max_value(DEAD)
+        .notifier_created_event(EventId::new(CREATED))
+        .notifier_dropped_event(EventId::new(DROPPED))
+        .notifier_dead_event(EventId::new(DEAD))
+        .disable_deadline()
+        .open_or_create();
+    opened.map_err(|error| match &error {
+        EventOpenOrCreateError::EventOpenError(EventOpenError::VersionMismatch) => {
+            OpenFailure::Final(version_mismatch(node, name))
+        }
+        _ => passing(name, &error),
+    })
+}
+
+fn publish_subscribe_failure(
+    node: &Node,
+    service: &'static str,
+    ours: &str,
+    error: PublishSubscribeOpenOrCreateError,
+) -> OpenFailure {
+    use PublishSubscribeOpenError as Open;
+    let PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(cause) = &error else {
+        return passing(service, &error);
+    };
+    match cause {
+        Open::IncompatibleTypes => OpenFailure::Final(IpcError::TypeMismatch {
+            service,
+            theirs: their_type(node, service),
+            ours: ours.to_owned(),
+        }),
+        Open::VersionMismatch => OpenFailure::Final(version_mismatch(node, service)),
+        Open::IncompatibleMessagingPattern
+        | Open::IncompatibleAttributes
+        | Open::IncompatibleOverflowBehavior
+        | Open::DoesNotSupportRequestedMinBufferSize
+        | Open::DoesNotSupportRequestedMinHistorySize
+        | Open::DoesNotSupportRequestedMinSubscriberBorrowedSamples
+        | Open::DoesNotSupportRequestedAmountOfPublishers
+        | Open::DoesNotSupportRequestedAmountOfSubscribers
+        | Open::DoesNotSupportRequestedAmountOfNodes
+        | Open::InsufficientPermissions => OpenFailure::Final(IpcError::Open {
+            service,
+            cause: format!(
+                "{cause:?}; a participant that started earlier set it up otherwise: stop it, or make both the same"
+            ),
+            tried_ms: 0,
+        }),
+        _ => passing(service, &error),
+    }
+}
+
+/// What the running service carries, as far as it says.
+fn their_type(node: &Node, service: &'static str) -> String {
+    let unknown = || "other types".to_owned();
+    let Ok(name) = ServiceName::new(service) else { return unknown() };
+    match Flavour::details(&name, node.config(), MessagingPattern::PublishSubscribe) {
+        Ok(Some(details)) => match details.static_details.messaging_pattern() {
+            iceoryx2::service::static_config::messaging_pattern::MessagingPattern::PublishSubscribe(settings) => {
+                let payload = &settings.message_type_details().payload;
+                described(&payload.type_name().to_string(), payload.size())
+            }
+            _ => unknown(),
+        },
+        _ => unknown(),
+    }
+}
+
+fn version_mismatch(node: &Node, service: &'static str) -> IpcError {
+    let theirs = ServiceName::new(service)
+        .ok()
+        .and_then(|name| Flavour::details(&name, node.config(), MessagingPattern::PublishSubscribe).ok().flatten())
+        .map_or_else(|| "another version".to_owned(), |details| details.static_details.iceoryx2_version().to_string());
+    IpcError::VersionMismatch { service, theirs, ours: ICEORYX2_VERSION }
+}
+
+fn described(type_name: &str, size: usize) -> String {
+    format!("{type_name} of {size} bytes")
+}
+
+/// The place may come free: its holder may be stopping, or dead and not yet cleaned up.
+fn occupied<F: PortFactory<Service = Flavour>>(
+    factory: &F,
+    service: &'static str,
+    role: &'static str,
+    limit: usize,
+) -> OpenFailure {
+    OpenFailure::Passing(IpcError::Occupied { service, holder: holder(factory), role, limit })
+}
+
+/// The other participants of a service, in words.
+fn holder<F: PortFactory<Service = Flavour>>(factory: &F) -> String {
+    let own = std::process::id();
+    let mut others = Vec::new();
+    // A list that fails leaves the answer vague, which is all that can be said then.
+    let _listed = factory.nodes(|state| {
+        if let NodeState::Alive(node) = state
+            && let Some(details) = node.details()
+            && u32::try_from(details.process_id().value()).is_ok_and(|process| process != own)
+        {
+            others.push(format!("{} (process {})", details.name(), details.process_id().value()));
+        }
+        CallbackProgression::Continue
+    });
+    if others.is_empty() { "somebody".to_owned() } else { others.join(" or ") }
+}
+
+fn service_name(name: &'static str) -> Result<ServiceName, OpenFailure> {
+    ServiceName::new(name).map_err(|error| passing(name, &error))
+}
+
+fn passing(service: &'static str, error: &impl Debug) -> OpenFailure {
+    OpenFailure::Passing(IpcError::Open { service, cause: format!("{error:?}"), tried_ms: 0 })
+}
+
+fn port(service: &'static str, operation: &'static str, error: &impl Debug) -> IpcError {
+    IpcError::Port { service, operation, cause: format!("{error:?}") }
+}

@@ -1,0 +1,122 @@
+//! Gaps, duplicates and restarts, seen from `(source, epoch, sequence)`.
+
+/// What a sequence number says about a message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Arrival {
+    /// The next one, or the first of a source.
+    New,
+    /// A new one, after `missed` others that have not arrived.
+    AfterGap {
+        /// How many are missing.
+        missed: u64,
+    },
+    /// Seen before, or older than what was seen: not to be taken again.
+    Duplicate,
+}
+
+/// Follows one source: its epoch and the highest sequence number taken.
+///
+/// Epochs that were left behind stay known for a while, so that a delayed message of a former run is not taken for a
+/// restart. A source's first message may have any sequence number: a late joiner has missed nothing that was promised to it.
+///
+/// ```
+/// use roomcast_ipc::sequence::{Arrival, Follower};
+///
+/// let mut follower = Follower::default();
+/// assert_eq!(follower.take(7, 1), Arrival::New);
+/// assert_eq!(follower.take(7, 1), Arrival::Duplicate);
+/// assert_eq!(follower.take(7, 4), Arrival::AfterGap { missed: 2 });
+/// assert_eq!(follower.take(8, 1), Arrival::New);
+/// assert_eq!(follower.take(7, 5), Arrival::Duplicate);
+/// ```
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Follower {
+    epoch: u64,
+    sequence: u64,
+    /// Former epochs, newest last.
+    left: Vec<u64>,
+}
+
+impl Follower {
+    /// How many former epochs stay known.
+    const LEFT: usize = 8;
+
+    /// Takes note of a message and says what it is.
+    pub fn take(&mut self, epoch: u64, sequence: u64) -> Arrival {
+        if epoch == self.epoch {
+            if sequence <= self.sequence {
+                return Arrival::Duplicate;
+            }
+            let missed = if self.sequence == 0 { 0 } else { sequence - self.sequence - 1 };
+            self.sequence = sequence;
+            return if missed == 0 { Arrival::New } else { Arrival::AfterGap { missed } };
+        }
+        if self.left.contains(&epoch) {
+            return Arrival::Duplicate;
+        }
+        if self.epoch != 0 {
+            if self.left.len() == Self::LEFT {
+                self.left.remove(0);
+            }
+            self.left.push(self.epoch);
+        }
+        (self.epoch, self.sequence) = (epoch, sequence);
+        Arrival::New
+    }
+
+    /// The epoch followed; 0 before the first message.
+    #[must_use]
+    pub fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
+    /// The highest sequence number taken; 0 before the first message.
+    #[must_use]
+    pub fn sequence(&self) -> u64 {
+        self.sequence
+    }
+}
+
+/// A random number, not 0, for an epoch.
+#[must_use]
+pub fn random_epoch() -> u64 {
+    use std::hash::{BuildHasher, Hasher, RandomState};
+    // The standard library seeds each RandomState from the system's random source.
+    let mut hasher = RandomState::new().build_hasher();
+    hasher.write_u64(crate::clock::unix_ns());
+    hasher.write_u32(std::process::id());
+    hasher.finish().max(1)
+}
+
+/// A source's number from its name, the same on every machine: 64-bit FNV-1a, never 0.
+///
+/// ```
+/// use roomcast_ipc::sequence::source_of_name;
+/// assert_eq!(source_of_name("hall-camera"), source_of_name("hall-camera"));
+/// assert_ne!(source_of_name("hall-camera"), source_of_name("kitchen-camera"));
+/// ```
+#[must_use]
+pub fn source_of_name(name: &str) -> u64 {
+    let mix = |hash: u64, byte: u8| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
+    name.bytes().fold(0xcbf2_9ce4_8422_2325, mix).max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_source_that_restarts_often_does_not_grow_memory() {
+        let mut follower = Follower::default();
+        for epoch in 1..1000 {
+            assert_eq!(follower.take(epoch, 1), Arrival::New);
+        }
+        assert!(follower.left.len() <= Follower::LEFT);
+        assert_eq!(follower.take(998, 9), Arrival::Duplicate);
+    }
+
+    #[test]
+    fn epochs_differ() {
+        assert_ne!(random_epoch(), random_epoch());
+    }
+}

@@ -1,0 +1,219 @@
+//! The ports against real shared memory, each test in a domain of its own.
+
+#![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
+
+use std::time::{Duration, Instant};
+
+use iceoryx2::prelude::ZeroCopySend;
+use roomcast_ipc::{
+    Domain, Field, IpcError, ItemScoreV1, ItemScoresHeaderV1, Layout, Message, MessageError, NarrationV1, RoomScoresV1,
+    ServiceQuality, StatusResponseV1, narration_kind, text,
+};
+
+/// A domain that removes itself, also when the test fails.
+struct Private {
+    domain: Domain,
+    _root: tempfile::TempDir,
+}
+
+impl Private {
+    fn new(name: &str) -> Self {
+        let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let name = format!("{name}-{}", std::process::id());
+        Self { domain: Domain::new(root.path(), &name).unwrap(), _root: root }
+    }
+
+    fn shared_memory_files(&self) -> usize {
+        let prefix = format!("{}_", self.domain.name());
+        let files = std::fs::read_dir("/dev/shm").unwrap();
+        files.filter(|file| file.as_ref().unwrap().file_name().to_string_lossy().starts_with(&prefix)).count()
+    }
+}
+
+impl Drop for Private {
+    fn drop(&mut self) {
+        self.domain.clean_up().unwrap();
+    }
+}
+
+fn narration(sequence: u64, content: &str) -> NarrationV1 {
+    let message = NarrationV1::new(narration_kind::SENTENCE, content).unwrap();
+    NarrationV1 { source: 7, epoch: 1, sequence, ..message }
+}
+
+fn scores(sequence: u64) -> RoomScoresV1 {
+    let mut scores = RoomScoresV1 { epoch: 9, sequence, room_count: 1, label_mass: 0.5, ..Default::default() };
+    scores.room[0].id = text::encode("room id", "kitchen").unwrap();
+    scores.room[0].probability = 1.0;
+    scores
+}
+
+/// Polls until there is something: no fixed sleep decides a test.
+fn eventually<T>(mut attempt: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(value) = attempt() {
+            return value;
+        }
+        assert!(start.elapsed() < Duration::from_secs(30), "nothing came");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+#[test]
+fn a_narration_arrives_and_wakes() {
+    let private = Private::new("arrives");
+    let daemon = private.domain.open("daemon").unwrap();
+    let subscriber = daemon.subscriber::<NarrationV1>().unwrap();
+    let sender = private.domain.clone();
+    let (read, was_read) = std::sync::mpsc::channel::<()>();
+    let thread = std::thread::spawn(move || {
+        let narrator = sender.open("narrator").unwrap();
+        let publisher = narrator.publisher::<NarrationV1>().unwrap();
+        publisher.send(&narration(1, "They grab the mug.")).unwrap();
+        // What a publisher sent before a subscriber has noticed it dies with it.
+        was_read.recv().unwrap();
+    });
+    let message = eventually(|| {
+        subscriber.wait(Duration::from_secs(5)).unwrap();
+        subscriber.receive().unwrap()
+    });
+    assert_eq!(message.unwrap().text(), "They grab the mug.");
+    read.send(()).unwrap();
+    thread.join().unwrap();
+}
+
+#[test]
+fn a_late_joiner_gets_the_newest_snapshot_from_a_tick_alone() {
+    let private = Private::new("late");
+    let daemon = private.domain.open("daemon").unwrap();
+    let publisher = daemon.publisher::<RoomScoresV1>().unwrap();
+    publisher.send(&scores(1)).unwrap();
+    publisher.send(&scores(2)).unwrap();
+    let planner = private.domain.open("planner").unwrap();
+    let late = planner.subscriber::<RoomScoresV1>().unwrap();
+    publisher.tick().unwrap();
+    assert_eq!(eventually(|| late.newest().unwrap()).sequence, 2);
+}
+
+#[test]
+fn a_slow_subscriber_keeps_the_newest_and_the_publisher_does_not_wait() {
+    let private = Private::new("slow");
+    let daemon = private.domain.open("daemon").unwrap();
+    let publisher = daemon.publisher::<RoomScoresV1>().unwrap();
+    let slow = daemon.subscriber::<RoomScoresV1>().unwrap();
+    for sequence in 1..=1000 {
+        publisher.send(&scores(sequence)).unwrap();
+    }
+    assert_eq!(slow.newest().unwrap().unwrap().sequence, 1000);
+}
+
+#[test]
+fn a_hostile_message_is_reported_and_the_next_one_is_good() {
+    let private = Private::new("hostile");
+    let node = private.domain.open("both").unwrap();
+    let subscriber = node.subscriber::<NarrationV1>().unwrap();
+    let publisher = node.publisher::<NarrationV1>().unwrap();
+    let hostile = NarrationV1 { text: [0xff; 1024], text_bytes: 1024, ..narration(1, "x") };
+    assert!(matches!(publisher.send(&hostile), Err(IpcError::Refused { .. })));
+    publisher.send_unchecked(&hostile).unwrap();
+    publisher.send_unchecked(&NarrationV1 { text_bytes: u32::MAX, ..narration(2, "x") }).unwrap();
+    publisher.send(&narration(3, "They sit on the sofa.")).unwrap();
+    assert!(matches!(subscriber.receive().unwrap(), Some(Err(MessageError::NotUtf8 { at: 0, .. }))));
+    assert!(matches!(subscriber.receive().unwrap(), Some(Err(MessageError::OutOfRange { .. }))));
+    assert_eq!(subscriber.receive().unwrap().unwrap().unwrap().sequence, 3);
+}
+
+#[test]
+fn a_second_daemon_is_refused_by_name_of_the_service() {
+    let private = Private::new("second");
+    let first = private.domain.open("daemon").unwrap();
+    let held = first.publisher::<RoomScoresV1>().unwrap();
+    let second = private.domain.open("daemon").unwrap();
+    let error = second.publisher::<RoomScoresV1>().unwrap_err();
+    assert!(matches!(error, IpcError::Occupied { role: "publisher", limit: 1, .. }), "{error}");
+    assert!(error.to_string().contains("roomcast/v1/room-scores"), "{error}");
+    drop(held);
+    second.publisher::<RoomScoresV1>().unwrap();
+}
+
+/// A later version of the scores that somebody published under the old service name.
+#[derive(Debug, Clone, Copy, ZeroCopySend)]
+#[repr(C)]
+#[type_name("roomcast.RoomScoresV2")]
+struct RoomScoresV2 {
+    epoch: u64,
+}
+
+impl Layout for RoomScoresV2 {
+    const TYPE_NAME: &'static str = "roomcast.RoomScoresV2";
+    const FIELDS: &'static [Field] = &[];
+}
+
+impl Message for RoomScoresV2 {
+    const SERVICE: ServiceQuality = RoomScoresV1::SERVICE;
+
+    fn check(&self) -> Result<(), MessageError> {
+        Ok(())
+    }
+}
+
+#[test]
+fn another_message_version_is_one_error_that_names_both_sides() {
+    let private = Private::new("version");
+    let node = private.domain.open("new-daemon").unwrap();
+    let _running = node.publisher::<RoomScoresV2>().unwrap();
+    let error = node.subscriber::<RoomScoresV1>().unwrap_err().to_string();
+    assert!(error.contains("roomcast.RoomScoresV2 of 8 bytes"), "{error}");
+    assert!(error.contains("roomcast.RoomScoresV1 of 6016 bytes"), "{error}");
+}
+
+#[test]
+fn item_scores_flow_only_when_wanted() {
+    let private = Private::new("items");
+    let node = private.domain.open("both").unwrap();
+    let publisher = node.item_scores_publisher().unwrap();
+    assert!(!publisher.wanted());
+    let subscriber = node.item_scores_subscriber().unwrap();
+    assert!(publisher.wanted());
+    let header = ItemScoresHeaderV1 { epoch: 1, sequence: 5, ..Default::default() };
+    for count in [3, 700] {
+        let items = (0..count).map(|index| ItemScoreV1 { partition: index, ..Default::default() });
+        publisher.send(header, items.collect::<Vec<_>>().into_iter()).unwrap();
+        let received = subscriber.newest().unwrap().unwrap();
+        assert_eq!((received.header.sequence, received.items.len()), (5, count as usize));
+        assert_eq!(received.items.last().unwrap().partition, count - 1);
+    }
+}
+
+#[test]
+fn status_is_answered_or_its_absence_is_said() {
+    let private = Private::new("status");
+    let node = private.domain.open("both").unwrap();
+    let client = node.status_client().unwrap();
+    assert!(matches!(client.ask(Duration::from_millis(50)), Err(IpcError::NoAnswer { .. })));
+    let server = node.status_server().unwrap();
+    let (stop, stopped) = std::sync::mpsc::channel::<()>();
+    let thread = std::thread::spawn(move || {
+        while stopped.try_recv().is_err() {
+            server.answer(|| StatusResponseV1 { steps: 42, ..Default::default() }).unwrap();
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    });
+    assert_eq!(client.ask(Duration::from_secs(30)).unwrap().steps, 42);
+    stop.send(()).unwrap();
+    thread.join().unwrap();
+}
+
+#[test]
+fn cleaning_up_leaves_nothing() {
+    let private = Private::new("clean");
+    let node = private.domain.open("daemon").unwrap();
+    let publisher = node.publisher::<RoomScoresV1>().unwrap();
+    assert!(private.shared_memory_files() > 0);
+    assert!(!private.domain.clean_up().unwrap(), "a domain with somebody in it stays");
+    drop((publisher, node));
+    assert!(private.domain.clean_up().unwrap());
+    assert_eq!(private.shared_memory_files(), 0);
+    assert!(!private.domain.root().exists());
+}
