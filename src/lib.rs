@@ -22,6 +22,7 @@ pub mod grounding;
 
 pub mod policy;
 
+pub mod embedded;
 pub mod exit_code;
 pub mod gguf;
 pub mod hub;
