@@ -5,9 +5,9 @@
 
 use std::fmt;
 
-mod action;
-mod history;
-mod program;
+pub mod action;
+pub mod history;
+pub mod program;
 
 pub use action::{
     Action, ActionEntry, ActionError, LINE_BYTES_MAX, NAME_BYTES_MAX, OBJECTS_MAX, ObjectRef, table as action_table,
