@@ -14,17 +14,32 @@
 //! Activity Forecasting in Human-Aware Task Planning"); equation numbers in this documentation are those of the paper.
 
 // In the order of the flow, not of the alphabet; the empty lines keep rustfmt from sorting them.
-pub mod semantic_map;
-
 pub mod narration;
+
+pub mod prompt;
+
+pub mod label_trie;
+
+pub mod scorer;
+
+pub mod semantic_map;
 
 pub mod grounding;
 
 pub mod policy;
 
+pub mod pipeline;
+
+pub mod config;
+
 pub mod embedded;
-pub mod exit_code;
+
 pub mod gguf;
+
 pub mod hub;
+
+pub mod setup;
+
+pub mod exit_code;
 
 pub mod cli;

@@ -1,6 +1,7 @@
 //! The command line: one file per subcommand, each with its `Args` and its `run`.
 
 use std::fmt;
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -9,6 +10,7 @@ use crate::exit_code;
 
 mod completions;
 mod model;
+mod score;
 
 /// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
 #[derive(Debug)]
@@ -38,8 +40,39 @@ impl fmt::Display for Failure {
     }
 }
 
+impl From<crate::setup::SetupError> for Failure {
+    fn from(error: crate::setup::SetupError) -> Self {
+        Self::new(error.exit_code(), error)
+    }
+}
+
 /// What every subcommand returns.
 pub type CommandResult = Result<(), Failure>;
+
+/// A bar of `share` (0 to 1) in at most `width` cells, in eighths of a cell.
+#[must_use]
+pub fn bar(share: f64, width: usize) -> String {
+    const EIGHTHS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
+    let eighths = (share.clamp(0.0, 1.0) * width as f64 * 8.0).round() as usize;
+    format!("{}{}", "█".repeat(eighths / 8), EIGHTHS[eighths % 8])
+}
+
+/// An empty table in the one style that all commands print.
+#[must_use]
+pub fn table(header: &[&str]) -> comfy_table::Table {
+    let mut table = comfy_table::Table::new();
+    table.load_preset(comfy_table::presets::NOTHING).set_header(header);
+    table
+}
+
+/// Prints a value as indented JSON on standard output.
+///
+/// # Errors
+/// When it cannot be written, for instance into a closed pipe.
+pub fn print_json(value: &impl serde::Serialize) -> CommandResult {
+    let text = serde_json::to_string_pretty(value).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
+    writeln!(std::io::stdout().lock(), "{text}").map_err(|e| Failure::new(exit_code::FAILURE, e))
+}
 
 /// Which room a person will be in next, in time for the robot to be elsewhere.
 #[derive(Debug, Parser)]
@@ -55,6 +88,8 @@ enum Command {
     Completions(completions::Args),
     /// Inspect and fetch language models.
     Model(model::Args),
+    /// Score every label, item and partition of a scene once.
+    Score(score::Args),
 }
 
 /// Parses the command line, runs it and gives the exit code; prints an error once, on standard error.
@@ -63,6 +98,7 @@ pub fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Completions(args) => completions::run(&args),
         Command::Model(args) => model::run(&args),
+        Command::Score(args) => score::run(&args),
     };
     match result {
         Ok(()) => ExitCode::from(exit_code::OK),

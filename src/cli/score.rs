@@ -1,0 +1,241 @@
+//! `roomcast score`: one narration against one scene, once.
+
+use std::path::PathBuf;
+
+use serde_json::json;
+
+use super::{CommandResult, Failure};
+use crate::exit_code;
+use crate::grounding::{Grounding, GroundingOptions, PartitionLevel};
+use crate::narration::history::HistoryLimits;
+use crate::narration::program::Program;
+use crate::narration::{Observation, Observed, Sentence};
+use crate::pipeline::{Pipeline, PipelineOptions};
+use crate::prompt::BindingSequence;
+use crate::scorer::llama::{CacheType, LlamaOptions};
+use crate::scorer::{LanguageModel, Method, Tokenisation, hex_string};
+use crate::semantic_map::{PartitionId, SemanticMap};
+use crate::setup;
+
+/// Arguments of `roomcast score`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The scene file, or the name of a shipped one; the studio flat when left out.
+    #[arg(long, value_name = "FILE")]
+    scene: Option<PathBuf>,
+    /// What was just done, as sentences or VirtualHome actions; several are separated by newlines or sentence ends.
+    #[arg(long, value_name = "TEXT", conflicts_with = "program")]
+    narration: Option<String>,
+    /// An activity program whose first steps are the narration.
+    #[arg(long, value_name = "FILE")]
+    program: Option<PathBuf>,
+    /// How many steps of the program were done; all when left out.
+    #[arg(long, value_name = "N", requires = "program")]
+    steps: Option<usize>,
+    /// The binding sequence: default, p0 to p5, or a text of your own.
+    #[arg(long, value_name = "TEXT", default_value = "default")]
+    binding: BindingSequence,
+    /// A GGUF model; the embedded household model when left out.
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// How labels are scored; all methods agree up to rounding.
+    #[arg(long, value_enum, default_value_t)]
+    method: Method,
+    /// How prompt and labels are cut into tokens.
+    #[arg(long, value_enum, default_value_t)]
+    tokenisation: Tokenisation,
+    /// What a partition is.
+    #[arg(long, value_enum, default_value_t)]
+    level: PartitionLevel,
+    /// Do not score the rooms' names as labels.
+    #[arg(long)]
+    no_room_labels: bool,
+    /// Observations in the history window, the paper's n_h.
+    #[arg(long, value_name = "N", default_value_t = 16)]
+    history: usize,
+    /// Threads of one decoder call; 0 chooses all cores but one, or both of two.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    threads: usize,
+    /// How the key-value cache is stored.
+    #[arg(long, value_enum, default_value_t)]
+    cache: CacheType,
+    /// How many labels and items the tables show.
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    top: usize,
+    /// Print everything as one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Scores once and prints the result.
+///
+/// # Errors
+/// When scene, program, text or model cannot be used.
+pub fn run(args: &Args) -> CommandResult {
+    let map = setup::load_map(args.scene.as_deref())?;
+    let level = GroundingOptions { level: args.level, room_labels: !args.no_room_labels };
+    let grounding = Grounding::new(&map, &level).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+    let observations = observations(args)?;
+    let default = LlamaOptions::default();
+    let options = LlamaOptions {
+        threads: if args.threads == 0 { default.threads } else { args.threads },
+        cache: args.cache,
+        ..default
+    };
+    let model = setup::load_model(args.model.as_deref(), &options)?;
+    let options = PipelineOptions {
+        binding: args.binding.clone(),
+        tokenisation: args.tokenisation,
+        method: args.method,
+        history: HistoryLimits::exact(args.history),
+    };
+    let mut pipeline = Pipeline::new(model, grounding, options).map_err(|e| Failure::new(exit_code::MODEL, e))?;
+    pipeline.step(observations).map_err(|e| Failure::new(exit_code::MODEL, e))?;
+    if args.json {
+        super::print_json(&report(&pipeline, &map))
+    } else {
+        print_tables(&pipeline, &map, args.top);
+        Ok(())
+    }
+}
+
+fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
+    let mut sentences = Vec::new();
+    if let Some(path) = &args.program {
+        let program = Program::load(path).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+        let steps = args.steps.unwrap_or(program.steps.len());
+        if steps > program.steps.len() {
+            let (path, has) = (path.display(), program.steps.len());
+            return Err(Failure::new(
+                exit_code::INPUT,
+                format!("--steps {steps} is more than the {has} steps of {path}: give at most {has}"),
+            ));
+        }
+        for action in &program.steps[..steps] {
+            sentences.push(Sentence::new(&action.sentence()).map_err(|e| Failure::new(exit_code::INPUT, e))?);
+        }
+    }
+    for line in args.narration.as_deref().unwrap_or_default().lines().filter(|l| !l.trim().is_empty()) {
+        if line.trim_start().starts_with('[') {
+            let observed = Observed::parse(line).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+            sentences.push(observed.sentence().map_err(|e| Failure::new(exit_code::INPUT, e))?);
+        } else {
+            for sentence in line.split_inclusive(". ").filter(|s| !s.trim().is_empty()) {
+                sentences.push(Sentence::new(sentence).map_err(|e| Failure::new(exit_code::INPUT, e))?);
+            }
+        }
+    }
+    Ok((0..)
+        .zip(sentences)
+        .map(|(sequence, sentence)| Observation {
+            person: 0,
+            source: 0,
+            epoch: 0,
+            sequence,
+            observed_ns: 0,
+            observed_unix_ns: 0,
+            sentence,
+        })
+        .collect())
+}
+
+/// Everything that the scores consist of; other programs rely on these keys.
+pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap) -> serde_json::Value {
+    let (scores, grounding, prepared) = (pipeline.scores(), pipeline.grounding(), pipeline.prepared());
+    let partition_id = |p: Option<PartitionId>| p.map(|p| grounding.partitions[p.0 as usize].id.as_str());
+    let labels: Vec<_> = (grounding.scored_labels.iter().zip(&scores.label_log_prob_nats).zip(prepared.tokens()))
+        .map(|((label, log_prob_nats), tokens)| {
+            json!({
+                "label": label.text, "items": label.items.len(), "rooms": label.rooms.len(), "count": label.count,
+                "log_prob_nats": log_prob_nats, "tokens": tokens,
+                "pieces": tokens.iter().map(|&t| pipeline.token_text(t)).collect::<Vec<_>>(),
+            })
+        })
+        .collect();
+    let items: Vec<_> = (map.items.iter().zip(&scores.grounded.item_log_score_nats).zip(&grounding.item_partition))
+        .map(|((item, log_score_nats), &partition)| {
+            json!({"id": item.id, "label": map.labels[item.label.0 as usize], "partition": partition_id(partition), "log_score_nats": log_score_nats})
+        })
+        .collect();
+    let grounded = &scores.grounded;
+    let partitions: Vec<_> = (grounding.partitions.iter())
+        .zip(&grounded.partition_log_score_nats)
+        .zip(&grounded.partition_probability)
+        .map(|((partition, log_score_nats), probability)| {
+            json!({"id": partition.id, "label": partition.label, "log_score_nats": log_score_nats, "probability": probability})
+        })
+        .collect();
+    json!({
+        "model": pipeline.model(),
+        "scene": {
+            "name": map.name, "fingerprint": hex_string(&map.fingerprint),
+            "items": map.items.len(), "labels": map.labels.len(), "rooms": map.rooms.len(),
+            "unassigned": grounding.unassigned.iter().map(|(item, _)| &map.items[item.0 as usize].id).collect::<Vec<_>>(),
+        },
+        "method": pipeline.options().method,
+        "tokenisation": pipeline.options().tokenisation,
+        "binding": pipeline.options().binding.text(),
+        "prompt_tokens": scores.prompt_tokens,
+        "labels": labels,
+        "items": items,
+        "partitions": partitions,
+        "label_mass": grounded.label_mass,
+        "decoded": {"calls": scores.stats.calls, "prompt_tokens": scores.stats.prompt_tokens_decoded, "tree_tokens": scores.stats.tree_tokens_decoded},
+        "timing_ns": scores.timing,
+    })
+}
+
+fn print_tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usize) {
+    let (scores, grounding) = (pipeline.scores(), pipeline.grounding());
+    let grounded = &scores.grounded;
+    let mut table = super::table(&["partition", "probability", "", "ln score", "because of"]);
+    let mut order: Vec<usize> = (0..grounding.partitions.len()).collect();
+    order.sort_by(|&a, &b| grounded.partition_probability[b].total_cmp(&grounded.partition_probability[a]));
+    for index in order {
+        let behind = grounding.top_labels(PartitionId(index as u32), &scores.label_log_prob_nats, 4);
+        let behind: Vec<_> = behind.iter().map(|&(l, _)| grounding.scored_labels[l].text.as_str()).collect();
+        let probability = grounded.partition_probability[index];
+        table.add_row([
+            grounding.partitions[index].label.clone(),
+            format!("{:5.1} %", 100.0 * probability),
+            super::bar(probability, 24),
+            format!("{:.3}", grounded.partition_log_score_nats[index]),
+            behind.join(", "),
+        ]);
+    }
+    println!("{table}\n");
+    let mut table = super::table(&["label", "probability", "ln probability", "items", "tokens"]);
+    let mut order: Vec<usize> = (0..grounding.scored_labels.len()).collect();
+    order.sort_by(|&a, &b| scores.label_log_prob_nats[b].total_cmp(&scores.label_log_prob_nats[a]));
+    for &index in order.iter().take(top) {
+        let label = &grounding.scored_labels[index];
+        let pieces: Vec<_> =
+            pipeline.prepared().tokens()[index].iter().map(|&t| format!("{:?}", pipeline.token_text(t))).collect();
+        table.add_row([
+            label.text.clone(),
+            format!("{:5.2} %", 100.0 * scores.label_log_prob_nats[index].exp()),
+            format!("{:.3}", scores.label_log_prob_nats[index]),
+            (label.items.len() + label.rooms.len()).to_string(),
+            pieces.join(" "),
+        ]);
+    }
+    println!("{table}\n");
+    let timing = scores.timing;
+    println!(
+        "{} labels and {} items of {} by {}; the labels cover {:.1} % of what could come next.",
+        grounding.scored_labels.len(),
+        map.items.len(),
+        map.name,
+        pipeline.model().name,
+        100.0 * grounded.label_mass
+    );
+    println!(
+        "{} prompt tokens; {:.2} ms: tokenise {:.2}, prefix {:.2}, trie {:.2}, ground {:.3}.",
+        scores.prompt_tokens,
+        timing.total_ns as f64 / 1e6,
+        timing.tokenise_ns as f64 / 1e6,
+        timing.prefix_ns as f64 / 1e6,
+        timing.trie_ns as f64 / 1e6,
+        timing.ground_ns as f64 / 1e6
+    );
+}

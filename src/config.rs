@@ -1,0 +1,228 @@
+//! The configuration: one TOML file, the same for daemon, planner and narrator. `default.toml` beside this file is the
+//! manual: every key with its default, its limits and what it costs.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::grounding::GroundingOptions;
+use crate::narration::history::HistoryLimits;
+use crate::prompt::BindingSequence;
+use crate::scorer::llama::{CacheType, LlamaOptions, SEQUENCES_MAX};
+use crate::scorer::{Method, Tokenisation};
+
+/// The commented default configuration, as a file to start from.
+pub const DEFAULT_TOML: &str = include_str!("default.toml");
+
+/// Most bytes of a configuration file.
+pub const FILE_BYTES_MAX: u64 = 1 << 20;
+
+/// A configuration that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("failed to read the configuration {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The file is larger than [`FILE_BYTES_MAX`].
+    #[error("the configuration {path} has more than {FILE_BYTES_MAX} bytes: that is no configuration file")]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Not TOML, an unknown key, or a value of the wrong kind.
+    #[error("the configuration {path} is malformed: {source}\nsee `roomcast config` for every key with its default")]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// What, with line and column.
+        source: Box<toml::de::Error>,
+    },
+    /// A value outside its limits.
+    #[error("the configuration's {key} is {value}: {remedy}")]
+    Value {
+        /// The key, with its section.
+        key: &'static str,
+        /// What it holds.
+        value: String,
+        /// What it may hold.
+        remedy: &'static str,
+    },
+}
+
+/// All of the configuration; every section and key may be left out.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// The model.
+    pub model: ModelConfig,
+    /// The semantic map.
+    pub scene: SceneConfig,
+    /// How labels are scored.
+    pub scoring: ScoringConfig,
+    /// How scores are grounded.
+    pub grounding: GroundingOptions,
+    /// The history window of each person.
+    pub history: HistoryLimits,
+}
+
+/// The section `[model]`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ModelConfig {
+    /// A GGUF file; the embedded model when empty.
+    pub path: Option<PathBuf>,
+    /// The SHA-256 that the file must have, in hexadecimal; any when empty.
+    pub sha256: Option<String>,
+    /// Threads of one decoder call; 0 chooses all cores but one, or both of two.
+    pub threads: usize,
+    /// Positions of prompt and labels together.
+    pub context_tokens: u32,
+    /// Paths of the label trie that one decoder call may hold.
+    pub sequences: u32,
+    /// How the key-value cache is stored.
+    pub cache: CacheType,
+    /// Lock the weights in memory.
+    pub lock_memory: bool,
+}
+
+impl Default for ModelConfig {
+    fn default() -> Self {
+        let LlamaOptions { context_tokens, sequences, cache, lock_memory, .. } = LlamaOptions::default();
+        Self { path: None, sha256: None, threads: 0, context_tokens, sequences, cache, lock_memory }
+    }
+}
+
+impl ModelConfig {
+    /// The options for loading.
+    #[must_use]
+    pub fn llama_options(&self) -> LlamaOptions {
+        let default = LlamaOptions::default();
+        LlamaOptions {
+            threads: if self.threads == 0 { default.threads } else { self.threads },
+            context_tokens: self.context_tokens,
+            sequences: self.sequences,
+            cache: self.cache,
+            lock_memory: self.lock_memory,
+        }
+    }
+}
+
+/// The section `[scene]`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SceneConfig {
+    /// The scene file; the shipped studio flat when empty.
+    pub path: Option<PathBuf>,
+}
+
+/// The section `[scoring]`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ScoringConfig {
+    /// A built-in binding sequence's name, or any text.
+    pub binding: String,
+    /// How labels are scored.
+    pub method: Method,
+    /// How prompt and label are cut into tokens.
+    pub tokenisation: Tokenisation,
+}
+
+impl Default for ScoringConfig {
+    fn default() -> Self {
+        Self { binding: "default".into(), method: Method::default(), tokenisation: Tokenisation::default() }
+    }
+}
+
+impl Config {
+    /// Reads and checks a configuration file.
+    ///
+    /// # Errors
+    /// When it cannot be read, has unknown keys, or a value outside its limits.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let read = |source| ConfigError::Read { path: path.to_owned(), source };
+        if std::fs::metadata(path).map_err(read)?.len() > FILE_BYTES_MAX {
+            return Err(ConfigError::TooLarge { path: path.to_owned() });
+        }
+        let text = std::fs::read_to_string(path).map_err(read)?;
+        let config: Self = toml::from_str(&text)
+            .map_err(|source| ConfigError::Parse { path: path.to_owned(), source: Box::new(source) })?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// Checks every limit that the types do not hold by themselves.
+    ///
+    /// # Errors
+    /// The first value outside its limits.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let limit = |ok: bool, key, value: &dyn std::fmt::Display, remedy| {
+            if ok { Ok(()) } else { Err(ConfigError::Value { key, value: value.to_string(), remedy }) }
+        };
+        let model = &self.model;
+        limit(model.threads <= 256, "model.threads", &model.threads, "give 0 (automatic) to 256")?;
+        limit(
+            (64..=1 << 20).contains(&model.context_tokens),
+            "model.context_tokens",
+            &model.context_tokens,
+            "give 64 to 1048576",
+        )?;
+        limit(
+            (1..=SEQUENCES_MAX).contains(&model.sequences),
+            "model.sequences",
+            &model.sequences,
+            "give 1 to 256, llama.cpp's limit",
+        )?;
+        if let Some(sum) = &model.sha256 {
+            limit(
+                sum.len() == 64 && sum.bytes().all(|b| b.is_ascii_hexdigit()),
+                "model.sha256",
+                sum,
+                "give 64 hexadecimal digits, as sha256sum prints them",
+            )?;
+        }
+        limit(
+            (1..=1000).contains(&self.history.observations),
+            "history.observations",
+            &self.history.observations,
+            "give 1 to 1000",
+        )?;
+        limit(self.history.slack <= 1000, "history.slack", &self.history.slack, "give 0 to 1000")?;
+        limit(self.history.tokens >= 16, "history.tokens", &self.history.tokens, "give 16 or more")?;
+        self.binding()?;
+        Ok(())
+    }
+
+    /// The binding sequence.
+    ///
+    /// # Errors
+    /// When the text cannot be one.
+    pub fn binding(&self) -> Result<BindingSequence, ConfigError> {
+        self.scoring.binding.parse().map_err(|_| ConfigError::Value {
+            key: "scoring.binding",
+            value: format!("{:?}", self.scoring.binding),
+            remedy: "give a built-in name (default, p0 to p5) or at most 1024 bytes of text without control characters",
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_manual_states_the_defaults() {
+        assert_eq!(toml::from_str::<Config>(DEFAULT_TOML).unwrap(), Config::default());
+    }
+
+    #[test]
+    fn unknown_keys_and_values_out_of_limits_are_refused() {
+        assert!(toml::from_str::<Config>("[model]\nthread = 2").is_err());
+        let config: Config = toml::from_str("[model]\nsequences = 999").unwrap();
+        assert!(config.check().unwrap_err().to_string().contains("model.sequences is 999"));
+    }
+}

@@ -1,0 +1,325 @@
+//! The labels' tokens as a trie, flat and in preorder, built once per map, model and binding sequence.
+//!
+//! A label that ends at node `n` has Equation 1's score `q(n)`, the product of the token probabilities from the prompt
+//! to `n`. Children's probabilities come from the logits of their parent, so only *inner* nodes (those with children)
+//! are ever decoded; a label's last token never is, and a label of one token costs nothing beyond the prompt.
+
+use crate::scorer::Token;
+
+/// No parent: the node follows the prompt directly.
+pub const PROMPT: u32 = u32::MAX;
+
+/// One node of the trie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Node {
+    /// The token that leads here.
+    pub token: Token,
+    /// Index of the parent, or [`PROMPT`].
+    pub parent: u32,
+    /// Tokens from the prompt to here; 1 for the first.
+    pub depth: u32,
+    /// Nodes in the subtree, this one included: the next node outside it is at `index + subtree`.
+    pub subtree: u32,
+    /// The node's place among the inner nodes, or [`PROMPT`] when it is a leaf.
+    pub inner: u32,
+}
+
+/// The flat preorder trie of all labels.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct LabelTrie {
+    nodes: Vec<Node>,
+    /// Per label the node at which it ends.
+    label_end: Vec<u32>,
+    /// Node index of each inner node, in preorder.
+    inner: Vec<u32>,
+}
+
+impl LabelTrie {
+    /// Builds the trie from each label's tokens; label `i` of the result is `labels[i]`.
+    ///
+    /// Empty token sequences are the caller's error and end nowhere; [`crate::scorer::Scorer::prepare`] refuses them.
+    #[must_use]
+    pub fn new<L: AsRef<[Token]>>(labels: &[L]) -> Self {
+        let mut order: Vec<usize> = (0..labels.len()).collect();
+        order.sort_by(|&a, &b| labels[a].as_ref().cmp(labels[b].as_ref()));
+        let mut trie = Self { label_end: vec![PROMPT; labels.len()], ..Self::default() };
+        let mut path: Vec<u32> = Vec::new();
+        for label in order {
+            let tokens = labels[label].as_ref();
+            let shared =
+                path.iter().zip(tokens).take_while(|&(&node, &token)| trie.nodes[node as usize].token == token).count();
+            path.truncate(shared);
+            for &token in &tokens[shared..] {
+                let index = trie.nodes.len() as u32;
+                let parent = path.last().copied().unwrap_or(PROMPT);
+                trie.nodes.push(Node { token, parent, depth: path.len() as u32 + 1, subtree: 1, inner: PROMPT });
+                path.push(index);
+            }
+            if let Some(&end) = path.last() {
+                trie.label_end[label] = end;
+            }
+        }
+        trie.complete();
+        trie
+    }
+
+    /// The same labels without sharing: one chain per label, in the labels' order.
+    #[must_use]
+    pub fn chains<L: AsRef<[Token]>>(labels: &[L]) -> Self {
+        let mut trie = Self::default();
+        for label in labels {
+            let mut parent = PROMPT;
+            for (depth, &token) in (1..).zip(label.as_ref()) {
+                let index = trie.nodes.len() as u32;
+                trie.nodes.push(Node { token, parent, depth, subtree: 1, inner: PROMPT });
+                parent = index;
+            }
+            trie.label_end.push(parent);
+        }
+        trie.complete();
+        trie
+    }
+
+    /// Fills in subtree sizes and inner nodes once all nodes stand in preorder.
+    fn complete(&mut self) {
+        let trie = self;
+        for index in (0..trie.nodes.len()).rev() {
+            let Node { parent, subtree, .. } = trie.nodes[index];
+            if parent != PROMPT {
+                trie.nodes[parent as usize].subtree += subtree;
+            }
+        }
+        for index in 0..trie.nodes.len() {
+            if trie.nodes[index].subtree > 1 {
+                trie.nodes[index].inner = trie.inner.len() as u32;
+                trie.inner.push(index as u32);
+            }
+        }
+    }
+
+    /// All nodes, in preorder.
+    #[must_use]
+    pub fn nodes(&self) -> &[Node] {
+        &self.nodes
+    }
+
+    /// Indices of the nodes that have children, in preorder: those that must be decoded.
+    #[must_use]
+    pub fn inner(&self) -> &[u32] {
+        &self.inner
+    }
+
+    /// Per label the index of the node at which it ends.
+    #[must_use]
+    pub fn label_end(&self) -> &[u32] {
+        &self.label_end
+    }
+
+    /// The trie as an indented drawing, one node a line, for people and tests.
+    #[must_use]
+    pub fn draw(&self, mut token_text: impl FnMut(Token) -> String, labels: &[&str]) -> String {
+        let mut out = String::new();
+        for (index, node) in self.nodes.iter().enumerate() {
+            out.push_str(&"  ".repeat(node.depth as usize - 1));
+            out.push_str(&token_text(node.token));
+            for (label, _) in self.label_end.iter().enumerate().filter(|&(_, &end)| end as usize == index) {
+                out.push_str(&format!(" = {}", labels.get(label).copied().unwrap_or("?")));
+            }
+            out.push('\n');
+        }
+        out
+    }
+}
+
+/// A tree of tokens to decode after the prompt, in preorder, with the paths that llama.cpp needs as sequences.
+///
+/// A *path* runs from the prompt to a node without children; a node lies on a contiguous range of paths.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct TokenTree {
+    tokens: Vec<Token>,
+    parents: Vec<u32>,
+    depths: Vec<u32>,
+    /// First path through each node, and one past the last.
+    paths: Vec<(u32, u32)>,
+    path_count: u32,
+}
+
+impl TokenTree {
+    /// The tree of all inner nodes of a trie: what [`Method::Trie`](crate::scorer::Method::Trie) decodes.
+    #[must_use]
+    pub fn of_inner_nodes(trie: &LabelTrie) -> Self {
+        let mut tree = Self::default();
+        for &index in trie.inner() {
+            let node = trie.nodes()[index as usize];
+            let parent = match node.parent {
+                PROMPT => PROMPT,
+                parent => trie.nodes()[parent as usize].inner,
+            };
+            tree.push(node.token, parent);
+        }
+        tree.finish();
+        tree
+    }
+
+    /// Empties the tree and keeps its memory.
+    pub fn clear(&mut self) {
+        self.tokens.clear();
+        self.parents.clear();
+        self.depths.clear();
+        self.paths.clear();
+        self.path_count = 0;
+    }
+
+    /// Appends a node in preorder and gives its index; `parent` is an earlier index or [`PROMPT`].
+    pub fn push(&mut self, token: Token, parent: u32) -> u32 {
+        let index = self.tokens.len() as u32;
+        debug_assert!(parent == PROMPT || parent < index, "a parent stands before its children");
+        let depth = if parent == PROMPT { 1 } else { self.depths[parent as usize] + 1 };
+        self.tokens.push(token);
+        self.parents.push(parent);
+        self.depths.push(depth);
+        self.paths.push((0, 0));
+        index
+    }
+
+    /// Computes the paths once all nodes are there.
+    pub fn finish(&mut self) {
+        let count = self.tokens.len();
+        self.path_count = 0;
+        for index in 0..count {
+            // In preorder the first child follows its parent at once.
+            let has_child = self.parents.get(index + 1) == Some(&(index as u32));
+            let first = self.path_count;
+            if !has_child {
+                self.path_count += 1;
+            }
+            self.paths[index] = (first, first + 1);
+        }
+        for index in (0..count).rev() {
+            let parent = self.parents[index];
+            if parent != PROMPT {
+                let last = self.paths[index].1;
+                let range = &mut self.paths[parent as usize];
+                range.1 = range.1.max(last);
+            }
+        }
+    }
+
+    /// Number of nodes.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.tokens.len()
+    }
+
+    /// Whether there is nothing to decode.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.tokens.is_empty()
+    }
+
+    /// Token of node `index`.
+    #[must_use]
+    pub fn token(&self, index: usize) -> Token {
+        self.tokens[index]
+    }
+
+    /// Parent of node `index`, or [`PROMPT`].
+    #[must_use]
+    pub fn parent(&self, index: usize) -> u32 {
+        self.parents[index]
+    }
+
+    /// Tokens from the prompt to node `index`, itself included.
+    #[must_use]
+    pub fn depth(&self, index: usize) -> u32 {
+        self.depths[index]
+    }
+
+    /// The paths through node `index`: first, and one past the last.
+    #[must_use]
+    pub fn paths(&self, index: usize) -> (u32, u32) {
+        self.paths[index]
+    }
+
+    /// Number of paths: sequences that a decoder needs at once.
+    #[must_use]
+    pub fn path_count(&self) -> u32 {
+        self.path_count
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tokens(text: &str) -> Vec<Token> {
+        text.split(' ').map(|word| Token(word.bytes().map(i32::from).sum())).collect()
+    }
+
+    fn trie(labels: &[&str]) -> (LabelTrie, String) {
+        let split: Vec<_> = labels.iter().map(|l| tokens(l)).collect();
+        let words: Vec<&str> = labels.iter().flat_map(|l| l.split(' ')).collect();
+        let trie = LabelTrie::new(&split);
+        let drawn = trie
+            .draw(|t| words.iter().find(|w| tokens(w)[0] == t).map_or_else(|| "?".into(), ToString::to_string), labels);
+        (trie, drawn)
+    }
+
+    #[test]
+    fn drawn_by_hand() {
+        let (trie, drawn) = trie(&["coffee maker", "coffee", "book", "book shelf", "coffee table lamp"]);
+        assert_eq!(
+            drawn,
+            "book = book\n  shelf = book shelf\ncoffee = coffee\n  table\n    lamp = coffee table lamp\n  maker = coffee maker\n"
+        );
+        assert_eq!(trie.inner(), [0, 2, 3]);
+        assert_eq!(trie.nodes()[2].subtree, 4);
+    }
+
+    #[test]
+    fn paths_are_contiguous_and_cover_the_tree() {
+        let mut tree = TokenTree::default();
+        let a = tree.push(Token(1), PROMPT);
+        let b = tree.push(Token(2), a);
+        tree.push(Token(3), b);
+        tree.push(Token(4), a);
+        tree.push(Token(5), PROMPT);
+        tree.finish();
+        let paths: Vec<_> = (0..tree.len()).map(|i| tree.paths(i)).collect();
+        assert_eq!(paths, [(0, 2), (0, 1), (0, 1), (1, 2), (2, 3)]);
+        assert_eq!(tree.path_count(), 3);
+    }
+
+    #[test]
+    fn one_token_labels_need_no_decoding() {
+        let (trie, _) = trie(&["mug", "cup", "bed"]);
+        assert!(trie.inner().is_empty());
+        assert!(TokenTree::of_inner_nodes(&trie).is_empty());
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn every_label_is_spelt_by_its_path(labels in proptest::collection::vec(proptest::collection::vec(0..4i32, 1..5), 1..40)) {
+            let labels: Vec<Vec<Token>> = labels.into_iter().map(|l| l.into_iter().map(Token).collect()).collect();
+            let trie = LabelTrie::new(&labels);
+            for (label, &end) in labels.iter().zip(trie.label_end()) {
+                let mut spelt = Vec::new();
+                let mut node = end;
+                while node != PROMPT {
+                    spelt.push(trie.nodes()[node as usize].token);
+                    node = trie.nodes()[node as usize].parent;
+                }
+                spelt.reverse();
+                proptest::prop_assert_eq!(&spelt, label);
+            }
+            for (index, node) in trie.nodes().iter().enumerate() {
+                let has_child = trie.nodes().iter().any(|n| n.parent == index as u32);
+                proptest::prop_assert_eq!(node.inner != PROMPT, has_child);
+            }
+            let tree = TokenTree::of_inner_nodes(&trie);
+            for path in 0..tree.path_count() {
+                proptest::prop_assert!((0..tree.len()).any(|i| tree.paths(i) == (path, path + 1)));
+            }
+        }
+    }
+}

@@ -1,0 +1,327 @@
+//! One step of the flow: observations in, scores of labels, items and partitions out.
+//!
+//! The pipeline owns every buffer and does no I/O; the daemon, `roomcast score`, the experiments and the replay all run
+//! this one.
+
+use std::time::Instant;
+
+use crate::grounding::{GroundedScores, Grounding, GroundingError};
+use crate::narration::Observation;
+use crate::narration::history::{Histories, History, HistoryLimits};
+use crate::prompt::{BindingSequence, write_prompt};
+use crate::scorer::{
+    DecodeStats, LabelScores, LanguageModel, Method, ModelInfo, PreparedLabels, ScoreError, Scorer, TextStart,
+    Tokenisation,
+};
+
+/// Most narration sources that scores name; the one heard longest ago makes room for a new one.
+pub const SOURCES_MAX: usize = 64;
+
+/// A pipeline that cannot be set up, or a step that failed. Histories are complete all the same.
+#[derive(Debug, thiserror::Error)]
+pub enum PipelineError {
+    /// The scorer failed.
+    #[error(transparent)]
+    Score(#[from] ScoreError),
+    /// The scores cannot be grounded.
+    #[error(transparent)]
+    Grounding(#[from] GroundingError),
+    /// The model's context is too small for a history at all.
+    #[error("the context of {context} tokens leaves none for narration: the labels and the binding sequence need {needed}; raise scoring.context_tokens or use another model")]
+    ContextTooSmall {
+        /// Tokens of the context.
+        context: usize,
+        /// Tokens needed beside the narration.
+        needed: usize,
+    },
+}
+
+/// How a pipeline scores.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PipelineOptions {
+    /// The binding sequence.
+    pub binding: BindingSequence,
+    /// How prompt and labels are cut into tokens.
+    pub tokenisation: Tokenisation,
+    /// How labels are scored.
+    pub method: Method,
+    /// The window of each person.
+    pub history: HistoryLimits,
+}
+
+impl Default for PipelineOptions {
+    fn default() -> Self {
+        Self {
+            binding: BindingSequence::default(),
+            tokenisation: Tokenisation::default(),
+            method: Method::default(),
+            history: HistoryLimits::default(),
+        }
+    }
+}
+
+/// The last narration of one source that scores include.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+pub struct Included {
+    /// The source.
+    pub source: u64,
+    /// Its epoch.
+    pub epoch: u64,
+    /// Its sequence number in that epoch.
+    pub sequence: u64,
+    /// When it was observed, monotonic nanoseconds.
+    pub observed_ns: u64,
+}
+
+/// Where a step's time went, in nanoseconds.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Timing {
+    /// Writing the prompt and cutting it into tokens.
+    #[serde(rename = "tokenise")]
+    pub tokenise_ns: u64,
+    /// Decoder calls that held the prompt; the trie's nodes ride in the same call.
+    #[serde(rename = "prefix")]
+    pub prefix_ns: u64,
+    /// The softmax and the walk over the trie.
+    #[serde(rename = "trie")]
+    pub trie_ns: u64,
+    /// Items and partitions.
+    #[serde(rename = "ground")]
+    pub ground_ns: u64,
+    /// All of the step.
+    #[serde(rename = "total")]
+    pub total_ns: u64,
+}
+
+/// The scores after a step.
+#[derive(Debug, Clone, Default)]
+pub struct Scores {
+    /// Per label `ln s_c` in nats: of one person, or the mean of `s_c` over several.
+    pub label_log_prob_nats: Vec<f64>,
+    /// Per item and partition.
+    pub grounded: GroundedScores,
+    /// Per source, the last narration that these scores include.
+    pub included: Vec<Included>,
+    /// When the newest of it was observed, monotonic nanoseconds; 0 before the first.
+    pub newest_observed_ns: u64,
+    /// Tokens of the prompts scored in this step.
+    pub prompt_tokens: usize,
+    /// What was decoded in this step.
+    pub stats: DecodeStats,
+    /// Where the time of this step went.
+    pub timing: Timing,
+}
+
+#[derive(Debug)]
+struct Person {
+    id: u32,
+    scores: LabelScores,
+    stale: bool,
+}
+
+/// The flow from observations to scores. See the [module's documentation](self).
+#[derive(Debug)]
+pub struct Pipeline<M> {
+    scorer: Scorer<M>,
+    prepared: PreparedLabels,
+    grounding: Grounding,
+    options: PipelineOptions,
+    histories: Histories,
+    persons: Vec<Person>,
+    prompt: String,
+    tokens: Vec<crate::scorer::Token>,
+    scores: Scores,
+}
+
+impl<M: LanguageModel> Pipeline<M> {
+    /// Cuts the map's labels into tokens and builds their trie, once.
+    ///
+    /// # Errors
+    /// When a label has no tokens, or the model's context leaves no room for narration.
+    pub fn new(model: M, grounding: Grounding, mut options: PipelineOptions) -> Result<Self, PipelineError> {
+        let scorer = Scorer::new(model);
+        let prepared = scorer.prepare(&grounding.label_texts(), &options.binding, options.tokenisation)?;
+        let mut binding = Vec::new();
+        scorer.model().tokenise(options.binding.text(), TextStart::Sequence, &mut binding).map_err(ScoreError::from)?;
+        let context = scorer.info().context_tokens;
+        let needed = binding.len() + prepared.trie().inner().len() + prepared.longest_label() + 1;
+        if needed >= context {
+            return Err(PipelineError::ContextTooSmall { context, needed });
+        }
+        options.history.tokens = options.history.tokens.min(context - needed);
+        let histories = Histories::new(options.history);
+        Ok(Self {
+            scorer,
+            prepared,
+            grounding,
+            options,
+            histories,
+            persons: Vec::new(),
+            prompt: String::new(),
+            tokens: Vec::new(),
+            scores: Scores::default(),
+        })
+    }
+
+    /// What the model says of itself.
+    pub fn model(&self) -> &ModelInfo {
+        self.scorer.info()
+    }
+
+    /// The map's labels and partitions.
+    pub fn grounding(&self) -> &Grounding {
+        &self.grounding
+    }
+
+    /// The labels' tokens and trie.
+    pub fn prepared(&self) -> &PreparedLabels {
+        &self.prepared
+    }
+
+    /// How this pipeline scores.
+    pub fn options(&self) -> &PipelineOptions {
+        &self.options
+    }
+
+    /// The histories of all persons.
+    pub fn histories(&self) -> &Histories {
+        &self.histories
+    }
+
+    /// The scores of the last step.
+    pub fn scores(&self) -> &Scores {
+        &self.scores
+    }
+
+    /// A token's text, for people.
+    pub fn token_text(&self, token: crate::scorer::Token) -> String {
+        self.scorer.model().token_text(token)
+    }
+
+    /// Enters observations into the histories without scoring: nothing can fail here, and nothing is lost when the
+    /// scoring after it does.
+    pub fn observe(&mut self, observations: impl IntoIterator<Item = Observation>) {
+        for observation in observations {
+            let included = Included {
+                source: observation.source,
+                epoch: observation.epoch,
+                sequence: observation.sequence,
+                observed_ns: observation.observed_ns,
+            };
+            let person = observation.person;
+            self.scores.newest_observed_ns = self.scores.newest_observed_ns.max(observation.observed_ns);
+            self.tokens.clear();
+            let text = observation.sentence.as_str();
+            let tokens = match self.scorer.model().tokenise(text, TextStart::Within, &mut self.tokens) {
+                Ok(()) => self.tokens.len() + 1,
+                // A safe bound; scoring will name the failure.
+                Err(_) => text.len(),
+            };
+            self.histories.push(observation, tokens);
+            match self.persons.iter_mut().find(|p| p.id == person) {
+                Some(known) => known.stale = true,
+                None => self.persons.push(Person { id: person, scores: LabelScores::default(), stale: true }),
+            }
+            self.include(included);
+        }
+        self.persons.retain(|p| self.histories.get(p.id).is_some());
+    }
+
+    fn include(&mut self, included: Included) {
+        let sources = &mut self.scores.included;
+        if let Some(known) = sources.iter_mut().find(|i| i.source == included.source) {
+            *known = included;
+            return;
+        }
+        if sources.len() >= SOURCES_MAX
+            && let Some(oldest) = (0..sources.len()).min_by_key(|&i| sources[i].observed_ns)
+        {
+            sources.swap_remove(oldest);
+        }
+        sources.push(included);
+    }
+
+    /// Forgets a person, for instance one who has left the map.
+    pub fn forget_person(&mut self, person: u32) {
+        self.histories.remove(person);
+        self.persons.retain(|p| p.id != person);
+    }
+
+    /// Scores the persons whose history changed since the last step, and grounds the result. Before anything was
+    /// observed, the binding sequence alone is scored.
+    ///
+    /// # Errors
+    /// When the model fails. The histories stay, and the next step scores what this one could not.
+    pub fn score(&mut self) -> Result<&Scores, PipelineError> {
+        let start = Instant::now();
+        let mut timing = Timing::default();
+        self.scores.stats = DecodeStats::default();
+        self.scores.prompt_tokens = 0;
+        let mut nobody = Person { id: 0, scores: LabelScores::default(), stale: true };
+        let persons = match self.persons.as_mut_slice() {
+            [] => std::slice::from_mut(&mut nobody),
+            persons => persons,
+        };
+        for person in persons.iter_mut().filter(|p| p.stale) {
+            let writing = Instant::now();
+            let history = self.histories.get(person.id);
+            write_prompt(
+                history.into_iter().flat_map(History::sentences),
+                &self.options.binding,
+                self.options.tokenisation == Tokenisation::Paper,
+                &mut self.prompt,
+            );
+            timing.tokenise_ns += nanoseconds(writing);
+            self.scorer.score(&self.prepared, &self.prompt, self.options.method, &mut person.scores)?;
+            person.stale = false;
+            timing.tokenise_ns += person.scores.tokenise_ns;
+            timing.prefix_ns += person.scores.prefix_ns;
+            timing.trie_ns += person.scores.trie_ns;
+            self.scores.prompt_tokens += person.scores.prompt_tokens;
+            self.scores.stats += person.scores.stats;
+        }
+        let grounding = Instant::now();
+        mean(persons, &mut self.scores.label_log_prob_nats);
+        self.grounding.ground(&self.scores.label_log_prob_nats, &mut self.scores.grounded)?;
+        timing.ground_ns = nanoseconds(grounding);
+        timing.total_ns = nanoseconds(start);
+        self.scores.timing = timing;
+        Ok(&self.scores)
+    }
+
+    /// Observes, then scores.
+    ///
+    /// # Errors
+    /// As [`Pipeline::score`]; the observations are in the histories all the same.
+    pub fn step(&mut self, observations: impl IntoIterator<Item = Observation>) -> Result<&Scores, PipelineError> {
+        self.observe(observations);
+        self.score()
+    }
+
+    /// Work that can wait until no event does.
+    pub fn tidy(&mut self) {
+        self.scorer.tidy();
+    }
+}
+
+/// `ln` of the mean over persons of `s_c`, per label. Grounding is linear, so this is the mean of their partition scores too.
+fn mean(persons: &[Person], out: &mut Vec<f64>) {
+    out.clear();
+    let Some((first, others)) = persons.split_first() else { return };
+    out.extend_from_slice(&first.scores.log_prob_nats);
+    if others.is_empty() {
+        return;
+    }
+    for other in others {
+        for (sum, &more) in out.iter_mut().zip(&other.scores.log_prob_nats) {
+            let (low, high) = if *sum < more { (*sum, more) } else { (more, *sum) };
+            *sum = if low == f64::NEG_INFINITY { high } else { high + (low - high).exp().ln_1p() };
+        }
+    }
+    let ln_count = (persons.len() as f64).ln();
+    out.iter_mut().for_each(|sum| *sum -= ln_count);
+}
+
+fn nanoseconds(since: Instant) -> u64 {
+    u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX)
+}

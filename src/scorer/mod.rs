@@ -1,0 +1,593 @@
+//! Scores of labels as continuations of a prompt (the paper's Equation 1).
+//!
+//! `s_c,i = prod_j p(c_i^j | N_h + B + c_i^(1..j-1))`, over all tokens `j` of label `i`, in nats as a sum of logarithms.
+//!
+//! [`Scorer`] holds the algorithm, [`LanguageModel`] what it needs of a model: [`llama::LlamaModel`] is the real one,
+//! [`table::TableModel`] a deterministic one whose next-token table is known by construction, for tests.
+
+use std::time::Instant;
+
+use self::certified::{Certified, Effort};
+use crate::label_trie::{LabelTrie, PROMPT, TokenTree};
+use crate::prompt::BindingSequence;
+
+pub mod certified;
+pub mod llama;
+pub mod softmax;
+pub mod table;
+
+/// A token of a model's vocabulary.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize)]
+#[serde(transparent)]
+pub struct Token(pub i32);
+
+/// What a language model says of itself.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct ModelInfo {
+    /// Its own name, or the file's.
+    pub name: String,
+    /// Architecture as llama.cpp names it ("llama").
+    pub architecture: String,
+    /// Quantisation and size in words ("llama 3M Q8_0").
+    pub description: String,
+    /// Number of parameters.
+    pub parameters: u64,
+    /// Size of the weights in bytes.
+    pub size_bytes: u64,
+    /// Size of the vocabulary.
+    pub vocabulary: usize,
+    /// Positions that prompt and label together may take.
+    pub context_tokens: usize,
+    /// Whether a prefix can be shared between continuations; not so with recurrent and hybrid models.
+    pub shares_prefix: bool,
+    /// SHA-256 of the model file; zeros when there is none.
+    #[serde(serialize_with = "hex")]
+    pub fingerprint: [u8; 32],
+}
+
+fn hex<S: serde::Serializer>(bytes: &[u8; 32], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&hex_string(bytes))
+}
+
+/// Lower-case hexadecimal digits of a fingerprint.
+#[must_use]
+pub fn hex_string(bytes: &[u8; 32]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
+
+/// A model that failed.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// The file cannot be loaded.
+    #[error("failed to load the model {path}: {reason}; check it with `roomcast model check`")]
+    Load {
+        /// The file.
+        path: String,
+        /// What the loader said.
+        reason: String,
+    },
+    /// Text that cannot be tokenised.
+    #[error("failed to tokenise {text:?}: {reason}")]
+    Tokenise {
+        /// The text, shortened.
+        text: String,
+        /// What the tokeniser said.
+        reason: String,
+    },
+    /// Prompt and labels do not fit in the context.
+    #[error(
+        "the prompt has {prompt} tokens and its labels need {tree} more, but the model's context holds {context}: shorten the history or raise scoring.context_tokens"
+    )]
+    TooLong {
+        /// Tokens of the prompt.
+        prompt: usize,
+        /// Tokens of the tree behind it.
+        tree: usize,
+        /// Size of the context.
+        context: usize,
+    },
+    /// The prompt has no token at all.
+    #[error("the prompt is empty and the model has no start token: give narration or a binding sequence")]
+    EmptyPrompt,
+    /// The decoder failed.
+    #[error("the model failed to decode {tokens} tokens: {reason}")]
+    Decode {
+        /// Tokens in the failing call.
+        tokens: usize,
+        /// What the decoder said.
+        reason: String,
+    },
+    /// The model gave a value that is not a number.
+    #[error("the model gave logits that are not finite after {at}: the file is damaged or its quantisation is broken")]
+    NotFinite {
+        /// Where.
+        at: String,
+    },
+}
+
+/// How a text stands in a sequence.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TextStart {
+    /// At the beginning: the model's start token is put before it where the model wants one.
+    Sequence,
+    /// Somewhere within.
+    Within,
+}
+
+/// What the scoring algorithm needs of a model.
+pub trait LanguageModel {
+    /// What the model says of itself.
+    fn info(&self) -> &ModelInfo;
+
+    /// Appends the tokens of `text` to `out`. Control tokens written in the text are taken as text.
+    ///
+    /// # Errors
+    /// When the tokeniser fails.
+    fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError>;
+
+    /// The text of a token, for people.
+    fn token_text(&self, token: Token) -> String;
+
+    /// Forgets the kept prefix: the next call decodes the whole prompt.
+    fn forget(&mut self);
+
+    /// Decodes `prompt` (what it shares with the last call's prompt is kept, not decoded again), then `tree` behind it,
+    /// and gives each row of logits to `visit`: row 0 follows the prompt (only when `want_prompt_row`), row `i + 1` follows tree node `i`.
+    ///
+    /// A node may be visited more than once with the same values up to rounding, when the tree has more paths than the
+    /// model has sequences.
+    ///
+    /// # Errors
+    /// When prompt and tree do not fit, or the decoder fails; the kept prefix is forgotten then.
+    fn decode(
+        &mut self,
+        prompt: &[Token],
+        tree: &TokenTree,
+        want_prompt_row: bool,
+        visit: &mut dyn FnMut(usize, &[f32]),
+    ) -> Result<DecodeStats, ModelError>;
+
+    /// Drops what the last call left behind beyond its prompt; called while idle.
+    fn tidy(&mut self);
+}
+
+/// What a call of [`LanguageModel::decode`] cost.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct DecodeStats {
+    /// Calls of the decoder: each reads all weights once.
+    pub calls: u32,
+    /// Prompt tokens decoded, those kept from the last call not counted.
+    pub prompt_tokens_decoded: u32,
+    /// Tree tokens decoded, repeats included.
+    pub tree_tokens_decoded: u32,
+}
+
+impl std::ops::AddAssign for DecodeStats {
+    fn add_assign(&mut self, other: Self) {
+        self.calls += other.calls;
+        self.prompt_tokens_decoded += other.prompt_tokens_decoded;
+        self.tree_tokens_decoded += other.tree_tokens_decoded;
+    }
+}
+
+/// How labels are scored. All methods give the same scores up to rounding; they are kept side by side as the proof.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// Each label by itself, the whole prompt every time.
+    Independent,
+    /// The prompt once, one sequence per label.
+    SharedPrefix,
+    /// The prompt once, then the labels' token trie.
+    #[default]
+    Trie,
+}
+
+/// How prompt and label are cut into tokens.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Tokenisation {
+    /// Together, so that a label is cut as the model saw it in text (`" mug"`).
+    #[default]
+    Joint,
+    /// Each part by itself, the binding sequence with its trailing space.
+    Paper,
+}
+
+/// A failed scoring.
+#[derive(Debug, thiserror::Error)]
+pub enum ScoreError {
+    /// The model failed.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// A label without words.
+    #[error("label {index} ({label:?}) has no tokens: give it words, or remove it from the map")]
+    EmptyLabel {
+        /// Its index.
+        index: usize,
+        /// Its text.
+        label: String,
+    },
+    /// No label at all.
+    #[error("there is no label to score: the map has no items, and room names are switched off")]
+    NoLabels,
+}
+
+/// The labels of a map, cut into tokens behind one binding sequence: built once, used for every event.
+#[derive(Debug, Clone)]
+pub struct PreparedLabels {
+    labels: Vec<String>,
+    tokens: Vec<Vec<Token>>,
+    trie: LabelTrie,
+    /// Inner nodes of the trie, for [`Method::Trie`].
+    inner_tree: TokenTree,
+    /// One chain per label, for [`Method::SharedPrefix`].
+    chains: LabelTrie,
+    chain_tree: TokenTree,
+    /// Tokens at the end of the prompt that labels replace, because a merge crosses the boundary; nearly always 0.
+    replaced: usize,
+    binding: BindingSequence,
+    tokenisation: Tokenisation,
+}
+
+impl PreparedLabels {
+    /// The labels' texts, in the caller's order.
+    #[must_use]
+    pub fn labels(&self) -> &[String] {
+        &self.labels
+    }
+
+    /// The tokens of each label.
+    #[must_use]
+    pub fn tokens(&self) -> &[Vec<Token>] {
+        &self.tokens
+    }
+
+    /// The trie.
+    #[must_use]
+    pub fn trie(&self) -> &LabelTrie {
+        &self.trie
+    }
+
+    /// Tokens of the longest label.
+    #[must_use]
+    pub fn longest_label(&self) -> usize {
+        self.tokens.iter().map(Vec::len).max().unwrap_or(0)
+    }
+
+    /// The binding sequence that the labels stand behind.
+    #[must_use]
+    pub fn binding(&self) -> &BindingSequence {
+        &self.binding
+    }
+
+    /// How prompt and labels are cut.
+    #[must_use]
+    pub fn tokenisation(&self) -> Tokenisation {
+        self.tokenisation
+    }
+}
+
+/// The scores of one prompt.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct LabelScores {
+    /// Per label `ln s_c` in nats, Equation 1.
+    pub log_prob_nats: Vec<f64>,
+    /// Tokens of the prompt.
+    pub prompt_tokens: usize,
+    /// What was decoded.
+    pub stats: DecodeStats,
+    /// Nanoseconds spent cutting the prompt into tokens.
+    pub tokenise_ns: u64,
+    /// Nanoseconds in decoder calls that held the prompt.
+    pub prefix_ns: u64,
+    /// Nanoseconds in what came after them: the rest of the trie, and the walk over it.
+    pub trie_ns: u64,
+    /// The method that was used: [`Method::Independent`] where the model cannot share a prefix.
+    pub method: Method,
+}
+
+/// The scoring algorithm over a model; owns every buffer that an event needs.
+#[derive(Debug)]
+pub struct Scorer<M> {
+    model: M,
+    /// The last prompt's tokens, without those that labels replace.
+    prompt: Vec<Token>,
+    /// Per trie node `ln p(token | path to its parent)`, then `ln q(n)`.
+    node_log_prob_nats: Vec<f64>,
+}
+
+impl<M: LanguageModel> Scorer<M> {
+    /// A scorer over a model.
+    pub fn new(model: M) -> Self {
+        Self { model, prompt: Vec::new(), node_log_prob_nats: Vec::new() }
+    }
+
+    /// What the model says of itself.
+    pub fn info(&self) -> &ModelInfo {
+        self.model.info()
+    }
+
+    /// The model.
+    pub fn model(&self) -> &M {
+        &self.model
+    }
+
+    /// Forgets the kept prefix, as a fresh scorer would start.
+    pub fn forget(&mut self) {
+        self.model.forget();
+    }
+
+    /// Work that can wait until no event does.
+    pub fn tidy(&mut self) {
+        self.model.tidy();
+    }
+
+    /// Cuts labels into tokens behind a binding sequence, and builds their trie.
+    ///
+    /// Under [`Tokenisation::Joint`] a label's tokens are what binding sequence and label have together beyond the
+    /// binding sequence by itself. Where a merge crosses the boundary for any label, the crossing tokens of the binding
+    /// sequence are scored with every label, so that all remain comparable.
+    ///
+    /// # Errors
+    /// When there is no label, a label has no tokens, or the tokeniser fails.
+    pub fn prepare<L: AsRef<str>>(
+        &self,
+        labels: &[L],
+        binding: &BindingSequence,
+        tokenisation: Tokenisation,
+    ) -> Result<PreparedLabels, ScoreError> {
+        if labels.is_empty() {
+            return Err(ScoreError::NoLabels);
+        }
+        let mut stem = Vec::new();
+        let mut tokens = Vec::with_capacity(labels.len());
+        let mut replaced = 0;
+        match tokenisation {
+            Tokenisation::Paper => {
+                for label in labels {
+                    let mut own = Vec::new();
+                    self.model.tokenise(label.as_ref(), TextStart::Within, &mut own)?;
+                    tokens.push(own);
+                }
+            }
+            Tokenisation::Joint => {
+                self.model.tokenise(binding.stem(), TextStart::Within, &mut stem)?;
+                let mut shared = stem.len();
+                for label in labels {
+                    let mut joint = Vec::new();
+                    self.model.tokenise(
+                        &format!("{} {}", binding.stem(), label.as_ref()),
+                        TextStart::Within,
+                        &mut joint,
+                    )?;
+                    shared = shared.min(common_prefix(&stem, &joint));
+                    tokens.push(joint);
+                }
+                replaced = stem.len() - shared;
+                for joint in &mut tokens {
+                    joint.drain(..shared);
+                }
+            }
+        }
+        if let Some(index) = tokens.iter().zip(labels).position(|(t, l)| t.is_empty() || l.as_ref().trim().is_empty()) {
+            return Err(ScoreError::EmptyLabel { index, label: labels[index].as_ref().to_owned() });
+        }
+        let trie = LabelTrie::new(&tokens);
+        let chains = LabelTrie::chains(&tokens);
+        Ok(PreparedLabels {
+            labels: labels.iter().map(|l| l.as_ref().to_owned()).collect(),
+            inner_tree: TokenTree::of_inner_nodes(&trie),
+            chain_tree: TokenTree::of_inner_nodes(&chains),
+            tokens,
+            trie,
+            chains,
+            replaced,
+            binding: binding.clone(),
+            tokenisation,
+        })
+    }
+
+    /// Scores every label behind `prompt`, the text that [`crate::prompt::write_prompt`] wrote for the same binding
+    /// sequence (with its trailing space under [`Tokenisation::Paper`]).
+    ///
+    /// A model that cannot share a prefix is scored by [`Method::Independent`], and `out` says so.
+    ///
+    /// # Errors
+    /// When the prompt does not fit or the model fails; `out` is not to be used then.
+    pub fn score(
+        &mut self,
+        prepared: &PreparedLabels,
+        prompt: &str,
+        method: Method,
+        out: &mut LabelScores,
+    ) -> Result<(), ScoreError> {
+        let start = Instant::now();
+        self.begin(prepared, prompt, method, out)?;
+        out.tokenise_ns = nanoseconds(start);
+        match out.method {
+            Method::Trie => self.score_trie(&prepared.trie, &prepared.inner_tree, out),
+            Method::SharedPrefix => self.score_trie(&prepared.chains, &prepared.chain_tree, out),
+            Method::Independent => self.score_independent(prepared, out),
+        }
+    }
+
+    /// Cuts the prompt into tokens and clears `out`.
+    fn begin(
+        &mut self,
+        prepared: &PreparedLabels,
+        prompt: &str,
+        method: Method,
+        out: &mut LabelScores,
+    ) -> Result<(), ScoreError> {
+        self.prompt.clear();
+        self.model.tokenise(prompt, TextStart::Sequence, &mut self.prompt)?;
+        out.prompt_tokens = self.prompt.len();
+        self.prompt.truncate(self.prompt.len().saturating_sub(prepared.replaced));
+        if self.prompt.is_empty() {
+            return Err(ModelError::EmptyPrompt.into());
+        }
+        out.method = if self.model.info().shares_prefix { method } else { Method::Independent };
+        out.stats = DecodeStats::default();
+        out.prefix_ns = 0;
+        out.trie_ns = 0;
+        out.log_prob_nats.clear();
+        Ok(())
+    }
+
+    fn score_independent(&mut self, prepared: &PreparedLabels, out: &mut LabelScores) -> Result<(), ScoreError> {
+        for tokens in &prepared.tokens {
+            let trie = LabelTrie::chains(std::slice::from_ref(tokens));
+            self.model.forget();
+            self.score_trie(&trie, &TokenTree::of_inner_nodes(&trie), out)?;
+        }
+        self.model.forget();
+        Ok(())
+    }
+
+    /// Scores behind `prompt` as far as the question needs, by [`Method::Trie`]: the prompt and a guess at the nodes that
+    /// matter go in one call, the rest follows only while `state.bounds` do not answer `effort`'s question, and, under
+    /// [`Effort::Deadline`], while the next call would end before `deadline` (as the last ones suggest).
+    ///
+    /// `out.log_prob_nats` is exact for decided labels and an estimate within the bounds for the others. A model that
+    /// cannot share a prefix is scored exactly.
+    ///
+    /// # Errors
+    /// As [`Scorer::score`].
+    pub fn score_certified(
+        &mut self,
+        prepared: &PreparedLabels,
+        state: &mut Certified,
+        prompt: &str,
+        effort: Effort,
+        deadline: Option<Instant>,
+        out: &mut LabelScores,
+    ) -> Result<(), ScoreError> {
+        let start = Instant::now();
+        self.begin(prepared, prompt, Method::Trie, out)?;
+        out.tokenise_ns = nanoseconds(start);
+        let trie = &prepared.trie;
+        state.decoded.fill(false);
+        if !self.model.info().shares_prefix {
+            out.method = Method::Independent;
+            self.score_independent(prepared, out)?;
+            return Ok(());
+        }
+        let mut first = true;
+        loop {
+            let call = Instant::now();
+            state.plan(trie);
+            let mut softmax_ns = 0;
+            let mut bad_row = None;
+            let Certified { conditional, decoded, sent, tree, .. } = &mut *state;
+            let stats = self.model.decode(&self.prompt, tree, first, &mut |row, logits| {
+                let start = Instant::now();
+                let parent = match row {
+                    0 => None,
+                    _ => {
+                        let place = sent[row - 1] as usize;
+                        if std::mem::replace(&mut decoded[place], true) {
+                            return;
+                        }
+                        Some(trie.inner()[place] as usize)
+                    }
+                };
+                if !read_row(trie, parent, logits, |child, log_prob_nats| conditional[child] = log_prob_nats.exp()) {
+                    bad_row = Some(row);
+                }
+                softmax_ns += nanoseconds(start);
+            })?;
+            if let Some(row) = bad_row {
+                self.model.forget();
+                return Err(ModelError::NotFinite { at: row_name(row) }.into());
+            }
+            let call_ns = nanoseconds(call);
+            out.stats += stats;
+            let settling = Instant::now();
+            let answered = state.settle(trie, effort);
+            let settle_ns = nanoseconds(settling);
+            if first {
+                out.prefix_ns += call_ns.saturating_sub(softmax_ns);
+                out.trie_ns += softmax_ns + settle_ns;
+            } else {
+                out.trie_ns += call_ns + settle_ns;
+            }
+            first = false;
+            let late = deadline.is_some_and(|end| Instant::now() + std::time::Duration::from_nanos(call_ns) > end);
+            if answered || (effort == Effort::Deadline && late) {
+                break;
+            }
+            state.want_more(trie, effort);
+        }
+        out.log_prob_nats.clear();
+        out.log_prob_nats.extend(trie.label_end().iter().map(|&end| state.q[end as usize].ln()));
+        state.guess(trie, effort);
+        Ok(())
+    }
+
+    /// Scores the labels of one trie behind `self.prompt`, and appends them to `out`.
+    fn score_trie(&mut self, trie: &LabelTrie, tree: &TokenTree, out: &mut LabelScores) -> Result<(), ScoreError> {
+        let start = Instant::now();
+        let nodes = trie.nodes();
+        self.node_log_prob_nats.clear();
+        self.node_log_prob_nats.resize(nodes.len(), f64::NEG_INFINITY);
+        let log_prob = &mut self.node_log_prob_nats;
+        let mut bad_row = None;
+        let mut softmax_ns = 0;
+        let stats = self.model.decode(&self.prompt, tree, true, &mut |row, logits| {
+            let start = Instant::now();
+            let parent = row.checked_sub(1).map(|place| trie.inner()[place] as usize);
+            if !read_row(trie, parent, logits, |child, log_prob_nats| log_prob[child] = log_prob_nats) {
+                bad_row = Some(row);
+            }
+            softmax_ns += nanoseconds(start);
+        })?;
+        if let Some(row) = bad_row {
+            self.model.forget();
+            return Err(ModelError::NotFinite { at: row_name(row) }.into());
+        }
+        let decoded = Instant::now();
+        // Parents stand before their children, so one pass turns conditional probabilities into q(n).
+        for index in 0..nodes.len() {
+            if nodes[index].parent != PROMPT {
+                log_prob[index] += log_prob[nodes[index].parent as usize];
+            }
+        }
+        out.log_prob_nats.extend(trie.label_end().iter().map(|&end| log_prob[end as usize]));
+        out.stats += stats;
+        let decode_ns = u64::try_from(decoded.duration_since(start).as_nanos()).unwrap_or(u64::MAX);
+        out.prefix_ns += decode_ns.saturating_sub(softmax_ns);
+        out.trie_ns += softmax_ns + nanoseconds(decoded);
+        Ok(())
+    }
+}
+
+/// Gives `ln p(child | path)` of every child of `parent` (the trie's roots for `None`) from the row of logits that follows
+/// it; false when the row is not finite.
+fn read_row(trie: &LabelTrie, parent: Option<usize>, logits: &[f32], mut give: impl FnMut(usize, f64)) -> bool {
+    let nodes = trie.nodes();
+    let denominator = softmax::log_sum_exp(logits);
+    let (mut child, end) = match parent {
+        None => (0, nodes.len()),
+        Some(parent) => (parent + 1, parent + nodes[parent].subtree as usize),
+    };
+    while child < end {
+        let logit = usize::try_from(nodes[child].token.0).ok().and_then(|token| logits.get(token));
+        give(child, logit.map_or(f64::NEG_INFINITY, |&logit| f64::from(logit) - denominator));
+        child += nodes[child].subtree as usize;
+    }
+    denominator.is_finite()
+}
+
+fn row_name(row: usize) -> String {
+    if row == 0 { "the prompt".to_owned() } else { format!("trie node {}", row - 1) }
+}
+
+/// Length of what two token sequences begin with in common.
+fn common_prefix(a: &[Token], b: &[Token]) -> usize {
+    a.iter().zip(b).take_while(|(a, b)| a == b).count()
+}
+
+fn nanoseconds(since: Instant) -> u64 {
+    u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX)
+}

@@ -1,0 +1,113 @@
+//! The logarithm of a softmax's denominator over one row of logits.
+
+/// Values per block: small enough to stay in the first-level cache between the maximum and the sum.
+const BLOCK: usize = 1024;
+/// Lanes that are summed side by side, so that the compiler can use the widest vector registers.
+const LANES: usize = 16;
+
+/// `ln(sum(exp(row)))` in nats, in one pass over memory.
+///
+/// Within a block the maximum is taken first, then the exponentials are summed; a larger maximum rescales what was
+/// summed before. Gives minus infinity for an empty row or one of minus infinities, and NaN or plus infinity when the
+/// row holds such a value; callers refuse those.
+#[must_use]
+pub fn log_sum_exp(row: &[f32]) -> f64 {
+    let mut max = f32::NEG_INFINITY;
+    let mut sum = 0.0_f64;
+    for block in row.chunks(BLOCK) {
+        let (block_max, nan) = max_and_nan(block);
+        if nan {
+            return f64::NAN;
+        }
+        if block_max == f32::INFINITY {
+            return f64::INFINITY;
+        }
+        if block_max > max {
+            sum *= (f64::from(max) - f64::from(block_max)).exp();
+            max = block_max;
+        }
+        if max > f32::NEG_INFINITY {
+            sum += f64::from(sum_exp(block, max));
+        }
+    }
+    f64::from(max) + sum.ln()
+}
+
+fn max_and_nan(block: &[f32]) -> (f32, bool) {
+    let mut lanes = [f32::NEG_INFINITY; LANES];
+    let mut nan = [false; LANES];
+    let (chunks, rest) = block.as_chunks::<LANES>();
+    for chunk in chunks {
+        for lane in 0..LANES {
+            nan[lane] |= chunk[lane].is_nan();
+            lanes[lane] = if chunk[lane] > lanes[lane] { chunk[lane] } else { lanes[lane] };
+        }
+    }
+    let max = lanes.iter().chain(rest).copied().fold(f32::NEG_INFINITY, f32::max);
+    (max, nan.iter().any(|&n| n) || rest.iter().any(|x| x.is_nan()))
+}
+
+fn sum_exp(block: &[f32], max: f32) -> f32 {
+    let mut lanes = [0.0_f32; LANES];
+    let (chunks, rest) = block.as_chunks::<LANES>();
+    for chunk in chunks {
+        for lane in 0..LANES {
+            lanes[lane] += exp_not_positive(chunk[lane] - max);
+        }
+    }
+    lanes.iter().sum::<f32>() + rest.iter().map(|&x| exp_not_positive(x - max)).sum::<f32>()
+}
+
+/// `exp(x)` for `x <= 0`, without a branch, to about one unit in the last place of an f32.
+///
+/// `x = n ln 2 + r` with `|r| <= ln 2 / 2`; the Taylor polynomial of degree 7 on `r` leaves less than 1e-8; `2^n` is put together
+/// from its exponent bits. Below -87 the result is that at -87, which is 1.6e-38.
+#[inline(always)]
+fn exp_not_positive(x: f32) -> f32 {
+    let x = if x < -87.0 { -87.0 } else { x };
+    // Adding and taking away 1.5 * 2^23 rounds to the nearest integer.
+    const ROUND: f32 = 12_582_912.0;
+    let n = (x * std::f32::consts::LOG2_E + ROUND) - ROUND;
+    // ln 2 in two parts, so that n times the first is exact.
+    let r = (x - n * 0.693_359_4) - n * -2.121_944_4e-4;
+    let mut p = 1.0 / 5040.0;
+    p = p * r + 1.0 / 720.0;
+    p = p * r + 1.0 / 120.0;
+    p = p * r + 1.0 / 24.0;
+    p = p * r + 1.0 / 6.0;
+    p = p * r + 0.5;
+    p = p * r + 1.0;
+    p = p * r + 1.0;
+    // n lies in -126..=0, so the biased exponent is in 1..=127.
+    p * f32::from_bits((n as i32 + 127).cast_unsigned() << 23)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn by_hand(row: &[f32]) -> f64 {
+        let max = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        f64::from(max) + row.iter().map(|&x| (f64::from(x) - f64::from(max)).exp()).sum::<f64>().ln()
+    }
+
+    #[test]
+    fn special_rows() {
+        assert_eq!(log_sum_exp(&[]), f64::NEG_INFINITY);
+        assert_eq!(log_sum_exp(&[f32::NEG_INFINITY; 40]), f64::NEG_INFINITY);
+        assert!(log_sum_exp(&[0.0, f32::NAN]).is_nan());
+        let mut row = [0.0; 64];
+        row[3] = f32::NAN;
+        assert!(log_sum_exp(&row).is_nan());
+        row[3] = f32::INFINITY;
+        assert_eq!(log_sum_exp(&row), f64::INFINITY);
+        assert!((log_sum_exp(&[0.0; 64]) - 64f64.ln()).abs() < 1e-6);
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn agrees_with_double_precision(row in proptest::collection::vec(-200f32..200.0, 1..5000)) {
+            proptest::prop_assert!((log_sum_exp(&row) - by_hand(&row)).abs() < 2e-6);
+        }
+    }
+}

@@ -1,0 +1,195 @@
+//! A deterministic language model whose next-token probabilities follow from a seed: for tests, benches and the no-op scorer of `latency`.
+//!
+//! Its tokens are bytes, or words from a list. The logits after a sequence depend on its last [`TableModel::MEMORY`]
+//! tokens by a fixed hash, so that any score can be recomputed by hand from [`TableModel::logits_after`].
+
+use super::{DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token};
+use crate::label_trie::{PROMPT, TokenTree};
+
+/// The model. See the module's documentation.
+#[derive(Debug, Clone)]
+pub struct TableModel {
+    info: ModelInfo,
+    seed: u64,
+    row: Vec<f32>,
+    history: Vec<Token>,
+    kept: Vec<Token>,
+}
+
+impl TableModel {
+    /// Tokens that the next one depends on.
+    pub const MEMORY: usize = 8;
+    /// Bytes, and the start token.
+    pub const VOCABULARY: usize = 257;
+    const START: Token = Token(256);
+
+    /// A model over bytes; another seed gives other probabilities.
+    #[must_use]
+    pub fn new(seed: u64) -> Self {
+        Self {
+            info: ModelInfo {
+                name: format!("table-{seed}"),
+                architecture: "table".into(),
+                description: "deterministic table over bytes, no language model".into(),
+                parameters: 0,
+                size_bytes: 0,
+                vocabulary: Self::VOCABULARY,
+                context_tokens: 1 << 20,
+                shares_prefix: true,
+                fingerprint: {
+                    let mut fingerprint = [0; 32];
+                    fingerprint[..8].copy_from_slice(&seed.to_le_bytes());
+                    fingerprint
+                },
+            },
+            seed,
+            row: vec![0.0; Self::VOCABULARY],
+            history: Vec::new(),
+            kept: Vec::new(),
+        }
+    }
+
+    /// The logits after `sequence`, one per token: a fixed function of seed and the last [`Self::MEMORY`] tokens.
+    #[must_use]
+    pub fn logits_after(&self, sequence: &[Token]) -> Vec<f32> {
+        let mut row = vec![0.0; Self::VOCABULARY];
+        self.fill(sequence, &mut row);
+        row
+    }
+
+    fn fill(&self, sequence: &[Token], row: &mut [f32]) {
+        let recent = &sequence[sequence.len().saturating_sub(Self::MEMORY)..];
+        let mut state = self.seed ^ 0x9e37_79b9_7f4a_7c15;
+        for token in recent {
+            state = mix(state ^ u64::from(token.0.cast_unsigned()));
+        }
+        for (token, logit) in (0_u64..).zip(row) {
+            // Sixteen random bits over -4..4 nats.
+            *logit = (mix(state.wrapping_add(token)) >> 48) as f32 / 8192.0 - 4.0;
+        }
+    }
+}
+
+/// The finaliser of SplitMix64.
+fn mix(mut x: u64) -> u64 {
+    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
+}
+
+impl LanguageModel for TableModel {
+    fn info(&self) -> &ModelInfo {
+        &self.info
+    }
+
+    fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
+        if start == TextStart::Sequence {
+            out.push(Self::START);
+        }
+        out.extend(text.bytes().map(|b| Token(i32::from(b))));
+        Ok(())
+    }
+
+    fn token_text(&self, token: Token) -> String {
+        u8::try_from(token.0).map_or_else(|_| "<start>".into(), |b| char::from(b).to_string())
+    }
+
+    fn forget(&mut self) {
+        self.kept.clear();
+    }
+
+    fn tidy(&mut self) {}
+
+    fn decode(
+        &mut self,
+        prompt: &[Token],
+        tree: &TokenTree,
+        want_prompt_row: bool,
+        visit: &mut dyn FnMut(usize, &[f32]),
+    ) -> Result<DecodeStats, ModelError> {
+        let context = self.info.context_tokens;
+        if prompt.len() + tree.len() > context {
+            return Err(ModelError::TooLong { prompt: prompt.len(), tree: tree.len(), context });
+        }
+        let shared = super::common_prefix(&self.kept, prompt);
+        self.kept.clear();
+        self.kept.extend_from_slice(prompt);
+        let mut row = std::mem::take(&mut self.row);
+        let mut history = std::mem::take(&mut self.history);
+        if want_prompt_row {
+            self.fill(prompt, &mut row);
+            visit(0, &row);
+        }
+        for index in 0..tree.len() {
+            history.clear();
+            let mut node = index as u32;
+            while node != PROMPT && history.len() < Self::MEMORY {
+                history.push(tree.token(node as usize));
+                node = tree.parent(node as usize);
+            }
+            history.extend(prompt.iter().rev().take(Self::MEMORY.saturating_sub(history.len())));
+            history.reverse();
+            self.fill(&history, &mut row);
+            visit(index + 1, &row);
+        }
+        self.row = row;
+        self.history = history;
+        Ok(DecodeStats {
+            calls: 1,
+            prompt_tokens_decoded: (prompt.len() - shared) as u32,
+            tree_tokens_decoded: tree.len() as u32,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{LabelScores, Method, Scorer, Tokenisation, softmax};
+    use super::*;
+    use crate::prompt::{BindingSequence, write_prompt};
+
+    fn by_hand(model: &TableModel, prompt: &str, label: &str) -> f64 {
+        let mut sequence = Vec::new();
+        model.tokenise(prompt, TextStart::Sequence, &mut sequence).unwrap();
+        let mut sum = 0.0;
+        for byte in format!(" {label}").bytes() {
+            let row = model.logits_after(&sequence);
+            sum += f64::from(row[usize::from(byte)]) - softmax::log_sum_exp(&row);
+            sequence.push(Token(i32::from(byte)));
+        }
+        sum
+    }
+
+    proptest::proptest! {
+        /// Equation 1 by all three methods, against the product taken by hand from the table.
+        #[test]
+        fn every_method_gives_equation_1(
+            seed: u64,
+            narration in proptest::collection::vec("[A-Z][a-z ]{0,30}\\.", 0..6),
+            labels in proptest::collection::hash_set("[a-c]{1,4}( [a-c]{1,3})?", 1..30),
+            binding in proptest::sample::select(BindingSequence::all_built_in().collect::<Vec<_>>()),
+        ) {
+            let labels: Vec<String> = labels.into_iter().collect();
+            let model = TableModel::new(seed);
+            let mut scorer = Scorer::new(model.clone());
+            let prepared = scorer.prepare(&labels, &binding, Tokenisation::Joint).unwrap();
+            let mut prompt = String::new();
+            write_prompt(narration.iter().map(String::as_str), &binding, false, &mut prompt);
+            let mut scores = LabelScores::default();
+            for method in [Method::Trie, Method::SharedPrefix, Method::Independent] {
+                scorer.score(&prepared, &prompt, method, &mut scores).unwrap();
+                for (label, &score) in labels.iter().zip(&scores.log_prob_nats) {
+                    proptest::prop_assert!((score - by_hand(&model, &prompt, label)).abs() < 1e-9);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn no_labels_and_empty_labels_are_refused() {
+        let scorer = Scorer::new(TableModel::new(1));
+        let binding = BindingSequence::default();
+        assert!(scorer.prepare::<&str>(&[], &binding, Tokenisation::Joint).is_err());
+        assert!(scorer.prepare(&["mug", " "], &binding, Tokenisation::Joint).is_err());
+    }
+}

@@ -1,0 +1,116 @@
+//! From a configuration to a pipeline that is ready: model, map, labels.
+
+use std::path::Path;
+
+use crate::config::{Config, ConfigError};
+use crate::embedded::{self, ModelFile};
+use crate::grounding::{Grounding, GroundingError};
+use crate::pipeline::{Pipeline, PipelineError, PipelineOptions};
+use crate::scorer::llama::{LlamaModel, LlamaOptions};
+use crate::scorer::{LanguageModel, ModelError, hex_string};
+use crate::semantic_map::{SceneError, SemanticMap};
+
+/// What kept the service from becoming ready.
+#[derive(Debug, thiserror::Error)]
+pub enum SetupError {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The scene's grounding.
+    #[error(transparent)]
+    Grounding(#[from] GroundingError),
+    /// The model.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The embedded model.
+    #[error("failed to put the embedded model into an anonymous memory file: {0}; give a model file instead")]
+    Embedded(std::io::Error),
+    /// The pipeline.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+    /// The model is not the one that the configuration pins.
+    #[error("the model {path} has the SHA-256 {found}, but model.sha256 pins {pinned}: use the pinned file, or change the pin")]
+    Pin {
+        /// The file.
+        path: String,
+        /// What it has.
+        found: String,
+        /// What it must have.
+        pinned: String,
+    },
+}
+
+impl SetupError {
+    /// The exit code that stands for this error.
+    #[must_use]
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Config(_) => crate::exit_code::CONFIG,
+            Self::Scene(_) | Self::Grounding(_) => crate::exit_code::INPUT,
+            Self::Model(_) | Self::Embedded(_) | Self::Pipeline(_) | Self::Pin { .. } => crate::exit_code::MODEL,
+        }
+    }
+}
+
+/// Loads the model file at `path`, or the embedded one.
+///
+/// # Errors
+/// When it cannot be loaded.
+pub fn load_model(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaModel, SetupError> {
+    Ok(match path {
+        Some(path) => LlamaModel::load(path, options)?,
+        None => LlamaModel::load(&ModelFile::create().map_err(SetupError::Embedded)?.path(), options)?,
+    })
+}
+
+/// Loads the scene file at `path`, a shipped scene when `path` is its bare name, or the studio flat.
+///
+/// # Errors
+/// When the file is missing or malformed.
+pub fn load_map(path: Option<&Path>) -> Result<SemanticMap, SetupError> {
+    let text = match path {
+        None => Some(embedded::SCENES[0].text),
+        Some(path) if !path.exists() => path.to_str().and_then(embedded::scene).map(|scene| scene.text),
+        Some(_) => None,
+    };
+    Ok(match (text, path) {
+        (None, Some(path)) => SemanticMap::load(path)?,
+        (text, _) => SemanticMap::from_json(text.unwrap_or(embedded::SCENES[0].text))?,
+    })
+}
+
+/// Sets up everything that the configuration names.
+///
+/// # Errors
+/// The first part that cannot be set up.
+pub fn open(config: &Config) -> Result<(Pipeline<LlamaModel>, SemanticMap), SetupError> {
+    config.check()?;
+    let map = load_map(config.scene.path.as_deref())?;
+    let grounding = Grounding::new(&map, &config.grounding)?;
+    let model = load_model(config.model.path.as_deref(), &config.model.llama_options())?;
+    if let Some(pinned) = &config.model.sha256 {
+        let found = hex_string(&model.info().fingerprint);
+        if !pinned.eq_ignore_ascii_case(&found) {
+            let path = config.model.path.as_ref().map_or("(embedded)".into(), |p| p.display().to_string());
+            return Err(SetupError::Pin { path, found, pinned: pinned.clone() });
+        }
+    }
+    let pipeline = Pipeline::new(model, grounding, pipeline_options(config)?)?;
+    Ok((pipeline, map))
+}
+
+/// The pipeline's options, from the configuration.
+///
+/// # Errors
+/// When the binding sequence cannot be used.
+pub fn pipeline_options(config: &Config) -> Result<PipelineOptions, ConfigError> {
+    Ok(PipelineOptions {
+        binding: config.binding()?,
+        tokenisation: config.scoring.tokenisation,
+        method: config.scoring.method,
+        history: config.history,
+    })
+}
