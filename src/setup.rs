@@ -32,7 +32,9 @@ pub enum SetupError {
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
     /// The model is not the one that the configuration pins.
-    #[error("the model {path} has the SHA-256 {found}, but model.sha256 pins {pinned}: use the pinned file, or change the pin")]
+    #[error(
+        "the model {path} has the SHA-256 {found}, but model.sha256 pins {pinned}: use the pinned file, or change the pin"
+    )]
     Pin {
         /// The file.
         path: String,

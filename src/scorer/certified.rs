@@ -206,7 +206,8 @@ impl Bounds {
                 .sum();
             self.lower[ahead] - self.lower[behind] > most
         };
-        let top = self.order.split_first().is_some_and(|(&first, rest)| rest.iter().all(|&other| certain(first, other)));
+        let top =
+            self.order.split_first().is_some_and(|(&first, rest)| rest.iter().all(|&other| certain(first, other)));
         let ranking = top && self.order.windows(2).all(|pair| certain(pair[0], pair[1]));
         self.reached = match (top, ranking) {
             (_, true) => Effort::Ranking,
@@ -236,7 +237,8 @@ impl Bounds {
         }
         let mut left: f64 = self.impact.iter().sum();
         while left > 0.5 * self.margin.max(0.0) {
-            let Some(heaviest) = (0..self.impact.len()).max_by(|&a, &b| self.impact[a].total_cmp(&self.impact[b])) else {
+            let Some(heaviest) = (0..self.impact.len()).max_by(|&a, &b| self.impact[a].total_cmp(&self.impact[b]))
+            else {
                 return;
             };
             if self.impact[heaviest] < 0.0 {
