@@ -10,6 +10,7 @@ use crate::exit_code;
 
 mod completions;
 mod model;
+mod config;
 mod score;
 
 /// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
@@ -88,6 +89,8 @@ enum Command {
     Completions(completions::Args),
     /// Inspect and fetch language models.
     Model(model::Args),
+    /// Print the commented default configuration, or check one.
+    Config(config::Args),
     /// Score every label, item and partition of a scene once.
     Score(score::Args),
 }
@@ -98,6 +101,7 @@ pub fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Completions(args) => completions::run(&args),
         Command::Model(args) => model::run(&args),
+        Command::Config(args) => config::run(&args),
         Command::Score(args) => score::run(&args),
     };
     match result {
