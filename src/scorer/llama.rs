@@ -306,7 +306,7 @@ impl LanguageModel for LlamaModel {
     fn forget(&mut self) {
         self.batch.clear();
         self.rows.clear();
-        self.with_context(LlamaContext::clear_kv_cache);
+        self.with_context(|context| context.clear_kv_cache());
         self.kept.clear();
         self.kept_sequences = 1;
         self.untidy = false;
