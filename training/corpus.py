@@ -17,7 +17,7 @@ import numpy as np
 
 from data import Program
 from narration import (
-    DEFAULT_BINDING, STATES, Step, bind, next_targets, random_style, sentence, words,
+    DEFAULT_BINDING, STATES, Step, bind, next_targets, random_style, segments, words,
 )
 
 WINDOW = 16
@@ -93,6 +93,7 @@ class Branch:
 class Sequence:
     sentences: list[str]
     branches: list[Branch]
+    segments: list[list[str]]  # of the sentences, for the vocabulary
 
 
 def scene_labels(shared: Path, own: Path) -> dict[str, list[str]]:
@@ -156,7 +157,7 @@ class Corpus:
                 labels = self.scenes[rng.choice(list(self.scenes))]
                 target = rng.choice(targets)
                 branches.append(Branch(0, self.binding(rng), bind(target, labels) or target))
-        return self.distract(Sequence([], branches), rng, 0.1)
+        return self.distract(Sequence([], branches, []), rng, 0.1)
 
     def wording(self, rng: random.Random) -> list[Step]:
         """Somebody handles things of one map in no particular order: teaches its wordings, and that things are put back."""
@@ -220,51 +221,58 @@ class Corpus:
         start = max(0, rng.randint(-WINDOW, len(steps) - 2)) if len(steps) > 1 else 0
         style = random_style(rng)
         answer = bound if rng.random() < 0.75 else lambda word: word
-        keep = rng.choice([0.5, 0.8])
+        keep = rng.choice([0.7, 1.0])
         with_states = rng.random() < 0.06
         sentences: list[str] = []
+        parts: list[list[str]] = []
         branches: list[Branch] = []
         for k in range(start, min(len(steps), start + WINDOW)):
-            sentences.append(sentence(steps[k], style))
+            parts.append(segments(steps[k], style))
+            sentences.append("".join(parts[-1]).strip())
             if with_states and steps[k].action in STATES and steps[k].objects:
                 sentences.append(STATES[steps[k].action].format(steps[k].target))
+                parts.append(STATES[steps[k].action].partition("{0}")[::2])
             target = targets[k]
             if target and rng.random() < keep:
                 branches.append(Branch(len(sentences), self.binding(rng), answer(target)))
-        return self.distract(Sequence(sentences, branches), rng, 0.03)
+        return self.distract(Sequence(sentences, branches, parts), rng, 0.03)
 
 
 TRUNK_WEIGHT, LABEL_WEIGHT, END_WEIGHT = 0.25, 1.0, 0.3
 
 
 class Encoder:
-    """Sequences to arrays. Words are tokenised one by one: no token of the vocabulary crosses a space."""
+    """Sequences to arrays.
 
-    def __init__(self, tokenizer):
-        self.tokenizer, self.cache = tokenizer, {}
+    Sentences, bindings and labels are tokenised one by one, which gives the tokens of the joined text: no token of the
+    vocabulary crosses from one to the next. Some are cut at random into smaller tokens than usual, so that the small tokens
+    have a meaning too when a sentence is unusual. Labels never are.
+    """
 
-    def ids(self, text: str) -> list[int]:
-        out: list[int] = []
-        for word in text.split(" "):
-            if word not in self.cache:
-                self.cache[word] = self.tokenizer.encode(word)
-            out += self.cache[word]
-        return out
+    def __init__(self, tokenizer, roughness: float = 0.06):
+        self.tokenizer, self.roughness, self.cache = tokenizer, roughness, {}
 
-    def encode(self, sequence: Sequence, limit: int) -> dict[str, np.ndarray]:
+    def ids(self, text: str, rng: random.Random | None = None) -> list[int]:
+        if rng and rng.random() < self.roughness:
+            return self.tokenizer.encode(text, enable_sampling=True, alpha=0.3, nbest_size=-1)
+        if text not in self.cache:
+            self.cache[text] = self.tokenizer.encode(text)
+        return self.cache[text]
+
+    def encode(self, sequence: Sequence, limit: int, rng: random.Random) -> dict[str, np.ndarray]:
         """Arrays of one sequence, at most `limit` long; branches that do not fit are left out.
 
         token, position, branch (0: trunk), sees (trunk tokens that are visible), target and weight of the next token.
         """
         trunk, ends, weights = [self.tokenizer.bos_id()], [1], []
         for text in sequence.sentences:
-            trunk += self.ids(text)
+            trunk += self.ids(text, rng)
             ends.append(len(trunk))
         rows = [[t, i, 0, len(trunk), n, TRUNK_WEIGHT] for i, (t, n) in enumerate(zip(trunk, trunk[1:] + [0]))][:limit]
         rows[-1][5] = 0.0
         for number, branch in enumerate(sequence.branches, 1):
             sees = ends[branch.after]
-            cue, label, stop = self.ids(branch.binding), self.ids(branch.label), self.tokenizer.piece_to_id(".")
+            cue, label, stop = self.ids(branch.binding, rng), self.ids(branch.label), self.tokenizer.piece_to_id(".")
             text = cue + label
             if sees > limit or len(rows) + len(text) > limit:
                 break
@@ -284,8 +292,8 @@ def pack(encoder: Encoder, corpus: Corpus, rng: random.Random, rows: int, length
     mask = np.zeros((rows, length, length), bool)
     for row in range(rows):
         used = 0
-        while length - used > 40:
-            part = encoder.encode(corpus.draw(rng), length - used)
+        while length - used > 24:
+            part = encoder.encode(corpus.draw(rng), length - used, rng)
             size = len(part["token"])
             for name in out:
                 out[name][row, used : used + size] = part[name]

@@ -15,8 +15,13 @@ KINDS = {"f32": gguf.GGMLQuantizationType.F32, "q8_0": gguf.GGMLQuantizationType
 
 
 def tensors(model: Household) -> dict[str, np.ndarray]:
-    """llama.cpp's names. Rotary pairs are interleaved there too, so nothing is permuted; the output is the embedding."""
+    """llama.cpp's names and its order of rotary pairs. There is no output matrix: llama.cpp takes the embedding."""
     width, out = model.shape.width, {}
+
+    def neighbours(rows: np.ndarray) -> np.ndarray:
+        """Pairs (i, i + half) of each head become pairs (2 i, 2 i + 1)."""
+        return rows.reshape(model.shape.heads, 2, -1, width).swapaxes(1, 2).reshape(width, width)
+
     state = {name: value.detach().float().numpy() for name, value in model.state_dict().items()}
     out["token_embd.weight"] = state["embedding.weight"]
     out["output_norm.weight"] = state["norm.weight"]
@@ -26,7 +31,7 @@ def tensors(model: Household) -> dict[str, np.ndarray]:
         gate, up = np.split(state[block + "gate_up.weight"], 2)
         out |= {
             name + "attn_norm.weight": state[block + "attention_norm.weight"],
-            name + "attn_q.weight": query, name + "attn_k.weight": key, name + "attn_v.weight": value,
+            name + "attn_q.weight": neighbours(query), name + "attn_k.weight": neighbours(key), name + "attn_v.weight": value,
             name + "attn_output.weight": state[block + "attention_out.weight"],
             name + "ffn_norm.weight": state[block + "feed_norm.weight"],
             name + "ffn_gate.weight": gate, name + "ffn_up.weight": up, name + "ffn_down.weight": state[block + "down.weight"],

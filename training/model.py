@@ -1,7 +1,7 @@
 """A llama-architecture language model, small enough to train on two cores.
 
-The layout is the one that llama.cpp runs under the name `llama`: pre-norm blocks with RMS normalisation, rotary positions
-on interleaved pairs, gated SiLU feed-forward, no biases. Embedding and output share one matrix.
+The layout is the one that llama.cpp runs under the name `llama`: pre-norm blocks with RMS normalisation, rotary positions,
+gated SiLU feed-forward, no biases. Embedding and output share one matrix.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class Shape:
 
     vocab: int = 3072
     width: int = 256
-    layers: int = 5
+    layers: int = 4
     heads: int = 8
     feed_forward: int = 704
     context: int = 2048
@@ -42,9 +42,12 @@ class RmsNorm(nn.Module):
 
 
 def rotate(x: torch.Tensor, cos: torch.Tensor, sin: torch.Tensor) -> torch.Tensor:
-    """Rotates the pairs (0, 1), (2, 3), ... of the last axis. x: [batch, heads, time, head width]."""
-    even, odd = x[..., 0::2], x[..., 1::2]
-    return torch.stack((even * cos - odd * sin, even * sin + odd * cos), dim=-1).flatten(-2)
+    """Rotates pairs (i, i + half) of the last axis. x: [batch, heads, time, head width].
+
+    Contiguous halves are much faster here than the neighbouring pairs that llama.cpp rotates; the export reorders the rows.
+    """
+    first, second = x.chunk(2, dim=-1)
+    return torch.cat((first * cos - second * sin, first * sin + second * cos), dim=-1)
 
 
 class Block(nn.Module):
@@ -94,6 +97,8 @@ class Household(nn.Module):
     def forward(self, tokens, positions, mask) -> torch.Tensor:
         angle = positions[:, None, :, None].float() * self.frequency
         cos, sin = angle.cos(), angle.sin()
+        if torch.is_autocast_enabled(tokens.device.type):
+            cos, sin = cos.bfloat16(), sin.bfloat16()
         x = F.dropout(self.embedding(tokens), self.dropout, self.training)
         for block in self.blocks:
             x = block(x, cos, sin, mask)

@@ -97,14 +97,27 @@ def random_style(rng: random.Random) -> Style:
 
 
 def sentence(step: Step, style: Style = PRODUCT) -> str:
-    """One observation as a sentence. Unknown actions are said by their own name, as in the product."""
+    """One observation as a sentence."""
+    return "".join(segments(step, style)).strip()
+
+
+def segments(step: Step, style: Style = PRODUCT) -> list[str]:
+    """A sentence in parts: what is said around the objects, and the objects. Tokens of the vocabulary never cross parts.
+
+    Unknown actions are said by their own name, as in the product.
+    """
     objects = [word for word, _ in step.objects[:2]]
     entry = ACTIONS.get(step.action)
     if entry is None:
         verb, tail = step.action, "the {0}" if objects else ""
     else:
         verb, tail = entry[style.tense], entry["tails"][len(objects)]
-    return f"{style.subject} {verb} {tail.format(*objects)}".strip() + "."
+    subject = [style.subject, f" {verb}"] if style.subject != PRODUCT.subject else [f"{style.subject} {verb}"]
+    parts = [part for part in re.split(r"( \{\d\})", f" {tail}" if tail else "") if part]
+    filled = [part.format(*objects) for part in parts]
+    if filled and not parts[0].startswith(" {"):
+        subject[-1] += filled.pop(0)
+    return [*subject, *filled, "."]
 
 
 STATES = {

@@ -56,13 +56,12 @@ def main() -> None:
     arguments.add_argument("--work", type=Path, default=ROOT / "training/work", help="vocabulary, checkpoints and the full-precision file")
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--steps", type=int, default=Schedule.steps)
-    arguments.add_argument("--threads", type=int, default=2, help="fixed, because sums depend on it")
     arguments.add_argument("--large", action="store_true", help="the larger variant, for a GPU")
     arguments.add_argument("--dev", action="store_true", help="hold the development clusters out too")
     arguments.add_argument("--export-only", action="store_true", help="take the last checkpoint instead of training")
     given = arguments.parse_args()
 
-    torch.set_num_threads(given.threads)
+    torch.set_num_threads(1)  # sums depend on the number of threads; training uses processes
     device = "cuda" if torch.cuda.is_available() else "cpu"
     given.work.mkdir(parents=True, exist_ok=True)
     given.out.mkdir(parents=True, exist_ok=True)
@@ -72,11 +71,11 @@ def main() -> None:
         model = restore(checkpoint)
         pieces = vocabulary.load(given.work / "vocabulary.model")
     else:
-        pieces = vocabulary.train(corpus, given.seed, 2560, given.work / "vocabulary")
+        pieces = vocabulary.train(corpus, given.seed, 3072, given.work / "vocabulary")
         size = -(-pieces.vocab_size() // 32) * 32
         shape = Shape(vocab=size, width=512, layers=8, feed_forward=1408) if given.large else Shape(vocab=size)
         schedule = Schedule(steps=given.steps, rows=64 if given.large else Schedule.rows)
-        model = train(shape, schedule, Encoder(pieces), corpus, given.seed, device, checkpoint).cpu()
+        model = train(shape, schedule, Encoder(pieces), corpus, given.seed, device, checkpoint)
     reference, shipped = given.work / "household-f32.gguf", given.out / "household.gguf"
     export.write(model, pieces, reference, "f32", DESCRIPTION)
     export.write(model, pieces, shipped, "q8_0", DESCRIPTION)
@@ -94,7 +93,7 @@ def write_manifest(given, corpus, programs, model, shipped: Path) -> None:
     manifest = {
         "model": {"file": shipped.name, "sha256": data.sha256(shipped), "bytes": shipped.stat().st_size, "parameters": model.parameter_count(), "shape": model.shape.to_dict()},
         "command": f"python training/run.py --shared SHARED --seed {given.seed} --steps {given.steps}" + (" --dev" if given.dev else ""),
-        "environment": {"python": platform.python_version(), "torch": torch.__version__, "threads": given.threads, "machine": platform.machine()},
+        "environment": {"python": platform.python_version(), "torch": torch.__version__, "workers": Schedule.workers, "machine": platform.machine()},
         "splits": {
             split: {
                 "programs": len(members),

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+import os
 import random
+import socket
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Queue
 from threading import Thread
 
+import sentencepiece
 import torch
+import torch.distributed
+import torch.multiprocessing
 import torch.nn.functional as F
 
 from corpus import Corpus, Encoder, pack
@@ -19,9 +24,10 @@ from model import Household, Shape
 
 @dataclass(frozen=True)
 class Schedule:
-    steps: int = 4000
-    rows: int = 8
-    length: int = 384
+    steps: int = 1800
+    workers: int = 2  # processes, on CPUs
+    rows: int = 8  # per worker
+    length: int = 192
     rate: float = 2e-3
     warm_up: int = 150
     weight_decay: float = 0.1
@@ -46,7 +52,7 @@ def loss_of(model: Household, batch: dict[str, torch.Tensor]) -> torch.Tensor:
     return (F.cross_entropy(logits, batch["target"][wanted], reduction="none") * weight).sum() / weight.sum()
 
 
-def batches(encoder: Encoder, corpus: Corpus, seed: int, schedule: Schedule, device: str):
+def batches(encoder: Encoder, corpus: Corpus, seed: str, schedule: Schedule, device: str):
     """Batches in a fixed order, one made ahead."""
     queue: Queue = Queue(maxsize=4)
 
@@ -60,39 +66,74 @@ def batches(encoder: Encoder, corpus: Corpus, seed: int, schedule: Schedule, dev
         yield {name: value.to(device) for name, value in queue.get().items()}
 
 
-def train(shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, every: int = 250) -> Household:
+def train(shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path) -> Household:
+    """Trains and returns the averaged weights, which are also left in `checkpoint`.
+
+    On CPUs every worker is a process with one thread and a part of the batch: they meet once per step, whereas threads meet
+    in every operation and lose most of their time when something else runs beside them.
+    """
+    workers = schedule.workers if device == "cpu" else 1
+    if workers == 1:
+        work(0, 1, shape, schedule, encoder, corpus, seed, device, checkpoint)
+    else:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            os.environ.update(MASTER_ADDR="127.0.0.1", MASTER_PORT=str(server.getsockname()[1]))
+        arguments = (workers, shape, schedule, encoder, corpus, seed, device, checkpoint)
+        torch.multiprocessing.start_processes(work, arguments, nprocs=workers, start_method="fork")
+    return restore(checkpoint)
+
+
+def work(rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path) -> None:
+    if workers > 1:
+        torch.set_num_threads(1)
+        torch.distributed.init_process_group("gloo", rank=rank, world_size=workers)
     torch.manual_seed(seed)
+    sentencepiece.set_random_generator_seed(seed * workers + rank)
     model = Household(shape, schedule.dropout).to(device)
+    torch.manual_seed(seed * workers + rank)
     averaged = {name: value.detach().clone() for name, value in model.state_dict().items()}
-    matrices = [p for n, p in model.named_parameters() if p.dim() == 2]
-    others = [p for n, p in model.named_parameters() if p.dim() != 2]
+    matrices = [p for p in model.parameters() if p.dim() == 2]
+    others = [p for p in model.parameters() if p.dim() != 2]
     groups = [{"params": matrices, "weight_decay": schedule.weight_decay}, {"params": others, "weight_decay": 0.0}]
     optimiser = torch.optim.AdamW(groups, lr=schedule.rate, betas=(0.9, 0.98), fused=True)
     model.train()
     began, running = time.monotonic(), 0.0
-    for step, batch in enumerate(batches(encoder, corpus, seed, schedule, device)):
+    for step, batch in enumerate(batches(encoder, corpus, f"{seed} {rank}", schedule, device), 1):
         for group in optimiser.param_groups:
-            group["lr"] = rate_at(step, schedule)
+            group["lr"] = rate_at(step - 1, schedule)
         with torch.autocast(device, torch.bfloat16):
             loss = loss_of(model, batch)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
+        if workers > 1:
+            share_gradients(model, workers)
         torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
         optimiser.step()
-        keep = min(schedule.average, (step + 1) / (step + 10))
+        running += loss.item()
+        if rank:
+            continue
+        keep = min(schedule.average, step / (step + 9))
         with torch.no_grad():
             for name, value in model.state_dict().items():
                 averaged[name].lerp_(value, 1 - keep)
-        running += loss.item()
-        if (step + 1) % 50 == 0:
+        if step % 50 == 0:
             seconds = time.monotonic() - began
-            speed = (step + 1) * schedule.rows * schedule.length / seconds
-            print(f"step {step + 1}/{schedule.steps}  loss {running / 50:.4f}  {speed:.0f} tokens/s  {seconds:.0f} s", flush=True)
+            speed = step * workers * schedule.rows * schedule.length / seconds
+            print(f"step {step}/{schedule.steps}  loss {running / 50:.4f}  {speed:.0f} tokens/s  {seconds:.0f} s", flush=True)
             running = 0.0
-        if (step + 1) % every == 0 or step + 1 == schedule.steps:
-            torch.save({"shape": shape.to_dict(), "model": averaged, "step": step + 1}, checkpoint)
-    model.load_state_dict(averaged)
-    return model.eval()
+        if step % 200 == 0 or step == schedule.steps:
+            torch.save({"shape": shape.to_dict(), "model": averaged, "step": step}, checkpoint)
+    if workers > 1:
+        torch.distributed.destroy_process_group()
+
+
+def share_gradients(model: Household, workers: int) -> None:
+    """Replaces every worker's gradient by the mean over the workers."""
+    gradients = [p.grad for p in model.parameters()]
+    flat = torch.cat([g.flatten() for g in gradients])
+    torch.distributed.all_reduce(flat)
+    for gradient, part in zip(gradients, flat.div_(workers).split([g.numel() for g in gradients])):
+        gradient.copy_(part.view_as(gradient))
 
 
 def restore(checkpoint: Path) -> Household:

@@ -1,0 +1,220 @@
+"""Next-object and next-room forecasts of a model and of the baselines, on held-out programs in given scenes.
+
+This steers training. The figures of the model card come from `roomcast experiment forecast`, which scores through the product itself.
+
+    python training/evaluate.py --shared ../shared --work training/work --split test
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import random
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import torch
+
+import data
+import export
+import tokenizer as vocabulary
+from corpus import Encoder, PAPER_BINDINGS
+from model import Household
+from narration import DEFAULT_BINDING, bind, next_targets, sentence, words
+from statistics_file import count
+from train import restore
+
+WINDOW = 16
+
+
+class Scene:
+    """Labels of a VirtualHome graph, and for each of their items the room that the graph names."""
+
+    def __init__(self, path: Path):
+        graph = json.loads(path.read_text())
+        nodes = {n["id"]: n for n in graph["nodes"]}
+        rooms = {i: words(n["class_name"]) for i, n in nodes.items() if n["category"] == "Rooms"}
+        room_of = {e["from_id"]: rooms[e["to_id"]] for e in graph["edges"] if e["relation_type"] == "INSIDE" and e["to_id"] in rooms}
+        room_of |= rooms
+        self.name, self.rooms = path.stem.removesuffix("_graph"), sorted(set(rooms.values()))
+        items: dict[str, list[str]] = {}
+        for i, node in nodes.items():
+            if node["class_name"] not in ("character", "floor", "wall", "ceiling") and i in room_of:
+                items.setdefault(words(node["class_name"]), []).append(room_of[i])
+        self.items, self.labels = items, sorted(items)
+        self.index = {label: k for k, label in enumerate(self.labels)}
+        # [labels, rooms]: the share of a label's items in each room
+        self.share = np.array([[items[l].count(r) / len(items[l]) for r in self.rooms] for l in self.labels])
+
+    def room(self, label: str, identifier: int, seed: str) -> str:
+        """The room of the item that an object stands for: the same identifier is the same item."""
+        return random.Random(f"{seed} {label} {identifier}").choice(self.items[label])
+
+
+def label_log_probs(model: Household, encoder: Encoder, prompts: list[list[int]], labels: list[list[int]]) -> np.ndarray:
+    """[prompts, labels], in nats: the sum over a label's tokens. First tokens are read off one row, the rest decoded."""
+    out = np.zeros((len(prompts), len(labels)))
+    first = [l[0] for l in labels]
+    longer = [k for k, l in enumerate(labels) if len(l) > 1]
+
+    def decode(rows: list[list[int]]) -> torch.Tensor:
+        size = max(map(len, rows))
+        tokens = torch.zeros(len(rows), size, dtype=torch.long)
+        for i, row in enumerate(rows):
+            tokens[i, : len(row)] = torch.tensor(row)
+        positions = torch.arange(size).expand(len(rows), size)
+        mask = torch.ones(size, size, dtype=torch.bool).tril()[None, None]
+        return model(tokens, positions, mask)
+
+    with torch.no_grad():
+        for at in range(0, len(prompts), 64):
+            chunk = prompts[at : at + 64]
+            hidden = decode(chunk)
+            last = torch.stack([hidden[i, len(p) - 1] for i, p in enumerate(chunk)])
+            out[at : at + len(chunk)] = model.logits(last).log_softmax(-1)[:, first].numpy()
+            for k in longer:
+                hidden = decode([p + labels[k][:-1] for p in chunk])
+                for i, p in enumerate(chunk):
+                    for j in range(1, len(labels[k])):
+                        out[at + i, k] += model.logits(hidden[i, len(p) + j - 1]).log_softmax(-1)[labels[k][j]].item()
+    return out
+
+
+class Baselines:
+    """Frequency and Markov chains over the labels of one scene, interpolated with weights that a grid search on the training half picks."""
+
+    def __init__(self, programs: list[data.Program], scene: Scene):
+        self.scene, size = scene, len(scene.labels)
+        frequency, first, second = count(programs)
+        column = lambda counts: self.vector(counts)
+        self.frequency = column(frequency) + 0.5
+        self.frequency /= self.frequency.sum()
+        self.first = {a: column(c) for a, c in first.items()}
+        self.second = {a: column(c) for a, c in second.items()}
+        self.uniform = np.full(size, 1 / size)
+
+    def vector(self, counts: Counter) -> np.ndarray:
+        out = np.zeros(len(self.scene.labels))
+        for word, n in counts.items():
+            if label := bind(word, self.scene.index):
+                out[self.scene.index[label]] += n
+        return out
+
+    def predict(self, visited: list[str]) -> dict[str, np.ndarray]:
+        """Witten-Bell back-off: second order to first order to frequency."""
+        def blend(counts, lower):
+            kinds = (counts > 0).sum()
+            return (counts + kinds * lower) / (counts.sum() + kinds) if kinds else lower
+        zero = np.zeros_like(self.uniform)
+        one = blend(self.first.get(visited[-1], zero) if visited else zero, self.frequency)
+        two = blend(self.second.get(">".join(visited[-2:]), zero), one)
+        return {"uniform": self.uniform, "frequency": self.frequency, "markov1": one, "markov2": two}
+
+
+def cases_of(programs: list[data.Program], scene: Scene):
+    """Every step of every program whose next object is in the scene."""
+    for number, program in enumerate(programs):
+        steps, targets = list(program.steps), next_targets(list(program.steps))
+        identifiers = [next((o for s in steps[k + 1 :] for o in s.objects[:1] if o[0] == t), None) for k, t in enumerate(targets)]
+        room, visited = None, []
+        for k, step in enumerate(steps):
+            if step.target and (not visited or visited[-1] != step.target):
+                visited.append(step.target)
+            if step.objects and (label := bind(step.objects[0][0], scene.index)):
+                room = scene.room(label, step.objects[0][1], program.source)
+            if targets[k] and (label := bind(targets[k], scene.index)):
+                yield number, steps[max(0, k + 1 - WINDOW) : k + 1], list(visited), label, room, scene.room(label, identifiers[k][1], program.source)
+
+
+def evaluate(model, encoder, train_programs, programs, scene: Scene, binding: str = DEFAULT_BINDING, bootstrap: int = 300) -> dict:
+    """Rows by (target, predictor): the mean of each measure and its 95 % interval, programs being the unit that is resampled."""
+    cases = list(cases_of(programs, scene))
+    label_tokens = [encoder.ids(l) for l in scene.labels]
+    cue = encoder.ids(binding)
+    bos = encoder.tokenizer.bos_id()
+    prompts = [[bos] + [t for s in steps for t in encoder.ids(sentence(s))] + cue for _, steps, *_ in cases]
+    order = np.argsort([len(p) for p in prompts])
+    scores = np.zeros((len(cases), len(scene.labels)))
+    scores[order] = label_log_probs(model, encoder, [prompts[i] for i in order], label_tokens)
+    probability = np.exp(scores - scores.max(1, keepdims=True))
+    probability /= probability.sum(1, keepdims=True)
+    blank = label_log_probs(model, encoder, [[bos] + cue], label_tokens)[0]
+    blank = np.exp(blank - blank.max())
+    baselines = Baselines(train_programs, scene)
+    stay = fitted_stay(train_programs, scene)
+    truth = np.array([scene.index[c[3]] for c in cases])
+    rooms = np.array([scene.rooms.index(c[5]) for c in cases])
+    now = np.array([scene.rooms.index(c[4]) if c[4] else -1 for c in cases])
+    predicted = {"model": probability, "no-narration": np.tile(blank / blank.sum(), (len(cases), 1))}
+    rows_of = [baselines.predict(c[2]) for c in cases]
+    for name in ("uniform", "frequency", "markov1", "markov2"):
+        predicted[name] = np.stack([row[name] for row in rows_of])
+    group = np.array([c[0] for c in cases])
+    result = {"scene": scene.name, "cases": len(cases), "rows": {}, "mass": float(np.exp(scores).sum(1).mean())}
+    for name, p in predicted.items():
+        own = p[np.arange(len(p)), truth]
+        rank = 1 + (p > own[:, None]).sum(1) + 0.5 * ((p == own[:, None]).sum(1) - 1)
+        measures = {"nll": -np.log(own), "top1": rank == 1, "top5": rank <= 5, "mrr": 1 / rank}
+        result["rows"][f"object {name}"] = summarise(measures, group, bootstrap)
+    in_room = {name: p @ scene.share for name, p in predicted.items()}
+    kept = np.full((len(cases), len(scene.rooms)), (1 - stay) / (len(scene.rooms) - 1))
+    kept[now >= 0, now[now >= 0]] = stay
+    kept[now < 0] = 1 / len(scene.rooms)
+    in_room["stay"] = kept
+    change = (now >= 0) & (now != rooms)
+    for name, p in in_room.items():
+        own = p[np.arange(len(p)), rooms]
+        result["rows"][f"room {name}"] = summarise({"nll": -np.log(own + 1e-12), "top1": p.argmax(1) == rooms}, group, bootstrap)
+        result["rows"][f"room-change {name}"] = summarise({"top1": (p.argmax(1) == rooms)[change], "nll": -np.log(own + 1e-12)[change]}, group[change], bootstrap)
+    return result
+
+
+def fitted_stay(programs, scene: Scene) -> float:
+    stays = [c[4] == c[5] for c in cases_of(programs[:400], scene) if c[4]]
+    return (sum(stays) + 1) / (len(stays) + 2)
+
+
+def summarise(measures: dict[str, np.ndarray], group: np.ndarray, bootstrap: int) -> dict:
+    rng = np.random.default_rng(0)
+    units = np.unique(group)
+    size = {u: k for k, u in enumerate(units)}
+    slot = np.array([size[g] for g in group])
+    counts = np.bincount(slot, minlength=len(units))
+    draws = rng.integers(0, len(units), (bootstrap, len(units)))
+    out = {}
+    for name, values in measures.items():
+        sums = np.bincount(slot, values.astype(float), minlength=len(units))
+        resampled = sums[draws].sum(1) / counts[draws].sum(1)
+        out[name] = [float(np.mean(values)), *np.percentile(resampled, [2.5, 97.5]).tolist()]
+    return out
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--shared", type=Path, required=True)
+    arguments.add_argument("--work", type=Path, required=True)
+    arguments.add_argument("--split", choices=("dev", "test"), default="test")
+    arguments.add_argument("--scenes", nargs="*", default=["TestScene1", "TestScene2", "TestScene5"])
+    arguments.add_argument("--limit", type=int, default=0, help="only so many programs")
+    arguments.add_argument("--quantised", action="store_true", help="round the matrices as the shipped file does")
+    given = arguments.parse_args()
+    torch.set_num_threads(1)
+    model, encoder = restore(given.work / "checkpoint.pt"), Encoder(vocabulary.load(given.work / "vocabulary.model"))
+    if given.quantised:
+        model.load_state_dict(export.quantised(model, "q8_0"))
+    programs = data.virtualhome(given.shared)
+    fit = [p for p in programs if data.split_of(p.cluster, given.split == "dev") == "train"]
+    held = [p for p in programs if data.split_of(p.cluster, given.split == "dev") == given.split]
+    if given.limit:
+        held = random.Random(0).sample(held, min(given.limit, len(held)))
+    for name in given.scenes:
+        result = evaluate(model, encoder, fit, held, Scene(given.shared / f"virtualhome/scenes/{name}_graph.json"))
+        print(f"{name}: {result['cases']} cases, label mass {result['mass']:.2f}")
+        for row, measures in result["rows"].items():
+            print(f"  {row:28}", "  ".join(f"{m} {v[0]:.3f} [{v[1]:.3f} {v[2]:.3f}]" for m, v in measures.items()), flush=True)
+
+
+if __name__ == "__main__":
+    main()
