@@ -189,7 +189,7 @@ class Corpus:
             steps = steps + list(self.draw_program(rng).steps)
         if rng.random() < 0.40:
             swap = {}
-            for word in {word for s in steps for word, _ in s.objects}:
+            for word in sorted({word for s in steps for word, _ in s.objects}):
                 if rng.random() < 0.35 and word in KIND_OF:
                     swap[word] = rng.choice(KIND_OF[word])
                 elif rng.random() < 0.03:

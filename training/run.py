@@ -15,10 +15,11 @@ from collections import Counter
 from pathlib import Path
 
 # Freed memory is kept: a training step allocates and frees the same few hundred megabytes, and asking the system
-# for fresh pages costs more than the arithmetic. The allocator reads these at start-up, hence the restart.
-ALLOCATOR = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": "100000000000", "MALLOC_TOP_PAD_": "268435456"}
-if __name__ == "__main__" and any(os.environ.get(name) != value for name, value in ALLOCATOR.items()):
-    os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **ALLOCATOR})
+# for fresh pages costs more than the arithmetic. Python's hashes are fixed too, lest an order depend on them. All are read at
+# start-up, hence the restart.
+SURROUNDINGS = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": "100000000000", "MALLOC_TOP_PAD_": "268435456", "PYTHONHASHSEED": "0"}
+if __name__ == "__main__" and any(os.environ.get(name) != value for name, value in SURROUNDINGS.items()):
+    os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **SURROUNDINGS})
 
 import torch
 
@@ -79,9 +80,32 @@ def main() -> None:
     reference, shipped = given.work / "household-f32.gguf", given.out / "household.gguf"
     export.write(model, pieces, reference, "f32", DESCRIPTION)
     export.write(model, pieces, shipped, "q8_0", DESCRIPTION)
+    write_expected_tokens(corpus, pieces, given.out / "household-tokens.json")
     statistics_file.write(programs["train"], given.out / "household-statistics.json")
     write_manifest(given, corpus, programs, model, shipped)
     print(f"wrote {shipped}: {shipped.stat().st_size / 1e6:.2f} MB, {model.parameter_count() / 1e6:.2f} M parameters")
+
+
+HOSTILE = [
+    "", " ", "  two  spaces  ", " leading", "trailing ", "\ttab\nline\r\n", "<s>", "</s>", "<unk>", "<0x41>", "a<s>b</s>c", "<|endoftext|>",
+    "\u2581They\u2581walk", "\u2581", "\u2581\u2581\u2581", "na\u00efve caf\u00e9", "cafe\u0301", "\u6d17\u8863\u673a", "\U0001f9fa laundry \U0001f468\u200d\U0001f373", "\u00a0nbsp", "\u200bzero", "\ufeffbom", "\ufffd",
+    "THEY WALK TO THE KITCHEN.", "Theywalktothekitchen.", "They walk to the kitchen.They open the fridge.", "They  walk to  the kitchen.", "1234567890", "They grab 12 mugs.", "....", "!?#$%&'()*+,-/:;=@[\\]^_`{|}~",
+    "x" * 300, "the " * 60, "kitchenkitchenkitchen", "They walk to the xylophone.", "Next, the human will go to the", "Next, the human will go to the ", "\u0000nul", "\u0001\u0002\u007f",
+]
+
+
+def write_expected_tokens(corpus: Corpus, pieces, path: Path) -> None:
+    """Texts and their tokens without the leading begin-of-text token, for the product to show that llama.cpp agrees."""
+    rng = random.Random("expected tokens")
+    texts = list(HOSTILE)
+    for _ in range(60):
+        drawn = corpus.draw(rng)
+        branch = rng.choice(drawn.branches) if drawn.branches else None
+        seen = drawn.sentences[: branch.after] if branch else drawn.sentences
+        texts.append(" ".join([*seen, *([branch.binding, branch.label] if branch else [])]))
+    texts += [f"Next, the human will go to the {label}" for label in corpus.all_labels]
+    rows = ",\n".join(json.dumps([text, pieces.encode(text)]) for text in texts)
+    path.write_text(f"[\n{rows}\n]\n")
 
 
 def write_manifest(given, corpus, programs, model, shipped: Path) -> None:

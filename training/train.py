@@ -24,9 +24,9 @@ from model import Household, Shape
 
 @dataclass(frozen=True)
 class Schedule:
-    steps: int = 1800
+    steps: int = 3000
     workers: int = 2  # processes, on CPUs
-    rows: int = 8  # per worker
+    rows: int = 4  # per worker
     length: int = 192
     rate: float = 2e-3
     warm_up: int = 150

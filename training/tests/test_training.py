@@ -1,0 +1,141 @@
+"""Quick checks of the pipeline's parts: narration, splits, generator, batches, export. `pytest training/tests`.
+
+Those that need the data folders take them from SHARED, by default ../shared beside the repository, and skip without.
+"""
+
+import os
+import random
+import sys
+from pathlib import Path
+
+import gguf
+import numpy as np
+import pytest
+import torch
+
+HERE = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(HERE))
+
+import corpus as corpora
+import data
+import export
+import routines
+import run
+import tokenizer as vocabulary
+from model import Household, Shape
+from narration import PRODUCT, Step, Style, bind, next_targets, parse_step, segments, sentence, words
+
+SHARED = Path(os.environ.get("SHARED", HERE.parent.parent / "shared"))
+needs_data = pytest.mark.skipif(not (SHARED / "virtualhome").is_dir(), reason=f"no data at {SHARED}: set SHARED")
+
+
+def step(text):
+    return parse_step(text)
+
+
+def test_product_sentences():
+    assert sentence(step("[Walk] <mug> (1)")) == "They walk to the mug."
+    assert sentence(step("[PutBack] <plate> (1) <table> (2)")) == "They put the plate on the table."
+    assert sentence(step("[Pour] <water> (1) <cup> (1)")) == "They pour the water into the cup."
+    assert sentence(step("[SWITCHON] <television> (1) [2]")) == "They switch on the television."
+    assert sentence(step("[StandUp]")) == "They stand up."
+    assert sentence(step("[Levitate] <coffe_maker> (1)")) == "They levitate the coffee maker."
+
+
+def test_styles_and_segments():
+    assert sentence(step("[Grab] <mug> (1)"), Style("Anna", "past")) == "Anna grabbed the mug."
+    assert segments(step("[PutBack] <plate> (1) <table> (2)"), Style("She", "third")) == ["She", " puts the", " plate", " on the", " table", "."]
+    assert "".join(segments(step("[Sleep]"))).strip() == "They sleep."
+
+
+def test_names():
+    assert words("washingmachine") == "washing machine"
+    assert words("food_peanut_butter") == "peanut butter"
+    assert words("wall_clock") == "wall clock"
+    assert bind("couch", {"sofa", "tv"}) == "sofa"
+    assert bind("sofa", {"sofa", "couch"}) == "sofa"
+    assert bind("volcano", {"sofa"}) is None
+
+
+def test_next_target_is_another_object():
+    steps = [step(t) for t in ("[Walk] <cup> (1)", "[Find] <cup> (1)", "[StandUp]", "[Grab] <cup> (1)", "[Walk] <sink> (1)")]
+    assert next_targets(steps) == ["sink", "sink", "cup", "sink", None]
+
+
+def test_clusters():
+    for title in ("Set up table", "Lay tablecloth", "Pick up phone", "Make bed", "Pay bills", "Greet guests", "Water plants", "Drink"):
+        assert data.split_of(data.cluster_of(title), dev=False) == "test", title
+    for title in ("Start computer", "Watch TV", "Make coffee", "Check email"):
+        assert data.split_of(data.cluster_of(title), dev=False) == "train", title
+
+
+def test_routines_vary_and_are_well_formed():
+    loaded = routines.load(HERE / "routines")
+    assert len(loaded) > 120
+    for routine in loaded:
+        variants = {routine.program(random.Random(seed)).steps for seed in range(12)}
+        assert len(variants) > 1, routine.title
+        assert routine.program(random.Random(5)).steps == routine.program(random.Random(5)).steps
+
+
+@needs_data
+def test_no_test_activity_is_trained_on():
+    corpus, programs = run.corpus_of(SHARED, dev=False)
+    trained = {p.cluster for p in corpus.programs} | {r.cluster for r in corpus.routines} | {p.cluster for day in corpus.days for p in day}
+    assert programs["test"] and not trained & {p.cluster for p in programs["test"]}
+    assert not {p.source for p in corpus.programs} & {p.source for p in programs["test"]}
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    if not (SHARED / "virtualhome").is_dir():
+        pytest.skip(f"no data at {SHARED}: set SHARED")
+    corpus, _ = run.corpus_of(SHARED, dev=False)
+    return corpus, vocabulary.train(corpus, 1, 3072, tmp_path_factory.mktemp("vocabulary") / "v")
+
+
+def test_tokens_never_cross_segments(tiny):
+    corpus, pieces = tiny
+    rng = random.Random(2)
+    for _ in range(150):
+        drawn = corpus.draw(rng)
+        for branch in drawn.branches:
+            seen = drawn.sentences[: branch.after]
+            joined = pieces.encode(" ".join([*seen, f"{branch.binding} {branch.label}."]))
+            apart = [t for text in (*seen, branch.binding, branch.label) for t in pieces.encode(text)]
+            assert joined == apart + [pieces.piece_to_id(".")], branch
+
+
+def test_a_branch_is_the_prompt_that_the_product_sends(tiny):
+    corpus, pieces = tiny
+    encoder = corpora.Encoder(pieces, roughness=0.0)
+    shape = Shape(vocab=-(-pieces.vocab_size() // 32) * 32, width=64, layers=2, heads=2, feed_forward=96)
+    torch.manual_seed(0)
+    model = Household(shape).eval()
+    sequence = corpus.narrate([Step(v, ((w, 1),)) for v, w in (("walk", "kitchen"), ("grab", "mug"), ("walk", "sink"), ("wash", "mug"))], random.Random(7))
+    part = encoder.encode(sequence, 400, random.Random(0))
+    index = np.arange(len(part["token"]))
+    trunk = (part["branch"][None] == 0) & (index[None] < part["sees"][:, None])
+    own = (part["branch"][None] == part["branch"][:, None]) & (part["branch"][:, None] > 0)
+    mask = torch.from_numpy((trunk | own) & (index[None] <= index[:, None]))[None, None]
+    packed = model(torch.from_numpy(part["token"])[None], torch.from_numpy(part["position"])[None], mask)[0]
+    for number, branch in enumerate(sequence.branches, 1):
+        plain = [pieces.bos_id()] + pieces.encode(" ".join([*sequence.sentences[: branch.after], branch.binding, branch.label]))
+        causal = torch.ones(len(plain), len(plain), dtype=torch.bool).tril()[None, None]
+        alone = model(torch.tensor([plain]), torch.arange(len(plain))[None], causal)[0, -1]
+        last = index[part["branch"] == number][-1]
+        assert torch.allclose(packed[last], alone, atol=1e-4)
+
+
+def test_export_keeps_every_weight(tmp_path):
+    pieces = type("Pieces", (), dict(
+        vocab_size=lambda s: 32, id_to_piece=lambda s, i: f"p{i}", get_score=lambda s, i: -float(i), is_unknown=lambda s, i: i == 0,
+        is_control=lambda s, i: i in (1, 2), is_byte=lambda s, i: False, bos_id=lambda s: 1, eos_id=lambda s: 2, unk_id=lambda s: 0))()
+    model = Household(Shape(vocab=64, width=64, layers=2, heads=2, feed_forward=96)).eval()
+    export.write(model, pieces, tmp_path / "m.gguf", "q8_0", "test")
+    read = {t.name: t for t in gguf.GGUFReader(tmp_path / "m.gguf").tensors}
+    for name, value in export.tensors(model).items():
+        held = gguf.quants.dequantize(read[name].data, read[name].tensor_type).reshape(value.shape)
+        assert np.abs(held - value).max() <= np.abs(value).max() / 127 + 1e-6, name
+    query = model.state_dict()["blocks.0.query_key_value.weight"].numpy()[:64]
+    assert np.allclose(export.tensors(model)["blk.0.attn_q.weight"][1], query[16])  # second row: partner of the first
