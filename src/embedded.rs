@@ -8,6 +8,8 @@ use std::path::PathBuf;
 
 /// The household model, a GGUF file; `models/README.md` is its card.
 pub const MODEL: &[u8] = include_bytes!("../models/household.gguf");
+/// Scores that [`MODEL`] is known to give, JSON; `roomcast model check --record` wrote them.
+pub const MODEL_CHECK: &str = include_str!("../models/household-check.json");
 /// The name by which messages and tables call [`MODEL`].
 pub const MODEL_NAME: &str = "household (embedded)";
 /// Statistics of the training split that the forecast's baselines are fitted on, JSON.

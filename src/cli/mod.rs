@@ -9,8 +9,9 @@ use clap::{Parser, Subcommand};
 use crate::exit_code;
 
 mod completions;
-mod model;
 mod config;
+mod doctor;
+mod model;
 mod score;
 
 /// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
@@ -87,10 +88,12 @@ pub struct Cli {
 enum Command {
     /// Print a completion script for a shell.
     Completions(completions::Args),
-    /// Inspect and fetch language models.
-    Model(model::Args),
     /// Print the commented default configuration, or check one.
     Config(config::Args),
+    /// Say whether this machine can run Roomcast, and how well.
+    Doctor(doctor::Args),
+    /// Inspect, check and fetch language models.
+    Model(model::Args),
     /// Score every label, item and partition of a scene once.
     Score(score::Args),
 }
@@ -100,8 +103,9 @@ enum Command {
 pub fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Completions(args) => completions::run(&args),
-        Command::Model(args) => model::run(&args),
         Command::Config(args) => config::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
+        Command::Model(args) => model::run(&args),
         Command::Score(args) => score::run(&args),
     };
     match result {

@@ -3,12 +3,17 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::{CommandResult, Failure};
+use crate::embedded::{self, ModelFile};
 use crate::exit_code;
 use crate::gguf::Header;
 use crate::hub::{self, Hub, HubError};
+use crate::prompt::{BindingSequence, write_prompt};
+use crate::scorer::llama::{LlamaModel, LlamaOptions};
+use crate::scorer::{LabelScores, LanguageModel, Method, ScoreError, Scorer, Token, Tokenisation};
 
 /// Arguments of `roomcast model`.
 #[derive(Debug, clap::Args)]
@@ -21,8 +26,22 @@ pub struct Args {
 enum Command {
     /// Show architecture, quantisation, vocabulary, context, checksum and licence of a model file.
     Info {
-        /// A GGUF file.
-        file: PathBuf,
+        /// A GGUF file; the embedded household model when left out.
+        file: Option<PathBuf>,
+        /// Print JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Load a model, tokenise, score by every method, and compare with scores that are known.
+    Check {
+        /// A GGUF file; the embedded household model when left out.
+        file: Option<PathBuf>,
+        /// Known scores to compare with, as --record writes them; those in the binary when it is the embedded model.
+        #[arg(long, value_name = "FILE")]
+        case: Option<PathBuf>,
+        /// Write this model's scores as a known case.
+        #[arg(long, value_name = "FILE", conflicts_with = "case")]
+        record: Option<PathBuf>,
         /// Print JSON.
         #[arg(long)]
         json: bool,
@@ -48,7 +67,10 @@ enum Command {
 /// Runs the subcommand and prints on standard output.
 pub fn run(args: &Args) -> CommandResult {
     match &args.command {
-        Command::Info { file, json } => info(file, *json),
+        Command::Info { file, json } => info(file.as_deref(), *json),
+        Command::Check { file, case, record, json } => {
+            check(file.as_deref(), case.as_deref(), record.as_deref(), *json)
+        }
         Command::Pull { repository, file, endpoint, cache, json } => {
             let hub = Hub { endpoint: Some(endpoint.clone()), cache: cache.clone() };
             pull(&hub, repository, file, *json)
@@ -113,10 +135,218 @@ fn print(text: &str) -> CommandResult {
     std::io::stdout().write_all(text.as_bytes()).map_err(|error| Failure::new(exit_code::FAILURE, error))
 }
 
-fn info(file: &Path, as_json: bool) -> CommandResult {
-    let header = Header::read_language_model(file).map_err(|error| Failure::new(exit_code::MODEL, error))?;
-    let sha256 = hub::sha256_of(file).map_err(|error| Failure::new(exit_code::MODEL, error))?;
-    print(&if as_json { format!("{:#}\n", describe(file, &header, &sha256)) } else { table(file, &header, &sha256) })
+/// The file to look at, and the value that keeps it alive when it is the embedded model.
+fn open(file: Option<&Path>) -> Result<(PathBuf, Option<ModelFile>), Failure> {
+    if let Some(file) = file {
+        return Ok((file.to_owned(), None));
+    }
+    let embedded = ModelFile::create().map_err(|error| Failure::new(exit_code::MODEL, error))?;
+    Ok((embedded.path(), Some(embedded)))
+}
+
+fn info(file: Option<&Path>, as_json: bool) -> CommandResult {
+    let (path, _embedded) = open(file)?;
+    let header = Header::read_language_model(&path).map_err(|error| Failure::new(exit_code::MODEL, error))?;
+    let sha256 = hub::sha256_of(&path).map_err(|error| Failure::new(exit_code::MODEL, error))?;
+    let shown = file.unwrap_or(Path::new(embedded::MODEL_NAME));
+    print(&if as_json { format!("{:#}\n", describe(shown, &header, &sha256)) } else { table(shown, &header, &sha256) })
+}
+
+/// Scores that a model is known to give: a regression test that travels with the model.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct KnownCase {
+    /// Checksum of the model's file.
+    model_sha256: String,
+    /// Sentences, oldest first.
+    narration: Vec<String>,
+    /// A binding sequence, by name or as text.
+    binding: String,
+    /// How far a score may be from the recorded one: machines round quantised products differently.
+    tolerance_nats: f64,
+    /// Labels with `ln s_c`, Equation 1.
+    labels: Vec<KnownLabel>,
+}
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct KnownLabel {
+    label: String,
+    log_prob_nats: f64,
+}
+
+impl KnownCase {
+    /// A case for any model: a morning in a kitchen, and labels that are likely, unlikely, or of several tokens and so decoded.
+    fn unscored() -> Self {
+        let narration =
+            ["They walk to the kitchen.", "They open the fridge.", "They grab the milk.", "They close the fridge."];
+        let labels = [
+            "bed",
+            "coffee maker",
+            "cup",
+            "fridge",
+            "garden hose",
+            "grandfather clock",
+            "kitchen",
+            "living room",
+            "sofa",
+            "table",
+            "toothbrush",
+            "washing machine",
+        ];
+        Self {
+            model_sha256: String::new(),
+            narration: narration.map(str::to_owned).into(),
+            binding: "default".into(),
+            tolerance_nats: 0.05,
+            labels: labels.map(|label| KnownLabel { label: label.into(), log_prob_nats: 0.0 }).into(),
+        }
+    }
+
+    fn read(path: &Path) -> Result<Self, Failure> {
+        let fail = |error: String| {
+            let remedy = "give a file that `roomcast model check --record` wrote";
+            Failure::new(
+                exit_code::INPUT,
+                format!("failed to read the known case {}: {error}; {remedy}", path.display()),
+            )
+        };
+        let text = std::fs::read_to_string(path).map_err(|error| fail(error.to_string()))?;
+        serde_json::from_str(&text).map_err(|error| fail(error.to_string()))
+    }
+
+    /// The recorded scores of the embedded model.
+    fn embedded() -> Result<Self, Failure> {
+        serde_json::from_str(embedded::MODEL_CHECK).map_err(|error| Failure::new(exit_code::MODEL, error))
+    }
+}
+
+/// One thing that was checked.
+#[derive(Debug, Serialize)]
+struct Checked {
+    check: &'static str,
+    ok: bool,
+    found: String,
+}
+
+/// Largest difference between two methods' scores of one label, in nats per token. The cache is f16 and quantised products take other
+/// kernels at other batch sizes.
+const METHODS_TOLERANCE_NATS_PER_TOKEN: f64 = 2e-2;
+
+fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_json: bool) -> CommandResult {
+    let model_failure = |error: &dyn std::fmt::Display| Failure::new(exit_code::MODEL, error.to_string());
+    let (path, _embedded) = open(file)?;
+    let known = match (case, file) {
+        (Some(case), _) => Some(KnownCase::read(case)?),
+        (None, None) if record.is_none() => Some(KnownCase::embedded()?),
+        _ => None,
+    };
+    let mut case = known.clone().unwrap_or_else(KnownCase::unscored);
+    let model = LlamaModel::load(&path, &LlamaOptions::default()).map_err(|error| model_failure(&error))?;
+    let about = model.info().clone();
+    let sha256 = hub::hex(&about.fingerprint);
+    let mut checked = vec![Checked {
+        check: "loads",
+        ok: true,
+        found: format!("{}, {}, {} tokens of vocabulary", about.architecture, about.description, about.vocabulary),
+    }];
+
+    let mut scorer = Scorer::new(model);
+    let labels: Vec<_> = case.labels.iter().map(|known| known.label.clone()).collect();
+    let binding: BindingSequence =
+        case.binding.parse().map_err(|error| Failure::new(exit_code::INPUT, format!("binding: {error}")))?;
+    let prepared = scorer.prepare(&labels, &binding, Tokenisation::Joint).map_err(|error| model_failure(&error))?;
+    checked.push(tokenises(&scorer, &labels, prepared.tokens()));
+
+    let mut prompt = String::new();
+    write_prompt(case.narration.iter().map(String::as_str), &binding, false, &mut prompt);
+    let mut score = |method| -> Result<LabelScores, ScoreError> {
+        let mut scores = LabelScores::default();
+        scorer.forget();
+        scorer.score(&prepared, &prompt, method, &mut scores)?;
+        Ok(scores)
+    };
+    let mut scores = Vec::new();
+    for method in [Method::Trie, Method::SharedPrefix, Method::Independent] {
+        scores.push(score(method).map_err(|error| model_failure(&error))?.log_prob_nats);
+    }
+    let mass: f64 = scores[0].iter().map(|log_prob_nats| log_prob_nats.exp()).sum();
+    checked.push(Checked {
+        check: "scores are probabilities",
+        // No label of the case begins another, so their scores add up to at most 1.
+        ok: scores.iter().flatten().all(|score| score.is_finite() && *score <= 0.0) && mass <= 1.0 + 1e-6,
+        found: format!("{} labels, together {:.1} %", labels.len(), 100.0 * mass),
+    });
+    let mut worst: f64 = 0.0;
+    for other in &scores[1..] {
+        for ((a, b), tokens) in scores[0].iter().zip(other).zip(prepared.tokens()) {
+            worst = worst.max((a - b).abs() / tokens.len() as f64);
+        }
+    }
+    checked.push(Checked {
+        check: "methods agree",
+        ok: worst <= METHODS_TOLERANCE_NATS_PER_TOKEN,
+        found: format!("within {worst:.1e} nats per token, {METHODS_TOLERANCE_NATS_PER_TOKEN:.0e} allowed"),
+    });
+    if known.is_some() {
+        checked.push(compare(&case, &sha256, &scores[0]));
+    }
+
+    if let Some(record) = record {
+        case.model_sha256 = sha256;
+        for (known, score) in case.labels.iter_mut().zip(&scores[0]) {
+            known.log_prob_nats = *score;
+        }
+        std::fs::write(record, format!("{:#}\n", json!(case))).map_err(|error| {
+            Failure::new(exit_code::FAILURE, format!("failed to write {}: {error}", record.display()))
+        })?;
+    }
+    let failed = checked.iter().filter(|checked| !checked.ok).count();
+    if as_json {
+        print(&format!("{:#}\n", json!({"model": about, "ok": failed == 0, "checks": checked})))?;
+    } else {
+        let lines =
+            checked.iter().map(|c| format!("{:<6}{:<26}{}\n", if c.ok { "good" } else { "WRONG" }, c.check, c.found));
+        print(&lines.collect::<String>())?;
+    }
+    if failed > 0 {
+        return Err(Failure::new(
+            exit_code::CHECK,
+            format!("{failed} checks failed: this model gives no scores to rely on"),
+        ));
+    }
+    Ok(())
+}
+
+/// Whether the tokens of each label spell the label.
+fn tokenises(scorer: &Scorer<LlamaModel>, labels: &[String], tokens: &[Vec<Token>]) -> Checked {
+    let spelled = |tokens: &[Token]| tokens.iter().map(|&token| scorer.model().token_text(token)).collect::<String>();
+    let misspelt: Vec<_> =
+        labels.iter().zip(tokens).filter(|(label, tokens)| spelled(tokens).trim_start() != label.as_str()).collect();
+    let count: usize = tokens.iter().map(Vec::len).sum();
+    Checked {
+        check: "tokenises",
+        ok: misspelt.is_empty(),
+        found: match misspelt.first() {
+            None => format!("{} labels, {:.1} tokens each", labels.len(), count as f64 / labels.len().max(1) as f64),
+            Some((label, tokens)) => format!("the label {label:?} comes back as {:?}", spelled(tokens)),
+        },
+    }
+}
+
+fn compare(case: &KnownCase, sha256: &str, scores: &[f64]) -> Checked {
+    let worst =
+        case.labels.iter().zip(scores).map(|(known, score)| (known.log_prob_nats - score).abs()).fold(0.0, f64::max);
+    let same_file = case.model_sha256 == sha256;
+    Checked {
+        check: "known scores",
+        ok: same_file && worst <= case.tolerance_nats,
+        found: if same_file {
+            format!("within {worst:.1e} nats of those recorded, {:.0e} allowed", case.tolerance_nats)
+        } else {
+            format!("the case was recorded for the file {}, this is {sha256}", case.model_sha256)
+        },
+    }
 }
 
 fn pull(hub: &Hub, repository: &str, file: &str, as_json: bool) -> CommandResult {
@@ -140,4 +370,28 @@ fn pull(hub: &Hub, repository: &str, file: &str, as_json: bool) -> CommandResult
         "{}\n{verified}; use it by --model, or as model.path in the configuration\n",
         table(&pulled.path, &pulled.header, &pulled.sha256)
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fails when the model was changed and its known scores were not: `roomcast model check --record models/household-check.json`.
+    #[test]
+    fn the_embedded_model_gives_its_known_scores() {
+        if let Err(failure) = check(None, None, None, true) {
+            panic!(
+                "{failure}; after a change of the model run `roomcast model check --record models/household-check.json`"
+            );
+        }
+    }
+
+    #[test]
+    fn a_damaged_file_is_a_model_failure_and_no_crash() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), &embedded::MODEL[..embedded::MODEL.len() / 2]).unwrap();
+        let failure = check(Some(file.path()), None, None, false).unwrap_err();
+        assert_eq!(failure.code, exit_code::MODEL);
+        assert!(failure.to_string().contains("truncated"), "{failure}");
+    }
 }

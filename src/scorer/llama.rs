@@ -116,6 +116,26 @@ fn backend() -> Result<&'static LlamaBackend, String> {
     Ok(BACKEND.get_or_init(|| backend))
 }
 
+/// The vector units and options that llama.cpp was compiled with, as ggml names them (`AVX2`, `FMA`, `NEON`, ...).
+///
+/// # Errors
+/// When llama.cpp cannot be set up.
+pub fn build_features() -> Result<Vec<String>, ModelError> {
+    static ASKING: Mutex<()> = Mutex::new(());
+    let fail = |reason: String| ModelError::Load { path: "(llama.cpp)".into(), reason };
+    backend().map_err(fail)?;
+    let guard = ASKING.lock().map_err(|_| fail("asking for its features failed before".into()))?;
+    #[expect(unsafe_code, reason = "llama-cpp-2 has no safe function for it")]
+    // SAFETY: the function returns a zero-terminated text in a static that the next call rewrites; the lock keeps other calls
+    // away until it is copied, and the backend is set up.
+    let text =
+        unsafe { std::ffi::CStr::from_ptr(llama_cpp_sys_2::llama_print_system_info()) }.to_string_lossy().into_owned();
+    drop(guard);
+    // "CPU : SSE3 = 1 | AVX2 = 1 | "
+    let entries = text.split(['|', ':']).filter_map(|entry| entry.trim().split_once(" = "));
+    Ok(entries.filter(|&(_, value)| value.trim() != "0").map(|(name, _)| name.to_owned()).collect())
+}
+
 /// SHA-256 of a file.
 ///
 /// # Errors

@@ -1,0 +1,389 @@
+//! `roomcast doctor`: can this machine run Roomcast, and how well. Every finding that is not good comes with its remedy.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use comfy_table::{Color, Table};
+use roomcast_ipc::{Domain, NarrationV1};
+use rustix::process::{Resource, getrlimit};
+use serde::Serialize;
+
+use super::{CommandResult, Failure};
+use crate::config::Config;
+use crate::embedded;
+use crate::exit_code;
+use crate::gguf::Header;
+use crate::grounding::Grounding;
+use crate::narration::{Observation, Program, Sentence};
+use crate::scorer::llama;
+use crate::setup;
+
+/// Arguments of `roomcast doctor`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The configuration to check model, scene and limits for; the defaults when left out.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// A GGUF model to check in place of the configured one.
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// A scene to check in place of the configured one.
+    #[arg(long, value_name = "FILE")]
+    scene: Option<PathBuf>,
+    /// Print JSON, for a report to the developers.
+    #[arg(long)]
+    json: bool,
+}
+
+/// How good a finding is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Verdict {
+    Good,
+    /// Works, with a limit that the remedy lifts.
+    Limited,
+    /// Does not work, or many times worse than it could.
+    Wrong,
+}
+
+#[derive(Debug, Serialize)]
+struct Finding {
+    check: &'static str,
+    verdict: Verdict,
+    found: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    remedy: Option<String>,
+}
+
+impl Finding {
+    fn good(check: &'static str, found: impl Into<String>) -> Self {
+        Self { check, verdict: Verdict::Good, found: found.into(), remedy: None }
+    }
+
+    fn limited(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self { check, verdict: Verdict::Limited, found: found.into(), remedy: Some(remedy.into()) }
+    }
+
+    fn wrong(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self { check, verdict: Verdict::Wrong, found: found.into(), remedy: Some(remedy.into()) }
+    }
+}
+
+/// Vector units that llama.cpp has kernels for: ggml's name, whether this processor has it, and whether its absence from the build
+/// costs so much that it counts as a fault.
+fn vector_units() -> Vec<(&'static str, bool, bool)> {
+    #[cfg(target_arch = "x86_64")]
+    let units = vec![
+        ("AVX2", std::is_x86_feature_detected!("avx2"), true),
+        ("FMA", std::is_x86_feature_detected!("fma"), true),
+        ("F16C", std::is_x86_feature_detected!("f16c"), true),
+        ("AVX_VNNI", std::is_x86_feature_detected!("avxvnni"), false),
+        ("AVX512", std::is_x86_feature_detected!("avx512f"), false),
+        ("AVX512_VNNI", std::is_x86_feature_detected!("avx512vnni"), false),
+    ];
+    #[cfg(target_arch = "aarch64")]
+    let units = vec![
+        ("NEON", std::arch::is_aarch64_feature_detected!("neon"), true),
+        ("DOTPROD", std::arch::is_aarch64_feature_detected!("dotprod"), true),
+        ("MATMUL_INT8", std::arch::is_aarch64_feature_detected!("i8mm"), false),
+        ("SVE", std::arch::is_aarch64_feature_detected!("sve"), false),
+    ];
+    #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
+    let units = Vec::new();
+    units
+}
+
+fn processor() -> Finding {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let units: Vec<_> = vector_units().iter().filter(|unit| unit.1).map(|unit| unit.0).collect();
+    let found = format!("{}, {cores} cores, {}", std::env::consts::ARCH, units.join(" "));
+    if cores < 2 {
+        return Finding::limited(
+            "processor",
+            found,
+            "with one core the model competes with everything else; give it two or more",
+        );
+    }
+    Finding::good("processor", found)
+}
+
+fn llama_build() -> Finding {
+    let check = "llama.cpp";
+    let built = match llama::build_features() {
+        Ok(built) => built,
+        Err(error) => return Finding::wrong(check, error.to_string(), "build Roomcast again"),
+    };
+    let missing = |fault: bool| {
+        let units =
+            vector_units().into_iter().filter(|unit| unit.1 && unit.2 == fault && !built.iter().any(|b| b == unit.0));
+        units.map(|unit| unit.0).collect::<Vec<_>>()
+    };
+    let found = format!("built with {}", built.join(" "));
+    let remedy = "build on this machine with -C target-cpu=native, as .cargo/config.toml in the source does; docs/packaging.md has portable ways";
+    let (faults, limits) = (missing(true), missing(false));
+    if !faults.is_empty() {
+        let found = format!("{found}; without {}, which this processor has: several times slower", faults.join(" "));
+        return Finding::wrong(check, found, remedy);
+    }
+    if !limits.is_empty() {
+        return Finding::limited(
+            check,
+            format!("{found}; without {}, which this processor has", limits.join(" ")),
+            remedy,
+        );
+    }
+    Finding::good(check, found)
+}
+
+/// Bytes that iceoryx2's segments of all services take together, with room to spare.
+const SHARED_MEMORY_BYTES_MIN: u64 = 64 << 20;
+
+fn shared_memory() -> Finding {
+    let check = "shared memory";
+    let remedy = "mount a tmpfs of 64 MB or more on /dev/shm (docker run --shm-size=256m), or free some";
+    match rustix::fs::statvfs("/dev/shm") {
+        Ok(about) => {
+            let megabytes = |blocks: u64| blocks.saturating_mul(about.f_frsize) as f64 / 1e6;
+            let found =
+                format!("/dev/shm: {:.0} of {:.0} MB free", megabytes(about.f_bavail), megabytes(about.f_blocks));
+            if about.f_bavail.saturating_mul(about.f_frsize) < SHARED_MEMORY_BYTES_MIN {
+                Finding::wrong(check, found, remedy)
+            } else {
+                Finding::good(check, found)
+            }
+        }
+        Err(error) => Finding::wrong(check, format!("/dev/shm: {error}"), remedy),
+    }
+}
+
+/// Joins the default domain, which proves its root directory, and opens services in a private one, which disturbs nobody.
+fn messages(domain: &Domain) -> Finding {
+    let check = "messages";
+    let root = match tempfile::tempdir() {
+        Ok(root) => root,
+        Err(error) => return Finding::wrong(check, error.to_string(), "make the folder for temporary files writable"),
+    };
+    let tried = domain.open("roomcast-doctor").and_then(|_| {
+        // A root of its own: cleaning up removes it, and with it whatever another domain had there.
+        let private = Domain::new(root.path().join("ipc"), &format!("doctor-{}", std::process::id()))?;
+        let node = private.open("roomcast-doctor")?;
+        let (publisher, subscriber) = (node.publisher::<NarrationV1>()?, node.subscriber::<NarrationV1>()?);
+        let connected = publisher.subscribers();
+        drop((publisher, subscriber, node));
+        private.clean_up()?;
+        Ok(connected)
+    });
+    match tried {
+        Ok(connected) if connected > 0 => Finding::good(
+            check,
+            format!("iceoryx2 {} opens services under {}", roomcast_ipc::ICEORYX2_VERSION, domain.root().display()),
+        ),
+        Ok(_) => Finding::wrong(
+            check,
+            "a subscriber is not seen by its publisher",
+            "see whether /dev/shm is the same for all processes (PrivateTmp, containers)",
+        ),
+        Err(error) => Finding::wrong(
+            check,
+            error.to_string(),
+            "all participants run as one user, with the same root directory, which that user owns",
+        ),
+    }
+}
+
+fn open_files() -> Finding {
+    let limit = getrlimit(Resource::Nofile).current;
+    let found = limit.map_or("unlimited".into(), |limit| limit.to_string());
+    match limit {
+        Some(limit) if limit < 512 => {
+            Finding::wrong("open files", found, "ulimit -n 4096, or LimitNOFILE=4096 in the unit")
+        }
+        _ => Finding::good("open files", found),
+    }
+}
+
+fn locked_memory(wanted: bool, model_bytes: u64) -> Finding {
+    let limit = getrlimit(Resource::Memlock).current;
+    let found = limit.map_or("unlimited".into(), |limit| format!("{:.1} MB", limit as f64 / 1e6));
+    match limit {
+        Some(limit) if wanted && limit < model_bytes => Finding::wrong(
+            "locked memory",
+            format!("{found}, the model has {:.1} MB and model.lock_memory asks for it", model_bytes as f64 / 1e6),
+            "LimitMEMLOCK=infinity in the unit, or model.lock_memory = false",
+        ),
+        _ => Finding::good("locked memory", found),
+    }
+}
+
+/// Loads model and scene as the daemon would, and times events of a shipped program.
+fn model_and_scene(config: &Config) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    let shown = |path: &Option<PathBuf>, embedded: &str| {
+        path.as_ref().map_or(embedded.to_owned(), |path| path.display().to_string())
+    };
+    match setup::load_map(config.scene.path.as_deref()).map_err(|error| error.to_string()).and_then(|map| {
+        let grounding = Grounding::new(&map, &config.grounding).map_err(|error| error.to_string())?;
+        Ok((map, grounding))
+    }) {
+        Err(error) => findings.push(Finding::wrong(
+            "scene",
+            error,
+            "roomcast scene check FILE names every fault; without scene.path the shipped studio is used",
+        )),
+        Ok((map, grounding)) => {
+            let found = format!(
+                "{}: {} rooms, {} items of {} labels",
+                shown(&config.scene.path, "studio (embedded)"),
+                map.rooms.len(),
+                map.items.len(),
+                map.labels.len()
+            );
+            findings.push(match grounding.unassigned.len() {
+                0 => Finding::good("scene", found),
+                count => Finding::limited(
+                    "scene",
+                    format!("{found}; {count} items in no partition"),
+                    "roomcast scene check FILE lists them",
+                ),
+            });
+        }
+    }
+    if let Some(path) = &config.model.path
+        && let Err(error) = Header::read_language_model(path)
+    {
+        findings.push(Finding::wrong(
+            "model",
+            error.to_string(),
+            "without model.path the embedded household model is used",
+        ));
+        return findings;
+    }
+    let loading = Instant::now();
+    let opened = setup::open(config);
+    let load_ms = loading.elapsed().as_secs_f64() * 1e3;
+    match opened {
+        Err(error) => findings.push(Finding::wrong(
+            "model",
+            error.to_string(),
+            "roomcast model check FILE; without model.path the embedded household model is used",
+        )),
+        Ok((mut pipeline, _)) => {
+            let about = pipeline.model();
+            findings.push(Finding::good(
+                "model",
+                format!(
+                    "{}: {}, {}, {}, loads in {load_ms:.0} ms",
+                    shown(&config.model.path, embedded::MODEL_NAME),
+                    about.name,
+                    about.architecture,
+                    about.description
+                ),
+            ));
+            let sentences = Program::parse(embedded::PROGRAMS[0].text).map(|program| program.steps).unwrap_or_default();
+            let sentences: Vec<_> =
+                sentences.iter().filter_map(|action| Sentence::new(&action.sentence()).ok()).collect();
+            let mut times_ms = Vec::new();
+            for (sequence, sentence) in (1..).zip(sentences) {
+                let observation = Observation {
+                    person: 0,
+                    source: 0,
+                    epoch: 0,
+                    sequence,
+                    observed_ns: 0,
+                    observed_unix_ns: 0,
+                    sentence,
+                };
+                let scoring = Instant::now();
+                if let Err(error) = pipeline.step([observation]) {
+                    findings.push(Finding::wrong("speed", error.to_string(), "roomcast model check FILE"));
+                    return findings;
+                }
+                times_ms.push(scoring.elapsed().as_secs_f64() * 1e3);
+                pipeline.tidy();
+            }
+            times_ms.sort_by(f64::total_cmp);
+            let (median_ms, worst_ms) = (times_ms[times_ms.len() / 2], times_ms[times_ms.len() - 1]);
+            let found =
+                format!("an event is scored in {median_ms:.1} ms (median of {}, worst {worst_ms:.1})", times_ms.len());
+            findings.push(if median_ms > 1_000.0 {
+                Finding::limited(
+                    "speed",
+                    found,
+                    "a smaller model or a smaller quantisation (Q4_0), more cores, a shorter history",
+                )
+            } else {
+                Finding::good("speed", found)
+            });
+        }
+    }
+    findings
+}
+
+/// Runs every check and prints the findings.
+///
+/// # Errors
+///
+/// With [`exit_code::CHECK`] when something is wrong, with [`exit_code::CONFIG`] when the configuration cannot be read.
+pub fn run(args: &Args) -> CommandResult {
+    let mut config = match &args.config {
+        Some(path) => Config::load(path).map_err(|error| Failure::new(exit_code::CONFIG, error))?,
+        None => Config::default(),
+    };
+    if args.model.is_some() {
+        config.model.path.clone_from(&args.model);
+    }
+    if args.scene.is_some() {
+        config.scene.path.clone_from(&args.scene);
+    }
+    let model_bytes = match &config.model.path {
+        Some(path) => std::fs::metadata(path).map_or(0, |about| about.len()),
+        None => embedded::MODEL.len() as u64,
+    };
+    let mut findings = vec![
+        processor(),
+        llama_build(),
+        shared_memory(),
+        messages(&Domain::default_for_user()),
+        open_files(),
+        locked_memory(config.model.lock_memory, model_bytes),
+    ];
+    findings.extend(model_and_scene(&config));
+    let wrong = findings.iter().filter(|finding| finding.verdict == Verdict::Wrong).count();
+    if args.json {
+        super::print_json(&serde_json::json!({
+            "version": env!("CARGO_PKG_VERSION"),
+            "ok": wrong == 0,
+            "findings": findings,
+        }))?;
+    } else {
+        println!("{}", table(&findings));
+    }
+    match wrong {
+        0 => Ok(()),
+        1 => Err(Failure::new(exit_code::CHECK, "one check failed; its remedy stands beside it")),
+        wrong => {
+            Err(Failure::new(exit_code::CHECK, format!("{wrong} checks failed; their remedies stand beside them")))
+        }
+    }
+}
+
+fn table(findings: &[Finding]) -> Table {
+    let mut table = super::table(&["check", "", "found, and what to do"]);
+    for finding in findings {
+        let (mark, color) = match finding.verdict {
+            Verdict::Good => ("good", Color::Green),
+            Verdict::Limited => ("limited", Color::Yellow),
+            Verdict::Wrong => ("WRONG", Color::Red),
+        };
+        let text = match &finding.remedy {
+            Some(remedy) => format!("{}\n-> {remedy}", finding.found),
+            None => finding.found.clone(),
+        };
+        table.add_row([
+            comfy_table::Cell::new(finding.check),
+            comfy_table::Cell::new(mark).fg(color),
+            comfy_table::Cell::new(text),
+        ]);
+    }
+    table
+}
