@@ -13,6 +13,7 @@ mod config;
 mod doctor;
 mod model;
 mod score;
+mod scene;
 
 /// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
 #[derive(Debug)]
@@ -96,6 +97,8 @@ enum Command {
     Model(model::Args),
     /// Score every label, item and partition of a scene once.
     Score(score::Args),
+    /// Import, check, show and draw semantic maps.
+    Scene(scene::Args),
 }
 
 /// Parses the command line, runs it and gives the exit code; prints an error once, on standard error.
@@ -107,6 +110,7 @@ pub fn main() -> ExitCode {
         Command::Doctor(args) => doctor::run(&args),
         Command::Model(args) => model::run(&args),
         Command::Score(args) => score::run(&args),
+        Command::Scene(args) => scene::run(&args),
     };
     match result {
         Ok(()) => ExitCode::from(exit_code::OK),

@@ -2,6 +2,8 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+pub mod drawing;
+pub mod import;
 mod names;
 mod schema;
 

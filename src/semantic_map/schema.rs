@@ -19,11 +19,11 @@ pub const MAX_ROOMS: usize = 1_000;
 /// Longest id, label, name or alias, in bytes of UTF-8.
 pub const MAX_TEXT_BYTES: usize = 128;
 
-const FORMAT: &str = "roomcast-scene";
-const VERSION: u32 = 1;
+pub(super) const FORMAT: &str = "roomcast-scene";
+pub(super) const VERSION: u32 = 1;
 const MAX_PROSE_BYTES: usize = 4_096;
 const MAX_CAPTIONS: usize = 64;
-const MAX_ALIASES: usize = 1_000;
+pub(super) const MAX_ALIASES: usize = 1_000;
 const FARTHEST_M: f64 = 10_000.0;
 
 /// Why a scene cannot be used.
@@ -78,75 +78,75 @@ pub enum SceneError {
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct SceneFile {
-    format: String,
-    version: u32,
-    name: String,
+pub(super) struct SceneFile {
+    pub(super) format: String,
+    pub(super) version: u32,
+    pub(super) name: String,
     #[serde(default)]
-    description: String,
+    pub(super) description: String,
     #[serde(default)]
-    source: String,
-    rooms: Vec<RoomEntry>,
+    pub(super) source: String,
+    pub(super) rooms: Vec<RoomEntry>,
     #[serde(default)]
-    parts: Vec<PartEntry>,
+    pub(super) parts: Vec<PartEntry>,
     #[serde(default)]
-    groups: Vec<GroupEntry>,
+    pub(super) groups: Vec<GroupEntry>,
     #[serde(default)]
-    doors: Vec<DoorEntry>,
+    pub(super) doors: Vec<DoorEntry>,
     #[serde(default)]
-    aliases: BTreeMap<String, Vec<String>>,
-    items: Vec<ItemEntry>,
+    pub(super) aliases: BTreeMap<String, Vec<String>>,
+    pub(super) items: Vec<ItemEntry>,
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct RoomEntry {
-    id: String,
-    label: String,
-    r#box: Box3,
+pub(super) struct RoomEntry {
+    pub(super) id: String,
+    pub(super) label: String,
+    pub(super) r#box: Box3,
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct PartEntry {
-    id: String,
-    label: String,
-    room: String,
-    r#box: Box3,
+pub(super) struct PartEntry {
+    pub(super) id: String,
+    pub(super) label: String,
+    pub(super) room: String,
+    pub(super) r#box: Box3,
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct GroupEntry {
-    id: String,
-    label: String,
-    rooms: Vec<String>,
+pub(super) struct GroupEntry {
+    pub(super) id: String,
+    pub(super) label: String,
+    pub(super) rooms: Vec<String>,
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct DoorEntry {
-    id: String,
-    rooms: [String; 2],
-    position_m: [f64; 3],
+pub(super) struct DoorEntry {
+    pub(super) id: String,
+    pub(super) rooms: [String; 2],
+    pub(super) position_m: [f64; 3],
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct ItemEntry {
-    id: String,
-    label: String,
+pub(super) struct ItemEntry {
+    pub(super) id: String,
+    pub(super) label: String,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    captions: Vec<CaptionEntry>,
-    position_m: [f64; 3],
-    r#box: Box3,
+    pub(super) captions: Vec<CaptionEntry>,
+    pub(super) position_m: [f64; 3],
+    pub(super) r#box: Box3,
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct CaptionEntry {
-    label: String,
-    weight: f64,
+pub(super) struct CaptionEntry {
+    pub(super) label: String,
+    pub(super) weight: f64,
 }
 
 /// Where an element stands, for errors.
@@ -314,7 +314,7 @@ impl SemanticMap {
         self.fingerprint[..8].iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    fn check(file: SceneFile) -> Result<Self, SceneError> {
+    pub(super) fn check(file: SceneFile) -> Result<Self, SceneError> {
         if file.format != FORMAT || file.version != VERSION {
             let format = file.format.chars().take(MAX_TEXT_BYTES).collect();
             return Err(SceneError::Format { format, version: file.version });
@@ -411,7 +411,8 @@ impl SemanticMap {
     }
 }
 
-fn read_limited(path: &Path) -> Result<String, SceneError> {
+/// The text of a file of at most [`MAX_FILE_BYTES`].
+pub(super) fn read_limited(path: &Path) -> Result<String, SceneError> {
     let mut text = String::new();
     // A limit on what is read, not on what the directory says: a device or a pipe has no size.
     File::open(path)?.take(MAX_FILE_BYTES + 1).read_to_string(&mut text)?;

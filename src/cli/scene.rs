@@ -1,0 +1,449 @@
+//! `roomcast scene`: import, check, show and draw semantic maps.
+
+use std::collections::HashMap;
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use clap::{Subcommand, ValueEnum};
+use comfy_table::{CellAlignment, Table, presets};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use super::{CommandResult, Failure};
+use crate::exit_code;
+use crate::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
+use crate::semantic_map::drawing::{self, Heat};
+use crate::semantic_map::import::{self, ImportError, Imported};
+use crate::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap};
+
+/// Arguments of `roomcast scene`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Turn a map of another format into a scene.
+    Import(Import),
+    /// Check scenes: the format, and whether every item lies somewhere and every room can be reached.
+    Check(Check),
+    /// Print what a scene holds and what was assigned where, by which rule, and what was not.
+    Show(Show),
+    /// Draw a scene from above, with scores as heat, as SVG or PNG.
+    Draw(Draw),
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Format {
+    /// A VirtualHome environment graph.
+    Virtualhome,
+}
+
+#[derive(Debug, clap::Args)]
+struct Import {
+    /// The map to read.
+    graph: PathBuf,
+    /// The scene to write.
+    #[arg(long)]
+    out: PathBuf,
+    /// The format of the map.
+    #[arg(long, value_enum, default_value_t = Format::Virtualhome)]
+    format: Format,
+    /// The scene's name; by default the map file's name.
+    #[arg(long)]
+    name: Option<String>,
+    /// VirtualHome's table of equivalent class names; adds aliases.
+    #[arg(long, value_name = "FILE")]
+    equivalence: Option<PathBuf>,
+}
+
+#[derive(Debug, clap::Args)]
+struct Check {
+    /// The scenes.
+    #[arg(required = true)]
+    scenes: Vec<PathBuf>,
+    /// Fail for warnings, too.
+    #[arg(long)]
+    strict: bool,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct Show {
+    /// The scene.
+    scene: PathBuf,
+    /// What a partition is.
+    #[arg(long, value_enum, default_value_t)]
+    level: PartitionLevel,
+    /// Print JSON: every item with its partition and the rule that put it there.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct Draw {
+    /// The scene.
+    scene: PathBuf,
+    /// The drawing; its ending, `.svg` or `.png`, decides the format. By default the scene's name with `.svg`, here.
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// What a partition is.
+    #[arg(long, value_enum, default_value_t)]
+    level: PartitionLevel,
+    /// What `roomcast score --json` printed for this scene and level.
+    #[arg(long, value_name = "FILE")]
+    scores: Option<PathBuf>,
+    /// A line under the title; by default the map's figures.
+    #[arg(long, default_value = "")]
+    caption: String,
+    /// Pixels of the PNG per pixel of the SVG.
+    #[arg(long, default_value_t = 2.0, value_parser = parse_scale)]
+    scale: f32,
+}
+
+fn parse_scale(text: &str) -> Result<f32, String> {
+    let scale = text.parse().map_err(|error| format!("{error}"))?;
+    if (0.1..=8.0).contains(&scale) { Ok(scale) } else { Err("give a number from 0.1 to 8".to_owned()) }
+}
+
+/// Runs the subcommand and prints on standard output.
+///
+/// # Errors
+/// [`exit_code::INPUT`] for a map that cannot be used, [`exit_code::CHECK`] for a check with faults.
+pub fn run(args: &Args) -> CommandResult {
+    match &args.command {
+        Command::Import(args) => import(args),
+        Command::Check(args) => check(args),
+        Command::Show(args) => show(args),
+        Command::Draw(args) => draw(args),
+    }
+}
+
+fn input(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Failure {
+    Failure::new(exit_code::INPUT, error)
+}
+
+fn print(text: &str) -> CommandResult {
+    std::io::stdout().write_all(text.as_bytes()).map_err(|error| Failure::new(exit_code::FAILURE, error))
+}
+
+/// Writes beside the target and renames, so that no reader sees half a file.
+fn write(path: &Path, bytes: &[u8]) -> CommandResult {
+    let fail = |error: std::io::Error| {
+        let path = path.display();
+        Failure::new(exit_code::FAILURE, format!("cannot write {path}: {error}; check the folder and its permissions"))
+    };
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut file = tempfile::Builder::new().permissions(permissions()).tempfile_in(folder).map_err(fail)?;
+    file.write_all(bytes).map_err(fail)?;
+    file.persist(path).map_err(|error| fail(error.error))?;
+    Ok(())
+}
+
+/// As other files that a command writes: readable by all, less what the umask takes.
+fn permissions() -> std::fs::Permissions {
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::Permissions::from_mode(0o666)
+}
+
+fn load(path: &Path, level: PartitionLevel) -> Result<(SemanticMap, Grounding), Failure> {
+    let map = SemanticMap::load(path).map_err(input)?;
+    let grounding = Grounding::new(&map, &GroundingOptions { level, room_labels: true }).map_err(input)?;
+    Ok((map, grounding))
+}
+
+fn import(args: &Import) -> CommandResult {
+    let json = import::read(&args.graph).map_err(input)?;
+    let equivalence = args.equivalence.as_deref().map(import::read).transpose().map_err(input)?;
+    let stem = args.graph.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+    let name = args.name.clone().or(stem).unwrap_or_else(|| "imported".to_owned());
+    let Imported { map, notes } = match args.format {
+        Format::Virtualhome => import::virtualhome(&json, &name, equivalence.as_deref()),
+    }
+    .map_err(|error| input(ImportError::InFile { path: args.graph.clone(), source: Box::new(error) }))?;
+    write(&args.out, map.to_json().as_bytes())?;
+    let mut text = format!(
+        "{}: {} rooms, {} doors, {} items, {} labels\n",
+        args.out.display(),
+        map.rooms.len(),
+        map.doors.len(),
+        map.items.len(),
+        map.labels.len()
+    );
+    for note in notes {
+        let _ = writeln!(text, "  {note}");
+    }
+    print(&text)
+}
+
+/// What a person should know about a map that is well formed.
+fn warnings(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
+    let mut warnings = Vec::new();
+    for (ItemId(item), Reason::Outside { nearest, distance_m }) in &grounding.unassigned {
+        warnings.push(format!(
+            "items[{item}] ({:?}) lies outside every room, {distance_m:.2} m from {:?}",
+            map.items[*item as usize].id, grounding.partitions[nearest.0 as usize].id
+        ));
+    }
+    for (index, room) in (0u32..).zip(&map.rooms).skip(1) {
+        if map.path(RoomId(0), RoomId(index)).is_none() {
+            warnings.push(format!("no way through doors leads from {:?} to {:?}", map.rooms[0].id, room.id));
+        }
+    }
+    for (index, partition) in (0u32..).zip(&grounding.partitions) {
+        if !grounding.item_partition.contains(&Some(PartitionId(index))) {
+            warnings.push(format!("no item lies in {:?}; only its name can give it a score", partition.id));
+        }
+    }
+    warnings
+}
+
+fn check(args: &Check) -> CommandResult {
+    let mut reports = Vec::new();
+    let mut text = String::new();
+    let (mut errors, mut warned) = (0, 0);
+    for path in &args.scenes {
+        let shown = path.display();
+        match load(path, PartitionLevel::Room) {
+            Err(failure) => {
+                errors += 1;
+                let _ = writeln!(text, "error    {failure}");
+                reports.push(json!({"scene": path, "error": failure.to_string()}));
+            }
+            Ok((map, grounding)) => {
+                let warnings = warnings(&map, &grounding);
+                warned += warnings.len();
+                let ties = grounding.placed_by(Placement::Tie);
+                let _ = writeln!(
+                    text,
+                    "ok       {shown}: {} rooms, {} items, {} labels, {ties} ties, {} outside",
+                    map.rooms.len(),
+                    map.items.len(),
+                    map.labels.len(),
+                    grounding.unassigned.len()
+                );
+                for warning in &warnings {
+                    let _ = writeln!(text, "warning  {shown}: {warning}");
+                }
+                reports.push(json!({
+                    "scene": path, "name": map.name, "fingerprint": hex(&map.fingerprint), "rooms": map.rooms.len(),
+                    "items": map.items.len(), "labels": map.labels.len(), "ties": ties,
+                    "outside": grounding.unassigned.len(), "warnings": warnings,
+                }));
+            }
+        }
+    }
+    print(&if args.json { format!("{:#}\n", Value::from(reports)) } else { text })?;
+    match (errors, warned) {
+        (0, 0) => Ok(()),
+        (0, _) if !args.strict => Ok(()),
+        _ => Err(Failure::new(exit_code::CHECK, format!("{errors} scenes with errors, {warned} warnings"))),
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn placement_name(placement: Placement) -> &'static str {
+    match placement {
+        Placement::Overlap => "overlap",
+        Placement::Tie => "tie",
+        Placement::Position => "position",
+        Placement::NearestPart => "nearest-part",
+        Placement::Outside => "outside",
+    }
+}
+
+const PLACEMENTS: [Placement; 5] =
+    [Placement::Overlap, Placement::Tie, Placement::Position, Placement::NearestPart, Placement::Outside];
+
+fn show(args: &Show) -> CommandResult {
+    let (map, grounding) = load(&args.scene, args.level)?;
+    print(&if args.json { format!("{:#}\n", as_json(&map, &grounding, args.level)) } else { tables(&map, &grounding) })
+}
+
+fn as_json(map: &SemanticMap, grounding: &Grounding, level: PartitionLevel) -> Value {
+    let partition_id = |id: &PartitionId| grounding.partitions[id.0 as usize].id.as_str();
+    let label = |index: usize| map.labels[map.items[index].label.0 as usize].as_str();
+    let items: Vec<Value> = (map.items.iter().enumerate())
+        .map(|(index, item)| {
+            json!({
+                "id": item.id, "label": label(index), "position_m": item.position_m,
+                "partition": grounding.item_partition[index].as_ref().map(partition_id),
+                "placement": grounding.item_placement[index],
+            })
+        })
+        .collect();
+    let partitions: Vec<Value> = (0u32..)
+        .zip(&grounding.partitions)
+        .map(|(index, partition)| {
+            let own = grounding.item_partition.iter().filter(|id| **id == Some(PartitionId(index))).count();
+            let rooms: Vec<&str> = partition.rooms.iter().map(|room| map.rooms[room.0 as usize].id.as_str()).collect();
+            json!({"id": partition.id, "label": partition.label, "rooms": rooms, "items": own})
+        })
+        .collect();
+    let unassigned: Vec<Value> = (grounding.unassigned.iter())
+        .map(|(ItemId(item), Reason::Outside { nearest, distance_m })| {
+            let item = *item as usize;
+            json!({"id": map.items[item].id, "label": label(item), "nearest": partition_id(nearest), "distance_m": distance_m})
+        })
+        .collect();
+    let placements: HashMap<&str, usize> =
+        PLACEMENTS.iter().map(|&placement| (placement_name(placement), grounding.placed_by(placement))).collect();
+    let labels: Vec<Value> = (grounding.scored_labels.iter())
+        .map(|label| json!({"label": label.text, "items": label.items.len(), "rooms": label.rooms.len()}))
+        .collect();
+    json!({
+        "name": map.name, "description": map.description, "source": map.source, "fingerprint": hex(&map.fingerprint),
+        "level": level, "partitions": partitions, "placements": placements, "labels": labels, "items": items,
+        "unassigned": unassigned, "warnings": warnings(map, grounding),
+    })
+}
+
+fn table<const N: usize>(header: [&str; N], numbers: std::ops::Range<usize>) -> Table {
+    let mut table = Table::new();
+    table.load_style(presets::UTF8_FULL_CONDENSED);
+    table.set_header(header);
+    for column in numbers {
+        if let Some(column) = table.column_mut(column) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    table
+}
+
+fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
+    let mut text = format!("{}  ({})\n", map.name, map.short_fingerprint());
+    for line in [&map.description, &map.source].into_iter().filter(|line| !line.is_empty()) {
+        let _ = writeln!(text, "{line}");
+    }
+    let _ = writeln!(text, "{} items, {} labels, {} doors\n", map.items.len(), map.labels.len(), map.doors.len());
+
+    let mut partitions = table(["partition", "size (m)", "items", "labels", "most frequent"], 1..4);
+    for (index, partition) in (0u32..).zip(&grounding.partitions) {
+        let own = Some(PartitionId(index));
+        let items = || grounding.item_partition.iter().zip(&map.items).filter(move |(id, _)| **id == own);
+        let mut counts: HashMap<usize, usize> = HashMap::new();
+        items().for_each(|(_, item)| *counts.entry(item.label.0 as usize).or_default() += 1);
+        let mut frequent: Vec<(usize, usize)> = counts.into_iter().collect();
+        frequent.sort_by_key(|&(label, count)| (usize::MAX - count, label));
+        let sizes: Vec<String> = (partition.boxes.iter())
+            .map(|bounds| bounds.size_m().map(|size_m| format!("{size_m:.1}")).join(" x "))
+            .collect();
+        let named: Vec<String> =
+            frequent.iter().take(4).map(|&(label, count)| format!("{count} {}", map.labels[label])).collect();
+        partitions.add_row([
+            partition.id.clone(),
+            sizes.join(", "),
+            items().count().to_string(),
+            frequent.len().to_string(),
+            named.join(", "),
+        ]);
+    }
+    let _ = writeln!(text, "{partitions}\n");
+
+    let mut rules = table(["how items were placed", "items"], 1..2);
+    let meaning = |placement| match placement {
+        Placement::Overlap => "largest overlap of volume",
+        Placement::Tie => "several equal overlaps: the last of them in the file",
+        Placement::Position => "no overlap: by its position",
+        Placement::NearestPart => "in no part of its room: the nearest part",
+        Placement::Outside => "outside: assigned nowhere, still counted with its label",
+    };
+    for placement in PLACEMENTS {
+        let count = grounding.placed_by(placement);
+        if count > 0 {
+            rules.add_row([meaning(placement).to_owned(), count.to_string()]);
+        }
+    }
+    let _ = writeln!(text, "{rules}");
+
+    const ROWS: usize = 20;
+    for placement in [Placement::Tie, Placement::Position, Placement::NearestPart, Placement::Outside] {
+        let chosen: Vec<usize> =
+            (0..map.items.len()).filter(|&index| grounding.item_placement[index] == placement).collect();
+        if chosen.is_empty() {
+            continue;
+        }
+        let mut rows = table([placement_name(placement), "label", "went to"], 0..0);
+        for &index in chosen.iter().take(ROWS) {
+            let item = &map.items[index];
+            let went = grounding.item_partition[index]
+                .map_or_else(|| "nowhere".to_owned(), |id| grounding.partitions[id.0 as usize].id.clone());
+            rows.add_row([item.id.clone(), map.labels[item.label.0 as usize].clone(), went]);
+        }
+        let _ = writeln!(text, "\n{rows}");
+        if chosen.len() > ROWS {
+            let _ = writeln!(text, "and {} more; all of them with --json", chosen.len() - ROWS);
+        }
+    }
+    for warning in warnings(map, grounding) {
+        let _ = writeln!(text, "warning  {warning}");
+    }
+    text
+}
+
+/// The part of `roomcast score --json` that a drawing needs.
+#[derive(Deserialize)]
+struct Scores {
+    partitions: Vec<PartitionScore>,
+    items: Vec<ItemScore>,
+}
+
+#[derive(Deserialize)]
+struct PartitionScore {
+    id: String,
+    probability: f64,
+}
+
+#[derive(Deserialize)]
+struct ItemScore {
+    id: String,
+    /// JSON has no minus infinity: null.
+    log_score_nats: Option<f64>,
+}
+
+fn read_heat(path: &Path, map: &SemanticMap, grounding: &Grounding, caption: &str) -> Result<Heat, Failure> {
+    let shown = path.display();
+    let wrong = |problem: String| {
+        input(format!("scores {shown}: {problem}; give what `roomcast score --json` printed for this scene and level"))
+    };
+    let json = import::read(path).map_err(input)?;
+    let scores: Scores = serde_json::from_str(&json).map_err(|error| wrong(error.to_string()))?;
+    let partitions: HashMap<&str, f64> =
+        scores.partitions.iter().map(|score| (score.id.as_str(), score.probability)).collect();
+    let items: HashMap<&str, f64> = (scores.items.iter())
+        .map(|score| (score.id.as_str(), score.log_score_nats.unwrap_or(f64::NEG_INFINITY)))
+        .collect();
+    let partition =
+        |id: &String| partitions.get(id.as_str()).copied().ok_or_else(|| wrong(format!("no partition {id:?}")));
+    let item = |id: &String| items.get(id.as_str()).copied().ok_or_else(|| wrong(format!("no item {id:?}")));
+    let probabilities: Vec<f64> =
+        grounding.partitions.iter().map(|own| partition(&own.id)).collect::<Result<_, _>>()?;
+    let log_scores: Vec<f64> = map.items.iter().map(|own| item(&own.id)).collect::<Result<_, _>>()?;
+    Ok(Heat::new(&probabilities, &log_scores, caption))
+}
+
+fn draw(args: &Draw) -> CommandResult {
+    let (map, grounding) = load(&args.scene, args.level)?;
+    let heat = args.scores.as_deref().map(|path| read_heat(path, &map, &grounding, &args.caption)).transpose()?;
+    let stem = args.scene.file_stem().map(PathBuf::from).unwrap_or_else(|| PathBuf::from("scene"));
+    let out = args.out.clone().unwrap_or_else(|| stem.with_extension("svg"));
+    let svg = drawing::svg(&map, &grounding, heat.as_ref()).map_err(input)?;
+    let bytes = match out.extension().and_then(|ending| ending.to_str()) {
+        Some("svg") => svg.into_bytes(),
+        Some("png") => drawing::png(&svg, args.scale).map_err(|error| Failure::new(exit_code::FAILURE, error))?,
+        _ => {
+            let shown = out.display();
+            return Err(Failure::new(exit_code::USAGE, format!("{shown} ends neither in .svg nor in .png; rename it")));
+        }
+    };
+    write(&out, &bytes)?;
+    print(&format!("{}\n", out.display()))
+}
