@@ -13,6 +13,8 @@ use super::{Box3, PartitionId, SemanticMap};
 use crate::grounding::Grounding;
 
 const FONT: &str = "DejaVu Sans";
+/// How much wider bold letters are.
+const BOLDER: f64 = 1.17;
 /// Largest size of the plan itself, in pixels.
 const PLAN_PX: [f64; 2] = [1_120.0, 860.0];
 const MARGIN_PX: f64 = 36.0;
@@ -26,6 +28,7 @@ const PAPER: &str = "#ffffff";
 const FLOOR: &str = "#f6f2ea";
 const WALL: &str = "#3b414b";
 const FURNITURE: &str = "#fffdf8";
+const RUG: &str = "#e6dcc6";
 const EDGE: &str = "#a9a292";
 const DOT: &str = "#8b8574";
 /// From no heat to all heat.
@@ -226,8 +229,7 @@ impl<'a> Label<'a> {
         let text = if self.bold { text.set("font-weight", "bold") } else { text };
         if self.halo {
             text.set("stroke", PAPER)
-                .set("stroke-width", 3)
-                .set("stroke-opacity", 0.85)
+                .set("stroke-width", 3.5)
                 .set("stroke-linejoin", "round")
                 .set("paint-order", "stroke")
         } else {
@@ -384,18 +386,21 @@ impl<'a> Plan<'a> {
             );
         }
         for door in &self.map.doors {
-            walls = walls.add(self.door(&door.position_m, &self.map.rooms[door.rooms[0].0 as usize].bounds));
+            let rooms = door.rooms.map(|room| &self.map.rooms[room.0 as usize].bounds);
+            walls = walls.add(self.door(&door.position_m, rooms));
         }
         walls
     }
 
-    /// A gap in the nearest wall of the room, with the leaf and its swing.
-    fn door(&self, position_m: &[f64; 3], room: &Box3) -> Group {
+    /// A gap in the nearest wall of the rooms, with the leaf and its swing.
+    fn door(&self, position_m: &[f64; 3], rooms: [&Box3; 2]) -> Group {
         const HALF_M: f64 = 0.42;
         let (x, y) = (self.x(position_m[0]), self.y(position_m[1]));
         let half = HALF_M * self.scale;
-        let to_wall =
-            |axis: usize| (position_m[axis] - room.min_m[axis]).abs().min((position_m[axis] - room.max_m[axis]).abs());
+        let to_wall = |axis: usize| {
+            let walls_m = rooms.iter().flat_map(|room| [room.min_m[axis], room.max_m[axis]]);
+            walls_m.map(|wall_m| (position_m[axis] - wall_m).abs()).fold(f64::INFINITY, f64::min)
+        };
         let across = to_wall(0) < to_wall(1);
         let (dx, dy) = if across { (0.0, half) } else { (half, 0.0) };
         let gap = Line::new().set("x1", rounded(x - dx)).set("y1", rounded(y - dy));
@@ -435,21 +440,31 @@ impl<'a> Plan<'a> {
         Some(if self.largest_share > 0.0 { (share / self.largest_share).sqrt() } else { 0.0 })
     }
 
-    /// Boxes of large things, the lower under the higher.
-    fn furniture(&self) -> Group {
+    /// Indices of large things, what stands or lies higher after what bears it.
+    fn furniture_order(&self) -> Vec<usize> {
         let items = &self.map.items;
         let mut order: Vec<usize> = (0..items.len()).filter(|&index| self.is_furniture(index)).collect();
-        order.sort_by(|&a, &b| items[a].bounds.max_m[2].total_cmp(&items[b].bounds.max_m[2]));
+        // A headboard is higher than the blanket on its bed, so where a thing begins counts first, in steps that forgive a
+        // millimetre.
+        let key = |index: usize| ((items[index].bounds.min_m[2] * 20.0).round(), items[index].bounds.max_m[2]);
+        let compare = |(a0, a1): (f64, f64), (b0, b1): (f64, f64)| a0.total_cmp(&b0).then(a1.total_cmp(&b1));
+        order.sort_by(|&a, &b| compare(key(a), key(b)));
+        order
+    }
+
+    /// Boxes of large things, the lower under the higher.
+    fn furniture(&self) -> Group {
         let mut furniture = Group::new().set("stroke-width", 1);
-        for index in order {
+        for index in self.furniture_order() {
+            let bounds = &self.map.items[index].bounds;
             // A rug lies under everything and hides nothing.
-            let flat = items[index].bounds.max_m[2] < 0.1;
-            let fill = self.heat_of(index).map_or_else(|| FURNITURE.to_owned(), colour);
+            let flat = bounds.max_m[2] < 0.1;
+            let cold = if flat { RUG } else { FURNITURE };
             furniture = furniture.add(
-                self.rectangle(&items[index].bounds)
+                self.rectangle(bounds)
                     .set("rx", 3)
-                    .set("fill", fill)
-                    .set("fill-opacity", if flat { 0.45 } else { 0.88 })
+                    .set("fill", self.heat_of(index).map_or_else(|| cold.to_owned(), colour))
+                    .set("fill-opacity", if flat { 0.6 } else { 0.9 })
                     .set("stroke", EDGE),
             );
         }
@@ -491,7 +506,7 @@ impl<'a> Plan<'a> {
             let probability = self.heat.map(|heat| percent(heat.partition_probability[index]));
             let size_px = if self.grounding.partitions.len() <= 8 { 17.0 } else { 12.0 };
             let name = shortened(&partition.label, size_px, (area.right - area.left - 24.0).max(40.0));
-            let width = width_px(&name, size_px) * 1.08
+            let width = width_px(&name, size_px) * BOLDER
                 + probability.as_ref().map_or(0.0, |text| width_px(text, size_px) + 12.0);
             let (width, height) = (width + 20.0, size_px + 13.0);
             let place = self.quietest(&area, width, height);
@@ -548,38 +563,34 @@ impl<'a> Plan<'a> {
         best.1
     }
 
-    /// Names on the furniture that is large enough for them, largest first.
+    /// Names on the furniture that is large enough for them, from the top down, each where it hides least.
     fn furniture_names(&mut self) -> Group {
         let items = &self.map.items;
-        let mut order: Vec<usize> = (0..items.len()).filter(|&index| self.is_furniture(index)).collect();
-        order.sort_by(|&a, &b| floor_m2(&items[b].bounds).total_cmp(&floor_m2(&items[a].bounds)));
+        let order = self.furniture_order();
+        let dots: Vec<Area> = (0..items.len())
+            .filter(|&index| !self.is_furniture(index) && !self.is_structure(index))
+            .map(|index| Area::around(self.x(items[index].position_m[0]), self.y(items[index].position_m[1]), 4.0, 4.0))
+            .collect();
+        let mut above: Vec<Area> = Vec::new();
         let mut names = Group::new();
-        for index in order {
+        for &index in order.iter().rev() {
             let area = self.area(&items[index].bounds);
             let text = &self.map.labels[items[index].label.0 as usize];
-            let Some((lines, size_px, upright)) = fit(text, area.right - area.left - 6.0, area.bottom - area.top - 4.0)
-            else {
-                continue;
-            };
-            let (x, y) = ((area.left + area.right) / 2.0, (area.top + area.bottom) / 2.0);
-            let widest = lines.iter().map(|line| width_px(line, size_px)).fold(0.0, f64::max);
-            let (across, along) = (widest, size_px * 1.15 * lines.len() as f64);
-            let place = if upright { Area::around(x, y, along, across) } else { Area::around(x, y, across, along) };
-            if self.taken.iter().any(|taken| taken.meets(&place)) {
-                continue;
+            let (width, height) = (area.right - area.left - 6.0, area.bottom - area.top - 4.0);
+            if let Some(block) = TextBlock::fit(text, width, height) {
+                let dots: Vec<&Area> = dots.iter().filter(|dot| dot.meets(&area)).collect();
+                let cost = |place: &Area| {
+                    let hides = above.iter().chain(&self.taken).filter(|other| other.meets(place)).count();
+                    100 * hides + dots.iter().filter(|dot| dot.meets(place)).count()
+                };
+                let (place, cost) = block.best_place(&area, cost);
+                if cost < 100 {
+                    let hot = self.heat_of(index).is_some_and(|heat| heat > 0.7);
+                    names = names.add(block.draw(&place, hot));
+                    self.taken.push(place);
+                }
             }
-            self.taken.push(place);
-            let mut name = Group::new();
-            for (line, text) in lines.iter().enumerate() {
-                let offset = (line as f64 - (lines.len() - 1) as f64 / 2.0) * size_px * 1.15;
-                let hot = self.heat_of(index).is_some_and(|heat| heat > 0.62);
-                let colour = if hot { PAPER } else { INK };
-                name = name.add(Label { anchor: "middle", colour, ..Label::new(text, size_px) }.at(x, y + offset));
-            }
-            if upright {
-                name = name.set("transform", format!("rotate(-90 {} {})", rounded(x), rounded(y)));
-            }
-            names = names.add(name);
+            above.push(area);
         }
         names
     }
@@ -660,7 +671,7 @@ impl<'a> Plan<'a> {
                     y,
                     BAR_PX,
                     probability,
-                    &colour(probability.max(0.15)),
+                    &colour(probability.max(0.4)),
                 ));
                 percent(probability)
             } else {
@@ -775,22 +786,65 @@ fn heat_scale(left: f64, y: f64) -> Group {
         .add(end("certain", "end").at(left + PANEL_PX, y + 22.0))
 }
 
-/// Lines, size and whether to turn the text, so that it fits into the box; none when it cannot be read there.
-fn fit(text: &str, width: f64, height: f64) -> Option<(Vec<String>, f64, bool)> {
-    let words: Vec<&str> = text.split(' ').collect();
-    let layouts = [vec![text.to_owned()], words.iter().map(|&word| word.to_owned()).collect()];
-    for upright in [false, true] {
-        let (across, along) = if upright { (height, width) } else { (width, height) };
-        for size_px in [13.0, 11.0, 9.5] {
-            for lines in &layouts {
-                let widest = lines.iter().map(|line| width_px(line, size_px)).fold(0.0, f64::max);
-                if widest <= across && size_px * 1.15 * lines.len() as f64 <= along {
-                    return Some((lines.clone(), size_px, upright));
+/// A text broken into lines, and turned where its place is narrow.
+struct TextBlock {
+    lines: Vec<String>,
+    size_px: f64,
+    upright: bool,
+    /// Pixels that it takes across and down the page.
+    extent_px: [f64; 2],
+}
+
+impl TextBlock {
+    /// The largest way to write the text into the given width and height; none when it could not be read there.
+    fn fit(text: &str, width: f64, height: f64) -> Option<Self> {
+        let by_word: Vec<String> = text.split(' ').map(str::to_owned).collect();
+        let layouts = [vec![text.to_owned()], by_word];
+        for upright in [false, true] {
+            for size_px in [13.0, 11.0, 9.5] {
+                for lines in &layouts {
+                    let along = lines.iter().map(|line| width_px(line, size_px)).fold(0.0, f64::max);
+                    let across = size_px * 1.15 * lines.len() as f64;
+                    let extent_px = if upright { [across, along] } else { [along, across] };
+                    if extent_px[0] <= width && extent_px[1] <= height {
+                        return Some(Self { lines: lines.clone(), size_px, upright, extent_px });
+                    }
                 }
             }
         }
+        None
     }
-    None
+
+    /// The cheapest place in the area, among equal ones the nearest to its centre.
+    fn best_place(&self, area: &Area, cost: impl Fn(&Area) -> usize) -> (Area, usize) {
+        let [width, height] = self.extent_px;
+        let (x, y) = ((area.left + area.right) / 2.0, (area.top + area.bottom) / 2.0);
+        let room_x = ((area.right - area.left - width) / 2.0 - 3.0).max(0.0);
+        let room_y = ((area.bottom - area.top - height) / 2.0 - 2.0).max(0.0);
+        const STEPS: i32 = 4;
+        let step = |index: i32| f64::from(index) / f64::from(STEPS);
+        let steps = (-STEPS..=STEPS).flat_map(|down| (-STEPS..=STEPS).map(move |right| (right, down)));
+        let mut steps: Vec<(i32, i32)> = steps.collect();
+        steps.sort_by_key(|(right, down)| right * right + down * down);
+        let place = |(right, down): (i32, i32)| {
+            let place = Area::around(x + room_x * step(right), y + room_y * step(down), width, height);
+            (place, cost(&place))
+        };
+        let centre = place((0, 0));
+        steps.into_iter().skip(1).map(place).fold(centre, |best, next| if next.1 < best.1 { next } else { best })
+    }
+
+    fn draw(&self, place: &Area, hot: bool) -> Group {
+        let (x, y) = ((place.left + place.right) / 2.0, (place.top + place.bottom) / 2.0);
+        let mut group = Group::new();
+        for (line, text) in self.lines.iter().enumerate() {
+            let offset = (line as f64 - (self.lines.len() - 1) as f64 / 2.0) * self.size_px * 1.15;
+            let colour = if hot { PAPER } else { INK };
+            let label = Label { anchor: "middle", colour, halo: !hot, ..Label::new(text, self.size_px) };
+            group = group.add(label.at(x, y + offset));
+        }
+        if self.upright { group.set("transform", format!("rotate(-90 {} {})", rounded(x), rounded(y))) } else { group }
+    }
 }
 
 #[cfg(test)]

@@ -22,7 +22,7 @@ pub const MAX_TEXT_BYTES: usize = 128;
 pub(super) const FORMAT: &str = "roomcast-scene";
 pub(super) const VERSION: u32 = 1;
 const MAX_PROSE_BYTES: usize = 4_096;
-const MAX_CAPTIONS: usize = 64;
+pub(super) const MAX_CAPTIONS: usize = 64;
 pub(super) const MAX_ALIASES: usize = 1_000;
 const FARTHEST_M: f64 = 10_000.0;
 
@@ -365,7 +365,7 @@ impl SemanticMap {
         Ok(map)
     }
 
-    fn to_file(&self) -> SceneFile {
+    pub(super) fn to_file(&self) -> SceneFile {
         let label = |LabelId(index): LabelId| self.labels[index as usize].clone();
         let room = |RoomId(index): RoomId| self.rooms[index as usize].id.clone();
         SceneFile {

@@ -8,8 +8,10 @@ use std::path::{Path, PathBuf};
 use super::schema::{self, SceneError};
 use super::{Names, SemanticMap};
 
+mod open_vocabulary;
 mod virtualhome;
 
+pub use open_vocabulary::{Up, combine, open_vocabulary};
 pub use virtualhome::virtualhome;
 
 /// A map and what the import has to say about it.
