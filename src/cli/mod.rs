@@ -12,8 +12,8 @@ mod completions;
 mod config;
 mod doctor;
 mod model;
-mod score;
 mod scene;
+mod score;
 
 /// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
 #[derive(Debug)]

@@ -14,8 +14,9 @@ use super::{CommandResult, Failure};
 use crate::exit_code;
 use crate::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use crate::semantic_map::drawing::{self, Heat};
-use crate::semantic_map::import::{self, ImportError, Imported};
+use crate::semantic_map::import::{self, ImportError, Imported, Up};
 use crate::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap};
+use crate::setup;
 
 /// Arguments of `roomcast scene`.
 #[derive(Debug, clap::Args)]
@@ -40,12 +41,15 @@ enum Command {
 enum Format {
     /// A VirtualHome environment graph.
     Virtualhome,
+    /// Objects with captions and boxes, rooms with boxes or polygons, as ConceptGraphs and HOV-SG export them.
+    OpenVocabulary,
 }
 
 #[derive(Debug, clap::Args)]
 struct Import {
-    /// The map to read.
-    graph: PathBuf,
+    /// The map to read; of open-vocabulary maps several files that belong together, or a folder of them.
+    #[arg(required = true)]
+    graph: Vec<PathBuf>,
     /// The scene to write.
     #[arg(long)]
     out: PathBuf,
@@ -58,11 +62,17 @@ struct Import {
     /// VirtualHome's table of equivalent class names; adds aliases.
     #[arg(long, value_name = "FILE")]
     equivalence: Option<PathBuf>,
+    /// Which axis of an open-vocabulary map points up, where the map does not say.
+    #[arg(long, value_enum, default_value_t)]
+    up: Up,
+    /// Keep labels of an open-vocabulary map that differ in spelling or number only ("mugs", "coffeemaker").
+    #[arg(long)]
+    keep_spellings: bool,
 }
 
 #[derive(Debug, clap::Args)]
 struct Check {
-    /// The scenes.
+    /// The scene files, or names of shipped ones.
     #[arg(required = true)]
     scenes: Vec<PathBuf>,
     /// Fail for warnings, too.
@@ -75,7 +85,7 @@ struct Check {
 
 #[derive(Debug, clap::Args)]
 struct Show {
-    /// The scene.
+    /// The scene file, or the name of a shipped one.
     scene: PathBuf,
     /// What a partition is.
     #[arg(long, value_enum, default_value_t)]
@@ -87,7 +97,7 @@ struct Show {
 
 #[derive(Debug, clap::Args)]
 struct Draw {
-    /// The scene.
+    /// The scene file, or the name of a shipped one.
     scene: PathBuf,
     /// The drawing; its ending, `.svg` or `.png`, decides the format. By default the scene's name with `.svg`, here.
     #[arg(long)]
@@ -152,20 +162,36 @@ fn permissions() -> std::fs::Permissions {
 }
 
 fn load(path: &Path, level: PartitionLevel) -> Result<(SemanticMap, Grounding), Failure> {
-    let map = SemanticMap::load(path).map_err(input)?;
+    let map = setup::load_map(Some(path))?;
     let grounding = Grounding::new(&map, &GroundingOptions { level, room_labels: true }).map_err(input)?;
     Ok((map, grounding))
 }
 
 fn import(args: &Import) -> CommandResult {
-    let json = import::read(&args.graph).map_err(input)?;
+    let first = &args.graph[0];
     let equivalence = args.equivalence.as_deref().map(import::read).transpose().map_err(input)?;
-    let stem = args.graph.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+    let stem = first.file_stem().map(|stem| stem.to_string_lossy().into_owned());
     let name = args.name.clone().or(stem).unwrap_or_else(|| "imported".to_owned());
-    let Imported { map, notes } = match args.format {
-        Format::Virtualhome => import::virtualhome(&json, &name, equivalence.as_deref()),
-    }
-    .map_err(|error| input(ImportError::InFile { path: args.graph.clone(), source: Box::new(error) }))?;
+    let in_first = |error| input(ImportError::InFile { path: first.clone(), source: Box::new(error) });
+    let imported = match args.format {
+        Format::Virtualhome => {
+            let [graph] = &args.graph[..] else {
+                return Err(Failure::new(exit_code::USAGE, "a VirtualHome graph is one file; give exactly one"));
+            };
+            let json = import::read(graph).map_err(input)?;
+            import::virtualhome(&json, &name, equivalence.as_deref()).map_err(in_first)?
+        }
+        Format::OpenVocabulary => {
+            let mut texts = Vec::new();
+            for path in map_files(&args.graph)? {
+                texts.push(import::read(&path).map_err(input)?);
+            }
+            let json = import::combine(texts.iter().map(String::as_str)).map_err(in_first)?;
+            let imported = import::open_vocabulary(&json, &name, args.up).map_err(in_first)?;
+            if args.keep_spellings { imported } else { imported.merge_spellings().map_err(in_first)? }
+        }
+    };
+    let Imported { map, notes } = imported;
     write(&args.out, map.to_json().as_bytes())?;
     let mut text = format!(
         "{}: {} rooms, {} doors, {} items, {} labels\n",
@@ -179,6 +205,34 @@ fn import(args: &Import) -> CommandResult {
         let _ = writeln!(text, "  {note}");
     }
     print(&text)
+}
+
+/// The files, with folders replaced by the JSON files in them and in their folders, in the order of names.
+fn map_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
+    const DEEPEST: usize = 3;
+    fn collect(path: &Path, depth: usize, files: &mut Vec<PathBuf>) -> std::io::Result<()> {
+        if !path.is_dir() {
+            files.push(path.to_owned());
+            return Ok(());
+        }
+        let mut entries: Vec<PathBuf> =
+            std::fs::read_dir(path)?.map(|entry| entry.map(|entry| entry.path())).collect::<Result<_, _>>()?;
+        entries.sort();
+        for entry in entries {
+            let json = entry.extension().is_some_and(|ending| ending == "json");
+            if json || (depth < DEEPEST && entry.is_dir()) {
+                collect(&entry, depth + 1, files)?;
+            }
+        }
+        Ok(())
+    }
+    let mut files = Vec::new();
+    for path in paths {
+        collect(path, 0, &mut files).map_err(|error| {
+            input(format!("cannot read the folder {}: {error}; check its permissions", path.display()))
+        })?;
+    }
+    Ok(files)
 }
 
 /// What a person should know about a map that is well formed.

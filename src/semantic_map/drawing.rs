@@ -45,6 +45,8 @@ const HEAT: [[f64; 3]; 6] = [
 const STRUCTURE: [&str; 6] = ["wall", "floor", "ceiling", "door jamb", "doorjamb", "door"];
 /// Things whose longest side on the floor is at least this are drawn as boxes, others as dots; metres.
 const FURNITURE_FROM_M: f64 = 0.42;
+/// Width of a door; metres.
+const DOOR_M: f64 = 0.84;
 /// What begins above this height hangs from the ceiling; drawn as a dot, lest a lamp or a cupboard hide the floor; metres.
 const OVERHEAD_M: f64 = 1.85;
 
@@ -394,9 +396,8 @@ impl<'a> Plan<'a> {
 
     /// A gap in the nearest wall of the rooms, with the leaf and its swing.
     fn door(&self, position_m: &[f64; 3], rooms: [&Box3; 2]) -> Group {
-        const HALF_M: f64 = 0.42;
         let (x, y) = (self.x(position_m[0]), self.y(position_m[1]));
-        let half = HALF_M * self.scale;
+        let half = 0.5 * DOOR_M * self.scale;
         let to_wall = |axis: usize| {
             let walls_m = rooms.iter().flat_map(|room| [room.min_m[axis], room.max_m[axis]]);
             walls_m.map(|wall_m| (position_m[axis] - wall_m).abs()).fold(f64::INFINITY, f64::min)
@@ -545,6 +546,10 @@ impl<'a> Plan<'a> {
                     Area::around(self.x(item.position_m[0]), self.y(item.position_m[1]), 5.0, 5.0)
                 }
             })
+            .chain(self.map.doors.iter().map(|door| {
+                let size_px = 2.0 * DOOR_M * self.scale;
+                Area::around(self.x(door.position_m[0]), self.y(door.position_m[1]), size_px, size_px)
+            }))
             .filter(|thing| thing.meets(area))
             .collect();
         const STEPS: usize = 24;
@@ -601,7 +606,8 @@ impl<'a> Plan<'a> {
         let Some(heat) = self.heat else { return marks };
         const MOST: usize = 14;
         for index in warmest(&heat.item_share, MOST) {
-            if self.is_structure(index) || self.is_furniture(index) {
+            let warm = self.heat_of(index).is_some_and(|heat| heat > 0.2);
+            if !warm || self.is_structure(index) || self.is_furniture(index) {
                 continue;
             }
             let [east_m, north_m, _] = self.map.items[index].position_m;
@@ -633,7 +639,7 @@ impl<'a> Plan<'a> {
     fn scale_bar(&self) -> Group {
         let most_m = 160.0 / self.scale;
         let length_m = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1_000.0, 5_000.0];
-        let length_m = length_m.iter().copied().filter(|length_m| *length_m <= most_m).next_back().unwrap_or(0.1);
+        let length_m = length_m.into_iter().rfind(|length_m| *length_m <= most_m).unwrap_or(0.1);
         let (left, y) = (MARGIN_PX, TITLE_PX + self.size_px[1] + 26.0);
         let right = left + length_m * self.scale;
         let line = format!("M {left} {} V {y} H {} V {}", y - 6.0, rounded(right), y - 6.0);

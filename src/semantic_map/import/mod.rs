@@ -9,6 +9,7 @@ use super::schema::{self, SceneError};
 use super::{Names, SemanticMap};
 
 mod open_vocabulary;
+mod spelling;
 mod virtualhome;
 
 pub use open_vocabulary::{Up, combine, open_vocabulary};
