@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::grounding::GroundingOptions;
 use crate::narration::history::HistoryLimits;
 use crate::prompt::BindingSequence;
+use crate::scorer::certified::Effort;
 use crate::scorer::llama::{CacheType, LlamaOptions, SEQUENCES_MAX};
 use crate::scorer::{Method, Tokenisation};
 
@@ -130,11 +131,21 @@ pub struct ScoringConfig {
     pub method: Method,
     /// How prompt and label are cut into tokens.
     pub tokenisation: Tokenisation,
+    /// How far an answer goes.
+    pub effort: Effort,
+    /// The time that a step may take under `effort = "deadline"`, in milliseconds.
+    pub deadline_ms: u64,
 }
 
 impl Default for ScoringConfig {
     fn default() -> Self {
-        Self { binding: "default".into(), method: Method::default(), tokenisation: Tokenisation::default() }
+        Self {
+            binding: "default".into(),
+            method: Method::default(),
+            tokenisation: Tokenisation::default(),
+            effort: Effort::default(),
+            deadline_ms: 5,
+        }
     }
 }
 
@@ -193,6 +204,12 @@ impl Config {
         )?;
         limit(self.history.slack <= 1000, "history.slack", &self.history.slack, "give 0 to 1000")?;
         limit(self.history.tokens >= 16, "history.tokens", &self.history.tokens, "give 16 or more")?;
+        limit(
+            (1..=60_000).contains(&self.scoring.deadline_ms),
+            "scoring.deadline_ms",
+            &self.scoring.deadline_ms,
+            "give 1 to 60000",
+        )?;
         self.binding()?;
         Ok(())
     }

@@ -3,12 +3,13 @@
 //! The pipeline owns every buffer and does no I/O; the daemon, `roomcast score`, the experiments and the replay all run
 //! this one.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::grounding::{GroundedScores, Grounding, GroundingError};
 use crate::narration::Observation;
 use crate::narration::history::{Histories, History, HistoryLimits};
 use crate::prompt::{BindingSequence, write_prompt};
+use crate::scorer::certified::{Bounds, Certified, Effort};
 use crate::scorer::{
     DecodeStats, LabelScores, LanguageModel, Method, ModelInfo, PreparedLabels, ScoreError, Scorer, TextStart,
     Tokenisation,
@@ -47,6 +48,10 @@ pub struct PipelineOptions {
     pub tokenisation: Tokenisation,
     /// How labels are scored.
     pub method: Method,
+    /// How far an answer goes, under [`Method::Trie`]; the other methods are always exact.
+    pub effort: Effort,
+    /// The time that a step may take under [`Effort::Deadline`], from its start, in nanoseconds.
+    pub deadline_ns: u64,
     /// The window of each person.
     pub history: HistoryLimits,
 }
@@ -57,6 +62,8 @@ impl Default for PipelineOptions {
             binding: BindingSequence::default(),
             tokenisation: Tokenisation::default(),
             method: Method::default(),
+            effort: Effort::default(),
+            deadline_ns: 5_000_000,
             history: HistoryLimits::default(),
         }
     }
@@ -106,6 +113,12 @@ pub struct Scores {
     pub included: Vec<Included>,
     /// When the newest of it was observed, monotonic nanoseconds; 0 before the first.
     pub newest_observed_ns: u64,
+    /// How the scores were reached: the least far of the persons scored.
+    pub reached: Effort,
+    /// Per partition a certified lower bound of `ln S_j` in nats; the score itself when exact.
+    pub lower_log_score_nats: Vec<f64>,
+    /// Per partition a certified upper bound of `ln S_j` in nats; the score itself when exact.
+    pub upper_log_score_nats: Vec<f64>,
     /// Tokens of the prompts scored in this step.
     pub prompt_tokens: usize,
     /// What was decoded in this step.
@@ -118,7 +131,15 @@ pub struct Scores {
 struct Person {
     id: u32,
     scores: LabelScores,
+    /// Kept only where partial answers are asked for.
+    certified: Option<Certified>,
     stale: bool,
+}
+
+impl Person {
+    fn new(id: u32) -> Self {
+        Self { id, scores: LabelScores::default(), certified: None, stale: true }
+    }
 }
 
 /// The flow from observations to scores. See the [module's documentation](self).
@@ -132,6 +153,8 @@ pub struct Pipeline<M> {
     persons: Vec<Person>,
     prompt: String,
     tokens: Vec<crate::scorer::Token>,
+    /// The person whose prompt the model has read last.
+    read: Option<u32>,
     scores: Scores,
 }
 
@@ -161,6 +184,7 @@ impl<M: LanguageModel> Pipeline<M> {
             persons: Vec::new(),
             prompt: String::new(),
             tokens: Vec::new(),
+            read: None,
             scores: Scores::default(),
         })
     }
@@ -222,7 +246,7 @@ impl<M: LanguageModel> Pipeline<M> {
             self.histories.push(observation, tokens);
             match self.persons.iter_mut().find(|p| p.id == person) {
                 Some(known) => known.stale = true,
-                None => self.persons.push(Person { id: person, scores: LabelScores::default(), stale: true }),
+                None => self.persons.push(Person::new(person)),
             }
             self.include(included);
         }
@@ -259,7 +283,7 @@ impl<M: LanguageModel> Pipeline<M> {
         let mut timing = Timing::default();
         self.scores.stats = DecodeStats::default();
         self.scores.prompt_tokens = 0;
-        let mut nobody = Person { id: 0, scores: LabelScores::default(), stale: true };
+        let mut nobody = Person::new(0);
         let persons = match self.persons.as_mut_slice() {
             [] => std::slice::from_mut(&mut nobody),
             persons => persons,
@@ -274,8 +298,23 @@ impl<M: LanguageModel> Pipeline<M> {
                 &mut self.prompt,
             );
             timing.tokenise_ns += nanoseconds(writing);
-            self.scorer.score(&self.prepared, &self.prompt, self.options.method, &mut person.scores)?;
+            if self.options.method == Method::Trie && self.options.effort != Effort::Exact {
+                let state = (person.certified)
+                    .get_or_insert_with(|| Certified::new(self.prepared.trie(), &self.grounding.weights));
+                let deadline = start + Duration::from_nanos(self.options.deadline_ns);
+                self.scorer.score_certified(
+                    &self.prepared,
+                    state,
+                    &self.prompt,
+                    self.options.effort,
+                    Some(deadline),
+                    &mut person.scores,
+                )?;
+            } else {
+                self.scorer.score(&self.prepared, &self.prompt, self.options.method, &mut person.scores)?;
+            }
             person.stale = false;
+            self.read = Some(person.id);
             timing.tokenise_ns += person.scores.tokenise_ns;
             timing.prefix_ns += person.scores.prefix_ns;
             timing.trie_ns += person.scores.trie_ns;
@@ -285,6 +324,7 @@ impl<M: LanguageModel> Pipeline<M> {
         let grounding = Instant::now();
         mean(persons, &mut self.scores.label_log_prob_nats);
         self.grounding.ground(&self.scores.label_log_prob_nats, &mut self.scores.grounded)?;
+        bounds(persons, &mut self.scores);
         timing.ground_ns = nanoseconds(grounding);
         timing.total_ns = nanoseconds(start);
         self.scores.timing = timing;
@@ -300,9 +340,26 @@ impl<M: LanguageModel> Pipeline<M> {
         self.score()
     }
 
-    /// Work that can wait until no event does.
+    /// Work that can wait until no event does: clears the model's cache of what the next event cannot use, and cuts the
+    /// history windows that are full, reading the remaining narration again, so that no event waits for it.
     pub fn tidy(&mut self) {
         self.scorer.tidy();
+        let Some(person) = self.read else { return };
+        let Some(history) = self.histories.get_mut(person) else { return };
+        if history.compact() == 0 || !self.options.binding.uses_narration() {
+            return;
+        }
+        self.prompt.clear();
+        for sentence in history.sentences() {
+            if !self.prompt.is_empty() {
+                self.prompt.push(' ');
+            }
+            self.prompt.push_str(sentence);
+        }
+        // A failure costs the next event time, and shows there if it lasts.
+        if let Err(error) = self.scorer.read_ahead(&self.prompt) {
+            tracing::debug!(%error, "failed to read the compacted history ahead");
+        }
     }
 }
 
@@ -322,6 +379,31 @@ fn mean(persons: &[Person], out: &mut Vec<f64>) {
     }
     let ln_count = (persons.len() as f64).ln();
     out.iter_mut().for_each(|sum| *sum -= ln_count);
+}
+
+/// Combines the persons' bounds: those of a mean lie between the means of the bounds.
+fn bounds(persons: &[Person], scores: &mut Scores) {
+    let partial =
+        |p: &Person| p.certified.as_ref().filter(|c| c.bounds.reached != Effort::Exact).map(|c| c.bounds.reached);
+    scores.reached = persons.iter().filter_map(partial).max_by_key(|&effort| effort as u8).unwrap_or_default();
+    let exact = &scores.grounded.partition_log_score_nats;
+    scores.lower_log_score_nats.clear();
+    scores.upper_log_score_nats.clear();
+    if scores.reached == Effort::Exact {
+        scores.lower_log_score_nats.extend_from_slice(exact);
+        scores.upper_log_score_nats.extend_from_slice(exact);
+        return;
+    }
+    let count = persons.len() as f64;
+    for partition in 0..exact.len() {
+        let mean = |side: fn(&Bounds) -> &[f64]| {
+            let sum: f64 =
+                persons.iter().filter_map(|p| p.certified.as_ref()).map(|c| side(&c.bounds)[partition]).sum();
+            (sum / count).ln()
+        };
+        scores.lower_log_score_nats.push(mean(|b| &b.lower));
+        scores.upper_log_score_nats.push(mean(|b| &b.upper));
+    }
 }
 
 fn nanoseconds(since: Instant) -> u64 {

@@ -113,6 +113,8 @@ pub fn pipeline_options(config: &Config) -> Result<PipelineOptions, ConfigError>
         binding: config.binding()?,
         tokenisation: config.scoring.tokenisation,
         method: config.scoring.method,
+        effort: config.scoring.effort,
+        deadline_ns: config.scoring.deadline_ms.saturating_mul(1_000_000),
         history: config.history,
     })
 }

@@ -12,6 +12,7 @@ use crate::narration::program::Program;
 use crate::narration::{Observation, Observed, Sentence};
 use crate::pipeline::{Pipeline, PipelineOptions};
 use crate::prompt::BindingSequence;
+use crate::scorer::certified::Effort;
 use crate::scorer::llama::{CacheType, LlamaOptions};
 use crate::scorer::{LanguageModel, Method, Tokenisation, hex_string};
 use crate::semantic_map::{PartitionId, SemanticMap};
@@ -41,6 +42,12 @@ pub struct Args {
     /// How labels are scored; all methods agree up to rounding.
     #[arg(long, value_enum, default_value_t)]
     method: Method,
+    /// How far the answer goes: exact, or until the ranking, the top partition, or the time is certain.
+    #[arg(long, value_enum, default_value_t)]
+    effort: Effort,
+    /// The time for the answer under --effort deadline, in milliseconds.
+    #[arg(long, value_name = "MS", default_value_t = 5)]
+    deadline_ms: u64,
     /// How prompt and labels are cut into tokens.
     #[arg(long, value_enum, default_value_t)]
     tokenisation: Tokenisation,
@@ -87,6 +94,8 @@ pub fn run(args: &Args) -> CommandResult {
         binding: args.binding.clone(),
         tokenisation: args.tokenisation,
         method: args.method,
+        effort: args.effort,
+        deadline_ns: args.deadline_ms.saturating_mul(1_000_000),
         history: HistoryLimits::exact(args.history),
     };
     let mut pipeline = Pipeline::new(model, grounding, options).map_err(|e| Failure::new(exit_code::MODEL, e))?;
@@ -161,8 +170,12 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
     let partitions: Vec<_> = (grounding.partitions.iter())
         .zip(&grounded.partition_log_score_nats)
         .zip(&grounded.partition_probability)
-        .map(|((partition, log_score_nats), probability)| {
-            json!({"id": partition.id, "label": partition.label, "log_score_nats": log_score_nats, "probability": probability})
+        .zip(scores.lower_log_score_nats.iter().zip(&scores.upper_log_score_nats))
+        .map(|(((partition, log_score_nats), probability), (lower, upper))| {
+            json!({
+                "id": partition.id, "label": partition.label, "log_score_nats": log_score_nats, "probability": probability,
+                "lower_log_score_nats": lower, "upper_log_score_nats": upper,
+            })
         })
         .collect();
     json!({
@@ -173,6 +186,7 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
             "unassigned": grounding.unassigned.iter().map(|(item, _)| &map.items[item.0 as usize].id).collect::<Vec<_>>(),
         },
         "method": pipeline.options().method,
+        "effort": {"asked": pipeline.options().effort, "reached": scores.reached},
         "tokenisation": pipeline.options().tokenisation,
         "binding": pipeline.options().binding.text(),
         "prompt_tokens": scores.prompt_tokens,

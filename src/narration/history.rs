@@ -82,6 +82,21 @@ impl History {
         left
     }
 
+    /// Cuts a window that is full now rather than at the next observation, so that the work this makes is done while
+    /// nobody waits. Gives how many observations left; always 0 without slack, where the window is exact.
+    pub fn compact(&mut self) -> usize {
+        let high = self.limits.observations.saturating_add(self.limits.slack);
+        if self.limits.slack == 0 || self.window.len() < high {
+            return 0;
+        }
+        let left = self.window.len() - self.limits.observations;
+        for (_, tokens) in self.window.drain(..left) {
+            self.tokens -= tokens;
+        }
+        self.left += left as u64;
+        left
+    }
+
     /// The sentences, oldest first.
     pub fn sentences(&self) -> impl DoubleEndedIterator<Item = &str> + ExactSizeIterator {
         self.window.iter().map(|(observation, _)| observation.sentence.as_str())
@@ -145,6 +160,11 @@ impl Histories {
     #[must_use]
     pub fn get(&self, person: u32) -> Option<&History> {
         self.by_person.get(&person).map(|(_, history)| history)
+    }
+
+    /// The history of a person, to compact it.
+    pub fn get_mut(&mut self, person: u32) -> Option<&mut History> {
+        self.by_person.get_mut(&person).map(|(_, history)| history)
     }
 
     /// Persons and their histories, by id.

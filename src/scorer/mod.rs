@@ -525,6 +525,19 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(())
     }
 
+    /// Reads a prompt ahead, so that the next one that begins with it decodes only the rest.
+    ///
+    /// # Errors
+    /// When it does not fit or the model fails.
+    pub fn read_ahead(&mut self, prompt: &str) -> Result<(), ScoreError> {
+        self.prompt.clear();
+        self.model.tokenise(prompt, TextStart::Sequence, &mut self.prompt)?;
+        if !self.prompt.is_empty() && self.model.info().shares_prefix {
+            self.model.decode(&self.prompt, &TokenTree::default(), false, &mut |_, _| {})?;
+        }
+        Ok(())
+    }
+
     /// Scores the labels of one trie behind `self.prompt`, and appends them to `out`.
     fn score_trie(&mut self, trie: &LabelTrie, tree: &TokenTree, out: &mut LabelScores) -> Result<(), ScoreError> {
         let start = Instant::now();
