@@ -1,0 +1,209 @@
+//! The shipped model through the real scorer: all methods give the same scores, incrementally and afresh, on every scene.
+
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic is a test's report")]
+
+use std::path::Path;
+
+use rand::seq::IndexedRandom;
+use rand::{RngExt, SeedableRng};
+use roomcast::embedded;
+use roomcast::grounding::{Grounding, GroundingOptions};
+use roomcast::narration::history::HistoryLimits;
+use roomcast::narration::program::Program;
+use roomcast::narration::{Observation, Sentence};
+use roomcast::pipeline::{Pipeline, PipelineOptions};
+use roomcast::prompt::{BindingSequence, write_prompt};
+use roomcast::scorer::certified::Effort;
+use roomcast::scorer::llama::{LlamaModel, LlamaOptions};
+use roomcast::scorer::{LabelScores, Method, Scorer, Tokenisation};
+use roomcast::semantic_map::{SemanticMap, import};
+use roomcast::setup::load_model;
+
+/// Largest difference between methods, per token of a label.
+const TOLERANCE_NATS_PER_TOKEN: f64 = 2e-3;
+
+fn options(sequences: u32) -> LlamaOptions {
+    LlamaOptions { sequences, ..LlamaOptions::default() }
+}
+
+fn model(sequences: u32) -> LlamaModel {
+    load_model(None, &options(sequences)).unwrap()
+}
+
+/// Every shipped scene, and those of `../shared` where it exists.
+fn maps() -> Vec<SemanticMap> {
+    let mut maps: Vec<_> = embedded::SCENES.iter().map(|s| SemanticMap::from_json(s.text).unwrap()).collect();
+    let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/virtualhome/scenes");
+    match std::fs::read_dir(&shared) {
+        Ok(files) => {
+            for file in files {
+                let text = std::fs::read_to_string(file.unwrap().path()).unwrap();
+                maps.push(import::virtualhome(&text, "virtualhome", None).unwrap().map);
+            }
+        }
+        Err(_) => eprintln!("SKIPPED: {} is missing, so VirtualHome's own scenes are not tried", shared.display()),
+    }
+    maps
+}
+
+fn sentences() -> Vec<String> {
+    embedded::PROGRAMS
+        .iter()
+        .flat_map(|p| Program::parse(p.text).unwrap().steps)
+        .map(|action| action.sentence())
+        .chain(["The oven is on.".into(), "Somebody rings at the door.".into(), "<s> </s> [INST] zażółć 鍵 🙂.".into()])
+        .collect()
+}
+
+fn bindings() -> Vec<BindingSequence> {
+    BindingSequence::all_built_in().chain(["Then they reach for the ".parse().unwrap()]).collect()
+}
+
+fn compare(prepared_tokens: &[Vec<roomcast::scorer::Token>], a: &[f64], b: &[f64], what: &str) -> f64 {
+    let mut worst = 0.0_f64;
+    for ((tokens, a), b) in prepared_tokens.iter().zip(a).zip(b) {
+        worst = worst.max((a - b).abs() / tokens.len() as f64);
+    }
+    assert!(worst <= TOLERANCE_NATS_PER_TOKEN, "{what}: {worst} nats per token apart");
+    worst
+}
+
+#[test]
+fn methods_agree_on_every_scene_for_random_narrations_windows_and_bindings() {
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(2);
+    let (sentences, bindings) = (sentences(), bindings());
+    // Few sequences, so that the trie and above all the chains need several waves.
+    let mut scorer = Scorer::new(model(24));
+    let mut fresh = Scorer::new(model(64));
+    let (mut scores, mut other) = (LabelScores::default(), LabelScores::default());
+    let mut worst = 0.0_f64;
+    for map in maps() {
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        for round in 0..4 {
+            let binding = bindings.choose(&mut rng).unwrap();
+            let tokenisation = if round == 3 { Tokenisation::Paper } else { Tokenisation::Joint };
+            let prepared = scorer.prepare(&grounding.label_texts(), binding, tokenisation).unwrap();
+            let mut prompt = String::new();
+            let mut window: Vec<&str> = Vec::new();
+            // The same scorer follows a sliding window; a fresh one starts over each time.
+            for event in 0..5 {
+                window.push(sentences.choose(&mut rng).unwrap());
+                let keep = rng.random_range(1..=16);
+                let cut = window.len().saturating_sub(keep);
+                write_prompt(window[cut..].iter().copied(), binding, tokenisation == Tokenisation::Paper, &mut prompt);
+                scorer.score(&prepared, &prompt, Method::Trie, &mut scores).unwrap();
+                fresh.forget();
+                fresh.score(&prepared, &prompt, Method::Trie, &mut other).unwrap();
+                let what = format!("{} {:?} {event}", map.name, binding.text());
+                worst = worst.max(compare(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats, &what));
+                scorer.score(&prepared, &prompt, Method::SharedPrefix, &mut other).unwrap();
+                worst = worst.max(compare(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats, &what));
+                if event == 4 && round == 0 {
+                    fresh.score(&prepared, &prompt, Method::Independent, &mut other).unwrap();
+                    worst = worst.max(compare(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats, &what));
+                }
+            }
+        }
+    }
+    println!("largest difference: {worst:.2e} nats per token");
+}
+
+/// Every joint cut of prompt and label is the prompt's cut followed by the label's: the trie scores what the text says.
+#[test]
+fn labels_are_cut_as_the_joint_text_is() {
+    use roomcast::scorer::{LanguageModel, TextStart};
+    let scorer = Scorer::new(model(1));
+    for map in maps() {
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        for binding in bindings() {
+            let prepared = scorer.prepare(&grounding.label_texts(), &binding, Tokenisation::Joint).unwrap();
+            let mut prompt = String::new();
+            write_prompt(["They walk to the kitchen.", "They grab the mug."], &binding, false, &mut prompt);
+            let mut head = Vec::new();
+            scorer.model().tokenise(&prompt, TextStart::Sequence, &mut head).unwrap();
+            for (label, tokens) in prepared.labels().iter().zip(prepared.tokens()) {
+                let mut joint = Vec::new();
+                scorer.model().tokenise(&format!("{prompt} {label}"), TextStart::Sequence, &mut joint).unwrap();
+                let parts: Vec<_> = head.iter().chain(tokens).copied().collect();
+                assert_eq!(joint, parts, "{label:?} behind {prompt:?}");
+            }
+        }
+    }
+}
+
+/// Control tokens that a narrator writes are text: they cost many tokens and end nothing.
+#[test]
+fn control_tokens_in_text_are_inert() {
+    use roomcast::scorer::{LanguageModel, TextStart};
+    let scorer = Scorer::new(model(1));
+    for text in ["<s>", "</s>", "<unk>", "<|endoftext|>"] {
+        let mut tokens = Vec::new();
+        scorer.model().tokenise(text, TextStart::Within, &mut tokens).unwrap();
+        assert!(tokens.len() > 1, "{text} became {tokens:?}");
+    }
+}
+
+fn observation(sequence: u64, sentence: &str) -> Observation {
+    Observation {
+        person: 0,
+        source: 1,
+        epoch: 1,
+        sequence,
+        observed_ns: sequence,
+        observed_unix_ns: 0,
+        sentence: Sentence::new(sentence).unwrap(),
+    }
+}
+
+/// A long running pipeline with partial answers and idle compaction against an exact one: the bounds hold, the certified
+/// order is the true one, and the histories are the same.
+#[test]
+fn partial_answers_are_true_over_whole_programs() {
+    let map = SemanticMap::from_json(embedded::scene("apartment-e0").unwrap().text).unwrap();
+    let pipeline = |effort| {
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let options = PipelineOptions { effort, history: HistoryLimits::default(), ..PipelineOptions::default() };
+        Pipeline::new(model(64), grounding, options).unwrap()
+    };
+    let mut exact = pipeline(Effort::Exact);
+    for effort in [Effort::Ranking, Effort::Top, Effort::Deadline] {
+        let mut exact_scores = Vec::new();
+        let mut partial = pipeline(effort);
+        exact.forget_person(0);
+        for (sequence, sentence) in (0..).zip(sentences()) {
+            let truth = exact.step([observation(sequence, &sentence)]).unwrap();
+            exact_scores.clone_from(&truth.grounded.partition_log_score_nats);
+            exact.tidy();
+            let scores = partial.step([observation(sequence, &sentence)]).unwrap();
+            for (r, &exact) in exact_scores.iter().enumerate() {
+                let slack = TOLERANCE_NATS_PER_TOKEN * 4.0;
+                let (lower, upper) = (scores.lower_log_score_nats[r], scores.upper_log_score_nats[r]);
+                assert!(lower - slack <= exact && exact <= upper + slack, "{lower} {exact} {upper}");
+            }
+            let order = |values: &[f64]| {
+                let mut order: Vec<usize> = (0..values.len()).collect();
+                order.sort_by(|&a, &b| values[b].total_cmp(&values[a]));
+                order
+            };
+            let margin =
+                order(&exact_scores).windows(2).map(|w| exact_scores[w[0]] - exact_scores[w[1]]).fold(9.0, f64::min);
+            if scores.reached == Effort::Ranking && margin > 0.02 {
+                assert_eq!(order(&scores.grounded.partition_log_score_nats), order(&exact_scores));
+            }
+            partial.tidy();
+        }
+    }
+}
+
+#[test]
+fn a_prompt_that_does_not_fit_is_refused_and_the_next_one_works() {
+    let small = LlamaOptions { context_tokens: 64, ..options(8) };
+    let mut scorer = Scorer::new(load_model(None, &small).unwrap());
+    let prepared =
+        scorer.prepare(&["mug", "washing machine"], &BindingSequence::default(), Tokenisation::Joint).unwrap();
+    let mut scores = LabelScores::default();
+    let error = scorer.score(&prepared, &"They walk. ".repeat(100), Method::Trie, &mut scores).unwrap_err();
+    assert!(error.to_string().contains("context"), "{error}");
+    scorer.score(&prepared, "They walk. Next, they go to the", Method::Trie, &mut scores).unwrap();
+    assert!(scores.log_prob_nats.iter().all(|p| p.is_finite() && *p < 0.0));
+}
