@@ -185,8 +185,8 @@ pub enum Input {
 }
 
 impl Input {
-    /// `-` is standard input, line by line; a FIFO is read for ever; a file that holds a program is a program, any other file is read
-    /// line by line; a shipped program goes by its bare name.
+    /// `-` is standard input, line by line; a FIFO is read for ever; a file that begins with a title and holds actions is a
+    /// program, any other file is read line by line; a shipped program goes by its bare name.
     ///
     /// # Errors
     ///
@@ -215,13 +215,15 @@ impl Input {
         Ok(Self::Lines { name: name.clone(), stream: Box::new(stream), person })
     }
 
-    /// A program has a title, so its first line is neither an action nor JSON, and some later line is an action.
+    /// A program has a title: its first line is no action, no JSON and no sentence, and some later line is an action.
     fn is_program(stream: &mut File) -> io::Result<bool> {
         let mut start = Vec::new();
         stream.take(64 * 1024).read_to_end(&mut start)?;
         let text = String::from_utf8_lossy(&start);
         let mut lines = text.lines().map(str::trim_start).filter(|line| !line.is_empty());
-        let titled = lines.next().is_some_and(|line| !line.starts_with(['[', '{']));
+        let titled = lines
+            .next()
+            .is_some_and(|line| !line.starts_with(['[', '{']) && !line.trim_end().ends_with(['.', '!', '?']));
         Ok(titled && lines.any(|line| line.starts_with('[')))
     }
 }

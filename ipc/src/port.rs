@@ -5,6 +5,7 @@ use std::fmt::Debug;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
+use iceoryx2::identifiers::UniqueNodeId;
 use iceoryx2::node::NodeView;
 use iceoryx2::port::client::Client;
 use iceoryx2::port::listener::Listener;
@@ -12,7 +13,8 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::server::Server;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::{
-    AllocationStrategy, CallbackProgression, EventId, MessagingPattern, NodeState, PortFactory, Service, ServiceName,
+    AllocationStrategy, CallbackProgression, EventId, IceoryxSend, MessagingPattern, NodeState, PortFactory, Service,
+    ServiceName, ZeroCopySend,
 };
 use iceoryx2::service::builder::event::EventOpenOrCreateError;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
@@ -56,7 +58,8 @@ impl<M: Message> Publisher<M> {
         let factory = open_service::<M>(node)?;
         // The publisher first: it is the place that others may hold.
         let publisher = factory.publisher_builder().create();
-        let publisher = publisher.map_err(|_| occupied(&factory, quality.name, "publisher", quality.publishers))?;
+        let publisher = publisher
+            .map_err(|_| occupied(&factory, &publishers(&factory), quality.name, "publisher", quality.publishers))?;
         let notifier = open_event(node, quality.name, quality.publishers, quality.subscribers)?
             .notifier_builder()
             .default_event_id(EventId::new(DATA))
@@ -133,7 +136,8 @@ impl<M: Message> Subscriber<M> {
         let events = open_event(node, quality.name, quality.publishers, quality.subscribers)?;
         let listener = events.listener_builder().create().map_err(|error| passing(quality.name, &error))?;
         let subscriber = factory.subscriber_builder().buffer_size(quality.buffer).create();
-        let subscriber = subscriber.map_err(|_| occupied(&factory, quality.name, "subscriber", quality.subscribers))?;
+        let subscriber = subscriber
+            .map_err(|_| occupied(&factory, &subscribers(&factory), quality.name, "subscriber", quality.subscribers))?;
         Ok(Self { subscriber, factory, listener })
     }
 
@@ -226,7 +230,7 @@ impl ItemScoresPublisher {
             .initial_max_slice_len(512)
             .allocation_strategy(AllocationStrategy::PowerOfTwo)
             .create()
-            .map_err(|_| occupied(&factory, ITEM_SCORES, "publisher", 1))?;
+            .map_err(|_| occupied(&factory, &publishers(&factory), ITEM_SCORES, "publisher", 1))?;
         Ok(Self { publisher, factory })
     }
 
@@ -275,7 +279,8 @@ impl ItemScoresSubscriber {
     pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
         let factory = open_item_scores(node)?;
         let subscriber = factory.subscriber_builder().create();
-        let subscriber = subscriber.map_err(|_| occupied(&factory, ITEM_SCORES, "subscriber", 8))?;
+        let subscriber =
+            subscriber.map_err(|_| occupied(&factory, &subscribers(&factory), ITEM_SCORES, "subscriber", 8))?;
         Ok(Self { subscriber })
     }
 
@@ -304,12 +309,12 @@ impl StatusServer {
         let factory = open_status(node)?;
         let server = factory.server_builder().create();
         let server = server.map_err(|_| {
-            OpenFailure::Passing(IpcError::Occupied {
-                service: STATUS,
-                holder: holder(&factory),
-                role: "server",
-                limit: 1,
-            })
+            let mut servers = Vec::new();
+            factory.dynamic_config().list_servers(|server| {
+                servers.push(server.node_id);
+                CallbackProgression::Continue
+            });
+            occupied(&factory, &servers, STATUS, "server", 1)
         })?;
         Ok(Self { server })
     }
@@ -530,28 +535,42 @@ fn described(type_name: &str, size: usize) -> String {
 /// The place may come free: its holder may be stopping, or dead and not yet cleaned up.
 fn occupied<F: PortFactory<Service = Flavour>>(
     factory: &F,
+    holders: &[UniqueNodeId],
     service: &'static str,
     role: &'static str,
     limit: usize,
 ) -> OpenFailure {
-    OpenFailure::Passing(IpcError::Occupied { service, holder: holder(factory), role, limit })
-}
-
-/// The other participants of a service, in words.
-fn holder<F: PortFactory<Service = Flavour>>(factory: &F) -> String {
-    let own = std::process::id();
-    let mut others = Vec::new();
+    let mut names = Vec::new();
     // A list that fails leaves the answer vague, which is all that can be said then.
     let _listed = factory.nodes(|state| {
         if let NodeState::Alive(node) = state
+            && holders.contains(node.id())
             && let Some(details) = node.details()
-            && u32::try_from(details.process_id().value()).is_ok_and(|process| process != own)
         {
-            others.push(format!("{} (process {})", details.name(), details.process_id().value()));
+            names.push(format!("{} (process {})", details.name(), details.process_id().value()));
         }
         CallbackProgression::Continue
     });
-    if others.is_empty() { "somebody".to_owned() } else { others.join(" or ") }
+    let holder = if names.is_empty() { "somebody".to_owned() } else { names.join(" or ") };
+    OpenFailure::Passing(IpcError::Occupied { service, holder, role, limit })
+}
+
+fn publishers<P: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(factory: &Factory<P, H>) -> Vec<UniqueNodeId> {
+    let mut nodes = Vec::new();
+    factory.dynamic_config().list_publishers(|publisher| {
+        nodes.push(publisher.node_id);
+        CallbackProgression::Continue
+    });
+    nodes
+}
+
+fn subscribers<P: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(factory: &Factory<P, H>) -> Vec<UniqueNodeId> {
+    let mut nodes = Vec::new();
+    factory.dynamic_config().list_subscribers(|subscriber| {
+        nodes.push(subscriber.node_id);
+        CallbackProgression::Continue
+    });
+    nodes
 }
 
 fn service_name(name: &'static str) -> Result<ServiceName, OpenFailure> {

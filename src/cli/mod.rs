@@ -11,6 +11,7 @@ use crate::exit_code;
 mod completions;
 mod config;
 mod daemon;
+mod demo;
 mod doctor;
 mod model;
 mod narrate;
@@ -37,13 +38,17 @@ impl Failure {
 
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.error)?;
+        let mut said = self.error.to_string();
         let mut cause = self.error.source();
         while let Some(error) = cause {
-            write!(f, ": {error}")?;
+            let text = error.to_string();
+            // Many errors quote their cause already.
+            if !said.contains(&text) {
+                said = format!("{said}: {text}");
+            }
             cause = error.source();
         }
-        Ok(())
+        f.write_str(&said)
     }
 }
 
@@ -97,6 +102,8 @@ enum Command {
     Config(config::Args),
     /// Score the rooms: the service between narrators and planners.
     Daemon(daemon::Args),
+    /// Show the whole system at work on this machine.
+    Demo(demo::Args),
     /// Say whether this machine can run Roomcast, and how well.
     Doctor(doctor::Args),
     /// Inspect, check and fetch language models.
@@ -118,6 +125,7 @@ pub fn main() -> ExitCode {
         Command::Completions(args) => completions::run(&args),
         Command::Config(args) => config::run(&args),
         Command::Daemon(args) => daemon::run(&args),
+        Command::Demo(args) => demo::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Model(args) => model::run(&args),
         Command::Narrate(args) => narrate::run(&args),

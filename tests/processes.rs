@@ -1,0 +1,340 @@
+//! Real processes in private domains: what holds between narrator, daemon and planner when one is late, doubled, restarted,
+//! fast, foreign or hostile. Nothing here sleeps for a fixed time to prove something, and nothing is held to a time.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use iceoryx2::prelude::ZeroCopySend;
+use roomcast::exit_code;
+use roomcast_ipc::{
+    DecisionV1, Domain, Field, Layout, Message, MessageError, NarrationV1, Node, RoomScoresV1, ServiceQuality,
+    StatusResponseV1, Subscriber, action, narration_kind, sequence,
+};
+use rustix::process::{Pid, Signal, kill_process};
+
+/// Far longer than anything here takes, also on a loaded machine.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A private domain with its processes and their logs; gone when dropped.
+struct World {
+    directory: tempfile::TempDir,
+    domain: Domain,
+    children: Vec<Process>,
+}
+
+struct Process {
+    child: Child,
+    log: PathBuf,
+}
+
+impl World {
+    fn new(name: &str) -> Self {
+        let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(directory.path().join("d"), &format!("{name}-{}", std::process::id())).unwrap();
+        Self { directory, domain, children: Vec::new() }
+    }
+
+    fn command(&self, arguments: &[&str]) -> Command {
+        // An installed binary can be tested instead of the one just built.
+        let built = || env!("CARGO_BIN_EXE_roomcast").into();
+        let mut command = Command::new(std::env::var_os("ROOMCAST_BINARY").unwrap_or_else(built));
+        command.args(arguments).arg("--root").arg(self.domain.root()).args(["--domain", self.domain.name()]);
+        command.env_remove("ROOMCAST_CONFIG").stdin(Stdio::null());
+        command
+    }
+
+    /// Starts a process that runs until the end of the test; returns its number.
+    fn start(&mut self, arguments: &[&str]) -> usize {
+        let log = self.directory.path().join(format!("log-{}", self.children.len()));
+        let mut command = self.command(arguments);
+        let child = command.stderr(File::create(&log).unwrap()).stdout(Stdio::null()).spawn().unwrap();
+        self.children.push(Process { child, log });
+        self.children.len() - 1
+    }
+
+    fn start_daemon(&mut self) -> usize {
+        let state = self.state();
+        self.start(&["daemon", "--state", state.to_str().unwrap()])
+    }
+
+    fn state(&self) -> PathBuf {
+        self.directory.path().join("state")
+    }
+
+    /// Narrates lines and waits for the narrator's end; gives its exit code and outcome.
+    fn narrate(&self, name: &str, lines: &str) -> (i32, serde_json::Value) {
+        let file = self.directory.path().join(format!("{name}.txt"));
+        std::fs::write(&file, lines).unwrap();
+        self.narrate_file(name, &file)
+    }
+
+    fn narrate_file(&self, name: &str, file: &Path) -> (i32, serde_json::Value) {
+        let mut command = self.command(&["narrate", file.to_str().unwrap(), "--name", name, "--pace", "0", "--json"]);
+        let output = command.args(["--linger", "100"]).output().unwrap();
+        let outcome = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{output:?}"));
+        (output.status.code().unwrap(), outcome)
+    }
+
+    fn signal(&self, process: usize, signal: Signal) {
+        kill_process(Pid::from_raw(self.children[process].child.id().cast_signed()).unwrap(), signal).unwrap();
+    }
+
+    fn wait(&mut self, process: usize) -> (ExitStatus, String) {
+        let process = &mut self.children[process];
+        let status = eventually("the process ends", || process.child.try_wait().unwrap());
+        (status, std::fs::read_to_string(&process.log).unwrap())
+    }
+
+    fn assert_alive(&mut self) {
+        for process in &mut self.children {
+            if let Some(status) = process.child.try_wait().unwrap() {
+                panic!("ended with {status}: {}", std::fs::read_to_string(&process.log).unwrap());
+            }
+        }
+    }
+
+    fn status(&self, node: &Node) -> StatusResponseV1 {
+        node.status_client().unwrap().ask(PATIENCE).unwrap()
+    }
+
+    fn shared_memory_files(&self) -> Vec<String> {
+        let prefix = format!("{}_", self.domain.name());
+        let names = std::fs::read_dir("/dev/shm").unwrap().map(|file| file.unwrap().file_name().into_string().unwrap());
+        names.filter(|name| name.starts_with(&prefix)).collect()
+    }
+}
+
+impl Drop for World {
+    fn drop(&mut self) {
+        for process in &mut self.children {
+            let _gone = process.child.kill();
+            let _reaped = process.child.wait();
+            if std::thread::panicking() {
+                eprintln!("--- {}", std::fs::read_to_string(&process.log).unwrap_or_default());
+            }
+        }
+        let _left = self.domain.clean_up();
+    }
+}
+
+fn eventually<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(value) = attempt() {
+            return value;
+        }
+        assert!(start.elapsed() < PATIENCE, "not within {PATIENCE:?}: {what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// The newest scores that satisfy a condition.
+fn scores_with(scores: &Subscriber<RoomScoresV1>, what: &str, holds: impl Fn(&RoomScoresV1) -> bool) -> RoomScoresV1 {
+    eventually(what, || scores.newest().unwrap().filter(&holds))
+}
+
+fn includes(scores: &RoomScoresV1, name: &str, number: u64) -> bool {
+    let source = sequence::source_of_name(name);
+    scores.included().iter().any(|included| included.source == source && included.sequence >= number)
+}
+
+#[test]
+fn a_late_planner_has_the_scores_at_once_and_two_planners_do_not_disturb_each_other() {
+    let mut world = World::new("late");
+    world.start_daemon();
+    let (code, outcome) = world.narrate("camera", "They walk to the kitchen.\nThey open the fridge.\n");
+    assert_eq!((code, &outcome["confirmed"]), (0, &serde_json::json!(2)));
+
+    let node = world.domain.open("test").unwrap();
+    let decisions = node.subscriber::<DecisionV1>().unwrap();
+    world.start(&["planner", "--robot", "one", "--policy", "greedy-avoidance"]);
+    world.start(&["planner", "--robot", "two", "--policy", "naive", "--seed", "3"]);
+    let mut first = std::collections::BTreeMap::new();
+    eventually("both robots decide", || {
+        while let Some(decision) = decisions.receive().unwrap() {
+            let decision = decision.unwrap();
+            first.entry(decision.robot).or_insert(decision);
+        }
+        (first.len() == 2).then_some(())
+    });
+    for decision in first.values() {
+        // No narration came after the planners: what they know, they got on joining.
+        assert_eq!((decision.action, decision.flags), (action::GO, 0), "{}", decision.reason());
+        assert!(decision.observed_ns > 0 && !decision.to().is_empty());
+    }
+    world.assert_alive();
+}
+
+#[test]
+fn the_history_survives_a_killed_daemon_and_nothing_is_taken_twice() {
+    let mut world = World::new("killed");
+    let daemon = world.start_daemon();
+    assert_eq!(world.narrate("camera", "They walk to the kitchen.\nThey grab the mug.\nThey sit on the sofa.\n").0, 0);
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let before = scores_with(&scores, "scores", |scores| includes(scores, "camera", 3));
+    world.signal(daemon, Signal::KILL);
+    world.wait(daemon);
+
+    world.start_daemon();
+    let after = scores_with(&scores, "the new daemon's scores", |scores| scores.epoch != before.epoch);
+    assert!(includes(&after, "camera", 3), "{:?}", after.included());
+    assert_eq!(after.window, before.window);
+    for (before, after) in before.rooms().iter().zip(after.rooms()) {
+        assert_eq!(before.id(), after.id());
+        assert!((before.log_score_nats - after.log_score_nats).abs() < 0.02, "the same history gives the same scores");
+    }
+    assert_eq!(world.status(&node).restored, 3);
+}
+
+#[test]
+fn narration_that_a_daemon_did_not_confirm_reaches_the_next_one() {
+    let mut world = World::new("unconfirmed");
+    let file = world.directory.path().join("lines.txt");
+    std::fs::write(&file, "They walk to the kitchen.\nThey grab the mug.\n").unwrap();
+    // No daemon yet: the narrator waits with what it has said.
+    let narrator =
+        world.start(&["narrate", file.to_str().unwrap(), "--name", "early", "--pace", "0", "--linger", "100"]);
+    let node = world.domain.open("test").unwrap();
+    let heard = node.subscriber::<NarrationV1>().unwrap();
+    eventually("the narrator speaks", || heard.receive().unwrap()).unwrap();
+    world.start_daemon();
+    let (status, log) = world.wait(narrator);
+    assert!(status.success(), "{log}");
+    assert_eq!(world.status(&node).accepted, 2);
+}
+
+#[test]
+fn a_narrator_faster_than_the_scorer_loses_nothing() {
+    let mut world = World::new("fast");
+    world.start_daemon();
+    let lines: String = (0..600).map(|number| format!("They do thing {number}.\n")).collect();
+    let (code, outcome) = world.narrate("fast", &lines);
+    assert_eq!((code, outcome), (0, serde_json::json!({"sent": 600, "confirmed": 600, "refused": 0})));
+    let node = world.domain.open("test").unwrap();
+    let status = world.status(&node);
+    assert_eq!((status.accepted, status.missed, status.duplicates), (600, 0, 0));
+    assert!(status.steps < 600 && status.merged > 0, "steps were merged: {} of {}", status.merged, status.steps);
+    world.assert_alive();
+}
+
+#[test]
+fn a_hostile_narrator_is_counted_and_the_daemon_goes_on() {
+    let mut world = World::new("hostile");
+    world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let narration = node.publisher::<NarrationV1>().unwrap();
+    let good = NarrationV1::new(narration_kind::SENTENCE, "They sit on the sofa.").unwrap();
+    let source = sequence::source_of_name("test");
+    let good = NarrationV1 { source, epoch: 1, sequence: 1, ..good };
+    let action = NarrationV1::new(narration_kind::ACTION, "[Fly] <moon> (1)").unwrap();
+    let hostile = [
+        NarrationV1 { text: [0xff; 1024], text_bytes: 1024, ..good },
+        NarrationV1 { text_bytes: u32::MAX, ..good },
+        NarrationV1 { text: [0x1b; 1024], text_bytes: 1024, ..good },
+        NarrationV1 { kind: 77, ..good },
+        NarrationV1 { source: 0, ..good },
+        NarrationV1 { source, epoch: 1, sequence: 1, ..action },
+    ];
+    for message in &hostile {
+        narration.send_unchecked(message).unwrap();
+    }
+    narration.send(&good).unwrap();
+    scores_with(&scores, "the good one", |scores| includes(scores, "test", 1));
+    let status = world.status(&node);
+    assert_eq!((status.malformed, status.accepted), (hostile.len() as u64, 1));
+    // Text that looks like a model's control token is text.
+    let token = NarrationV1::new(narration_kind::SENTENCE, "<s></s><|endoftext|> They stand up.").unwrap();
+    narration.send(&NarrationV1 { source, epoch: 1, sequence: 2, ..token }).unwrap();
+    scores_with(&scores, "control tokens as text", |scores| includes(scores, "test", 2));
+    world.assert_alive();
+}
+
+/// The scores of a later version under the old service's name.
+#[derive(Debug, Clone, Copy, ZeroCopySend)]
+#[repr(C)]
+#[type_name("roomcast.RoomScoresV2")]
+struct RoomScoresV2 {
+    epoch: u64,
+}
+
+impl Layout for RoomScoresV2 {
+    const TYPE_NAME: &'static str = "roomcast.RoomScoresV2";
+    const FIELDS: &'static [Field] = &[];
+}
+
+impl Message for RoomScoresV2 {
+    const SERVICE: ServiceQuality = RoomScoresV1::SERVICE;
+
+    fn check(&self) -> Result<(), MessageError> {
+        Ok(())
+    }
+}
+
+#[test]
+fn another_version_of_a_message_is_one_clear_error() {
+    let mut world = World::new("version");
+    let node = world.domain.open("later-daemon").unwrap();
+    let _running = node.publisher::<RoomScoresV2>().unwrap();
+    let planner = world.start(&["planner"]);
+    let (status, log) = world.wait(planner);
+    assert_eq!(status.code(), Some(i32::from(exit_code::IPC)), "{log}");
+    assert!(log.contains("roomcast.RoomScoresV2") && log.contains("roomcast.RoomScoresV1"), "{log}");
+}
+
+#[test]
+fn a_second_daemon_is_refused_and_the_first_stops_cleanly() {
+    let mut world = World::new("second");
+    let first = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let second = world.start(&["daemon"]);
+    let (status, log) = world.wait(second);
+    assert_eq!(status.code(), Some(i32::from(exit_code::IPC)), "{log}");
+    let holder = format!("roomcast-daemon (process {})", world.children[first].child.id());
+    assert!(log.contains(&holder) && log.contains("roomcast/v1/room-scores"), "{log}");
+
+    world.signal(first, Signal::TERM);
+    let (status, log) = world.wait(first);
+    assert!(status.success(), "{log}");
+    drop((scores, node));
+    assert!(world.domain.clean_up().unwrap());
+    assert_eq!(world.shared_memory_files(), Vec::<String>::new());
+    assert!(!world.domain.root().exists());
+}
+
+#[test]
+fn a_stopped_daemon_makes_the_planner_stay() {
+    let mut world = World::new("stopped");
+    let daemon = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let decisions = node.subscriber::<DecisionV1>().unwrap();
+    world.start(&["planner", "--room-time", "0.05"]);
+    let flagged = |wanted: bool| {
+        eventually("a decision", || {
+            let decision = decisions.receive().unwrap()?.unwrap();
+            (decision.has(roomcast_ipc::decision_flags::FALLBACK) == wanted).then_some(decision)
+        })
+    };
+    assert_eq!(flagged(false).action, action::GO);
+    world.signal(daemon, Signal::STOP);
+    let fallback = flagged(true);
+    assert_eq!(fallback.action, action::STAY);
+    assert_eq!(fallback.from(), fallback.to());
+    world.signal(daemon, Signal::CONT);
+    assert_eq!(flagged(false).action, action::GO);
+}
+
+#[test]
+fn lines_that_are_no_narration_are_named_and_the_others_go_through() {
+    let mut world = World::new("lines");
+    world.start_daemon();
+    let (code, outcome) = world.narrate("lines", "They sit.\n[Fly] <moon> (1)\n{\"txt\": 1}\nThey stand up.\n");
+    assert_eq!(code, i32::from(exit_code::INPUT));
+    assert_eq!(outcome, serde_json::json!({"sent": 2, "confirmed": 2, "refused": 2}));
+}
