@@ -40,6 +40,10 @@ pub mod hub;
 
 pub mod setup;
 
+pub mod simulation;
+
+pub mod experiment;
+
 pub mod exit_code;
 
 pub mod cli;

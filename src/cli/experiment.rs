@@ -148,7 +148,8 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
         }
         None => Statistics::from_json(HOUSEHOLD_STATISTICS).map_err(|e| Failure::new(exit_code::FAILURE, e))?,
     };
-    let maps: Vec<(SemanticMap, Grounding)> = args.scene.iter().map(|path| map(path)).collect::<Result<_, Failure>>()?;
+    let maps: Vec<(SemanticMap, Grounding)> =
+        args.scene.iter().map(|path| map(path)).collect::<Result<_, Failure>>()?;
     let options = forecast::Options {
         history: args.model.limits(),
         binding: args.binding.clone(),
@@ -168,7 +169,8 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
 
 fn map(path: &Path) -> Result<(SemanticMap, Grounding), Failure> {
     let map = setup::load_map(Some(path))?;
-    let grounding = Grounding::new(&map, &GroundingOptions::default()).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+    let grounding =
+        Grounding::new(&map, &GroundingOptions::default()).map_err(|e| Failure::new(exit_code::INPUT, e))?;
     Ok((map, grounding))
 }
 
@@ -212,7 +214,8 @@ fn split(programs: Vec<NamedProgram>, manifest: &Path, name: &str) -> Result<Vec
 }
 
 fn print_forecast(report: &Report) {
-    let mut table = super::table(&["scene", "target", "predictor", "cases", "nll (nats)", "top-1", "top-5", "mrr", "brier", "ece"]);
+    let mut table =
+        super::table(&["scene", "target", "predictor", "cases", "nll (nats)", "top-1", "top-5", "mrr", "brier", "ece"]);
     let mut rows: Vec<_> = report.rows.iter().collect();
     rows.sort_by(|a, b| (&a.scene, a.target).cmp(&(&b.scene, b.target)));
     for row in rows {

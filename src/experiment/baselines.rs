@@ -243,7 +243,11 @@ mod tests {
         let likeliest = |p: &[f64]| (0..p.len()).max_by(|a, b| p[*a].total_cmp(&p[*b])).unwrap();
         let key = key("couch", &mut binder, &grounding);
         assert_eq!(likeliest(&baselines.markov1(Some(&key))), fridge);
-        for p in [baselines.frequency().to_vec(), baselines.markov1(Some("x")), baselines.markov2(Some("fridge"), Some("sofa"))] {
+        for p in [
+            baselines.frequency().to_vec(),
+            baselines.markov1(Some("x")),
+            baselines.markov2(Some("fridge"), Some("sofa")),
+        ] {
             assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9);
         }
         assert!((baselines.stay(Some(1), 3).iter().sum::<f64>() - 1.0).abs() < 1e-9);

@@ -266,8 +266,14 @@ pub fn run<M: LanguageModel>(
     progress: &Progress,
     mut open: impl FnMut(&Grounding) -> Result<ScoreSource<M>, ExperimentError>,
 ) -> Result<Report, ExperimentError> {
-    let mut report =
-        Report { cases: 0, programs: programs.len(), unbound: Vec::new(), bound_share: 0.0, computed: 0, rows: Vec::new() };
+    let mut report = Report {
+        cases: 0,
+        programs: programs.len(),
+        unbound: Vec::new(),
+        bound_share: 0.0,
+        computed: 0,
+        rows: Vec::new(),
+    };
     let mut unbound = BTreeMap::new();
     for (map, grounding) in maps {
         let mut source = open(grounding)?;
@@ -309,11 +315,7 @@ fn both(
     Ok((labels, grounded.partition_probability.clone()))
 }
 
-fn rooms_of(
-    labels: &[f64],
-    grounding: &Grounding,
-    grounded: &mut GroundedScores,
-) -> Result<Vec<f64>, ExperimentError> {
+fn rooms_of(labels: &[f64], grounding: &Grounding, grounded: &mut GroundedScores) -> Result<Vec<f64>, ExperimentError> {
     // Rounding may leave a probability above one, which is no log-probability.
     let log_prob_nats: Vec<f64> = labels.iter().map(|p| p.ln().min(0.0)).collect();
     grounding.ground(&log_prob_nats, grounded)?;
@@ -323,7 +325,12 @@ fn rooms_of(
 /// A forecast of rooms as one of labels: each room's probability in equal parts to the items in it.
 fn labels_in(rooms: &[f64], grounding: &Grounding) -> Vec<f64> {
     let items = |room: usize| -> Vec<f64> {
-        grounding.scored_labels.iter().enumerate().map(|(c, label)| grounding.weights[(c, room)] * label.count).collect()
+        grounding
+            .scored_labels
+            .iter()
+            .enumerate()
+            .map(|(c, label)| grounding.weights[(c, room)] * label.count)
+            .collect()
     };
     // Labels all of whose items lie outside every room keep a little, since they can still be next.
     let mut labels = vec![1e-6; grounding.scored_labels.len()];
@@ -362,14 +369,18 @@ mod tests {
     fn a_case_is_a_step_with_another_object_ahead() {
         let (map, grounding) = studio();
         let mut binder = Binder::new(&map, &grounding, ItemChoice::First);
-        let text = "T\nd\n\n[Walk] <fridge> (1)\n[Open] <fridge> (1)\n[Find] <spaceship> (1)\n[Sit] <couch> (1)\n[StandUp]\n";
+        let text =
+            "T\nd\n\n[Walk] <fridge> (1)\n[Open] <fridge> (1)\n[Find] <spaceship> (1)\n[Sit] <couch> (1)\n[StandUp]\n";
         let program = Program::parse(text).unwrap();
         let mut unbound = BTreeMap::new();
         let cases = cases(&program, &mut binder, &grounding, &mut unbound);
         // After walk and open the spaceship is next and cannot be bound; after it, the sofa; then nothing.
         assert_eq!(unbound, BTreeMap::from([("spaceship".to_owned(), 2)]));
         assert_eq!(cases.len(), 1);
-        assert_eq!((cases[0].done, cases[0].last.as_deref(), cases[0].before.as_deref()), (3, Some("spaceship"), Some("fridge")));
+        assert_eq!(
+            (cases[0].done, cases[0].last.as_deref(), cases[0].before.as_deref()),
+            (3, Some("spaceship"), Some("fridge"))
+        );
         assert_eq!(grounding.scored_labels[cases[0].object].text, "sofa");
         assert_ne!(cases[0].room, cases[0].here);
     }
@@ -387,14 +398,21 @@ mod tests {
         };
         let run = || {
             run(&[studio()], &programs, &statistics, &options, &Progress::hidden(), |grounding| {
-                Ok(ScoreSource::new(TableModel::new(1), &grounding.label_texts(), Method::Trie, Tokenisation::Joint, None)?)
+                Ok(ScoreSource::new(
+                    TableModel::new(1),
+                    &grounding.label_texts(),
+                    Method::Trie,
+                    Tokenisation::Joint,
+                    None,
+                )?)
             })
             .unwrap()
         };
         let report = run();
         assert_eq!(report.rows.len(), 21);
         assert!(report.cases > 40 && report.rows.iter().all(|row| row.summary.nll_nats.is_finite()));
-        let find = |predictor, target| report.rows.iter().find(|r| r.predictor == predictor && r.target == target).unwrap();
+        let find =
+            |predictor, target| report.rows.iter().find(|r| r.predictor == predictor && r.target == target).unwrap();
         assert_eq!(find("stay", Target::RoomChange).summary.top1, 0.0);
         let uniform = find("uniform", Target::Room).summary;
         assert!((uniform.nll_nats - 3f64.ln()).abs() < 1e-9 && (uniform.top1 - 1.0 / 3.0).abs() < 1e-9);

@@ -25,7 +25,9 @@ pub enum ScoresError {
     #[error(transparent)]
     Score(#[from] ScoreError),
     /// The cache.
-    #[error("failed to use the cache of scores {path}: {source}; choose another place with --cache, or none with --no-cache")]
+    #[error(
+        "failed to use the cache of scores {path}: {source}; choose another place with --cache, or none with --no-cache"
+    )]
     Cache {
         /// The file or folder.
         path: PathBuf,

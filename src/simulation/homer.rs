@@ -123,14 +123,21 @@ mod tests {
         let times: Vec<_> = day.actions.iter().map(|a| (a.activity.as_str(), a.action.verb(), a.done_min)).collect();
         assert_eq!(
             times,
-            [("wake_up-00", "walk", 370.0), ("brush", "grab", 371.0), ("brush", "walk", 371.0), ("brush", "standup", 372.0)]
+            [
+                ("wake_up-00", "walk", 370.0),
+                ("brush", "grab", 371.0),
+                ("brush", "walk", 371.0),
+                ("brush", "standup", 372.0)
+            ]
         );
         assert_eq!(day.program("x").steps.len(), 4);
     }
 
     #[test]
     fn faults_are_named_by_line() {
-        assert!(Day::parse("### a\n[FLY] <x> (1) [1]\n").unwrap_err().to_string().starts_with("line 2: unknown action"));
+        assert!(
+            Day::parse("### a\n[FLY] <x> (1) [1]\n").unwrap_err().to_string().starts_with("line 2: unknown action")
+        );
         assert!(Day::parse("### a\n").unwrap_err().to_string().contains("no step"));
     }
 
