@@ -28,6 +28,8 @@ pub mod grounding;
 
 pub mod policy;
 
+pub mod forecast;
+
 pub mod pipeline;
 
 pub mod config;
