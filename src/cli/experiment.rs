@@ -46,6 +46,9 @@ struct ModelArgs {
     /// How prompt and labels are cut into tokens.
     #[arg(long, value_enum, default_value_t)]
     tokenisation: Tokenisation,
+    /// Threads of one decoder call; all cores but one, or both of two, when left out.
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
     /// Where scores are kept for the next run; below the user's cache folder when left out.
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
@@ -76,7 +79,9 @@ impl ModelArgs {
 
     /// The product's scorer for a map's labels.
     fn source(&self, grounding: &Grounding) -> Result<ScoreSource<LlamaModel>, ExperimentError> {
-        let model = setup::load_model(self.model.as_deref(), &LlamaOptions::default())?;
+        let default = LlamaOptions::default();
+        let options = LlamaOptions { threads: self.threads.unwrap_or(default.threads), ..default };
+        let model = setup::load_model(self.model.as_deref(), &options)?;
         let labels = grounding.label_texts();
         Ok(ScoreSource::new(model, &labels, self.method, self.tokenisation, self.cache().as_deref())?)
     }

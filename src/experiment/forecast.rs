@@ -178,8 +178,7 @@ fn cases(
 
 /// Evaluates in one map. Gives the rows, the cases, and counts what could not be bound into `unbound`.
 fn evaluate<M: LanguageModel>(
-    map: &SemanticMap,
-    grounding: &Grounding,
+    (map, grounding): &(SemanticMap, Grounding),
     source: &mut ScoreSource<M>,
     programs: &[NamedProgram],
     statistics: &Statistics,
@@ -275,12 +274,11 @@ pub fn run<M: LanguageModel>(
         rows: Vec::new(),
     };
     let mut unbound = BTreeMap::new();
-    for (map, grounding) in maps {
-        let mut source = open(grounding)?;
-        let (rows, cases) =
-            evaluate(map, grounding, &mut source, programs, statistics, options, &mut unbound, progress)?;
+    for scene in maps {
+        let mut source = open(&scene.1)?;
+        let (rows, cases) = evaluate(scene, &mut source, programs, statistics, options, &mut unbound, progress)?;
         if cases == 0 {
-            return Err(ExperimentError::NothingBound { scene: map.name.clone() });
+            return Err(ExperimentError::NothingBound { scene: scene.0.name.clone() });
         }
         report.cases += cases;
         report.computed += source.computed();
@@ -388,7 +386,7 @@ mod tests {
     #[test]
     fn the_report_has_every_predictor_and_target_for_each_scene() {
         let programs = crate::embedded::PROGRAMS
-            .map(|(name, text)| NamedProgram { path: name.into(), program: Program::parse(text).unwrap() });
+            .map(|shipped| NamedProgram { path: shipped.name.into(), program: Program::parse(shipped.text).unwrap() });
         let statistics = Statistics::fit(programs.iter().map(|p| &p.program));
         let options = Options {
             history: HistoryLimits::default(),

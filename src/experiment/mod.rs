@@ -6,11 +6,17 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::grounding::GroundingError;
 use crate::narration::SentenceError;
+use crate::simulation::clairvoyant::ClairvoyantError;
+use crate::simulation::timeline::TimelineError;
+use crate::simulation::world::WorldError;
 
 pub mod baselines;
+pub mod chart;
 pub mod forecast;
 pub mod metrics;
+pub mod report;
 pub mod scores;
+pub mod study;
 
 pub use scores::{ScoreSource, ScoresError};
 
@@ -45,6 +51,37 @@ pub enum ExperimentError {
     /// Model or map.
     #[error(transparent)]
     Setup(#[from] crate::setup::SetupError),
+    /// A person.
+    #[error(transparent)]
+    Timeline(#[from] TimelineError),
+    /// A simulation.
+    #[error(transparent)]
+    World(#[from] WorldError),
+    /// The clairvoyant optimum.
+    #[error(transparent)]
+    Clairvoyant(#[from] ClairvoyantError),
+    /// A run that no robot can have had.
+    #[error(
+        "{decider} disturbed for {found_s} s, less than the clairvoyant bound of {bound_s} s: this is a fault of the simulation, please report it"
+    )]
+    BelowBound {
+        /// Who decided.
+        decider: String,
+        /// D_T of the run.
+        found_s: f64,
+        /// The least possible.
+        bound_s: f64,
+    },
+    /// Two exact methods with different results.
+    #[error(
+        "dynamic programming gives {dynamic_s:?} s and HiGHS {solver_s:?} s for the clairvoyant optimum: this is a fault of the simulation, please report it"
+    )]
+    SolversDisagree {
+        /// One of them.
+        dynamic_s: Option<f64>,
+        /// The other.
+        solver_s: Option<f64>,
+    },
     /// The map.
     #[error(transparent)]
     Grounding(#[from] GroundingError),

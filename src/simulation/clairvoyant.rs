@@ -110,8 +110,8 @@ pub fn by_mixed_integer_program(
     }
 }
 
-/// The least mean D_T over all starting rooms at a given share of failed coverage: the front of the clairvoyant robot. To
-/// fail is bought where it saves most. `None` if coverage cannot be had that often.
+/// The least mean D_T over runs, given what is possible in each, at a given share of failed coverage: the front of the
+/// clairvoyant robot. To fail is bought where it saves most. `None` if coverage cannot be had that often.
 #[must_use]
 pub fn bound_s(optima: &[Optimum], failure_rate: f64) -> Option<f64> {
     let n = optima.len().max(1) as f64;

@@ -367,7 +367,7 @@ mod tests {
 
     #[test]
     fn the_default_pace_is_the_papers() {
-        for (text, actions) in crate::embedded::PROGRAMS.map(|(_, text)| text).into_iter().zip([18, 16, 42]) {
+        for (text, actions) in crate::embedded::PROGRAMS.map(|program| program.text).into_iter().zip([18, 16, 42]) {
             let (timeline, visited) = timeline(text, &PersonOptions::default()).unwrap();
             assert_eq!((timeline.done.len(), timeline.len()), (actions, 24 * actions));
             assert!(visited.len() > 4 && timeline.skipped.is_empty());

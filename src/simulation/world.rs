@@ -47,12 +47,13 @@ pub enum Disturbance {
     InSight,
 }
 
-/// What a robot may cost at each time step: `cost[t * rooms + r]` is the number of people that a robot in room r disturbs.
+/// What a robot may cost: the number of people that it disturbs in each room at each time step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cost {
     rooms: usize,
     steps: usize,
-    cost: Vec<f64>,
+    /// `before[t * rooms + r]` is the sum over the steps before t in room r; steps plus one times rooms.
+    before: Vec<f64>,
 }
 
 /// Half the width of a door, in metres.
@@ -104,7 +105,15 @@ impl Cost {
                 }
             }
         }
-        Ok(Self { rooms, steps, cost })
+        Ok(Self::from_steps(rooms, &cost))
+    }
+
+    fn from_steps(rooms: usize, cost: &[f64]) -> Self {
+        let mut before = vec![0.0; rooms];
+        for (index, cost) in cost.iter().enumerate() {
+            before.push(before[index] + cost);
+        }
+        Self { rooms, steps: cost.len() / rooms, before }
     }
 
     /// K: the number of rooms.
@@ -122,7 +131,8 @@ impl Cost {
     /// Disturbance by a robot in `room` from one step up to another.
     #[must_use]
     pub fn between(&self, room: usize, from: usize, to: usize) -> f64 {
-        (from..to.min(self.steps)).map(|step| self.cost[step * self.rooms + room]).sum()
+        let at = |step: usize| self.before[step.min(self.steps) * self.rooms + room];
+        at(to) - at(from)
     }
 
     /// Disturbance per slot of `room_time_s` steps and room, slot by slot; the last slot may be cut short by the horizon.
@@ -135,7 +145,7 @@ impl Cost {
     /// E[D_T] of the naive policy: every room at every step with the same chance.
     #[must_use]
     pub fn naive_disturbance(&self) -> f64 {
-        self.cost.iter().sum::<f64>() / self.rooms as f64
+        (0..self.rooms).map(|room| self.between(room, 0, self.steps)).sum::<f64>() / self.rooms as f64
     }
 }
 
@@ -257,7 +267,7 @@ pub(super) mod tests {
     pub(crate) fn cost_of(rooms: usize, at: &[usize]) -> Cost {
         let mut cost = vec![0.0; rooms * at.len()];
         at.iter().enumerate().for_each(|(step, room)| cost[step * rooms + room] = 1.0);
-        Cost { rooms, steps: at.len(), cost }
+        Cost::from_steps(rooms, &cost)
     }
 
     fn even(cost: &Cost, room_time_s: usize) -> Knowledge {
