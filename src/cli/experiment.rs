@@ -18,6 +18,8 @@ use crate::semantic_map::SemanticMap;
 use crate::setup;
 use crate::simulation::binding::ItemChoice;
 
+mod study;
+
 /// Arguments of `roomcast experiment`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -29,10 +31,20 @@ pub struct Args {
 enum Experiment {
     /// How well the next object and room are forecast, next to baselines on the same cases.
     Forecast(ForecastArgs),
+    /// The paper's Table I: disturbance by prompt.
+    Table1(study::Table1Args),
+    /// The paper's Table II: disturbance, time of coverage and failure by policy.
+    Table2(study::StudyArgs),
+    /// What the scores depend on: models, prompts, tokenisation, windows.
+    Ablation(study::AblationArgs),
+    /// Disturbance against coverage for every policy and weight, with the clairvoyant bound.
+    Pareto(study::ParetoArgs),
+    /// How well the forecast says where the person will be, by horizon.
+    Horizon(study::StudyArgs),
 }
 
 /// What all experiments share: model, window and cache.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 struct ModelArgs {
     /// A GGUF model; the embedded household model when left out.
     #[arg(long, value_name = "FILE")]
@@ -123,6 +135,9 @@ impl From<ExperimentError> for Failure {
         let code = match &error {
             ExperimentError::Scores(_) => exit_code::MODEL,
             ExperimentError::Setup(error) => error.exit_code(),
+            ExperimentError::Clairvoyant(_)
+            | ExperimentError::BelowBound { .. }
+            | ExperimentError::SolversDisagree { .. } => exit_code::FAILURE,
             _ => exit_code::INPUT,
         };
         Self::new(code, error)
@@ -136,6 +151,11 @@ impl From<ExperimentError> for Failure {
 pub fn run(args: &Args) -> CommandResult {
     match &args.experiment {
         Experiment::Forecast(args) => run_forecast(args),
+        Experiment::Table1(args) => study::run_table1(args),
+        Experiment::Table2(args) => study::run_table2(args),
+        Experiment::Ablation(args) => study::run_ablation(args),
+        Experiment::Pareto(args) => study::run_pareto(args),
+        Experiment::Horizon(args) => study::run_horizon(args),
     }
 }
 

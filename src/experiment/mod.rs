@@ -17,6 +17,7 @@ pub mod metrics;
 pub mod report;
 pub mod scores;
 pub mod study;
+pub mod tables;
 
 pub use scores::{ScoreSource, ScoresError};
 
