@@ -28,6 +28,8 @@ pub mod grounding;
 
 pub mod policy;
 
+pub mod forecast;
+
 pub mod pipeline;
 
 pub mod daemon;
@@ -49,6 +51,9 @@ pub mod setup;
 pub mod stop;
 
 pub mod logging;
+pub mod simulation;
+
+pub mod experiment;
 
 pub mod exit_code;
 

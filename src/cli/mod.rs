@@ -13,6 +13,7 @@ mod config;
 mod daemon;
 mod demo;
 mod doctor;
+mod experiment;
 mod model;
 mod narrate;
 mod planner;
@@ -106,6 +107,8 @@ enum Command {
     Demo(demo::Args),
     /// Say whether this machine can run Roomcast, and how well.
     Doctor(doctor::Args),
+    /// Reproduce the paper's tables and figures, and ours.
+    Experiment(experiment::Args),
     /// Inspect, check and fetch language models.
     Model(model::Args),
     /// Publish what a person does: activity programs, JSON lines, plain sentences.
@@ -127,6 +130,7 @@ pub fn main() -> ExitCode {
         Command::Daemon(args) => daemon::run(&args),
         Command::Demo(args) => demo::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        Command::Experiment(args) => experiment::run(&args),
         Command::Model(args) => model::run(&args),
         Command::Narrate(args) => narrate::run(&args),
         Command::Planner(args) => planner::run(&args),

@@ -1,0 +1,274 @@
+//! `roomcast experiment`: the paper's tables and figures, and the project's own.
+
+use std::path::{Path, PathBuf};
+
+use clap::Subcommand;
+
+use super::{CommandResult, Failure};
+use crate::exit_code;
+use crate::experiment::baselines::{HOUSEHOLD_STATISTICS, Statistics};
+use crate::experiment::forecast::{self, NamedProgram, Report};
+use crate::experiment::{ExperimentError, Progress, ScoreSource};
+use crate::grounding::{Grounding, GroundingOptions};
+use crate::narration::history::HistoryLimits;
+use crate::prompt::BindingSequence;
+use crate::scorer::llama::{LlamaModel, LlamaOptions};
+use crate::scorer::{Method, Tokenisation};
+use crate::semantic_map::SemanticMap;
+use crate::setup;
+use crate::simulation::binding::ItemChoice;
+
+mod study;
+
+/// Arguments of `roomcast experiment`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    experiment: Experiment,
+}
+
+#[derive(Debug, Subcommand)]
+enum Experiment {
+    /// How well the next object and room are forecast, next to baselines on the same cases.
+    Forecast(ForecastArgs),
+    /// The paper's Table I: disturbance by prompt.
+    Table1(study::Table1Args),
+    /// The paper's Table II: disturbance, time of coverage and failure by policy.
+    Table2(study::StudyArgs),
+    /// What the scores depend on: models, prompts, tokenisation, windows.
+    Ablation(study::AblationArgs),
+    /// Disturbance against coverage for every policy and weight, with the clairvoyant bound.
+    Pareto(study::ParetoArgs),
+    /// How well the forecast says where the person will be, by horizon.
+    Horizon(study::StudyArgs),
+}
+
+/// What all experiments share: model, window and cache.
+#[derive(Debug, Clone, clap::Args)]
+struct ModelArgs {
+    /// A GGUF model; the embedded household model when left out.
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Observations in the history window, the paper's n_h, exactly; the daemon's default window when left out.
+    #[arg(long, value_name = "N")]
+    history: Option<usize>,
+    /// How labels are scored; all methods agree up to rounding.
+    #[arg(long, value_enum, default_value_t)]
+    method: Method,
+    /// How prompt and labels are cut into tokens.
+    #[arg(long, value_enum, default_value_t)]
+    tokenisation: Tokenisation,
+    /// Threads of one decoder call; all cores but one, or both of two, when left out.
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Where scores are kept for the next run; below the user's cache folder when left out.
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+    /// Keep no scores.
+    #[arg(long, conflicts_with = "cache")]
+    no_cache: bool,
+    /// Seed of every draw: the same seed gives the same table.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+}
+
+impl ModelArgs {
+    fn limits(&self) -> HistoryLimits {
+        self.history.map_or_else(HistoryLimits::default, HistoryLimits::exact)
+    }
+
+    fn cache(&self) -> Option<PathBuf> {
+        if self.no_cache {
+            return None;
+        }
+        self.cache.clone().or_else(|| {
+            let folder = |name, below: &str| {
+                std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute()).map(|path| path.join(below))
+            };
+            Some(folder("XDG_CACHE_HOME", "").or_else(|| folder("HOME", ".cache"))?.join("roomcast/scores"))
+        })
+    }
+
+    /// The product's scorer for a map's labels.
+    fn source(&self, grounding: &Grounding) -> Result<ScoreSource<LlamaModel>, ExperimentError> {
+        let default = LlamaOptions::default();
+        let options = LlamaOptions { threads: self.threads.unwrap_or(default.threads), ..default };
+        let model = setup::load_model(self.model.as_deref(), &options)?;
+        let labels = grounding.label_texts();
+        Ok(ScoreSource::new(model, &labels, self.method, self.tokenisation, self.cache().as_deref())?)
+    }
+}
+
+/// Arguments of `roomcast experiment forecast`.
+#[derive(Debug, clap::Args)]
+struct ForecastArgs {
+    /// A folder of activity programs (VirtualHome) or of days (HOMER+), or one such file.
+    #[arg(long, value_name = "DIR")]
+    programs: PathBuf,
+    /// A scene file, or the name of a shipped scene; may be repeated.
+    #[arg(long, value_name = "FILE", required = true)]
+    scene: Vec<PathBuf>,
+    /// Programs that the baselines are fitted on; the statistics of the embedded model's training split when left out.
+    #[arg(long, value_name = "DIR")]
+    fit: Option<PathBuf>,
+    /// Take only the programs of a split that a training manifest lists, such as models/manifest.json.
+    #[arg(long, value_name = "FILE")]
+    manifest: Option<PathBuf>,
+    /// Which split of the manifest.
+    #[arg(long, value_name = "NAME", default_value = "test", requires = "manifest")]
+    split: String,
+    /// Which of a label's items an object of a program means.
+    #[arg(long, value_enum, default_value_t)]
+    items: ItemChoice,
+    /// The binding sequence: default, p0 to p5, or a text of your own.
+    #[arg(long, value_name = "TEXT", default_value = "default")]
+    binding: BindingSequence,
+    #[command(flatten)]
+    model: ModelArgs,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+impl From<ExperimentError> for Failure {
+    fn from(error: ExperimentError) -> Self {
+        let code = match &error {
+            ExperimentError::Scores(_) => exit_code::MODEL,
+            ExperimentError::Setup(error) => error.exit_code(),
+            ExperimentError::Clairvoyant(_)
+            | ExperimentError::BelowBound { .. }
+            | ExperimentError::SolversDisagree { .. } => exit_code::FAILURE,
+            _ => exit_code::INPUT,
+        };
+        Self::new(code, error)
+    }
+}
+
+/// Runs the experiment that was named.
+///
+/// # Errors
+/// When an input or the model cannot be used.
+pub fn run(args: &Args) -> CommandResult {
+    match &args.experiment {
+        Experiment::Forecast(args) => run_forecast(args),
+        Experiment::Table1(args) => study::run_table1(args),
+        Experiment::Table2(args) => study::run_table2(args),
+        Experiment::Ablation(args) => study::run_ablation(args),
+        Experiment::Pareto(args) => study::run_pareto(args),
+        Experiment::Horizon(args) => study::run_horizon(args),
+    }
+}
+
+fn run_forecast(args: &ForecastArgs) -> CommandResult {
+    let (mut programs, faults) = forecast::load_programs(&args.programs)?;
+    report_faults(&faults);
+    if let Some(manifest) = &args.manifest {
+        programs = split(programs, manifest, &args.split)?;
+    }
+    let statistics = match &args.fit {
+        Some(folder) => {
+            let (fitted, faults) = forecast::load_programs(folder)?;
+            report_faults(&faults);
+            Statistics::fit(fitted.iter().map(|named| &named.program))
+        }
+        None => Statistics::from_json(HOUSEHOLD_STATISTICS).map_err(|e| Failure::new(exit_code::FAILURE, e))?,
+    };
+    let maps: Vec<(SemanticMap, Grounding)> =
+        args.scene.iter().map(|path| map(path)).collect::<Result<_, Failure>>()?;
+    let options = forecast::Options {
+        history: args.model.limits(),
+        binding: args.binding.clone(),
+        items: args.items,
+        seed: args.model.seed,
+    };
+    let progress = Progress::new("programs", programs.len() * maps.len());
+    let open = |grounding: &Grounding| args.model.source(grounding);
+    let report = forecast::run(&maps, &programs, &statistics, &options, &progress, open)?;
+    drop(progress);
+    if args.json {
+        return super::print_json(&report);
+    }
+    print_forecast(&report);
+    Ok(())
+}
+
+fn map(path: &Path) -> Result<(SemanticMap, Grounding), Failure> {
+    let map = setup::load_map(Some(path))?;
+    let grounding =
+        Grounding::new(&map, &GroundingOptions::default()).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+    Ok((map, grounding))
+}
+
+/// Files that cannot be read are no reason to throw the others away, but are never passed over in silence.
+fn report_faults(faults: &[String]) {
+    for fault in faults.iter().take(10) {
+        eprintln!("roomcast: skipped: {fault}");
+    }
+    if faults.len() > 10 {
+        eprintln!("roomcast: skipped {} more files", faults.len() - 10);
+    }
+}
+
+#[derive(serde::Deserialize)]
+struct Manifest {
+    splits: std::collections::BTreeMap<String, Split>,
+}
+
+#[derive(serde::Deserialize)]
+struct Split {
+    files: Vec<PathBuf>,
+}
+
+fn split(programs: Vec<NamedProgram>, manifest: &Path, name: &str) -> Result<Vec<NamedProgram>, Failure> {
+    let failed = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", manifest.display()));
+    let text = std::fs::read_to_string(manifest).map_err(|e| failed(e.to_string()))?;
+    let parsed: Manifest = serde_json::from_str(&text).map_err(|e| failed(e.to_string()))?;
+    let known = || parsed.splits.keys().cloned().collect::<Vec<_>>().join(", ");
+    let split = parsed.splits.get(name).ok_or_else(|| failed(format!("no split `{name}`: there are {}", known())))?;
+    let files: std::collections::HashSet<&Path> = split.files.iter().map(PathBuf::as_path).collect();
+    // The manifest's paths are relative to the data's root: the ends of the programs' paths.
+    let listed = |path: &Path| {
+        let parts: Vec<_> = path.components().collect();
+        (0..parts.len()).any(|from| files.contains(parts[from..].iter().collect::<PathBuf>().as_path()))
+    };
+    let chosen: Vec<_> = programs.into_iter().filter(|program| listed(&program.path)).collect();
+    if chosen.is_empty() {
+        return Err(failed(format!("none of the programs given is in the split `{name}`")));
+    }
+    Ok(chosen)
+}
+
+fn print_forecast(report: &Report) {
+    let mut table =
+        super::table(&["scene", "target", "predictor", "cases", "nll (nats)", "top-1", "top-5", "mrr", "brier", "ece"]);
+    let mut rows: Vec<_> = report.rows.iter().collect();
+    rows.sort_by(|a, b| (&a.scene, a.target).cmp(&(&b.scene, b.target)));
+    for row in rows {
+        let s = &row.summary;
+        let with = |value: f64, [low, high]: [f64; 2]| format!("{value:.3} [{low:.3}, {high:.3}]");
+        table.add_row(vec![
+            row.scene.clone(),
+            serde_json::to_value(row.target).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default(),
+            row.predictor.to_owned(),
+            s.cases.to_string(),
+            with(s.nll_nats, s.ci95.nll_nats),
+            with(s.top1, s.ci95.top1),
+            with(s.top5, s.ci95.top5),
+            with(s.mrr, s.ci95.mrr),
+            with(s.brier, s.ci95.brier),
+            with(s.ece, s.ci95.ece),
+        ]);
+    }
+    println!("{table}");
+    println!(
+        "{} cases in {} programs; {:.1} % of the next objects are in the maps; 95 % intervals by bootstrap over programs; {} scores computed, the others from the cache",
+        report.cases,
+        report.programs,
+        100.0 * report.bound_share,
+        report.computed
+    );
+    let missing: Vec<_> = report.unbound.iter().take(12).map(|(name, n)| format!("{name} ({n})")).collect();
+    if !missing.is_empty() {
+        println!("not in the maps: {}", missing.join(", "));
+    }
+}

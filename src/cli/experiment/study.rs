@@ -1,0 +1,518 @@
+//! `roomcast experiment table1 | table2 | ablation | pareto | horizon`: a robot among people, many times over.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use serde_json::json;
+
+use super::{ModelArgs, map, report_faults};
+use crate::cli::{CommandResult, Failure, print_json, table};
+use crate::embedded;
+use crate::exit_code;
+use crate::experiment::report::{Report, Table};
+use crate::experiment::study::{self, Activity, Decider, Figures, Home, Options};
+use crate::experiment::tables::{self, DIFFERENCES, PAPER_TABLE1};
+use crate::experiment::{ExperimentError, Progress, ScoreSource};
+use crate::forecast::ForecastOptions;
+use crate::grounding::{GroundedScores, Grounding};
+use crate::narration::history::HistoryLimits;
+use crate::narration::{Program, Sentence};
+use crate::policy::{PolicyName, WEIGHT_DEFAULT_S};
+use crate::prompt::BindingSequence;
+use crate::scorer::llama::LlamaModel;
+use crate::semantic_map::{SemanticMap, drawing};
+use crate::simulation::binding::ItemChoice;
+use crate::simulation::homer::{self, Day};
+use crate::simulation::timeline::PersonOptions;
+use crate::simulation::world::Disturbance;
+
+/// What all simulations share.
+#[derive(Debug, clap::Args)]
+pub(super) struct StudyArgs {
+    /// A scene file, or the name of a shipped scene; may be repeated. The three apartments when left out.
+    #[arg(long, value_name = "FILE")]
+    scene: Vec<PathBuf>,
+    /// An activity program (VirtualHome), a day (HOMER+), a folder of either, or the name of a shipped program; may be
+    /// repeated. The three shipped programs when left out. Of a folder, what a scene has no use for is skipped and reported.
+    #[arg(long, value_name = "FILE")]
+    program: Vec<PathBuf>,
+    /// T_r, the time the robot works in each room, in seconds; may be repeated.
+    #[arg(long, value_name = "SECONDS")]
+    room_time: Vec<usize>,
+    /// Restarts per cell and policy.
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    restarts: u64,
+    /// The binding sequence: default, p0 to p5, or a text of your own.
+    #[arg(long, value_name = "TEXT", default_value = "default")]
+    binding: BindingSequence,
+    /// Which of a label's items an object of a program means.
+    #[arg(long, value_enum, default_value_t)]
+    items: ItemChoice,
+    /// When the robot disturbs: same-room, in-sight, or near:METRES.
+    #[arg(long, value_name = "KIND", default_value = "same-room")]
+    disturbance: DisturbanceArg,
+    /// Seconds per action, to which programs are stretched; 0 leaves them as long as actions.toml says.
+    #[arg(long, value_name = "SECONDS", default_value_t = 24.0)]
+    pace: f64,
+    /// Carry out all programs at the same time, one person each.
+    #[arg(long)]
+    together: bool,
+    #[command(flatten)]
+    model: ModelArgs,
+    /// Write CSV, SVG, PNG and report.html into this folder.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct DisturbanceArg(Disturbance);
+
+impl FromStr for DisturbanceArg {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let near = |metres: &str| metres.parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0);
+        match text {
+            "same-room" => Ok(Self(Disturbance::SameRoom)),
+            "in-sight" => Ok(Self(Disturbance::InSight)),
+            _ => match text.strip_prefix("near:").and_then(near) {
+                Some(metres) => Ok(Self(Disturbance::Near(metres))),
+                None => Err(format!("`{text}` is none of same-room, in-sight, near:METRES")),
+            },
+        }
+    }
+}
+
+/// Arguments of `roomcast experiment table1`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Table1Args {
+    /// Who decides, given the prompts' scores.
+    #[arg(long, value_name = "POLICY", default_value = "informed-avoidance")]
+    policy: PolicyName,
+    #[command(flatten)]
+    study: StudyArgs,
+}
+
+/// Arguments of `roomcast experiment ablation`.
+#[derive(Debug, clap::Args)]
+pub(super) struct AblationArgs {
+    /// Further models to compare; may be repeated.
+    #[arg(long, value_name = "FILE")]
+    also_model: Vec<PathBuf>,
+    /// Binding sequences to compare; may be repeated. The default and p0 to p5 when left out.
+    #[arg(long, value_name = "TEXT")]
+    prompt: Vec<BindingSequence>,
+    /// Window lengths to compare; may be repeated.
+    #[arg(long, value_name = "N", default_values_t = [1, 2, 4, 8, 16])]
+    window: Vec<usize>,
+    #[command(flatten)]
+    study: StudyArgs,
+}
+
+/// Arguments of `roomcast experiment pareto`.
+#[derive(Debug, clap::Args)]
+pub(super) struct ParetoArgs {
+    /// Weights of coverage-aware avoidance, in seconds of disturbance per failed coverage; may be repeated.
+    #[arg(long, value_name = "SECONDS", default_values_t = [0.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 150.0, 200.0, 300.0, 1000.0])]
+    weight: Vec<f64>,
+    #[command(flatten)]
+    study: StudyArgs,
+}
+
+type Scene = (SemanticMap, Grounding);
+
+/// Everything that was loaded for a study.
+struct Setup<'a> {
+    args: &'a StudyArgs,
+    scenes: Vec<Scene>,
+    activities: Vec<(String, Activity)>,
+    /// Only what was named one by one must fit every scene.
+    strict: bool,
+    room_times_s: Vec<usize>,
+    options: Options,
+}
+
+impl StudyArgs {
+    fn setup(&self, room_times_s: &[usize], scenes: &[&str], programs: &[&str]) -> Result<Setup<'_>, Failure> {
+        let or = |given: &[PathBuf], default: &[&str]| -> Vec<PathBuf> {
+            if given.is_empty() { default.iter().map(PathBuf::from).collect() } else { given.to_vec() }
+        };
+        let scenes = or(&self.scene, scenes).iter().map(|path| map(path)).collect::<Result<_, _>>()?;
+        let (mut activities, mut strict) = (Vec::new(), true);
+        for path in or(&self.program, programs) {
+            strict &= !path.is_dir();
+            activities.extend(load(&path)?);
+        }
+        let mean_action_s = (self.pace > 0.0).then_some(self.pace);
+        let options = Options {
+            history: self.model.limits(),
+            items: self.items,
+            person: PersonOptions { mean_action_s, ..PersonOptions::default() },
+            disturbance: self.disturbance.0,
+            forecast: ForecastOptions::default(),
+            restarts: self.restarts.max(1),
+            seed: self.model.seed,
+        };
+        let room_times_s = if self.room_time.is_empty() { room_times_s.to_vec() } else { self.room_time.clone() };
+        Ok(Setup { args: self, scenes, activities, strict, room_times_s, options })
+    }
+}
+
+/// The activities of a file, of a folder, or of the binary.
+fn load(path: &Path) -> Result<Vec<(String, Activity)>, Failure> {
+    let input = |error: crate::narration::ProgramError| Failure::new(exit_code::INPUT, error);
+    if !path.exists()
+        && let Some(text) = path.to_str().and_then(embedded::program)
+    {
+        let program = Program::parse(text).map_err(input)?;
+        return Ok(vec![(path.display().to_string(), Activity::Program(program))]);
+    }
+    let (files, faults) = super::forecast::load_programs(path)?;
+    report_faults(&faults);
+    let mut activities = Vec::with_capacity(files.len());
+    for file in files {
+        let name = file.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        // Programs were read already; days are read again with their times.
+        let day = std::fs::read_to_string(&file.path).ok().filter(|text| Day::recognise(text));
+        let activity = match day {
+            Some(text) => Activity::Day(homer::Day::parse(&text).map_err(input)?),
+            None => Activity::Program(file.program),
+        };
+        activities.push((name, activity));
+    }
+    Ok(activities)
+}
+
+impl Setup<'_> {
+    fn homes<'s>(
+        &self,
+        (map, grounding): &'s Scene,
+        source: &mut ScoreSource<LlamaModel>,
+        binding: &BindingSequence,
+        options: &Options,
+        skipped: &mut Vec<String>,
+    ) -> Result<Vec<Home<'s>>, Failure> {
+        let groups: Vec<Vec<(String, &Activity)>> = if self.args.together {
+            vec![self.activities.iter().map(|(name, activity)| (name.clone(), activity)).collect()]
+        } else {
+            self.activities.iter().map(|(name, activity)| vec![(name.clone(), activity)]).collect()
+        };
+        let shortest_s = self.room_times_s.iter().max().copied().unwrap_or(0) * map.rooms.len();
+        let mut homes = Vec::with_capacity(groups.len());
+        for group in groups {
+            match Home::new(map, grounding, &group, source, binding, options) {
+                Ok(home) if self.strict || home.cost().steps() >= shortest_s => homes.push(home),
+                Ok(home) => skipped.push(format!(
+                    "{} in {}: its {} s leave no time to do every room for {} s",
+                    home.program,
+                    map.name,
+                    home.cost().steps(),
+                    shortest_s / map.rooms.len().max(1)
+                )),
+                Err(ExperimentError::Timeline(error)) if !self.strict => skipped.push(error.to_string()),
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Ok(homes)
+    }
+
+    /// Every home of every scene, under one binding sequence.
+    fn all_homes(
+        &self,
+        sources: &mut [ScoreSource<LlamaModel>],
+        binding: &BindingSequence,
+        options: &Options,
+    ) -> Result<Vec<Home<'_>>, Failure> {
+        let (mut homes, mut skipped) = (Vec::new(), Vec::new());
+        let progress = Progress::new("scoring", self.scenes.len());
+        for (scene, source) in self.scenes.iter().zip(sources) {
+            homes.extend(self.homes(scene, source, binding, options, &mut skipped)?);
+            progress.step();
+        }
+        drop(progress);
+        report_faults(&skipped);
+        let mut lacking: Vec<&str> = homes.iter().flat_map(Home::skipped).collect();
+        lacking.sort_unstable();
+        lacking.dedup();
+        if !lacking.is_empty() {
+            eprintln!(
+                "roomcast: {} kinds of action were left out because a scene lacks their object, such as {}",
+                lacking.len(),
+                lacking.iter().take(5).copied().collect::<Vec<_>>().join(", ")
+            );
+        }
+        if homes.is_empty() {
+            return Err(Failure::new(
+                exit_code::INPUT,
+                "no activity fits any of the scenes: give others, or a shorter --room-time",
+            ));
+        }
+        Ok(homes)
+    }
+
+    fn sources(&self, model: &ModelArgs) -> Result<Vec<ScoreSource<LlamaModel>>, Failure> {
+        self.scenes.iter().map(|(_, grounding)| Ok(model.source(grounding)?)).collect()
+    }
+
+    fn run(&self, homes: &[Home<'_>], deciders: &[Decider]) -> Result<Vec<study::Cell>, Failure> {
+        let progress = Progress::new("cells", homes.len() * self.room_times_s.len() * deciders.len());
+        Ok(study::run(homes, &self.room_times_s, deciders, &self.options, &progress)?)
+    }
+
+    fn notes(&self, sources: &[ScoreSource<LlamaModel>], homes: &[Home<'_>]) -> Vec<String> {
+        let computed: usize = sources.iter().map(ScoreSource::computed).sum();
+        let model = sources.first().map(|source| source.model().name.clone()).unwrap_or_default();
+        let horizon_s = homes.iter().map(|home| home.cost().steps()).sum::<usize>() as f64 / homes.len().max(1) as f64;
+        let closed_s =
+            homes.iter().map(|home| home.cost().naive_disturbance()).sum::<f64>() / homes.len().max(1) as f64;
+        vec![format!(
+            "Model {model}, binding \"{}\", {} homes and activities, T {horizon_s:.0} s on average, T_r {:?} s, {} restarts, seed {}; {computed} \
+             scores computed, the others from the cache. In closed form the naive policy disturbs {closed_s:.1} s. The clairvoyant bound is \
+             HiGHS's optimum of the mixed-integer program, equal to that of the dynamic program in every cell.",
+            self.args.binding.text().trim_end(),
+            homes.len(),
+            self.room_times_s,
+            self.options.restarts,
+            self.options.seed,
+        )]
+    }
+
+    fn finish(&self, report: &Report, json: serde_json::Value) -> CommandResult {
+        if let Some(folder) = &self.args.out {
+            report.write(folder).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
+            eprintln!("roomcast: wrote {}", folder.join("report.html").display());
+        }
+        if self.args.json {
+            return print_json(&json);
+        }
+        for part in &report.tables {
+            println!("\n{}", part.title);
+            print_table(part);
+        }
+        println!();
+        report.notes.iter().for_each(|note| println!("{note}"));
+        Ok(())
+    }
+}
+
+fn print_table(part: &Table) {
+    let header: Vec<&str> = part.header.iter().map(String::as_str).collect();
+    let mut table = table(&header);
+    part.rows.iter().for_each(|row| {
+        table.add_row(row);
+    });
+    println!("{table}");
+}
+
+const APARTMENTS: [&str; 3] = ["apartment-e0", "apartment-e1", "apartment-e2"];
+const PROGRAMS: [&str; 3] = ["p0-breakfast-and-television", "p1-laundry-and-to-bed", "p2-long-evening"];
+const POLICIES: [Decider; 6] = [
+    Decider::Policy(PolicyName::Naive),
+    Decider::Policy(PolicyName::InformedAvoidance),
+    Decider::Policy(PolicyName::GreedyAvoidance),
+    Decider::Policy(PolicyName::UncoveredFirst),
+    Decider::Policy(PolicyName::CoverageAware),
+    Decider::Clairvoyant,
+];
+
+/// The paper's Table II.
+pub(super) fn run_table2(args: &StudyArgs) -> CommandResult {
+    let setup = args.setup(&[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
+    let mut sources = setup.sources(&args.model)?;
+    let homes = setup.all_homes(&mut sources, &args.binding, &setup.options)?;
+    let cells = setup.run(&homes, &POLICIES)?;
+    let table = tables::table2(&cells);
+    let mut notes = setup.notes(&sources, &homes);
+    notes.insert(0, tables::headline(&table.overall));
+    notes.push(DIFFERENCES.to_owned());
+    let pictures = match args.out {
+        Some(_) => setup.pictures(&mut sources)?,
+        None => Vec::new(),
+    };
+    let report = tables::table2_report(&table, &cells, notes, pictures);
+    setup.finish(&report, json!(table))
+}
+
+/// The paper's Table I.
+pub(super) fn run_table1(args: &Table1Args) -> CommandResult {
+    let setup = args.study.setup(&[25, 50], &APARTMENTS[..1], &PROGRAMS[2..])?;
+    let mut sources = setup.sources(&args.study.model)?;
+    let mut rows: Vec<Figures> = Vec::new();
+    let mut notes = Vec::new();
+    for name in ["p0", "p1", "p2", "p3", "p4", "p5"] {
+        let Some(binding) = BindingSequence::built_in(name) else { continue };
+        let homes = setup.all_homes(&mut sources, &binding, &setup.options)?;
+        if notes.is_empty() {
+            notes = setup.notes(&sources, &homes);
+            let cells = setup.run(&homes, &[Decider::Policy(PolicyName::Naive)])?;
+            let all: Vec<_> = cells.iter().collect();
+            rows.push(Figures { policy: "random".into(), ..study::figures(&all, None) });
+        }
+        let cells = setup.run(&homes, &[Decider::Policy(args.policy)])?;
+        let all: Vec<_> = cells.iter().collect();
+        rows.push(Figures { policy: name.into(), ..study::figures(&all, None) });
+    }
+    notes.push(format!(
+        "Rooms by {}, scored with each of the paper's prompts; random is the naive policy.",
+        args.policy
+    ));
+    notes.push(DIFFERENCES.to_owned());
+    let report = Report {
+        title: "Disturbance by prompt (the paper's Table I)".into(),
+        notes,
+        tables: vec![tables::table_of("table1", "By prompt, over T_r", &rows, &PAPER_TABLE1)],
+        figures: Vec::new(),
+    };
+    setup.finish(&report, json!({ "rows": rows, "paper": PAPER_TABLE1 }))
+}
+
+/// Models, prompts, windows.
+pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
+    let setup = args.study.setup(&[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
+    let prompts: Vec<BindingSequence> =
+        if args.prompt.is_empty() { BindingSequence::all_built_in().collect() } else { args.prompt.clone() };
+    let models = std::iter::once(args.study.model.model.clone()).chain(args.also_model.iter().cloned().map(Some));
+    let deciders = [Decider::Policy(PolicyName::InformedAvoidance), Decider::Policy(PolicyName::CoverageAware)];
+    let columns = [
+        "model",
+        "prompt",
+        "tokenisation",
+        "window",
+        "policy",
+        "D_T mean (s)",
+        "D_T std",
+        "t_c mean (s)",
+        "F",
+        "regret (s)",
+    ];
+    let mut table = Table::new("ablation", "Models, prompts, tokenisation and windows", &columns);
+    let (mut rows, mut notes) = (Vec::new(), Vec::new());
+    for model in models {
+        for tokenisation in [crate::scorer::Tokenisation::Joint, crate::scorer::Tokenisation::Paper] {
+            let model_args = ModelArgs { model: model.clone(), tokenisation, ..args.study.model.clone() };
+            let mut sources = setup.sources(&model_args)?;
+            let name = sources.first().map(|source| source.model().name.clone()).unwrap_or_default();
+            for binding in &prompts {
+                for window in &args.window {
+                    let options = Options { history: HistoryLimits::exact(*window), ..setup.options.clone() };
+                    let homes = setup.all_homes(&mut sources, binding, &options)?;
+                    if notes.is_empty() {
+                        notes = setup.notes(&sources, &homes);
+                    }
+                    for decider in deciders {
+                        let cells = setup.run(&homes, &[decider])?;
+                        let all: Vec<_> = cells.iter().collect();
+                        let figures = study::figures(&all, None);
+                        table.rows.push(vec![
+                            name.clone(),
+                            binding.name().to_owned(),
+                            format!("{tokenisation:?}").to_lowercase(),
+                            window.to_string(),
+                            figures.policy.clone(),
+                            format!("{:.1}", figures.disturbance_mean),
+                            format!("{:.1}", figures.disturbance_std),
+                            figures.coverage_time_mean.map_or_else(|| "-".into(), |t| format!("{t:.1}")),
+                            format!("{:.1} %", 100.0 * figures.failure_rate),
+                            figures.regret_s.map_or_else(|| "-".into(), |r| format!("{r:.1}")),
+                        ]);
+                        rows.push(json!({
+                            "model": name, "prompt": binding.name(), "tokenisation": tokenisation, "window": window, "figures": figures,
+                        }));
+                    }
+                    if !binding.uses_narration() {
+                        break;
+                    }
+                }
+            }
+        }
+    }
+    let report = Report { title: "What the scores depend on".into(), notes, tables: vec![table], figures: Vec::new() };
+    setup.finish(&report, json!({ "rows": rows }))
+}
+
+/// Disturbance against coverage.
+pub(super) fn run_pareto(args: &ParetoArgs) -> CommandResult {
+    let setup = args.study.setup(&[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
+    let mut sources = setup.sources(&args.study.model)?;
+    let homes = setup.all_homes(&mut sources, &args.study.binding, &setup.options)?;
+    let mut deciders = vec![
+        Decider::Policy(PolicyName::Naive),
+        Decider::Policy(PolicyName::InformedAvoidance),
+        Decider::Policy(PolicyName::GreedyAvoidance),
+        Decider::Policy(PolicyName::UncoveredFirst),
+    ];
+    deciders.extend(args.weight.iter().map(|weight_s| Decider::CoverageAware(*weight_s)));
+    deciders.push(Decider::Clairvoyant);
+    let cells = setup.run(&homes, &deciders)?;
+    let table = tables::table2(&cells);
+    let domination = tables::domination(&cells);
+    let count = |verdict: &str| domination.iter().filter(|row| row.verdict == verdict).count();
+    let mut notes = setup.notes(&sources, &homes);
+    notes.insert(
+        0,
+        format!(
+            "Of {} points of the naive policy and of informed avoidance, one per cell, coverage-aware avoidance dominates {} with one \
+             weight and {} more with two weights mixed; in {} the clairvoyant bound shows that nothing could; {} are not dominated. Its default weight is \
+             {WEIGHT_DEFAULT_S} s.",
+            domination.len(),
+            count("dominated"),
+            count("dominated by mixing weights"),
+            count("nothing could"),
+            count("not dominated"),
+        ),
+    );
+    let report = Report {
+        title: "Disturbance against coverage".into(),
+        notes,
+        tables: vec![
+            tables::table_of("pareto", "Over all scenes, programs and T_r", &table.overall, &table.paper),
+            tables::domination_table(&domination),
+            tables::table_of("pareto-cells", "By scene, program and T_r", &table.rows, &table.paper),
+        ],
+        figures: vec![("pareto".to_owned(), tables::front_chart(&cells).svg())],
+    };
+    setup.finish(&report, json!({ "rows": table.rows, "overall": table.overall, "domination": domination }))
+}
+
+/// The forecast by horizon.
+pub(super) fn run_horizon(args: &StudyArgs) -> CommandResult {
+    let setup = args.setup(&[], &APARTMENTS, &PROGRAMS)?;
+    let mut sources = setup.sources(&args.model)?;
+    let homes = setup.all_homes(&mut sources, &args.binding, &setup.options)?;
+    let rows = study::horizons(&homes, setup.options.forecast, &[1, 5, 10, 20, 30, 45, 60, 90, 120, 180, 240, 300]);
+    let (table, figures) = tables::horizon_report(&rows);
+    let report = Report {
+        title: "Where the person will be".into(),
+        notes: setup.notes(&sources, &homes),
+        tables: vec![table],
+        figures,
+    };
+    setup.finish(&report, json!({ "rows": rows }))
+}
+
+impl Setup<'_> {
+    /// The grounding picture of the paper's Figure 3: each scene with the heat of its scores, half-way through the first
+    /// program.
+    fn pictures(&self, sources: &mut [ScoreSource<LlamaModel>]) -> Result<Vec<(String, String)>, Failure> {
+        let Some((_, Activity::Program(program))) = self.activities.first() else { return Ok(Vec::new()) };
+        let half = &program.steps[..program.steps.len().div_ceil(2)];
+        let sentences: Vec<Sentence> = super::forecast::sentences(half)?;
+        let mut pictures = Vec::new();
+        for ((map, grounding), source) in self.scenes.iter().zip(sources) {
+            let rows = source
+                .score_steps(&sentences, self.options.history, &self.args.binding)
+                .map_err(ExperimentError::from)?;
+            let Some(last) = rows.last() else { continue };
+            let mut grounded = GroundedScores::default();
+            grounding.ground(last, &mut grounded).map_err(ExperimentError::from)?;
+            let caption = sentences.last().map_or("", Sentence::as_str);
+            let heat = drawing::Heat::new(&grounded.partition_probability, &grounded.item_log_score_nats, caption);
+            let svg = drawing::svg(map, grounding, Some(&heat)).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
+            pictures.push((format!("grounding-{}", map.name), svg));
+        }
+        Ok(pictures)
+    }
+}

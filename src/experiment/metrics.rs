@@ -1,0 +1,187 @@
+//! Scores of probabilistic forecasts, added up per group, with bootstrap intervals over groups.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+
+/// Bins of the expected calibration error, of equal width over the probability of the likeliest outcome.
+pub const ECE_BINS: usize = 15;
+/// Resamples of the bootstrap.
+pub const RESAMPLES: usize = 1000;
+
+/// Sums over cases: additive, so that a bootstrap resamples groups of cases by adding their sums.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Sums {
+    cases: f64,
+    nll_nats: f64,
+    top1: f64,
+    top5: f64,
+    reciprocal_rank: f64,
+    brier: f64,
+    /// Per bin: cases, sum of the greatest probability, cases in which the likeliest outcome was right.
+    bins: [[f64; 3]; ECE_BINS],
+}
+
+impl Sums {
+    /// Adds a case: `probabilities` sum to one, `truth` is what happened. Equal probabilities share their ranks, so that a
+    /// forecast that knows nothing gains nothing by the order of outcomes.
+    pub fn add(&mut self, probabilities: &[f64], truth: usize) {
+        let Some(p) = probabilities.get(truth).copied() else { return };
+        let greater = probabilities.iter().filter(|q| **q > p).count();
+        let ties = probabilities.iter().filter(|q| **q == p).count();
+        let within = |k: usize| (k.saturating_sub(greater) as f64 / ties as f64).min(1.0);
+        self.cases += 1.0;
+        self.nll_nats -= p.max(f64::MIN_POSITIVE).ln();
+        self.top1 += within(1);
+        self.top5 += within(5);
+        self.reciprocal_rank += (1..=ties).map(|i| 1.0 / (greater + i) as f64).sum::<f64>() / ties as f64;
+        self.brier += probabilities.iter().map(|q| q * q).sum::<f64>() + 1.0 - 2.0 * p;
+        let confidence = probabilities.iter().copied().fold(0.0, f64::max);
+        let bin = ((confidence * ECE_BINS as f64) as usize).min(ECE_BINS - 1);
+        self.bins[bin][0] += 1.0;
+        self.bins[bin][1] += confidence;
+        self.bins[bin][2] += within(1);
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.cases += other.cases;
+        self.nll_nats += other.nll_nats;
+        self.top1 += other.top1;
+        self.top5 += other.top5;
+        self.reciprocal_rank += other.reciprocal_rank;
+        self.brier += other.brier;
+        for (own, more) in self.bins.iter_mut().flatten().zip(other.bins.iter().flatten()) {
+            *own += more;
+        }
+    }
+
+    fn means(&self) -> [f64; METRICS.len()] {
+        let n = self.cases.max(1.0);
+        let gap = |[_, confidence, right]: &[f64; 3]| (confidence - right).abs();
+        let ece = self.bins.iter().map(gap).sum::<f64>();
+        [self.nll_nats, self.top1, self.top5, self.reciprocal_rank, self.brier, ece].map(|sum| sum / n)
+    }
+}
+
+const METRICS: [&str; 6] = ["nll_nats", "top1", "top5", "mrr", "brier", "ece"];
+
+/// 95 % intervals, each `[low, high]`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Intervals {
+    /// Of the mean negative log-likelihood.
+    pub nll_nats: [f64; 2],
+    /// Of the share in which the likeliest outcome happened.
+    pub top1: [f64; 2],
+    /// Of the share in which one of the five likeliest happened.
+    pub top5: [f64; 2],
+    /// Of the mean reciprocal rank.
+    pub mrr: [f64; 2],
+    /// Of the Brier score.
+    pub brier: [f64; 2],
+    /// Of the expected calibration error.
+    pub ece: [f64; 2],
+}
+
+/// Means over all cases, with intervals.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Summary {
+    /// How many cases.
+    pub cases: usize,
+    /// Mean negative log-likelihood in nats.
+    pub nll_nats: f64,
+    /// Share in which the likeliest outcome happened.
+    pub top1: f64,
+    /// Share in which one of the five likeliest happened.
+    pub top5: f64,
+    /// Mean reciprocal rank.
+    pub mrr: f64,
+    /// Mean Brier score over all outcomes, 0 to 2.
+    pub brier: f64,
+    /// Expected calibration error of the likeliest outcome's probability, over [`ECE_BINS`] bins.
+    pub ece: f64,
+    /// Bootstrap intervals over groups.
+    pub ci95: Intervals,
+}
+
+/// Sums up groups of cases; resamples whole groups, because the cases of one program depend on one another. The draws
+/// depend on `seed` and the number of groups alone, so that rows over the same groups are resampled alike.
+#[must_use]
+pub fn summarise(groups: &[Sums], seed: u64) -> Summary {
+    let mut all = Sums::default();
+    groups.iter().for_each(|group| all.merge(group));
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut samples: [Vec<f64>; METRICS.len()] = Default::default();
+    for _ in 0..RESAMPLES {
+        let mut sample = Sums::default();
+        for _ in groups {
+            sample.merge(&groups[rng.random_range(0..groups.len())]);
+        }
+        if sample.cases > 0.0 {
+            samples.iter_mut().zip(sample.means()).for_each(|(samples, mean)| samples.push(mean));
+        }
+    }
+    let interval = |index: usize| {
+        let mut values = samples[index].clone();
+        values.sort_by(f64::total_cmp);
+        let at = |share: f64| values.get((share * values.len() as f64) as usize).copied().unwrap_or(0.0);
+        [at(0.025), at(0.975)]
+    };
+    let [nll_nats, top1, top5, mrr, brier, ece] = all.means();
+    let ci95 = Intervals {
+        nll_nats: interval(0),
+        top1: interval(1),
+        top5: interval(2),
+        mrr: interval(3),
+        brier: interval(4),
+        ece: interval(5),
+    };
+    Summary { cases: all.cases as usize, nll_nats, top1, top5, mrr, brier, ece, ci95 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_forecast_that_knows_nothing_has_the_scores_of_chance() {
+        let mut sums = Sums::default();
+        (0..10).for_each(|truth| sums.add(&[0.1; 10], truth));
+        let summary = summarise(&[sums], 1);
+        assert_eq!(summary.cases, 10);
+        assert!((summary.nll_nats - 10f64.ln()).abs() < 1e-12);
+        assert!((summary.top1 - 0.1).abs() < 1e-12 && (summary.top5 - 0.5).abs() < 1e-12);
+        let harmonic: f64 = (1..=10).map(|i| 1.0 / f64::from(i)).sum();
+        assert!((summary.mrr - harmonic / 10.0).abs() < 1e-12);
+        assert!((summary.brier - 0.9).abs() < 1e-12);
+        assert!(summary.ece < 1e-12);
+    }
+
+    #[test]
+    fn a_certain_and_right_forecast_is_perfect_and_a_wrong_one_is_not() {
+        let mut sums = Sums::default();
+        sums.add(&[0.0, 1.0], 1);
+        let right = summarise(&[sums], 1);
+        assert_eq!((right.nll_nats, right.top1, right.mrr, right.brier, right.ece), (0.0, 1.0, 1.0, 0.0, 0.0));
+        sums.add(&[0.0, 1.0], 0);
+        let wrong = summarise(&[sums], 1);
+        assert!(wrong.nll_nats > 300.0 && wrong.brier == 1.0 && wrong.ece == 0.5 && wrong.top1 == 0.5);
+    }
+
+    #[test]
+    fn intervals_hold_the_mean_and_shrink_with_more_groups() {
+        let groups = |n: usize| -> Vec<Sums> {
+            (0..n)
+                .map(|i| {
+                    let mut sums = Sums::default();
+                    sums.add(&[0.7, 0.3], i % 2);
+                    sums
+                })
+                .collect()
+        };
+        let (few, many) = (summarise(&groups(20), 1), summarise(&groups(2000), 1));
+        let width = |s: &Summary| s.ci95.top1[1] - s.ci95.top1[0];
+        assert!(few.ci95.top1[0] <= few.top1 && few.top1 <= few.ci95.top1[1]);
+        assert!(width(&many) < 0.2 * width(&few));
+        assert_eq!(summarise(&groups(20), 1), few);
+    }
+}
