@@ -1,0 +1,43 @@
+//! `roomcast daemon`: the service that scores.
+
+use std::path::PathBuf;
+
+use super::{CommandResult, Failure, service};
+use crate::{daemon, logging};
+
+/// Arguments of `roomcast daemon`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    service: service::Args,
+    /// The scene file, or a shipped scene's name, in place of the configuration's.
+    #[arg(long, value_name = "FILE")]
+    scene: Option<PathBuf>,
+    /// The GGUF model, in place of the configuration's.
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// The state directory with the narration journal, in place of the configuration's.
+    #[arg(long, value_name = "DIR")]
+    state: Option<PathBuf>,
+}
+
+/// Runs the daemon until it is asked to stop.
+///
+/// # Errors
+///
+/// When it cannot begin: configuration, model, scene, shared memory, another daemon.
+pub fn run(args: &Args) -> CommandResult {
+    let stop = service::stop()?;
+    logging::init();
+    let (mut config, domain) = args.service.load()?;
+    if args.scene.is_some() {
+        config.scene.path.clone_from(&args.scene);
+    }
+    if args.model.is_some() {
+        config.model.path.clone_from(&args.model);
+    }
+    if args.state.is_some() {
+        config.daemon.state.clone_from(&args.state);
+    }
+    daemon::run(&config, &domain, &stop).map_err(|error| Failure::new(error.exit_code(), error))
+}

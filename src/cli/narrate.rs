@@ -1,0 +1,82 @@
+//! `roomcast narrate`: publishes observations.
+
+use std::path::PathBuf;
+
+use super::{CommandResult, Failure, print_json, service};
+use crate::narrator::{self, Input, Pace};
+use crate::{exit_code, logging};
+
+/// Arguments of `roomcast narrate`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    service: service::Args,
+    /// An activity program (or a shipped one's name), JSON lines, or plain lines; `-` is standard input.
+    #[arg(value_name = "FILE", default_value = "-", conflicts_with = "fifo")]
+    input: PathBuf,
+    /// Make a FIFO there and publish the lines written into it, for ever.
+    #[arg(long, value_name = "PATH")]
+    fifo: Option<PathBuf>,
+    /// This source's name, in place of the configuration's; it must differ between narrators.
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// The person that is observed, when the input does not say.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    person: u32,
+    /// Seconds before each narration; 0 is as fast as the daemon takes them.
+    #[arg(long, value_name = "SECONDS", conflicts_with = "speed")]
+    pace: Option<f64>,
+    /// For programs: so many times faster than the actions take in reality.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    speed: f64,
+    /// Seconds to wait at the end until the daemon has confirmed everything, in place of the configuration's.
+    #[arg(long, value_name = "SECONDS")]
+    linger: Option<f64>,
+    /// Print the outcome as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Publishes the input.
+///
+/// # Errors
+///
+/// When the input is malformed, a service cannot be opened, or the daemon did not confirm everything.
+pub fn run(args: &Args) -> CommandResult {
+    let stop = service::stop()?;
+    logging::init();
+    let (mut config, domain) = args.service.load()?;
+    let narrator = &mut config.narrator;
+    if let Some(name) = &args.name {
+        narrator.name.clone_from(name);
+    }
+    narrator.linger_s = args.linger.unwrap_or(narrator.linger_s);
+    let positive = |value: f64| value.is_finite() && value >= 0.0;
+    let pace = args.pace.map_or(Pace::Speed(args.speed), Pace::Seconds);
+    if !matches!(pace, Pace::Seconds(value) | Pace::Speed(value) if positive(value)) || pace == Pace::Speed(0.0) {
+        return Err(Failure::new(exit_code::USAGE, "--pace must be 0 or more, --speed more than 0, both finite"));
+    }
+    let input = |error| Failure::new(exit_code::INPUT, error);
+    if let Some(fifo) = &args.fifo {
+        narrator::make_fifo(fifo).map_err(input)?;
+    }
+    let source = Input::open(args.fifo.as_ref().unwrap_or(&args.input), args.person).map_err(input)?;
+    let outcome = narrator::run(&config.narrator, &domain, source, pace, &stop)
+        .map_err(|error| Failure::new(exit_code::IPC, error))?;
+    if args.json {
+        print_json(&outcome)?;
+    }
+    let unconfirmed = outcome.sent - outcome.confirmed;
+    if outcome.refused > 0 {
+        let refused = outcome.refused;
+        return Err(Failure::new(exit_code::INPUT, format!("{refused} lines were no narration; the log names them")));
+    }
+    if unconfirmed > 0 {
+        let (sent, root) = (outcome.sent, domain.root().display());
+        return Err(Failure::new(
+            exit_code::IPC,
+            format!("{unconfirmed} of {sent} narrations were not confirmed; is a daemon running in the domain at {root}?"),
+        ));
+    }
+    Ok(())
+}

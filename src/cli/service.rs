@@ -1,0 +1,55 @@
+//! What the commands of the services have in common: configuration and domain.
+
+use std::path::PathBuf;
+
+use roomcast_ipc::Domain;
+
+use super::Failure;
+use crate::config::Config;
+use crate::exit_code;
+use crate::stop::Stop;
+
+/// Arguments of every command that joins a domain.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The configuration file; see `roomcast config` for all keys.
+    #[arg(long, value_name = "FILE", env = "ROOMCAST_CONFIG")]
+    config: Option<PathBuf>,
+    /// The domain's root path, in place of the configuration's.
+    #[arg(long, value_name = "DIR", env = "ROOMCAST_ROOT")]
+    root: Option<PathBuf>,
+    /// The domain's name, in place of the configuration's.
+    #[arg(long, value_name = "NAME", env = "ROOMCAST_DOMAIN")]
+    domain: Option<String>,
+}
+
+impl Args {
+    /// Reads the configuration and names the domain.
+    ///
+    /// # Errors
+    ///
+    /// When the file is malformed or the domain cannot be.
+    pub fn load(&self) -> Result<(Config, Domain), Failure> {
+        let mut config = match &self.config {
+            Some(path) => Config::load(path).map_err(|error| Failure::new(exit_code::CONFIG, error))?,
+            None => Config::default(),
+        };
+        if self.root.is_some() {
+            config.ipc.root.clone_from(&self.root);
+        }
+        if let Some(name) = &self.domain {
+            config.ipc.domain.clone_from(name);
+        }
+        let domain = config.ipc.domain().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+        Ok((config, domain))
+    }
+}
+
+/// A stop on signals.
+///
+/// # Errors
+///
+/// When the system refuses the handlers.
+pub fn stop() -> Result<Stop, Failure> {
+    Stop::on_signals().map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot handle signals: {error}")))
+}

@@ -1,0 +1,216 @@
+//! From observations to the snapshot that is published: the pipeline's step, with sequence numbers, ages and flags. No clock,
+//! no port: the daemon's loop, the simulation and the tests drive it alike.
+
+use roomcast_ipc::{
+    ALL_PERSONS, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, MAX_ROOMS, MAX_SOURCES, MessageError, NAME_BYTES,
+    NO_PARTITION, RoomScoresV1, RoomV1, reached, score_flags, text,
+};
+
+use crate::narration::Observation;
+use crate::pipeline::{Pipeline, PipelineError};
+use crate::scorer::LanguageModel;
+use crate::semantic_map::SemanticMap;
+
+/// A map that messages cannot carry.
+#[derive(Debug, thiserror::Error)]
+pub enum BoardError {
+    /// More partitions than a message has places.
+    #[error("the map has {partitions} partitions at this level, a message carries at most {MAX_ROOMS}: choose grounding.level = \"room\" or \"group\", or a smaller map")]
+    TooManyPartitions {
+        /// How many.
+        partitions: usize,
+    },
+    /// A partition's id does not fit.
+    #[error("the partition {id:?} cannot be named in a message (at most {NAME_BYTES} bytes): shorten its id in the scene")]
+    Name {
+        /// The id.
+        id: String,
+        /// Why.
+        source: MessageError,
+    },
+}
+
+/// An observation and when it was received, in monotonic nanoseconds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Entry {
+    /// What was observed.
+    pub observation: Observation,
+    /// When the daemon received it.
+    pub received_ns: u64,
+    /// Whether observations of its source were lost before it.
+    pub after_gap: bool,
+}
+
+/// Owns the pipeline and the current snapshot.
+#[derive(Debug)]
+pub struct Board<M> {
+    pipeline: Pipeline<M>,
+    map: SemanticMap,
+    snapshot: RoomScoresV1,
+    accepted: std::collections::BTreeMap<u64, u64>,
+}
+
+impl<M: LanguageModel> Board<M> {
+    /// A board without scores; `epoch` is random per start of the daemon.
+    ///
+    /// # Errors
+    ///
+    /// [`BoardError`] when the map does not fit into a message.
+    pub fn new(pipeline: Pipeline<M>, map: SemanticMap, epoch: u64) -> Result<Self, BoardError> {
+        let partitions = &pipeline.grounding().partitions;
+        if partitions.len() > MAX_ROOMS {
+            return Err(BoardError::TooManyPartitions { partitions: partitions.len() });
+        }
+        let mut snapshot = RoomScoresV1 {
+            epoch,
+            model_fingerprint: pipeline.model().fingerprint,
+            map_fingerprint: map.fingerprint,
+            room_count: partitions.len() as u32,
+            reached: reached::EXACT,
+            ..Default::default()
+        };
+        for (room, partition) in snapshot.room.iter_mut().zip(partitions) {
+            let name = |source| BoardError::Name { id: partition.id.clone(), source };
+            room.id = text::encode("room id", &partition.id).map_err(name)?;
+        }
+        Ok(Self { pipeline, map, snapshot, accepted: std::collections::BTreeMap::new() })
+    }
+
+    /// Enters observations of a former run, without scoring.
+    pub fn restore(&mut self, observations: impl IntoIterator<Item = Observation>) {
+        let observations = observations.into_iter().inspect(|o| *self.accepted.entry(o.source).or_default() += 1);
+        self.pipeline.observe(observations);
+    }
+
+    /// Takes all entries as one step: every one goes into its history, then the rooms are scored once.
+    ///
+    /// # Errors
+    ///
+    /// When the model fails. The observations are in the histories all the same; the snapshot keeps the last good scores, says
+    /// so in its flags, and does not claim the new narration.
+    pub fn step(&mut self, entries: Vec<Entry>, now_ns: u64, now_unix_ns: u64) -> Result<(), PipelineError> {
+        let received_ns = entries.iter().map(|entry| entry.received_ns).min();
+        let gap = entries.iter().any(|entry| entry.after_gap);
+        for entry in &entries {
+            *self.accepted.entry(entry.observation.source).or_default() += 1;
+        }
+        self.pipeline.observe(entries.into_iter().map(|entry| entry.observation));
+        if let Err(error) = self.pipeline.score() {
+            self.snapshot.flags |= score_flags::SCORER_FAILED;
+            return Err(error);
+        }
+        self.snapshot.sequence += 1;
+        self.snapshot.computed_ns = now_ns;
+        self.snapshot.computed_unix_ns = now_unix_ns;
+        self.snapshot.received_ns = received_ns.unwrap_or(self.snapshot.received_ns);
+        self.snapshot.wait_ns = received_ns.map_or(0, |received_ns| now_ns.saturating_sub(received_ns));
+        self.snapshot.flags = if gap { score_flags::GAP } else { 0 };
+        self.fill();
+        Ok(())
+    }
+
+    /// The scores of the last good step as a message, to be sent at `now_ns`: again unchanged when `heartbeat`.
+    #[must_use]
+    pub fn message(&self, now_ns: u64, heartbeat: bool, behind: bool) -> RoomScoresV1 {
+        let mut message = self.snapshot;
+        message.published_ns = now_ns;
+        message.flags |= if heartbeat { score_flags::HEARTBEAT } else { 0 };
+        message.flags |= if behind { score_flags::BEHIND } else { 0 };
+        message
+    }
+
+    /// The current snapshot.
+    #[must_use]
+    pub fn snapshot(&self) -> &RoomScoresV1 {
+        &self.snapshot
+    }
+
+    /// The pipeline.
+    #[must_use]
+    pub fn pipeline(&self) -> &Pipeline<M> {
+        &self.pipeline
+    }
+
+    /// The map.
+    #[must_use]
+    pub fn map(&self) -> &SemanticMap {
+        &self.map
+    }
+
+    /// Work that can wait until there is nothing else to do.
+    pub fn tidy(&mut self) {
+        self.pipeline.tidy();
+    }
+
+    /// The items' scores of the last step, with the header that ties them to the snapshot.
+    pub fn items(&self) -> (ItemScoresHeaderV1, impl ExactSizeIterator<Item = ItemScoreV1> + '_) {
+        let RoomScoresV1 { epoch, sequence, computed_ns, .. } = self.snapshot;
+        let header = ItemScoresHeaderV1 { epoch, sequence, computed_ns, ..Default::default() };
+        let mut counts = vec![0_u32; self.map.labels.len()];
+        for item in &self.map.items {
+            counts[item.label.0 as usize] += 1;
+        }
+        let scores = &self.pipeline.scores().grounded.item_log_score_nats;
+        let partitions = &self.pipeline.grounding().item_partition;
+        let items = self.map.items.iter().enumerate().map(move |(index, item)| ItemScoreV1 {
+            id: text::encode_cut(&item.id),
+            label: text::encode_cut(&self.map.labels[item.label.0 as usize]),
+            log_score_nats: scores.get(index).copied().unwrap_or(f64::NEG_INFINITY),
+            partition: partitions.get(index).copied().flatten().map_or(NO_PARTITION, |partition| partition.0),
+            label_items: counts[item.label.0 as usize],
+        });
+        (header, items)
+    }
+
+    /// Copies the pipeline's scores into the snapshot.
+    fn fill(&mut self) {
+        let scores = self.pipeline.scores();
+        let snapshot = &mut self.snapshot;
+        let grounded = &scores.grounded;
+        for ((room, score), probability) in
+            (snapshot.room.iter_mut().zip(&grounded.partition_log_score_nats)).zip(&grounded.partition_probability)
+        {
+            *room = RoomV1 {
+                log_score_nats: *score,
+                lower_log_score_nats: *score,
+                upper_log_score_nats: *score,
+                probability: *probability,
+                ..*room
+            };
+        }
+        snapshot.label_mass = grounded.label_mass;
+        snapshot.observed_ns = scores.newest_observed_ns;
+        snapshot.tokenise_ns = scores.timing.tokenise_ns;
+        snapshot.prefix_ns = scores.timing.prefix_ns;
+        snapshot.trie_ns = scores.timing.trie_ns;
+        snapshot.ground_ns = scores.timing.ground_ns;
+
+        let (mut persons, mut window, mut last) = (0, 0, ALL_PERSONS);
+        for (person, history) in self.pipeline.histories().iter() {
+            persons += 1;
+            window += history.len() as u64;
+            last = person;
+        }
+        snapshot.persons = persons;
+        snapshot.window = window;
+        snapshot.person = if persons == 1 { last } else { ALL_PERSONS };
+
+        let mut included: Vec<_> = scores.included.iter().collect();
+        included.sort_by_key(|included| std::cmp::Reverse(included.observed_ns));
+        let cut = included.len() > MAX_SOURCES;
+        included.truncate(MAX_SOURCES);
+        snapshot.source_count = included.len() as u32;
+        snapshot.included = Default::default();
+        for (place, included) in snapshot.included.iter_mut().zip(&included) {
+            *place = IncludedV1 {
+                source: included.source,
+                epoch: included.epoch,
+                sequence: included.sequence,
+                observed_ns: included.observed_ns,
+                accepted: self.accepted.get(&included.source).copied().unwrap_or(0),
+            };
+        }
+        snapshot.flags |= if cut { score_flags::SOURCES_CUT } else { 0 };
+        snapshot.flags |= if included.is_empty() { score_flags::NO_NARRATION } else { 0 };
+    }
+}

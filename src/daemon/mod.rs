@@ -1,0 +1,450 @@
+//! The daemon: receives narration, scores the rooms, publishes.
+//!
+//! ```text
+//! ingest thread:  narration port -> intake -> journal, queue
+//! scoring thread: queue (all that waits) -> board -> room scores, item scores; heartbeat, status
+//! main thread:    signals, watchdog
+//! ```
+//!
+//! The ingest thread never waits for the scorer as long as the queue (65 536 observations) has room, so nothing that arrives
+//! while a step runs is lost; it becomes part of the next step together with all else that waits.
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use hdrhistogram::Histogram;
+use roomcast_ipc::{
+    Domain, IpcError, ItemScoresPublisher, NarrationV1, Publisher, RoomScoresV1, StatusResponseV1, StatusServer,
+    Subscriber, clock, sequence, text,
+};
+use sd_notify::NotifyState;
+
+use crate::config::Config;
+use crate::logging::Limiter;
+use crate::scorer::LanguageModel;
+use crate::setup::{self, SetupError};
+use crate::stop::Stop;
+
+mod board;
+mod intake;
+mod journal;
+
+pub use board::{Board, BoardError, Entry};
+pub use intake::{Intake, IntakeCounters, IntakeLimits, SOURCES_MAX, Taken};
+pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
+
+/// Observations that may wait for the scorer.
+const QUEUE: usize = 65_536;
+/// How often connections are renewed: the time within which a late joiner has the scores.
+const TICK: Duration = Duration::from_millis(100);
+/// A failing scorer is tried again after this.
+const RETRY_NS: u64 = 1_000_000_000;
+/// Scores wait at most this long for the journal.
+const JOURNAL_PATIENCE: Duration = Duration::from_millis(50);
+/// How often what dead participants left is removed.
+const CLEAN_UP_NS: u64 = 1_000_000_000;
+const LOG_INTERVAL_NS: u64 = 5_000_000_000;
+
+/// The section `[daemon]`.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DaemonConfig {
+    /// The state directory with the narration journal; without one, systemd's `$STATE_DIRECTORY`, and without that no journal.
+    pub state: Option<PathBuf>,
+    /// Most bytes of the journal on disk.
+    pub journal_bytes: u64,
+    /// Milliseconds between two syncs of the journal.
+    pub journal_sync_ms: u64,
+    /// Milliseconds between two heartbeats.
+    pub heartbeat_ms: u64,
+    /// Seconds without a step of the loop after which the daemon gives itself up, for systemd to restart it.
+    pub hang_s: u64,
+    /// What one source may send.
+    pub intake: IntakeLimits,
+}
+
+impl Default for DaemonConfig {
+    fn default() -> Self {
+        Self {
+            state: None,
+            journal_bytes: 4 << 20,
+            journal_sync_ms: 1000,
+            heartbeat_ms: 250,
+            hang_s: 60,
+            intake: IntakeLimits::default(),
+        }
+    }
+}
+
+impl DaemonConfig {
+    fn journal(&self) -> Option<JournalOptions> {
+        let directory = self.state.clone().or_else(|| std::env::var_os("STATE_DIRECTORY").map(PathBuf::from))?;
+        Some(JournalOptions { directory, bytes_max: self.journal_bytes, sync_ms: self.journal_sync_ms })
+    }
+}
+
+/// Why the daemon ended, or did not begin.
+#[derive(Debug, thiserror::Error)]
+pub enum DaemonError {
+    /// Model, map or configuration.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+    /// The map does not fit into messages.
+    #[error(transparent)]
+    Board(#[from] BoardError),
+    /// A service.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+    /// The journal.
+    #[error(transparent)]
+    Journal(#[from] JournalError),
+    /// A thread could not be started.
+    #[error("cannot start the {name} thread: {source}; is a limit on tasks set too low?")]
+    Thread {
+        /// Which.
+        name: &'static str,
+        /// The system's word.
+        source: std::io::Error,
+    },
+    /// The scoring thread stands still.
+    #[error("the scoring thread has not moved for {seconds} s (daemon.hang_s): giving up, so that it can be restarted")]
+    Hung {
+        /// How long.
+        seconds: u64,
+    },
+    /// A thread ended by itself.
+    #[error("the {name} thread ended unexpectedly; the log says why")]
+    Ended {
+        /// Which.
+        name: &'static str,
+    },
+}
+
+impl DaemonError {
+    /// The exit code that stands for this error.
+    #[must_use]
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Setup(error) => error.exit_code(),
+            Self::Board(_) => crate::exit_code::INPUT,
+            Self::Ipc(_) => crate::exit_code::IPC,
+            Self::Journal(_) | Self::Thread { .. } | Self::Hung { .. } | Self::Ended { .. } => crate::exit_code::FAILURE,
+        }
+    }
+}
+
+/// Runs until asked to stop.
+///
+/// # Errors
+///
+/// [`DaemonError`] when it cannot begin, hangs, or a service is lost.
+pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonError> {
+    let node = domain.open("roomcast-daemon")?;
+    // First the place that only one daemon can hold, then the ear, then the model, which takes longest: narration that comes
+    // meanwhile waits in the port.
+    let scores = node.publisher::<RoomScoresV1>()?;
+    let items = node.item_scores_publisher()?;
+    let status = node.status_server()?;
+    let narration = node.subscriber::<NarrationV1>()?;
+    let (pipeline, map) = setup::open(config)?;
+    let model_name = pipeline.model().name.clone();
+    let mut board = Board::new(pipeline, map, sequence::random_epoch())?;
+
+    let mut intake = Intake::new(config.daemon.intake);
+    let mut restored = 0;
+    let mut journal = None;
+    if let Some(options) = config.daemon.journal() {
+        let (open, recovered) = Journal::open(&options)?;
+        let now_ns = clock::monotonic_ns();
+        restored = recovered.observations.len() as u64;
+        for observation in &recovered.observations {
+            intake.restore(observation, now_ns);
+        }
+        board.restore(recovered.observations);
+        let damaged_bytes = recovered.damaged_bytes;
+        tracing::info!(restored, damaged_bytes, directory = %options.directory.display(), "journal read");
+        journal = Some(open);
+    }
+
+    let (queue_in, queue_out) = bounded(QUEUE);
+    let counters = Arc::new(Mutex::new((IntakeCounters::default(), 0)));
+    let progress_ns = Arc::new(AtomicU64::new(clock::monotonic_ns()));
+    let mut scoring = Scoring {
+        ready: false,
+        scores,
+        items,
+        status,
+        queue: queue_out,
+        heartbeat_ns: config.daemon.heartbeat_ms * 1_000_000,
+        journal: journal.as_ref().map(Journal::handle),
+        counters: Arc::clone(&counters),
+        progress_ns: Arc::clone(&progress_ns),
+        latency_ns: Histogram::new_with_max(60_000_000_000, 3).ok(),
+        tally: StatusResponseV1 {
+            epoch: board.snapshot().epoch,
+            started_unix_ns: clock::unix_ns(),
+            restored,
+            model_fingerprint: board.snapshot().model_fingerprint,
+            map_fingerprint: board.snapshot().map_fingerprint,
+            process: std::process::id(),
+            version: text::encode_cut(env!("CARGO_PKG_VERSION")),
+            map: text::encode_cut(&board.map().name),
+            model: text::encode_cut(&model_name),
+            ..Default::default()
+        },
+        board,
+        log: Limiter::new(LOG_INTERVAL_NS),
+    };
+    let scoring = spawn("scoring", move || scoring.run())?;
+    let ingest = Ingest { narration, intake, journal, queue: queue_in, counters, stop: stop.clone() };
+    let ingest = spawn("ingest", move || ingest.run())?;
+
+    let mut cleaned_ns = 0;
+    while !stop.requested() {
+        std::thread::sleep(Duration::from_millis(50));
+        if scoring.is_finished() {
+            return Err(match scoring.join() {
+                Ok(Err(error)) => error.into(),
+                _ => DaemonError::Ended { name: "scoring" },
+            });
+        }
+        if ingest.is_finished() && !stop.requested() {
+            return Err(DaemonError::Ended { name: "ingest" });
+        }
+        let now_ns = clock::monotonic_ns();
+        let still_ns = now_ns.saturating_sub(progress_ns.load(Ordering::Relaxed));
+        if still_ns > config.daemon.hang_s.saturating_mul(1_000_000_000) {
+            return Err(DaemonError::Hung { seconds: still_ns / 1_000_000_000 });
+        }
+        notify(&[NotifyState::Watchdog]);
+        if now_ns.saturating_sub(cleaned_ns) >= CLEAN_UP_NS {
+            node.clean_up_dead();
+            cleaned_ns = now_ns;
+        }
+    }
+    notify(&[NotifyState::Stopping]);
+    // The ingest thread ends first and closes the queue; the scoring thread finishes what is in it.
+    ingest.join().map_err(|_| DaemonError::Ended { name: "ingest" })?;
+    scoring.join().map_err(|_| DaemonError::Ended { name: "scoring" })??;
+    tracing::info!("stopped");
+    Ok(())
+}
+
+fn spawn<T: Send + 'static>(
+    name: &'static str,
+    run: impl FnOnce() -> T + Send + 'static,
+) -> Result<std::thread::JoinHandle<T>, DaemonError> {
+    std::thread::Builder::new().name(name.to_owned()).spawn(run).map_err(|source| DaemonError::Thread { name, source })
+}
+
+/// Tells systemd; without it (no `$NOTIFY_SOCKET`) this does nothing.
+pub(crate) fn notify(state: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(state) {
+        tracing::debug!(%error, "systemd cannot be notified");
+    }
+}
+
+/// Counters of the intake, and sources known.
+type Counters = Arc<Mutex<(IntakeCounters, usize)>>;
+
+struct Ingest {
+    narration: Subscriber<NarrationV1>,
+    intake: Intake,
+    journal: Option<Journal>,
+    queue: Sender<(Entry, u64)>,
+    counters: Counters,
+    stop: Stop,
+}
+
+impl Ingest {
+    fn run(mut self) {
+        let (mut log_refused, mut log_port) = (Limiter::new(LOG_INTERVAL_NS), Limiter::new(LOG_INTERVAL_NS));
+        while !self.stop.requested() {
+            let received = self.narration.wait(TICK).and_then(|_| self.drain(&mut log_refused));
+            if let Err(error) = received {
+                // A port that fails may recover, when file descriptors become free for instance.
+                if let Some(held_back) = log_port.pass(clock::monotonic_ns()) {
+                    tracing::error!(%error, held_back, "cannot receive narration");
+                }
+                std::thread::sleep(TICK);
+            }
+        }
+    }
+
+    fn drain(&mut self, log: &mut Limiter) -> Result<(), IpcError> {
+        let mut some = false;
+        while let Some(received) = self.narration.receive()? {
+            some = true;
+            let now_ns = clock::monotonic_ns();
+            let refused = match received {
+                Err(error) => {
+                    self.intake.count_malformed();
+                    Some((0, error.to_string()))
+                }
+                Ok(message) => match self.intake.take(&message, now_ns) {
+                    Taken::Accepted { observation, missed } => {
+                        let number = self.journal.as_mut().map_or(0, |journal| journal.append(&observation));
+                        let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0 };
+                        // It fails only when the scoring thread is gone, and the main thread sees that too.
+                        let _sent = self.queue.send((entry, number));
+                        (missed > 0).then(|| (message.source, format!("{missed} narrations before it were lost")))
+                    }
+                    Taken::Duplicate => None,
+                    Taken::Limited => Some((message.source, "its source sends too fast, or is one too many".to_owned())),
+                    Taken::Malformed(why) => Some((message.source, why)),
+                },
+            };
+            if let Some((source, why)) = refused
+                && let Some(held_back) = log.pass(now_ns)
+            {
+                tracing::warn!(source, why, held_back, "narration");
+            }
+        }
+        if some {
+            let counters = (self.intake.counters(), self.intake.sources());
+            *self.counters.lock().unwrap_or_else(PoisonError::into_inner) = counters;
+        }
+        Ok(())
+    }
+}
+
+struct Scoring<M> {
+    board: Board<M>,
+    ready: bool,
+    scores: Publisher<RoomScoresV1>,
+    items: ItemScoresPublisher,
+    status: StatusServer,
+    queue: Receiver<(Entry, u64)>,
+    heartbeat_ns: u64,
+    journal: Option<JournalHandle>,
+    counters: Counters,
+    progress_ns: Arc<AtomicU64>,
+    latency_ns: Option<Histogram<u64>>,
+    tally: StatusResponseV1,
+    log: Limiter,
+}
+
+impl<M: LanguageModel> Scoring<M> {
+    fn run(&mut self) -> Result<(), IpcError> {
+        let mut entries = Vec::new();
+        let mut published_ns = 0;
+        // The first step scores what the journal gave, or the binding sequence alone.
+        let mut due = true;
+        let mut retry_ns = 0;
+        loop {
+            let mut journalled = 0;
+            match self.queue.recv_timeout(TICK) {
+                Ok(first) => {
+                    for (entry, number) in std::iter::once(first).chain(self.queue.try_iter()) {
+                        entries.push(entry);
+                        journalled = number;
+                    }
+                    due = true;
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return Ok(()),
+            }
+            let now_ns = clock::monotonic_ns();
+            self.progress_ns.store(now_ns, Ordering::Relaxed);
+            if due && (now_ns >= retry_ns || !entries.is_empty()) {
+                due = false;
+                if self.step(std::mem::take(&mut entries), journalled, now_ns)? {
+                    published_ns = clock::monotonic_ns();
+                } else {
+                    (due, retry_ns) = (true, now_ns + RETRY_NS);
+                }
+            }
+            let now_ns = clock::monotonic_ns();
+            self.scores.tick()?;
+            self.items.tick()?;
+            if self.board.snapshot().sequence > 0 && now_ns.saturating_sub(published_ns) >= self.heartbeat_ns {
+                self.scores.send(&self.board.message(now_ns, true, !self.queue.is_empty()))?;
+                self.tally.heartbeats += 1;
+                published_ns = now_ns;
+            }
+            let tally = self.tally();
+            self.status.answer(|| tally)?;
+            if self.queue.is_empty() {
+                self.board.tidy();
+            }
+        }
+    }
+
+    /// Returns whether there are new scores.
+    fn step(&mut self, entries: Vec<Entry>, journalled: u64, now_ns: u64) -> Result<bool, IpcError> {
+        let events = entries.len() as u64;
+        self.tally.steps += 1;
+        self.tally.merged += events.saturating_sub(1);
+        if let Err(error) = self.board.step(entries, now_ns, clock::unix_ns()) {
+            self.tally.failed_steps += 1;
+            if let Some(held_back) = self.log.pass(now_ns) {
+                tracing::error!(%error, held_back, "scoring failed; the narration is kept and scored with the next step");
+            }
+            return Ok(false);
+        }
+        if let Some(journal) = &self.journal
+            && !journal.wait_for(journalled, JOURNAL_PATIENCE)
+            && let Some(held_back) = self.log.pass(now_ns)
+        {
+            tracing::warn!(held_back, "the journal is slower than the scorer");
+        }
+        let before_ns = clock::monotonic_ns();
+        let message = self.board.message(before_ns, false, !self.queue.is_empty());
+        self.scores.send(&message)?;
+        let after_ns = clock::monotonic_ns();
+        self.tally.published += 1;
+        self.tally.sequence = message.sequence;
+        if events > 0
+            && let Some(latency_ns) = &mut self.latency_ns
+        {
+            latency_ns.saturating_record(after_ns.saturating_sub(message.received_ns));
+        }
+        if self.items.wanted() {
+            let (header, items) = self.board.items();
+            self.items.send(header, items)?;
+        }
+        tracing::info!(
+            sequence = message.sequence,
+            events,
+            wait_us = message.wait_ns / 1000,
+            tokenise_us = message.tokenise_ns / 1000,
+            prefix_us = message.prefix_ns / 1000,
+            trie_us = message.trie_ns / 1000,
+            ground_us = message.ground_ns / 1000,
+            publish_us = (after_ns - before_ns) / 1000,
+            label_mass = message.label_mass,
+            "step"
+        );
+        if !self.ready {
+            self.ready = true;
+            notify(&[NotifyState::Ready]);
+        }
+        Ok(true)
+    }
+
+    fn tally(&self) -> StatusResponseV1 {
+        let (counters, sources) = *self.counters.lock().unwrap_or_else(PoisonError::into_inner);
+        let quantile = |q| self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.value_at_quantile(q));
+        StatusResponseV1 {
+            answered_ns: clock::monotonic_ns(),
+            received: counters.received,
+            accepted: counters.accepted,
+            duplicates: counters.duplicates,
+            missed: counters.missed,
+            malformed: counters.malformed,
+            limited: counters.limited,
+            sources: sources as u32,
+            persons: self.board.snapshot().persons,
+            waiting: self.queue.len() as u64,
+            latency_p50_ns: quantile(0.5),
+            latency_p99_ns: quantile(0.99),
+            latency_max_ns: self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.max()),
+            journal_bytes: self.journal.as_ref().map_or(0, JournalHandle::bytes),
+            journal_failures: self.journal.as_ref().map_or(0, JournalHandle::failures),
+            ..self.tally
+        }
+    }
+}

@@ -1,0 +1,63 @@
+//! Logs: to the journal when systemd listens, else to standard error; filtered by `ROOMCAST_LOG` (`info` when unset).
+
+use std::io::IsTerminal;
+
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, fmt};
+
+/// The environment variable with the filter, for instance `roomcast=debug`.
+pub const FILTER_VARIABLE: &str = "ROOMCAST_LOG";
+
+/// Sets up logging, once per process; a second call changes nothing.
+pub fn init() {
+    let filter = EnvFilter::try_from_env(FILTER_VARIABLE).unwrap_or_else(|_| EnvFilter::new("info"));
+    let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
+    let registry = tracing_subscriber::registry().with(filter);
+    // An error says that somebody else has set up logging already, a test for instance.
+    let _set = match journal {
+        Some(journal) => registry.with(journal).try_init(),
+        None => {
+            let colours = std::io::stderr().is_terminal();
+            registry.with(fmt::layer().with_writer(std::io::stderr).with_ansi(colours)).try_init()
+        }
+    };
+}
+
+/// Lets one message per interval through and counts the others.
+#[derive(Debug)]
+pub struct Limiter {
+    interval_ns: u64,
+    next_ns: u64,
+    held: u64,
+}
+
+impl Limiter {
+    /// One message per `interval_ns`.
+    #[must_use]
+    pub fn new(interval_ns: u64) -> Self {
+        Self { interval_ns, next_ns: 0, held: 0 }
+    }
+
+    /// Whether to log now, and then how many were held back since the last.
+    pub fn pass(&mut self, now_ns: u64) -> Option<u64> {
+        if now_ns < self.next_ns {
+            self.held += 1;
+            return None;
+        }
+        self.next_ns = now_ns + self.interval_ns;
+        Some(std::mem::take(&mut self.held))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flood_of_messages_is_one_line_per_interval() {
+        let mut limiter = Limiter::new(100);
+        let passed: Vec<_> = (0..250).filter_map(|now| limiter.pass(now)).collect();
+        assert_eq!(passed, [0, 99, 99]);
+    }
+}

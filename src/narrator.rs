@@ -1,0 +1,503 @@
+//! The narrator: publishes observations from activity programs, JSON lines or plain lines.
+//!
+//! Nothing it sends is lost as long as it lives: it has at most as many narrations under way as the service keeps in its history
+//! (32), so a daemon that restarts gets all that it has not confirmed yet. Room scores confirm: they name the newest
+//! narration of each source that they contain.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
+use std::os::unix::fs::FileTypeExt;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use roomcast_ipc::{
+    Domain, IpcError, Message, MessageError, NarrationV1, Node, Publisher, RoomScoresV1, Subscriber, clock,
+    narration_kind, sequence, text,
+};
+use sd_notify::NotifyState;
+
+use crate::daemon::notify;
+use crate::embedded;
+use crate::narration::{Observed, ObservedError, Program, ProgramError};
+use crate::stop::Stop;
+
+/// Narrations that may be under way unconfirmed: what the service's history holds for a daemon that restarts.
+const UNDER_WAY: u64 = NarrationV1::SERVICE.history as u64;
+const TICK: Duration = Duration::from_millis(100);
+/// Longest line of input, in bytes.
+const LINE_BYTES_MAX: u64 = 8192;
+
+/// The section `[narrator]`.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct NarratorConfig {
+    /// The source's name; its number follows from it, so it must differ between narrators.
+    pub name: String,
+    /// Seconds to wait at the end until the daemon has confirmed everything.
+    pub linger_s: f64,
+}
+
+impl Default for NarratorConfig {
+    fn default() -> Self {
+        Self { name: "narrator".to_owned(), linger_s: 10.0 }
+    }
+}
+
+/// One narration to be.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Item {
+    /// One of [`narration_kind`].
+    pub kind: u32,
+    /// The text, in the notation of its kind.
+    pub text: String,
+    /// The person observed.
+    pub person: u32,
+    /// How long it takes in reality: time that passes before it is observed.
+    pub duration_s: f64,
+}
+
+/// A line or file that is no narration.
+#[derive(Debug, thiserror::Error)]
+pub enum InputError {
+    /// It cannot be read.
+    #[error("cannot read {name}: {source}")]
+    Read {
+        /// The file, or "standard input".
+        name: String,
+        /// The system's word.
+        source: io::Error,
+    },
+    /// The program is malformed.
+    #[error(transparent)]
+    Program(#[from] ProgramError),
+    /// A line is no observation.
+    #[error("line {line}: {source}")]
+    Line {
+        /// From 1.
+        line: u64,
+        /// Why.
+        source: ObservedError,
+    },
+    /// A line cannot be a message.
+    #[error("line {line}: {source}")]
+    Message {
+        /// From 1.
+        line: u64,
+        /// Why.
+        source: MessageError,
+    },
+    /// A line of JSON is malformed.
+    #[error("line {line}: {source}; expected {{\"text\": \"...\"}}, with \"person\": number and \"kind\": \"sentence\", \"action\" or \"device\" if you like")]
+    Json {
+        /// From 1.
+        line: u64,
+        /// Why.
+        source: serde_json::Error,
+    },
+    /// A line is too long, or not UTF-8.
+    #[error("line {line}: not a line of UTF-8 with at most {LINE_BYTES_MAX} bytes")]
+    NoLine {
+        /// From 1.
+        line: u64,
+    },
+}
+
+/// A line of JSON.
+#[derive(Debug, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct JsonLine {
+    text: String,
+    person: Option<u32>,
+    kind: Option<JsonKind>,
+}
+
+#[derive(Debug, Clone, Copy, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum JsonKind {
+    Sentence,
+    Action,
+    Device,
+}
+
+/// The items of a program, each with the duration that its action takes.
+#[must_use]
+pub fn program_items(program: &Program, person: u32) -> Vec<Item> {
+    let items = program.steps.iter().map(|action| Item {
+        kind: narration_kind::ACTION,
+        text: action.to_string(),
+        person,
+        duration_s: action.entry().duration_s,
+    });
+    items.collect()
+}
+
+/// One line as an item: JSON if it opens with `{`, an action if with `[`, a device state or a sentence otherwise.
+///
+/// # Errors
+///
+/// [`InputError`] names the line.
+pub fn line_item(text: &str, line: u64, person: u32) -> Result<Item, InputError> {
+    let text = text.trim();
+    let item = if text.starts_with('{') {
+        let json: JsonLine = serde_json::from_str(text).map_err(|source| InputError::Json { line, source })?;
+        let kind = match json.kind {
+            Some(JsonKind::Sentence) => narration_kind::SENTENCE,
+            Some(JsonKind::Action) => narration_kind::ACTION,
+            Some(JsonKind::Device) => narration_kind::DEVICE,
+            None => kind_of(&json.text, line)?,
+        };
+        Item { kind, text: json.text.trim().to_owned(), person: json.person.unwrap_or(person), duration_s: 0.0 }
+    } else {
+        Item { kind: kind_of(text, line)?, text: text.to_owned(), person, duration_s: 0.0 }
+    };
+    // What the daemon would refuse is refused here, where somebody sees it.
+    NarrationV1::new(item.kind, &item.text).map_err(|source| InputError::Message { line, source })?;
+    if item.kind == narration_kind::ACTION {
+        Observed::parse(&item.text).map_err(|source| InputError::Line { line, source })?;
+    }
+    Ok(item)
+}
+
+fn kind_of(text: &str, line: u64) -> Result<u32, InputError> {
+    Ok(match Observed::parse(text).map_err(|source| InputError::Line { line, source })? {
+        Observed::Action(_) => narration_kind::ACTION,
+        Observed::Device(_) => narration_kind::DEVICE,
+        Observed::Sentence(_) => narration_kind::SENTENCE,
+    })
+}
+
+/// Where narration comes from.
+pub enum Input {
+    /// Everything is there.
+    Items(Vec<Item>),
+    /// Lines, as they come.
+    Lines {
+        /// "standard input" or the file's name.
+        name: String,
+        /// The stream.
+        stream: Box<dyn Read + Send>,
+        /// The person when a line names none.
+        person: u32,
+    },
+}
+
+impl Input {
+    /// `-` is standard input, line by line; a FIFO is read for ever; a file that holds a program is a program, any other file is read
+    /// line by line; a shipped program goes by its bare name.
+    ///
+    /// # Errors
+    ///
+    /// [`InputError`] when it cannot be read.
+    pub fn open(path: &Path, person: u32) -> Result<Self, InputError> {
+        let name = path.display().to_string();
+        if name == "-" {
+            return Ok(Self::Lines { name: "standard input".to_owned(), stream: Box::new(io::stdin()), person });
+        }
+        if !path.exists()
+            && let Some(program) = embedded::program(&name)
+        {
+            return Ok(Self::Items(program_items(&Program::parse(program.text)?, person)));
+        }
+        let read = |source| InputError::Read { name: name.clone(), source };
+        if std::fs::metadata(path).map_err(read)?.file_type().is_fifo() {
+            // With a writer of its own the stream does not end when the last other writer leaves.
+            let stream = File::options().read(true).write(true).open(path).map_err(read)?;
+            return Ok(Self::Lines { name: name.clone(), stream: Box::new(stream), person });
+        }
+        let mut stream = File::open(path).map_err(read)?;
+        if Self::is_program(&mut stream).map_err(read)? {
+            return Ok(Self::Items(program_items(&Program::load(path)?, person)));
+        }
+        let stream = File::open(path).map_err(read)?;
+        Ok(Self::Lines { name: name.clone(), stream: Box::new(stream), person })
+    }
+
+    /// A program has a title, so its first line is neither an action nor JSON, and some later line is an action.
+    fn is_program(stream: &mut File) -> io::Result<bool> {
+        let mut start = Vec::new();
+        stream.take(64 * 1024).read_to_end(&mut start)?;
+        let text = String::from_utf8_lossy(&start);
+        let mut lines = text.lines().map(str::trim_start).filter(|line| !line.is_empty());
+        let titled = lines.next().is_some_and(|line| !line.starts_with(['[', '{']));
+        Ok(titled && lines.any(|line| line.starts_with('[')))
+    }
+}
+
+/// How fast.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Pace {
+    /// So many seconds before each narration; 0 is as fast as the daemon confirms.
+    Seconds(f64),
+    /// So many times faster than the actions' real durations.
+    Speed(f64),
+}
+
+impl Pace {
+    fn before(self, item: &Item) -> Duration {
+        let seconds = match self {
+            Self::Seconds(seconds) => seconds,
+            Self::Speed(speed) => item.duration_s / speed,
+        };
+        Duration::try_from_secs_f64(seconds).unwrap_or(Duration::ZERO)
+    }
+}
+
+/// What became of the narrations.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Outcome {
+    /// Narrations sent.
+    pub sent: u64,
+    /// Of these, contained in the daemon's scores.
+    pub confirmed: u64,
+    /// Lines that were no narration.
+    pub refused: u64,
+}
+
+/// Sends numbered narrations and keeps account of which are confirmed.
+#[derive(Debug)]
+struct Narrator {
+    narration: Publisher<NarrationV1>,
+    scores: Subscriber<RoomScoresV1>,
+    source: u64,
+    source_name: [u8; 48],
+    epoch: u64,
+    outcome: Outcome,
+}
+
+impl Narrator {
+    fn new(node: &Node, config: &NarratorConfig) -> Result<Self, IpcError> {
+        let source = sequence::source_of_name(&config.name);
+        Ok(Self {
+            narration: node.publisher()?,
+            scores: node.subscriber()?,
+            source,
+            source_name: text::encode_cut(&config.name),
+            epoch: sequence::random_epoch(),
+            outcome: Outcome::default(),
+        })
+    }
+
+    fn send(&mut self, item: &Item) -> Result<(), IpcError> {
+        let message = NarrationV1::new(item.kind, &item.text)
+            .map_err(|source| IpcError::Refused { service: NarrationV1::SERVICE.name, source })?;
+        self.narration.send(&NarrationV1 {
+            source: self.source,
+            epoch: self.epoch,
+            sequence: self.outcome.sent + 1,
+            observed_ns: clock::monotonic_ns(),
+            observed_unix_ns: clock::unix_ns(),
+            person: item.person,
+            source_name: self.source_name,
+            ..message
+        })?;
+        self.outcome.sent += 1;
+        Ok(())
+    }
+
+    /// Sleeps up to `timeout` for a confirmation.
+    fn confirm(&mut self, timeout: Duration) -> Result<(), IpcError> {
+        self.narration.tick()?;
+        notify(&[NotifyState::Watchdog]);
+        self.scores.wait(timeout.min(TICK))?;
+        while let Some(received) = self.scores.receive()? {
+            let Ok(scores) = received else { continue };
+            for included in scores.included() {
+                if (included.source, included.epoch) == (self.source, self.epoch) {
+                    let confirmed = included.sequence.min(self.outcome.sent);
+                    self.outcome.confirmed = self.outcome.confirmed.max(confirmed);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn under_way(&self) -> u64 {
+        self.outcome.sent - self.outcome.confirmed
+    }
+}
+
+/// Publishes all of `input`, and stays until it is confirmed or `linger_s` is over.
+///
+/// # Errors
+///
+/// [`IpcError`] when a service cannot be opened or is lost. Lines that are no narration are logged, counted, and skipped.
+pub fn run(
+    config: &NarratorConfig,
+    domain: &Domain,
+    input: Input,
+    pace: Pace,
+    stop: &Stop,
+) -> Result<Outcome, IpcError> {
+    let node = domain.open(&format!("roomcast-narrator-{}", config.name))?;
+    let mut sender = Narrator::new(&node, config)?;
+    let (items_in, items) = bounded(1);
+    // Reading may block for ever; the thread ends with its stream, or with the process.
+    let reader = move || match input {
+        Input::Items(list) => list.into_iter().map(Ok).try_for_each(|item| items_in.send(item)).is_ok(),
+        Input::Lines { name, stream, person } => read_lines(&name, stream, person, &items_in),
+    };
+    let reader = std::thread::Builder::new().name("reader".to_owned()).spawn(reader);
+    if let Err(error) = reader {
+        return Err(IpcError::Port { service: NarrationV1::SERVICE.name, operation: "read", cause: error.to_string() });
+    }
+    notify(&[NotifyState::Ready]);
+    let mut warned = false;
+    while let Some(item) = next(&items, &mut sender, stop)? {
+        let item = match item {
+            Ok(item) => item,
+            Err(error) => {
+                sender.outcome.refused += 1;
+                tracing::warn!(%error, "skipped");
+                continue;
+            }
+        };
+        let due = Instant::now() + pace.before(&item);
+        while !stop.requested() && Instant::now() < due {
+            sender.confirm(due.saturating_duration_since(Instant::now()))?;
+        }
+        let waiting = Instant::now();
+        while !stop.requested() && sender.under_way() >= UNDER_WAY {
+            sender.confirm(TICK)?;
+            if !warned && waiting.elapsed() > Duration::from_secs(5) {
+                warned = true;
+                tracing::warn!(
+                    under_way = sender.under_way(),
+                    "no daemon confirms; waiting for one in this domain, with nothing lost"
+                );
+            }
+        }
+        if stop.requested() {
+            break;
+        }
+        sender.send(&item)?;
+    }
+    let linger = Instant::now() + Duration::try_from_secs_f64(config.linger_s).unwrap_or(Duration::ZERO);
+    while !stop.requested() && sender.under_way() > 0 && Instant::now() < linger {
+        sender.confirm(TICK)?;
+    }
+    notify(&[NotifyState::Stopping]);
+    Ok(sender.outcome)
+}
+
+/// The next item; none at the end. Meanwhile the ports are kept up.
+fn next(
+    items: &Receiver<Result<Item, InputError>>,
+    sender: &mut Narrator,
+    stop: &Stop,
+) -> Result<Option<Result<Item, InputError>>, IpcError> {
+    while !stop.requested() {
+        match items.recv_timeout(TICK) {
+            Ok(item) => return Ok(Some(item)),
+            Err(RecvTimeoutError::Timeout) => sender.confirm(Duration::ZERO)?,
+            Err(RecvTimeoutError::Disconnected) => return Ok(None),
+        }
+    }
+    Ok(None)
+}
+
+/// Returns whether the whole stream was read.
+fn read_lines(name: &str, stream: Box<dyn Read + Send>, person: u32, items: &Sender<Result<Item, InputError>>) -> bool {
+    let mut stream = BufReader::new(stream);
+    let mut bytes = Vec::new();
+    for line in 1.. {
+        bytes.clear();
+        let read = stream.by_ref().take(LINE_BYTES_MAX).read_until(b'\n', &mut bytes);
+        let item = match read {
+            Ok(0) => return true,
+            Ok(_) if bytes.len() as u64 == LINE_BYTES_MAX && bytes.last() != Some(&b'\n') => {
+                if let Err(source) = stream.skip_until(b'\n') {
+                    let _gone = items.send(Err(InputError::Read { name: name.to_owned(), source }));
+                    return false;
+                }
+                Err(InputError::NoLine { line })
+            }
+            Ok(_) => match std::str::from_utf8(&bytes) {
+                Ok(text) if text.trim().is_empty() => continue,
+                Ok(text) => line_item(text, line, person),
+                Err(_) => Err(InputError::NoLine { line }),
+            },
+            Err(source) => {
+                let _gone = items.send(Err(InputError::Read { name: name.to_owned(), source }));
+                return false;
+            }
+        };
+        if items.send(item).is_err() {
+            return false;
+        }
+    }
+    true
+}
+
+/// Makes a FIFO that only this user can write to; one that is there stays.
+///
+/// # Errors
+///
+/// [`InputError::Read`] when it cannot be made, or something else is there.
+pub fn make_fifo(path: &PathBuf) -> Result<(), InputError> {
+    use rustix::fs::{CWD, FileType, Mode, mknodat};
+    let read = |source| InputError::Read { name: path.display().to_string(), source };
+    match mknodat(CWD, path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0) {
+        Ok(()) => Ok(()),
+        Err(rustix::io::Errno::EXIST) if std::fs::metadata(path).is_ok_and(|found| found.file_type().is_fifo()) => {
+            Ok(())
+        }
+        Err(error) => Err(read(error.into())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_form_of_line_becomes_an_item() {
+        let item = |text| line_item(text, 1, 3).map(|item| (item.kind, item.text, item.person));
+        let sentence = |text: &str| (narration_kind::SENTENCE, text.to_owned(), 3);
+        assert_eq!(item("They sit down.").unwrap(), sentence("They sit down."));
+        assert_eq!(item("[Grab] <mug> (1)").unwrap(), (narration_kind::ACTION, "[Grab] <mug> (1)".to_owned(), 3));
+        assert_eq!(item("the oven is on").unwrap(), (narration_kind::DEVICE, "the oven is on".to_owned(), 3));
+        let json = item(r#"{"text": "They sit down.", "person": 9}"#).unwrap();
+        assert_eq!(json, (narration_kind::SENTENCE, "They sit down.".to_owned(), 9));
+        for bad in ["{\"text\": 3}", "{\"txt\": \"a\"}", "[Fly] <mug> (1)", "...", "a\u{7}b"] {
+            assert!(item(bad).unwrap_err().to_string().starts_with("line 1: "), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_stream_is_read_to_its_end_over_bad_lines() {
+        let long = "a".repeat(20_000);
+        let text = format!("They sit.\n\n{long}\nThey stand up.\n[Fly] <mug> (1)\nThey leave.");
+        let (items_in, items) = bounded(100);
+        assert!(read_lines("test", Box::new(io::Cursor::new(text)), 0, &items_in));
+        drop(items_in);
+        let read: Vec<_> = items.iter().map(|item| item.map(|item| item.text).map_err(|error| error.to_string())).collect();
+        assert_eq!(read.len(), 5);
+        assert!(read[1].as_ref().unwrap_err().starts_with("line 3: "));
+        assert!(read[3].as_ref().unwrap_err().starts_with("line 5: "));
+        assert_eq!(read[4].as_deref(), Ok("They leave."));
+    }
+
+    #[test]
+    fn shipped_programs_go_by_name_and_programs_by_content() {
+        let Input::Items(items) = Input::open(Path::new("p0-breakfast-and-television"), 2).unwrap() else { panic!() };
+        assert!(items.iter().all(|item| item.person == 2 && item.duration_s > 0.0));
+        let directory = tempfile::tempdir().unwrap();
+        let file = directory.path().join("a.txt");
+        std::fs::write(&file, "Make coffee\n\n[Walk] <kitchen> (1)\n").unwrap();
+        assert!(matches!(Input::open(&file, 0).unwrap(), Input::Items(items) if items.len() == 1));
+        std::fs::write(&file, "They walk to the kitchen.\nThey sit.\n").unwrap();
+        assert!(matches!(Input::open(&file, 0).unwrap(), Input::Lines { .. }));
+    }
+
+    #[test]
+    fn a_fifo_is_made_once_and_nothing_else_is_taken_for_one() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("narration");
+        make_fifo(&path).unwrap();
+        make_fifo(&path).unwrap();
+        let file = directory.path().join("file");
+        std::fs::write(&file, "").unwrap();
+        assert!(make_fifo(&file).is_err());
+    }
+}

@@ -1,0 +1,399 @@
+//! The planner: keeps the robot's state, applies a policy each time the robot is free, publishes decisions with their reason.
+//!
+//! Scores that the daemon has not confirmed for longer than the deadline are not acted upon. The fallback is to **stay where
+//! the robot is**: it is the one choice that brings it nearer to nobody by its own doing. Such a decision is flagged, is
+//! published once, and the next one follows as soon as there are fresh scores again.
+
+use std::time::Duration;
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use roomcast_ipc::{DecisionV1, Domain, IpcError, RoomScoresV1, action, clock, decision_flags, score_flags, sequence, text};
+use sd_notify::NotifyState;
+
+use crate::config::Config;
+use crate::daemon::notify;
+use crate::policy::{Policy, PolicyError, PolicyName, RobotState};
+use crate::semantic_map::PartitionId;
+use crate::stop::Stop;
+
+/// The section `[planner]`.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PlannerConfig {
+    /// The robot's name; its number on the decision service follows from it.
+    pub robot: String,
+    /// The policy.
+    pub policy: PolicyName,
+    /// Seed of the policy's random choices.
+    pub seed: u64,
+    /// T_r: seconds that the robot must spend in every room.
+    pub room_time_s: f64,
+    /// Milliseconds after which scores that the daemon has not confirmed are not acted upon.
+    pub deadline_ms: u64,
+    /// Begin anew when every room is covered; otherwise the robot stays.
+    pub repeat: bool,
+}
+
+impl Default for PlannerConfig {
+    fn default() -> Self {
+        Self {
+            robot: "robot".to_owned(),
+            policy: PolicyName::InformedAvoidance,
+            seed: 1,
+            room_time_s: 600.0,
+            deadline_ms: 2000,
+            repeat: true,
+        }
+    }
+}
+
+/// The robot as the planner knows it, and what it decides. Pure: time comes in as a number.
+#[derive(Debug)]
+pub struct Planner {
+    policy: Box<dyn Policy>,
+    rng: ChaCha8Rng,
+    robot: u64,
+    epoch: u64,
+    sequence: u64,
+    room_time_ns: u64,
+    deadline_ns: u64,
+    repeat: bool,
+    scores: Option<RoomScoresV1>,
+    room: Option<usize>,
+    covered: Vec<bool>,
+    /// When the robot is free again.
+    free_ns: u64,
+    /// The fallback has been published and holds until scores are fresh.
+    falling_back: bool,
+}
+
+impl Planner {
+    /// A robot in no room, with nothing covered; `epoch` is random per start.
+    #[must_use]
+    pub fn new(config: &PlannerConfig, epoch: u64) -> Self {
+        Self {
+            policy: config.policy.policy(),
+            rng: ChaCha8Rng::seed_from_u64(config.seed),
+            robot: sequence::source_of_name(&config.robot),
+            epoch,
+            sequence: 0,
+            room_time_ns: (config.room_time_s.max(0.0) * 1e9) as u64,
+            deadline_ns: config.deadline_ms.saturating_mul(1_000_000),
+            repeat: config.repeat,
+            scores: None,
+            room: None,
+            covered: Vec::new(),
+            free_ns: 0,
+            falling_back: false,
+        }
+    }
+
+    /// Takes a checked snapshot, unless it is older than the one known. Another map begins everything anew.
+    pub fn take(&mut self, scores: &RoomScoresV1) {
+        if let Some(known) = &self.scores {
+            if known.epoch == scores.epoch
+                && (known.sequence, known.published_ns) > (scores.sequence, scores.published_ns)
+            {
+                return;
+            }
+            // A delayed snapshot of a former daemon.
+            if known.epoch != scores.epoch && known.published_ns > scores.published_ns {
+                return;
+            }
+        }
+        let same_map = self.scores.as_ref().is_some_and(|known| {
+            known.map_fingerprint == scores.map_fingerprint
+                && known.rooms().iter().map(|room| room.id).eq(scores.rooms().iter().map(|room| room.id))
+        });
+        if !same_map {
+            self.covered = vec![false; scores.rooms().len()];
+            self.room = None;
+            self.free_ns = 0;
+        }
+        self.scores = Some(*scores);
+    }
+
+    /// Decides if the robot is free and there is something new to say.
+    ///
+    /// # Errors
+    ///
+    /// [`PolicyError`] when the policy cannot use the scores; the robot stays.
+    pub fn decide(&mut self, now_ns: u64, now_unix_ns: u64) -> Result<Option<DecisionV1>, PolicyError> {
+        if now_ns < self.free_ns {
+            return Ok(None);
+        }
+        let stale = self.stale(now_ns);
+        let Some(scores) = self.scores.filter(|_| stale == 0) else {
+            if self.falling_back {
+                return Ok(None);
+            }
+            self.falling_back = true;
+            let why = match stale {
+                decision_flags::NO_SCORES => "no scores have arrived",
+                decision_flags::STALE => "the scores lack narration that the scorer failed on",
+                _ => "the daemon has been silent for longer than the deadline",
+            };
+            let decision = self.decision(now_ns, now_unix_ns, self.room, &format!("{why}: staying is safe"));
+            return Ok(Some(DecisionV1 { flags: decision.flags | decision_flags::FALLBACK | stale, ..decision }));
+        };
+        self.falling_back = false;
+        // The stay that ends now is work done.
+        if let Some(covered) = self.room.and_then(|room| self.covered.get_mut(room))
+            && self.free_ns > 0
+        {
+            *covered = true;
+        }
+        let mut done = 0;
+        if self.covered.iter().all(|covered| *covered) {
+            done = decision_flags::COVERED;
+            if !self.repeat {
+                self.free_ns = u64::MAX;
+                let decision = self.decision(now_ns, now_unix_ns, self.room, "every room is covered");
+                return Ok(Some(DecisionV1 { flags: decision.flags | done, ..decision }));
+            }
+            self.covered.fill(false);
+        }
+        let likely: Vec<f64> = scores.rooms().iter().map(|room| room.probability).collect();
+        let state = RobotState {
+            partition: self.room.map(|room| PartitionId(room as u32)),
+            covered: &self.covered,
+            expected_shared_s: &[],
+        };
+        let choice = self.policy.choose(&state, &likely, &mut self.rng)?;
+        let to = choice.partition.0 as usize;
+        let decision = self.decision(now_ns, now_unix_ns, Some(to), &choice.reason);
+        self.room = Some(to);
+        self.free_ns = now_ns.saturating_add(self.room_time_ns).max(1);
+        Ok(Some(DecisionV1 {
+            action: action::GO,
+            stay_ns: self.room_time_ns,
+            flags: decision.flags | done,
+            ..decision
+        }))
+    }
+
+    /// Why the scores may not be acted upon: bits of [`decision_flags`], 0 when they may.
+    #[must_use]
+    pub fn stale(&self, now_ns: u64) -> u32 {
+        match &self.scores {
+            None => decision_flags::NO_SCORES,
+            Some(scores) if scores.silence_ns(now_ns) > self.deadline_ns => {
+                decision_flags::STALE | decision_flags::DAEMON_SILENT
+            }
+            // The daemon lives, but these scores do not contain what has happened since.
+            Some(scores) if scores.has(score_flags::SCORER_FAILED) && scores.age_ns(now_ns) > self.deadline_ns => {
+                decision_flags::STALE
+            }
+            Some(_) => 0,
+        }
+    }
+
+    /// When the robot is free again: monotonic nanoseconds.
+    #[must_use]
+    pub fn free_ns(&self) -> u64 {
+        self.free_ns
+    }
+
+    /// The room that the robot is in, by index in the scores' rooms.
+    #[must_use]
+    pub fn room(&self) -> Option<usize> {
+        self.room
+    }
+
+    fn decision(&mut self, now_ns: u64, now_unix_ns: u64, to: Option<usize>, reason: &str) -> DecisionV1 {
+        self.sequence += 1;
+        let covered = self.covered.iter().take(64).enumerate();
+        let mut decision = DecisionV1 {
+            robot: self.robot,
+            epoch: self.epoch,
+            sequence: self.sequence,
+            decided_ns: now_ns,
+            decided_unix_ns: now_unix_ns,
+            covered: covered.fold(0, |bits, (room, covered)| bits | u64::from(*covered) << room),
+            action: action::STAY,
+            policy: text::encode_cut(self.policy.name().as_str()),
+            reason: text::encode_cut(reason),
+            ..Default::default()
+        };
+        if let Some(scores) = &self.scores {
+            decision.scores_epoch = scores.epoch;
+            decision.scores_sequence = scores.sequence;
+            decision.scores_age_ns = scores.age_ns(now_ns);
+            decision.observed_ns = scores.observed_ns;
+            let room = |index: Option<usize>| index.and_then(|index| scores.rooms().get(index));
+            decision.from = room(self.room).map_or([0; 48], |room| room.id);
+            decision.to = room(to).map_or([0; 48], |room| room.id);
+            decision.probability = room(to).map_or(0.0, |room| room.probability);
+        }
+        decision
+    }
+}
+
+/// Runs until asked to stop.
+///
+/// # Errors
+///
+/// [`IpcError`] when a service cannot be opened or is lost.
+pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError> {
+    let config = &config.planner;
+    let node = domain.open("roomcast-planner")?;
+    let scores = node.subscriber::<RoomScoresV1>()?;
+    let decisions = node.publisher::<DecisionV1>()?;
+    let mut planner = Planner::new(config, sequence::random_epoch());
+    let mut log = crate::logging::Limiter::new(5_000_000_000);
+    // At the start the scores need a moment to arrive; saying that there are none is worth something only after the deadline.
+    let patience_ns = clock::monotonic_ns() + config.deadline_ms.saturating_mul(1_000_000);
+    notify(&[NotifyState::Ready]);
+    while !stop.requested() {
+        let now_ns = clock::monotonic_ns();
+        let until_free = Duration::from_nanos(planner.free_ns().saturating_sub(now_ns));
+        scores.wait(until_free.clamp(Duration::from_millis(1), Duration::from_millis(100)))?;
+        while let Some(received) = scores.receive()? {
+            match received {
+                Ok(snapshot) => planner.take(&snapshot),
+                Err(error) => {
+                    if let Some(held_back) = log.pass(now_ns) {
+                        tracing::warn!(%error, held_back, "malformed scores");
+                    }
+                }
+            }
+        }
+        decisions.tick()?;
+        notify(&[NotifyState::Watchdog]);
+        let now_ns = clock::monotonic_ns();
+        if planner.stale(now_ns) == decision_flags::NO_SCORES && now_ns < patience_ns {
+            continue;
+        }
+        match planner.decide(now_ns, clock::unix_ns()) {
+            Ok(None) => {}
+            Ok(Some(decision)) => {
+                decisions.send(&decision)?;
+                tracing::info!(
+                    sequence = decision.sequence,
+                    from = decision.from(),
+                    to = decision.to(),
+                    probability = decision.probability,
+                    fallback = decision.has(decision_flags::FALLBACK),
+                    scores = decision.scores_sequence,
+                    age_us = decision.scores_age_ns / 1000,
+                    why = decision.reason(),
+                    "decision"
+                );
+            }
+            Err(error) => {
+                if let Some(held_back) = log.pass(now_ns) {
+                    tracing::error!(%error, held_back, "the policy cannot decide; the robot stays");
+                }
+            }
+        }
+    }
+    notify(&[NotifyState::Stopping]);
+    tracing::info!("stopped");
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const S: u64 = 1_000_000_000;
+
+    fn scores(sequence: u64, now_ns: u64, likely: &[f64]) -> RoomScoresV1 {
+        let mut scores = RoomScoresV1 {
+            epoch: 5,
+            sequence,
+            computed_ns: now_ns,
+            published_ns: now_ns,
+            room_count: likely.len() as u32,
+            ..Default::default()
+        };
+        for (index, probability) in likely.iter().enumerate() {
+            scores.room[index].id = text::encode("id", &format!("room-{index}")).unwrap();
+            scores.room[index].probability = *probability;
+        }
+        scores
+    }
+
+    fn planner(policy: PolicyName, repeat: bool) -> Planner {
+        let config = PlannerConfig { policy, room_time_s: 10.0, repeat, ..Default::default() };
+        Planner::new(&config, 1)
+    }
+
+    #[test]
+    fn the_robot_goes_where_the_person_is_not_and_stays_for_its_time() {
+        let mut planner = planner(PolicyName::GreedyAvoidance, true);
+        planner.take(&scores(1, S, &[0.7, 0.1, 0.2]));
+        let decision = planner.decide(S, 0).unwrap().unwrap();
+        assert_eq!((decision.action, decision.to(), decision.flags), (action::GO, "room-1", 0));
+        assert_eq!((decision.scores_sequence, decision.stay_ns), (1, 10 * S));
+        planner.take(&scores(2, 2 * S, &[0.1, 0.7, 0.2]));
+        assert_eq!(planner.decide(2 * S, 0).unwrap(), None, "not free yet");
+        planner.take(&scores(3, 11 * S, &[0.1, 0.7, 0.2]));
+        let decision = planner.decide(11 * S, 0).unwrap().unwrap();
+        assert_eq!((decision.from(), decision.to(), decision.covered), ("room-1", "room-0", 0b010));
+    }
+
+    #[test]
+    fn stale_scores_are_never_acted_upon() {
+        let mut planner = planner(PolicyName::Naive, true);
+        let none = planner.decide(S, 0).unwrap().unwrap();
+        assert_eq!(none.flags, decision_flags::FALLBACK | decision_flags::NO_SCORES);
+        assert_eq!((none.action, none.to()), (action::STAY, ""));
+        assert_eq!(planner.decide(2 * S, 0).unwrap(), None, "the fallback is said once");
+
+        planner.take(&scores(1, 3 * S, &[0.5, 0.5]));
+        let gone = planner.decide(3 * S, 0).unwrap().unwrap();
+        assert_eq!(gone.action, action::GO);
+        let silent = planner.decide(20 * S, 0).unwrap().unwrap();
+        assert!(silent.has(decision_flags::FALLBACK) && silent.has(decision_flags::DAEMON_SILENT));
+        assert_eq!((silent.action, silent.to()), (action::STAY, gone.to()));
+
+        // A heartbeat makes the same scores good again.
+        planner.take(&RoomScoresV1 { published_ns: 21 * S, ..scores(1, 3 * S, &[0.5, 0.5]) });
+        assert_eq!(planner.decide(21 * S, 0).unwrap().unwrap().action, action::GO);
+    }
+
+    #[test]
+    fn scores_that_a_failed_scorer_left_behind_are_stale_too() {
+        let mut planner = planner(PolicyName::Naive, true);
+        let failed = RoomScoresV1 {
+            flags: score_flags::SCORER_FAILED,
+            published_ns: 9 * S,
+            ..scores(1, S, &[0.5, 0.5])
+        };
+        planner.take(&failed);
+        let decision = planner.decide(9 * S, 0).unwrap().unwrap();
+        assert_eq!(decision.flags, decision_flags::FALLBACK | decision_flags::STALE);
+    }
+
+    #[test]
+    fn coverage_ends_or_begins_anew() {
+        for repeat in [false, true] {
+            let mut planner = planner(PolicyName::UncoveredFirst, repeat);
+            let mut visited = Vec::new();
+            for visit in 0..3 {
+                let now_ns = (1 + 10 * visit) * S;
+                planner.take(&scores(visit + 1, now_ns, &[0.6, 0.4]));
+                let decision = planner.decide(now_ns, 0).unwrap().unwrap();
+                visited.push((decision.to().to_owned(), decision.has(decision_flags::COVERED), decision.action));
+            }
+            assert_eq!(visited[0], ("room-1".to_owned(), false, action::GO));
+            assert_eq!(visited[1], ("room-0".to_owned(), false, action::GO));
+            let last = if repeat { ("room-1".to_owned(), true, action::GO) } else { ("room-0".to_owned(), true, action::STAY) };
+            assert_eq!(visited[2], last);
+        }
+    }
+
+    #[test]
+    fn old_and_foreign_snapshots_do_not_replace_newer_ones() {
+        let mut planner = planner(PolicyName::Naive, true);
+        planner.take(&scores(5, 5 * S, &[0.5, 0.5]));
+        planner.take(&scores(4, 6 * S, &[1.0, 0.0]));
+        planner.take(&RoomScoresV1 { epoch: 4, ..scores(9, 4 * S, &[1.0, 0.0]) });
+        assert_eq!(planner.decide(6 * S, 0).unwrap().unwrap().scores_sequence, 5);
+        // A restarted daemon counts from 1 again.
+        planner.take(&RoomScoresV1 { epoch: 6, ..scores(1, 20 * S, &[0.5, 0.5]) });
+        assert_eq!(planner.decide(20 * S, 0).unwrap().unwrap().scores_epoch, 6);
+    }
+}
