@@ -3,10 +3,14 @@
 
 use std::path::{Path, PathBuf};
 
+use roomcast_ipc::{Domain, IpcError};
 use serde::{Deserialize, Serialize};
 
+use crate::daemon::DaemonConfig;
 use crate::grounding::GroundingOptions;
 use crate::narration::history::HistoryLimits;
+use crate::narrator::NarratorConfig;
+use crate::planner::PlannerConfig;
 use crate::prompt::BindingSequence;
 use crate::scorer::llama::{CacheType, LlamaOptions, SEQUENCES_MAX};
 use crate::scorer::{Method, Tokenisation};
@@ -68,6 +72,41 @@ pub struct Config {
     pub grounding: GroundingOptions,
     /// The history window of each person.
     pub history: HistoryLimits,
+    /// Where the processes meet.
+    pub ipc: IpcConfig,
+    /// The daemon.
+    pub daemon: DaemonConfig,
+    /// The planner.
+    pub planner: PlannerConfig,
+    /// The narrator.
+    pub narrator: NarratorConfig,
+}
+
+/// The section `[ipc]`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct IpcConfig {
+    /// The domain's root path; the user's own when empty.
+    pub root: Option<PathBuf>,
+    /// The domain's name.
+    pub domain: String,
+}
+
+impl Default for IpcConfig {
+    fn default() -> Self {
+        Self { root: None, domain: Domain::default_for_user().name().to_owned() }
+    }
+}
+
+impl IpcConfig {
+    /// The domain that this section names.
+    ///
+    /// # Errors
+    /// When root path or name cannot be a domain's.
+    pub fn domain(&self) -> Result<Domain, IpcError> {
+        let root = self.root.clone().unwrap_or_else(|| Domain::default_for_user().root().to_owned());
+        Domain::new(root, &self.domain)
+    }
 }
 
 /// The section `[model]`.
@@ -194,6 +233,37 @@ impl Config {
         limit(self.history.slack <= 1000, "history.slack", &self.history.slack, "give 0 to 1000")?;
         limit(self.history.tokens >= 16, "history.tokens", &self.history.tokens, "give 16 or more")?;
         self.binding()?;
+        let daemon = &self.daemon;
+        limit(
+            (10..=60_000).contains(&daemon.heartbeat_ms),
+            "daemon.heartbeat_ms",
+            &daemon.heartbeat_ms,
+            "give 10 to 60000",
+        )?;
+        limit(daemon.hang_s >= 1, "daemon.hang_s", &daemon.hang_s, "give 1 or more")?;
+        let (rate_per_s, burst) = (daemon.intake.rate_per_s, daemon.intake.burst);
+        limit(
+            rate_per_s >= 0.0 && rate_per_s.is_finite(),
+            "daemon.intake.rate_per_s",
+            &rate_per_s,
+            "give 0 (no limit) or more",
+        )?;
+        limit(burst >= 1.0 && burst.is_finite(), "daemon.intake.burst", &burst, "give 1 or more")?;
+        let planner = &self.planner;
+        limit(
+            (0.0..=1e9).contains(&planner.room_time_s),
+            "planner.room_time_s",
+            &planner.room_time_s,
+            "give 0 to 1000000000",
+        )?;
+        limit(
+            planner.deadline_ms > daemon.heartbeat_ms,
+            "planner.deadline_ms",
+            &planner.deadline_ms,
+            "give more than daemon.heartbeat_ms, or every score is stale before it is confirmed",
+        )?;
+        let linger_s = self.narrator.linger_s;
+        limit((0.0..=1e9).contains(&linger_s), "narrator.linger_s", &linger_s, "give 0 to 1000000000")?;
         Ok(())
     }
 

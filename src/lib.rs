@@ -30,6 +30,12 @@ pub mod policy;
 
 pub mod pipeline;
 
+pub mod daemon;
+
+pub mod planner;
+
+pub mod narrator;
+
 pub mod config;
 
 pub mod embedded;
@@ -39,6 +45,10 @@ pub mod gguf;
 pub mod hub;
 
 pub mod setup;
+
+pub mod stop;
+
+pub mod logging;
 
 pub mod exit_code;
 

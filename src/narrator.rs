@@ -88,7 +88,9 @@ pub enum InputError {
         source: MessageError,
     },
     /// A line of JSON is malformed.
-    #[error("line {line}: {source}; expected {{\"text\": \"...\"}}, with \"person\": number and \"kind\": \"sentence\", \"action\" or \"device\" if you like")]
+    #[error(
+        "line {line}: {source}; expected {{\"text\": \"...\"}}, with \"person\": number and \"kind\": \"sentence\", \"action\" or \"device\" if you like"
+    )]
     Json {
         /// From 1.
         line: u64,
@@ -471,7 +473,8 @@ mod tests {
         let (items_in, items) = bounded(100);
         assert!(read_lines("test", Box::new(io::Cursor::new(text)), 0, &items_in));
         drop(items_in);
-        let read: Vec<_> = items.iter().map(|item| item.map(|item| item.text).map_err(|error| error.to_string())).collect();
+        let read: Vec<_> =
+            items.iter().map(|item| item.map(|item| item.text).map_err(|error| error.to_string())).collect();
         assert_eq!(read.len(), 5);
         assert!(read[1].as_ref().unwrap_err().starts_with("line 3: "));
         assert!(read[3].as_ref().unwrap_err().starts_with("line 5: "));

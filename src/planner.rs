@@ -8,7 +8,9 @@ use std::time::Duration;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use roomcast_ipc::{DecisionV1, Domain, IpcError, RoomScoresV1, action, clock, decision_flags, score_flags, sequence, text};
+use roomcast_ipc::{
+    DecisionV1, Domain, IpcError, RoomScoresV1, action, clock, decision_flags, score_flags, sequence, text,
+};
 use sd_notify::NotifyState;
 
 use crate::config::Config;
@@ -357,11 +359,8 @@ mod tests {
     #[test]
     fn scores_that_a_failed_scorer_left_behind_are_stale_too() {
         let mut planner = planner(PolicyName::Naive, true);
-        let failed = RoomScoresV1 {
-            flags: score_flags::SCORER_FAILED,
-            published_ns: 9 * S,
-            ..scores(1, S, &[0.5, 0.5])
-        };
+        let failed =
+            RoomScoresV1 { flags: score_flags::SCORER_FAILED, published_ns: 9 * S, ..scores(1, S, &[0.5, 0.5]) };
         planner.take(&failed);
         let decision = planner.decide(9 * S, 0).unwrap().unwrap();
         assert_eq!(decision.flags, decision_flags::FALLBACK | decision_flags::STALE);
@@ -380,7 +379,11 @@ mod tests {
             }
             assert_eq!(visited[0], ("room-1".to_owned(), false, action::GO));
             assert_eq!(visited[1], ("room-0".to_owned(), false, action::GO));
-            let last = if repeat { ("room-1".to_owned(), true, action::GO) } else { ("room-0".to_owned(), true, action::STAY) };
+            let last = if repeat {
+                ("room-1".to_owned(), true, action::GO)
+            } else {
+                ("room-0".to_owned(), true, action::STAY)
+            };
             assert_eq!(visited[2], last);
         }
     }

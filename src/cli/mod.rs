@@ -10,9 +10,13 @@ use crate::exit_code;
 
 mod completions;
 mod config;
+mod daemon;
 mod doctor;
 mod model;
+mod narrate;
+mod planner;
 mod score;
+mod service;
 
 /// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
 #[derive(Debug)]
@@ -90,10 +94,16 @@ enum Command {
     Completions(completions::Args),
     /// Print the commented default configuration, or check one.
     Config(config::Args),
+    /// Score the rooms: the service between narrators and planners.
+    Daemon(daemon::Args),
     /// Say whether this machine can run Roomcast, and how well.
     Doctor(doctor::Args),
     /// Inspect, check and fetch language models.
     Model(model::Args),
+    /// Publish what a person does: activity programs, JSON lines, plain sentences.
+    Narrate(narrate::Args),
+    /// Decide where the robot goes: the service that applies a policy to the scores.
+    Planner(planner::Args),
     /// Score every label, item and partition of a scene once.
     Score(score::Args),
 }
@@ -104,8 +114,11 @@ pub fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Completions(args) => completions::run(&args),
         Command::Config(args) => config::run(&args),
+        Command::Daemon(args) => daemon::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Model(args) => model::run(&args),
+        Command::Narrate(args) => narrate::run(&args),
+        Command::Planner(args) => planner::run(&args),
         Command::Score(args) => score::run(&args),
     };
     match result {

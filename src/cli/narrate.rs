@@ -75,7 +75,9 @@ pub fn run(args: &Args) -> CommandResult {
         let (sent, root) = (outcome.sent, domain.root().display());
         return Err(Failure::new(
             exit_code::IPC,
-            format!("{unconfirmed} of {sent} narrations were not confirmed; is a daemon running in the domain at {root}?"),
+            format!(
+                "{unconfirmed} of {sent} narrations were not confirmed; is a daemon running in the domain at {root}?"
+            ),
         ));
     }
     Ok(())

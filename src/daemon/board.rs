@@ -15,13 +15,17 @@ use crate::semantic_map::SemanticMap;
 #[derive(Debug, thiserror::Error)]
 pub enum BoardError {
     /// More partitions than a message has places.
-    #[error("the map has {partitions} partitions at this level, a message carries at most {MAX_ROOMS}: choose grounding.level = \"room\" or \"group\", or a smaller map")]
+    #[error(
+        "the map has {partitions} partitions at this level, a message carries at most {MAX_ROOMS}: choose grounding.level = \"room\" or \"group\", or a smaller map"
+    )]
     TooManyPartitions {
         /// How many.
         partitions: usize,
     },
     /// A partition's id does not fit.
-    #[error("the partition {id:?} cannot be named in a message (at most {NAME_BYTES} bytes): shorten its id in the scene")]
+    #[error(
+        "the partition {id:?} cannot be named in a message (at most {NAME_BYTES} bytes): shorten its id in the scene"
+    )]
     Name {
         /// The id.
         id: String,

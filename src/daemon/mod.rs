@@ -131,7 +131,9 @@ impl DaemonError {
             Self::Setup(error) => error.exit_code(),
             Self::Board(_) => crate::exit_code::INPUT,
             Self::Ipc(_) => crate::exit_code::IPC,
-            Self::Journal(_) | Self::Thread { .. } | Self::Hung { .. } | Self::Ended { .. } => crate::exit_code::FAILURE,
+            Self::Journal(_) | Self::Thread { .. } | Self::Hung { .. } | Self::Ended { .. } => {
+                crate::exit_code::FAILURE
+            }
         }
     }
 }
@@ -293,7 +295,9 @@ impl Ingest {
                         (missed > 0).then(|| (message.source, format!("{missed} narrations before it were lost")))
                     }
                     Taken::Duplicate => None,
-                    Taken::Limited => Some((message.source, "its source sends too fast, or is one too many".to_owned())),
+                    Taken::Limited => {
+                        Some((message.source, "its source sends too fast, or is one too many".to_owned()))
+                    }
                     Taken::Malformed(why) => Some((message.source, why)),
                 },
             };

@@ -88,7 +88,8 @@ pub trait Policy: fmt::Debug + Send {
 }
 
 /// The policies, by their names on the command line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum PolicyName {
     /// [`Naive`], the paper's baseline.
     Naive,
