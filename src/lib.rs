@@ -48,6 +48,8 @@ pub mod setup;
 
 pub mod stop;
 
+pub mod top;
+
 pub mod logging;
 
 pub mod exit_code;

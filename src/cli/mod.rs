@@ -17,6 +17,7 @@ mod narrate;
 mod planner;
 mod score;
 mod service;
+mod top;
 
 /// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
 #[derive(Debug)]
@@ -106,6 +107,8 @@ enum Command {
     Planner(planner::Args),
     /// Score every label, item and partition of a scene once.
     Score(score::Args),
+    /// Watch a running system: rooms over time, narration, likely objects, decisions, health.
+    Top(top::Args),
 }
 
 /// Parses the command line, runs it and gives the exit code; prints an error once, on standard error.
@@ -120,6 +123,7 @@ pub fn main() -> ExitCode {
         Command::Narrate(args) => narrate::run(&args),
         Command::Planner(args) => planner::run(&args),
         Command::Score(args) => score::run(&args),
+        Command::Top(args) => top::run(&args),
     };
     match result {
         Ok(()) => ExitCode::from(exit_code::OK),
