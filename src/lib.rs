@@ -46,6 +46,8 @@ pub mod hub;
 
 pub mod setup;
 
+pub mod recording;
+
 pub mod stop;
 
 pub mod top;

@@ -15,6 +15,8 @@ mod doctor;
 mod model;
 mod narrate;
 mod planner;
+mod record;
+mod replay;
 mod score;
 mod service;
 mod top;
@@ -105,6 +107,10 @@ enum Command {
     Narrate(narrate::Args),
     /// Decide where the robot goes: the service that applies a policy to the scores.
     Planner(planner::Args),
+    /// Record everything on the services into an MCAP file.
+    Record(record::Args),
+    /// Replay a recording, bit for bit, at any speed.
+    Replay(replay::Args),
     /// Score every label, item and partition of a scene once.
     Score(score::Args),
     /// Watch a running system: rooms over time, narration, likely objects, decisions, health.
@@ -122,6 +128,8 @@ pub fn main() -> ExitCode {
         Command::Model(args) => model::run(&args),
         Command::Narrate(args) => narrate::run(&args),
         Command::Planner(args) => planner::run(&args),
+        Command::Record(args) => record::run(&args),
+        Command::Replay(args) => replay::run(&args),
         Command::Score(args) => score::run(&args),
         Command::Top(args) => top::run(&args),
     };
