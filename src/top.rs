@@ -94,9 +94,9 @@ impl View {
         self.decision = Some(*decision);
     }
 
-    /// Takes in the daemon's answer about itself; none when it did not answer.
-    pub fn status(&mut self, status: Option<StatusResponseV1>) {
-        self.status = status;
+    /// Takes in the daemon's answer about itself; it stays, with its age, while there is no newer one.
+    pub fn status(&mut self, status: StatusResponseV1) {
+        self.status = Some(status);
     }
 
     /// Counts a message that was malformed.
@@ -135,7 +135,7 @@ impl View {
         self.draw_narration(frame, narration);
         self.draw_labels(frame, labels);
         frame.render_widget(Paragraph::new(self.decision_lines(now_ns)).block(titled("robot")), decision);
-        frame.render_widget(Paragraph::new(self.health_lines()).block(titled("health")), health);
+        frame.render_widget(Paragraph::new(self.health_lines(now_ns)).block(titled("health")), health);
         let pause = if self.paused { "space goes on" } else { "space pauses" };
         frame.render_widget(Line::from(format!(" q quits   {pause}   h explains")).dim(), keys);
         if self.help {
@@ -230,7 +230,7 @@ impl View {
         vec![Line::from(first), Line::from(decision.reason().to_owned())]
     }
 
-    fn health_lines(&self) -> Vec<Line<'static>> {
+    fn health_lines(&self, now_ns: u64) -> Vec<Line<'static>> {
         let mut first = Vec::new();
         if let Some(scores) = &self.scores {
             let reached = match scores.reached {
@@ -258,18 +258,22 @@ impl View {
             }
         }
         let second = match &self.status {
-            None => Line::from("the daemon does not answer for itself").dim(),
-            Some(status) => Line::from(format!(
-                "event to scores {:.1} ms median, {:.1} p99; {} narrations, {} missed, {} malformed, {} failed steps; here: {} snapshots missed, {} malformed",
-                status.latency_p50_ns as f64 / 1e6,
-                status.latency_p99_ns as f64 / 1e6,
-                status.accepted,
-                status.missed,
-                status.malformed,
-                status.failed_steps,
-                self.snapshots_missed,
-                self.malformed,
-            )),
+            None => Line::from("the daemon has not answered for itself yet").dim(),
+            Some(status) => {
+                let age_s = now_ns.saturating_sub(status.answered_ns) as f64 / 1e9;
+                let age = if age_s > 3.0 { format!("{age_s:.0} s ago: ") } else { String::new() };
+                Line::from(format!(
+                    "{age}event to scores {:.1} ms median, {:.1} p99; {} narrations, {} missed, {} malformed, {} failed steps; here: {} snapshots missed, {} malformed",
+                    status.latency_p50_ns as f64 / 1e6,
+                    status.latency_p99_ns as f64 / 1e6,
+                    status.accepted,
+                    status.missed,
+                    status.malformed,
+                    status.failed_steps,
+                    self.snapshots_missed,
+                    self.malformed,
+                ))
+            }
         };
         vec![Line::from(first), second]
     }
@@ -375,7 +379,7 @@ mod tests {
             reason: text::encode("reason", "the kitchen is the likeliest room").unwrap(),
             ..Default::default()
         });
-        view.status(Some(StatusResponseV1 { latency_p50_ns: 5_000_000, accepted: 30, ..Default::default() }));
+        view.status(StatusResponseV1 { latency_p50_ns: 5_000_000, accepted: 30, ..Default::default() });
         view
     }
 

@@ -93,8 +93,10 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
                 view.decision(&message);
             }
             if now_ns.saturating_sub(status_ns) >= STATUS_NS {
-                // A daemon that is busy or gone does not hold up the view.
-                view.status(status.ask(STATUS_TIMEOUT).ok());
+                // A daemon that is busy or gone does not hold up the view: its last answer stays.
+                if let Ok(answer) = status.ask(STATUS_TIMEOUT) {
+                    view.status(answer);
+                }
                 status_ns = now_ns;
             }
             if now_ns.saturating_sub(point_ns) >= POINT_NS {
