@@ -54,6 +54,13 @@ pub mod logging;
 pub mod simulation;
 
 pub mod experiment;
+pub mod recording;
+
+pub mod stop;
+
+pub mod top;
+
+pub mod logging;
 
 pub mod exit_code;
 

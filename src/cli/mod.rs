@@ -20,6 +20,11 @@ mod planner;
 mod scene;
 mod score;
 mod service;
+mod record;
+mod replay;
+mod score;
+mod service;
+mod top;
 
 /// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
 #[derive(Debug)]
@@ -117,8 +122,14 @@ enum Command {
     Planner(planner::Args),
     /// Import, check, show and draw semantic maps.
     Scene(scene::Args),
+    /// Record everything on the services into an MCAP file.
+    Record(record::Args),
+    /// Replay a recording, bit for bit, at any speed.
+    Replay(replay::Args),
     /// Score every label, item and partition of a scene once.
     Score(score::Args),
+    /// Watch a running system: rooms over time, narration, likely objects, decisions, health.
+    Top(top::Args),
 }
 
 /// Parses the command line, runs it and gives the exit code; prints an error once, on standard error.
@@ -135,7 +146,10 @@ pub fn main() -> ExitCode {
         Command::Narrate(args) => narrate::run(&args),
         Command::Planner(args) => planner::run(&args),
         Command::Scene(args) => scene::run(&args),
+        Command::Record(args) => record::run(&args),
+        Command::Replay(args) => replay::run(&args),
         Command::Score(args) => score::run(&args),
+        Command::Top(args) => top::run(&args),
     };
     match result {
         Ok(()) => ExitCode::from(exit_code::OK),

@@ -42,6 +42,24 @@ pub trait Layout {
     const FIELDS: &'static [Field];
 }
 
+/// A structure that can be written to a log and read back.
+pub trait ByteImage: Sized {
+    /// The message's bytes in order, as they lie in shared memory: for a log that must give back every bit.
+    ///
+    /// ```
+    /// use roomcast_ipc::{ByteImage, NarrationV1, narration_kind};
+    ///
+    /// let message = NarrationV1::new(narration_kind::SENTENCE, "They grab the mug.")?;
+    /// assert_eq!(NarrationV1::from_bytes(&message.to_bytes()), Some(message));
+    /// assert_eq!(NarrationV1::from_bytes(b"too short"), None);
+    /// # Ok::<(), roomcast_ipc::MessageError>(())
+    /// ```
+    fn to_bytes(&self) -> Vec<u8>;
+
+    /// The message of these bytes; none when there are too many or too few. It is to be checked like one from a stranger.
+    fn from_bytes(bytes: &[u8]) -> Option<Self>;
+}
+
 /// Quality of service of a publish-subscribe service. The first participant's settings hold as long as anyone keeps the
 /// service open, so everybody states all of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,18 +89,44 @@ pub trait Message: Layout + Copy + std::fmt::Debug + ZeroCopySend + 'static {
     fn check(&self) -> Result<(), MessageError>;
 }
 
-/// All bytes zero.
-pub(crate) trait Zero {
+/// All bytes zero, and a way from and to bytes.
+pub(crate) trait Zero: Sized {
     const ZERO: Self;
+    fn put(&self, out: &mut Vec<u8>);
+    fn take(bytes: &mut &[u8]) -> Option<Self>;
 }
 
 macro_rules! zero {
-    ($($kind:ty = $zero:expr),*) => { $(impl Zero for $kind { const ZERO: Self = $zero; })* };
+    ($($kind:ty = $zero:expr),*) => { $(impl Zero for $kind {
+        const ZERO: Self = $zero;
+
+        fn put(&self, out: &mut Vec<u8>) {
+            out.extend(self.to_le_bytes());
+        }
+
+        fn take(bytes: &mut &[u8]) -> Option<Self> {
+            let (head, tail) = bytes.split_first_chunk()?;
+            *bytes = tail;
+            Some(Self::from_le_bytes(*head))
+        }
+    })* };
 }
 zero!(u8 = 0, u32 = 0, u64 = 0, f32 = 0.0, f64 = 0.0);
 
 impl<T: Zero + Copy, const N: usize> Zero for [T; N] {
     const ZERO: Self = [T::ZERO; N];
+
+    fn put(&self, out: &mut Vec<u8>) {
+        self.iter().for_each(|element| element.put(out));
+    }
+
+    fn take(bytes: &mut &[u8]) -> Option<Self> {
+        let mut array = Self::ZERO;
+        for element in &mut array {
+            *element = T::take(bytes)?;
+        }
+        Some(array)
+    }
 }
 
 /// Defines a structure with its offsets written down, and refuses to compile when they are wrong or leave gaps.
@@ -116,6 +160,19 @@ macro_rules! layout {
             ];
         }
 
+        impl $crate::message::ByteImage for $name {
+            fn to_bytes(&self) -> Vec<u8> {
+                let mut bytes = Vec::with_capacity(size_of::<Self>());
+                $crate::message::Zero::put(self, &mut bytes);
+                bytes
+            }
+
+            fn from_bytes(mut bytes: &[u8]) -> Option<Self> {
+                let message = <Self as $crate::message::Zero>::take(&mut bytes)?;
+                bytes.is_empty().then_some(message)
+            }
+        }
+
         const _: () = {
             let mut end = 0;
             $(
@@ -128,6 +185,14 @@ macro_rules! layout {
 
         impl $crate::message::Zero for $name {
             const ZERO: Self = Self { $($field: <$kind as $crate::message::Zero>::ZERO,)* };
+
+            fn put(&self, out: &mut Vec<u8>) {
+                $($crate::message::Zero::put(&self.$field, out);)*
+            }
+
+            fn take(bytes: &mut &[u8]) -> Option<Self> {
+                Some(Self { $($field: $crate::message::Zero::take(bytes)?,)* })
+            }
         }
 
         impl Default for $name {

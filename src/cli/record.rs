@@ -1,0 +1,91 @@
+//! `roomcast record`: everything on the services into an MCAP file.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use roomcast_ipc::{DecisionV1, ForecastV1, Message, NarrationV1, RoomScoresV1, Subscriber, clock, score_flags};
+
+use super::{CommandResult, Failure, service};
+use crate::exit_code;
+use crate::recording::{Recorded, Recorder};
+
+/// Arguments of `roomcast record`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    service: service::Args,
+    /// The file to write; it must not exist yet.
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// Record scores that the daemon only repeats to show that it lives, too.
+    #[arg(long)]
+    heartbeats: bool,
+    /// Stop after so many seconds; without it, at ctrl-C.
+    #[arg(long, value_name = "SECONDS")]
+    seconds: Option<u64>,
+}
+
+/// How often the services are looked at. Room scores have a buffer of 2, and come a few milliseconds apart at most.
+const POLL: Duration = Duration::from_millis(2);
+/// How often the file is brought up to date: what a crash may cost.
+const FLUSH: Duration = Duration::from_secs(5);
+
+/// Records until it is asked to stop.
+///
+/// # Errors
+///
+/// When a service cannot be opened, or the file cannot be written.
+pub fn run(args: &Args) -> CommandResult {
+    let stop = service::stop()?;
+    let (_, domain) = args.service.load()?;
+    let ipc = |error| Failure::new(exit_code::IPC, error);
+    let node = domain.open("roomcast-record").map_err(ipc)?;
+    let narration = node.subscriber::<NarrationV1>().map_err(ipc)?;
+    let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
+    let forecast = node.subscriber::<ForecastV1>().map_err(ipc)?;
+    let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
+    let output = |error| Failure::new(exit_code::FAILURE, error);
+    let mut recorder = Recorder::create(&args.file).map_err(output)?;
+    let (started, mut flushed) = (Instant::now(), Instant::now());
+    let mut malformed = 0;
+    while !stop.requested() && args.seconds.is_none_or(|seconds| started.elapsed() < Duration::from_secs(seconds)) {
+        // In the order of the flow: what scores contain stands before them.
+        let mut news = Vec::new();
+        take(&narration, &mut news, &mut malformed, |message| Recorded::Narration(Box::new(message)))?;
+        take(&scores, &mut news, &mut malformed, |message| Recorded::RoomScores(Box::new(message)))?;
+        take(&forecast, &mut news, &mut malformed, |message| Recorded::Forecast(Box::new(message)))?;
+        take(&decisions, &mut news, &mut malformed, |message| Recorded::Decision(Box::new(message)))?;
+        let received_unix_ns = clock::unix_ns();
+        for message in &news {
+            let repeated = matches!(message, Recorded::RoomScores(scores) if scores.has(score_flags::HEARTBEAT));
+            if args.heartbeats || !repeated {
+                recorder.write(message, received_unix_ns).map_err(output)?;
+            }
+        }
+        if flushed.elapsed() > FLUSH {
+            recorder.flush().map_err(output)?;
+            flushed = Instant::now();
+        }
+        if news.is_empty() {
+            std::thread::sleep(POLL);
+        }
+    }
+    recorder.finish().map_err(output)?;
+    eprintln!("{} messages in {}; {malformed} malformed ones left out", recorder.written(), args.file.display());
+    Ok(())
+}
+
+fn take<M: Message>(
+    subscriber: &Subscriber<M>,
+    news: &mut Vec<Recorded>,
+    malformed: &mut u64,
+    wrap: impl Fn(M) -> Recorded,
+) -> CommandResult {
+    while let Some(received) = subscriber.receive().map_err(|error| Failure::new(exit_code::IPC, error))? {
+        match received {
+            Ok(message) => news.push(wrap(message)),
+            Err(_) => *malformed += 1,
+        }
+    }
+    Ok(())
+}

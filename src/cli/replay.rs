@@ -1,0 +1,144 @@
+//! `roomcast replay`: a recording back onto the services, bit for bit, at any speed.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use roomcast_ipc::{DecisionV1, ForecastV1, Message, NarrationV1, Node, Publisher, RoomScoresV1};
+
+use super::{CommandResult, Failure, service};
+use crate::exit_code;
+use crate::recording::{self, Recorded};
+use crate::stop::Stop;
+
+/// Arguments of `roomcast replay`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    service: service::Args,
+    /// A recording of `roomcast record`.
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// So many times faster than it was recorded.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    speed: f64,
+    /// Replay scores, forecasts and decisions too, for a domain without a daemon and a planner. Without it only the narration is
+    /// replayed, and a daemon that has not heard it before scores it anew.
+    #[arg(long)]
+    all: bool,
+    /// Seconds to wait at the end until a daemon has taken in the last narration.
+    #[arg(long, value_name = "SECONDS", default_value_t = 10)]
+    linger: u64,
+}
+
+/// The shortest time between two messages: what a daemon's buffer takes at any speed.
+const PAUSE_MIN: Duration = Duration::from_millis(2);
+/// How often late subscribers are handed what they missed.
+const TICK: Duration = Duration::from_millis(100);
+
+struct Publishers {
+    narration: Publisher<NarrationV1>,
+    others: Option<(Publisher<RoomScoresV1>, Publisher<ForecastV1>, Publisher<DecisionV1>)>,
+}
+
+impl Publishers {
+    fn open(node: &Node, all: bool) -> Result<Self, roomcast_ipc::IpcError> {
+        let others =
+            all.then(|| Ok::<_, roomcast_ipc::IpcError>((node.publisher()?, node.publisher()?, node.publisher()?)));
+        Ok(Self { narration: node.publisher()?, others: others.transpose()? })
+    }
+
+    /// Sends a message if it is among those to be replayed.
+    fn send(&self, message: &Recorded) -> Result<bool, roomcast_ipc::IpcError> {
+        match (message, &self.others) {
+            (Recorded::Narration(message), _) => self.narration.send(message)?,
+            (Recorded::RoomScores(message), Some((scores, ..))) => scores.send(message)?,
+            (Recorded::Forecast(message), Some((_, forecast, _))) => forecast.send(message)?,
+            (Recorded::Decision(message), Some((.., decisions))) => decisions.send(message)?,
+            _ => return Ok(false),
+        }
+        Ok(true)
+    }
+
+    fn tick(&self) -> Result<(), roomcast_ipc::IpcError> {
+        self.narration.tick()?;
+        if let Some((scores, forecast, decisions)) = &self.others {
+            scores.tick()?;
+            forecast.tick()?;
+            decisions.tick()?;
+        }
+        Ok(())
+    }
+}
+
+/// Replays the file.
+///
+/// # Errors
+///
+/// When the recording is malformed, a service cannot be opened, or no daemon took in the narration.
+pub fn run(args: &Args) -> CommandResult {
+    if !args.speed.is_finite() || args.speed <= 0.0 {
+        return Err(Failure::new(exit_code::USAGE, "--speed must be more than 0 and finite"));
+    }
+    let stop = service::stop()?;
+    let (_, domain) = args.service.load()?;
+    let messages = recording::read(&args.file).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    let ipc = |error| Failure::new(exit_code::IPC, error);
+    let node = domain.open("roomcast-replay").map_err(ipc)?;
+    let publishers = Publishers::open(&node, args.all).map_err(ipc)?;
+    let heard = (!args.all).then(|| node.subscriber::<RoomScoresV1>()).transpose().map_err(ipc)?;
+    let start_unix_ns = messages.first().map_or(0, |(time, _)| *time);
+    let started = Instant::now();
+    let mut sent = 0_u64;
+    let mut last = None;
+    for (time, message) in &messages {
+        let due = Duration::from_nanos((time.saturating_sub(start_unix_ns) as f64 / args.speed) as u64);
+        sleep_until(started, due, &publishers, &stop).map_err(ipc)?;
+        if stop.requested() {
+            break;
+        }
+        if publishers.send(message).map_err(ipc)? {
+            sent += 1;
+            std::thread::sleep(PAUSE_MIN);
+        }
+        if let Recorded::Narration(message) = message {
+            last = Some((message.source, message.epoch, message.sequence));
+        }
+    }
+    eprintln!("{sent} of {} messages replayed in {:.1} s", messages.len(), started.elapsed().as_secs_f64());
+    let (Some(heard), Some(last)) = (heard, last) else { return Ok(()) };
+    // What waits in shared memory dies with its publisher, so this one lives until the daemon has it.
+    let deadline = Instant::now() + Duration::from_secs(args.linger);
+    while Instant::now() < deadline && !stop.requested() {
+        publishers.tick().map_err(ipc)?;
+        heard.wait(TICK).map_err(ipc)?;
+        if let Some(scores) = heard.newest().map_err(ipc)?
+            && scores.included().iter().any(|i| (i.source, i.epoch) == (last.0, last.1) && i.sequence >= last.2)
+        {
+            return Ok(());
+        }
+    }
+    let root = domain.root().display();
+    Err(Failure::new(
+        exit_code::IPC,
+        format!(
+            "no scores contain the last narration of {}; is a daemon running in the domain at {root}?",
+            NarrationV1::SERVICE.name
+        ),
+    ))
+}
+
+fn sleep_until(
+    started: Instant,
+    due: Duration,
+    publishers: &Publishers,
+    stop: &Stop,
+) -> Result<(), roomcast_ipc::IpcError> {
+    while let Some(left) = due.checked_sub(started.elapsed()).filter(|left| !left.is_zero()) {
+        if stop.requested() {
+            break;
+        }
+        std::thread::sleep(left.min(TICK));
+        publishers.tick()?;
+    }
+    Ok(())
+}

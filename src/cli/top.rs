@@ -1,0 +1,163 @@
+//! `roomcast top`: a live view of a running system. It may join and leave at any time.
+
+use std::io::IsTerminal;
+use std::time::Duration;
+
+use crossterm::event::{self, Event, KeyCode, KeyEventKind};
+use roomcast_ipc::{DecisionV1, Domain, NarrationV1, RoomScoresV1, clock};
+use serde_json::json;
+
+use super::{CommandResult, Failure, service};
+use crate::exit_code;
+use crate::scorer::hex_string;
+use crate::stop::Stop;
+use crate::top::{POINT_NS, View};
+
+/// Arguments of `roomcast top`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    service: service::Args,
+    /// Print each new snapshot as a line of JSON instead of drawing; also where standard output is no terminal.
+    #[arg(long)]
+    json: bool,
+    /// Leave after so many snapshots.
+    #[arg(long, value_name = "N")]
+    snapshots: Option<u64>,
+}
+
+/// How often the daemon is asked for its status, in nanoseconds.
+const STATUS_NS: u64 = 1_000_000_000;
+/// How long it may take to answer before the view goes on without.
+const STATUS_TIMEOUT: Duration = Duration::from_millis(50);
+/// How often the screen is drawn anew when no key is pressed.
+const FRAME: Duration = Duration::from_millis(100);
+
+/// Shows the system until it is asked to leave.
+///
+/// # Errors
+///
+/// When a service cannot be opened, or the terminal fails.
+pub fn run(args: &Args) -> CommandResult {
+    let stop = service::stop()?;
+    let (_, domain) = args.service.load()?;
+    if args.json || !std::io::stdout().is_terminal() {
+        return lines(&domain, &stop, args.snapshots);
+    }
+    let mut terminal = ratatui::try_init().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    let shown = screen(&domain, &stop, args.snapshots, &mut terminal);
+    ratatui::restore();
+    shown
+}
+
+fn ipc(error: roomcast_ipc::IpcError) -> Failure {
+    Failure::new(exit_code::IPC, error)
+}
+
+fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratatui::DefaultTerminal) -> CommandResult {
+    let terminal_failure = |error: std::io::Error| Failure::new(exit_code::FAILURE, error);
+    let node = domain.open("roomcast-top").map_err(ipc)?;
+    let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
+    let narration = node.subscriber::<NarrationV1>().map_err(ipc)?;
+    let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
+    let items = node.item_scores_subscriber().map_err(ipc)?;
+    let status = node.status_client().map_err(ipc)?;
+    let mut view = View::default();
+    let (mut point_ns, mut status_ns) = (0, 0);
+    let mut taken = None;
+    let mut count = 0;
+    while !stop.requested() {
+        let now_ns = clock::monotonic_ns();
+        if !view.paused {
+            while let Some(received) = narration.receive().map_err(ipc)? {
+                match received {
+                    Ok(message) => view.narration(&message),
+                    Err(_) => view.malformed(),
+                }
+            }
+            while let Some(received) = scores.receive().map_err(ipc)? {
+                match received {
+                    Ok(message) => {
+                        view.scores(&message);
+                        let name = Some((message.epoch, message.sequence));
+                        count += u64::from(taken != name);
+                        taken = name;
+                    }
+                    Err(_) => view.malformed(),
+                }
+            }
+            if let Some(message) = items.newest().map_err(ipc)? {
+                view.items(&message);
+            }
+            if let Some(message) = decisions.newest().map_err(ipc)? {
+                view.decision(&message);
+            }
+            if now_ns.saturating_sub(status_ns) >= STATUS_NS {
+                // A daemon that is busy or gone does not hold up the view: its last answer stays.
+                if let Ok(answer) = status.ask(STATUS_TIMEOUT) {
+                    view.status(answer);
+                }
+                status_ns = now_ns;
+            }
+            if now_ns.saturating_sub(point_ns) >= POINT_NS {
+                view.point();
+                point_ns = now_ns;
+            }
+        }
+        terminal.draw(|frame| view.draw(frame, clock::monotonic_ns())).map_err(terminal_failure)?;
+        if limit.is_some_and(|limit| count >= limit) {
+            return Ok(());
+        }
+        if !event::poll(FRAME).map_err(terminal_failure)? {
+            continue;
+        }
+        if let Event::Key(key) = event::read().map_err(terminal_failure)?
+            && key.kind == KeyEventKind::Press
+        {
+            let control = key.modifiers.contains(event::KeyModifiers::CONTROL);
+            match key.code {
+                KeyCode::Char('c') if control => return Ok(()),
+                KeyCode::Char('q') => return Ok(()),
+                KeyCode::Esc if !view.help => return Ok(()),
+                KeyCode::Char(' ') => view.paused = !view.paused,
+                KeyCode::Char('h' | '?') => view.help = !view.help,
+                KeyCode::Esc => view.help = false,
+                _ => {}
+            }
+        }
+    }
+    Ok(())
+}
+
+/// One line of JSON per snapshot, heartbeats left out.
+fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>) -> CommandResult {
+    use std::io::Write;
+
+    let node = domain.open("roomcast-top").map_err(ipc)?;
+    let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
+    let mut taken = None;
+    let mut count = 0;
+    while !stop.requested() && limit.is_none_or(|limit| count < limit) {
+        scores.wait(Duration::from_millis(250)).map_err(ipc)?;
+        let Some(snapshot) = scores.newest().map_err(ipc)? else { continue };
+        if taken == Some((snapshot.epoch, snapshot.sequence)) {
+            continue;
+        }
+        taken = Some((snapshot.epoch, snapshot.sequence));
+        count += 1;
+        let rooms: Vec<_> = (snapshot.rooms().iter())
+            .map(
+                |room| json!({"id": room.id(), "probability": room.probability, "log_score_nats": room.log_score_nats}),
+            )
+            .collect();
+        let line = json!({
+            "epoch": snapshot.epoch, "sequence": snapshot.sequence, "age_ns": snapshot.age_ns(clock::monotonic_ns()),
+            "rooms": rooms, "label_mass": snapshot.label_mass, "flags": snapshot.flags,
+            "model": hex_string(&snapshot.model_fingerprint), "map": hex_string(&snapshot.map_fingerprint),
+            "timing_ns": {"wait": snapshot.wait_ns, "tokenise": snapshot.tokenise_ns, "prefix": snapshot.prefix_ns,
+                "trie": snapshot.trie_ns, "ground": snapshot.ground_ns},
+        });
+        writeln!(std::io::stdout().lock(), "{line}").map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    }
+    Ok(())
+}

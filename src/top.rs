@@ -1,0 +1,447 @@
+//! What `roomcast top` shows: the state gathered from the services, and its drawing. No port, no clock, no terminal: a test feeds it
+//! messages and looks at the text.
+
+use std::collections::VecDeque;
+
+use ratatui::Frame;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::{Color, Style, Stylize};
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Block, Paragraph};
+use roomcast_ipc::{
+    DecisionV1, ItemScores, NarrationV1, RoomScoresV1, StatusResponseV1, decision_flags, reached, score_flags,
+};
+
+/// Points of a room's line over time that are kept; the widest terminal shows them all.
+const HISTORY_POINTS: usize = 512;
+/// Narrations that are kept for the list.
+const NARRATIONS: usize = 256;
+/// Time from one point of a room's line to the next, in nanoseconds.
+pub const POINT_NS: u64 = 500_000_000;
+/// Silence after which the daemon counts as gone, in nanoseconds: some heartbeats.
+const SILENCE_NS: u64 = 1_500_000_000;
+
+/// A room's scores over time, one point per [`POINT_NS`].
+#[derive(Debug, Clone, Default)]
+struct Room {
+    id: String,
+    probability: f64,
+    points: VecDeque<f64>,
+}
+
+/// Everything on the screen.
+#[derive(Debug, Default)]
+pub struct View {
+    scores: Option<RoomScoresV1>,
+    rooms: Vec<Room>,
+    narration: VecDeque<(String, String)>,
+    labels: Vec<(String, f64)>,
+    decision: Option<DecisionV1>,
+    status: Option<StatusResponseV1>,
+    snapshots_missed: u64,
+    malformed: u64,
+    /// Nothing new is taken in while set.
+    pub paused: bool,
+    /// The keys are explained while set.
+    pub help: bool,
+}
+
+impl View {
+    /// Takes in room scores. A jump in their sequence is counted: snapshots were overwritten before they were read.
+    pub fn scores(&mut self, scores: &RoomScoresV1) {
+        if let Some(last) = &self.scores
+            && last.epoch == scores.epoch
+            && scores.sequence > last.sequence
+        {
+            self.snapshots_missed += scores.sequence - last.sequence - 1;
+        }
+        let same_map = self.rooms.len() == scores.rooms().len()
+            && self.rooms.iter().zip(scores.rooms()).all(|(own, new)| own.id == new.id());
+        if !same_map {
+            self.rooms =
+                scores.rooms().iter().map(|room| Room { id: room.id().to_owned(), ..Room::default() }).collect();
+        }
+        for (own, new) in self.rooms.iter_mut().zip(scores.rooms()) {
+            own.probability = new.probability;
+        }
+        self.scores = Some(*scores);
+    }
+
+    /// Takes in a narration.
+    pub fn narration(&mut self, narration: &NarrationV1) {
+        if self.narration.len() == NARRATIONS {
+            self.narration.pop_front();
+        }
+        self.narration.push_back((narration.source_name().to_owned(), narration.text().to_owned()));
+    }
+
+    /// Takes in item scores: the labels with the highest sum over their items.
+    pub fn items(&mut self, items: &ItemScores) {
+        let mut labels: Vec<(String, f64)> = Vec::new();
+        for item in &items.items {
+            let score = item.log_score_nats.exp();
+            match labels.iter_mut().find(|(label, _)| label == item.label()) {
+                Some((_, sum)) => *sum += score,
+                None => labels.push((item.label().to_owned(), score)),
+            }
+        }
+        labels.sort_by(|a, b| b.1.total_cmp(&a.1));
+        self.labels = labels;
+    }
+
+    /// Takes in a decision.
+    pub fn decision(&mut self, decision: &DecisionV1) {
+        self.decision = Some(*decision);
+    }
+
+    /// Takes in the daemon's answer about itself; it stays, with its age, while there is no newer one.
+    pub fn status(&mut self, status: StatusResponseV1) {
+        self.status = Some(status);
+    }
+
+    /// Counts a message that was malformed.
+    pub fn malformed(&mut self) {
+        self.malformed += 1;
+    }
+
+    /// Adds a point to every room's line; to be called every [`POINT_NS`].
+    pub fn point(&mut self) {
+        for room in &mut self.rooms {
+            if room.points.len() == HISTORY_POINTS {
+                room.points.pop_front();
+            }
+            room.points.push_back(room.probability);
+        }
+    }
+
+    /// Draws everything; `now_ns` is the monotonic clock.
+    pub fn draw(&self, frame: &mut Frame<'_>, now_ns: u64) {
+        let area = frame.area();
+        let room_rows = (self.rooms.len().max(1) as u16).saturating_add(2);
+        // Rooms take what they need, up to half of the screen; narration takes what is left.
+        let [head, rooms, lower, decision, health, keys] = Layout::vertical([
+            Constraint::Length(1),
+            Constraint::Length(room_rows.min(area.height / 2)),
+            Constraint::Min(3),
+            Constraint::Length(4),
+            Constraint::Length(4),
+            Constraint::Length(1),
+        ])
+        .areas(area);
+        frame.render_widget(self.head(now_ns), head);
+        self.draw_rooms(frame, rooms);
+        let [narration, labels] =
+            Layout::horizontal([Constraint::Percentage(60), Constraint::Percentage(40)]).areas(lower);
+        self.draw_narration(frame, narration);
+        self.draw_labels(frame, labels);
+        frame.render_widget(Paragraph::new(self.decision_lines(now_ns)).block(titled("robot")), decision);
+        frame.render_widget(Paragraph::new(self.health_lines(now_ns)).block(titled("health")), health);
+        let pause = if self.paused { "space goes on" } else { "space pauses" };
+        frame.render_widget(Line::from(format!(" q quits   {pause}   h explains")).dim(), keys);
+        if self.help {
+            draw_help(frame, area);
+        }
+    }
+
+    fn head(&self, now_ns: u64) -> Line<'static> {
+        let title = Span::from(" roomcast ").bold().reversed();
+        let Some(scores) = &self.scores else {
+            return Line::from(vec![title, Span::from("  no daemon has been heard yet").yellow()]);
+        };
+        let silence_ns = scores.silence_ns(now_ns);
+        let alive = if silence_ns > SILENCE_NS {
+            Span::from(format!("  daemon silent for {:.1} s", silence_ns as f64 / 1e9)).red().bold()
+        } else {
+            Span::from("  daemon alive").green()
+        };
+        let known = self
+            .status
+            .as_ref()
+            .map_or(String::new(), |status| format!("  {} on {}", decoded(&status.model), decoded(&status.map)));
+        let paused = if self.paused { "  PAUSED" } else { "" };
+        Line::from(vec![title, alive, Span::from(known), Span::from(paused).yellow()])
+    }
+
+    fn draw_rooms(&self, frame: &mut Frame<'_>, area: Rect) {
+        let name_width = self.rooms.iter().map(|room| room.id.chars().count()).max().unwrap_or(4).min(24);
+        let inner = usize::from(area.width.saturating_sub(2));
+        // Name, percentage, then bar and line share what is left.
+        let rest = inner.saturating_sub(name_width + 9);
+        let bar_width = rest * 2 / 5;
+        let line_width = rest.saturating_sub(bar_width + 1);
+        let most = self.rooms.iter().map(|room| room.probability).fold(0.0, f64::max);
+        let lines: Vec<_> = (self.rooms.iter())
+            .map(|room| {
+                let color = if room.probability >= most { Color::Yellow } else { Color::Cyan };
+                Line::from(vec![
+                    Span::from(format!("{:<name_width$} ", cut(&room.id, name_width))),
+                    Span::from(format!("{:5.1} % ", 100.0 * room.probability)).bold(),
+                    Span::styled(
+                        format!("{:<bar_width$} ", crate::cli::bar(room.probability, bar_width)),
+                        Style::new().fg(color),
+                    ),
+                    Span::styled(sparkline(&room.points, line_width), Style::new().fg(color).dim()),
+                ])
+            })
+            .collect();
+        frame.render_widget(Paragraph::new(lines).block(titled("rooms: probability now, and over time")), area);
+    }
+
+    fn draw_narration(&self, frame: &mut Frame<'_>, area: Rect) {
+        let rows = usize::from(area.height.saturating_sub(2));
+        let from = self.narration.len().saturating_sub(rows);
+        let lines: Vec<_> = (self.narration.iter().skip(from))
+            .map(|(source, text)| Line::from(vec![Span::from(format!("{source}: ")).dim(), Span::from(text.clone())]))
+            .collect();
+        frame.render_widget(Paragraph::new(lines).block(titled("narration")), area);
+    }
+
+    fn draw_labels(&self, frame: &mut Frame<'_>, area: Rect) {
+        let rows = usize::from(area.height.saturating_sub(2));
+        let width = usize::from(area.width.saturating_sub(11));
+        let lines: Vec<_> = (self.labels.iter().take(rows))
+            .map(|(label, share)| Line::from(format!("{:<width$} {:5.1} %", cut(label, width), 100.0 * share)))
+            .collect();
+        frame.render_widget(Paragraph::new(lines).block(titled("what comes next")), area);
+    }
+
+    fn decision_lines(&self, now_ns: u64) -> Vec<Line<'static>> {
+        let Some(decision) = &self.decision else { return vec![Line::from("no decision has been heard yet").dim()] };
+        let age_s = now_ns.saturating_sub(decision.decided_ns) as f64 / 1e9;
+        let mut first = vec![
+            Span::from(format!("{} ", decision.to())).bold(),
+            Span::from(format!(
+                "({:.1} % likely to be occupied), by {}, {age_s:.0} s ago",
+                100.0 * decision.probability,
+                decision.policy()
+            )),
+        ];
+        for (flag, name) in [
+            (decision_flags::FALLBACK, "fallback"),
+            (decision_flags::STALE, "scores too old"),
+            (decision_flags::NO_SCORES, "no scores"),
+            (decision_flags::DAEMON_SILENT, "daemon silent"),
+            (decision_flags::COVERED, "every room covered"),
+        ] {
+            if decision.has(flag) {
+                first.push(Span::from(format!("  {name}")).yellow());
+            }
+        }
+        vec![Line::from(first), Line::from(decision.reason().to_owned())]
+    }
+
+    fn health_lines(&self, now_ns: u64) -> Vec<Line<'static>> {
+        let mut first = Vec::new();
+        if let Some(scores) = &self.scores {
+            let reached = match scores.reached {
+                reached::EXACT => "exact",
+                reached::RANKING => "ranking certain",
+                reached::TOP => "top certain",
+                _ => "deadline",
+            };
+            let step_ns = scores.tokenise_ns + scores.prefix_ns + scores.trie_ns + scores.ground_ns;
+            first.push(Span::from(format!(
+                "step {:.1} ms ({reached}), labels cover {:.0} %",
+                step_ns as f64 / 1e6,
+                100.0 * scores.label_mass
+            )));
+            for (flag, name) in [
+                (score_flags::NO_NARRATION, "no narration yet"),
+                (score_flags::BEHIND, "behind"),
+                (score_flags::GAP, "narration lost"),
+                (score_flags::SOURCES_CUT, "too many sources"),
+                (score_flags::SCORER_FAILED, "scorer failed"),
+            ] {
+                if scores.has(flag) {
+                    first.push(Span::from(format!("  {name}")).yellow());
+                }
+            }
+        }
+        let second = match &self.status {
+            None => Line::from("the daemon has not answered for itself yet").dim(),
+            Some(status) => {
+                let age_s = now_ns.saturating_sub(status.answered_ns) as f64 / 1e9;
+                let age = if age_s > 3.0 { format!("{age_s:.0} s ago: ") } else { String::new() };
+                Line::from(format!(
+                    "{age}event to scores {:.1} ms median, {:.1} p99; {} narrations, {} missed, {} malformed, {} failed steps; here: {} snapshots missed, {} malformed",
+                    status.latency_p50_ns as f64 / 1e6,
+                    status.latency_p99_ns as f64 / 1e6,
+                    status.accepted,
+                    status.missed,
+                    status.malformed,
+                    status.failed_steps,
+                    self.snapshots_missed,
+                    self.malformed,
+                ))
+            }
+        };
+        vec![Line::from(first), second]
+    }
+}
+
+fn titled(title: &'static str) -> Block<'static> {
+    Block::bordered().title(Span::from(format!(" {title} ")).dim()).border_style(Style::new().dim())
+}
+
+/// A name field of a status answer; what is no text is shown as such.
+fn decoded(bytes: &[u8]) -> String {
+    roomcast_ipc::text::decode("name", bytes).unwrap_or("?").to_owned()
+}
+
+/// At most `width` characters of `text`, with an ellipsis where something was cut.
+fn cut(text: &str, width: usize) -> String {
+    if text.chars().count() <= width {
+        return text.to_owned();
+    }
+    text.chars().take(width.saturating_sub(1)).chain(['…']).collect()
+}
+
+/// The newest `width` points as a line of blocks, the newest at the right; 0 and 1 are the lowest and the full block.
+fn sparkline(points: &VecDeque<f64>, width: usize) -> String {
+    const LEVELS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+    let shown = points.iter().skip(points.len().saturating_sub(width));
+    let line: String = shown.map(|&p| LEVELS[((p.clamp(0.0, 1.0) * 8.0) as usize).min(7)]).collect();
+    format!("{line:>width$}")
+}
+
+fn draw_help(frame: &mut Frame<'_>, area: Rect) {
+    let lines = [
+        "rooms      the probability that a person is there soon, and its course;",
+        "           one block is half a second, the newest at the right",
+        "narration  what was observed, the newest at the bottom",
+        "next       the likeliest objects; asking for them costs the daemon a little",
+        "robot      the last decision of a planner, and its reason",
+        "health     time of the last step, counters since the daemon's start",
+        "",
+        "q, Esc     quit          space  pause          h, ?  this",
+    ];
+    let width = area.width.min(78);
+    let height = area.height.min(lines.len() as u16 + 2);
+    let at = Rect { x: (area.width - width) / 2, y: (area.height - height) / 2, width, height };
+    frame.render_widget(ratatui::widgets::Clear, at);
+    frame.render_widget(Paragraph::new(lines.map(Line::from).to_vec()).block(titled("keys and panels")), at);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+    use roomcast_ipc::{ItemScoreV1, ItemScoresHeaderV1, text};
+
+    fn scores(sequence: u64, probabilities: &[(&str, f64)]) -> RoomScoresV1 {
+        let mut scores = RoomScoresV1 {
+            epoch: 1,
+            sequence,
+            published_ns: 1_000_000_000,
+            room_count: probabilities.len() as u32,
+            label_mass: 0.87,
+            prefix_ns: 4_200_000,
+            ..Default::default()
+        };
+        for (room, &(id, probability)) in scores.room.iter_mut().zip(probabilities) {
+            room.id = text::encode("id", id).unwrap();
+            room.probability = probability;
+        }
+        scores
+    }
+
+    fn full() -> View {
+        let mut view = View::default();
+        for step in 0..30 {
+            let kitchen = 0.1 + 0.8 * f64::from(step) / 29.0;
+            view.scores(&scores(
+                step as u64 + 1,
+                &[("kitchen", kitchen), ("living-room", 0.9 - kitchen), ("bathroom", 0.1)],
+            ));
+            view.point();
+        }
+        for text in ["They walk to the kitchen.", "They open the fridge."] {
+            let mut narration = NarrationV1::new(0, text).unwrap();
+            narration.source_name = text::encode("name", "camera").unwrap();
+            view.narration(&narration);
+        }
+        let item = |label: &str, probability: f64| ItemScoreV1 {
+            id: text::encode("id", label).unwrap(),
+            label: text::encode("label", label).unwrap(),
+            log_score_nats: probability.ln(),
+            partition: 0,
+            label_items: 1,
+        };
+        view.items(&ItemScores {
+            header: ItemScoresHeaderV1::default(),
+            items: vec![item("milk", 0.2), item("fridge", 0.5), item("milk", 0.1)],
+        });
+        view.decision(&DecisionV1 {
+            probability: 0.1,
+            to: text::encode("to", "bathroom").unwrap(),
+            policy: text::encode("policy", "informed-avoidance").unwrap(),
+            reason: text::encode("reason", "the kitchen is the likeliest room").unwrap(),
+            ..Default::default()
+        });
+        view.status(StatusResponseV1 { latency_p50_ns: 5_000_000, accepted: 30, ..Default::default() });
+        view
+    }
+
+    fn drawn(view: &View, width: u16, height: u16, now_ns: u64) -> String {
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+        terminal.draw(|frame| view.draw(frame, now_ns)).unwrap();
+        let buffer = terminal.backend().buffer();
+        let row = |y| (0..width).map(|x| buffer[(x, y)].symbol()).collect::<String>();
+        (0..height).map(|y| row(y).trim_end().to_owned() + "\n").collect()
+    }
+
+    #[test]
+    fn everything_fits_a_small_and_a_large_terminal() {
+        for (width, height) in [(80, 24), (200, 50)] {
+            let text = drawn(&full(), width, height, 1_100_000_000);
+            println!("{text}");
+            for part in [
+                "daemon alive",
+                "kitchen",
+                "90.0 %",
+                "living-room",
+                "bathroom",
+                "camera: They open the fridge.",
+                "fridge",
+                "50.0 %",
+                "milk",
+                "30.0 %",
+                "informed-avoidance",
+                "the kitchen is the likeliest room",
+                "step 4.2 ms (exact)",
+                "q quits",
+            ] {
+                assert!(text.contains(part), "{width} x {height} lacks {part:?}:\n{text}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_silent_daemon_and_an_empty_view_are_told() {
+        assert!(drawn(&full(), 80, 24, 9_000_000_000).contains("daemon silent for 8.0 s"));
+        let empty = drawn(&View::default(), 80, 24, 0);
+        assert!(
+            empty.contains("no daemon has been heard yet") && empty.contains("no decision has been heard yet"),
+            "{empty}"
+        );
+    }
+
+    #[test]
+    fn missed_snapshots_are_counted_and_a_new_map_replaces_the_rooms() {
+        let mut view = full();
+        view.scores(&scores(34, &[("hall", 1.0)]));
+        assert_eq!(view.snapshots_missed, 3);
+        assert_eq!(view.rooms.len(), 1);
+        assert!(view.rooms[0].points.is_empty());
+    }
+
+    #[test]
+    fn no_terminal_is_too_small_to_draw() {
+        let mut view = full();
+        view.help = true;
+        for (width, height) in [(1, 1), (10, 3), (40, 8)] {
+            drawn(&view, width, height, 0);
+        }
+    }
+}
