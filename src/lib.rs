@@ -30,6 +30,8 @@ pub mod policy;
 
 pub mod pipeline;
 
+pub mod explanation;
+
 pub mod config;
 
 pub mod embedded;

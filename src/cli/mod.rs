@@ -11,6 +11,7 @@ use crate::exit_code;
 mod completions;
 mod config;
 mod doctor;
+mod explain;
 mod model;
 mod scene;
 mod score;
@@ -93,6 +94,8 @@ enum Command {
     Config(config::Args),
     /// Say whether this machine can run Roomcast, and how well.
     Doctor(doctor::Args),
+    /// Explain the scores of one moment: rooms, labels, tokens, items and the narration behind them.
+    Explain(explain::Args),
     /// Inspect, check and fetch language models.
     Model(model::Args),
     /// Score every label, item and partition of a scene once.
@@ -108,6 +111,7 @@ pub fn main() -> ExitCode {
         Command::Completions(args) => completions::run(&args),
         Command::Config(args) => config::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        Command::Explain(args) => explain::run(&args),
         Command::Model(args) => model::run(&args),
         Command::Score(args) => score::run(&args),
         Command::Scene(args) => scene::run(&args),
