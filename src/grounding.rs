@@ -16,6 +16,8 @@
 //! 5. Else to none: the item is listed in [`Grounding::unassigned`]. It still counts in n_l, so the score of its label is
 //!    not moved into rooms where the other items of that label are.
 
+use std::collections::HashMap;
+
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
@@ -183,6 +185,7 @@ pub struct Grounding {
     /// The partitions, in the scene file's order (groups before the rooms in no group).
     pub partitions: Vec<Partition>,
     /// The labels to score: the items' labels, sorted; then names of rooms that no item bears, in the rooms' order.
+    /// After [`Grounding::regroup`] the labels of before come first.
     pub scored_labels: Vec<ScoredLabel>,
     /// Per item its partition.
     pub item_partition: Vec<Option<PartitionId>>,
@@ -196,6 +199,15 @@ pub struct Grounding {
     /// Item i's terms are `item_terms[term_start[i]..term_start[i + 1]]`.
     item_terms: Vec<Term>,
     term_start: Vec<usize>,
+}
+
+/// A changed map, grounded with the places of the labels kept.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Regrouped {
+    /// The new map's grounding.
+    pub grounding: Grounding,
+    /// How many labels stand after those that the model was prepared for; 0 when the model need not be touched.
+    pub new_labels: usize,
 }
 
 /// The scores of one event. Keep one and pass it to every call: nothing is allocated once it has its size.
@@ -234,8 +246,24 @@ impl Grounding {
     /// # Errors
     /// [`GroundingError::NoLabels`] and [`GroundingError::TooLarge`].
     pub fn new(map: &SemanticMap, options: &GroundingOptions) -> Result<Self, GroundingError> {
+        Self::with_labels(map, options, &[])
+    }
+
+    /// The same for a changed map, whose labels keep their places in the list, so that a model prepared for the old list
+    /// still serves. Labels of the new map come after the old ones; labels that nothing bears any more stay, without
+    /// weight. When [`Regrouped::new_labels`] is 0, scores of the old list are scores of the new one.
+    ///
+    /// # Errors
+    /// As [`Grounding::new`].
+    pub fn regroup(&self, map: &SemanticMap, options: &GroundingOptions) -> Result<Regrouped, GroundingError> {
+        let grounding = Self::with_labels(map, options, &self.label_texts())?;
+        let new_labels = grounding.scored_labels.len() - self.scored_labels.len();
+        Ok(Regrouped { grounding, new_labels })
+    }
+
+    fn with_labels(map: &SemanticMap, options: &GroundingOptions, known: &[&str]) -> Result<Self, GroundingError> {
         let partitions = partitions(map, options.level);
-        let scored_labels = scored_labels(map, options.room_labels);
+        let (scored_labels, place_of) = scored_labels(map, options.room_labels, known);
         if scored_labels.is_empty() {
             return Err(GroundingError::NoLabels { map: map.name.clone() });
         }
@@ -272,6 +300,7 @@ impl Grounding {
         for (item, partition) in map.items.iter().zip(&item_partition) {
             term_start.push(item_terms.len());
             for (label, weight) in words_of(item) {
+                let label = place_of[label];
                 let share = weight / scored_labels[label].count;
                 item_terms.push(Term { label, ln_share: share.ln() });
                 if let Some(PartitionId(partition)) = partition {
@@ -325,8 +354,10 @@ impl Grounding {
         // Relative to the likeliest label nothing overflows, and what underflows is summed again below.
         let largest = label_log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let reference = if largest.is_finite() { largest } else { 0.0 };
-        for (relative, log_prob_nats) in out.relative.iter_mut().zip(label_log_prob_nats) {
-            *relative = (log_prob_nats - reference).exp();
+        let labels = self.scored_labels.iter().zip(label_log_prob_nats);
+        for (relative, (label, log_prob_nats)) in out.relative.iter_mut().zip(labels) {
+            // A label that nothing bears any more is none of the map's.
+            *relative = if label.count > 0.0 { (log_prob_nats - reference).exp() } else { 0.0 };
         }
         out.label_mass = reference.exp() * out.relative.sum();
         out.sums.gemv_tr(1.0, &self.weights, &out.relative, 0.0);
@@ -469,26 +500,34 @@ fn words_of(item: &crate::semantic_map::Item) -> impl Iterator<Item = (usize, f6
     only.into_iter().chain(item.captions.iter().map(|caption| (caption.label.0 as usize, caption.weight)))
 }
 
-fn scored_labels(map: &SemanticMap, room_labels: bool) -> Vec<ScoredLabel> {
-    let empty = |text: &String| ScoredLabel { text: text.clone(), items: Vec::new(), rooms: Vec::new(), count: 0.0 };
-    let mut labels: Vec<ScoredLabel> = map.labels.iter().map(empty).collect();
+/// The labels to score, first the known ones; and per label of the map its place among them.
+fn scored_labels(map: &SemanticMap, room_labels: bool, known: &[&str]) -> (Vec<ScoredLabel>, Vec<usize>) {
+    fn place<'a>(text: &'a str, labels: &mut Vec<ScoredLabel>, places: &mut HashMap<&'a str, usize>) -> usize {
+        *places.entry(text).or_insert_with(|| {
+            labels.push(ScoredLabel { text: text.to_owned(), items: Vec::new(), rooms: Vec::new(), count: 0.0 });
+            labels.len() - 1
+        })
+    }
+    let mut labels = Vec::new();
+    let mut places = HashMap::new();
+    for text in known {
+        place(text, &mut labels, &mut places);
+    }
+    let place_of: Vec<usize> = map.labels.iter().map(|text| place(text, &mut labels, &mut places)).collect();
     for (index, item) in (0u32..).zip(&map.items) {
         for (label, weight) in words_of(item) {
-            labels[label].items.push(ItemId(index));
-            labels[label].count += weight;
+            labels[place_of[label]].items.push(ItemId(index));
+            labels[place_of[label]].count += weight;
         }
     }
     if room_labels {
         for (index, room) in (0u32..).zip(&map.rooms) {
-            let known = labels.iter().position(|label| label.text == room.label).unwrap_or_else(|| {
-                labels.push(empty(&room.label));
-                labels.len() - 1
-            });
-            labels[known].rooms.push(RoomId(index));
-            labels[known].count += 1.0;
+            let own = place(&room.label, &mut labels, &mut places);
+            labels[own].rooms.push(RoomId(index));
+            labels[own].count += 1.0;
         }
     }
-    labels
+    (labels, place_of)
 }
 
 /// Rules 1 to 3.

@@ -37,6 +37,7 @@ pub mod daemon;
 pub mod planner;
 
 pub mod narrator;
+pub mod explanation;
 
 pub mod config;
 

@@ -224,6 +224,18 @@ impl<M: LanguageModel> Pipeline<M> {
         self.scorer.model().token_text(token)
     }
 
+    /// Per token of a label ln p(token | prompt and the tokens before it), in nats, of the last step; none where several
+    /// persons were scored or the method keeps no such numbers.
+    #[must_use]
+    pub fn token_log_prob_nats(&self, label: usize) -> Option<Vec<f64>> {
+        let exact_trie = self.options.method == Method::Trie && self.options.effort == Effort::Exact;
+        if exact_trie && self.persons.len() <= 1 {
+            self.scorer.token_log_prob_nats(&self.prepared, label)
+        } else {
+            None
+        }
+    }
+
     /// Enters observations into the histories without scoring: nothing can fail here, and nothing is lost when the
     /// scoring after it does.
     pub fn observe(&mut self, observations: impl IntoIterator<Item = Observation>) {

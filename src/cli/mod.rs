@@ -14,6 +14,7 @@ mod daemon;
 mod demo;
 mod doctor;
 mod experiment;
+mod explain;
 mod model;
 mod narrate;
 mod planner;
@@ -114,6 +115,8 @@ enum Command {
     Doctor(doctor::Args),
     /// Reproduce the paper's tables and figures, and ours.
     Experiment(experiment::Args),
+    /// Explain the scores of one moment: rooms, labels, tokens, items and the narration behind them.
+    Explain(explain::Args),
     /// Inspect, check and fetch language models.
     Model(model::Args),
     /// Publish what a person does: activity programs, JSON lines, plain sentences.
@@ -142,6 +145,7 @@ pub fn main() -> ExitCode {
         Command::Demo(args) => demo::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Experiment(args) => experiment::run(&args),
+        Command::Explain(args) => explain::run(&args),
         Command::Model(args) => model::run(&args),
         Command::Narrate(args) => narrate::run(&args),
         Command::Planner(args) => planner::run(&args),

@@ -138,7 +138,7 @@ fn input(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Failure 
     Failure::new(exit_code::INPUT, error)
 }
 
-fn print(text: &str) -> CommandResult {
+pub(super) fn print(text: &str) -> CommandResult {
     std::io::stdout().write_all(text.as_bytes()).map_err(|error| Failure::new(exit_code::FAILURE, error))
 }
 
@@ -490,14 +490,19 @@ fn draw(args: &Draw) -> CommandResult {
     let stem = args.scene.file_stem().map(PathBuf::from).unwrap_or_else(|| PathBuf::from("scene"));
     let out = args.out.clone().unwrap_or_else(|| stem.with_extension("svg"));
     let svg = drawing::svg(&map, &grounding, heat.as_ref()).map_err(input)?;
-    let bytes = match out.extension().and_then(|ending| ending.to_str()) {
+    write_drawing(&out, svg, args.scale)?;
+    print(&format!("{}\n", out.display()))
+}
+
+/// Writes a drawing as its file's ending says.
+pub(super) fn write_drawing(path: &Path, svg: String, scale: f32) -> CommandResult {
+    let bytes = match path.extension().and_then(|ending| ending.to_str()) {
         Some("svg") => svg.into_bytes(),
-        Some("png") => drawing::png(&svg, args.scale).map_err(|error| Failure::new(exit_code::FAILURE, error))?,
+        Some("png") => drawing::png(&svg, scale).map_err(|error| Failure::new(exit_code::FAILURE, error))?,
         _ => {
-            let shown = out.display();
+            let shown = path.display();
             return Err(Failure::new(exit_code::USAGE, format!("{shown} ends neither in .svg nor in .png; rename it")));
         }
     };
-    write(&out, &bytes)?;
-    print(&format!("{}\n", out.display()))
+    write(path, &bytes)
 }

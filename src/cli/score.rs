@@ -13,7 +13,7 @@ use crate::narration::{Observation, Observed, Sentence};
 use crate::pipeline::{Pipeline, PipelineOptions};
 use crate::prompt::BindingSequence;
 use crate::scorer::certified::Effort;
-use crate::scorer::llama::{CacheType, LlamaOptions};
+use crate::scorer::llama::{CacheType, LlamaModel, LlamaOptions};
 use crate::scorer::{LanguageModel, Method, Tokenisation, hex_string};
 use crate::semantic_map::{PartitionId, SemanticMap};
 use crate::setup;
@@ -79,6 +79,29 @@ pub struct Args {
 /// # Errors
 /// When scene, program, text or model cannot be used.
 pub fn run(args: &Args) -> CommandResult {
+    let (pipeline, map) = scored(args)?;
+    if args.json {
+        super::print_json(&report(&pipeline, &map))
+    } else {
+        print_tables(&pipeline, &map, args.top);
+        Ok(())
+    }
+}
+
+impl Args {
+    /// How many labels are wanted.
+    pub(super) fn top(&self) -> usize {
+        self.top
+    }
+
+    /// Whether JSON is wanted.
+    pub(super) fn json(&self) -> bool {
+        self.json
+    }
+}
+
+/// The pipeline after its one step, and its map.
+pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap), Failure> {
     let map = setup::load_map(args.scene.as_deref())?;
     let level = GroundingOptions { level: args.level, room_labels: !args.no_room_labels };
     let grounding = Grounding::new(&map, &level).map_err(|e| Failure::new(exit_code::INPUT, e))?;
@@ -100,12 +123,7 @@ pub fn run(args: &Args) -> CommandResult {
     };
     let mut pipeline = Pipeline::new(model, grounding, options).map_err(|e| Failure::new(exit_code::MODEL, e))?;
     pipeline.step(observations).map_err(|e| Failure::new(exit_code::MODEL, e))?;
-    if args.json {
-        super::print_json(&report(&pipeline, &map))
-    } else {
-        print_tables(&pipeline, &map, args.top);
-        Ok(())
-    }
+    Ok((pipeline, map))
 }
 
 fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {

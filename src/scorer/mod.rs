@@ -435,6 +435,26 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(())
     }
 
+    /// Per token of a label ln p(token | prompt and the tokens before it), in nats, of the last [`Scorer::score`]. None unless
+    /// that was by [`Method::Trie`], which alone keeps them.
+    #[must_use]
+    pub fn token_log_prob_nats(&self, prepared: &PreparedLabels, label: usize) -> Option<Vec<f64>> {
+        let nodes = prepared.trie.nodes();
+        if self.node_log_prob_nats.len() != nodes.len() {
+            return None;
+        }
+        let mut node = *prepared.trie.label_end().get(label)?;
+        let mut tokens = Vec::new();
+        while node != PROMPT {
+            let parent = nodes[node as usize].parent;
+            let before = if parent == PROMPT { 0.0 } else { self.node_log_prob_nats[parent as usize] };
+            tokens.push(self.node_log_prob_nats[node as usize] - before);
+            node = parent;
+        }
+        tokens.reverse();
+        Some(tokens)
+    }
+
     fn score_independent(&mut self, prepared: &PreparedLabels, out: &mut LabelScores) -> Result<(), ScoreError> {
         for tokens in &prepared.tokens {
             let trie = LabelTrie::chains(std::slice::from_ref(tokens));

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+pub mod delta;
 pub mod drawing;
 pub mod import;
 mod names;

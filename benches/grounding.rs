@@ -1,0 +1,76 @@
+//! Grounding by size of the map: what a map costs once, and what an event costs.
+//!
+//! `cargo bench --bench grounding`
+
+use std::hint::black_box;
+
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use roomcast::grounding::{GroundedScores, Grounding, GroundingOptions};
+use roomcast::semantic_map::SemanticMap;
+
+/// A building of `rooms` rooms in a grid with `items` items spread over them, five hundred labels at most.
+fn building(rooms: usize, items: usize) -> SemanticMap {
+    let columns = (rooms as f64).sqrt().ceil() as usize;
+    let corner = |room: usize| [5.0 * (room % columns) as f64, 5.0 * (room / columns) as f64];
+    let room = |index: usize| {
+        let [x, y] = corner(index);
+        format!(
+            r#"{{"id":"r{index}","label":"room {index}","box":{{"min_m":[{x},{y},0],"max_m":[{},{},3]}}}}"#,
+            x + 5.0,
+            y + 5.0
+        )
+    };
+    let item = |index: usize| {
+        let [x, y] = corner(index % rooms);
+        let (x, y) = (x + 4.7 * ((index * 7) % 100) as f64 / 100.0, y + 4.7 * ((index * 13) % 100) as f64 / 100.0);
+        format!(
+            r#"{{"id":"i{index}","label":"thing {}","position_m":[{x},{y},1],"box":{{"min_m":[{x},{y},1],"max_m":[{},{},1.3]}}}}"#,
+            index % 500,
+            x + 0.3,
+            y + 0.3
+        )
+    };
+    let list = |entries: Vec<String>| entries.join(",");
+    let json = format!(
+        r#"{{"format":"roomcast-scene","version":1,"name":"building","rooms":[{}],"items":[{}]}}"#,
+        list((0..rooms).map(room).collect()),
+        list((0..items).map(item).collect())
+    );
+    SemanticMap::from_json(&json).expect("the building is well formed")
+}
+
+fn event(criterion: &mut Criterion, name: &str, sizes: &[(usize, usize)]) {
+    let mut group = criterion.benchmark_group(name);
+    for &(rooms, items) in sizes {
+        let grounding = Grounding::new(&building(rooms, items), &GroundingOptions::default()).expect("it has labels");
+        let labels = grounding.scored_labels.len();
+        let log_prob_nats: Vec<f64> = (0..labels).map(|label| -5.0 - (label % 37) as f64 / 3.0).collect();
+        let mut scores = GroundedScores::default();
+        group.throughput(Throughput::Elements(items as u64));
+        group.bench_function(BenchmarkId::from_parameter(format!("{rooms} rooms, {items} items")), |bencher| {
+            bencher.iter(|| grounding.ground(black_box(&log_prob_nats), &mut scores));
+        });
+    }
+    group.finish();
+}
+
+fn ground(criterion: &mut Criterion) {
+    event(criterion, "ground, by items", &[(4, 100), (4, 1_000), (4, 10_000), (4, 100_000)]);
+    event(criterion, "ground, by rooms", &[(10, 10_000), (100, 10_000), (1_000, 10_000)]);
+}
+
+fn assign(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("assign");
+    group.sample_size(10);
+    for (rooms, items) in [(4, 1_000), (4, 100_000), (1_000, 10_000)] {
+        let map = building(rooms, items);
+        group.throughput(Throughput::Elements(items as u64));
+        group.bench_function(BenchmarkId::from_parameter(format!("{rooms} rooms, {items} items")), |bencher| {
+            bencher.iter(|| Grounding::new(black_box(&map), &GroundingOptions::default()));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, ground, assign);
+criterion_main!(benches);
