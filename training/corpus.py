@@ -118,6 +118,10 @@ class Corpus:
     days: list[list[Program]]
     routines: list  # objects with .program(rng) -> Program
     scenes: dict[str, list[str]]
+    disturbance: float = 1.0  # scales how often a narration is disturbed
+    product_style: float = 0.62  # share of narrations in the product's own style
+    map_answers: float = 0.75  # share of narrations whose answers are labels of a map, not words of the program
+    map_narration: float = 0.35  # share of narrations that speak of a map's items
     shares: dict[str, float] = field(default_factory=lambda: {
         "program": 0.58, "day": 0.10, "routine": 0.26, "wording": 0.04, "prior": 0.02,
     })
@@ -128,6 +132,11 @@ class Corpus:
         counts = Counter(p.title for p in self.programs)
         self.weights = list(np.cumsum([counts[p.title] ** -0.35 for p in self.programs]))
         self.all_labels = sorted({label for labels in self.scenes.values() for label in labels})
+
+    def settled(self) -> Corpus:
+        """The same sources as the product meets them: mostly undisturbed, in its style, answered in a map's labels."""
+        shares = {"program": 0.68, "day": 0.06, "routine": 0.21, "wording": 0.03, "prior": 0.02}
+        return Corpus(self.programs, self.days, self.routines, self.scenes, 0.4, 0.85, 0.97, 0.25, shares)
 
     def draw_program(self, rng: random.Random) -> Program:
         return rng.choices(self.programs, cum_weights=self.weights)[0]
@@ -172,7 +181,7 @@ class Corpus:
 
     def disturb(self, steps: list[Step], rng: random.Random) -> list[Step]:
         """Missing steps, repeated steps, another activity in between, and other things of the same kind."""
-        roll = rng.random()
+        roll = rng.random() / self.disturbance
         if roll < 0.12:
             steps = [s for s in steps if rng.random() > 0.12] or steps
         elif roll < 0.20:
@@ -187,7 +196,7 @@ class Corpus:
             steps = mixed
         elif roll < 0.36:
             steps = steps + list(self.draw_program(rng).steps)
-        if rng.random() < 0.40:
+        if rng.random() < 0.40 * self.disturbance:
             swap = {}
             for word in sorted({word for s in steps for word, _ in s.objects}):
                 if rng.random() < 0.35 and word in KIND_OF:
@@ -215,12 +224,12 @@ class Corpus:
             steps = self.disturb(steps, rng)
         labels = self.scenes[rng.choice(list(self.scenes))]
         bound = lambda word: bind(word, labels) or word
-        if rng.random() < 0.35:  # the narrator speaks of the map's items, not of the program's objects
+        if rng.random() < self.map_narration:  # the narrator speaks of the map's items, not of the program's objects
             steps = [Step(s.action, tuple((bound(w), i) for w, i in s.objects)) for s in steps]
         targets = next_targets(steps)
         start = max(0, rng.randint(-WINDOW, len(steps) - 2)) if len(steps) > 1 else 0
-        style = random_style(rng)
-        answer = bound if rng.random() < 0.75 else lambda word: word
+        style = random_style(rng, self.product_style)
+        answer = bound if rng.random() < self.map_answers else lambda word: word
         keep = rng.choice([0.7, 1.0])
         with_states = rng.random() < 0.06
         sentences: list[str] = []
@@ -245,8 +254,8 @@ class Encoder:
     """Sequences to arrays.
 
     Sentences, bindings and labels are tokenised one by one, which gives the tokens of the joined text: no token of the
-    vocabulary crosses from one to the next. Some are cut at random into smaller tokens than usual, so that the small tokens
-    have a meaning too when a sentence is unusual. Labels never are.
+    vocabulary crosses from one to the next. Some are cut at random spaces first, which gives smaller tokens than usual, so
+    that those have a meaning too when a sentence is unusual. Labels never are.
     """
 
     def __init__(self, tokenizer, roughness: float = 0.06):
@@ -254,7 +263,10 @@ class Encoder:
 
     def ids(self, text: str, rng: random.Random | None = None) -> list[int]:
         if rng and rng.random() < self.roughness:
-            return self.tokenizer.encode(text, enable_sampling=True, alpha=0.3, nbest_size=-1)
+            words = text.split(" ")
+            cuts = [i for i in range(1, len(words)) if rng.random() < 0.4]
+            pieces = (" ".join(words[a:b]) for a, b in zip([0, *cuts], [*cuts, len(words)]))
+            return [token for piece in pieces for token in self.tokenizer.encode(piece)]
         if text not in self.cache:
             self.cache[text] = self.tokenizer.encode(text)
         return self.cache[text]

@@ -128,13 +128,13 @@ def cases_of(programs: list[data.Program], scene: Scene):
                 yield number, steps[max(0, k + 1 - WINDOW) : k + 1], list(visited), label, room, scene.room(label, identifiers[k][1], program.source)
 
 
-def evaluate(model, encoder, train_programs, programs, scene: Scene, binding: str = DEFAULT_BINDING, bootstrap: int = 300) -> dict:
+def evaluate(model, encoder, train_programs, programs, scene: Scene, binding: str = DEFAULT_BINDING, narrated: bool = True, bootstrap: int = 300) -> dict:
     """Rows by (target, predictor): the mean of each measure and its 95 % interval, programs being the unit that is resampled."""
     cases = list(cases_of(programs, scene))
     label_tokens = [encoder.ids(l) for l in scene.labels]
     cue = encoder.ids(binding)
     bos = encoder.tokenizer.bos_id()
-    prompts = [[bos] + [t for s in steps for t in encoder.ids(sentence(s))] + cue for _, steps, *_ in cases]
+    prompts = [[bos] + [t for s in steps if narrated for t in encoder.ids(sentence(s))] + cue for _, steps, *_ in cases]
     order = np.argsort([len(p) for p in prompts])
     scores = np.zeros((len(cases), len(scene.labels)))
     scores[order] = label_log_probs(model, encoder, [prompts[i] for i in order], label_tokens)
@@ -171,6 +171,21 @@ def evaluate(model, encoder, train_programs, programs, scene: Scene, binding: st
     return result
 
 
+EXPENSIVE = "The most expensive object in the world is the"
+PROMPTS = {  # the paper's, by name: binding sequence, and whether the narration precedes it
+    "default": (DEFAULT_BINDING, True), "P0": (PAPER_BINDINGS[0], True), "P1": (PAPER_BINDINGS[1], True), "P2": (PAPER_BINDINGS[2], True),
+    "P3": ("The most tasty object in the world is the", True), "P4": (EXPENSIVE, False), "P5": (PAPER_BINDINGS[0], False),
+}
+
+
+def compare_prompts(model, encoder, train_programs, programs, scene: Scene) -> None:
+    """One line per prompt of the paper; chance at ranking rooms is one in the number of rooms."""
+    for name, (binding, narrated) in PROMPTS.items():
+        rows = evaluate(model, encoder, train_programs, programs, scene, binding, narrated)["rows"]
+        shown = {"object": rows["object model"], "room": rows["room model"]}
+        print(f"  {name:8}", "  ".join(f"{t} {m} {v[0]:.3f} [{v[1]:.3f} {v[2]:.3f}]" for t, ms in shown.items() for m, v in ms.items()), flush=True)
+
+
 def fitted_stay(programs, scene: Scene) -> float:
     stays = [c[4] == c[5] for c in cases_of(programs[:400], scene) if c[4]]
     return (sum(stays) + 1) / (len(stays) + 2)
@@ -198,6 +213,7 @@ def main() -> None:
     arguments.add_argument("--split", choices=("dev", "test"), default="test")
     arguments.add_argument("--scenes", nargs="*", default=["TestScene1", "TestScene2", "TestScene5"])
     arguments.add_argument("--limit", type=int, default=0, help="only so many programs")
+    arguments.add_argument("--prompts", action="store_true", help="compare the paper's prompts instead of the predictors")
     arguments.add_argument("--quantised", action="store_true", help="round the matrices as the shipped file does")
     given = arguments.parse_args()
     torch.set_num_threads(1)
@@ -210,7 +226,12 @@ def main() -> None:
     if given.limit:
         held = random.Random(0).sample(held, min(given.limit, len(held)))
     for name in given.scenes:
-        result = evaluate(model, encoder, fit, held, Scene(given.shared / f"virtualhome/scenes/{name}_graph.json"))
+        scene = Scene(given.shared / f"virtualhome/scenes/{name}_graph.json")
+        if given.prompts:
+            print(name)
+            compare_prompts(model, encoder, fit, held, scene)
+            continue
+        result = evaluate(model, encoder, fit, held, scene)
         print(f"{name}: {result['cases']} cases, label mass {result['mass']:.2f}")
         for row, measures in result["rows"].items():
             print(f"  {row:28}", "  ".join(f"{m} {v[0]:.3f} [{v[1]:.3f} {v[2]:.3f}]" for m, v in measures.items()), flush=True)

@@ -80,18 +80,19 @@ NAMES_OF_PEOPLE = (
 ).split()
 
 
-def random_style(rng: random.Random) -> Style:
-    roll = rng.random()
-    if roll < 0.62:
+def random_style(rng: random.Random, product_share: float) -> Style:
+    """The product's style with the given probability, else one of the others."""
+    roll = (rng.random() - product_share) / (1 - product_share)
+    if roll < 0:
         return PRODUCT
-    if roll < 0.68:
+    if roll < 3 / 19:
         return Style("They", "past")
-    if roll < 0.70:
+    if roll < 4 / 19:
         return Style("They are", "ing")
     subject = rng.choice(["He", "She", "The person", "The human", "The resident", rng.choice(NAMES_OF_PEOPLE)])
-    if roll < 0.86:
+    if roll < 12 / 19:
         return Style(subject, "third")
-    if roll < 0.96:
+    if roll < 17 / 19:
         return Style(subject, "past")
     return Style(f"{subject} is", "ing")
 

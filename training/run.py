@@ -12,6 +12,7 @@ import platform
 import random
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 # Freed memory is kept: a training step allocates and frees the same few hundred megabytes, and asking the system
@@ -30,7 +31,7 @@ import statistics_file
 import tokenizer as vocabulary
 from corpus import Corpus, Encoder, scene_labels
 from model import Shape
-from train import Schedule, restore, train
+from train import FIRST, SECOND, restore, train
 
 ROOT = Path(__file__).resolve().parent.parent
 DESCRIPTION = (
@@ -56,10 +57,11 @@ def main() -> None:
     arguments.add_argument("--out", type=Path, default=ROOT / "models")
     arguments.add_argument("--work", type=Path, default=ROOT / "training/work", help="vocabulary, checkpoints and the full-precision file")
     arguments.add_argument("--seed", type=int, default=1)
-    arguments.add_argument("--steps", type=int, default=Schedule.steps)
     arguments.add_argument("--large", action="store_true", help="the larger variant, for a GPU")
     arguments.add_argument("--dev", action="store_true", help="hold the development clusters out too")
-    arguments.add_argument("--export-only", action="store_true", help="take the last checkpoint instead of training")
+    arguments.add_argument("--short", type=int, metavar="STEPS", help="end each phase after so many steps, to try the pipeline out")
+    arguments.add_argument("--resume", action="store_true", help="take the first phase's result and vocabulary from --work")
+    arguments.add_argument("--export-only", action="store_true", help="take the last checkpoint and vocabulary from --work instead of training")
     given = arguments.parse_args()
 
     torch.set_num_threads(1)  # sums depend on the number of threads; training uses processes
@@ -67,16 +69,21 @@ def main() -> None:
     given.work.mkdir(parents=True, exist_ok=True)
     given.out.mkdir(parents=True, exist_ok=True)
     corpus, programs = corpus_of(given.shared, given.dev)
-    checkpoint = given.work / "checkpoint.pt"
-    if given.export_only:
-        model = restore(checkpoint)
+    first, last = given.work / "first.pt", given.work / "checkpoint.pt"
+    if given.resume or given.export_only:
         pieces = vocabulary.load(given.work / "vocabulary.model")
     else:
         pieces = vocabulary.train(corpus, given.seed, 3072, given.work / "vocabulary")
+    if given.export_only:
+        model = restore(last)
+    else:
         size = -(-pieces.vocab_size() // 32) * 32
         shape = Shape(vocab=size, width=512, layers=8, feed_forward=1408) if given.large else Shape(vocab=size)
-        schedule = Schedule(steps=given.steps, rows=64 if given.large else Schedule.rows)
-        model = train(shape, schedule, Encoder(pieces), corpus, given.seed, device, checkpoint)
+        phases = [replace(s, rows=16 * s.rows if given.large else s.rows, until=given.short or s.until) for s in (FIRST, SECOND)]
+        encoder = Encoder(pieces)
+        if not given.resume:
+            train(shape, phases[0], encoder, corpus, given.seed, device, first)
+        model = train(shape, phases[1], encoder, corpus.settled(), given.seed, device, last, start=first)
     reference, shipped = given.work / "household-f32.gguf", given.out / "household.gguf"
     export.write(model, pieces, reference, "f32", DESCRIPTION)
     export.write(model, pieces, shipped, "q8_0", DESCRIPTION)
@@ -116,8 +123,8 @@ def write_manifest(given, corpus, programs, model, shipped: Path) -> None:
     here = sorted(p for pattern in ("training/*.py", "training/*.toml", "training/routines/*.toml", "src/narration/actions.toml", "src/semantic_map/names.toml", "scenes/*.json") for p in ROOT.glob(pattern))
     manifest = {
         "model": {"file": shipped.name, "sha256": data.sha256(shipped), "bytes": shipped.stat().st_size, "parameters": model.parameter_count(), "shape": model.shape.to_dict()},
-        "command": f"python training/run.py --shared SHARED --seed {given.seed} --steps {given.steps}" + (" --dev" if given.dev else ""),
-        "environment": {"python": platform.python_version(), "torch": torch.__version__, "workers": Schedule.workers, "machine": platform.machine()},
+        "command": f"python training/run.py --shared SHARED --seed {given.seed}" + (" --dev" if given.dev else "") + (f" --short {given.short}" if given.short else ""),
+        "environment": {"python": platform.python_version(), "torch": torch.__version__, "workers": FIRST.workers, "machine": platform.machine()},
         "splits": {
             split: {
                 "programs": len(members),

@@ -12,7 +12,6 @@ from pathlib import Path
 from queue import Queue
 from threading import Thread
 
-import sentencepiece
 import torch
 import torch.distributed
 import torch.multiprocessing
@@ -24,7 +23,9 @@ from model import Household, Shape
 
 @dataclass(frozen=True)
 class Schedule:
-    steps: int = 3000
+    name: str = "first"
+    steps: int = 3000  # over which the rate falls
+    until: int = 2000  # and after which training stops
     workers: int = 2  # processes, on CPUs
     rows: int = 4  # per worker
     length: int = 192
@@ -33,6 +34,12 @@ class Schedule:
     weight_decay: float = 0.1
     dropout: float = 0.1
     average: float = 0.998  # decay of the moving average of the weights that is shipped
+
+
+# Two phases: a long one on narrations of every kind, broken off while the rate is still high, then a short one on narrations as
+# the product sends them, in which the rate falls to nearly nothing.
+FIRST = Schedule()
+SECOND = Schedule(name="second", steps=700, until=700, rate=1e-3, warm_up=30, average=0.99)
 
 
 def rate_at(step: int, schedule: Schedule) -> float:
@@ -58,38 +65,39 @@ def batches(encoder: Encoder, corpus: Corpus, seed: str, schedule: Schedule, dev
 
     def produce():
         rng = random.Random(f"batches {seed}")
-        for _ in range(schedule.steps):
+        for _ in range(schedule.until):
             queue.put({n: torch.from_numpy(v) for n, v in pack(encoder, corpus, rng, schedule.rows, schedule.length).items()})
 
     Thread(target=produce, daemon=True).start()
-    for _ in range(schedule.steps):
+    for _ in range(schedule.until):
         yield {name: value.to(device) for name, value in queue.get().items()}
 
 
-def train(shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path) -> Household:
-    """Trains and returns the averaged weights, which are also left in `checkpoint`.
+def train(shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, start: Path | None = None) -> Household:
+    """Trains, from the weights in `start` if given, and returns the averaged weights, which are also left in `checkpoint`.
 
     On CPUs every worker is a process with one thread and a part of the batch: they meet once per step, whereas threads meet
     in every operation and lose most of their time when something else runs beside them.
     """
     workers = schedule.workers if device == "cpu" else 1
     if workers == 1:
-        work(0, 1, shape, schedule, encoder, corpus, seed, device, checkpoint)
+        work(0, 1, shape, schedule, encoder, corpus, seed, device, checkpoint, start)
     else:
         with socket.create_server(("127.0.0.1", 0)) as server:
             os.environ.update(MASTER_ADDR="127.0.0.1", MASTER_PORT=str(server.getsockname()[1]))
-        arguments = (workers, shape, schedule, encoder, corpus, seed, device, checkpoint)
+        arguments = (workers, shape, schedule, encoder, corpus, seed, device, checkpoint, start)
         torch.multiprocessing.start_processes(work, arguments, nprocs=workers, start_method="fork")
     return restore(checkpoint)
 
 
-def work(rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path) -> None:
+def work(rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, start: Path | None) -> None:
     if workers > 1:
         torch.set_num_threads(1)
         torch.distributed.init_process_group("gloo", rank=rank, world_size=workers)
     torch.manual_seed(seed)
-    sentencepiece.set_random_generator_seed(seed * workers + rank)
     model = Household(shape, schedule.dropout).to(device)
+    if start:
+        model.load_state_dict(restore(start).state_dict())
     torch.manual_seed(seed * workers + rank)
     averaged = {name: value.detach().clone() for name, value in model.state_dict().items()}
     matrices = [p for p in model.parameters() if p.dim() == 2]
@@ -98,7 +106,7 @@ def work(rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Enc
     optimiser = torch.optim.AdamW(groups, lr=schedule.rate, betas=(0.9, 0.98), fused=True)
     model.train()
     began, running = time.monotonic(), 0.0
-    for step, batch in enumerate(batches(encoder, corpus, f"{seed} {rank}", schedule, device), 1):
+    for step, batch in enumerate(batches(encoder, corpus, f"{seed} {rank}" + (" settled" if start else ""), schedule, device), 1):
         for group in optimiser.param_groups:
             group["lr"] = rate_at(step - 1, schedule)
         with torch.autocast(device, torch.bfloat16):
@@ -119,9 +127,9 @@ def work(rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Enc
         if step % 50 == 0:
             seconds = time.monotonic() - began
             speed = step * workers * schedule.rows * schedule.length / seconds
-            print(f"step {step}/{schedule.steps}  loss {running / 50:.4f}  {speed:.0f} tokens/s  {seconds:.0f} s", flush=True)
+            print(f"{schedule.name} step {step}/{schedule.until}  loss {running / 50:.4f}  {speed:.0f} tokens/s  {seconds:.0f} s", flush=True)
             running = 0.0
-        if step % 200 == 0 or step == schedule.steps:
+        if step % 200 == 0 or step == schedule.until:
             torch.save({"shape": shape.to_dict(), "model": averaged, "step": step}, checkpoint)
     if workers > 1:
         torch.distributed.destroy_process_group()
