@@ -32,12 +32,13 @@ pub mod forecast;
 
 pub mod pipeline;
 
+pub mod explanation;
+
 pub mod daemon;
 
 pub mod planner;
 
 pub mod narrator;
-pub mod explanation;
 
 pub mod config;
 
@@ -52,16 +53,14 @@ pub mod setup;
 pub mod stop;
 
 pub mod logging;
+
 pub mod simulation;
 
 pub mod experiment;
+
 pub mod recording;
 
-pub mod stop;
-
 pub mod top;
-
-pub mod logging;
 
 pub mod exit_code;
 

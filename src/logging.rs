@@ -1,5 +1,4 @@
 //! Logs: to the journal when systemd listens, else to standard error; filtered by `ROOMCAST_LOG` ([`FILTER_DEFAULT`] when unset).
-//! Logs: to the journal when systemd listens, else to standard error; filtered by `ROOMCAST_LOG` (`info` when unset).
 
 use std::io::IsTerminal;
 
@@ -16,9 +15,6 @@ pub const FILTER_DEFAULT: &str = "info,llama-cpp-2=warn,llama_cpp_2=error";
 /// Sets up logging, once per process; a second call changes nothing.
 pub fn init() {
     let filter = EnvFilter::try_from_env(FILTER_VARIABLE).unwrap_or_else(|_| EnvFilter::new(FILTER_DEFAULT));
-/// Sets up logging, once per process; a second call changes nothing.
-pub fn init() {
-    let filter = EnvFilter::try_from_env(FILTER_VARIABLE).unwrap_or_else(|_| EnvFilter::new("info"));
     let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
     let registry = tracing_subscriber::registry().with(filter);
     // An error says that somebody else has set up logging already, a test for instance.

@@ -187,8 +187,6 @@ pub enum Input {
 impl Input {
     /// `-` is standard input, line by line; a FIFO is read for ever; a file that begins with a title and holds actions is a
     /// program, any other file is read line by line; a shipped program goes by its bare name.
-    /// `-` is standard input, line by line; a FIFO is read for ever; a file that holds a program is a program, any other file is read
-    /// line by line; a shipped program goes by its bare name.
     ///
     /// # Errors
     ///
@@ -218,7 +216,6 @@ impl Input {
     }
 
     /// A program has a title: its first line is no action, no JSON and no sentence, and some later line is an action.
-    /// A program has a title, so its first line is neither an action nor JSON, and some later line is an action.
     fn is_program(stream: &mut File) -> io::Result<bool> {
         let mut start = Vec::new();
         stream.take(64 * 1024).read_to_end(&mut start)?;
@@ -227,7 +224,6 @@ impl Input {
         let titled = lines
             .next()
             .is_some_and(|line| !line.starts_with(['[', '{']) && !line.trim_end().ends_with(['.', '!', '?']));
-        let titled = lines.next().is_some_and(|line| !line.starts_with(['[', '{']));
         Ok(titled && lines.any(|line| line.starts_with('[')))
     }
 }

@@ -154,7 +154,7 @@ impl Stage {
     fn start(&mut self, command: &'static str, arguments: &[std::ffi::OsString]) -> Result<(), Failure> {
         let failed =
             |error: io::Error| Failure::new(exit_code::FAILURE, format!("cannot start `roomcast {command}`: {error}"));
-        let log = File::create(self.logs.join(command)).map_err(failed)?;
+        let log = File::create(self.logs.join(*command)).map_err(failed)?;
         let child = Command::new(std::env::current_exe().map_err(failed)?)
             .arg(command)
             .args(arguments)
@@ -178,7 +178,7 @@ impl Stage {
             if *command == "narrate" && status.success() {
                 continue;
             }
-            let said = std::fs::read_to_string(self.logs.join(command)).unwrap_or_default();
+            let said = std::fs::read_to_string(self.logs.join(*command)).unwrap_or_default();
             let last: Vec<&str> = said.lines().rev().take(5).collect();
             let said = last.into_iter().rev().collect::<Vec<_>>().join("\n");
             let code = status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(exit_code::FAILURE);

@@ -18,11 +18,9 @@ mod explain;
 mod model;
 mod narrate;
 mod planner;
-mod scene;
-mod score;
-mod service;
 mod record;
 mod replay;
+mod scene;
 mod score;
 mod service;
 mod top;
@@ -123,12 +121,12 @@ enum Command {
     Narrate(narrate::Args),
     /// Decide where the robot goes: the service that applies a policy to the scores.
     Planner(planner::Args),
-    /// Import, check, show and draw semantic maps.
-    Scene(scene::Args),
     /// Record everything on the services into an MCAP file.
     Record(record::Args),
     /// Replay a recording, bit for bit, at any speed.
     Replay(replay::Args),
+    /// Import, check, show and draw semantic maps.
+    Scene(scene::Args),
     /// Score every label, item and partition of a scene once.
     Score(score::Args),
     /// Watch a running system: rooms over time, narration, likely objects, decisions, health.
@@ -149,9 +147,9 @@ pub fn main() -> ExitCode {
         Command::Model(args) => model::run(&args),
         Command::Narrate(args) => narrate::run(&args),
         Command::Planner(args) => planner::run(&args),
-        Command::Scene(args) => scene::run(&args),
         Command::Record(args) => record::run(&args),
         Command::Replay(args) => replay::run(&args),
+        Command::Scene(args) => scene::run(&args),
         Command::Score(args) => score::run(&args),
         Command::Top(args) => top::run(&args),
     };

@@ -167,7 +167,7 @@ fn load(path: &Path) -> Result<Vec<(String, Activity)>, Failure> {
     if !path.exists()
         && let Some(text) = path.to_str().and_then(embedded::program)
     {
-        let program = Program::parse(text).map_err(input)?;
+        let program = Program::parse(text.text).map_err(input)?;
         return Ok(vec![(path.display().to_string(), Activity::Program(program))]);
     }
     let (files, faults) = super::forecast::load_programs(path)?;
@@ -178,7 +178,7 @@ fn load(path: &Path) -> Result<Vec<(String, Activity)>, Failure> {
         // Programs were read already; days are read again with their times.
         let day = std::fs::read_to_string(&file.path).ok().filter(|text| Day::recognise(text));
         let activity = match day {
-            Some(text) => Activity::Day(homer::Day::parse(&text).map_err(input)?),
+            Some(text) => Activity::Day(Day::parse(&text).map_err(input)?),
             None => Activity::Program(file.program),
         };
         activities.push((name, activity));
