@@ -154,7 +154,7 @@ impl Stage {
     fn start(&mut self, command: &'static str, arguments: &[std::ffi::OsString]) -> Result<(), Failure> {
         let failed =
             |error: io::Error| Failure::new(exit_code::FAILURE, format!("cannot start `roomcast {command}`: {error}"));
-        let log = File::create(self.logs.join(*command)).map_err(failed)?;
+        let log = File::create(self.logs.join(command)).map_err(failed)?;
         let child = Command::new(std::env::current_exe().map_err(failed)?)
             .arg(command)
             .args(arguments)

@@ -22,7 +22,7 @@ use crate::prompt::BindingSequence;
 use crate::scorer::llama::LlamaModel;
 use crate::semantic_map::{SemanticMap, drawing};
 use crate::simulation::binding::ItemChoice;
-use crate::simulation::homer::{self, Day};
+use crate::simulation::homer::Day;
 use crate::simulation::timeline::PersonOptions;
 use crate::simulation::world::Disturbance;
 
