@@ -47,5 +47,5 @@ pub fn run(args: &Args) -> CommandResult {
         let svg = drawing::svg(&map, grounding, Some(&heat)).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
         scene::write_drawing(path, svg, 2.0)?;
     }
-    if args.score.json() { super::print_json(&explanation) } else { scene::print(&format!("{explanation}\n")) }
+    if args.score.json() { super::print_json(&explanation) } else { scene::print(&explanation.to_string()) }
 }
