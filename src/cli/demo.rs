@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
     DecisionV1, Domain, IpcError, ItemScoresSubscriber, NarrationV1, Node, RoomScoresV1, Subscriber, decision_flags,
+    score_flags,
 };
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -25,6 +26,7 @@ use crate::stop::Stop;
 const START_WITHIN: Duration = Duration::from_secs(120);
 /// After its last word the narrator waits for the daemon; then nothing more comes.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
+const ITEMS_WITHIN: Duration = Duration::from_millis(200);
 const BAR_WIDTH: usize = 30;
 const TOP_OBJECTS: usize = 5;
 
@@ -175,7 +177,8 @@ impl Stage {
     fn check(&mut self) -> CommandResult {
         for (command, child) in &mut self.children {
             let Ok(Some(status)) = child.try_wait() else { continue };
-            if *command == "narrate" && status.success() {
+            let command = *command;
+            if command == "narrate" && status.success() {
                 continue;
             }
             let said = std::fs::read_to_string(self.logs.join(*command)).unwrap_or_default();
@@ -279,8 +282,17 @@ impl<'a> Show<'a> {
         }
         while let Some(received) = self.scores.receive()? {
             let Ok(scores) = received else { continue };
-            if let Some(items) = self.items.newest()? {
+            // The items' scores follow their rooms' within moments.
+            let start = Instant::now();
+            while !scores.has(score_flags::HEARTBEAT) && start.elapsed() < ITEMS_WITHIN {
+                let Some(items) = self.items.newest()? else {
+                    std::thread::sleep(Duration::from_millis(1));
+                    continue;
+                };
                 self.top = top_labels(&items.items);
+                if items.header.sequence >= scores.sequence {
+                    break;
+                }
             }
             self.scored(&scores);
         }
@@ -330,7 +342,7 @@ impl<'a> Show<'a> {
     }
 
     fn scored(&mut self, scores: &RoomScoresV1) {
-        if scores.has(roomcast_ipc::score_flags::HEARTBEAT) {
+        if scores.has(score_flags::HEARTBEAT) {
             return;
         }
         self.scores_seen += 1;

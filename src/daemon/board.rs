@@ -9,6 +9,7 @@ use roomcast_ipc::{
 use crate::narration::Observation;
 use crate::pipeline::{Pipeline, PipelineError};
 use crate::scorer::LanguageModel;
+use crate::scorer::certified::Effort;
 use crate::semantic_map::SemanticMap;
 
 /// A map that messages cannot carry.
@@ -171,17 +172,23 @@ impl<M: LanguageModel> Board<M> {
         let scores = self.pipeline.scores();
         let snapshot = &mut self.snapshot;
         let grounded = &scores.grounded;
-        for ((room, score), probability) in
-            (snapshot.room.iter_mut().zip(&grounded.partition_log_score_nats)).zip(&grounded.partition_probability)
-        {
+        let values = grounded.partition_log_score_nats.iter().zip(&grounded.partition_probability);
+        let bounds = scores.lower_log_score_nats.iter().zip(&scores.upper_log_score_nats);
+        for ((room, (score, probability)), (lower, upper)) in snapshot.room.iter_mut().zip(values).zip(bounds) {
             *room = RoomV1 {
                 log_score_nats: *score,
-                lower_log_score_nats: *score,
-                upper_log_score_nats: *score,
+                lower_log_score_nats: *lower,
+                upper_log_score_nats: *upper,
                 probability: *probability,
                 ..*room
             };
         }
+        snapshot.reached = match scores.reached {
+            Effort::Exact => reached::EXACT,
+            Effort::Ranking => reached::RANKING,
+            Effort::Top => reached::TOP,
+            Effort::Deadline => reached::DEADLINE,
+        };
         snapshot.label_mass = grounded.label_mass;
         snapshot.observed_ns = scores.newest_observed_ns;
         snapshot.tokenise_ns = scores.timing.tokenise_ns;
