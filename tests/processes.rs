@@ -1,6 +1,8 @@
 //! Real processes in private domains: what holds between narrator, daemon and planner when one is late, doubled, restarted,
 //! fast, foreign or hostile. Nothing here sleeps for a fixed time to prove something, and nothing is held to a time.
 
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
+
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};

@@ -1,5 +1,7 @@
 //! The units as systemd itself judges them.
 
+#![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
+
 use std::path::Path;
 use std::process::Command;
 

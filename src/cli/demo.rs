@@ -181,7 +181,7 @@ impl Stage {
             if command == "narrate" && status.success() {
                 continue;
             }
-            let said = std::fs::read_to_string(self.logs.join(*command)).unwrap_or_default();
+            let said = std::fs::read_to_string(self.logs.join(command)).unwrap_or_default();
             let last: Vec<&str> = said.lines().rev().take(5).collect();
             let said = last.into_iter().rev().collect::<Vec<_>>().join("\n");
             let code = status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(exit_code::FAILURE);
