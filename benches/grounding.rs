@@ -2,6 +2,8 @@
 //!
 //! `cargo bench --bench grounding`
 
+#![expect(clippy::expect_used, reason = "a bench that cannot set up has nothing to measure")]
+
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};

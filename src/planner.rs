@@ -9,7 +9,7 @@ use std::time::Duration;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, RoomScoresV1, action, clock, decision_flags, score_flags, sequence, text,
+    DecisionV1, Domain, ForecastV1, IpcError, RoomScoresV1, action, clock, decision_flags, score_flags, sequence, text,
 };
 use sd_notify::NotifyState;
 
@@ -62,6 +62,7 @@ pub struct Planner {
     deadline_ns: u64,
     repeat: bool,
     scores: Option<RoomScoresV1>,
+    forecast: Option<ForecastV1>,
     room: Option<usize>,
     covered: Vec<bool>,
     /// When the robot is free again.
@@ -84,6 +85,7 @@ impl Planner {
             deadline_ns: config.deadline_ms.saturating_mul(1_000_000),
             repeat: config.repeat,
             scores: None,
+            forecast: None,
             room: None,
             covered: Vec::new(),
             free_ns: 0,
@@ -114,6 +116,38 @@ impl Planner {
             self.free_ns = 0;
         }
         self.scores = Some(*scores);
+    }
+
+    /// Takes a checked forecast; it is used as long as it is of the same rooms as the scores.
+    pub fn take_forecast(&mut self, forecast: &ForecastV1) {
+        self.forecast = Some(*forecast);
+    }
+
+    /// How long robot and person are expected to share each room in each of the coming slots, slot by slot, in seconds:
+    /// twice as many slots as rooms left, so that a plan may wait for a room to become free. Empty without a forecast that is
+    /// fresh and of the scores' rooms.
+    fn expected_shared_s(&self, scores: &RoomScoresV1, now_ns: u64) -> Vec<f64> {
+        let rooms = scores.rooms();
+        let Some(forecast) = self.forecast.as_ref().filter(|forecast| {
+            forecast.epoch == scores.epoch
+                && now_ns.saturating_sub(forecast.published_ns) <= self.deadline_ns
+                && forecast.room_count == scores.room_count
+                && forecast.horizon_count > 0
+                && rooms.iter().enumerate().all(|(index, room)| forecast.id[index] == room.id)
+        }) else {
+            return Vec::new();
+        };
+        let room_time_s = self.room_time_ns as f64 / 1e9;
+        let age_s = now_ns.saturating_sub(forecast.computed_ns) as f64 / 1e9;
+        let left = self.covered.iter().filter(|covered| !**covered).count();
+        let slots = (2 * left).max(1);
+        (0..slots)
+            .flat_map(|slot| (0..rooms.len()).map(move |room| (slot, room)))
+            .map(|(slot, room)| {
+                let at_s = age_s + (slot as f64 + 0.5) * room_time_s;
+                room_time_s * forecast.room(room).map_or(0.0, |(_, row)| interpolate(&forecast.horizon_s, row, at_s))
+            })
+            .collect()
     }
 
     /// Decides if the robot is free and there is something new to say.
@@ -157,10 +191,11 @@ impl Planner {
             self.covered.fill(false);
         }
         let likely: Vec<f64> = scores.rooms().iter().map(|room| room.probability).collect();
+        let expected_shared_s = self.expected_shared_s(&scores, now_ns);
         let state = RobotState {
             partition: self.room.map(|room| PartitionId(room as u32)),
             covered: &self.covered,
-            expected_shared_s: &[],
+            expected_shared_s: &expected_shared_s,
         };
         let choice = self.policy.choose(&state, &likely, &mut self.rng)?;
         let to = choice.partition.0 as usize;
@@ -241,6 +276,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let config = &config.planner;
     let node = domain.open("roomcast-planner")?;
     let scores = node.subscriber::<RoomScoresV1>()?;
+    let forecasts = node.subscriber::<ForecastV1>()?;
     let decisions = node.publisher::<DecisionV1>()?;
     let mut planner = Planner::new(config, sequence::random_epoch());
     let mut log = crate::logging::Limiter::new(5_000_000_000);
@@ -257,6 +293,16 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
                 Err(error) => {
                     if let Some(held_back) = log.pass(now_ns) {
                         tracing::warn!(%error, held_back, "malformed scores");
+                    }
+                }
+            }
+        }
+        while let Some(received) = forecasts.receive()? {
+            match received {
+                Ok(forecast) => planner.take_forecast(&forecast),
+                Err(error) => {
+                    if let Some(held_back) = log.pass(now_ns) {
+                        tracing::warn!(%error, held_back, "malformed forecast");
                     }
                 }
             }
@@ -295,6 +341,22 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     Ok(())
 }
 
+/// The value at `at` of a curve through points with rising `grid`; constant beyond both ends.
+fn interpolate(grid: &[f32], values: &[f32], at: f64) -> f64 {
+    let points = || grid.iter().zip(values).map(|(x, y)| (f64::from(*x), f64::from(*y)));
+    let mut before: Option<(f64, f64)> = None;
+    for (x, y) in points() {
+        if x >= at {
+            return match before {
+                Some((x0, y0)) if x > x0 => y0 + (y - y0) * (at - x0) / (x - x0),
+                _ => y,
+            };
+        }
+        before = Some((x, y));
+    }
+    before.map_or(0.0, |(_, y)| y)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -320,6 +382,43 @@ mod tests {
     fn planner(policy: PolicyName, repeat: bool) -> Planner {
         let config = PlannerConfig { policy, room_time_s: 10.0, repeat, ..Default::default() };
         Planner::new(&config, 1)
+    }
+
+    fn forecast(of: &RoomScoresV1, curves: &[[f32; 2]]) -> ForecastV1 {
+        let mut forecast = ForecastV1 {
+            epoch: of.epoch,
+            computed_ns: of.computed_ns,
+            published_ns: of.published_ns,
+            room_count: of.room_count,
+            horizon_count: 2,
+            ..Default::default()
+        };
+        forecast.horizon_s[1] = 20.0;
+        for (index, curve) in curves.iter().enumerate() {
+            forecast.id[index] = of.room[index].id;
+            forecast.probability[index][..2].copy_from_slice(curve);
+        }
+        forecast
+    }
+
+    #[test]
+    fn coverage_aware_waits_for_a_room_that_the_forecast_says_becomes_free() {
+        let mut planner = planner(PolicyName::CoverageAware, true);
+        // The scores alone would send the robot into room 0 first.
+        let scores = scores(1, S, &[0.1, 0.9]);
+        planner.take(&scores);
+        planner.take_forecast(&forecast(&scores, &[[1.0, 0.0], [0.0, 1.0]]));
+        let decision = planner.decide(S, 0).unwrap().unwrap();
+        assert_eq!(decision.to(), "room-1");
+        assert!(decision.reason().contains("slots planned"), "{}", decision.reason());
+    }
+
+    #[test]
+    fn curves_are_straight_between_their_points_and_flat_beyond() {
+        let value = |at| interpolate(&[10.0, 20.0], &[0.2, 0.4], at);
+        assert!(
+            (value(0.0) - 0.2).abs() < 1e-6 && (value(15.0) - 0.3).abs() < 1e-6 && (value(99.0) - 0.4).abs() < 1e-6
+        );
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The shipped model through the real scorer: all methods give the same scores, incrementally and afresh, on every scene.
 
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic is a test's report")]
+#![expect(clippy::unwrap_used, reason = "a panic is a test's report")]
 
 use std::path::Path;
 

@@ -2,10 +2,11 @@
 //! no port: the daemon's loop, the simulation and the tests drive it alike.
 
 use roomcast_ipc::{
-    ALL_PERSONS, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, MAX_ROOMS, MAX_SOURCES, MessageError, NAME_BYTES,
-    NO_PARTITION, RoomScoresV1, RoomV1, reached, score_flags, text,
+    ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, MAX_HORIZONS, MAX_ROOMS, MAX_SOURCES,
+    MessageError, NAME_BYTES, NO_PARTITION, RoomScoresV1, RoomV1, reached, score_flags, text,
 };
 
+use crate::forecast::{ForecastOptions, Forecaster, Mentions};
 use crate::narration::Observation;
 use crate::pipeline::{Pipeline, PipelineError};
 use crate::scorer::LanguageModel;
@@ -53,7 +54,13 @@ pub struct Board<M> {
     map: SemanticMap,
     snapshot: RoomScoresV1,
     accepted: std::collections::BTreeMap<u64, u64>,
+    /// Per person where they will be; persons unknown to the histories are forgotten.
+    forecasters: std::collections::BTreeMap<u32, Forecaster>,
 }
+
+/// The horizons that the forecast is published for, in seconds.
+pub const HORIZONS_S: [f32; MAX_HORIZONS] =
+    [0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 300.0, 450.0, 600.0, 900.0, 1800.0, 3600.0];
 
 impl<M: LanguageModel> Board<M> {
     /// A board without scores; `epoch` is random per start of the daemon.
@@ -78,13 +85,68 @@ impl<M: LanguageModel> Board<M> {
             let name = |source| BoardError::Name { id: partition.id.clone(), source };
             room.id = text::encode("room id", &partition.id).map_err(name)?;
         }
-        Ok(Self { pipeline, map, snapshot, accepted: std::collections::BTreeMap::new() })
+        Ok(Self {
+            pipeline,
+            map,
+            snapshot,
+            accepted: std::collections::BTreeMap::new(),
+            forecasters: std::collections::BTreeMap::new(),
+        })
     }
 
     /// Enters observations of a former run, without scoring.
     pub fn restore(&mut self, observations: impl IntoIterator<Item = Observation>) {
+        // Nobody knows how long the daemon was away, so the forecast begins anew with the first observation after it.
         let observations = observations.into_iter().inspect(|o| *self.accepted.entry(o.source).or_default() += 1);
         self.pipeline.observe(observations);
+    }
+
+    /// Takes the scored observations into the forecasts of their persons.
+    fn watch(&mut self, seen: &[(u32, u64, Option<usize>)]) {
+        let grounding = self.pipeline.grounding();
+        let probability = &self.pipeline.scores().grounded.partition_probability;
+        for &(person, observed_ns, mention) in seen {
+            let at_s = observed_ns as f64 / 1e9;
+            let fresh = || Forecaster::new(grounding.partitions.len(), ForecastOptions::default(), at_s);
+            let forecaster = self.forecasters.entry(person).or_insert_with(fresh);
+            forecaster.observe(at_s, mention, grounding, probability);
+        }
+        let histories = self.pipeline.histories();
+        self.forecasters.retain(|person, _| histories.get(*person).is_some());
+    }
+
+    /// Where persons will be from `now_ns` on, for [`HORIZONS_S`]: of several persons, the probability that any of them is in
+    /// a room. Without an observation every room is as likely.
+    #[must_use]
+    pub fn forecast(&self, now_ns: u64) -> ForecastV1 {
+        let mut message = ForecastV1 {
+            epoch: self.snapshot.epoch,
+            sequence: self.snapshot.sequence,
+            computed_ns: now_ns,
+            published_ns: now_ns,
+            room_count: self.snapshot.room_count,
+            horizon_count: HORIZONS_S.len() as u32,
+            person: self.snapshot.person,
+            horizon_s: HORIZONS_S,
+            ..Default::default()
+        };
+        let rooms = self.snapshot.rooms();
+        for (id, room) in message.id.iter_mut().zip(rooms) {
+            *id = room.id;
+        }
+        let now_s = now_ns as f64 / 1e9;
+        for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
+            let mut free = vec![1.0; rooms.len()];
+            for forecaster in self.forecasters.values() {
+                let probability = forecaster.at(now_s, f64::from(*horizon_s));
+                free.iter_mut().zip(probability).for_each(|(free, p)| *free *= 1.0 - p);
+            }
+            for (room, free) in free.into_iter().enumerate() {
+                let occupied = if self.forecasters.is_empty() { 1.0 / rooms.len() as f64 } else { 1.0 - free };
+                message.probability[room][place] = occupied.clamp(0.0, 1.0) as f32;
+            }
+        }
+        message
     }
 
     /// Takes all entries as one step: every one goes into its history, then the rooms are scored once.
@@ -99,6 +161,10 @@ impl<M: LanguageModel> Board<M> {
         for entry in &entries {
             *self.accepted.entry(entry.observation.source).or_default() += 1;
         }
+        let mentions = Mentions::new(&self.map, self.pipeline.grounding());
+        let seen: Vec<_> = (entries.iter().map(|entry| &entry.observation))
+            .map(|o| (o.person, o.observed_ns, mentions.last(o.sentence.as_str())))
+            .collect();
         self.pipeline.observe(entries.into_iter().map(|entry| entry.observation));
         if let Err(error) = self.pipeline.score() {
             self.snapshot.flags |= score_flags::SCORER_FAILED;
@@ -110,6 +176,7 @@ impl<M: LanguageModel> Board<M> {
         self.snapshot.received_ns = received_ns.unwrap_or(self.snapshot.received_ns);
         self.snapshot.wait_ns = received_ns.map_or(0, |received_ns| now_ns.saturating_sub(received_ns));
         self.snapshot.flags = if gap { score_flags::GAP } else { 0 };
+        self.watch(&seen);
         self.fill();
         Ok(())
     }

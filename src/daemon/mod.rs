@@ -17,8 +17,8 @@ use std::time::Duration;
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
-    Domain, IpcError, ItemScoresPublisher, NarrationV1, Publisher, RoomScoresV1, StatusResponseV1, StatusServer,
-    Subscriber, clock, sequence, text,
+    Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, Publisher, RoomScoresV1, StatusResponseV1,
+    StatusServer, Subscriber, clock, sequence, text,
 };
 use sd_notify::NotifyState;
 
@@ -149,6 +149,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonEr
     // meanwhile waits in the port.
     let scores = node.publisher::<RoomScoresV1>()?;
     let items = node.item_scores_publisher()?;
+    let forecasts = node.publisher::<ForecastV1>()?;
     let status = node.status_server()?;
     let narration = node.subscriber::<NarrationV1>()?;
     let (pipeline, map) = setup::open(config)?;
@@ -178,6 +179,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonEr
         ready: false,
         scores,
         items,
+        forecasts,
         status,
         queue: queue_out,
         heartbeat_ns: config.daemon.heartbeat_ms * 1_000_000,
@@ -320,6 +322,7 @@ struct Scoring<M> {
     ready: bool,
     scores: Publisher<RoomScoresV1>,
     items: ItemScoresPublisher,
+    forecasts: Publisher<ForecastV1>,
     status: StatusServer,
     queue: Receiver<(Entry, u64)>,
     heartbeat_ns: u64,
@@ -364,8 +367,11 @@ impl<M: LanguageModel> Scoring<M> {
             let now_ns = clock::monotonic_ns();
             self.scores.tick()?;
             self.items.tick()?;
+            self.forecasts.tick()?;
             if self.board.snapshot().sequence > 0 && now_ns.saturating_sub(published_ns) >= self.heartbeat_ns {
                 self.scores.send(&self.board.message(now_ns, true, !self.queue.is_empty()))?;
+                // Time alone changes where a person may be.
+                self.forecasts.send(&self.board.forecast(now_ns))?;
                 self.tally.heartbeats += 1;
                 published_ns = now_ns;
             }
@@ -397,6 +403,8 @@ impl<M: LanguageModel> Scoring<M> {
         }
         let before_ns = clock::monotonic_ns();
         let message = self.board.message(before_ns, false, !self.queue.is_empty());
+        // First, so that a planner that the scores wake finds the forecast that belongs to them.
+        self.forecasts.send(&self.board.forecast(before_ns))?;
         self.scores.send(&message)?;
         let after_ns = clock::monotonic_ns();
         self.tally.published += 1;

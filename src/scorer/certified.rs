@@ -162,12 +162,12 @@ impl Bounds {
         while index < nodes.len() {
             let node = nodes[index];
             let own = table.own(index);
-            for r in 0..partitions {
-                self.estimate[r] += q[index] * own[r];
+            for (estimate, own) in self.estimate.iter_mut().zip(own) {
+                *estimate += q[index] * own;
             }
             if index >= undecided_until {
-                for r in 0..partitions {
-                    self.lower[r] += q[index] * own[r];
+                for (lower, own) in self.lower.iter_mut().zip(own) {
+                    *lower += q[index] * own;
                 }
                 if node.inner != PROMPT && !decoded[node.inner as usize] {
                     self.frontier.push(node.inner);

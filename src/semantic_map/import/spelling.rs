@@ -72,7 +72,7 @@ fn kept_labels(items: &[ItemEntry]) -> BTreeMap<String, String> {
 /// The label without spaces and without the mark of the plural.
 fn bare(label: &str) -> String {
     let joined: String = label.split(' ').collect();
-    let singular = if let Some(stem) = joined.strip_suffix("ies").filter(|stem| stem.len() > 2) {
+    if let Some(stem) = joined.strip_suffix("ies").filter(|stem| stem.len() > 2) {
         format!("{stem}y")
     } else if let Some(stem) =
         joined.strip_suffix("es").filter(|stem| ["s", "x", "z", "ch", "sh"].iter().any(|end| stem.ends_with(end)))
@@ -82,8 +82,7 @@ fn bare(label: &str) -> String {
         joined
     } else {
         joined.strip_suffix('s').unwrap_or(&joined).to_owned()
-    };
-    singular
+    }
 }
 
 #[cfg(test)]
