@@ -54,6 +54,21 @@ pub(super) struct StudyArgs {
     /// Seconds per action, to which programs are stretched; 0 leaves them as long as actions.toml says.
     #[arg(long, value_name = "SECONDS", default_value_t = 24.0)]
     pace: f64,
+    /// Longest time of one act before stretching, in seconds: a demonstration of sleeping lasts no night.
+    #[arg(long, value_name = "SECONDS", default_value_t = PersonOptions::default().action_s_max)]
+    longest_act: f64,
+    /// Mean time from one object to the next that the forecast assumes before it has watched, in seconds.
+    #[arg(long, value_name = "SECONDS", default_value_t = ForecastOptions::default().object_s)]
+    object_time: f64,
+    /// Mean stay in a room that the forecast assumes before it has watched, in seconds.
+    #[arg(long, value_name = "SECONDS", default_value_t = ForecastOptions::default().stay_s)]
+    stay_time: f64,
+    /// Of folders, take only the programs of a split that a training manifest lists, such as models/manifest.json.
+    #[arg(long, value_name = "FILE", requires = "program")]
+    manifest: Option<PathBuf>,
+    /// Which split of the manifest.
+    #[arg(long, value_name = "NAME", default_value = "test", requires = "manifest")]
+    split: String,
     /// Carry out all programs at the same time, one person each.
     #[arg(long)]
     together: bool,
@@ -136,6 +151,34 @@ struct Setup<'a> {
 }
 
 impl StudyArgs {
+    /// The activities of a file, of a folder, or of the binary.
+    fn load(&self, path: &Path) -> Result<Vec<(String, Activity)>, Failure> {
+        let input = |error: crate::narration::ProgramError| Failure::new(exit_code::INPUT, error);
+        if !path.exists()
+            && let Some(shipped) = path.to_str().and_then(embedded::program)
+        {
+            let program = Program::parse(shipped.text).map_err(input)?;
+            return Ok(vec![(path.display().to_string(), Activity::Program(program))]);
+        }
+        let (mut files, faults) = super::forecast::load_programs(path)?;
+        report_faults(&faults);
+        if let Some(manifest) = self.manifest.as_ref().filter(|_| path.is_dir()) {
+            files = super::split(files, manifest, &self.split)?;
+        }
+        let mut activities = Vec::with_capacity(files.len());
+        for file in files {
+            let name = file.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            // Programs were read already; days are read again with their times.
+            let day = std::fs::read_to_string(&file.path).ok().filter(|text| Day::recognise(text));
+            let activity = match day {
+                Some(text) => Activity::Day(Day::parse(&text).map_err(input)?),
+                None => Activity::Program(file.program),
+            };
+            activities.push((name, activity));
+        }
+        Ok(activities)
+    }
+
     fn setup(&self, room_times_s: &[usize], scenes: &[&str], programs: &[&str]) -> Result<Setup<'_>, Failure> {
         let or = |given: &[PathBuf], default: &[&str]| -> Vec<PathBuf> {
             if given.is_empty() { default.iter().map(PathBuf::from).collect() } else { given.to_vec() }
@@ -144,46 +187,29 @@ impl StudyArgs {
         let (mut activities, mut strict) = (Vec::new(), true);
         for path in or(&self.program, programs) {
             strict &= !path.is_dir();
-            activities.extend(load(&path)?);
+            activities.extend(self.load(&path)?);
         }
         let mean_action_s = (self.pace > 0.0).then_some(self.pace);
         let options = Options {
             history: self.model.limits(),
             items: self.items,
-            person: PersonOptions { mean_action_s, ..PersonOptions::default() },
+            person: PersonOptions {
+                mean_action_s,
+                action_s_max: self.longest_act.max(1.0),
+                ..PersonOptions::default()
+            },
             disturbance: self.disturbance.0,
-            forecast: ForecastOptions::default(),
+            forecast: ForecastOptions {
+                object_s: self.object_time.max(1.0),
+                stay_s: self.stay_time.max(1.0),
+                ..ForecastOptions::default()
+            },
             restarts: self.restarts.max(1),
             seed: self.model.seed,
         };
         let room_times_s = if self.room_time.is_empty() { room_times_s.to_vec() } else { self.room_time.clone() };
         Ok(Setup { args: self, scenes, activities, strict, room_times_s, options })
     }
-}
-
-/// The activities of a file, of a folder, or of the binary.
-fn load(path: &Path) -> Result<Vec<(String, Activity)>, Failure> {
-    let input = |error: crate::narration::ProgramError| Failure::new(exit_code::INPUT, error);
-    if !path.exists()
-        && let Some(text) = path.to_str().and_then(embedded::program)
-    {
-        let program = Program::parse(text.text).map_err(input)?;
-        return Ok(vec![(path.display().to_string(), Activity::Program(program))]);
-    }
-    let (files, faults) = super::forecast::load_programs(path)?;
-    report_faults(&faults);
-    let mut activities = Vec::with_capacity(files.len());
-    for file in files {
-        let name = file.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        // Programs were read already; days are read again with their times.
-        let day = std::fs::read_to_string(&file.path).ok().filter(|text| Day::recognise(text));
-        let activity = match day {
-            Some(text) => Activity::Day(Day::parse(&text).map_err(input)?),
-            None => Activity::Program(file.program),
-        };
-        activities.push((name, activity));
-    }
-    Ok(activities)
 }
 
 impl Setup<'_> {
