@@ -101,6 +101,10 @@ python:
 	    fi; \
 	fi
 
+.PHONY: known-scores
+known-scores: build ## After a change of the embedded model: records the scores that it is known for.
+	$(TARGET)/release/roomcast model check --record models/household-check.json
+
 .PHONY: clean
 clean: ## Removes everything that was built.
 	cargo clean

@@ -38,6 +38,8 @@ pub mod daemon;
 
 pub mod planner;
 
+pub mod mqtt;
+
 pub mod narrator;
 
 pub mod config;

@@ -15,6 +15,7 @@ mod demo;
 mod doctor;
 mod experiment;
 mod explain;
+mod man;
 mod model;
 mod narrate;
 mod planner;
@@ -115,6 +116,8 @@ enum Command {
     Experiment(experiment::Args),
     /// Explain the scores of one moment: rooms, labels, tokens, items and the narration behind them.
     Explain(explain::Args),
+    /// Write the manual pages of all commands.
+    Man(man::Args),
     /// Inspect, check and fetch language models.
     Model(model::Args),
     /// Publish what a person does: activity programs, JSON lines, plain sentences.
@@ -144,6 +147,7 @@ pub fn main() -> ExitCode {
         Command::Doctor(args) => doctor::run(&args),
         Command::Experiment(args) => experiment::run(&args),
         Command::Explain(args) => explain::run(&args),
+        Command::Man(args) => man::run(&args),
         Command::Model(args) => model::run(&args),
         Command::Narrate(args) => narrate::run(&args),
         Command::Planner(args) => planner::run(&args),

@@ -1,9 +1,11 @@
 //! `roomcast narrate`: publishes observations.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::{CommandResult, Failure, print_json, service};
+use crate::mqtt::{self, Broker, Rules};
 use crate::narrator::{self, Input, Pace};
+use crate::stop::Stop;
 use crate::{exit_code, logging};
 
 /// Arguments of `roomcast narrate`.
@@ -17,6 +19,18 @@ pub struct Args {
     /// Make a FIFO there and publish the lines written into it, for ever.
     #[arg(long, value_name = "PATH")]
     fifo: Option<PathBuf>,
+    /// Publish what an MQTT broker's devices say: mqtt://HOST[:PORT], or mqtts://HOST[:PORT] with --mqtt-ca.
+    #[arg(long, value_name = "URL", conflicts_with_all = ["input", "fifo"], requires = "rules")]
+    mqtt: Option<String>,
+    /// The rules by which MQTT messages become sentences; see docs/mqtt.md.
+    #[arg(long, value_name = "FILE", requires = "mqtt")]
+    rules: Option<PathBuf>,
+    /// A file with the broker's user name and password, a line each.
+    #[arg(long, value_name = "FILE", requires = "mqtt")]
+    mqtt_credentials: Option<PathBuf>,
+    /// A PEM file with the certificates that the broker's is signed by.
+    #[arg(long, value_name = "FILE", requires = "mqtt")]
+    mqtt_ca: Option<PathBuf>,
     /// This source's name, in place of the configuration's; it must differ between narrators.
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
@@ -60,7 +74,10 @@ pub fn run(args: &Args) -> CommandResult {
     if let Some(fifo) = &args.fifo {
         narrator::make_fifo(fifo).map_err(input)?;
     }
-    let source = Input::open(args.fifo.as_ref().unwrap_or(&args.input), args.person).map_err(input)?;
+    let source = match &args.mqtt {
+        Some(address) => listen(args, address, &config.narrator.name, &stop)?,
+        None => Input::open(args.fifo.as_ref().unwrap_or(&args.input), args.person).map_err(input)?,
+    };
     let outcome = narrator::run(&config.narrator, &domain, source, pace, &stop)
         .map_err(|error| Failure::new(exit_code::IPC, error))?;
     if args.json {
@@ -81,4 +98,24 @@ pub fn run(args: &Args) -> CommandResult {
         ));
     }
     Ok(())
+}
+
+/// Listens to the broker in a thread of its own; its lines come through a pipe, whose small buffer holds it back while the daemon is
+/// behind.
+fn listen(args: &Args, address: &str, name: &str, stop: &Stop) -> Result<Input, Failure> {
+    let input = |error| Failure::new(exit_code::INPUT, error);
+    let rules = Rules::load(args.rules.as_deref().unwrap_or(Path::new("rules.toml"))).map_err(input)?;
+    let broker = Broker {
+        address: address.to_owned(),
+        client: format!("roomcast-{name}"),
+        credentials: args.mqtt_credentials.clone(),
+        authority: args.mqtt_ca.clone(),
+    };
+    let (reader, writer) = std::io::pipe().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    let stop = stop.clone();
+    std::thread::spawn(move || match mqtt::listen(&broker, rules, writer, &stop) {
+        Ok(heard) => tracing::info!(said = heard.said, unfit = heard.unfit, silent = heard.silent, "left the broker"),
+        Err(error) => tracing::error!(%error, "MQTT ended"),
+    });
+    Ok(Input::Lines { name: address.to_owned(), stream: Box::new(reader), person: args.person })
 }
