@@ -13,6 +13,7 @@ use serde_json::{Value, json};
 use super::{CommandResult, Failure};
 use crate::exit_code;
 use crate::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
+use crate::semantic_map::delta;
 use crate::semantic_map::drawing::{self, Heat};
 use crate::semantic_map::import::{self, ImportError, Imported, Up};
 use crate::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap};
@@ -31,6 +32,8 @@ enum Command {
     Import(Import),
     /// Check scenes: the format, and whether every item lies somewhere and every room can be reached.
     Check(Check),
+    /// Apply changes to a scene: items added, moved, removed; rooms added.
+    Change(Change),
     /// Print what a scene holds and what was assigned where, by which rule, and what was not.
     Show(Show),
     /// Draw a scene from above, with scores as heat, as SVG or PNG.
@@ -68,6 +71,17 @@ struct Import {
     /// Keep labels of an open-vocabulary map that differ in spelling or number only ("mugs", "coffeemaker").
     #[arg(long)]
     keep_spellings: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct Change {
+    /// The scene file, or the name of a shipped one.
+    scene: PathBuf,
+    /// A JSON list of changes; scenes/README.md documents them.
+    changes: PathBuf,
+    /// The scene to write.
+    #[arg(long)]
+    out: PathBuf,
 }
 
 #[derive(Debug, clap::Args)]
@@ -129,6 +143,7 @@ pub fn run(args: &Args) -> CommandResult {
     match &args.command {
         Command::Import(args) => import(args),
         Command::Check(args) => check(args),
+        Command::Change(args) => change(args),
         Command::Show(args) => show(args),
         Command::Draw(args) => draw(args),
     }
@@ -205,6 +220,21 @@ fn import(args: &Import) -> CommandResult {
         let _ = writeln!(text, "  {note}");
     }
     print(&text)
+}
+
+fn change(args: &Change) -> CommandResult {
+    let (map, before) = load(&args.scene, PartitionLevel::Room)?;
+    let json = import::read(&args.changes).map_err(input)?;
+    let changed = delta::parse_changes(&json).and_then(|changes| map.changed(changes)).map_err(input)?;
+    let after = before.regroup(&changed, &GroundingOptions::default()).map_err(input)?;
+    write(&args.out, changed.to_json().as_bytes())?;
+    print(&format!(
+        "{}: {} items, {} outside, {} labels that the map did not have\n",
+        args.out.display(),
+        changed.items.len(),
+        after.grounding.unassigned.len(),
+        after.new_labels
+    ))
 }
 
 /// The files, with folders replaced by the JSON files in them and in their folders, in the order of names.

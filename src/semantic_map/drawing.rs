@@ -319,8 +319,8 @@ impl<'a> Plan<'a> {
         let panel = self.panel(panel_left);
         let height = (TITLE_PX + self.size_px[1] + FOOT_PX).max(panel.1 + 24.0);
         let names = self.partition_names();
-        let marked = self.marked_items();
         let furniture_names = self.furniture_names();
+        let marked = self.marked_items();
         Document::new()
             .set("viewBox", (0, 0, rounded(width), rounded(height)))
             .set("width", rounded(width))
