@@ -31,8 +31,9 @@ def cluster_of(title: str) -> str:
 
 
 def split_of(cluster: str, dev: bool) -> str:
-    if cluster in SPLITS["test"]:
-        return "test"
+    for split in ("test", "calibration"):
+        if cluster in SPLITS[split]:
+            return split
     return "dev" if dev and cluster in SPLITS["dev"] else "train"
 
 

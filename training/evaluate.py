@@ -210,7 +210,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--shared", type=Path, required=True)
     arguments.add_argument("--work", type=Path, required=True)
-    arguments.add_argument("--split", choices=("dev", "test"), default="test")
+    arguments.add_argument("--split", choices=("dev", "calibration", "test"), default="test")
     arguments.add_argument("--scenes", nargs="*", default=["TestScene1", "TestScene2", "TestScene5"])
     arguments.add_argument("--limit", type=int, default=0, help="only so many programs")
     arguments.add_argument("--prompts", action="store_true", help="compare the paper's prompts instead of the predictors")

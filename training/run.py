@@ -24,6 +24,7 @@ if __name__ == "__main__" and any(os.environ.get(name) != value for name, value 
 
 import torch
 
+import calibrate
 import data
 import export
 import routines
@@ -41,7 +42,7 @@ DESCRIPTION = (
 
 
 def corpus_of(shared: Path, dev: bool) -> tuple[Corpus, dict[str, list[data.Program]]]:
-    programs = {"train": [], "dev": [], "test": []}
+    programs = {"train": [], "dev": [], "calibration": [], "test": []}
     for program in data.virtualhome(shared):
         programs[data.split_of(program.cluster, dev)].append(program)
     if not programs["train"]:
@@ -60,7 +61,7 @@ def main() -> None:
     arguments.add_argument("--large", action="store_true", help="the larger variant, for a GPU")
     arguments.add_argument("--dev", action="store_true", help="hold the development clusters out too")
     arguments.add_argument("--short", type=int, metavar="STEPS", help="end each phase after so many steps, to try the pipeline out")
-    arguments.add_argument("--resume", action="store_true", help="take the first phase's result and vocabulary from --work")
+    arguments.add_argument("--resume", action="store_true", help="take the vocabulary and the phases that are already done from --work")
     arguments.add_argument("--export-only", action="store_true", help="take the last checkpoint and vocabulary from --work instead of training")
     given = arguments.parse_args()
 
@@ -69,7 +70,7 @@ def main() -> None:
     given.work.mkdir(parents=True, exist_ok=True)
     given.out.mkdir(parents=True, exist_ok=True)
     corpus, programs = corpus_of(given.shared, given.dev)
-    first, last = given.work / "first.pt", given.work / "checkpoint.pt"
+    first, second, last = (given.work / f"{name}.pt" for name in ("first", "second", "checkpoint"))
     if given.resume or given.export_only:
         pieces = vocabulary.load(given.work / "vocabulary.model")
     else:
@@ -81,9 +82,15 @@ def main() -> None:
         shape = Shape(vocab=size, width=512, layers=8, feed_forward=1408) if given.large else Shape(vocab=size)
         phases = [replace(s, rows=16 * s.rows if given.large else s.rows, until=given.short or s.until) for s in (FIRST, SECOND)]
         encoder = Encoder(pieces)
-        if not given.resume:
+        if not (given.resume and first.exists()):
             train(shape, phases[0], encoder, corpus, given.seed, device, first)
-        model = train(shape, phases[1], encoder, corpus.settled(), given.seed, device, last, start=first)
+        if not (given.resume and second.exists()):
+            train(shape, phases[1], encoder, corpus.settled(), given.seed, device, second, start=first)
+        model = restore(second)
+        temperature = calibrate.fit(model, encoder, programs["calibration"], sorted((given.shared / "virtualhome/scenes").glob("*_graph.json")))
+        calibrate.apply(model, temperature)
+        print(f"temperature {temperature:.2f}")
+        torch.save({"shape": model.shape.to_dict(), "model": model.state_dict(), "temperature": temperature}, last)
     reference, shipped = given.work / "household-f32.gguf", given.out / "household.gguf"
     export.write(model, pieces, reference, "f32", DESCRIPTION)
     export.write(model, pieces, shipped, "q8_0", DESCRIPTION)
