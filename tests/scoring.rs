@@ -143,6 +143,21 @@ fn control_tokens_in_text_are_inert() {
     }
 }
 
+/// llama.cpp cuts text, hostile text too, exactly as the tokenizer that the model was trained with.
+#[test]
+fn the_tokenizer_is_the_one_of_the_training() {
+    use roomcast::scorer::{LanguageModel, TextStart};
+    let expected: Vec<(String, Vec<i32>)> =
+        serde_json::from_str(include_str!("../models/household-tokens.json")).unwrap();
+    assert!(expected.len() > 100);
+    let scorer = Scorer::new(model(1));
+    for (text, expected) in expected {
+        let mut tokens = Vec::new();
+        scorer.model().tokenise(&text, TextStart::Within, &mut tokens).unwrap();
+        assert_eq!(tokens.iter().map(|t| t.0).collect::<Vec<_>>(), expected, "{text:?}");
+    }
+}
+
 fn observation(sequence: u64, sentence: &str) -> Observation {
     Observation {
         person: 0,

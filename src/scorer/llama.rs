@@ -33,10 +33,11 @@ pub const SEQUENCES_MAX: u32 = 256;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum CacheType {
-    /// Half precision: half the memory, and differences of some 1e-3 nats between scoring methods.
-    #[default]
+    /// Half precision: half the memory, and differences of up to 1e-2 nats per token between scoring methods, because
+    /// llama.cpp multiplies by half precision differently at other batch sizes.
     F16,
-    /// Single precision.
+    /// Single precision: all methods agree to the last bit with the embedded model.
+    #[default]
     F32,
 }
 
@@ -63,7 +64,7 @@ impl Default for LlamaOptions {
             threads: if cores > 2 { cores - 1 } else { cores },
             context_tokens: 2048,
             sequences: 64,
-            cache: CacheType::F16,
+            cache: CacheType::default(),
             lock_memory: false,
         }
     }
