@@ -296,6 +296,9 @@ impl Broker {
     }
 }
 
+/// Messages that are remembered, to know those that a broker sends again; brokers keep fewer than this unacknowledged.
+const HEARD_MAX: usize = 256;
+
 /// Listens to the broker and writes narration as lines of JSON to `out`, until it is asked to stop or `out` is closed. A lost connection
 /// is tried again for ever.
 ///
@@ -309,6 +312,8 @@ pub fn listen(broker: &Broker, rules: Rules, mut out: impl Write, stop: &Stop) -
     // Requests are sent from this very loop: there is room for a subscription to each filter, and for acknowledgements.
     let (client, mut connection) = Client::new(broker.options()?, filters.len() + 256);
     let mut connections = 0_u64;
+    // What a broker sends again after a connection broke is what it did not see acknowledged: it may have been heard.
+    let mut heard = std::collections::VecDeque::with_capacity(HEARD_MAX);
     while !stop.requested() {
         let Ok(event) = connection.recv_timeout(POLL) else { continue };
         match event {
@@ -322,6 +327,20 @@ pub fn listen(broker: &Broker, rules: Rules, mut out: impl Write, stop: &Stop) -
                 }
             }
             Ok(Event::Incoming(Packet::Publish(message))) => {
+                let known = |(at, of): &(u64, Publish)| {
+                    *at < connections
+                        && of.pkid == message.pkid
+                        && of.topic == message.topic
+                        && of.payload == message.payload
+                };
+                if message.dup && message.qos != QoS::AtMostOnce && heard.iter().any(known) {
+                    client.try_ack(&message).map_err(|error| failed(&error))?;
+                    continue;
+                }
+                if message.qos != QoS::AtMostOnce {
+                    heard.truncate(HEARD_MAX - 1);
+                    heard.push_front((connections, message.clone()));
+                }
                 if let Some(line) = listener.hear(&message)
                     && writeln!(out, "{line}").and_then(|()| out.flush()).is_err()
                 {
