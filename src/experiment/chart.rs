@@ -150,11 +150,8 @@ impl Axis {
         let span = if high > low { high - low } else { 1.0 };
         let magnitude = 10f64.powf((span / 5.0).log10().floor());
         let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|f| f * magnitude).find(|s| span / s <= 6.0).unwrap_or(span);
-        Self {
-            low: (low / step).floor() * step,
-            high: (low + span).max(high).div_euclid(step).mul_add(step, step),
-            step,
-        }
+        let low = (low / step).floor() * step;
+        Self { low, high: (low + step).max((high / step).ceil() * step), step }
     }
 
     fn share(&self, value: f64) -> f64 {
