@@ -23,7 +23,7 @@
 //!
 //! - `#[repr(C)]`, fixed-width integers, `f32` and `f64` only, no padding, little endian on all supported machines. Offsets
 //!   stand in each field's documentation, are asserted at compile time, and are listed by `cargo run -p roomcast-ipc
-//!   --example layout` for other languages. The iceoryx2 type name is the message's [`Message::TYPE_NAME`].
+//!   --example layout` for other languages. The iceoryx2 type name is the message's `TYPE_NAME`.
 //! - Text is UTF-8 in a fixed array, zero padded, without control characters ([`text`]).
 //! - `*_ns` is `CLOCK_MONOTONIC` ([`clock::monotonic_ns`]), for ages; `*_unix_ns` is wall clock, for people only.
 //! - An epoch is random per process start; a sequence starts at 1 and grows by 1 within an epoch.

@@ -115,7 +115,7 @@ impl<M: LanguageModel> Board<M> {
         self.forecasters.retain(|person, _| histories.get(*person).is_some());
     }
 
-    /// Where persons will be from `now_ns` on, for [`HORIZONS_S`]: of several persons, the probability that any of them is in
+    /// Where persons will be from `now_ns` on, for the horizons of `HORIZONS_S`: of several persons, the probability that any of them is in
     /// a room. Without an observation every room is as likely.
     #[must_use]
     pub fn forecast(&self, now_ns: u64) -> ForecastV1 {

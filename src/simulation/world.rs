@@ -142,7 +142,7 @@ impl Cost {
         starts.flat_map(|from| (0..self.rooms).map(move |room| self.between(room, from, from + room_time_s))).collect()
     }
 
-    /// E[D_T] of the naive policy: every room at every step with the same chance.
+    /// The expected D_T of the naive policy: every room at every step with the same chance.
     #[must_use]
     pub fn naive_disturbance(&self) -> f64 {
         (0..self.rooms).map(|room| self.between(room, 0, self.steps)).sum::<f64>() / self.rooms as f64
