@@ -377,8 +377,11 @@ impl Grounding {
         out.item_log_score_nats.clear();
         for bounds in self.term_start.windows(2) {
             let terms = &self.item_terms[bounds[0]..bounds[1]];
-            let log_scores = || terms.iter().map(|term| label_log_prob_nats[term.label] + term.ln_share);
-            out.item_log_score_nats.push(log_sum_exp(log_scores));
+            let log_score_nats = |term: &Term| label_log_prob_nats[term.label] + term.ln_share;
+            out.item_log_score_nats.push(match terms {
+                [term] => log_score_nats(term),
+                terms => log_sum_exp(|| terms.iter().map(log_score_nats)),
+            });
         }
         Ok(())
     }
