@@ -104,12 +104,14 @@ def work(rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Enc
     others = [p for p in model.parameters() if p.dim() != 2]
     groups = [{"params": matrices, "weight_decay": schedule.weight_decay}, {"params": others, "weight_decay": 0.0}]
     optimiser = torch.optim.AdamW(groups, lr=schedule.rate, betas=(0.9, 0.98), fused=True)
+    # Processors without bfloat16 arithmetic imitate it, dozens of times slower than single precision.
+    half = device != "cpu" or torch.cpu.get_capabilities().get("avx512_bf16", False)
     model.train()
     began, running = time.monotonic(), 0.0
     for step, batch in enumerate(batches(encoder, corpus, f"{seed} {rank}" + (" settled" if start else ""), schedule, device), 1):
         for group in optimiser.param_groups:
             group["lr"] = rate_at(step - 1, schedule)
-        with torch.autocast(device, torch.bfloat16):
+        with torch.autocast(device, torch.bfloat16, enabled=half):
             loss = loss_of(model, batch)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
