@@ -123,8 +123,9 @@ class Corpus:
     map_answers: float = 0.75  # share of narrations whose answers are labels of a map, not words of the program
     map_narration: float = 0.35  # share of narrations that speak of a map's items
     shares: dict[str, float] = field(default_factory=lambda: {
-        "program": 0.58, "day": 0.10, "routine": 0.26, "wording": 0.04, "prior": 0.02,
+        "program": 0.46, "day": 0.08, "routine": 0.40, "wording": 0.04, "prior": 0.02,
     })
+    skip_ahead: float = 0.12  # share of answers that are the object after the next: other people do things in another order
 
     def __post_init__(self):
         self.shares = {k: v for k, v in self.shares.items() if k != "routine" or self.routines}
@@ -135,8 +136,8 @@ class Corpus:
 
     def settled(self) -> Corpus:
         """The same sources as the product meets them: mostly undisturbed, in its style, answered in a map's labels."""
-        shares = {"program": 0.68, "day": 0.06, "routine": 0.21, "wording": 0.03, "prior": 0.02}
-        return Corpus(self.programs, self.days, self.routines, self.scenes, 0.4, 0.85, 0.97, 0.25, shares)
+        shares = {"program": 0.60, "day": 0.05, "routine": 0.30, "wording": 0.03, "prior": 0.02}
+        return Corpus(self.programs, self.days, self.routines, self.scenes, 0.4, 0.85, 0.97, 0.25, shares, 0.0)
 
     def draw_program(self, rng: random.Random) -> Program:
         return rng.choices(self.programs, cum_weights=self.weights)[0]
@@ -242,6 +243,9 @@ class Corpus:
                 sentences.append(STATES[steps[k].action].format(steps[k].target))
                 parts.append(STATES[steps[k].action].partition("{0}")[::2])
             target = targets[k]
+            if target and rng.random() < self.skip_ahead:
+                later = (t for t in targets[k + 1 :] if t not in (None, target, steps[k].target))
+                target = next(later, target)
             if target and rng.random() < keep:
                 branches.append(Branch(len(sentences), self.binding(rng), answer(target)))
         return self.distract(Sequence(sentences, branches, parts), rng, 0.03)

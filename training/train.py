@@ -32,7 +32,7 @@ class Schedule:
     rate: float = 2e-3
     warm_up: int = 150
     weight_decay: float = 0.1
-    dropout: float = 0.1
+    dropout: float = 0.15
     average: float = 0.998  # decay of the moving average of the weights that is shipped
 
 
