@@ -53,7 +53,8 @@ pub enum TimelineError {
 pub struct PersonOptions {
     /// Walking speed in metres per second.
     pub speed_m_s: f64,
-    /// Longest time of one action in seconds, walking not counted: a demonstration of sleeping lasts no night.
+    /// Longest time of one action in seconds, walking and stretching not counted: a demonstration shows an act in
+    /// seconds, whatever it takes in life, as VirtualHome's animations do.
     pub action_s_max: f64,
     /// Stretches or shortens the timeline so that an action takes this long on average, walking counted; `None` leaves it.
     pub mean_action_s: Option<f64>,
@@ -63,7 +64,7 @@ impl Default for PersonOptions {
     /// The pace of the paper: it does not give T, but its naive policy shares 205.1 s with the person on average over three
     /// programs of 18, 16 and 42 actions in homes of three rooms, so T is 615 s on average, 24 s per action.
     fn default() -> Self {
-        Self { speed_m_s: 1.0, action_s_max: 60.0, mean_action_s: Some(24.0) }
+        Self { speed_m_s: 1.0, action_s_max: 10.0, mean_action_s: Some(24.0) }
     }
 }
 
@@ -360,7 +361,8 @@ mod tests {
         assert!(timeline.done.windows(2).all(|d| d[0].at_s < d[1].at_s));
         assert_eq!(timeline.done_by(timeline.done[1].at_s), 2);
         assert_eq!(timeline.done_by(timeline.done[1].at_s - 0.01), 1);
-        assert!((timeline.done[1].at_s - timeline.done[0].at_s - 60.0).abs() < 1e-9, "sleep is cut to a minute");
+        let slept_s = timeline.done[1].at_s - timeline.done[0].at_s;
+        assert!((slept_s - natural.action_s_max).abs() < 1e-9, "sleep is cut: {slept_s} s");
         let jumps = timeline.positions_m.windows(2).map(|p| (p[0][0] - p[1][0]).hypot(p[0][1] - p[1][1]));
         assert!(jumps.fold(0.0, f64::max) <= 1.01, "nobody walks faster than a metre per second");
     }

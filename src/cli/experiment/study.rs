@@ -45,8 +45,8 @@ pub(super) struct StudyArgs {
     /// The binding sequence: default, p0 to p5, or a text of your own.
     #[arg(long, value_name = "TEXT", default_value = "default")]
     binding: BindingSequence,
-    /// Which of a label's items an object of a program means.
-    #[arg(long, value_enum, default_value_t)]
+    /// Which of a label's items the person goes to for an object of a program.
+    #[arg(long, value_enum, default_value_t = ItemChoice::Nearest)]
     items: ItemChoice,
     /// When the robot disturbs: same-room, in-sight, or near:METRES.
     #[arg(long, value_name = "KIND", default_value = "same-room")]
@@ -54,7 +54,7 @@ pub(super) struct StudyArgs {
     /// Seconds per action, to which programs are stretched; 0 leaves them as long as actions.toml says.
     #[arg(long, value_name = "SECONDS", default_value_t = 24.0)]
     pace: f64,
-    /// Longest time of one act before stretching, in seconds: a demonstration of sleeping lasts no night.
+    /// Longest time of one act before stretching, in seconds: a demonstration shows an act, it does not wait for its end.
     #[arg(long, value_name = "SECONDS", default_value_t = PersonOptions::default().action_s_max)]
     longest_act: f64,
     /// Mean time from one object to the next that the forecast assumes before it has watched, in seconds.
