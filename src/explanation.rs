@@ -8,7 +8,7 @@
 
 use std::fmt::{self, Display, Formatter};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::grounding::{GroundedScores, Grounding};
 use crate::semantic_map::{PartitionId, SemanticMap};
@@ -31,7 +31,7 @@ pub struct Evidence<'a> {
 }
 
 /// A token of a label.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TokenReason {
     /// Its text.
     pub piece: String,

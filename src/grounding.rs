@@ -461,7 +461,8 @@ fn rooms_as_partitions(map: &SemanticMap) -> Vec<Partition> {
         .collect()
 }
 
-fn partitions(map: &SemanticMap, level: PartitionLevel) -> Vec<Partition> {
+/// The partitions of a map at a level, in their order in a [`Grounding`].
+pub(crate) fn partitions(map: &SemanticMap, level: PartitionLevel) -> Vec<Partition> {
     let rooms = rooms_as_partitions(map);
     match level {
         PartitionLevel::Room => rooms,

@@ -34,6 +34,8 @@ pub mod pipeline;
 
 pub mod explanation;
 
+pub mod moment;
+
 pub mod daemon;
 
 pub mod planner;

@@ -5,7 +5,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::grounding::{GroundedScores, Grounding, GroundingError};
+use crate::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions, Regrouped};
 use crate::narration::Observation;
 use crate::narration::history::{Histories, History, HistoryLimits};
 use crate::prompt::{BindingSequence, write_prompt};
@@ -14,6 +14,7 @@ use crate::scorer::{
     DecodeStats, LabelScores, LanguageModel, Method, ModelInfo, PreparedLabels, ScoreError, Scorer, TextStart,
     Tokenisation,
 };
+use crate::semantic_map::SemanticMap;
 
 /// Most narration sources that scores name; the one heard longest ago makes room for a new one.
 pub const SOURCES_MAX: usize = 64;
@@ -134,11 +135,42 @@ struct Person {
     /// Kept only where partial answers are asked for.
     certified: Option<Certified>,
     stale: bool,
+    /// What the model read for these scores, and where in it each sentence ends: the history may have been cut since.
+    prompt: String,
+    sentence_ends: Vec<usize>,
 }
 
 impl Person {
     fn new(id: u32) -> Self {
-        Self { id, scores: LabelScores::default(), certified: None, stale: true }
+        Self {
+            id,
+            scores: LabelScores::default(),
+            certified: None,
+            stale: true,
+            prompt: String::new(),
+            sentence_ends: Vec::new(),
+        }
+    }
+
+    /// Writes the prompt for what is known of the person.
+    fn write_prompt(&mut self, history: Option<&History>, options: &PipelineOptions) {
+        let trailing_space = options.tokenisation == Tokenisation::Paper;
+        let sentences = || history.into_iter().flat_map(History::sentences);
+        write_prompt(sentences(), &options.binding, trailing_space, &mut self.prompt);
+        self.sentence_ends.clear();
+        if options.binding.uses_narration() {
+            let mut end = 0;
+            for sentence in sentences() {
+                end += sentence.len();
+                self.sentence_ends.push(end);
+                end += 1;
+            }
+        }
+    }
+
+    fn sentences(&self) -> impl Iterator<Item = &str> {
+        let starts = std::iter::once(0).chain(self.sentence_ends.iter().map(|end| end + 1));
+        starts.zip(&self.sentence_ends).map(|(start, &end)| &self.prompt[start..end])
     }
 }
 
@@ -151,6 +183,8 @@ pub struct Pipeline<M> {
     options: PipelineOptions,
     histories: Histories,
     persons: Vec<Person>,
+    /// Stands in before anybody was observed.
+    nobody: Person,
     prompt: String,
     tokens: Vec<crate::scorer::Token>,
     /// The person whose prompt the model has read last.
@@ -165,15 +199,8 @@ impl<M: LanguageModel> Pipeline<M> {
     /// When a label has no tokens, or the model's context leaves no room for narration.
     pub fn new(model: M, grounding: Grounding, mut options: PipelineOptions) -> Result<Self, PipelineError> {
         let scorer = Scorer::new(model);
-        let prepared = scorer.prepare(&grounding.label_texts(), &options.binding, options.tokenisation)?;
-        let mut binding = Vec::new();
-        scorer.model().tokenise(options.binding.text(), TextStart::Sequence, &mut binding).map_err(ScoreError::from)?;
-        let context = scorer.info().context_tokens;
-        let needed = binding.len() + prepared.trie().inner().len() + prepared.longest_label() + 1;
-        if needed >= context {
-            return Err(PipelineError::ContextTooSmall { context, needed });
-        }
-        options.history.tokens = options.history.tokens.min(context - needed);
+        let (prepared, tokens) = prepare(&scorer, &grounding, &options)?;
+        options.history.tokens = options.history.tokens.min(tokens);
         let histories = Histories::new(options.history);
         Ok(Self {
             scorer,
@@ -182,6 +209,7 @@ impl<M: LanguageModel> Pipeline<M> {
             options,
             histories,
             persons: Vec::new(),
+            nobody: Person::new(0),
             prompt: String::new(),
             tokens: Vec::new(),
             read: None,
@@ -207,6 +235,42 @@ impl<M: LanguageModel> Pipeline<M> {
     /// How this pipeline scores.
     pub fn options(&self) -> &PipelineOptions {
         &self.options
+    }
+
+    /// Takes a changed map. As long as it brings no label that the model was not prepared for, the model is not touched: the next
+    /// [`Pipeline::score`] sums the known label scores anew. Gives how many labels are new.
+    ///
+    /// Partial answers ([`PipelineOptions::effort`]) know their labels only as far as the old map asked; they are scored again.
+    ///
+    /// # Errors
+    /// When the map cannot be grounded, or its labels leave no room for narration; the old map stays in use then.
+    pub fn change_map(&mut self, map: &SemanticMap, options: &GroundingOptions) -> Result<usize, PipelineError> {
+        let Regrouped { grounding, new_labels } = self.grounding.regroup(map, options)?;
+        if new_labels == 0 {
+            self.grounding = grounding;
+        } else {
+            // The list is prepared anew, so labels that nothing bears any more can leave it.
+            let grounding = Grounding::new(map, options)?;
+            let (prepared, tokens) = prepare(&self.scorer, &grounding, &self.options)?;
+            self.options.history.tokens = self.options.history.tokens.min(tokens);
+            self.histories.limit_tokens(self.options.history.tokens);
+            self.prepared = prepared;
+            self.grounding = grounding;
+            // Scores of the old list, in the old order.
+            self.scores.label_log_prob_nats.clear();
+        }
+        let exact = self.options.method != Method::Trie || self.options.effort == Effort::Exact;
+        for person in self.persons.iter_mut().chain([&mut self.nobody]) {
+            // It holds the old map's weights.
+            person.certified = None;
+            person.stale |= new_labels > 0 || !exact;
+        }
+        Ok(new_labels)
+    }
+
+    /// The sentences that the model read for the newest scores, with their person, oldest first.
+    pub fn read_sentences(&self) -> impl Iterator<Item = (u32, &str)> {
+        self.persons.iter().flat_map(|person| person.sentences().map(|sentence| (person.id, sentence)))
     }
 
     /// The histories of all persons.
@@ -295,20 +359,13 @@ impl<M: LanguageModel> Pipeline<M> {
         let mut timing = Timing::default();
         self.scores.stats = DecodeStats::default();
         self.scores.prompt_tokens = 0;
-        let mut nobody = Person::new(0);
         let persons = match self.persons.as_mut_slice() {
-            [] => std::slice::from_mut(&mut nobody),
+            [] => std::slice::from_mut(&mut self.nobody),
             persons => persons,
         };
         for person in persons.iter_mut().filter(|p| p.stale) {
             let writing = Instant::now();
-            let history = self.histories.get(person.id);
-            write_prompt(
-                history.into_iter().flat_map(History::sentences),
-                &self.options.binding,
-                self.options.tokenisation == Tokenisation::Paper,
-                &mut self.prompt,
-            );
+            person.write_prompt(self.histories.get(person.id), &self.options);
             timing.tokenise_ns += nanoseconds(writing);
             if self.options.method == Method::Trie && self.options.effort != Effort::Exact {
                 let state = (person.certified)
@@ -317,13 +374,13 @@ impl<M: LanguageModel> Pipeline<M> {
                 self.scorer.score_certified(
                     &self.prepared,
                     state,
-                    &self.prompt,
+                    &person.prompt,
                     self.options.effort,
                     Some(deadline),
                     &mut person.scores,
                 )?;
             } else {
-                self.scorer.score(&self.prepared, &self.prompt, self.options.method, &mut person.scores)?;
+                self.scorer.score(&self.prepared, &person.prompt, self.options.method, &mut person.scores)?;
             }
             person.stale = false;
             self.read = Some(person.id);
@@ -373,6 +430,23 @@ impl<M: LanguageModel> Pipeline<M> {
             tracing::debug!(%error, "failed to read the compacted history ahead");
         }
     }
+}
+
+/// The map's labels ready to be scored, and how many tokens they and the binding sequence leave for narration.
+fn prepare<M: LanguageModel>(
+    scorer: &Scorer<M>,
+    grounding: &Grounding,
+    options: &PipelineOptions,
+) -> Result<(PreparedLabels, usize), PipelineError> {
+    let prepared = scorer.prepare(&grounding.label_texts(), &options.binding, options.tokenisation)?;
+    let mut binding = Vec::new();
+    scorer.model().tokenise(options.binding.text(), TextStart::Sequence, &mut binding).map_err(ScoreError::from)?;
+    let context = scorer.info().context_tokens;
+    let needed = binding.len() + prepared.trie().inner().len() + prepared.longest_label() + 1;
+    if needed >= context {
+        return Err(PipelineError::ContextTooSmall { context, needed });
+    }
+    Ok((prepared, context - needed))
 }
 
 /// `ln` of the mean over persons of `s_c`, per label. Grounding is linear, so this is the mean of their partition scores too.

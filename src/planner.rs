@@ -93,7 +93,8 @@ impl Planner {
         }
     }
 
-    /// Takes a checked snapshot, unless it is older than the one known. Another map begins everything anew.
+    /// Takes a checked snapshot, unless it is older than the one known. When the daemon's map was changed, rooms that are still
+    /// there keep what was done in them; another daemon's other map begins everything anew.
     pub fn take(&mut self, scores: &RoomScoresV1) {
         if let Some(known) = &self.scores {
             if known.epoch == scores.epoch
@@ -110,7 +111,18 @@ impl Planner {
             known.map_fingerprint == scores.map_fingerprint
                 && known.rooms().iter().map(|room| room.id).eq(scores.rooms().iter().map(|room| room.id))
         });
-        if !same_map {
+        let changed = self.scores.as_ref().filter(|known| !same_map && known.epoch == scores.epoch);
+        if let Some(known) = changed {
+            let before = |id| known.rooms().iter().position(|room| room.id == id);
+            let covered = scores.rooms().iter().map(|room| before(room.id).is_some_and(|index| self.covered[index]));
+            let room = self.room.and_then(|index| known.rooms().get(index)).map(|room| room.id);
+            let covered: Vec<bool> = covered.collect();
+            self.room = room.and_then(|id| scores.rooms().iter().position(|room| room.id == id));
+            self.covered = covered;
+            if self.room.is_none() {
+                self.free_ns = 0;
+            }
+        } else if !same_map {
             self.covered = vec![false; scores.rooms().len()];
             self.room = None;
             self.free_ns = 0;
@@ -411,6 +423,28 @@ mod tests {
         let decision = planner.decide(S, 0).unwrap().unwrap();
         assert_eq!(decision.to(), "room-1");
         assert!(decision.reason().contains("slots planned"), "{}", decision.reason());
+    }
+
+    #[test]
+    fn a_changed_map_keeps_what_was_done_in_rooms_that_stay() {
+        let mut planner = planner(PolicyName::UncoveredFirst, true);
+        planner.take(&scores(1, S, &[0.5, 0.5]));
+        let first = planner.decide(S, 0).unwrap().unwrap();
+        planner.decide(11 * S, 0).unwrap().unwrap();
+        // A room is added in front; the two known ones move by a place.
+        let mut changed = scores(2, 12 * S, &[0.2, 0.4, 0.4]);
+        changed.map_fingerprint = [1; 32];
+        for (room, id) in changed.room.iter_mut().zip(["garage", "room-0", "room-1"]) {
+            room.id = text::encode("id", id).unwrap();
+        }
+        planner.take(&changed);
+        assert!(planner.decide(12 * S, 0).unwrap().is_none(), "it goes on with its work");
+        let next = planner.decide(21 * S, 0).unwrap().unwrap();
+        assert_eq!(next.to(), "garage", "the first room {} stays covered", first.to());
+        // Another daemon with another map.
+        let other = RoomScoresV1 { epoch: 6, map_fingerprint: [2; 32], ..scores(1, 22 * S, &[0.5, 0.5]) };
+        planner.take(&other);
+        assert_eq!(planner.decide(22 * S, 0).unwrap().unwrap().covered, 0);
     }
 
     #[test]

@@ -2,7 +2,8 @@
 //!
 //! Every message is a JSON object under a JSON schema, so that Foxglove and other tools of robotics read it; its field `bytes` holds the
 //! message as it lay in shared memory, in hexadecimal, so that what is replayed is what was recorded, bit for bit. Numbers that
-//! JavaScript cannot hold (epochs, sources) are hexadecimal texts.
+//! JavaScript cannot hold (epochs, sources) are hexadecimal texts. Attachments hold what the daemon told of itself: the map in use,
+//! and the narration that came before the recording ([`crate::moment`]).
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -10,14 +11,20 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use mcap::records::MessageHeader;
-use mcap::{McapError, MessageStream, WriteOptions, Writer};
+use mcap::{Attachment, McapError, MessageStream, Summary, WriteOptions, Writer};
 use roomcast_ipc::{ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, RoomScoresV1};
 use serde_json::{Value, json};
 
+use crate::daemon::{Intake, IntakeLimits, Taken};
 use crate::hub::hex;
+use crate::moment::Moment;
+use crate::narration::Sentence;
 
 /// Largest recording that is read back: it is held in memory.
 pub const FILE_BYTES_MAX: u64 = 4 << 30;
+
+/// Attachments that hold a moment have names that begin so.
+const MOMENT_FILES: &str = "moment-";
 
 /// Why a recording cannot be written or read.
 #[derive(Debug, thiserror::Error)]
@@ -278,6 +285,23 @@ impl Recorder {
         Ok(())
     }
 
+    /// Keeps what the daemon told of a moment (its JSON), as an attachment.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Mcap`].
+    pub fn attach(&mut self, moment: &Moment, received_unix_ns: u64) -> Result<(), RecordingError> {
+        let data = serde_json::to_vec(moment).unwrap_or_default();
+        let attached = self.writer.attach(&Attachment {
+            log_time: received_unix_ns,
+            create_time: received_unix_ns,
+            name: format!("{MOMENT_FILES}{}-{}.json", moment.epoch, moment.sequence),
+            media_type: "application/json".to_owned(),
+            data: data.into(),
+        });
+        attached.map_err(|error| self.mcap(error))
+    }
+
     /// Messages written.
     #[must_use]
     pub fn written(&self) -> u64 {
@@ -305,12 +329,87 @@ impl Recorder {
     }
 }
 
-/// Reads a recording: every message with the time of its receipt in Unix nanoseconds, in the order of the file.
+/// A recording: every message with the time of its receipt in Unix nanoseconds, in the order of the file; and the moments in it.
+#[derive(Debug, Default)]
+pub struct Recording {
+    /// The messages.
+    pub messages: Vec<(u64, Recorded)>,
+    /// What the daemon told of itself when the recording began, and whenever it or its map was another one: the map in use,
+    /// and the narration that came before the recording.
+    pub moments: Vec<Moment>,
+}
+
+/// A moment of a recording, as far as the recording itself knows it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordedMoment {
+    /// The scores.
+    pub scores: RoomScoresV1,
+    /// Seconds from the recording's beginning.
+    pub at_s: f64,
+    /// The daemon's own telling that these scores follow: the map in use, the binding sequence, how scores are grounded.
+    pub base: Option<usize>,
+    /// The narration that the scores contain, with its person, oldest first; of one person exactly the window.
+    pub narration: Vec<(u32, Sentence)>,
+}
+
+impl Recording {
+    /// The scores with a sequence number (the last of them, if several daemons ran), or the last before `at_s` seconds from the
+    /// beginning, or the last of all; with the narration that they contain. None when there are no such scores.
+    #[must_use]
+    pub fn moment(&self, sequence: Option<u64>, at_s: Option<f64>) -> Option<RecordedMoment> {
+        let start_ns = self.messages.first().map_or(0, |(time, _)| *time);
+        let seconds = |time: u64| time.saturating_sub(start_ns) as f64 / 1e9;
+        let (time, scores) = self.messages.iter().rev().find_map(|(time, message)| match message {
+            Recorded::RoomScores(scores)
+                if sequence.is_none_or(|sequence| scores.sequence == sequence)
+                    && at_s.is_none_or(|at_s| seconds(*time) <= at_s) =>
+            {
+                Some((*time, **scores))
+            }
+            _ => None,
+        })?;
+        let (epoch, map) = (format!("{:016x}", scores.epoch), hex(&scores.map_fingerprint));
+        let of_daemon = |moment: &&Moment| moment.epoch == epoch && moment.sequence <= scores.sequence;
+        let base = self.moments.iter().rposition(|moment| moment.map_fingerprint == map && moment.epoch == epoch);
+        // Narration that the newest telling before these scores contains need not be looked for in the recording.
+        let known = self.moments.iter().filter(of_daemon).max_by_key(|moment| moment.sequence);
+        let mut narration: Vec<(u32, Sentence)> = known.map_or_else(Vec::new, |moment| {
+            let sentences = moment.narration.iter();
+            sentences.filter_map(|read| Some((read.person, Sentence::new(&read.text).ok()?))).collect()
+        });
+        let already = |message: &NarrationV1| {
+            let (source, epoch) = (format!("{:016x}", message.source), format!("{:016x}", message.epoch));
+            let included = known.into_iter().flat_map(|moment| &moment.included);
+            included.filter(|i| i.source == source && i.epoch == epoch).any(|i| i.sequence >= message.sequence)
+        };
+        let contained = |message: &NarrationV1| {
+            let mut included = scores.included().iter();
+            included.any(|i| (i.source, i.epoch) == (message.source, message.epoch) && message.sequence <= i.sequence)
+        };
+        let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
+        for (_, message) in &self.messages {
+            if let Recorded::Narration(message) = message
+                && contained(message)
+                && !already(message)
+                && let Taken::Accepted { observation, .. } = intake.take(message, 0)
+            {
+                narration.push((observation.person, observation.sentence));
+            }
+        }
+        if scores.persons <= 1 {
+            let window = usize::try_from(scores.window).unwrap_or(usize::MAX);
+            narration.drain(..narration.len().saturating_sub(window));
+        }
+        Some(RecordedMoment { scores, at_s: seconds(time), base, narration })
+    }
+}
+
+/// Reads a recording.
 ///
 /// # Errors
 ///
 /// [`RecordingError`], for the first message that is none.
-pub fn read(path: &Path) -> Result<Vec<(u64, Recorded)>, RecordingError> {
+pub fn read(path: &Path) -> Result<Recording, RecordingError> {
     let io = |source| RecordingError::Io { path: path.to_owned(), source };
     if std::fs::metadata(path).map_err(io)?.len() > FILE_BYTES_MAX {
         return Err(RecordingError::TooLarge { path: path.to_owned() });
@@ -326,7 +425,21 @@ pub fn read(path: &Path) -> Result<Vec<(u64, Recorded)>, RecordingError> {
             decoded.map_err(|reason| RecordingError::Message { path: path.to_owned(), index, topic, reason })?;
         messages.push((message.log_time, decoded));
     }
-    Ok(messages)
+    let mut moments = Vec::new();
+    if let Some(summary) = Summary::read(&bytes).map_err(mcap)? {
+        for index in summary.attachment_indexes.iter().filter(|index| index.name.starts_with(MOMENT_FILES)) {
+            let attachment = mcap::read::attachment(&bytes, index).map_err(mcap)?;
+            let moment = Moment::from_json(&String::from_utf8_lossy(&attachment.data));
+            let moment = moment.map_err(|error| RecordingError::Message {
+                path: path.to_owned(),
+                index: 0,
+                topic: index.name.clone(),
+                reason: error.to_string(),
+            })?;
+            moments.push(moment);
+        }
+    }
+    Ok(Recording { messages, moments })
 }
 
 /// The field `bytes` of a recorded message.
@@ -380,7 +493,7 @@ mod tests {
     #[test]
     fn what_was_recorded_comes_back_bit_for_bit() {
         let (_folder, path) = recorded(&messages());
-        let back = read(&path).unwrap();
+        let back = read(&path).unwrap().messages;
         assert_eq!(back, messages());
         for ((_, a), (_, b)) in back.iter().zip(messages()) {
             assert_eq!(a.to_bytes(), b.to_bytes());

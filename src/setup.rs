@@ -89,9 +89,17 @@ pub fn load_map(path: Option<&Path>) -> Result<SemanticMap, SetupError> {
 /// # Errors
 /// The first part that cannot be set up.
 pub fn open(config: &Config) -> Result<(Pipeline<LlamaModel>, SemanticMap), SetupError> {
-    config.check()?;
     let map = load_map(config.scene.path.as_deref())?;
-    let grounding = Grounding::new(&map, &config.grounding)?;
+    Ok((open_with(config, &map)?, map))
+}
+
+/// Sets up everything that the configuration names, with another map than the one it names.
+///
+/// # Errors
+/// The first part that cannot be set up.
+pub fn open_with(config: &Config, map: &SemanticMap) -> Result<Pipeline<LlamaModel>, SetupError> {
+    config.check()?;
+    let grounding = Grounding::new(map, &config.grounding)?;
     let model = load_model(config.model.path.as_deref(), &config.model.llama_options())?;
     if let Some(pinned) = &config.model.sha256 {
         let found = hex_string(&model.info().fingerprint);
@@ -100,8 +108,7 @@ pub fn open(config: &Config) -> Result<(Pipeline<LlamaModel>, SemanticMap), Setu
             return Err(SetupError::Pin { path, found, pinned: pinned.clone() });
         }
     }
-    let pipeline = Pipeline::new(model, grounding, pipeline_options(config)?)?;
-    Ok((pipeline, map))
+    Ok(Pipeline::new(model, grounding, pipeline_options(config)?)?)
 }
 
 /// The pipeline's options, from the configuration.

@@ -340,3 +340,119 @@ fn lines_that_are_no_narration_are_named_and_the_others_go_through() {
     assert_eq!(code, i32::from(exit_code::INPUT));
     assert_eq!(outcome, serde_json::json!({"sent": 2, "confirmed": 2, "refused": 2}));
 }
+
+const MOVED: &str = r#"[{"change": "move-item", "id": "fridge-1", "position_m": [0.5, 0.5, 0.5],
+    "box": {"min_m": [0.2, 0.2, 0.0], "max_m": [0.8, 0.8, 1.6]}}]"#;
+
+/// Applies changes to the running daemon's map by the command; gives its exit code and answer.
+fn apply(world: &World, changes: &str, more: &[&str]) -> (i32, serde_json::Value, String) {
+    let file = world.directory.path().join("changes.json");
+    std::fs::write(&file, changes).unwrap();
+    let mut command = world.command(&["scene", "apply", file.to_str().unwrap(), "--json"]);
+    let output = command.args(more).output().unwrap();
+    let answer = serde_json::from_slice(&output.stdout).unwrap_or_default();
+    (output.status.code().unwrap(), answer, String::from_utf8(output.stderr).unwrap())
+}
+
+/// Room probabilities by id.
+fn probabilities(scores: &RoomScoresV1) -> std::collections::BTreeMap<String, f64> {
+    scores.rooms().iter().map(|room| (room.id().to_owned(), room.probability)).collect()
+}
+
+#[test]
+fn the_map_of_a_running_daemon_changes_without_a_restart_and_without_the_model() {
+    let mut world = World::new("changes");
+    let daemon = world.start_daemon();
+    assert_eq!(world.narrate("camera", "They walk to the kitchen.\nThey open the fridge.\n").0, 0);
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let before = scores_with(&scores, "scores", |scores| includes(scores, "camera", 2));
+
+    // The fridge goes from the kitchen to the main room: regrouped, and the model has nothing to do.
+    let (code, answer, error) = apply(&world, MOVED, &[]);
+    assert_eq!((code, answer["new_labels"].as_u64()), (0, Some(0)), "{answer} {error}");
+    let after =
+        scores_with(&scores, "scores of the new map", |scores| scores.map_fingerprint != before.map_fingerprint);
+    assert_eq!(after.epoch, before.epoch, "the same daemon");
+    assert_eq!((after.tokenise_ns, after.prefix_ns, after.trie_ns), (0, 0, 0), "nothing was decoded");
+    assert!(after.sequence > answer["sequence"].as_u64().unwrap() && includes(&after, "camera", 2));
+    let (old, new) = (probabilities(&before), probabilities(&after));
+    assert!(new["main-room"] > old["main-room"] + 0.01 && new["kitchen"] < old["kitchen"], "{old:?} {new:?}");
+
+    // The scene file changed in the same way gives the same map and the same scores.
+    let file = world.directory.path().join("changed.json");
+    let changes = world.directory.path().join("changes.json");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
+    let changed = command.args(["scene", "change", "studio"]).arg(&changes).arg("--out").arg(&file).output().unwrap();
+    assert!(changed.status.success(), "{changed:?}");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
+    command.args(["score", "--json", "--narration", "They walk to the kitchen. They open the fridge.", "--scene"]);
+    let once: serde_json::Value = serde_json::from_slice(&command.arg(&file).output().unwrap().stdout).unwrap();
+    for room in once["partitions"].as_array().unwrap() {
+        let probability = room["probability"].as_f64().unwrap();
+        assert!((probability - new[room["id"].as_str().unwrap()]).abs() < 5e-3, "{once} {new:?}");
+    }
+
+    // A new room with a new kind of thing: the model is prepared for the words, in the running daemon.
+    let room = r#"[{"change": "add-room", "room": {"id": "garage", "label": "garage",
+        "box": {"min_m": [7, 0, 0], "max_m": [10, 3, 2.5]}}, "doors": [{"id": "k-g", "rooms": ["kitchen", "garage"], "position_m": [6.9, 1, 1]}]},
+        {"change": "add-item", "item": {"id": "unicycle-1", "label": "unicycle", "position_m": [8, 1, 0.5],
+        "box": {"min_m": [7.8, 0.8, 0], "max_m": [8.2, 1.2, 1]}}}]"#;
+    let (code, answer, error) = apply(&world, room, &["--expect", answer["map"].as_str().unwrap()]);
+    assert_eq!(
+        (code, answer["new_labels"].as_u64(), answer["rooms"].as_u64()),
+        (0, Some(2), Some(4)),
+        "{answer} {error}"
+    );
+    let with_garage = scores_with(&scores, "scores with a garage", |scores| scores.room_count == 4);
+    let garage = with_garage.rooms().iter().find(|room| room.id() == "garage").unwrap();
+    assert!(garage.probability > 0.0 && garage.log_score_nats.is_finite());
+    assert!(includes(&with_garage, "camera", 2) && with_garage.window == before.window);
+
+    // What cannot be is refused, and changes nothing.
+    let (code, refused, error) = apply(&world, r#"[{"change": "remove-item", "id": "piano-1"}]"#, &[]);
+    assert_eq!((code, &refused["map"]), (i32::from(exit_code::INPUT), &answer["map"]), "{error}");
+    assert!(error.contains("there is no item \"piano-1\""), "{error}");
+    let (code, refused, error) = apply(&world, MOVED, &["--expect", &"0".repeat(64)]);
+    assert_eq!((code, &refused["outcome"]), (i32::from(exit_code::INPUT), &serde_json::json!("other-map")), "{error}");
+
+    // A daemon that is killed begins with the changed map again.
+    world.signal(daemon, Signal::KILL);
+    world.wait(daemon);
+    world.start_daemon();
+    let restarted = scores_with(&scores, "the new daemon's scores", |scores| scores.epoch != before.epoch);
+    assert_eq!(restarted.map_fingerprint, with_garage.map_fingerprint);
+}
+
+#[test]
+fn a_running_systems_scores_are_explained_down_to_the_tokens() {
+    let mut world = World::new("explain");
+    world.start_daemon();
+    let lines = "They walk to the kitchen.\nThey open the fridge.\nThey grab the milk.\n";
+    assert_eq!(world.narrate("camera", lines).0, 0);
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let scores = scores_with(&scores, "scores", |scores| includes(scores, "camera", 3));
+    let plan = world.directory.path().join("plan.svg");
+    let mut command =
+        world.command(&["explain", "--live", "--json", "--top", "1000", "--plan", plan.to_str().unwrap()]);
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let explained: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let read: Vec<_> = lines.lines().map(serde_json::Value::from).collect();
+    assert_eq!(explained["narration"].as_array(), Some(&read));
+    let mut labels = 0;
+    for (id, probability) in probabilities(&scores) {
+        let partitions = explained["partitions"].as_array().unwrap();
+        let partition = partitions.iter().find(|partition| partition["id"] == id.as_str()).unwrap();
+        assert!((partition["probability"].as_f64().unwrap() - probability).abs() < 1e-9, "{id}");
+        for label in partition["labels"].as_array().unwrap() {
+            let sum: f64 =
+                label["tokens"].as_array().unwrap().iter().map(|token| token["log_prob_nats"].as_f64().unwrap()).sum();
+            assert!((sum - label["log_prob_nats"].as_f64().unwrap()).abs() < 1e-9, "{label}");
+            labels += 1;
+        }
+    }
+    assert!(labels > 30, "{labels} labels stand behind the studio's rooms");
+    assert!(std::fs::read_to_string(plan).unwrap().contains("They grab the milk."));
+}

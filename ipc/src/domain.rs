@@ -14,6 +14,7 @@ use rustix::process::geteuid;
 use crate::IpcError;
 use crate::message::Message;
 use crate::port::{ItemScoresPublisher, ItemScoresSubscriber, Publisher, StatusClient, StatusServer, Subscriber};
+use crate::question::{AnswerPort, QuestionPort};
 
 /// The flavour of iceoryx2 used throughout: shared memory, and ports that may move between threads.
 pub(crate) type Flavour = ipc_threadsafe::Service;
@@ -257,6 +258,24 @@ impl Node {
     /// As [`Node::publisher`].
     pub fn status_client(&self) -> Result<StatusClient, IpcError> {
         self.retry(|| StatusClient::open(self))
+    }
+
+    /// The place that answers questions of a service of [`crate::question`].
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn answer_port(&self, service: &'static str) -> Result<AnswerPort, IpcError> {
+        self.retry(|| AnswerPort::open(self, service))
+    }
+
+    /// Asks questions of a service of [`crate::question`].
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn question_port(&self, service: &'static str) -> Result<QuestionPort, IpcError> {
+        self.retry(|| QuestionPort::open(self, service))
     }
 
     /// Removes what participants that died left behind; iceoryx2 does it when something is opened, a long-running process also

@@ -14,6 +14,8 @@
 //! | `roomcast/v1/forecast` | [`ForecastV1`] | 1 | 16 | 2 | 1 |
 //! | `roomcast/v1/decision` | [`DecisionV1`] | 8 | 16 | 16 | 1 |
 //! | `roomcast/v1/status` | [`StatusRequestV1`] to [`StatusResponseV1`] | 1 server | 8 clients | 2 | - |
+//! | `roomcast/v1/map-change` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
+//! | `roomcast/v1/moment` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //!
 //! All publish-subscribe services overflow safely: a publisher never waits for a slow subscriber, and what was overwritten
 //! shows as a gap in the sequence numbers ([`sequence`]). Each has an event service of the same name, so that a
@@ -56,6 +58,7 @@ mod domain;
 mod error;
 mod message;
 mod port;
+pub mod question;
 pub mod sequence;
 pub mod text;
 
@@ -70,6 +73,7 @@ pub use message::{
 pub use port::{
     ItemScores, ItemScoresPublisher, ItemScoresSubscriber, Publisher, StatusClient, StatusServer, Subscriber,
 };
+pub use question::{AnswerPort, QuestionPort};
 
 /// The exact version of iceoryx2 that every participant of a domain must run, patch included.
 pub const ICEORYX2_VERSION: &str = "0.10.0";

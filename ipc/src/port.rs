@@ -31,7 +31,7 @@ const CREATED: usize = 2;
 const DROPPED: usize = 3;
 const DEAD: usize = 4;
 /// Participants that may have one service open at once.
-const MAX_NODES: usize = 32;
+pub(crate) const MAX_NODES: usize = 32;
 
 const ITEM_SCORES: &str = "roomcast/v1/item-scores";
 const STATUS: &str = "roomcast/v1/status";
@@ -425,18 +425,28 @@ fn open_status(node: &Node) -> Result<StatusFactory, OpenFailure> {
         .enable_safe_overflow_for_requests(true)
         .enable_safe_overflow_for_responses(true)
         .open_or_create();
-    opened.map_err(|error| match &error {
-        RequestResponseOpenOrCreateError::RequestResponseOpenError(cause) => match cause {
-            RequestResponseOpenError::IncompatibleRequestOrResponseType => OpenFailure::Final(IpcError::TypeMismatch {
-                service: STATUS,
-                theirs: "other types".to_owned(),
-                ours: described(StatusResponseV1::TYPE_NAME, size_of::<StatusResponseV1>()),
-            }),
-            RequestResponseOpenError::VersionMismatch => OpenFailure::Final(version_mismatch(node, STATUS)),
-            _ => passing(STATUS, &error),
-        },
-        _ => passing(STATUS, &error),
-    })
+    let ours = described(StatusResponseV1::TYPE_NAME, size_of::<StatusResponseV1>());
+    opened.map_err(|error| request_response_failure(node, STATUS, &ours, &error))
+}
+
+pub(crate) fn request_response_failure(
+    node: &Node,
+    service: &'static str,
+    ours: &str,
+    error: &RequestResponseOpenOrCreateError,
+) -> OpenFailure {
+    let RequestResponseOpenOrCreateError::RequestResponseOpenError(cause) = error else {
+        return passing(service, error);
+    };
+    match cause {
+        RequestResponseOpenError::IncompatibleRequestOrResponseType => OpenFailure::Final(IpcError::TypeMismatch {
+            service,
+            theirs: "other types".to_owned(),
+            ours: ours.to_owned(),
+        }),
+        RequestResponseOpenError::VersionMismatch => OpenFailure::Final(version_mismatch(node, service)),
+        _ => passing(service, error),
+    }
 }
 
 fn open_event(
@@ -520,7 +530,7 @@ fn their_type(node: &Node, service: &'static str) -> String {
     }
 }
 
-fn version_mismatch(node: &Node, service: &'static str) -> IpcError {
+pub(crate) fn version_mismatch(node: &Node, service: &'static str) -> IpcError {
     let theirs = ServiceName::new(service)
         .ok()
         .and_then(|name| Flavour::details(&name, node.config(), MessagingPattern::PublishSubscribe).ok().flatten())
@@ -528,12 +538,12 @@ fn version_mismatch(node: &Node, service: &'static str) -> IpcError {
     IpcError::VersionMismatch { service, theirs, ours: ICEORYX2_VERSION }
 }
 
-fn described(type_name: &str, size: usize) -> String {
+pub(crate) fn described(type_name: &str, size: usize) -> String {
     format!("{type_name} of {size} bytes")
 }
 
 /// The place may come free: its holder may be stopping, or dead and not yet cleaned up.
-fn occupied<F: PortFactory<Service = Flavour>>(
+pub(crate) fn occupied<F: PortFactory<Service = Flavour>>(
     factory: &F,
     holders: &[UniqueNodeId],
     service: &'static str,
@@ -573,14 +583,14 @@ fn subscribers<P: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(factory
     nodes
 }
 
-fn service_name(name: &'static str) -> Result<ServiceName, OpenFailure> {
+pub(crate) fn service_name(name: &'static str) -> Result<ServiceName, OpenFailure> {
     ServiceName::new(name).map_err(|error| passing(name, &error))
 }
 
-fn passing(service: &'static str, error: &impl Debug) -> OpenFailure {
+pub(crate) fn passing(service: &'static str, error: &impl Debug) -> OpenFailure {
     OpenFailure::Passing(IpcError::Open { service, cause: format!("{error:?}"), tried_ms: 0 })
 }
 
-fn port(service: &'static str, operation: &'static str, error: &impl Debug) -> IpcError {
+pub(crate) fn port(service: &'static str, operation: &'static str, error: &impl Debug) -> IpcError {
     IpcError::Port { service, operation, cause: format!("{error:?}") }
 }

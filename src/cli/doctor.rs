@@ -118,7 +118,9 @@ fn llama_build() -> Finding {
             vector_units().into_iter().filter(|unit| unit.1 && unit.2 == fault && !built.iter().any(|b| b == unit.0));
         units.map(|unit| unit.0).collect::<Vec<_>>()
     };
-    let found = format!("built with {}", built.join(" "));
+    // A portable build has kernels for many processors; what it reports are those that it chose for this one.
+    let how = if cfg!(feature = "portable") { "portable, chosen here:" } else { "built with" };
+    let found = format!("{how} {}", built.join(" "));
     let remedy = "build on this machine with -C target-cpu=native, as .cargo/config.toml in the source does; docs/packaging.md has portable ways";
     let (faults, limits) = (missing(true), missing(false));
     if !faults.is_empty() {

@@ -1,51 +1,163 @@
-//! `roomcast explain`: the chain behind the scores of one moment, as text, JSON and plan.
+//! `roomcast explain`: the chain behind the scores of one moment, as text, JSON and plan: of a given narration, of a running
+//! system, or of a recording.
 
-use std::path::PathBuf;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-use super::{CommandResult, Failure, scene, score};
-use crate::exit_code;
-use crate::explanation::{self, Evidence, TokenReason};
+use roomcast_ipc::question;
+
+use super::{CommandResult, Failure, scene, score, service};
+use crate::grounding::Grounding;
+use crate::hub::hex;
+use crate::moment::{Explained, Moment};
+use crate::narration::Observation;
+use crate::narration::history::HistoryLimits;
+use crate::pipeline::{Pipeline, PipelineOptions};
+use crate::recording::{self, RecordedMoment};
+use crate::scorer::LanguageModel;
+use crate::semantic_map::SemanticMap;
 use crate::semantic_map::drawing::{self, Heat};
+use crate::{exit_code, setup};
 
 /// Arguments of `roomcast explain`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
+    service: service::Args,
+    #[command(flatten)]
     score: score::Args,
+    /// Explain the newest scores of the running system, as its daemon tells them.
+    #[arg(long, conflicts_with_all = ["narration", "program", "recording"])]
+    live: bool,
+    /// Explain scores of a recording of `roomcast record`: they are computed once more and compared.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["narration", "program"])]
+    recording: Option<PathBuf>,
+    /// The moment, in seconds from the recording's beginning: the last scores before it. Without it, the last scores of all.
+    #[arg(long, value_name = "SECONDS", requires = "recording", conflicts_with = "sequence")]
+    at: Option<f64>,
+    /// The scores' sequence number.
+    #[arg(long, value_name = "N", requires = "recording")]
+    sequence: Option<u64>,
     /// Also draw the plan with the heat of every room and item; the ending, `.svg` or `.png`, decides the format.
     #[arg(long, value_name = "FILE")]
     plan: Option<PathBuf>,
 }
 
-/// Scores once and explains the result.
+/// How long the daemon may take to answer.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Explains the moment.
 ///
 /// # Errors
-/// When scene, program, text or model cannot be used, or the plan cannot be written.
+/// When the moment cannot be had (no daemon, no such scores, another model or scene), or the plan cannot be written.
 pub fn run(args: &Args) -> CommandResult {
-    let (pipeline, map) = score::scored(&args.score)?;
-    let (scores, grounding) = (pipeline.scores(), pipeline.grounding());
-    let narration: Vec<String> = pipeline
-        .histories()
-        .get(0)
-        .map_or_else(Vec::new, |history| history.sentences().map(|sentence| sentence.to_owned()).collect());
-    let evidence = Evidence {
-        map: &map,
-        grounding,
-        label_log_prob_nats: &scores.label_log_prob_nats,
-        scores: &scores.grounded,
-        narration: &narration,
-        binding: pipeline.options().binding.text(),
+    let (moment, note) = if args.live {
+        let (_, domain) = args.service.load()?;
+        let ipc = |error| Failure::new(exit_code::IPC, error);
+        let port =
+            domain.open("roomcast-explain").and_then(|node| node.question_port(question::MOMENT)).map_err(ipc)?;
+        let answer = port.ask("{}", PATIENCE).map_err(ipc)?;
+        let moment = Moment::from_json(&answer).map_err(|error| Failure::new(exit_code::IPC, error))?;
+        let note = format!("Scores {} of the daemon {}.", moment.sequence, moment.epoch);
+        (moment, Some(note))
+    } else if let Some(path) = &args.recording {
+        let (moment, note) = recorded(args, path)?;
+        (moment, Some(note))
+    } else {
+        let (pipeline, map) = score::scored(&args.score)?;
+        (Moment::of(&pipeline, &map, &args.score.grounding(), None), None)
     };
-    let explanation = explanation::explain(&evidence, args.score.top(), |label| {
-        let pieces = pipeline.prepared().tokens()[label].iter().map(|&token| pipeline.token_text(token));
-        let log_probs_nats = pipeline.token_log_prob_nats(label).unwrap_or_default();
-        pieces.zip(log_probs_nats).map(|(piece, log_prob_nats)| TokenReason { piece, log_prob_nats }).collect()
-    });
+    let explained = moment.explain(args.score.top()).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
     if let Some(path) = &args.plan {
-        let caption = narration.last().map_or("", String::as_str);
-        let heat = Heat::new(&scores.grounded.partition_probability, &scores.grounded.item_log_score_nats, caption);
-        let svg = drawing::svg(&map, grounding, Some(&heat)).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
-        scene::write_drawing(path, svg, 2.0)?;
+        draw(&explained, path)?;
     }
-    if args.score.json() { super::print_json(&explanation) } else { scene::print(&explanation.to_string()) }
+    if args.score.json() {
+        return super::print_json(&explained.explanation);
+    }
+    let note = note.map_or_else(String::new, |note| format!("{note}\n\n"));
+    scene::print(&format!("{note}{}", explained.explanation))
+}
+
+fn draw(explained: &Explained, path: &Path) -> CommandResult {
+    let Explained { explanation, map, grounding, scores } = explained;
+    let caption = explanation.narration.last().map_or("", String::as_str);
+    let heat = Heat::new(&scores.partition_probability, &scores.item_log_score_nats, caption);
+    let svg = drawing::svg(map, grounding, Some(&heat)).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    scene::write_drawing(path, svg, 2.0)
+}
+
+/// Computes the scores of a recorded moment once more, and says how they compare with the recorded ones.
+fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
+    let input = |error: String| Failure::new(exit_code::INPUT, error);
+    let recording = recording::read(path).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    let shown = path.display();
+    let RecordedMoment { scores, at_s, base, narration } =
+        recording.moment(args.sequence, args.at).ok_or_else(|| {
+            input(format!(
+                "the recording {shown} has no such scores; without --at and --sequence the last ones are explained"
+            ))
+        })?;
+    let base = base.map(|index| &recording.moments[index]);
+    let (scene, model, options) = args.score.scene_and_model();
+    let map = match (scene, base) {
+        (None, Some(moment)) => {
+            SemanticMap::from_json(&moment.scene.to_string()).map_err(|error| input(error.to_string()))?
+        }
+        (scene, _) => setup::load_map(scene)?,
+    };
+    let wanted = (hex(&scores.map_fingerprint), hex(&scores.model_fingerprint));
+    if hex(&map.fingerprint) != wanted.0 {
+        let (name, wanted) = (&map.name, &wanted.0);
+        return Err(input(format!(
+            "the recorded scores are of a map with the fingerprint {wanted}, {name} is another one; give --scene FILE"
+        )));
+    }
+    let model = setup::load_model(model, &options)?;
+    if hex(&model.info().fingerprint) != wanted.1 {
+        let (name, wanted) = (&model.info().name, &wanted.1);
+        return Err(Failure::new(
+            exit_code::MODEL,
+            format!(
+                "the recorded scores are of a model with the SHA-256 {wanted}, {name} is another one; give --model FILE"
+            ),
+        ));
+    }
+    let grounding = base.map_or_else(|| args.score.grounding(), |moment| moment.grounding);
+    let binding = base.map_or_else(|| Ok(args.score.binding().clone()), Moment::binding);
+    let binding = binding.map_err(|error| input(error.to_string()))?;
+    let grounded = Grounding::new(&map, &grounding).map_err(|error| input(error.to_string()))?;
+    // What is given is the window: nothing of it is to be cut.
+    let history = HistoryLimits { observations: narration.len().max(1), slack: 0, tokens: usize::MAX };
+    let options = PipelineOptions { binding, history, ..PipelineOptions::default() };
+    let failed = |error| Failure::new(exit_code::MODEL, error);
+    let mut pipeline = Pipeline::new(model, grounded, options).map_err(failed)?;
+    let observations = (1..).zip(narration).map(|(sequence, (person, sentence))| Observation {
+        person,
+        source: 1,
+        epoch: 1,
+        sequence,
+        observed_ns: sequence,
+        observed_unix_ns: 0,
+        sentence,
+    });
+    let observations: Vec<_> = observations.collect();
+    let window = observations.len() as u64;
+    pipeline.step(observations).map_err(failed)?;
+    let again = &pipeline.scores().grounded.partition_probability;
+    let difference = (scores.rooms().iter().zip(again))
+        .map(|(room, probability)| (room.probability - probability).abs())
+        .fold(0.0, f64::max);
+    let mut note = format!(
+        "Scores {} at {at_s:.3} s of {shown}, computed again: the recorded probabilities differ by at most {difference:.1e}.",
+        scores.sequence
+    );
+    if window != scores.window {
+        let _ = write!(
+            note,
+            "\nThey contain {} narrations, of which {window} are taken from the recording.",
+            scores.window
+        );
+    }
+    Ok((Moment::of(&pipeline, &map, &grounding, Some(&scores)), note))
 }

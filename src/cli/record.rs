@@ -3,11 +3,15 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{DecisionV1, ForecastV1, Message, NarrationV1, RoomScoresV1, Subscriber, clock, score_flags};
+use crossbeam::channel::bounded;
+use roomcast_ipc::{
+    DecisionV1, ForecastV1, Message, NarrationV1, RoomScoresV1, Subscriber, clock, question, score_flags,
+};
 
 use super::{CommandResult, Failure, service};
-use crate::exit_code;
+use crate::moment::Moment;
 use crate::recording::{Recorded, Recorder};
+use crate::{exit_code, logging};
 
 /// Arguments of `roomcast record`.
 #[derive(Debug, clap::Args)]
@@ -29,6 +33,8 @@ pub struct Args {
 const POLL: Duration = Duration::from_millis(2);
 /// How often the file is brought up to date: what a crash may cost.
 const FLUSH: Duration = Duration::from_secs(5);
+/// How long the daemon may take to tell its map.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Records until it is asked to stop.
 ///
@@ -37,6 +43,7 @@ const FLUSH: Duration = Duration::from_secs(5);
 /// When a service cannot be opened, or the file cannot be written.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
+    logging::init();
     let (_, domain) = args.service.load()?;
     let ipc = |error| Failure::new(exit_code::IPC, error);
     let node = domain.open("roomcast-record").map_err(ipc)?;
@@ -46,6 +53,20 @@ pub fn run(args: &Args) -> CommandResult {
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
     let output = |error| Failure::new(exit_code::FAILURE, error);
     let mut recorder = Recorder::create(&args.file).map_err(output)?;
+    // The daemon is asked by a thread of its own, so that nothing is missed meanwhile.
+    let port = node.question_port(question::MOMENT).map_err(ipc)?;
+    let (ask, asked) = bounded(1);
+    let (tell, told) = bounded(1);
+    std::thread::spawn(move || {
+        while asked.recv().is_ok() {
+            let moment = port.ask("{}", PATIENCE).map_err(|error| error.to_string());
+            let moment = moment.and_then(|text| Moment::from_json(&text).map_err(|error| error.to_string()));
+            if tell.send(moment).is_err() {
+                break;
+            }
+        }
+    });
+    let mut known = None;
     let (started, mut flushed) = (Instant::now(), Instant::now());
     let mut malformed = 0;
     while !stop.requested() && args.seconds.is_none_or(|seconds| started.elapsed() < Duration::from_secs(seconds)) {
@@ -61,6 +82,23 @@ pub fn run(args: &Args) -> CommandResult {
             if args.heartbeats || !repeated {
                 recorder.write(message, received_unix_ns).map_err(output)?;
             }
+        }
+        for message in &news {
+            // Another daemon, or another map: what it is goes into the file too.
+            if let Recorded::RoomScores(scores) = message
+                && known != Some((scores.epoch, scores.map_fingerprint))
+                && ask.try_send(()).is_ok()
+            {
+                known = Some((scores.epoch, scores.map_fingerprint));
+            }
+        }
+        match told.try_recv() {
+            Ok(Ok(moment)) => recorder.attach(&moment, received_unix_ns).map_err(output)?,
+            Ok(Err(error)) => tracing::warn!(
+                error,
+                "the daemon did not tell its map; explaining this recording will need the scene file"
+            ),
+            Err(_) => {}
         }
         if flushed.elapsed() > FLUSH {
             recorder.flush().map_err(output)?;

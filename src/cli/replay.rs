@@ -81,7 +81,7 @@ pub fn run(args: &Args) -> CommandResult {
     }
     let stop = service::stop()?;
     let (_, domain) = args.service.load()?;
-    let messages = recording::read(&args.file).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    let messages = recording::read(&args.file).map_err(|error| Failure::new(exit_code::INPUT, error))?.messages;
     let ipc = |error| Failure::new(exit_code::IPC, error);
     let node = domain.open("roomcast-replay").map_err(ipc)?;
     let publishers = Publishers::open(&node, args.all).map_err(ipc)?;

@@ -4,13 +4,16 @@ use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use clap::{Subcommand, ValueEnum};
 use comfy_table::{CellAlignment, Table, presets};
+use roomcast_ipc::{question, sequence};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::{CommandResult, Failure};
+use super::{CommandResult, Failure, service};
+use crate::daemon::{MapAnswer, MapQuestion, Outcome};
 use crate::exit_code;
 use crate::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use crate::semantic_map::delta;
@@ -32,8 +35,10 @@ enum Command {
     Import(Import),
     /// Check scenes: the format, and whether every item lies somewhere and every room can be reached.
     Check(Check),
-    /// Apply changes to a scene: items added, moved, removed; rooms added.
+    /// Apply changes to a scene file: items added, moved, removed; rooms added.
     Change(Change),
+    /// Apply changes to the map of a running daemon, without a restart.
+    Apply(Apply),
     /// Print what a scene holds and what was assigned where, by which rule, and what was not.
     Show(Show),
     /// Draw a scene from above, with scores as heat, as SVG or PNG.
@@ -82,6 +87,23 @@ struct Change {
     /// The scene to write.
     #[arg(long)]
     out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+struct Apply {
+    #[command(flatten)]
+    service: service::Args,
+    /// A JSON list of changes, `-` for standard input; scenes/README.md documents them.
+    changes: PathBuf,
+    /// Apply them only if the map in use has this fingerprint (`roomcast scene show --json` of its file prints it).
+    #[arg(long, value_name = "HEX")]
+    expect: Option<String>,
+    /// Seconds to wait for the daemon.
+    #[arg(long, value_name = "SECONDS", default_value_t = 10)]
+    patience: u64,
+    /// Print the daemon's answer as JSON.
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Debug, clap::Args)]
@@ -144,6 +166,7 @@ pub fn run(args: &Args) -> CommandResult {
         Command::Import(args) => import(args),
         Command::Check(args) => check(args),
         Command::Change(args) => change(args),
+        Command::Apply(args) => apply(args),
         Command::Show(args) => show(args),
         Command::Draw(args) => draw(args),
     }
@@ -234,6 +257,53 @@ fn change(args: &Change) -> CommandResult {
         changed.items.len(),
         after.grounding.unassigned.len(),
         after.new_labels
+    ))
+}
+
+fn apply(args: &Apply) -> CommandResult {
+    let (_, domain) = args.service.load()?;
+    let json = if args.changes.as_os_str() == "-" {
+        std::io::read_to_string(std::io::stdin())
+            .map_err(|error| input(format!("cannot read standard input: {error}")))?
+    } else {
+        import::read(&args.changes).map_err(input)?
+    };
+    let question = MapQuestion {
+        id: format!("{:016x}", sequence::random_epoch()),
+        expected_map: args.expect.clone(),
+        changes: delta::parse_changes(&json).map_err(input)?,
+    };
+    let question = serde_json::to_string(&question).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    let ipc = |error| Failure::new(exit_code::IPC, error);
+    let port = domain.open("roomcast-scene").and_then(|node| node.question_port(question::MAP_CHANGE)).map_err(ipc)?;
+    let text = port.ask(&question, Duration::from_secs(args.patience)).map_err(ipc)?;
+    let answer: MapAnswer = serde_json::from_str(&text).map_err(|error| {
+        Failure::new(
+            exit_code::IPC,
+            format!("the daemon's answer cannot be read: {error}; use one version of Roomcast"),
+        )
+    })?;
+    if args.json {
+        super::print_json(&answer)?;
+    }
+    let MapAnswer { outcome, reason, map, rooms, items, outside, new_labels, regrouped_in_ns, kept, .. } = &answer;
+    if *outcome != Outcome::Applied {
+        let reason = reason.as_deref().unwrap_or("no reason given");
+        return Err(input(format!("the daemon did not change its map: {reason}")));
+    }
+    if args.json {
+        return Ok(());
+    }
+    let model = match new_labels {
+        0 => "the model was not touched".to_owned(),
+        count => format!("the model was prepared for {count} new labels"),
+    };
+    let after_restart =
+        if *kept { "" } else { "; a restarted daemon begins with its scene file again (daemon.state keeps changes)" };
+    print(&format!(
+        "map {}: {rooms} rooms, {items} items, {outside} outside; regrouped in {:.2} ms, {model}{after_restart}\n",
+        &map[..map.len().min(16)],
+        *regrouped_in_ns as f64 / 1e6,
     ))
 }
 

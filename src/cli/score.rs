@@ -1,6 +1,6 @@
 //! `roomcast score`: one narration against one scene, once.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
@@ -89,6 +89,30 @@ pub fn run(args: &Args) -> CommandResult {
 }
 
 impl Args {
+    /// How the map is grounded.
+    pub(super) fn grounding(&self) -> GroundingOptions {
+        GroundingOptions { level: self.level, room_labels: !self.no_room_labels }
+    }
+
+    /// The scene, the model and how it runs, for commands that score something else than a given narration.
+    pub(super) fn scene_and_model(&self) -> (Option<&Path>, Option<&Path>, LlamaOptions) {
+        (self.scene.as_deref(), self.model.as_deref(), self.llama_options())
+    }
+
+    fn llama_options(&self) -> LlamaOptions {
+        let default = LlamaOptions::default();
+        LlamaOptions {
+            threads: if self.threads == 0 { default.threads } else { self.threads },
+            cache: self.cache,
+            ..default
+        }
+    }
+
+    /// The binding sequence.
+    pub(super) fn binding(&self) -> &BindingSequence {
+        &self.binding
+    }
+
     /// How many labels are wanted.
     pub(super) fn top(&self) -> usize {
         self.top
@@ -103,16 +127,9 @@ impl Args {
 /// The pipeline after its one step, and its map.
 pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap), Failure> {
     let map = setup::load_map(args.scene.as_deref())?;
-    let level = GroundingOptions { level: args.level, room_labels: !args.no_room_labels };
-    let grounding = Grounding::new(&map, &level).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+    let grounding = Grounding::new(&map, &args.grounding()).map_err(|e| Failure::new(exit_code::INPUT, e))?;
     let observations = observations(args)?;
-    let default = LlamaOptions::default();
-    let options = LlamaOptions {
-        threads: if args.threads == 0 { default.threads } else { args.threads },
-        cache: args.cache,
-        ..default
-    };
-    let model = setup::load_model(args.model.as_deref(), &options)?;
+    let model = setup::load_model(args.model.as_deref(), &args.llama_options())?;
     let options = PipelineOptions {
         binding: args.binding.clone(),
         tokenisation: args.tokenisation,

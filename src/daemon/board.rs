@@ -7,6 +7,8 @@ use roomcast_ipc::{
 };
 
 use crate::forecast::{ForecastOptions, Forecaster, Mentions};
+use crate::grounding::{GroundingOptions, Partition, partitions};
+use crate::moment::Moment;
 use crate::narration::Observation;
 use crate::pipeline::{Pipeline, PipelineError};
 use crate::scorer::LanguageModel;
@@ -36,6 +38,17 @@ pub enum BoardError {
     },
 }
 
+/// A map that cannot take the place of the one in use.
+#[derive(Debug, thiserror::Error)]
+pub enum MapError {
+    /// Messages cannot carry it.
+    #[error(transparent)]
+    Board(#[from] BoardError),
+    /// It cannot be grounded, or its labels do not fit the model's context.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+}
+
 /// An observation and when it was received, in monotonic nanoseconds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Entry {
@@ -52,6 +65,7 @@ pub struct Entry {
 pub struct Board<M> {
     pipeline: Pipeline<M>,
     map: SemanticMap,
+    grounding: GroundingOptions,
     snapshot: RoomScoresV1,
     accepted: std::collections::BTreeMap<u64, u64>,
     /// Per person where they will be; persons unknown to the histories are forgotten.
@@ -63,35 +77,63 @@ pub const HORIZONS_S: [f32; MAX_HORIZONS] =
     [0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 300.0, 450.0, 600.0, 900.0, 1800.0, 3600.0];
 
 impl<M: LanguageModel> Board<M> {
-    /// A board without scores; `epoch` is random per start of the daemon.
+    /// A board without scores; `epoch` is random per start of the daemon, `grounding` what the pipeline's map is grounded by.
     ///
     /// # Errors
     ///
     /// [`BoardError`] when the map does not fit into a message.
-    pub fn new(pipeline: Pipeline<M>, map: SemanticMap, epoch: u64) -> Result<Self, BoardError> {
-        let partitions = &pipeline.grounding().partitions;
-        if partitions.len() > MAX_ROOMS {
-            return Err(BoardError::TooManyPartitions { partitions: partitions.len() });
-        }
-        let mut snapshot = RoomScoresV1 {
+    pub fn new(
+        pipeline: Pipeline<M>,
+        map: SemanticMap,
+        grounding: GroundingOptions,
+        epoch: u64,
+    ) -> Result<Self, BoardError> {
+        let (room, room_count) = named_rooms(&pipeline.grounding().partitions)?;
+        let snapshot = RoomScoresV1 {
             epoch,
             model_fingerprint: pipeline.model().fingerprint,
             map_fingerprint: map.fingerprint,
-            room_count: partitions.len() as u32,
+            room_count,
+            room,
             reached: reached::EXACT,
             ..Default::default()
         };
-        for (room, partition) in snapshot.room.iter_mut().zip(partitions) {
-            let name = |source| BoardError::Name { id: partition.id.clone(), source };
-            room.id = text::encode("room id", &partition.id).map_err(name)?;
-        }
         Ok(Self {
             pipeline,
             map,
+            grounding,
             snapshot,
             accepted: std::collections::BTreeMap::new(),
             forecasters: std::collections::BTreeMap::new(),
         })
+    }
+
+    /// Takes a changed map in place of the one in use; the next step's scores are of it. Gives how many labels the model had to be
+    /// prepared for.
+    ///
+    /// # Errors
+    ///
+    /// [`MapError`] when the map does not fit into a message, or cannot be grounded; the old one stays in use then.
+    pub fn change_map(&mut self, map: SemanticMap) -> Result<usize, MapError> {
+        let partitions = partitions(&map, self.grounding.level);
+        let (room, room_count) = named_rooms(&partitions)?;
+        let new_labels = self.pipeline.change_map(&map, &self.grounding)?;
+        let same_rooms =
+            self.snapshot.rooms().iter().map(|room| room.id).eq(room.iter().map(|room| room.id).take(partitions.len()));
+        if !same_rooms {
+            // What was believed of other rooms says nothing of these; the next observation begins anew.
+            self.forecasters.clear();
+        }
+        self.snapshot.map_fingerprint = map.fingerprint;
+        (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
+        self.map = map;
+        Ok(new_labels)
+    }
+
+    /// All that is behind the newest scores.
+    #[must_use]
+    pub fn moment(&self) -> Moment {
+        Moment::of(&self.pipeline, &self.map, &self.grounding, Some(&self.snapshot))
     }
 
     /// Enters observations of a former run, without scoring.
@@ -291,4 +333,17 @@ impl<M: LanguageModel> Board<M> {
         snapshot.flags |= if cut { score_flags::SOURCES_CUT } else { 0 };
         snapshot.flags |= if included.is_empty() { score_flags::NO_NARRATION } else { 0 };
     }
+}
+
+/// The rooms of a message for these partitions, without scores.
+fn named_rooms(partitions: &[Partition]) -> Result<([RoomV1; MAX_ROOMS], u32), BoardError> {
+    if partitions.len() > MAX_ROOMS {
+        return Err(BoardError::TooManyPartitions { partitions: partitions.len() });
+    }
+    let mut rooms = [RoomV1::default(); MAX_ROOMS];
+    for (room, partition) in rooms.iter_mut().zip(partitions) {
+        let name = |source| BoardError::Name { id: partition.id.clone(), source };
+        room.id = text::encode("room id", &partition.id).map_err(name)?;
+    }
+    Ok((rooms, partitions.len() as u32))
 }

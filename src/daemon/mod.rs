@@ -17,12 +17,13 @@ use std::time::Duration;
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
-    Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, Publisher, RoomScoresV1, StatusResponseV1,
-    StatusServer, Subscriber, clock, sequence, text,
+    AnswerPort, Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, Publisher, RoomScoresV1,
+    StatusResponseV1, StatusServer, Subscriber, clock, question, sequence, text,
 };
 use sd_notify::NotifyState;
 
 use crate::config::Config;
+use crate::hub::hex;
 use crate::logging::Limiter;
 use crate::scorer::LanguageModel;
 use crate::setup::{self, SetupError};
@@ -31,10 +32,12 @@ use crate::stop::Stop;
 mod board;
 mod intake;
 mod journal;
+mod map_change;
 
-pub use board::{Board, BoardError, Entry};
+pub use board::{Board, BoardError, Entry, MapError};
 pub use intake::{Intake, IntakeCounters, IntakeLimits, SOURCES_MAX, Taken};
 pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
+pub use map_change::{Answered, KeptMap, MapAnswer, MapQuestion, Outcome};
 
 /// Observations that may wait for the scorer.
 const QUEUE: usize = 65_536;
@@ -80,8 +83,12 @@ impl Default for DaemonConfig {
 }
 
 impl DaemonConfig {
+    fn state_directory(&self) -> Option<PathBuf> {
+        self.state.clone().or_else(|| std::env::var_os("STATE_DIRECTORY").map(PathBuf::from))
+    }
+
     fn journal(&self) -> Option<JournalOptions> {
-        let directory = self.state.clone().or_else(|| std::env::var_os("STATE_DIRECTORY").map(PathBuf::from))?;
+        let directory = self.state_directory()?;
         Some(JournalOptions { directory, bytes_max: self.journal_bytes, sync_ms: self.journal_sync_ms })
     }
 }
@@ -152,9 +159,13 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonEr
     let forecasts = node.publisher::<ForecastV1>()?;
     let status = node.status_server()?;
     let narration = node.subscriber::<NarrationV1>()?;
-    let (pipeline, map) = setup::open(config)?;
+    let (map_changes, moments) = (node.answer_port(question::MAP_CHANGE)?, node.answer_port(question::MOMENT)?);
+    let configured = setup::load_map(config.scene.path.as_deref())?;
+    let kept_map = config.daemon.state_directory().map(|directory| KeptMap::new(&directory, &configured));
+    let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
+    let pipeline = setup::open_with(config, &map)?;
     let model_name = pipeline.model().name.clone();
-    let mut board = Board::new(pipeline, map, sequence::random_epoch())?;
+    let mut board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?;
 
     let mut intake = Intake::new(config.daemon.intake);
     let mut restored = 0;
@@ -181,6 +192,10 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonEr
         items,
         forecasts,
         status,
+        map_changes,
+        answered: Answered::default(),
+        kept_map,
+        moments,
         queue: queue_out,
         heartbeat_ns: config.daemon.heartbeat_ms * 1_000_000,
         journal: journal.as_ref().map(Journal::handle),
@@ -324,6 +339,10 @@ struct Scoring<M> {
     items: ItemScoresPublisher,
     forecasts: Publisher<ForecastV1>,
     status: StatusServer,
+    map_changes: AnswerPort,
+    answered: Answered,
+    kept_map: Option<KeptMap>,
+    moments: AnswerPort,
     queue: Receiver<(Entry, u64)>,
     heartbeat_ns: u64,
     journal: Option<JournalHandle>,
@@ -354,6 +373,9 @@ impl<M: LanguageModel> Scoring<M> {
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
             }
+            if self.change_map()? {
+                (due, retry_ns) = (true, 0);
+            }
             let now_ns = clock::monotonic_ns();
             self.progress_ns.store(now_ns, Ordering::Relaxed);
             if due && (now_ns >= retry_ns || !entries.is_empty()) {
@@ -377,6 +399,7 @@ impl<M: LanguageModel> Scoring<M> {
             }
             let tally = self.tally();
             self.status.answer(|| tally)?;
+            self.moments.answer(|_| serde_json::to_string(&self.board.moment()).unwrap_or_default())?;
             if self.queue.is_empty() {
                 self.board.tidy();
             }
@@ -437,6 +460,35 @@ impl<M: LanguageModel> Scoring<M> {
         Ok(true)
     }
 
+    /// Does what was asked of the map; returns whether it changed.
+    fn change_map(&mut self) -> Result<bool, IpcError> {
+        let Self { board, answered, kept_map, map_changes, tally, .. } = self;
+        let mut changed = false;
+        map_changes.answer(|asked| {
+            let asked = asked.map_err(|error| error.to_string()).and_then(|text| {
+                let parser = &mut serde_json::Deserializer::from_str(text);
+                serde_path_to_error::deserialize::<_, MapQuestion>(parser).map_err(|error| error.to_string())
+            });
+            let id = asked.as_ref().ok().map(|question| question.id.clone());
+            let known = id.as_ref().and_then(|id| answered.get(id)).cloned();
+            let answer = known.unwrap_or_else(|| {
+                let answer = answer_change(board, kept_map.as_ref(), asked);
+                if answer.outcome == Outcome::Applied {
+                    changed = true;
+                    tally.map_fingerprint = board.map().fingerprint;
+                }
+                let MapAnswer { outcome, reason, items, new_labels, .. } = &answer;
+                tracing::info!(?outcome, reason, items, new_labels, "map change");
+                if let Some(id) = id {
+                    answered.put(id, answer.clone());
+                }
+                answer
+            });
+            serde_json::to_string(&answer).unwrap_or_default()
+        })?;
+        Ok(changed)
+    }
+
     fn tally(&self) -> StatusResponseV1 {
         let (counters, sources) = *self.counters.lock().unwrap_or_else(PoisonError::into_inner);
         let quantile = |q| self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.value_at_quantile(q));
@@ -458,5 +510,48 @@ impl<M: LanguageModel> Scoring<M> {
             journal_failures: self.journal.as_ref().map_or(0, JournalHandle::failures),
             ..self.tally
         }
+    }
+}
+
+/// Applies a change to the board, if it can be, and says what became of it.
+fn answer_change<M: LanguageModel>(
+    board: &mut Board<M>,
+    kept_map: Option<&KeptMap>,
+    asked: Result<MapQuestion, String>,
+) -> MapAnswer {
+    let start_ns = clock::monotonic_ns();
+    let in_use = hex(&board.map().fingerprint);
+    let result = asked.map_err(|reason| (Outcome::Refused, reason)).and_then(|question| {
+        if let Some(expected) = question.expected_map.filter(|expected| !expected.eq_ignore_ascii_case(&in_use)) {
+            return Err((Outcome::OtherMap, format!("the map in use is {in_use}, not {expected}")));
+        }
+        let refused = |error: &dyn std::error::Error| (Outcome::Refused, crate::logging::chain(error));
+        let map = board.map().changed(question.changes).map_err(|error| refused(&error))?;
+        board.change_map(map).map_err(|error| refused(&error))
+    });
+    let regrouped_in_ns = clock::monotonic_ns().saturating_sub(start_ns);
+    let kept = result.is_ok()
+        && kept_map.is_some_and(|kept_map| {
+            kept_map
+                .keep(board.map())
+                .inspect_err(|error| tracing::error!(%error, "the changed map cannot be kept for a restart"))
+                .is_ok()
+        });
+    let (outcome, reason, new_labels) = match result {
+        Ok(new_labels) => (Outcome::Applied, None, new_labels),
+        Err((outcome, reason)) => (outcome, Some(reason), 0),
+    };
+    MapAnswer {
+        outcome,
+        reason,
+        map: hex(&board.map().fingerprint),
+        epoch: format!("{:016x}", board.snapshot().epoch),
+        sequence: board.snapshot().sequence,
+        rooms: board.map().rooms.len(),
+        items: board.map().items.len(),
+        outside: board.pipeline().grounding().unassigned.len(),
+        new_labels,
+        regrouped_in_ns,
+        kept,
     }
 }

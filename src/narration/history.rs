@@ -62,6 +62,17 @@ impl History {
     pub fn push(&mut self, observation: Observation, tokens: usize) -> usize {
         self.window.push_back((observation, tokens));
         self.tokens = self.tokens.saturating_add(tokens);
+        self.cut()
+    }
+
+    /// Sets how many tokens the window may hold, and cuts it at once if it holds more.
+    fn limit_tokens(&mut self, tokens: usize) {
+        self.limits.tokens = tokens;
+        self.cut();
+    }
+
+    /// Cuts a window that has grown beyond its limits. Gives how many observations left.
+    fn cut(&mut self) -> usize {
         let high = self.limits.observations.saturating_add(self.limits.slack);
         if self.window.len() <= high && self.tokens <= self.limits.tokens {
             return 0;
@@ -170,6 +181,12 @@ impl Histories {
     /// Persons and their histories, by id.
     pub fn iter(&self) -> impl Iterator<Item = (u32, &History)> {
         self.by_person.iter().map(|(person, (_, history))| (*person, history))
+    }
+
+    /// Sets how many tokens each window may hold, for a prompt that has less room than before.
+    pub fn limit_tokens(&mut self, tokens: usize) {
+        self.limits.tokens = tokens;
+        self.by_person.values_mut().for_each(|(_, history)| history.limit_tokens(tokens));
     }
 
     /// Forgets a person, for instance one who has left.

@@ -113,8 +113,32 @@ fn backend() -> Result<&'static LlamaBackend, String> {
         return Ok(backend);
     }
     send_logs_to_tracing(LogOptions::default().with_logs_enabled(true));
+    #[cfg(feature = "portable")]
+    load_kernels()?;
     let backend = LlamaBackend::init().map_err(|e| e.to_string())?;
     Ok(BACKEND.get_or_init(|| backend))
+}
+
+/// Loads the kernels that fit this processor best, of those that lie beside the program: in `../lib/roomcast` as a package has
+/// them, else where this build put them.
+#[cfg(feature = "portable")]
+fn load_kernels() -> Result<(), String> {
+    use llama_cpp_2::llama_backend::load_backends_from_path;
+    let program = std::env::current_exe().map_err(|e| format!("the program's own path cannot be found: {e}"))?;
+    let packaged = program.ancestors().nth(2).map(|prefix| prefix.join("lib/roomcast"));
+    let built = llama_cpp_sys_2::BACKENDS_DIR.map(std::path::PathBuf::from);
+    let kernels = |folder: &std::path::PathBuf| {
+        let entries = folder.read_dir().into_iter().flatten().flatten();
+        folder.to_str().is_some()
+            && entries.map(|entry| entry.file_name()).any(|name| name.to_string_lossy().starts_with("libggml-cpu-"))
+    };
+    let places: Vec<_> = packaged.into_iter().chain(built).collect();
+    let Some(folder) = places.iter().find(|folder| kernels(folder)) else {
+        let places: Vec<_> = places.iter().map(|folder| folder.display().to_string()).collect();
+        return Err(format!("no kernels (libggml-cpu-*.so) in {}: install the package again", places.join(" or ")));
+    };
+    load_backends_from_path(folder);
+    Ok(())
 }
 
 /// The vector units and options that llama.cpp was compiled with, as ggml names them (`AVX2`, `FMA`, `NEON`, ...).

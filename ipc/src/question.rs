@@ -1,0 +1,160 @@
+//! Questions and answers in words: what is asked now and then, and has no bounded size, goes as JSON text.
+//!
+//! | service | asked | answered |
+//! | --- | --- | --- |
+//! | `roomcast/v1/map-change` | changes to the map in use | what became of them, or why not |
+//! | `roomcast/v1/moment` | nothing (`{}`) | the map in use, the narration in the windows, every label's tokens with their log-probabilities |
+//!
+//! Both are request-response services of `[u8]`, UTF-8. The daemon is the one server. A question may be asked again when no answer
+//! came, so whoever asks for a change names it, and the daemon does a change of the same name once.
+
+use std::time::{Duration, Instant};
+
+use iceoryx2::port::client::Client;
+use iceoryx2::port::server::Server;
+use iceoryx2::prelude::{AllocationStrategy, CallbackProgression, PortFactory};
+use iceoryx2::service::port_factory::request_response;
+
+use crate::domain::{Flavour, Node, OpenFailure};
+use crate::port::{MAX_NODES, described, occupied, passing, port, request_response_failure, service_name};
+use crate::{IpcError, MessageError};
+
+/// Changes to the map in use.
+pub const MAP_CHANGE: &str = "roomcast/v1/map-change";
+/// All that is behind the scores of this moment.
+pub const MOMENT: &str = "roomcast/v1/moment";
+
+/// Most bytes of a question. An answer's length is the daemon's own affair.
+pub const QUESTION_BYTES_MAX: usize = 1 << 20;
+
+const CLIENTS: usize = 8;
+/// A daemon that starts after a question was sent never gets it: it is asked again after this.
+const ASK_AGAIN: Duration = Duration::from_millis(500);
+const POLL: Duration = Duration::from_millis(2);
+
+type Factory = request_response::PortFactory<Flavour, [u8], (), [u8], ()>;
+
+/// Answers questions in words. There is one per service and domain.
+#[derive(Debug)]
+pub struct AnswerPort {
+    server: Server<Flavour, [u8], (), [u8], ()>,
+    service: &'static str,
+}
+
+impl AnswerPort {
+    pub(crate) fn open(node: &Node, service: &'static str) -> Result<Self, OpenFailure> {
+        let factory = open(node, service)?;
+        let server = factory
+            .server_builder()
+            .initial_max_slice_len(4096)
+            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            .create();
+        let server = server.map_err(|_| {
+            let mut servers = Vec::new();
+            factory.dynamic_config().list_servers(|server| {
+                servers.push(server.node_id);
+                CallbackProgression::Continue
+            });
+            occupied(&factory, &servers, service, "server", 1)
+        })?;
+        Ok(Self { server, service })
+    }
+
+    /// Answers all questions that wait, each copied out of shared memory and checked; returns how many. What is no text, or too
+    /// long, gets its answer from `respond` too.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn answer(&self, mut respond: impl FnMut(Result<&str, MessageError>) -> String) -> Result<usize, IpcError> {
+        let fail = |error: &dyn std::fmt::Debug| port(self.service, "receive", &error);
+        let mut answered = 0;
+        while let Some(request) = self.server.receive().map_err(|error| fail(&error))? {
+            // Its sender can still write to it: what is checked must be what is used.
+            let copy = request.payload().to_vec();
+            let question = if copy.len() > QUESTION_BYTES_MAX {
+                Err(MessageError::TextTooLong { field: "question", bytes: copy.len(), limit: QUESTION_BYTES_MAX })
+            } else {
+                std::str::from_utf8(&copy)
+                    .map_err(|error| MessageError::NotUtf8 { field: "question", at: error.valid_up_to() })
+            };
+            let answer = respond(question);
+            let response = request.loan_slice_uninit(answer.len());
+            let sent = response.map(|response| response.write_from_slice(answer.as_bytes()).send());
+            // An asker that has gone away meanwhile is no failure of the daemon.
+            answered += usize::from(matches!(sent, Ok(Ok(_))));
+        }
+        Ok(answered)
+    }
+}
+
+/// Asks questions in words.
+#[derive(Debug)]
+pub struct QuestionPort {
+    client: Client<Flavour, [u8], (), [u8], ()>,
+    service: &'static str,
+}
+
+impl QuestionPort {
+    pub(crate) fn open(node: &Node, service: &'static str) -> Result<Self, OpenFailure> {
+        let client = open(node, service)?
+            .client_builder()
+            .initial_max_slice_len(4096)
+            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            .create()
+            .map_err(|error| passing(service, &error))?;
+        Ok(Self { client, service })
+    }
+
+    /// Asks, and waits for the answer; asks again now and then while none comes.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::NoAnswer`] after `timeout`, [`IpcError::Refused`] for a question that is too long or an answer that is no
+    /// text, [`IpcError::Port`].
+    pub fn ask(&self, question: &str, timeout: Duration) -> Result<String, IpcError> {
+        let service = self.service;
+        let refused = |source| IpcError::Refused { service, source };
+        if question.len() > QUESTION_BYTES_MAX {
+            let (bytes, limit) = (question.len(), QUESTION_BYTES_MAX);
+            return Err(refused(MessageError::TextTooLong { field: "question", bytes, limit }));
+        }
+        let start = Instant::now();
+        while start.elapsed() < timeout {
+            let request = self.client.loan_slice_uninit(question.len());
+            let request = request.map_err(|error| port(service, "send", &error))?;
+            let pending = request.write_from_slice(question.as_bytes()).send();
+            let pending = pending.map_err(|error| port(service, "send", &error))?;
+            let sent = Instant::now();
+            while sent.elapsed() < ASK_AGAIN && start.elapsed() < timeout {
+                if let Some(answer) = pending.receive().map_err(|error| port(service, "receive", &error))? {
+                    let copy = answer.payload().to_vec();
+                    return String::from_utf8(copy).map_err(|error| {
+                        refused(MessageError::NotUtf8 { field: "answer", at: error.utf8_error().valid_up_to() })
+                    });
+                }
+                std::thread::sleep(POLL);
+            }
+        }
+        Err(IpcError::NoAnswer { service, waited_ms: timeout.as_millis() })
+    }
+}
+
+fn open(node: &Node, service: &'static str) -> Result<Factory, OpenFailure> {
+    let opened = node
+        .inner()
+        .service_builder(&service_name(service)?)
+        .request_response::<[u8], [u8]>()
+        .max_servers(1)
+        .max_clients(CLIENTS)
+        .max_nodes(MAX_NODES)
+        .max_active_requests_per_client(4)
+        .max_response_buffer_size(2)
+        .max_borrowed_responses_per_pending_response(2)
+        .max_loaned_requests(2)
+        .enable_fire_and_forget_requests(true)
+        .enable_safe_overflow_for_requests(true)
+        .enable_safe_overflow_for_responses(true)
+        .open_or_create();
+    opened.map_err(|error| request_response_failure(node, service, &described("[u8]", 1), &error))
+}
