@@ -105,6 +105,10 @@ python:
 known-scores: build ## After a change of the embedded model: records the scores that it is known for.
 	$(TARGET)/release/roomcast model check --record models/household-check.json
 
+.PHONY: deb
+deb: setup ## Builds the Debian package, portable across processors (half an hour on two cores; needs cargo-deb).
+	@.ci/deb
+
 .PHONY: clean
 clean: ## Removes everything that was built.
 	cargo clean
