@@ -105,6 +105,10 @@ python:
 known-scores: build ## After a change of the embedded model: records the scores that it is known for.
 	$(TARGET)/release/roomcast model check --record models/household-check.json
 
+.PHONY: c-header
+c-header: ## After a change of the messages: writes clients/c/roomcast.h anew.
+	ROOMCAST_WRITE_HEADER=1 cargo test --release --locked --workspace --test c_header
+
 .PHONY: deb
 deb: setup ## Builds the Debian package, portable across processors (half an hour on two cores; needs cargo-deb).
 	@.ci/deb

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::daemon::DaemonConfig;
 use crate::grounding::GroundingOptions;
+use crate::metrics::MetricsConfig;
 use crate::narration::history::HistoryLimits;
 use crate::narrator::NarratorConfig;
 use crate::planner::PlannerConfig;
@@ -81,6 +82,8 @@ pub struct Config {
     pub planner: PlannerConfig,
     /// The narrator.
     pub narrator: NarratorConfig,
+    /// Metrics for Prometheus.
+    pub metrics: MetricsConfig,
 }
 
 /// The section `[ipc]`.
@@ -279,6 +282,10 @@ impl Config {
             &planner.deadline_ms,
             "give more than daemon.heartbeat_ms, or every score is stale before it is confirmed",
         )?;
+        if let Some(address) = self.metrics.listen {
+            let remedy = "give a loopback address, 127.0.0.1:PORT or [::1]:PORT: whoever else wants to see metrics needs a proxy";
+            limit(address.ip().is_loopback(), "metrics.listen", &address, remedy)?;
+        }
         let linger_s = self.narrator.linger_s;
         limit((0.0..=1e9).contains(&linger_s), "narrator.linger_s", &linger_s, "give 0 to 1000000000")?;
         Ok(())
@@ -311,5 +318,7 @@ mod tests {
         assert!(toml::from_str::<Config>("[model]\nthread = 2").is_err());
         let config: Config = toml::from_str("[model]\nsequences = 999").unwrap();
         assert!(config.check().unwrap_err().to_string().contains("model.sequences is 999"));
+        let config: Config = toml::from_str("[metrics]\nlisten = \"0.0.0.0:9464\"").unwrap();
+        assert!(config.check().unwrap_err().to_string().contains("metrics.listen is 0.0.0.0:9464"));
     }
 }

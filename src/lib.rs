@@ -42,6 +42,8 @@ pub mod planner;
 
 pub mod mqtt;
 
+pub mod sensor_log;
+
 pub mod narrator;
 
 pub mod config;
@@ -65,6 +67,8 @@ pub mod experiment;
 pub mod recording;
 
 pub mod top;
+
+pub mod metrics;
 
 pub mod exit_code;
 

@@ -449,6 +449,8 @@ mod tests {
         }
     }
 
+    const ANYBODY: &str = "allow_anonymous true";
+
     struct Mosquitto {
         child: Child,
         port: u16,
@@ -456,10 +458,11 @@ mod tests {
     }
 
     impl Mosquitto {
-        fn start(port: u16, folder: tempfile::TempDir) -> Option<Self> {
+        /// `access` says who may come in, in the words of its configuration.
+        fn start(port: u16, folder: tempfile::TempDir, access: &str) -> Option<Self> {
             let config = folder.path().join("mosquitto.conf");
             let text = format!(
-                "listener {port} 127.0.0.1\nallow_anonymous true\npersistence true\npersistence_location {}/\nautosave_interval 1\nautosave_on_changes true\n",
+                "listener {port} 127.0.0.1\n{access}\npersistence true\npersistence_location {}/\nautosave_interval 1\nautosave_on_changes true\n",
                 folder.path().display()
             );
             std::fs::write(&config, text).unwrap();
@@ -483,7 +486,7 @@ mod tests {
             let Self { port, .. } = self;
             let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
             drop(self);
-            Self::start(port, folder).unwrap()
+            Self::start(port, folder, ANYBODY).unwrap()
         }
 
         fn stop(&mut self) {
@@ -514,11 +517,91 @@ mod tests {
         }
     }
 
+    /// A PEM file, and its path.
+    fn pem(folder: &Path, name: &str, text: &str) -> PathBuf {
+        let path = folder.join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    }
+
+    /// An authority that signs a certificate for this machine; gives the authority's certificate, and the other with its key.
+    fn certificates() -> (String, String, String) {
+        use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair};
+        let mut params = CertificateParams::new(Vec::new()).unwrap();
+        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+        let authority = CertifiedIssuer::self_signed(params, KeyPair::generate().unwrap()).unwrap();
+        let key = KeyPair::generate().unwrap();
+        let params = CertificateParams::new(vec!["localhost".to_owned(), "127.0.0.1".to_owned()]).unwrap();
+        let own = params.signed_by(&key, &authority).unwrap();
+        (authority.as_ref().pem(), own.pem(), key.serialize_pem())
+    }
+
+    /// How a connection that must not come about ends: with what the client says of its first attempt.
+    fn refusal(broker: &Broker) -> String {
+        let (_client, mut connection) = Client::new(broker.options().unwrap(), 10);
+        connection.recv().unwrap().unwrap_err().to_string()
+    }
+
+    /// TLS with certificates of an own authority, and credentials from a file.
+    #[test]
+    fn a_broker_is_reached_by_tls_with_credentials_and_by_nobody_else() {
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let folder = tempfile::tempdir().unwrap();
+        let (authority, own, key) = certificates();
+        let authority = pem(folder.path(), "authority.pem", &authority);
+        let (own, key) = (pem(folder.path(), "broker.pem", &own), pem(folder.path(), "broker.key", &key));
+        let passwords = folder.path().join("passwords");
+        let made =
+            Command::new("mosquitto_passwd").args(["-b", "-c"]).arg(&passwords).args(["robot", "secret"]).output();
+        if !made.is_ok_and(|made| made.status.success()) {
+            eprintln!("SKIPPED: mosquitto is not installed (apt-get install mosquitto)");
+            return;
+        }
+        let (authority_path, own, key) = (authority.display(), own.display(), key.display());
+        let access = format!(
+            "cafile {authority_path}\ncertfile {own}\nkeyfile {key}\nallow_anonymous false\npassword_file {}",
+            passwords.display()
+        );
+        let Some(_broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), &access) else {
+            eprintln!("SKIPPED: mosquitto is not installed (apt-get install mosquitto)");
+            return;
+        };
+        let to = Broker {
+            address: format!("mqtts://localhost:{port}"),
+            client: "listener".into(),
+            credentials: Some(pem(folder.path(), "credentials", "robot\nsecret\n")),
+            authority: Some(authority.clone()),
+        };
+
+        // Another authority, another password, no TLS: no connection.
+        let stranger = pem(folder.path(), "stranger.pem", &certificates().0);
+        let error = refusal(&Broker { authority: Some(stranger), ..to.clone() });
+        assert!(error.contains("certificate"), "{error}");
+        let wrong = pem(folder.path(), "wrong", "robot\nguess\n");
+        let error = refusal(&Broker { credentials: Some(wrong), ..to.clone() });
+        assert!(error.contains("NotAuthorized") || error.contains("BadUserNamePassword"), "{error}");
+        refusal(&Broker { address: format!("mqtt://localhost:{port}"), authority: None, ..to.clone() });
+
+        let rules =
+            Rules::parse("[[rule]]\ntopic = \"home/oven\"\nsay = \"the oven is {value}\"\nretained = true").unwrap();
+        let (reader, writer) = std::io::pipe().unwrap();
+        let stop = Stop::new();
+        let (own_stop, own_broker) = (stop.clone(), to.clone());
+        let listening = std::thread::spawn(move || listen(&own_broker, rules, writer, &own_stop));
+        let (client, mut connection) = Client::new(Broker { client: "publisher".into(), ..to }.options().unwrap(), 10);
+        client.try_publish("home/oven", QoS::AtLeastOnce, true, "on").unwrap();
+        while !matches!(connection.recv().unwrap().unwrap(), Event::Incoming(Packet::PubAck(_))) {}
+        let line = BufReader::new(reader).lines().next().unwrap().unwrap();
+        assert!(line.contains("the oven is on"), "{line}");
+        stop.request();
+        assert_eq!(listening.join().unwrap().unwrap().said, 1);
+    }
+
     /// A real broker with retained messages, restarted in the middle: the narration is complete and in order.
     #[test]
     fn nothing_is_lost_over_a_restart_of_the_broker() {
         let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap()) else {
+        let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
             eprintln!("SKIPPED: mosquitto is not installed (apt-get install mosquitto)");
             return;
         };

@@ -97,6 +97,14 @@ pub enum InputError {
         /// Why.
         source: serde_json::Error,
     },
+    /// A line of a sensor log is malformed.
+    #[error("line {line}: {reason}")]
+    Sensor {
+        /// From 1.
+        line: u64,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// A line is too long, or not UTF-8.
     #[error("line {line}: not a line of UTF-8 with at most {LINE_BYTES_MAX} bytes")]
     NoLine {
@@ -173,6 +181,8 @@ fn kind_of(text: &str, line: u64) -> Result<u32, InputError> {
 pub enum Input {
     /// Everything is there.
     Items(Vec<Item>),
+    /// Everything is there, among lines that are malformed.
+    Log(Vec<Result<Item, InputError>>),
     /// Lines, as they come.
     Lines {
         /// "standard input" or the file's name.
@@ -339,6 +349,7 @@ pub fn run(
     // Reading may block for ever; the thread ends with its stream, or with the process.
     let reader = move || match input {
         Input::Items(list) => list.into_iter().map(Ok).try_for_each(|item| items_in.send(item)).is_ok(),
+        Input::Log(list) => list.into_iter().try_for_each(|item| items_in.send(item)).is_ok(),
         Input::Lines { name, stream, person } => read_lines(&name, stream, person, &items_in),
     };
     let reader = std::thread::Builder::new().name("reader".to_owned()).spawn(reader);
@@ -379,6 +390,11 @@ pub fn run(
     let linger = Instant::now() + Duration::try_from_secs_f64(config.linger_s).unwrap_or(Duration::ZERO);
     while !stop.requested() && sender.under_way() > 0 && Instant::now() < linger {
         sender.confirm(TICK)?;
+    }
+    // The daemon has it all; a recorder that looks now and then gets its chance before what was sent goes with its publisher.
+    if sender.outcome.sent > 0 && !stop.requested() {
+        sender.confirm(Duration::ZERO)?;
+        std::thread::sleep(TICK);
     }
     notify(&[NotifyState::Stopping]);
     Ok(sender.outcome)

@@ -456,3 +456,171 @@ fn a_running_systems_scores_are_explained_down_to_the_tokens() {
     assert!(labels > 30, "{labels} labels stand behind the studio's rooms");
     assert!(std::fs::read_to_string(plan).unwrap().contains("They grab the milk."));
 }
+
+/// What a scrape of the loopback address gives.
+fn scrape(address: &str) -> String {
+    use std::io::{Read, Write};
+    let mut stream = std::net::TcpStream::connect(address).unwrap();
+    stream.write_all(b"GET /metrics HTTP/1.0\r\n\r\n").unwrap();
+    let mut text = String::new();
+    stream.read_to_string(&mut text).unwrap();
+    text
+}
+
+/// A metric's value; the labels, if any, are part of its name.
+fn metric(text: &str, name: &str) -> Option<f64> {
+    text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.trim().parse().ok())
+}
+
+#[test]
+fn metrics_of_a_running_daemon_are_scraped() {
+    let mut world = World::new("metrics");
+    let daemon = world.start_daemon();
+    world.start(&["planner", "--robot", "one"]);
+    let serving = world.start(&["metrics", "--listen", "127.0.0.1:0"]);
+    let log = world.children[serving].log.clone();
+    let address = eventually("the address is printed", || {
+        let said = std::fs::read_to_string(&log).unwrap();
+        Some(said.split("http://").nth(1)?.split_once("/metrics")?.0.to_owned())
+    });
+    assert_eq!(world.narrate("camera", "They walk to the kitchen.\nThey open the fridge.\n").0, 0);
+    let text = eventually("both narrations are counted, and the decision", || {
+        let text = scrape(&address);
+        let counted = metric(&text, "roomcast_narrations_total{outcome=\"accepted\"}") == Some(2.0);
+        (counted && text.contains("roomcast_decisions_total{")).then_some(text)
+    });
+    assert!(
+        text.starts_with("HTTP/1.0 200") && text.contains("openmetrics-text") && text.ends_with("# EOF\n"),
+        "{text}"
+    );
+    assert_eq!(metric(&text, "roomcast_daemon_up"), Some(1.0));
+    assert_eq!(metric(&text, "roomcast_sources"), Some(1.0));
+    let steps = metric(&text, "roomcast_event_to_scores_seconds_count").unwrap();
+    let unseen = metric(&text, "roomcast_scores_unseen_total").unwrap();
+    assert!(steps >= 1.0 && steps + unseen >= 1.0, "{text}");
+    assert!(metric(&text, "roomcast_event_to_scores_seconds_sum").unwrap() > 0.0);
+    assert!(metric(&text, "roomcast_step_seconds_sum{stage=\"prefix\"}").unwrap() > 0.0);
+    assert!(metric(&text, "roomcast_scores_silence_seconds").unwrap() < PATIENCE.as_secs_f64());
+    let rooms: f64 = ["kitchen", "main-room", "bathroom"]
+        .iter()
+        .map(|room| metric(&text, &format!("roomcast_room_probability{{room=\"{room}\"}}")).unwrap())
+        .sum();
+    assert!((rooms - 1.0).abs() < 1e-9, "{rooms}");
+    assert!(text.contains("model=\"") && text.contains(env!("CARGO_PKG_VERSION")));
+
+    world.signal(daemon, Signal::KILL);
+    world.wait(daemon);
+    let down = eventually("the daemon is down", || {
+        Some(scrape(&address)).filter(|t| metric(t, "roomcast_daemon_up") == Some(0.0))
+    });
+    assert!(metric(&down, "roomcast_scores_silence_seconds").unwrap() > 0.0);
+
+    let refused = world.command(&["metrics", "--listen", "0.0.0.0:0"]).output().unwrap();
+    assert_eq!(refused.status.code(), Some(i32::from(exit_code::CONFIG)));
+    let off = world.command(&["metrics"]).output().unwrap();
+    assert_eq!(off.status.code(), Some(i32::from(exit_code::CONFIG)));
+    assert!(String::from_utf8(off.stderr).unwrap().contains("metrics are off"));
+}
+
+#[test]
+fn a_sensor_log_is_narrated() {
+    let mut world = World::new("sensors");
+    world.start_daemon();
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
+    let log = world.directory.path().join("log.tsv");
+    let good = std::fs::read_to_string(data.join("sensors.tsv")).unwrap();
+    std::fs::write(&log, format!("{good}at noon\tlater\tdoor\tMagnetic\tHall\n")).unwrap();
+    let mut command = world.command(&["narrate", "--pace", "0", "--json", "--linger", "100", "--name", "home"]);
+    let output =
+        command.arg("--sensors").arg(&log).arg("--rules").arg(data.join("sensor-rules.toml")).output().unwrap();
+    let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(outcome, serde_json::json!({"sent": 7, "confirmed": 7, "refused": 1}));
+    assert_eq!(output.status.code(), Some(i32::from(exit_code::INPUT)));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("line 12") && said.contains("at noon"), "{said}");
+    let node = world.domain.open("test").unwrap();
+    assert_eq!(world.status(&node).accepted, 7);
+}
+
+#[test]
+fn output_into_a_pipe_that_closes_ends_quietly() {
+    for arguments in
+        [&["completions", "bash"][..], &["config"], &["scene", "show", "apartment-e0", "--json"], &["help"]]
+    {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let output =
+            command.args(arguments).stdin(Stdio::null()).stdout(writer).stderr(Stdio::piped()).output().unwrap();
+        assert_eq!(String::from_utf8(output.stderr).unwrap(), "", "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_them() {
+    let mut world = World::new("record");
+    world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    // What was said before the recording belongs to its windows.
+    assert_eq!(world.narrate("early", "They wake up.\nThey walk to the bathroom.\n").0, 0);
+    let file = world.directory.path().join("day.mcap");
+    let recorder = world.start(&["record", file.to_str().unwrap()]);
+    eventually("the recorder listens", || (scores.subscribers() > 1).then_some(()));
+    let lines = "They walk to the kitchen.\nThey open the fridge.\nThey grab the milk.\nThey close the fridge.\n";
+    for (number, line) in lines.lines().enumerate() {
+        assert_eq!(world.narrate(&format!("camera-{number}"), line).0, 0);
+    }
+    world.signal(recorder, Signal::TERM);
+    let (status, log) = world.wait(recorder);
+    assert!(status.success(), "{log}");
+
+    let recording = roomcast::recording::read(&file).unwrap();
+    let narration = |recording: &roomcast::recording::Recording| -> Vec<Vec<u8>> {
+        let messages = recording.messages.iter().map(|(_, message)| message);
+        messages.filter(|m| m.topic() == NarrationV1::SERVICE.name).map(|m| m.to_bytes()).collect()
+    };
+    let last_scores = |recording: &roomcast::recording::Recording| recording.moment(None, None).unwrap().scores;
+    let recorded = last_scores(&recording);
+    assert_eq!(narration(&recording).len(), 4, "{log}");
+    assert_eq!(recorded.window, 6);
+
+    // Explained from the file alone, by its number and by its time.
+    let explain = |more: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
+        let output = command.args(["explain", "--recording", file.to_str().unwrap()]).args(more).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let text = explain(&["--top", "3"]);
+    assert!(text.contains("They wake up.") && text.contains("They close the fridge."), "{text}");
+    let difference = text.split("differ by at most ").nth(1).unwrap().split_whitespace().next().unwrap();
+    let difference: f64 = difference.trim_end_matches('.').parse().unwrap();
+    assert!(difference < 5e-3, "{text}");
+    let earlier = explain(&["--sequence", &(recorded.sequence - 1).to_string()]);
+    assert!(earlier.contains("They grab the milk.") && !earlier.contains("They close the fridge."), "{earlier}");
+
+    // Into a fresh domain: the same narration, and scores that agree as far as the scorer's tolerance goes.
+    let mut other = World::new("replay");
+    other.start_daemon();
+    let other_node = other.domain.open("test").unwrap();
+    let other_scores = other_node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&other_scores, "the first scores", |_| true);
+    let early = "They wake up.\nThey walk to the bathroom.\n";
+    assert_eq!(other.narrate("early", early).0, 0);
+    let second = other.directory.path().join("again.mcap");
+    let recorder = other.start(&["record", second.to_str().unwrap()]);
+    eventually("the recorder listens", || (other_scores.subscribers() > 1).then_some(()));
+    let replayed = other.command(&["replay", file.to_str().unwrap(), "--speed", "50"]).output().unwrap();
+    assert!(replayed.status.success(), "{replayed:?}");
+    let last = scores_with(&other_scores, "all of it", |scores| includes(scores, "camera-3", 1));
+    other.signal(recorder, Signal::TERM);
+    assert!(other.wait(recorder).0.success());
+    let again = roomcast::recording::read(&second).unwrap();
+    assert_eq!(narration(&again), narration(&recording), "bit for bit");
+    assert_eq!(last.window, recorded.window);
+    for (a, b) in recorded.rooms().iter().zip(last.rooms()) {
+        assert!((a.probability - b.probability).abs() < 5e-3 && a.id == b.id, "{} {}", a.probability, b.probability);
+    }
+}

@@ -5,7 +5,8 @@
 use std::path::Path;
 use std::process::Command;
 
-const UNITS: [&str; 3] = ["roomcast-daemon.service", "roomcast-planner.service", "roomcast-narrator.service"];
+const UNITS: [&str; 4] =
+    ["roomcast-daemon.service", "roomcast-planner.service", "roomcast-narrator.service", "roomcast-metrics.service"];
 
 /// The units, with the path of the binary that was just built.
 fn installed() -> Option<tempfile::TempDir> {

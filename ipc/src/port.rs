@@ -204,6 +204,12 @@ impl<M: Message> Subscriber<M> {
     pub fn publishers(&self) -> usize {
         self.factory.dynamic_config().number_of_publishers()
     }
+
+    /// Subscribers of the service, this one included.
+    #[must_use]
+    pub fn subscribers(&self) -> usize {
+        self.factory.dynamic_config().number_of_subscribers()
+    }
 }
 
 /// A snapshot of all items' scores.

@@ -16,6 +16,7 @@ mod doctor;
 mod experiment;
 mod explain;
 mod man;
+mod metrics;
 mod model;
 mod narrate;
 mod planner;
@@ -108,6 +109,8 @@ enum Command {
     Explain(explain::Args),
     /// Write the manual pages of all commands.
     Man(man::Args),
+    /// Serve metrics of a running system for Prometheus, on a loopback address.
+    Metrics(metrics::Args),
     /// Inspect, check and fetch language models.
     Model(model::Args),
     /// Publish what a person does: activity programs, JSON lines, plain sentences.
@@ -126,10 +129,27 @@ enum Command {
     Top(top::Args),
 }
 
+impl Command {
+    /// Whether a reader that leaves may end the command at once: it holds no place in a domain, and no processes.
+    fn only_prints(&self) -> bool {
+        match self {
+            Self::Daemon(_) | Self::Demo(_) | Self::Metrics(_) | Self::Narrate(_) | Self::Planner(_) => false,
+            Self::Record(_) | Self::Replay(_) | Self::Top(_) => false,
+            Self::Completions(_) | Self::Config(_) | Self::Doctor(_) | Self::Experiment(_) | Self::Explain(_) => true,
+            Self::Man(_) | Self::Model(_) | Self::Scene(_) | Self::Score(_) => true,
+        }
+    }
+}
+
 /// Parses the command line, runs it and gives the exit code; prints an error once, on standard error.
 #[must_use]
 pub fn main() -> ExitCode {
-    let result = match Cli::parse().command {
+    let command = Cli::parse().command;
+    if command.only_prints() {
+        // Output into a pipe that closes (`| head -1`) ends the command as it ends any other.
+        sigpipe::reset();
+    }
+    let result = match command {
         Command::Completions(args) => completions::run(&args),
         Command::Config(args) => config::run(&args),
         Command::Daemon(args) => daemon::run(&args),
@@ -138,6 +158,7 @@ pub fn main() -> ExitCode {
         Command::Experiment(args) => experiment::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::Man(args) => man::run(&args),
+        Command::Metrics(args) => metrics::run(&args),
         Command::Model(args) => model::run(&args),
         Command::Narrate(args) => narrate::run(&args),
         Command::Planner(args) => planner::run(&args),

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use super::{CommandResult, Failure, print_json, service};
 use crate::mqtt::{self, Broker, Rules};
 use crate::narrator::{self, Input, Pace};
+use crate::sensor_log::SensorRules;
 use crate::stop::Stop;
 use crate::{exit_code, logging};
 
@@ -22,8 +23,11 @@ pub struct Args {
     /// Publish what an MQTT broker's devices say: mqtt://HOST[:PORT], or mqtts://HOST[:PORT] with --mqtt-ca.
     #[arg(long, value_name = "URL", conflicts_with_all = ["input", "fifo"], requires = "rules")]
     mqtt: Option<String>,
-    /// The rules by which MQTT messages become sentences; see docs/mqtt.md.
-    #[arg(long, value_name = "FILE", requires = "mqtt")]
+    /// Publish a sensor log: intervals with sensor, kind and place, as public smart-home data sets have them.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["input", "fifo", "mqtt"], requires = "rules")]
+    sensors: Option<PathBuf>,
+    /// The rules by which MQTT messages or sensors' intervals become sentences; see docs/mqtt.md and docs/sensors.md.
+    #[arg(long, value_name = "FILE")]
     rules: Option<PathBuf>,
     /// A file with the broker's user name and password, a line each.
     #[arg(long, value_name = "FILE", requires = "mqtt")]
@@ -40,7 +44,7 @@ pub struct Args {
     /// Seconds before each narration; 0 is as fast as the daemon takes them.
     #[arg(long, value_name = "SECONDS", conflicts_with = "speed")]
     pace: Option<f64>,
-    /// For programs: so many times faster than the actions take in reality.
+    /// For programs and sensor logs: so many times faster than in reality.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     speed: f64,
     /// Seconds to wait at the end until the daemon has confirmed everything, in place of the configuration's.
@@ -74,9 +78,13 @@ pub fn run(args: &Args) -> CommandResult {
     if let Some(fifo) = &args.fifo {
         narrator::make_fifo(fifo).map_err(input)?;
     }
-    let source = match &args.mqtt {
-        Some(address) => listen(args, address, &config.narrator.name, &stop)?,
-        None => Input::open(args.fifo.as_ref().unwrap_or(&args.input), args.person).map_err(input)?,
+    let source = match (&args.mqtt, &args.sensors) {
+        (Some(address), _) => listen(args, address, &config.narrator.name, &stop)?,
+        (None, Some(log)) => read_sensors(log, args.rules.as_deref().unwrap_or(Path::new("rules.toml")))?,
+        (None, None) if args.rules.is_some() => {
+            return Err(Failure::new(exit_code::USAGE, "--rules are for --mqtt or --sensors; give one of them"));
+        }
+        (None, None) => Input::open(args.fifo.as_ref().unwrap_or(&args.input), args.person).map_err(input)?,
     };
     let outcome = narrator::run(&config.narrator, &domain, source, pace, &stop)
         .map_err(|error| Failure::new(exit_code::IPC, error))?;
@@ -98,6 +106,15 @@ pub fn run(args: &Args) -> CommandResult {
         ));
     }
     Ok(())
+}
+
+/// Makes narration of a sensor log.
+fn read_sensors(log: &Path, rules: &Path) -> Result<Input, Failure> {
+    let input = |error| Failure::new(exit_code::INPUT, error);
+    let narrated = SensorRules::load(rules).and_then(|rules| rules.narrate_file(log)).map_err(input)?;
+    let (lines, unfit, silent) = (narrated.items.len(), narrated.unfit, narrated.silent);
+    tracing::info!(lines, unfit, silent, log = %log.display(), "sensor log read");
+    Ok(Input::Log(narrated.items))
 }
 
 /// Listens to the broker in a thread of its own; its lines come through a pipe, whose small buffer holds it back while the daemon is

@@ -1,0 +1,683 @@
+/* Roomcast's contract between processes, made by cbindgen from the crate roomcast-ipc: `make c-header`. Do not edit. */
+
+#ifndef ROOMCAST_H
+#define ROOMCAST_H
+
+#include <stdint.h>
+
+// Bytes of a name in a message (room, item, label, policy), UTF-8, zero padded.
+#define ROOMCAST_NAME_BYTES 48
+
+// Most bytes of a narration's text.
+#define ROOMCAST_NARRATION_TEXT_BYTES 1024
+
+// A plain sentence from any captioning source: "They grab the mug."
+#define ROOMCAST_NARRATION_KIND_SENTENCE 0
+
+// An atomic action in VirtualHome's notation: [Grab] <mug> (1).
+#define ROOMCAST_NARRATION_KIND_ACTION 1
+
+// A device's state: "the oven is on".
+#define ROOMCAST_NARRATION_KIND_DEVICE 2
+
+// Most rooms (partitions) in one message. A map with more cannot be served by the daemon.
+#define ROOMCAST_MAX_ROOMS 64
+
+// Most narrators named in one message; the longest silent ones are left out, and a flag says so.
+#define ROOMCAST_MAX_SOURCES 16
+
+// Value of RoomScoresV1::person: the message speaks of all persons together.
+#define ROOMCAST_ALL_PERSONS UINT32_MAX
+
+// Every label was scored; bounds equal scores.
+#define ROOMCAST_REACHED_EXACT 0
+
+// The ranking of the rooms is certain, the scores are bounds.
+#define ROOMCAST_REACHED_RANKING 1
+
+// The most likely room is certain.
+#define ROOMCAST_REACHED_TOP 2
+
+// Time ran out; the bounds say what is known.
+#define ROOMCAST_REACHED_DEADLINE 3
+
+// Sent again unchanged, to say that the daemon lives: same sequence, newer published_ns.
+#define ROOMCAST_SCORE_FLAGS_HEARTBEAT 1
+
+// No narration yet: the scores are what the model says about an unknown past.
+#define ROOMCAST_SCORE_FLAGS_NO_NARRATION (1 << 1)
+
+// More narration had arrived when this was published: newer scores follow.
+#define ROOMCAST_SCORE_FLAGS_BEHIND (1 << 2)
+
+// Narration was lost on the way (a gap in its sequence numbers).
+#define ROOMCAST_SCORE_FLAGS_GAP (1 << 3)
+
+// There are more sources than places: included names the most recent ones.
+#define ROOMCAST_SCORE_FLAGS_SOURCES_CUT (1 << 4)
+
+// The last scoring attempt failed; these are the last good scores.
+#define ROOMCAST_SCORE_FLAGS_SCORER_FAILED (1 << 5)
+
+// Value of ItemScoreV1::partition: the item lies in none.
+#define ROOMCAST_NO_PARTITION UINT32_MAX
+
+// Most points in time of a forecast.
+#define ROOMCAST_MAX_HORIZONS 16
+
+// Most bytes of a decision's reason.
+#define ROOMCAST_REASON_TEXT_BYTES 256
+
+// The robot stays where it is.
+#define ROOMCAST_ACTION_STAY 0
+
+// The robot goes to to and works there.
+#define ROOMCAST_ACTION_GO 1
+
+// Not the policy's choice but the safe fallback.
+#define ROOMCAST_DECISION_FLAGS_FALLBACK 1
+
+// The scores were older than the planner's deadline.
+#define ROOMCAST_DECISION_FLAGS_STALE (1 << 1)
+
+// No scores were received at all.
+#define ROOMCAST_DECISION_FLAGS_NO_SCORES (1 << 2)
+
+// The daemon was silent for longer than its heartbeat allows.
+#define ROOMCAST_DECISION_FLAGS_DAEMON_SILENT (1 << 3)
+
+// Every room has been covered.
+#define ROOMCAST_DECISION_FLAGS_COVERED (1 << 4)
+
+// One observation of a person, from a narrator: an action that is complete, a device state, or a sentence.
+//
+// (source, epoch, sequence) names it for good: what a narrator sends again under the same name is not taken twice.
+typedef struct RoomcastNarrationV1 {
+  // The narrator, the same over restarts; 0 is not allowed.
+  // (Offset 0.)
+  uint64_t source;
+  // Random per start of the narrator.
+  // (Offset 8.)
+  uint64_t epoch;
+  // 1, 2, 3, ... within the epoch.
+  // (Offset 16.)
+  uint64_t sequence;
+  // When it was observed: monotonic nanoseconds.
+  // (Offset 24.)
+  uint64_t observed_ns;
+  // When it was observed: Unix nanoseconds, for people.
+  // (Offset 32.)
+  uint64_t observed_unix_ns;
+  // Which person; each has a history of its own.
+  // (Offset 40.)
+  uint32_t person;
+  // One of narration_kind.
+  // (Offset 44.)
+  uint32_t kind;
+  // Bytes of text that follow in text, 1 to 1 024.
+  // (Offset 48.)
+  uint32_t text_bytes;
+  // Minor version of the layout: 0.
+  // (Offset 52.)
+  uint32_t minor;
+  // The narrator's name, for people.
+  // (Offset 56.)
+  uint8_t source_name[ROOMCAST_NAME_BYTES];
+  // Zero.
+  // (Offset 104.)
+  uint8_t reserved[88];
+  // The text, UTF-8, the rest zero.
+  // (Offset 192.)
+  uint8_t text[ROOMCAST_NARRATION_TEXT_BYTES];
+} RoomcastNarrationV1;
+
+// The newest narration of one source that a message's scores contain.
+typedef struct RoomcastIncludedV1 {
+  // The narrator.
+  // (Offset 0.)
+  uint64_t source;
+  // Its epoch.
+  // (Offset 8.)
+  uint64_t epoch;
+  // Highest sequence number contained; all accepted ones below it went through the history too.
+  // (Offset 16.)
+  uint64_t sequence;
+  // When that was observed: monotonic nanoseconds.
+  // (Offset 24.)
+  uint64_t observed_ns;
+  // Narrations of this source that the daemon has accepted since it started or recovered.
+  // (Offset 32.)
+  uint64_t accepted;
+} RoomcastIncludedV1;
+
+// How likely a person is to be in one room soon.
+typedef struct RoomcastRoomV1 {
+  // The partition's id in the map, UTF-8, zero padded.
+  // (Offset 0.)
+  uint8_t id[ROOMCAST_NAME_BYTES];
+  // Equation 2's sum over the room's items, in nats; -inf when it has none.
+  // (Offset 48.)
+  double log_score_nats;
+  // The true value lies at or above this, in nats.
+  // (Offset 56.)
+  double lower_log_score_nats;
+  // The true value lies at or below this, in nats.
+  // (Offset 64.)
+  double upper_log_score_nats;
+  // The score's share of all rooms' scores, 0 to 1.
+  // (Offset 72.)
+  double probability;
+} RoomcastRoomV1;
+
+// A full snapshot of what the daemon knows: a late joiner needs nothing else.
+//
+// The same (epoch, sequence) may come again as a heartbeat, every 250 ms, with a newer published_ns.
+typedef struct RoomcastRoomScoresV1 {
+  // Random per start of the daemon.
+  // (Offset 0.)
+  uint64_t epoch;
+  // 1, 2, 3, ... within the epoch; a jump means that snapshots were overwritten before they were read.
+  // (Offset 8.)
+  uint64_t sequence;
+  // When the scores were computed: monotonic nanoseconds. Their age counts from here.
+  // (Offset 16.)
+  uint64_t computed_ns;
+  // The same in Unix nanoseconds, for people.
+  // (Offset 24.)
+  uint64_t computed_unix_ns;
+  // When this very message was sent: monotonic nanoseconds. The daemon's age counts from here.
+  // (Offset 32.)
+  uint64_t published_ns;
+  // When the newest contained narration was observed: monotonic nanoseconds, 0 for none.
+  // (Offset 40.)
+  uint64_t observed_ns;
+  // When the daemon received it: monotonic nanoseconds, 0 for none.
+  // (Offset 48.)
+  uint64_t received_ns;
+  // SHA-256 of the model file.
+  // (Offset 56.)
+  uint8_t model_fingerprint[32];
+  // SHA-256 of the map.
+  // (Offset 88.)
+  uint8_t map_fingerprint[32];
+  // Total probability of all labels as continuations, 0 to about 1.
+  // (Offset 120.)
+  double label_mass;
+  // Narrations in the window that the scores were computed from.
+  // (Offset 128.)
+  uint64_t window;
+  // Time from receipt to the start of the step, in nanoseconds.
+  // (Offset 136.)
+  uint64_t wait_ns;
+  // Step's time: tokenising.
+  // (Offset 144.)
+  uint64_t tokenise_ns;
+  // Step's time: decoding new narration and binding sequence.
+  // (Offset 152.)
+  uint64_t prefix_ns;
+  // Step's time: decoding the labels' trie.
+  // (Offset 160.)
+  uint64_t trie_ns;
+  // Step's time: grounding.
+  // (Offset 168.)
+  uint64_t ground_ns;
+  // Person whose next room this is, or ALL_PERSONS.
+  // (Offset 176.)
+  uint32_t person;
+  // Persons with a history.
+  // (Offset 180.)
+  uint32_t persons;
+  // Rooms in rooms, at most 64.
+  // (Offset 184.)
+  uint32_t room_count;
+  // Entries in included, at most 16.
+  // (Offset 188.)
+  uint32_t source_count;
+  // One of reached.
+  // (Offset 192.)
+  uint32_t reached;
+  // Bits of score_flags.
+  // (Offset 196.)
+  uint32_t flags;
+  // Minor version of the layout: 0.
+  // (Offset 200.)
+  uint32_t minor;
+  // Zero.
+  // (Offset 204.)
+  uint8_t reserved[52];
+  // Per source, the newest narration contained; unused entries zero.
+  // (Offset 256.)
+  struct RoomcastIncludedV1 included[ROOMCAST_MAX_SOURCES];
+  // The rooms in the map's order; unused entries zero.
+  // (Offset 896.)
+  struct RoomcastRoomV1 room[ROOMCAST_MAX_ROOMS];
+} RoomcastRoomScoresV1;
+
+// User header of a slice of item scores: which snapshot they belong to.
+typedef struct RoomcastItemScoresHeaderV1 {
+  // Epoch of the room scores that these items add up to.
+  // (Offset 0.)
+  uint64_t epoch;
+  // Sequence of those room scores.
+  // (Offset 8.)
+  uint64_t sequence;
+  // When they were computed: monotonic nanoseconds.
+  // (Offset 16.)
+  uint64_t computed_ns;
+  // Minor version of the layout: 0.
+  // (Offset 24.)
+  uint32_t minor;
+  // Zero.
+  // (Offset 28.)
+  uint8_t reserved[36];
+} RoomcastItemScoresHeaderV1;
+
+// The score of one item of the map. Sent only while somebody subscribes.
+typedef struct RoomcastItemScoreV1 {
+  // The item's id in the map, UTF-8, zero padded, cut to fit.
+  // (Offset 0.)
+  uint8_t id[ROOMCAST_NAME_BYTES];
+  // Its label, UTF-8, zero padded, cut to fit.
+  // (Offset 48.)
+  uint8_t label[ROOMCAST_NAME_BYTES];
+  // s_i = s_c / n_l, in nats.
+  // (Offset 96.)
+  double log_score_nats;
+  // Index of its room in RoomScoresV1::rooms, or NO_PARTITION.
+  // (Offset 104.)
+  uint32_t partition;
+  // Items of the map with this label, n_l.
+  // (Offset 108.)
+  uint32_t label_items;
+} RoomcastItemScoreV1;
+
+// P(room is occupied at computed_ns + horizon), for a grid of horizons.
+typedef struct RoomcastForecastV1 {
+  // Epoch of the room scores that it follows from.
+  // (Offset 0.)
+  uint64_t epoch;
+  // Sequence of those room scores.
+  // (Offset 8.)
+  uint64_t sequence;
+  // When it was computed: monotonic nanoseconds.
+  // (Offset 16.)
+  uint64_t computed_ns;
+  // When this message was sent: monotonic nanoseconds.
+  // (Offset 24.)
+  uint64_t published_ns;
+  // Rooms, at most 64.
+  // (Offset 32.)
+  uint32_t room_count;
+  // Horizons, at most 16.
+  // (Offset 36.)
+  uint32_t horizon_count;
+  // Person, or ALL_PERSONS.
+  // (Offset 40.)
+  uint32_t person;
+  // Minor version of the layout: 0.
+  // (Offset 44.)
+  uint32_t minor;
+  // Zero.
+  // (Offset 48.)
+  uint8_t reserved[80];
+  // The horizons in seconds, rising.
+  // (Offset 128.)
+  float horizon_s[ROOMCAST_MAX_HORIZONS];
+  // The rooms' ids, UTF-8, zero padded.
+  // (Offset 192.)
+  uint8_t id[ROOMCAST_MAX_ROOMS][ROOMCAST_NAME_BYTES];
+  // probability[room][horizon], 0 to 1; a room's row does not sum to one, a horizon's column does.
+  // (Offset 3264.)
+  float probability[ROOMCAST_MAX_ROOMS][ROOMCAST_MAX_HORIZONS];
+} RoomcastForecastV1;
+
+// Where a robot goes next, and why.
+typedef struct RoomcastDecisionV1 {
+  // The robot.
+  // (Offset 0.)
+  uint64_t robot;
+  // Random per start of the planner.
+  // (Offset 8.)
+  uint64_t epoch;
+  // 1, 2, 3, ... within the epoch.
+  // (Offset 16.)
+  uint64_t sequence;
+  // When it was decided: monotonic nanoseconds.
+  // (Offset 24.)
+  uint64_t decided_ns;
+  // The same in Unix nanoseconds, for people.
+  // (Offset 32.)
+  uint64_t decided_unix_ns;
+  // Epoch of the scores it rests on; 0 for none.
+  // (Offset 40.)
+  uint64_t scores_epoch;
+  // Sequence of those scores.
+  // (Offset 48.)
+  uint64_t scores_sequence;
+  // Age of those scores at the decision, in nanoseconds.
+  // (Offset 56.)
+  uint64_t scores_age_ns;
+  // When the newest narration in those scores was observed: monotonic nanoseconds.
+  // (Offset 64.)
+  uint64_t observed_ns;
+  // Bit i: room i has been covered.
+  // (Offset 72.)
+  uint64_t covered;
+  // The score of the room gone to, 0 to 1.
+  // (Offset 80.)
+  double probability;
+  // How long the robot will stay there, in nanoseconds.
+  // (Offset 88.)
+  uint64_t stay_ns;
+  // One of action.
+  // (Offset 96.)
+  uint32_t action;
+  // Bits of decision_flags.
+  // (Offset 100.)
+  uint32_t flags;
+  // Minor version of the layout: 0.
+  // (Offset 104.)
+  uint32_t minor;
+  // Zero.
+  // (Offset 108.)
+  uint8_t reserved_a[4];
+  // The room it is in, UTF-8, zero padded; empty when unknown.
+  // (Offset 112.)
+  uint8_t from[ROOMCAST_NAME_BYTES];
+  // The room it goes to (or stays in).
+  // (Offset 160.)
+  uint8_t to[ROOMCAST_NAME_BYTES];
+  // The policy's name.
+  // (Offset 208.)
+  uint8_t policy[ROOMCAST_NAME_BYTES];
+  // Why, in words, UTF-8, zero padded, cut to fit.
+  // (Offset 256.)
+  uint8_t reason[ROOMCAST_REASON_TEXT_BYTES];
+  // Zero.
+  // (Offset 512.)
+  uint8_t reserved[256];
+} RoomcastDecisionV1;
+
+// Asks the daemon how it is.
+typedef struct RoomcastStatusRequestV1 {
+  // Minor version of the layout that the asker knows: 0.
+  // (Offset 0.)
+  uint32_t minor;
+  // Zero.
+  // (Offset 4.)
+  uint8_t reserved[12];
+} RoomcastStatusRequestV1;
+
+// The daemon's health, versions and counters. Counters count since the daemon's start.
+typedef struct RoomcastStatusResponseV1 {
+  // The daemon's epoch, that of its scores.
+  // (Offset 0.)
+  uint64_t epoch;
+  // Sequence of its newest scores.
+  // (Offset 8.)
+  uint64_t sequence;
+  // When it started: Unix nanoseconds.
+  // (Offset 16.)
+  uint64_t started_unix_ns;
+  // When it answered: monotonic nanoseconds.
+  // (Offset 24.)
+  uint64_t answered_ns;
+  // Narrations received, in any condition.
+  // (Offset 32.)
+  uint64_t received;
+  // Narrations that went into a history.
+  // (Offset 40.)
+  uint64_t accepted;
+  // Narrations received a second time, and ignored.
+  // (Offset 48.)
+  uint64_t duplicates;
+  // Narrations that never arrived (gaps in sequence numbers).
+  // (Offset 56.)
+  uint64_t missed;
+  // Malformed messages, counted and dropped.
+  // (Offset 64.)
+  uint64_t malformed;
+  // Narrations refused by a source's rate limit or quota.
+  // (Offset 72.)
+  uint64_t limited;
+  // Scoring steps.
+  // (Offset 80.)
+  uint64_t steps;
+  // Narrations that were scored together with a newer one, without scores of their own.
+  // (Offset 88.)
+  uint64_t merged;
+  // Steps that failed in the scorer.
+  // (Offset 96.)
+  uint64_t failed_steps;
+  // Snapshots sent, heartbeats not counted.
+  // (Offset 104.)
+  uint64_t published;
+  // Heartbeats sent.
+  // (Offset 112.)
+  uint64_t heartbeats;
+  // Narrations restored from the journal at the start.
+  // (Offset 120.)
+  uint64_t restored;
+  // Narrations that wait for the next step.
+  // (Offset 128.)
+  uint64_t waiting;
+  // Event to scores, median over the run, in nanoseconds.
+  // (Offset 136.)
+  uint64_t latency_p50_ns;
+  // Event to scores, 99th percentile, in nanoseconds.
+  // (Offset 144.)
+  uint64_t latency_p99_ns;
+  // Event to scores, worst, in nanoseconds.
+  // (Offset 152.)
+  uint64_t latency_max_ns;
+  // SHA-256 of the model file.
+  // (Offset 160.)
+  uint8_t model_fingerprint[32];
+  // SHA-256 of the map.
+  // (Offset 192.)
+  uint8_t map_fingerprint[32];
+  // The daemon's process id.
+  // (Offset 224.)
+  uint32_t process;
+  // Narrators known.
+  // (Offset 228.)
+  uint32_t sources;
+  // Persons known.
+  // (Offset 232.)
+  uint32_t persons;
+  // Minor version of the layout: 0.
+  // (Offset 236.)
+  uint32_t minor;
+  // Version of the daemon, UTF-8, zero padded.
+  // (Offset 240.)
+  uint8_t version[ROOMCAST_NAME_BYTES];
+  // The map's name.
+  // (Offset 288.)
+  uint8_t map[ROOMCAST_NAME_BYTES];
+  // The model's name.
+  // (Offset 336.)
+  uint8_t model[ROOMCAST_NAME_BYTES];
+  // Journal: bytes on disk.
+  // (Offset 384.)
+  uint64_t journal_bytes;
+  // Journal: failed writes.
+  // (Offset 392.)
+  uint64_t journal_failures;
+  // Zero.
+  // (Offset 400.)
+  uint8_t reserved[112];
+} RoomcastStatusResponseV1;
+
+#endif  /* ROOMCAST_H */
+
+
+/* Type names, as iceoryx2 compares them. */
+#define ROOMCAST_TYPE_NAME_NARRATIONV1 "roomcast.NarrationV1"
+#define ROOMCAST_TYPE_NAME_ROOMSCORESV1 "roomcast.RoomScoresV1"
+#define ROOMCAST_TYPE_NAME_ITEMSCOREV1 "roomcast.ItemScoreV1"
+#define ROOMCAST_TYPE_NAME_ITEMSCORESHEADERV1 "roomcast.ItemScoresHeaderV1"
+#define ROOMCAST_TYPE_NAME_FORECASTV1 "roomcast.ForecastV1"
+#define ROOMCAST_TYPE_NAME_DECISIONV1 "roomcast.DecisionV1"
+#define ROOMCAST_TYPE_NAME_STATUSREQUESTV1 "roomcast.StatusRequestV1"
+#define ROOMCAST_TYPE_NAME_STATUSRESPONSEV1 "roomcast.StatusResponseV1"
+
+/* Publish-subscribe services and their quality; every participant states all of it. Safe overflow is on. */
+#define ROOMCAST_SERVICE_NARRATION "roomcast/v1/narration"
+#define ROOMCAST_NARRATION_MAX_PUBLISHERS 8
+#define ROOMCAST_NARRATION_MAX_SUBSCRIBERS 4
+#define ROOMCAST_NARRATION_BUFFER_SIZE 256
+#define ROOMCAST_NARRATION_HISTORY_SIZE 32
+#define ROOMCAST_SERVICE_ROOM_SCORES "roomcast/v1/room-scores"
+#define ROOMCAST_ROOM_SCORES_MAX_PUBLISHERS 1
+#define ROOMCAST_ROOM_SCORES_MAX_SUBSCRIBERS 16
+#define ROOMCAST_ROOM_SCORES_BUFFER_SIZE 2
+#define ROOMCAST_ROOM_SCORES_HISTORY_SIZE 1
+#define ROOMCAST_SERVICE_FORECAST "roomcast/v1/forecast"
+#define ROOMCAST_FORECAST_MAX_PUBLISHERS 1
+#define ROOMCAST_FORECAST_MAX_SUBSCRIBERS 16
+#define ROOMCAST_FORECAST_BUFFER_SIZE 2
+#define ROOMCAST_FORECAST_HISTORY_SIZE 1
+#define ROOMCAST_SERVICE_DECISION "roomcast/v1/decision"
+#define ROOMCAST_DECISION_MAX_PUBLISHERS 8
+#define ROOMCAST_DECISION_MAX_SUBSCRIBERS 16
+#define ROOMCAST_DECISION_BUFFER_SIZE 16
+#define ROOMCAST_DECISION_HISTORY_SIZE 1
+
+#if defined(__STDC_VERSION__) && __STDC_VERSION__ >= 201112L
+#include <stddef.h>
+_Static_assert(sizeof(RoomcastNarrationV1) == 1216, "RoomcastNarrationV1");
+_Static_assert(offsetof(RoomcastNarrationV1, source) == 0, "RoomcastNarrationV1.source");
+_Static_assert(offsetof(RoomcastNarrationV1, epoch) == 8, "RoomcastNarrationV1.epoch");
+_Static_assert(offsetof(RoomcastNarrationV1, sequence) == 16, "RoomcastNarrationV1.sequence");
+_Static_assert(offsetof(RoomcastNarrationV1, observed_ns) == 24, "RoomcastNarrationV1.observed_ns");
+_Static_assert(offsetof(RoomcastNarrationV1, observed_unix_ns) == 32, "RoomcastNarrationV1.observed_unix_ns");
+_Static_assert(offsetof(RoomcastNarrationV1, person) == 40, "RoomcastNarrationV1.person");
+_Static_assert(offsetof(RoomcastNarrationV1, kind) == 44, "RoomcastNarrationV1.kind");
+_Static_assert(offsetof(RoomcastNarrationV1, text_bytes) == 48, "RoomcastNarrationV1.text_bytes");
+_Static_assert(offsetof(RoomcastNarrationV1, minor) == 52, "RoomcastNarrationV1.minor");
+_Static_assert(offsetof(RoomcastNarrationV1, source_name) == 56, "RoomcastNarrationV1.source_name");
+_Static_assert(offsetof(RoomcastNarrationV1, reserved) == 104, "RoomcastNarrationV1.reserved");
+_Static_assert(offsetof(RoomcastNarrationV1, text) == 192, "RoomcastNarrationV1.text");
+_Static_assert(sizeof(RoomcastIncludedV1) == 40, "RoomcastIncludedV1");
+_Static_assert(offsetof(RoomcastIncludedV1, source) == 0, "RoomcastIncludedV1.source");
+_Static_assert(offsetof(RoomcastIncludedV1, epoch) == 8, "RoomcastIncludedV1.epoch");
+_Static_assert(offsetof(RoomcastIncludedV1, sequence) == 16, "RoomcastIncludedV1.sequence");
+_Static_assert(offsetof(RoomcastIncludedV1, observed_ns) == 24, "RoomcastIncludedV1.observed_ns");
+_Static_assert(offsetof(RoomcastIncludedV1, accepted) == 32, "RoomcastIncludedV1.accepted");
+_Static_assert(sizeof(RoomcastRoomV1) == 80, "RoomcastRoomV1");
+_Static_assert(offsetof(RoomcastRoomV1, id) == 0, "RoomcastRoomV1.id");
+_Static_assert(offsetof(RoomcastRoomV1, log_score_nats) == 48, "RoomcastRoomV1.log_score_nats");
+_Static_assert(offsetof(RoomcastRoomV1, lower_log_score_nats) == 56, "RoomcastRoomV1.lower_log_score_nats");
+_Static_assert(offsetof(RoomcastRoomV1, upper_log_score_nats) == 64, "RoomcastRoomV1.upper_log_score_nats");
+_Static_assert(offsetof(RoomcastRoomV1, probability) == 72, "RoomcastRoomV1.probability");
+_Static_assert(sizeof(RoomcastRoomScoresV1) == 6016, "RoomcastRoomScoresV1");
+_Static_assert(offsetof(RoomcastRoomScoresV1, epoch) == 0, "RoomcastRoomScoresV1.epoch");
+_Static_assert(offsetof(RoomcastRoomScoresV1, sequence) == 8, "RoomcastRoomScoresV1.sequence");
+_Static_assert(offsetof(RoomcastRoomScoresV1, computed_ns) == 16, "RoomcastRoomScoresV1.computed_ns");
+_Static_assert(offsetof(RoomcastRoomScoresV1, computed_unix_ns) == 24, "RoomcastRoomScoresV1.computed_unix_ns");
+_Static_assert(offsetof(RoomcastRoomScoresV1, published_ns) == 32, "RoomcastRoomScoresV1.published_ns");
+_Static_assert(offsetof(RoomcastRoomScoresV1, observed_ns) == 40, "RoomcastRoomScoresV1.observed_ns");
+_Static_assert(offsetof(RoomcastRoomScoresV1, received_ns) == 48, "RoomcastRoomScoresV1.received_ns");
+_Static_assert(offsetof(RoomcastRoomScoresV1, model_fingerprint) == 56, "RoomcastRoomScoresV1.model_fingerprint");
+_Static_assert(offsetof(RoomcastRoomScoresV1, map_fingerprint) == 88, "RoomcastRoomScoresV1.map_fingerprint");
+_Static_assert(offsetof(RoomcastRoomScoresV1, label_mass) == 120, "RoomcastRoomScoresV1.label_mass");
+_Static_assert(offsetof(RoomcastRoomScoresV1, window) == 128, "RoomcastRoomScoresV1.window");
+_Static_assert(offsetof(RoomcastRoomScoresV1, wait_ns) == 136, "RoomcastRoomScoresV1.wait_ns");
+_Static_assert(offsetof(RoomcastRoomScoresV1, tokenise_ns) == 144, "RoomcastRoomScoresV1.tokenise_ns");
+_Static_assert(offsetof(RoomcastRoomScoresV1, prefix_ns) == 152, "RoomcastRoomScoresV1.prefix_ns");
+_Static_assert(offsetof(RoomcastRoomScoresV1, trie_ns) == 160, "RoomcastRoomScoresV1.trie_ns");
+_Static_assert(offsetof(RoomcastRoomScoresV1, ground_ns) == 168, "RoomcastRoomScoresV1.ground_ns");
+_Static_assert(offsetof(RoomcastRoomScoresV1, person) == 176, "RoomcastRoomScoresV1.person");
+_Static_assert(offsetof(RoomcastRoomScoresV1, persons) == 180, "RoomcastRoomScoresV1.persons");
+_Static_assert(offsetof(RoomcastRoomScoresV1, room_count) == 184, "RoomcastRoomScoresV1.room_count");
+_Static_assert(offsetof(RoomcastRoomScoresV1, source_count) == 188, "RoomcastRoomScoresV1.source_count");
+_Static_assert(offsetof(RoomcastRoomScoresV1, reached) == 192, "RoomcastRoomScoresV1.reached");
+_Static_assert(offsetof(RoomcastRoomScoresV1, flags) == 196, "RoomcastRoomScoresV1.flags");
+_Static_assert(offsetof(RoomcastRoomScoresV1, minor) == 200, "RoomcastRoomScoresV1.minor");
+_Static_assert(offsetof(RoomcastRoomScoresV1, reserved) == 204, "RoomcastRoomScoresV1.reserved");
+_Static_assert(offsetof(RoomcastRoomScoresV1, included) == 256, "RoomcastRoomScoresV1.included");
+_Static_assert(offsetof(RoomcastRoomScoresV1, room) == 896, "RoomcastRoomScoresV1.room");
+_Static_assert(sizeof(RoomcastItemScoresHeaderV1) == 64, "RoomcastItemScoresHeaderV1");
+_Static_assert(offsetof(RoomcastItemScoresHeaderV1, epoch) == 0, "RoomcastItemScoresHeaderV1.epoch");
+_Static_assert(offsetof(RoomcastItemScoresHeaderV1, sequence) == 8, "RoomcastItemScoresHeaderV1.sequence");
+_Static_assert(offsetof(RoomcastItemScoresHeaderV1, computed_ns) == 16, "RoomcastItemScoresHeaderV1.computed_ns");
+_Static_assert(offsetof(RoomcastItemScoresHeaderV1, minor) == 24, "RoomcastItemScoresHeaderV1.minor");
+_Static_assert(offsetof(RoomcastItemScoresHeaderV1, reserved) == 28, "RoomcastItemScoresHeaderV1.reserved");
+_Static_assert(sizeof(RoomcastItemScoreV1) == 112, "RoomcastItemScoreV1");
+_Static_assert(offsetof(RoomcastItemScoreV1, id) == 0, "RoomcastItemScoreV1.id");
+_Static_assert(offsetof(RoomcastItemScoreV1, label) == 48, "RoomcastItemScoreV1.label");
+_Static_assert(offsetof(RoomcastItemScoreV1, log_score_nats) == 96, "RoomcastItemScoreV1.log_score_nats");
+_Static_assert(offsetof(RoomcastItemScoreV1, partition) == 104, "RoomcastItemScoreV1.partition");
+_Static_assert(offsetof(RoomcastItemScoreV1, label_items) == 108, "RoomcastItemScoreV1.label_items");
+_Static_assert(sizeof(RoomcastForecastV1) == 7360, "RoomcastForecastV1");
+_Static_assert(offsetof(RoomcastForecastV1, epoch) == 0, "RoomcastForecastV1.epoch");
+_Static_assert(offsetof(RoomcastForecastV1, sequence) == 8, "RoomcastForecastV1.sequence");
+_Static_assert(offsetof(RoomcastForecastV1, computed_ns) == 16, "RoomcastForecastV1.computed_ns");
+_Static_assert(offsetof(RoomcastForecastV1, published_ns) == 24, "RoomcastForecastV1.published_ns");
+_Static_assert(offsetof(RoomcastForecastV1, room_count) == 32, "RoomcastForecastV1.room_count");
+_Static_assert(offsetof(RoomcastForecastV1, horizon_count) == 36, "RoomcastForecastV1.horizon_count");
+_Static_assert(offsetof(RoomcastForecastV1, person) == 40, "RoomcastForecastV1.person");
+_Static_assert(offsetof(RoomcastForecastV1, minor) == 44, "RoomcastForecastV1.minor");
+_Static_assert(offsetof(RoomcastForecastV1, reserved) == 48, "RoomcastForecastV1.reserved");
+_Static_assert(offsetof(RoomcastForecastV1, horizon_s) == 128, "RoomcastForecastV1.horizon_s");
+_Static_assert(offsetof(RoomcastForecastV1, id) == 192, "RoomcastForecastV1.id");
+_Static_assert(offsetof(RoomcastForecastV1, probability) == 3264, "RoomcastForecastV1.probability");
+_Static_assert(sizeof(RoomcastDecisionV1) == 768, "RoomcastDecisionV1");
+_Static_assert(offsetof(RoomcastDecisionV1, robot) == 0, "RoomcastDecisionV1.robot");
+_Static_assert(offsetof(RoomcastDecisionV1, epoch) == 8, "RoomcastDecisionV1.epoch");
+_Static_assert(offsetof(RoomcastDecisionV1, sequence) == 16, "RoomcastDecisionV1.sequence");
+_Static_assert(offsetof(RoomcastDecisionV1, decided_ns) == 24, "RoomcastDecisionV1.decided_ns");
+_Static_assert(offsetof(RoomcastDecisionV1, decided_unix_ns) == 32, "RoomcastDecisionV1.decided_unix_ns");
+_Static_assert(offsetof(RoomcastDecisionV1, scores_epoch) == 40, "RoomcastDecisionV1.scores_epoch");
+_Static_assert(offsetof(RoomcastDecisionV1, scores_sequence) == 48, "RoomcastDecisionV1.scores_sequence");
+_Static_assert(offsetof(RoomcastDecisionV1, scores_age_ns) == 56, "RoomcastDecisionV1.scores_age_ns");
+_Static_assert(offsetof(RoomcastDecisionV1, observed_ns) == 64, "RoomcastDecisionV1.observed_ns");
+_Static_assert(offsetof(RoomcastDecisionV1, covered) == 72, "RoomcastDecisionV1.covered");
+_Static_assert(offsetof(RoomcastDecisionV1, probability) == 80, "RoomcastDecisionV1.probability");
+_Static_assert(offsetof(RoomcastDecisionV1, stay_ns) == 88, "RoomcastDecisionV1.stay_ns");
+_Static_assert(offsetof(RoomcastDecisionV1, action) == 96, "RoomcastDecisionV1.action");
+_Static_assert(offsetof(RoomcastDecisionV1, flags) == 100, "RoomcastDecisionV1.flags");
+_Static_assert(offsetof(RoomcastDecisionV1, minor) == 104, "RoomcastDecisionV1.minor");
+_Static_assert(offsetof(RoomcastDecisionV1, reserved_a) == 108, "RoomcastDecisionV1.reserved_a");
+_Static_assert(offsetof(RoomcastDecisionV1, from) == 112, "RoomcastDecisionV1.from");
+_Static_assert(offsetof(RoomcastDecisionV1, to) == 160, "RoomcastDecisionV1.to");
+_Static_assert(offsetof(RoomcastDecisionV1, policy) == 208, "RoomcastDecisionV1.policy");
+_Static_assert(offsetof(RoomcastDecisionV1, reason) == 256, "RoomcastDecisionV1.reason");
+_Static_assert(offsetof(RoomcastDecisionV1, reserved) == 512, "RoomcastDecisionV1.reserved");
+_Static_assert(sizeof(RoomcastStatusRequestV1) == 16, "RoomcastStatusRequestV1");
+_Static_assert(offsetof(RoomcastStatusRequestV1, minor) == 0, "RoomcastStatusRequestV1.minor");
+_Static_assert(offsetof(RoomcastStatusRequestV1, reserved) == 4, "RoomcastStatusRequestV1.reserved");
+_Static_assert(sizeof(RoomcastStatusResponseV1) == 512, "RoomcastStatusResponseV1");
+_Static_assert(offsetof(RoomcastStatusResponseV1, epoch) == 0, "RoomcastStatusResponseV1.epoch");
+_Static_assert(offsetof(RoomcastStatusResponseV1, sequence) == 8, "RoomcastStatusResponseV1.sequence");
+_Static_assert(offsetof(RoomcastStatusResponseV1, started_unix_ns) == 16, "RoomcastStatusResponseV1.started_unix_ns");
+_Static_assert(offsetof(RoomcastStatusResponseV1, answered_ns) == 24, "RoomcastStatusResponseV1.answered_ns");
+_Static_assert(offsetof(RoomcastStatusResponseV1, received) == 32, "RoomcastStatusResponseV1.received");
+_Static_assert(offsetof(RoomcastStatusResponseV1, accepted) == 40, "RoomcastStatusResponseV1.accepted");
+_Static_assert(offsetof(RoomcastStatusResponseV1, duplicates) == 48, "RoomcastStatusResponseV1.duplicates");
+_Static_assert(offsetof(RoomcastStatusResponseV1, missed) == 56, "RoomcastStatusResponseV1.missed");
+_Static_assert(offsetof(RoomcastStatusResponseV1, malformed) == 64, "RoomcastStatusResponseV1.malformed");
+_Static_assert(offsetof(RoomcastStatusResponseV1, limited) == 72, "RoomcastStatusResponseV1.limited");
+_Static_assert(offsetof(RoomcastStatusResponseV1, steps) == 80, "RoomcastStatusResponseV1.steps");
+_Static_assert(offsetof(RoomcastStatusResponseV1, merged) == 88, "RoomcastStatusResponseV1.merged");
+_Static_assert(offsetof(RoomcastStatusResponseV1, failed_steps) == 96, "RoomcastStatusResponseV1.failed_steps");
+_Static_assert(offsetof(RoomcastStatusResponseV1, published) == 104, "RoomcastStatusResponseV1.published");
+_Static_assert(offsetof(RoomcastStatusResponseV1, heartbeats) == 112, "RoomcastStatusResponseV1.heartbeats");
+_Static_assert(offsetof(RoomcastStatusResponseV1, restored) == 120, "RoomcastStatusResponseV1.restored");
+_Static_assert(offsetof(RoomcastStatusResponseV1, waiting) == 128, "RoomcastStatusResponseV1.waiting");
+_Static_assert(offsetof(RoomcastStatusResponseV1, latency_p50_ns) == 136, "RoomcastStatusResponseV1.latency_p50_ns");
+_Static_assert(offsetof(RoomcastStatusResponseV1, latency_p99_ns) == 144, "RoomcastStatusResponseV1.latency_p99_ns");
+_Static_assert(offsetof(RoomcastStatusResponseV1, latency_max_ns) == 152, "RoomcastStatusResponseV1.latency_max_ns");
+_Static_assert(offsetof(RoomcastStatusResponseV1, model_fingerprint) == 160, "RoomcastStatusResponseV1.model_fingerprint");
+_Static_assert(offsetof(RoomcastStatusResponseV1, map_fingerprint) == 192, "RoomcastStatusResponseV1.map_fingerprint");
+_Static_assert(offsetof(RoomcastStatusResponseV1, process) == 224, "RoomcastStatusResponseV1.process");
+_Static_assert(offsetof(RoomcastStatusResponseV1, sources) == 228, "RoomcastStatusResponseV1.sources");
+_Static_assert(offsetof(RoomcastStatusResponseV1, persons) == 232, "RoomcastStatusResponseV1.persons");
+_Static_assert(offsetof(RoomcastStatusResponseV1, minor) == 236, "RoomcastStatusResponseV1.minor");
+_Static_assert(offsetof(RoomcastStatusResponseV1, version) == 240, "RoomcastStatusResponseV1.version");
+_Static_assert(offsetof(RoomcastStatusResponseV1, map) == 288, "RoomcastStatusResponseV1.map");
+_Static_assert(offsetof(RoomcastStatusResponseV1, model) == 336, "RoomcastStatusResponseV1.model");
+_Static_assert(offsetof(RoomcastStatusResponseV1, journal_bytes) == 384, "RoomcastStatusResponseV1.journal_bytes");
+_Static_assert(offsetof(RoomcastStatusResponseV1, journal_failures) == 392, "RoomcastStatusResponseV1.journal_failures");
+_Static_assert(offsetof(RoomcastStatusResponseV1, reserved) == 400, "RoomcastStatusResponseV1.reserved");
+#endif

@@ -1,0 +1,46 @@
+//! `roomcast metrics`: metrics of a running system for Prometheus.
+
+use std::net::SocketAddr;
+
+use super::{CommandResult, Failure, service};
+use crate::metrics::{self, MetricsError};
+use crate::{daemon, exit_code, logging};
+
+/// Arguments of `roomcast metrics`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    service: service::Args,
+    /// The loopback address to serve on, in place of the configuration's; port 0 takes a free one and prints it.
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    listen: Option<SocketAddr>,
+}
+
+/// Serves until it is asked to stop.
+///
+/// # Errors
+///
+/// When no address is configured, it is none of this machine alone, or it is taken; when a service is lost.
+pub fn run(args: &Args) -> CommandResult {
+    let stop = service::stop()?;
+    logging::init();
+    let (config, domain) = args.service.load()?;
+    let Some(address) = args.listen.or(config.metrics.listen) else {
+        return Err(Failure::new(
+            exit_code::CONFIG,
+            "metrics are off: set listen = \"127.0.0.1:9464\" in the section [metrics], or give --listen",
+        ));
+    };
+    let served = metrics::run(address, &domain, &stop, |address| {
+        eprintln!("metrics at http://{address}/metrics");
+        daemon::notify(&[sd_notify::NotifyState::Ready]);
+    });
+    served.map_err(|error| {
+        let code = match error {
+            MetricsError::NotLoopback(_) => exit_code::CONFIG,
+            MetricsError::Ipc(_) => exit_code::IPC,
+            MetricsError::Listen { .. } | MetricsError::Thread(_) => exit_code::FAILURE,
+        };
+        Failure::new(code, error)
+    })
+}

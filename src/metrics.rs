@@ -1,0 +1,456 @@
+//! Metrics for Prometheus: what the services say, as histograms, counters and gauges, on a loopback address.
+//!
+//! A participant of its own, beside the daemon and not in it: the daemon keeps its hands free of sockets and of networks. Latencies
+//! are those that the scores themselves carry; counters are the daemon's own, asked for at every scrape.
+
+use std::net::SocketAddr;
+use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::registry::{Registry, Unit};
+use roomcast_ipc::{
+    DecisionV1, Domain, IpcError, RoomScoresV1, StatusClient, StatusResponseV1, Subscriber, clock, decision_flags,
+    score_flags,
+};
+use tiny_http::{Header, Method, Response, Server};
+
+use crate::hub::hex;
+use crate::stop::Stop;
+
+/// Bounds of latency buckets in seconds: half a millisecond to ten seconds.
+const BUCKETS_S: [f64; 14] = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0];
+/// How long a scrape waits for the daemon's counters.
+const PATIENCE: Duration = Duration::from_millis(500);
+const TICK: Duration = Duration::from_millis(100);
+/// What OpenMetrics wants to be called.
+const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// The section `[metrics]`.
+#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MetricsConfig {
+    /// Where to serve them: a loopback address with a port. None: not at all.
+    pub listen: Option<SocketAddr>,
+}
+
+/// Why metrics cannot be served.
+#[derive(Debug, thiserror::Error)]
+pub enum MetricsError {
+    /// An address that others could reach.
+    #[error("metrics are served on a loopback address alone, not on {0}: give 127.0.0.1:PORT or [::1]:PORT")]
+    NotLoopback(SocketAddr),
+    /// The port cannot be had.
+    #[error("metrics cannot be served on {address}: {reason}; is the port taken? give another one in metrics.listen")]
+    Listen {
+        /// Where.
+        address: SocketAddr,
+        /// The system's word.
+        reason: String,
+    },
+    /// The thread that answers could not be started.
+    #[error("cannot start the thread that serves metrics: {0}; is a limit on tasks set too low?")]
+    Thread(std::io::Error),
+    /// A service.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Stage {
+    stage: &'static str,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct NarrationOutcome {
+    outcome: &'static str,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Room {
+    room: String,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct DecisionKind {
+    policy: String,
+    fallback: &'static str,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Versions {
+    version: String,
+    model: String,
+    model_fingerprint: String,
+    map: String,
+    map_fingerprint: String,
+}
+
+type Ratio = Gauge<f64, AtomicU64>;
+
+/// All that is measured.
+#[derive(Debug)]
+struct Metrics {
+    registry: Registry,
+    event_to_scores: Histogram,
+    stages: Family<Stage, Histogram, fn() -> Histogram>,
+    scores_seen: Counter,
+    scores_unseen: Counter,
+    malformed_scores: Counter,
+    room_probability: Family<Room, Ratio>,
+    label_mass: Ratio,
+    scores_age: Ratio,
+    scores_silence: Ratio,
+    narration_age: Ratio,
+    decisions: Family<DecisionKind, Counter>,
+    daemon_up: Gauge,
+    daemon_start: Ratio,
+    narrations: Family<NarrationOutcome, Counter>,
+    waiting: Gauge,
+    steps: Counter,
+    failed_steps: Counter,
+    merged: Counter,
+    heartbeats: Counter,
+    journal_bytes: Gauge,
+    journal_failures: Counter,
+    sources: Gauge,
+    persons: Gauge,
+    versions: Family<Versions, Gauge>,
+    /// The newest scores, to know what is a repetition, and how old they are at a scrape.
+    newest: Option<RoomScoresV1>,
+}
+
+fn latency_histogram() -> Histogram {
+    Histogram::new(BUCKETS_S)
+}
+
+fn seconds(nanoseconds: u64) -> f64 {
+    nanoseconds as f64 / 1e9
+}
+
+impl Metrics {
+    fn new() -> Self {
+        let mut metrics = Self {
+            registry: Registry::with_prefix("roomcast"),
+            event_to_scores: latency_histogram(),
+            stages: Family::new_with_constructor(latency_histogram),
+            scores_seen: Counter::default(),
+            scores_unseen: Counter::default(),
+            malformed_scores: Counter::default(),
+            room_probability: Family::default(),
+            label_mass: Ratio::default(),
+            scores_age: Ratio::default(),
+            scores_silence: Ratio::default(),
+            narration_age: Ratio::default(),
+            decisions: Family::default(),
+            daemon_up: Gauge::default(),
+            daemon_start: Ratio::default(),
+            narrations: Family::default(),
+            waiting: Gauge::default(),
+            steps: Counter::default(),
+            failed_steps: Counter::default(),
+            merged: Counter::default(),
+            heartbeats: Counter::default(),
+            journal_bytes: Gauge::default(),
+            journal_failures: Counter::default(),
+            sources: Gauge::default(),
+            persons: Gauge::default(),
+            versions: Family::default(),
+            newest: None,
+        };
+        metrics.register();
+        metrics
+    }
+
+    fn register(&mut self) {
+        let r = &mut self.registry;
+        let s = Unit::Seconds;
+        r.register_with_unit(
+            "event_to_scores",
+            "From the receipt of a narration to its scores",
+            s.clone(),
+            self.event_to_scores.clone(),
+        );
+        r.register_with_unit("step", "Stages of a scoring step", s.clone(), self.stages.clone());
+        r.register("scores", "Snapshots of new scores seen here", self.scores_seen.clone());
+        r.register(
+            "scores_unseen",
+            "Snapshots that came faster than they were looked at here",
+            self.scores_unseen.clone(),
+        );
+        r.register("scores_malformed", "Snapshots that were malformed", self.malformed_scores.clone());
+        r.register(
+            "room_probability",
+            "Probability that a person turns to the room next",
+            self.room_probability.clone(),
+        );
+        r.register(
+            "label_mass",
+            "Probability that what comes next is a word of the map at all",
+            self.label_mass.clone(),
+        );
+        r.register_with_unit("scores_age", "Since the newest scores were computed", s.clone(), self.scores_age.clone());
+        r.register_with_unit(
+            "scores_silence",
+            "Since the daemon last confirmed its scores",
+            s.clone(),
+            self.scores_silence.clone(),
+        );
+        r.register_with_unit(
+            "narration_age",
+            "Since the newest narration in the scores was observed",
+            s.clone(),
+            self.narration_age.clone(),
+        );
+        r.register("decisions", "Decisions of planners seen here", self.decisions.clone());
+        r.register("daemon_up", "Whether the daemon answers", self.daemon_up.clone());
+        r.register_with_unit(
+            "daemon_start_time",
+            "When the daemon started, in Unix time",
+            s,
+            self.daemon_start.clone(),
+        );
+        r.register(
+            "narrations",
+            "Narrations by what became of them, since the daemon's start",
+            self.narrations.clone(),
+        );
+        r.register("narrations_waiting", "Narrations that wait for the next step", self.waiting.clone());
+        r.register("steps", "Scoring steps since the daemon's start", self.steps.clone());
+        r.register("steps_failed", "Scoring steps in which the model failed", self.failed_steps.clone());
+        r.register("narrations_merged", "Narrations scored together with a newer one", self.merged.clone());
+        r.register("heartbeats", "Heartbeats since the daemon's start", self.heartbeats.clone());
+        r.register("journal_size_bytes", "Bytes of the journal on disk", self.journal_bytes.clone());
+        r.register("journal_failures", "Failed writes of the journal", self.journal_failures.clone());
+        r.register("sources", "Narrators known", self.sources.clone());
+        r.register("persons", "Persons known", self.persons.clone());
+        r.register("daemon", "Versions, model and map", self.versions.clone());
+    }
+
+    /// Takes scores as they come, repetitions included.
+    fn take(&mut self, scores: &RoomScoresV1) {
+        let known = self.newest.filter(|known| known.epoch == scores.epoch).map_or(0, |known| known.sequence);
+        let same_daemon = self.newest.is_some_and(|known| known.epoch == scores.epoch);
+        if scores.sequence > known && !scores.has(score_flags::HEARTBEAT) {
+            self.scores_seen.inc();
+            if same_daemon {
+                self.scores_unseen.inc_by(scores.sequence - known - 1);
+            }
+            // A step without narration (the first one, a changed map) has no event to be measured from.
+            if scores.wait_ns > 0 {
+                self.event_to_scores.observe(seconds(scores.published_ns.saturating_sub(scores.received_ns)));
+            }
+            let stages = [
+                ("wait", scores.wait_ns),
+                ("tokenise", scores.tokenise_ns),
+                ("prefix", scores.prefix_ns),
+                ("trie", scores.trie_ns),
+                ("ground", scores.ground_ns),
+            ];
+            for (stage, taken_ns) in stages {
+                self.stages.get_or_create(&Stage { stage }).observe(seconds(taken_ns));
+            }
+        }
+        if self.newest.is_some_and(|known| known.map_fingerprint != scores.map_fingerprint) {
+            self.room_probability.clear();
+        }
+        for room in scores.rooms() {
+            self.room_probability.get_or_create(&Room { room: room.id().to_owned() }).set(room.probability);
+        }
+        self.label_mass.set(scores.label_mass);
+        self.newest = Some(*scores);
+    }
+
+    fn decide(&self, decision: &DecisionV1) {
+        let fallback = if decision.has(decision_flags::FALLBACK) { "true" } else { "false" };
+        let kind = DecisionKind { policy: decision.policy().to_owned(), fallback };
+        self.decisions.get_or_create(&kind).inc();
+    }
+
+    /// Takes the daemon's own counters, or that it does not answer.
+    fn ask(&self, status: Option<&StatusResponseV1>) {
+        self.daemon_up.set(i64::from(status.is_some()));
+        let Some(status) = status else { return };
+        let set = |counter: &Counter, value: u64| counter.inner().store(value, std::sync::atomic::Ordering::Relaxed);
+        let gauge = |gauge: &Gauge, value: u64| {
+            gauge.set(i64::try_from(value).unwrap_or(i64::MAX));
+        };
+        for (outcome, count) in [
+            ("accepted", status.accepted),
+            ("duplicate", status.duplicates),
+            ("missed", status.missed),
+            ("malformed", status.malformed),
+            ("limited", status.limited),
+            ("restored", status.restored),
+        ] {
+            set(&self.narrations.get_or_create(&NarrationOutcome { outcome }), count);
+        }
+        set(&self.steps, status.steps);
+        set(&self.failed_steps, status.failed_steps);
+        set(&self.merged, status.merged);
+        set(&self.heartbeats, status.heartbeats);
+        set(&self.journal_failures, status.journal_failures);
+        gauge(&self.waiting, status.waiting);
+        gauge(&self.journal_bytes, status.journal_bytes);
+        gauge(&self.sources, status.sources.into());
+        gauge(&self.persons, status.persons.into());
+        self.daemon_start.set(seconds(status.started_unix_ns));
+        self.versions.clear();
+        let versions = Versions {
+            version: status.version().to_owned(),
+            model: status.model().to_owned(),
+            model_fingerprint: hex(&status.model_fingerprint),
+            map: status.map().to_owned(),
+            map_fingerprint: hex(&status.map_fingerprint),
+        };
+        self.versions.get_or_create(&versions).set(1);
+    }
+
+    /// The text of a scrape.
+    fn text(&self, now_ns: u64) -> String {
+        if let Some(scores) = &self.newest {
+            self.scores_age.set(seconds(scores.age_ns(now_ns)));
+            self.scores_silence.set(seconds(scores.silence_ns(now_ns)));
+            if scores.observed_ns > 0 {
+                self.narration_age.set(seconds(now_ns.saturating_sub(scores.observed_ns)));
+            }
+        }
+        let mut text = String::new();
+        // Writing into a String does not fail.
+        let _written = prometheus_client::encoding::text::encode(&mut text, &self.registry);
+        text
+    }
+}
+
+/// Serves metrics until it is asked to stop; `ready` gets the address, with the port that was found for port 0.
+///
+/// # Errors
+///
+/// [`MetricsError`] for an address that is not loopback or is taken, and when a service is lost.
+pub fn run(
+    address: SocketAddr,
+    domain: &Domain,
+    stop: &Stop,
+    ready: impl FnOnce(SocketAddr),
+) -> Result<(), MetricsError> {
+    if !address.ip().is_loopback() {
+        return Err(MetricsError::NotLoopback(address));
+    }
+    let node = domain.open("roomcast-metrics")?;
+    let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
+    let decisions: Subscriber<DecisionV1> = node.subscriber()?;
+    let status = node.status_client()?;
+    let server = Server::http(address).map_err(|error| MetricsError::Listen { address, reason: error.to_string() })?;
+    ready(server.server_addr().to_ip().unwrap_or(address));
+    let metrics = Arc::new(Mutex::new(Metrics::new()));
+    let serving = {
+        let (metrics, stop) = (Arc::clone(&metrics), stop.clone());
+        std::thread::Builder::new().name("serve".to_owned()).spawn(move || serve(&server, &status, &metrics, &stop))
+    };
+    let serving = serving.map_err(MetricsError::Thread)?;
+    while !stop.requested() {
+        scores.wait(TICK)?;
+        let mut metrics = metrics.lock().unwrap_or_else(PoisonError::into_inner);
+        while let Some(received) = scores.receive()? {
+            match received {
+                Ok(scores) => metrics.take(&scores),
+                Err(_) => {
+                    metrics.malformed_scores.inc();
+                }
+            }
+        }
+        while let Some(received) = decisions.receive()? {
+            if let Ok(decision) = received {
+                metrics.decide(&decision);
+            }
+        }
+    }
+    // It looks at the wish to stop every tick.
+    let _ended = serving.join();
+    Ok(())
+}
+
+fn serve(server: &Server, status: &StatusClient, metrics: &Mutex<Metrics>, stop: &Stop) {
+    while !stop.requested() {
+        let request = match server.recv_timeout(TICK) {
+            Ok(Some(request)) => request,
+            Ok(None) => continue,
+            Err(error) => {
+                tracing::warn!(%error, "a scrape failed");
+                continue;
+            }
+        };
+        let answered = match (request.method(), request.url()) {
+            (Method::Get, "/metrics") => {
+                let answer = status.ask(PATIENCE).ok();
+                let metrics = metrics.lock().unwrap_or_else(PoisonError::into_inner);
+                metrics.ask(answer.as_ref());
+                let response = Response::from_string(metrics.text(clock::monotonic_ns()));
+                drop(metrics);
+                match Header::from_bytes("Content-Type", CONTENT_TYPE) {
+                    Ok(header) => request.respond(response.with_header(header)),
+                    Err(()) => request.respond(response),
+                }
+            }
+            (Method::Get, _) => request.respond(Response::from_string("see /metrics\n").with_status_code(404)),
+            _ => request.respond(Response::from_string("only GET\n").with_status_code(405)),
+        };
+        // Whoever asked has gone.
+        if let Err(error) = answered {
+            tracing::debug!(%error, "a scrape was not read to its end");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use roomcast_ipc::text;
+
+    #[test]
+    fn addresses_that_others_reach_are_refused() {
+        let domain = Domain::new("/tmp/roomcast-metrics-test", "metrics-test").unwrap();
+        for address in ["0.0.0.0:9464", "192.168.1.2:9464", "[::]:9464"] {
+            let refused = run(address.parse().unwrap(), &domain, &Stop::new(), |_| ());
+            assert!(matches!(refused, Err(MetricsError::NotLoopback(_))), "{address}");
+        }
+    }
+
+    #[test]
+    fn steps_are_measured_once_and_gaps_are_counted() {
+        let mut metrics = Metrics::new();
+        let mut scores = RoomScoresV1 {
+            epoch: 1,
+            sequence: 1,
+            room_count: 1,
+            wait_ns: 1,
+            received_ns: 1_000_000,
+            published_ns: 4_000_000,
+            prefix_ns: 2_500_000,
+            ..Default::default()
+        };
+        scores.room[0].id = text::encode("id", "kitchen").unwrap();
+        scores.room[0].probability = 0.75;
+        metrics.take(&scores);
+        metrics.take(&RoomScoresV1 { flags: score_flags::HEARTBEAT, published_ns: 9_000_000, ..scores });
+        metrics.take(&RoomScoresV1 { sequence: 4, ..scores });
+        let text = metrics.text(10_000_000);
+        for line in [
+            "roomcast_event_to_scores_seconds_count 2",
+            "roomcast_event_to_scores_seconds_bucket{le=\"0.002\"} 0",
+            "roomcast_event_to_scores_seconds_bucket{le=\"0.005\"} 2",
+            "roomcast_step_seconds_bucket{le=\"0.005\",stage=\"prefix\"} 2",
+            "roomcast_scores_total 2",
+            "roomcast_scores_unseen_total 2",
+            "roomcast_room_probability{room=\"kitchen\"} 0.75",
+        ] {
+            assert!(text.lines().any(|own| own == line), "{line}\n{text}");
+        }
+        assert!(text.ends_with("# EOF\n"));
+    }
+}
