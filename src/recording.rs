@@ -498,7 +498,7 @@ mod tests {
         for ((_, a), (_, b)) in back.iter().zip(messages()) {
             assert_eq!(a.to_bytes(), b.to_bytes());
         }
-        let summary = mcap::Summary::read(&std::fs::read(&path).unwrap()).unwrap().unwrap();
+        let summary = Summary::read(&std::fs::read(&path).unwrap()).unwrap().unwrap();
         assert_eq!(summary.stats.unwrap().message_count, 4);
         assert!(summary.schemas.values().all(|schema| schema.encoding == "jsonschema"));
     }

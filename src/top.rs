@@ -12,6 +12,8 @@ use roomcast_ipc::{
     DecisionV1, ItemScores, NarrationV1, RoomScoresV1, StatusResponseV1, decision_flags, reached, score_flags,
 };
 
+use crate::narration::Observed;
+
 /// Points of a room's line over time that are kept; the widest terminal shows them all.
 const HISTORY_POINTS: usize = 512;
 /// Narrations that are kept for the list.
@@ -72,7 +74,10 @@ impl View {
         if self.narration.len() == NARRATIONS {
             self.narration.pop_front();
         }
-        self.narration.push_back((narration.source_name().to_owned(), narration.text().to_owned()));
+        // As the model reads it; what is no observation is shown as it came.
+        let sentence = Observed::parse(narration.text()).ok().and_then(|observed| observed.sentence().ok());
+        let text = sentence.map_or_else(|| narration.text().to_owned(), |sentence| sentence.as_str().to_owned());
+        self.narration.push_back((narration.source_name().to_owned(), text));
     }
 
     /// Takes in item scores: the labels with the highest sum over their items.
@@ -262,16 +267,24 @@ impl View {
             Some(status) => {
                 let age_s = now_ns.saturating_sub(status.answered_ns) as f64 / 1e9;
                 let age = if age_s > 3.0 { format!("{age_s:.0} s ago: ") } else { String::new() };
+                let lost: Vec<String> = [
+                    (status.missed, "missed"),
+                    (status.malformed, "malformed"),
+                    (status.failed_steps, "failed steps"),
+                    (self.snapshots_missed, "snapshots missed here"),
+                    (self.malformed, "malformed here"),
+                ]
+                .into_iter()
+                .filter(|(count, _)| *count > 0)
+                .map(|(count, what)| format!("{count} {what}"))
+                .collect();
+                // What is lost stands first: the line may be too long for the screen.
+                let lost = if lost.is_empty() { "nothing lost".to_owned() } else { lost.join(", ") };
                 Line::from(format!(
-                    "{age}event to scores {:.1} ms median, {:.1} p99; {} narrations, {} missed, {} malformed, {} failed steps; here: {} snapshots missed, {} malformed",
+                    "{age}{} narrations, {lost}; event to scores {:.1} ms median, {:.1} p99",
+                    status.accepted,
                     status.latency_p50_ns as f64 / 1e6,
                     status.latency_p99_ns as f64 / 1e6,
-                    status.accepted,
-                    status.missed,
-                    status.malformed,
-                    status.failed_steps,
-                    self.snapshots_missed,
-                    self.malformed,
                 ))
             }
         };

@@ -12,7 +12,18 @@ from collections.abc import Iterator
 
 import pytest
 
-from roomcast import Domain, Narrator, Planner, RoomScores, layouts, ports, source_of_name
+from roomcast import (
+    Domain,
+    Narrator,
+    Planner,
+    RoomcastError,
+    RoomScores,
+    change_map,
+    layouts,
+    moment,
+    ports,
+    source_of_name,
+)
 
 ROOMCAST = os.environ.get("ROOMCAST", "")
 EXAMPLES = pathlib.Path(__file__).parent.parent / "examples"
@@ -96,3 +107,24 @@ def test_the_rust_command_line_agrees(daemon: Domain) -> None:
     )
     once = {p["id"]: p["probability"] for p in json.loads(printed.stdout)["partitions"]}
     assert {room.id: room.probability for room in heard.rooms} == pytest.approx(once, abs=5e-3)
+
+
+def test_the_map_is_changed_and_the_moment_told(daemon: Domain) -> None:
+    with Narrator("py-narrator", daemon) as narrator:
+        narrator.say("They open the fridge.")
+        before = narrator.wait_until_included(20)
+        assert before is not None
+        box = {"min_m": [0.2, 0.2, 0.0], "max_m": [0.8, 0.8, 1.6]}
+        move = {"change": "move-item", "id": "fridge-1", "position_m": [0.5, 0.5, 0.5], "box": box}
+        answer = change_map([move], daemon)
+        assert (answer["new_labels"], answer["epoch"]) == (0, f"{before.epoch:016x}")
+        with pytest.raises(RoomcastError, match="there is no item"):
+            change_map([{"change": "remove-item", "id": "piano-1"}], daemon)
+        narrator.say("They close the fridge.")
+        after = narrator.wait_until_included(20)
+        assert after is not None and after.map == answer["map"] != before.map
+    told = moment(daemon)
+    assert [read["text"] for read in told["narration"]] == ["They open the fridge.", "They close the fridge."]
+    assert told["map_fingerprint"] == after.map
+    for label in told["labels"]:
+        assert sum(token["log_prob_nats"] for token in label["tokens"]) == pytest.approx(label["log_prob_nats"])

@@ -10,17 +10,30 @@
 
 from __future__ import annotations
 
+import json
 import math
 import secrets
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import TracebackType
+from typing import Any
 
 from . import layouts, ports
 from .ports import Domain, RoomcastError
 
-__all__ = ["Domain", "Narrator", "Planner", "Room", "RoomScores", "RoomcastError", "Source"]
+__all__ = [
+    "Domain",
+    "Narrator",
+    "Planner",
+    "Room",
+    "RoomScores",
+    "RoomcastError",
+    "Source",
+    "change_map",
+    "moment",
+    "source_of_name",
+]
 
 SENTENCE, ACTION, DEVICE = 0, 1, 2
 
@@ -234,3 +247,24 @@ class Planner(_Participant):
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         pass
+
+
+def change_map(changes: list[dict[str, Any]], domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any]:
+    """Changes the map of the running daemon: items added, moved, removed, rooms added, all or none.
+
+    `scenes/README.md` documents the changes. Returns the daemon's answer; RoomcastError says why nothing changed.
+    """
+    node = (domain or Domain.default_for_user()).open("python-map-change")
+    # Asked again under the same name, a change is done once.
+    question = json.dumps({"id": secrets.token_hex(8), "changes": changes})
+    answer: dict[str, Any] = json.loads(ports.ask(node, ports.MAP_CHANGE, question, timeout_s))
+    if answer["outcome"] != "applied":
+        raise RoomcastError(f"the daemon did not change its map: {answer.get('reason')}")
+    return answer
+
+
+def moment(domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any]:
+    """All that is behind the newest scores: the map in use, the narration that the model read, every label's tokens."""
+    node = (domain or Domain.default_for_user()).open("python-moment")
+    answer: dict[str, Any] = json.loads(ports.ask(node, ports.MOMENT, "{}", timeout_s))
+    return answer

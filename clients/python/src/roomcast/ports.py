@@ -157,3 +157,59 @@ class Subscriber(Generic[Payload]):
         copy = self._payload.from_buffer_copy(bytes(sample.payload().contents))
         sample.delete()
         return copy  # type: ignore[return-value]
+
+
+MAP_CHANGE = "roomcast/v1/map-change"
+MOMENT = "roomcast/v1/moment"
+_QUESTION_BYTES_MAX = 1 << 20
+_ASK_AGAIN_S = 0.5
+
+
+def _question_client(node: Any, service: str, deadline: float) -> Any:
+    """A client of a service of questions; retried, since a daemon that starts or stops is in the way for moments."""
+    words = iox2.Slice[ctypes.c_uint8]
+    while True:
+        try:
+            opened = (
+                node.service_builder(iox2.ServiceName.new(service))
+                .request_response(words, words)
+                .max_servers(1)
+                .max_clients(8)
+                .max_nodes(_MAX_NODES)
+                .max_active_requests_per_client(4)
+                .max_response_buffer_size(2)
+                .max_borrowed_responses_per_pending_response(2)
+                .max_loaned_requests(2)
+                .enable_fire_and_forget_requests(True)
+                .enable_safe_overflow_for_requests(True)
+                .enable_safe_overflow_for_responses(True)
+                .open_or_create()
+            )
+            growing = iox2.AllocationStrategy.PowerOfTwo
+            return opened.client_builder().initial_max_slice_len(4096).allocation_strategy(growing).create()
+        except Exception as error:  # iceoryx2's bindings have an exception type per operation
+            if time.monotonic() > deadline:
+                raise RoomcastError(f"failed to open {service}: {error!r}; all participants need iceoryx2 0.10.0") from error
+            time.sleep(0.02)
+
+
+def ask(node: Any, service: str, question: str, timeout_s: float = 10) -> str:
+    """Asks the daemon in words (JSON) and waits for the answer; asks again now and then while none comes."""
+    data = question.encode()
+    if len(data) > _QUESTION_BYTES_MAX:
+        raise RoomcastError(f"{service}: a question of {len(data)} bytes, at most {_QUESTION_BYTES_MAX} fit; split it")
+    deadline = time.monotonic() + timeout_s
+    client = _question_client(node, service, deadline)
+    while time.monotonic() < deadline:
+        request = client.loan_slice_uninit(len(data))
+        ctypes.memmove(request.payload().as_ptr(), data, len(data))
+        pending = request.assume_init().send()
+        again = time.monotonic() + _ASK_AGAIN_S
+        while time.monotonic() < min(again, deadline):
+            answer = pending.receive()
+            if answer is not None:
+                text = bytes(answer.payload().as_memory_view()).decode()
+                answer.delete()
+                return text
+            time.sleep(0.002)
+    raise RoomcastError(f"{service}: no answer within {timeout_s} s; is the daemon running in this domain?")
