@@ -430,15 +430,17 @@ mod tests {
         let mut planner = planner(PolicyName::UncoveredFirst, true);
         planner.take(&scores(1, S, &[0.5, 0.5]));
         let first = planner.decide(S, 0).unwrap().unwrap();
+        planner.take(&scores(2, 11 * S, &[0.5, 0.5]));
         planner.decide(11 * S, 0).unwrap().unwrap();
         // A room is added in front; the two known ones move by a place.
-        let mut changed = scores(2, 12 * S, &[0.2, 0.4, 0.4]);
+        let mut changed = scores(3, 12 * S, &[0.2, 0.4, 0.4]);
         changed.map_fingerprint = [1; 32];
         for (room, id) in changed.room.iter_mut().zip(["garage", "room-0", "room-1"]) {
             room.id = text::encode("id", id).unwrap();
         }
         planner.take(&changed);
         assert!(planner.decide(12 * S, 0).unwrap().is_none(), "it goes on with its work");
+        planner.take(&RoomScoresV1 { published_ns: 21 * S, ..changed });
         let next = planner.decide(21 * S, 0).unwrap().unwrap();
         assert_eq!(next.to(), "garage", "the first room {} stays covered", first.to());
         // Another daemon with another map.
