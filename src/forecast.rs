@@ -15,7 +15,8 @@
 //!
 //! A and B are survival functions of stays that are not memoryless (a semi-Markov prior): whoever has sat for long will
 //! probably go on sitting. Both are Lomax, `((m + age) / (m + age + t))^2` with mean `m` at age 0, the shape of an
-//! exponential whose rate is uncertain; `m` is learned from the intervals watched so far, over a prior worth a few of them.
+//! exponential whose rate is uncertain; `m` is learned from the intervals watched so far, over a prior worth a few of them. Silence ages what
+//! is known as much as narration does, but for the length of one action, which is observed only when complete.
 //!
 //! Pure: time comes in with the calls.
 
@@ -152,9 +153,12 @@ impl Forecaster {
     /// Per room the probability that the person is in it at `now_s + horizon_s`; sums to one.
     #[must_use]
     pub fn at(&self, now_s: f64, horizon_s: f64) -> Vec<f64> {
-        // What has passed since the last observation is part of the horizon of what was known then.
-        let horizon_s = (horizon_s + now_s - self.updated_s).max(0.0);
-        let object_age_s = self.updated_s - self.object_since_s;
+        // Silence is evidence that nothing else was done, except for its last part, which an action still in progress may
+        // fill: that part belongs to the horizon of what was known before it.
+        let silence_s = (now_s - self.updated_s).max(0.0);
+        let hidden_s = silence_s.min(self.to_object.mean_s());
+        let horizon_s = horizon_s.max(0.0) + hidden_s;
+        let object_age_s = self.updated_s + silence_s - hidden_s - self.object_since_s;
         let same_object = self.to_object.survival(object_age_s, horizon_s);
         let same_stay = self.stay.survival(0.0, horizon_s);
         let spent_s: f64 = self.spent_s.iter().sum();

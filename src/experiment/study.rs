@@ -216,9 +216,9 @@ impl Decider {
     fn policy(self) -> Box<dyn Policy> {
         match self {
             Self::Policy(name) => name.policy(),
-            Self::CoverageAware(weight_s) => Box::new(CoverageAware::new(weight_s)),
+            Self::CoverageAware(weight_s) => Box::new(CoverageAware::new(Some(weight_s))),
             // Dearer than any timeline, so that whatever can be covered is.
-            Self::Clairvoyant => Box::new(CoverageAware::new(1e12)),
+            Self::Clairvoyant => Box::new(CoverageAware::new(Some(1e12))),
         }
     }
 }

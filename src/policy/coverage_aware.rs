@@ -8,7 +8,11 @@ pub const DP_PARTITIONS_MAX: usize = 12;
 /// Default price of ending without having been in every room, in seconds of disturbance: rooms are left undone only where
 /// covering them would mean sharing one for most of a minute. Chosen on the experiments' grid and on held-out activities, where it
 /// disturbs less than informed avoidance and fails no more often than chance (docs/experiments.md).
-pub const WEIGHT_DEFAULT_S: f64 = 45.0;
+pub const WEIGHT_DEFAULT_S: f64 = 42.0;
+
+/// The default price is no less than this share of the time that people are expected to be about in one slot: where the
+/// robot works for a quarter of an hour in each room, a minute is no price.
+pub const WEIGHT_DEFAULT_SLOTS: f64 = 0.4;
 
 /// Differences of less than this many seconds are ties.
 const TIE_S: f64 = 1e-9;
@@ -20,15 +24,22 @@ const TIE_S: f64 = 1e-9;
 /// forecast or a horizon it does as [`UncoveredFirst`].
 #[derive(Debug, Clone, Copy)]
 pub struct CoverageAware {
-    weight_s: f64,
+    weight_s: Option<f64>,
 }
 
 impl CoverageAware {
     /// `weight_s`: how many seconds of disturbance a failed coverage is worth. 0 only avoids the person; infinite always
-    /// covers when it can.
+    /// covers when it can; `None` (or no number) is [`WEIGHT_DEFAULT_S`], or [`WEIGHT_DEFAULT_SLOTS`] if that is more.
     #[must_use]
-    pub fn new(weight_s: f64) -> Self {
-        Self { weight_s: if weight_s.is_nan() { WEIGHT_DEFAULT_S } else { weight_s.max(0.0) } }
+    pub fn new(weight_s: Option<f64>) -> Self {
+        Self { weight_s: weight_s.filter(|weight_s| !weight_s.is_nan()).map(|weight_s| weight_s.max(0.0)) }
+    }
+
+    fn weight_s(self, state: &RobotState<'_>) -> f64 {
+        self.weight_s.unwrap_or_else(|| {
+            let slot_s: f64 = state.expected_shared_s.iter().take(state.covered.len()).sum();
+            WEIGHT_DEFAULT_S.max(WEIGHT_DEFAULT_SLOTS * slot_s)
+        })
     }
 }
 
@@ -39,7 +50,7 @@ impl Policy for CoverageAware {
 
     fn choose(&mut self, state: &RobotState<'_>, scores: &[f64], rng: &mut dyn Rng) -> Result<Choice, PolicyError> {
         check(state, scores)?;
-        let Some(plan) = plan(state.expected_shared_s, state.covered, self.weight_s) else {
+        let Some(plan) = plan(state.expected_shared_s, state.covered, self.weight_s(state)) else {
             return UncoveredFirst.choose(state, scores, rng);
         };
         let partition = plan.partitions.first().copied().ok_or(PolicyError::NoPartitions)?;

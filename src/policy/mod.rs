@@ -15,7 +15,7 @@ mod informed_avoidance;
 mod naive;
 mod uncovered_first;
 
-pub use coverage_aware::{CoverageAware, DP_PARTITIONS_MAX, Plan, WEIGHT_DEFAULT_S, plan};
+pub use coverage_aware::{CoverageAware, DP_PARTITIONS_MAX, Plan, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS, plan};
 pub use greedy_avoidance::GreedyAvoidance;
 pub use informed_avoidance::InformedAvoidance;
 pub use naive::Naive;
@@ -128,7 +128,7 @@ impl PolicyName {
             Self::InformedAvoidance => Box::new(InformedAvoidance),
             Self::GreedyAvoidance => Box::new(GreedyAvoidance),
             Self::UncoveredFirst => Box::new(UncoveredFirst),
-            Self::CoverageAware => Box::new(CoverageAware::new(WEIGHT_DEFAULT_S)),
+            Self::CoverageAware => Box::new(CoverageAware::new(None)),
         }
     }
 }

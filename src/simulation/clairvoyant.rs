@@ -191,9 +191,9 @@ mod tests {
                     prop_assert!(optimum.covering_s.is_some_and(|bound| run.disturbance_s >= bound));
                 }
             }
-            let mut always = CoverageAware::new(1e9);
+            let mut always = CoverageAware::new(Some(1e9));
             let covered = run(&cost, room_time_s, &knowledge, &mut always, &mut restart_rng(1, restart)).unwrap();
-            let mut never = CoverageAware::new(0.0);
+            let mut never = CoverageAware::new(Some(0.0));
             let free = run(&cost, room_time_s, &knowledge, &mut never, &mut restart_rng(1, restart)).unwrap();
             let optimum = optima[covered.start];
             prop_assert_eq!(covered.coverage_s.is_some(), optimum.covering_s.is_some());

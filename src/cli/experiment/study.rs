@@ -17,7 +17,7 @@ use crate::forecast::ForecastOptions;
 use crate::grounding::{GroundedScores, Grounding};
 use crate::narration::history::HistoryLimits;
 use crate::narration::{Program, Sentence};
-use crate::policy::{PolicyName, WEIGHT_DEFAULT_S};
+use crate::policy::{PolicyName, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS};
 use crate::prompt::BindingSequence;
 use crate::scorer::llama::LlamaModel;
 use crate::semantic_map::{SemanticMap, drawing};
@@ -482,7 +482,7 @@ pub(super) fn run_pareto(args: &ParetoArgs) -> CommandResult {
         format!(
             "Of {} points of the naive policy and of informed avoidance, one per cell, coverage-aware avoidance dominates {} with one \
              weight and {} more with two weights mixed; in {} the clairvoyant bound shows that nothing could; {} are not dominated. Its default weight is \
-             {WEIGHT_DEFAULT_S} s.",
+             {WEIGHT_DEFAULT_S} s, or {WEIGHT_DEFAULT_SLOTS} T_r if that is more.",
             domination.len(),
             count("dominated"),
             count("dominated by mixing weights"),
