@@ -268,45 +268,88 @@ pub struct Outcome {
     pub refused: u64,
 }
 
-/// Sends numbered narrations and keeps account of which are confirmed.
-#[derive(Debug)]
-struct Narrator {
-    narration: Publisher<NarrationV1>,
-    scores: Subscriber<RoomScoresV1>,
+/// Numbers narrations and keeps account of which are confirmed. Pure: time comes in as a number.
+#[derive(Debug, Clone)]
+pub struct Account {
     source: u64,
     source_name: [u8; 48],
     epoch: u64,
     outcome: Outcome,
 }
 
-impl Narrator {
-    fn new(node: &Node, config: &NarratorConfig) -> Result<Self, IpcError> {
-        let source = sequence::source_of_name(&config.name);
-        Ok(Self {
-            narration: node.publisher()?,
-            scores: node.subscriber()?,
-            source,
-            source_name: text::encode_cut(&config.name),
-            epoch: sequence::random_epoch(),
+impl Account {
+    /// Nothing sent yet, by the narrator of this name; `epoch` is random per start.
+    #[must_use]
+    pub fn new(name: &str, epoch: u64) -> Self {
+        Self {
+            source: sequence::source_of_name(name),
+            source_name: text::encode_cut(name),
+            epoch,
             outcome: Outcome::default(),
-        })
+        }
     }
 
-    fn send(&mut self, item: &Item) -> Result<(), IpcError> {
-        let message = NarrationV1::new(item.kind, &item.text)
-            .map_err(|source| IpcError::Refused { service: NarrationV1::SERVICE.name, source })?;
-        self.narration.send(&NarrationV1 {
+    /// The next message, to be sent now.
+    ///
+    /// # Errors
+    ///
+    /// [`MessageError`] when the text cannot be a message; no number is used up then.
+    pub fn next(&mut self, item: &Item, now_ns: u64, now_unix_ns: u64) -> Result<NarrationV1, MessageError> {
+        let message = NarrationV1::new(item.kind, &item.text)?;
+        self.outcome.sent += 1;
+        Ok(NarrationV1 {
             source: self.source,
             epoch: self.epoch,
-            sequence: self.outcome.sent + 1,
-            observed_ns: clock::monotonic_ns(),
-            observed_unix_ns: clock::unix_ns(),
+            sequence: self.outcome.sent,
+            observed_ns: now_ns,
+            observed_unix_ns: now_unix_ns,
             person: item.person,
             source_name: self.source_name,
             ..message
-        })?;
-        self.outcome.sent += 1;
-        Ok(())
+        })
+    }
+
+    /// Takes note of what checked scores contain.
+    pub fn confirm(&mut self, scores: &RoomScoresV1) {
+        for included in scores.included() {
+            if (included.source, included.epoch) == (self.source, self.epoch) {
+                let confirmed = included.sequence.min(self.outcome.sent);
+                self.outcome.confirmed = self.outcome.confirmed.max(confirmed);
+            }
+        }
+    }
+
+    /// Narrations sent and not confirmed.
+    #[must_use]
+    pub fn under_way(&self) -> u64 {
+        self.outcome.sent - self.outcome.confirmed
+    }
+
+    /// Whether one more may be under way without being lost when the daemon restarts.
+    #[must_use]
+    pub fn may_send(&self) -> bool {
+        self.under_way() < UNDER_WAY
+    }
+}
+
+/// The narrator's ports.
+#[derive(Debug)]
+struct Narrator {
+    narration: Publisher<NarrationV1>,
+    scores: Subscriber<RoomScoresV1>,
+    account: Account,
+}
+
+impl Narrator {
+    fn new(node: &Node, config: &NarratorConfig) -> Result<Self, IpcError> {
+        let account = Account::new(&config.name, sequence::random_epoch());
+        Ok(Self { narration: node.publisher()?, scores: node.subscriber()?, account })
+    }
+
+    fn send(&mut self, item: &Item) -> Result<(), IpcError> {
+        let message = self.account.next(item, clock::monotonic_ns(), clock::unix_ns());
+        let message = message.map_err(|source| IpcError::Refused { service: NarrationV1::SERVICE.name, source })?;
+        self.narration.send(&message)
     }
 
     /// Sleeps up to `timeout` for a confirmation.
@@ -315,19 +358,11 @@ impl Narrator {
         notify(&[NotifyState::Watchdog]);
         self.scores.wait(timeout.min(TICK))?;
         while let Some(received) = self.scores.receive()? {
-            let Ok(scores) = received else { continue };
-            for included in scores.included() {
-                if (included.source, included.epoch) == (self.source, self.epoch) {
-                    let confirmed = included.sequence.min(self.outcome.sent);
-                    self.outcome.confirmed = self.outcome.confirmed.max(confirmed);
-                }
+            if let Ok(scores) = received {
+                self.account.confirm(&scores);
             }
         }
         Ok(())
-    }
-
-    fn under_way(&self) -> u64 {
-        self.outcome.sent - self.outcome.confirmed
     }
 }
 
@@ -362,7 +397,7 @@ pub fn run(
         let item = match item {
             Ok(item) => item,
             Err(error) => {
-                sender.outcome.refused += 1;
+                sender.account.outcome.refused += 1;
                 tracing::warn!(%error, "skipped");
                 continue;
             }
@@ -372,12 +407,12 @@ pub fn run(
             sender.confirm(due.saturating_duration_since(Instant::now()))?;
         }
         let waiting = Instant::now();
-        while !stop.requested() && sender.under_way() >= UNDER_WAY {
+        while !stop.requested() && !sender.account.may_send() {
             sender.confirm(TICK)?;
             if !warned && waiting.elapsed() > Duration::from_secs(5) {
                 warned = true;
                 tracing::warn!(
-                    under_way = sender.under_way(),
+                    under_way = sender.account.under_way(),
                     "no daemon confirms; waiting for one in this domain, with nothing lost"
                 );
             }
@@ -388,7 +423,7 @@ pub fn run(
         sender.send(&item)?;
     }
     let linger = Instant::now() + Duration::try_from_secs_f64(config.linger_s).unwrap_or(Duration::ZERO);
-    while !stop.requested() && sender.under_way() > 0 && Instant::now() < linger {
+    while !stop.requested() && sender.account.under_way() > 0 && Instant::now() < linger {
         sender.confirm(TICK)?;
     }
     // The daemon has it all; a recorder that looks now and then gets its chance before what was sent goes with its publisher.
@@ -397,7 +432,7 @@ pub fn run(
         std::thread::sleep(TICK);
     }
     notify(&[NotifyState::Stopping]);
-    Ok(sender.outcome)
+    Ok(sender.account.outcome)
 }
 
 /// The next item; none at the end. Meanwhile the ports are kept up.

@@ -2,12 +2,14 @@
 
 use std::path::Path;
 
+use sha2::{Digest, Sha256};
+
 use crate::config::{Config, ConfigError};
 use crate::embedded::{self, ModelFile};
 use crate::grounding::{Grounding, GroundingError};
 use crate::pipeline::{Pipeline, PipelineError, PipelineOptions};
-use crate::scorer::llama::{LlamaModel, LlamaOptions};
-use crate::scorer::{LanguageModel, ModelError, hex_string};
+use crate::scorer::llama::{LlamaModel, LlamaOptions, file_fingerprint};
+use crate::scorer::{ModelError, hex_string};
 use crate::semantic_map::{SceneError, SemanticMap};
 
 /// What kept the service from becoming ready.
@@ -100,15 +102,26 @@ pub fn open(config: &Config) -> Result<(Pipeline<LlamaModel>, SemanticMap), Setu
 pub fn open_with(config: &Config, map: &SemanticMap) -> Result<Pipeline<LlamaModel>, SetupError> {
     config.check()?;
     let grounding = Grounding::new(map, &config.grounding)?;
+    check_pin(config)?;
     let model = load_model(config.model.path.as_deref(), &config.model.llama_options())?;
-    if let Some(pinned) = &config.model.sha256 {
-        let found = hex_string(&model.info().fingerprint);
-        if !pinned.eq_ignore_ascii_case(&found) {
-            let path = config.model.path.as_ref().map_or("(embedded)".into(), |p| p.display().to_string());
-            return Err(SetupError::Pin { path, found, pinned: pinned.clone() });
-        }
-    }
     Ok(Pipeline::new(model, grounding, pipeline_options(config)?)?)
+}
+
+/// Holds the model file to the checksum that the configuration pins, before llama.cpp sees any of it.
+fn check_pin(config: &Config) -> Result<(), SetupError> {
+    let Some(pinned) = &config.model.sha256 else { return Ok(()) };
+    let (path, fingerprint) = match &config.model.path {
+        None => ("(embedded)".to_owned(), Ok(Sha256::digest(embedded::MODEL).into())),
+        Some(path) => (path.display().to_string(), file_fingerprint(path)),
+    };
+    let fingerprint =
+        fingerprint.map_err(|error| ModelError::Load { path: path.clone(), reason: error.to_string() })?;
+    let found = hex_string(&fingerprint);
+    if pinned.eq_ignore_ascii_case(&found) {
+        Ok(())
+    } else {
+        Err(SetupError::Pin { path, found, pinned: pinned.clone() })
+    }
 }
 
 /// The pipeline's options, from the configuration.

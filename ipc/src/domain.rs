@@ -27,6 +27,11 @@ const ROOT_LIMIT: usize = 40;
 const OPEN_FOR: Duration = Duration::from_secs(3);
 /// Where iceoryx2 keeps its shared memory on Linux.
 const SHARED_MEMORY: &str = "/dev/shm";
+/// Folders that iceoryx2 makes in the root.
+const FOLDERS: [&str; 2] = ["nodes", "services"];
+/// A participant's folder without its entry is one that was killed while it joined, or one that joins at this moment; after
+/// this long it is the former.
+const JOINED_WITHIN: Duration = Duration::from_secs(10);
 
 /// A private world of services: participants see one another when root path and name are equal, and nobody else.
 ///
@@ -88,10 +93,12 @@ impl Domain {
     ///
     /// # Errors
     ///
-    /// [`IpcError::BadRoot`] when the root belongs to somebody else or others may write there, [`IpcError::Join`] when
-    /// iceoryx2 cannot make the node.
+    /// [`IpcError::BadRoot`] when the root belongs to somebody else or others may write there,
+    /// [`IpcError::ForeignSharedMemory`] when another user has put files in the way, [`IpcError::Join`] when iceoryx2 cannot make
+    /// the node.
     pub fn open(&self, participant: &str) -> Result<Node, IpcError> {
         self.prepare_root()?;
+        self.refuse_foreign_shared_memory()?;
         // iceoryx2 logs to standard error; what matters comes back as an error.
         iceoryx2::prelude::set_log_level(LogLevel::Fatal);
         let join = |cause: String| IpcError::Join { root: self.root.clone(), cause };
@@ -104,11 +111,12 @@ impl Domain {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Flavour>()
             .map_err(|error| join(format!("{error:?}")))?;
-        Ok(Node { node, config })
+        self.close_to_others();
+        Ok(Node { node, config, domain: self.clone() })
     }
 
-    /// Removes what dead participants left, and, when nobody is left alive, everything of the domain: its shared memory and its
-    /// root directory. Returns whether it is gone.
+    /// Removes what dead participants left, and, when nobody is left alive, everything of the domain: its shared memory, its files
+    /// in the root directory, and that directory unless something else lies there. Returns whether the domain is gone.
     ///
     /// # Errors
     ///
@@ -124,9 +132,59 @@ impl Domain {
             return Ok(false);
         }
         self.remove_shared_memory()
-            .and_then(|()| fs::remove_dir_all(&self.root))
+            .and_then(|()| self.remove_files())
             .map_err(|error| self.bad_root(format!("cannot remove what is left there: {error}")))?;
         Ok(true)
+    }
+
+    /// Removes the folders of participants that were killed while they joined: iceoryx2 makes a participant's folder before the
+    /// entry by which it is found again, and so never cleans up between the two.
+    fn remove_half_joined(&self, joined_within: Duration) {
+        let nodes = self.root.join("nodes");
+        let Ok(entries) = fs::read_dir(&nodes) else { return };
+        for entry in entries.flatten() {
+            let (folder, name) = (entry.path(), entry.file_name());
+            let is_participant = name.to_str().is_some_and(|name| name.bytes().all(|byte| byte.is_ascii_digit()));
+            let named = nodes.join(format!("{}{}.node_monitor", self.prefix(), name.to_string_lossy()));
+            let age =
+                entry.metadata().and_then(|folder| folder.modified()).map(|made| made.elapsed().unwrap_or_default());
+            let stale = age.is_ok_and(|age| age >= joined_within);
+            if is_participant && stale && !named.exists() && self.all_ours(&folder) {
+                // Another participant may be removing it too.
+                let _removed = fs::remove_dir_all(&folder);
+            }
+        }
+    }
+
+    /// Whether a folder holds nothing but this domain's files.
+    fn all_ours(&self, folder: &Path) -> bool {
+        let prefix = self.prefix();
+        fs::read_dir(folder).is_ok_and(|mut files| {
+            files.all(|file| file.is_ok_and(|file| file.file_name().to_string_lossy().starts_with(&prefix)))
+        })
+    }
+
+    /// Removes the domain's files in the root, and every folder that is empty then; what is not the domain's stays.
+    fn remove_files(&self) -> io::Result<()> {
+        self.remove_half_joined(Duration::ZERO);
+        let gone = |result: io::Result<()>| match result {
+            Err(error) if !matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::DirectoryNotEmpty) => {
+                Err(error)
+            }
+            _ => Ok(()),
+        };
+        let folders = FOLDERS.map(|folder| self.root.join(folder));
+        for folder in folders.iter().chain([&self.root]) {
+            let Ok(files) = fs::read_dir(folder) else { continue };
+            for file in files {
+                let file = file?;
+                if file.file_name().to_string_lossy().starts_with(&self.prefix()) {
+                    gone(fs::remove_file(file.path()))?;
+                }
+            }
+            gone(fs::remove_dir(folder))?;
+        }
+        Ok(())
     }
 
     /// Participants alive, this process's own included.
@@ -145,18 +203,49 @@ impl Domain {
         format!("{}_", self.name)
     }
 
-    fn remove_shared_memory(&self) -> io::Result<()> {
+    /// The domain's files in shared memory.
+    fn shared_memory(&self) -> io::Result<Vec<PathBuf>> {
         let prefix = self.prefix();
-        for entry in fs::read_dir(SHARED_MEMORY)? {
-            let entry = entry?;
-            if entry.file_name().to_string_lossy().starts_with(&prefix) {
-                match fs::remove_file(entry.path()) {
-                    Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-                    _ => {}
-                }
+        let entries = fs::read_dir(SHARED_MEMORY)?.collect::<io::Result<Vec<_>>>()?;
+        let ours = entries.iter().filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix));
+        Ok(ours.map(fs::DirEntry::path).collect())
+    }
+
+    fn remove_shared_memory(&self) -> io::Result<()> {
+        for file in self.shared_memory()? {
+            match fs::remove_file(file) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+                _ => {}
             }
         }
         Ok(())
+    }
+
+    /// Anybody may make files in `/dev/shm`. One of this domain's name that is somebody else's could be read and written by them.
+    fn refuse_foreign_shared_memory(&self) -> Result<(), IpcError> {
+        use std::os::unix::fs::MetadataExt;
+        // A list that fails is iceoryx2's to report.
+        for file in self.shared_memory().unwrap_or_default() {
+            let owner = fs::symlink_metadata(&file).map(|about| about.uid());
+            if let Ok(owner) = owner
+                && owner != geteuid().as_raw()
+            {
+                return Err(IpcError::ForeignSharedMemory { file, owner });
+            }
+        }
+        Ok(())
+    }
+
+    /// iceoryx2 opens one file per domain, its counter of participants, to every user. Nobody else is to reach it.
+    fn close_to_others(&self) {
+        use std::os::unix::fs::PermissionsExt;
+        for file in self.shared_memory().unwrap_or_default() {
+            let open = fs::metadata(&file).is_ok_and(|about| about.permissions().mode() & 0o077 != 0);
+            if open {
+                // It may be gone already, and where it cannot be closed the root still keeps others out.
+                let _closed = fs::set_permissions(&file, fs::Permissions::from_mode(0o600));
+            }
+        }
     }
 
     fn bad_root(&self, problem: String) -> IpcError {
@@ -203,6 +292,7 @@ impl Domain {
 pub struct Node {
     node: iceoryx2::node::Node<Flavour>,
     config: Config,
+    domain: Domain,
 }
 
 impl Node {
@@ -282,6 +372,7 @@ impl Node {
     /// by itself now and then.
     pub fn clean_up_dead(&self) {
         let _report = self.node.try_cleanup_dead_nodes();
+        self.domain.remove_half_joined(JOINED_WITHIN);
     }
 
     pub(crate) fn inner(&self) -> &iceoryx2::node::Node<Flavour> {

@@ -78,6 +78,16 @@ pub enum IpcError {
         /// What is wrong, and the remedy.
         problem: String,
     },
+    /// Another user has made a file of the domain's name in shared memory.
+    #[error(
+        "{} belongs to user {owner}, who could read and write it: have it removed, or use another domain name", file.display()
+    )]
+    ForeignSharedMemory {
+        /// The file.
+        file: PathBuf,
+        /// Its owner's user id.
+        owner: u32,
+    },
     /// The node, a participant's entry in the domain, could not be made.
     #[error("cannot join the domain at {}: {cause}; is {} writable and has /dev/shm space left?", root.display(), root.display())]
     Join {

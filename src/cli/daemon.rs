@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{CommandResult, Failure, service};
+use super::{CommandResult, Failure, model, service};
 use crate::{daemon, logging};
 
 /// Arguments of `roomcast daemon`.
@@ -38,6 +38,10 @@ pub fn run(args: &Args) -> CommandResult {
     }
     if args.state.is_some() {
         config.daemon.state.clone_from(&args.state);
+    }
+    // A pinned file is known to be good.
+    if let (Some(path), None) = (&config.model.path, &config.model.sha256) {
+        model::try_elsewhere(path)?;
     }
     daemon::run(&config, &domain, &stop).map_err(|error| Failure::new(error.exit_code(), error))
 }

@@ -2,6 +2,7 @@
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::process::Command as Process;
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -46,6 +47,12 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Load a model and score one label, nothing else: what a service does in a process of its own before it loads a file.
+    #[command(hide = true)]
+    Rehearse {
+        /// A GGUF file.
+        file: PathBuf,
+    },
     /// Download a GGUF file from a model hub into the user's cache; an interrupted download is taken up.
     Pull {
         /// The repository on the hub: owner/name.
@@ -71,6 +78,7 @@ pub fn run(args: &Args) -> CommandResult {
         Command::Check { file, case, record, json } => {
             check(file.as_deref(), case.as_deref(), record.as_deref(), *json)
         }
+        Command::Rehearse { file } => rehearse(file),
         Command::Pull { repository, file, endpoint, cache, json } => {
             let hub = Hub { endpoint: Some(endpoint.clone()), cache: cache.clone() };
             pull(&hub, repository, file, *json)
@@ -316,6 +324,46 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
         ));
     }
     Ok(())
+}
+
+/// Everything that llama.cpp does with a model, once.
+fn rehearse(file: &Path) -> CommandResult {
+    let model_failure = |error: &dyn std::fmt::Display| Failure::new(exit_code::MODEL, error.to_string());
+    let model = LlamaModel::load(file, &LlamaOptions::default()).map_err(|error| model_failure(&error))?;
+    let binding = BindingSequence::default();
+    let mut scorer = Scorer::new(model);
+    let prepared = scorer.prepare(&["washing machine", "mug"], &binding, Tokenisation::Joint);
+    let prepared = prepared.map_err(|error| model_failure(&error))?;
+    let mut prompt = String::new();
+    write_prompt(["They walk to the kitchen."].into_iter(), &binding, false, &mut prompt);
+    let mut scores = LabelScores::default();
+    scorer.score(&prepared, &prompt, Method::Trie, &mut scores).map_err(|error| model_failure(&error))
+}
+
+/// Lets a process of its own try a model file, so that one on which llama.cpp gives up, which ends its process, is an error here
+/// and not the end of a service.
+///
+/// # Errors
+///
+/// When that process dies or cannot load the model, with what it said.
+pub(super) fn try_elsewhere(file: &Path) -> CommandResult {
+    let failed = |why: String| Failure::new(exit_code::MODEL, why);
+    let own = std::env::current_exe();
+    let tried = own.and_then(|own| Process::new(own).args(["model", "rehearse"]).arg(file).output());
+    let tried = tried.map_err(|error| failed(format!("cannot try the model {}: {error}", file.display())))?;
+    if tried.status.success() {
+        return Ok(());
+    }
+    let said = String::from_utf8_lossy(&tried.stderr);
+    let said = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or_default();
+    Err(failed(match tried.status.code() {
+        Some(_) => said.trim_start_matches("roomcast: ").to_owned(),
+        None => format!(
+            "llama.cpp gave up on the model {} ({}; {said}): the file is damaged or unusable; get it again from its source, and pin it by model.sha256",
+            file.display(),
+            tried.status
+        ),
+    }))
 }
 
 /// Whether the tokens of each label spell the label.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use roomcast_ipc::sequence::{Arrival, Follower};
-use roomcast_ipc::{NarrationV1, narration_kind};
+use roomcast_ipc::{MessageError, NarrationV1, narration_kind};
 
 use crate::narration::{Action, DeviceState, Observation, Observed, ObservedError, Sentence};
 
@@ -90,6 +90,18 @@ impl Intake {
         }
     }
 
+    /// Judges what a port gave: a message that has passed [`roomcast_ipc::Message::check`], or why it has not.
+    pub fn receive(&mut self, received: Result<NarrationV1, MessageError>, now_ns: u64) -> Taken {
+        match received {
+            Ok(message) => self.take(&message, now_ns),
+            Err(error) => {
+                self.counters.received += 1;
+                self.counters.malformed += 1;
+                Taken::Malformed(error.to_string())
+            }
+        }
+    }
+
     /// Judges a message that has passed [`roomcast_ipc::Message::check`].
     pub fn take(&mut self, message: &NarrationV1, now_ns: u64) -> Taken {
         self.counters.received += 1;
@@ -143,12 +155,6 @@ impl Intake {
             sentence,
         };
         Taken::Accepted { observation, missed }
-    }
-
-    /// Counts a message that did not even pass its own check.
-    pub fn count_malformed(&mut self) {
-        self.counters.received += 1;
-        self.counters.malformed += 1;
     }
 
     /// The counters.

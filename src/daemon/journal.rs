@@ -127,6 +127,7 @@ impl Journal {
             current,
             older,
             length: bytes.len() as u64,
+            unwritten: Vec::new(),
             half_bytes: (options.bytes_max / 2).max(4096),
             sync_every: Duration::from_millis(options.sync_ms.max(1)),
             progress: Arc::clone(&progress),
@@ -185,6 +186,12 @@ impl JournalHandle {
         *written >= number
     }
 
+    /// Records that have been handed to the system (or that it refused: nobody is to wait for a full disk).
+    #[must_use]
+    pub fn written(&self) -> u64 {
+        *self.progress.written.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Bytes in the current half.
     #[must_use]
     pub fn bytes(&self) -> u64 {
@@ -203,6 +210,8 @@ struct Writer {
     current: PathBuf,
     older: PathBuf,
     length: u64,
+    /// Records that the disk refused, tried again with the next ones: a full disk may have room again.
+    unwritten: Vec<u8>,
     half_bytes: u64,
     sync_every: Duration,
     progress: Arc<Progress>,
@@ -229,6 +238,11 @@ impl Writer {
                     *self.progress.written.lock().unwrap_or_else(PoisonError::into_inner) += records;
                     self.progress.grew.notify_all();
                 }
+                Err(RecvTimeoutError::Timeout) if !self.unwritten.is_empty() => {
+                    let written = self.write(&[]);
+                    self.note(written);
+                    dirty = true;
+                }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
@@ -243,12 +257,23 @@ impl Writer {
         self.note(done);
     }
 
+    /// Writes what was refused before, then `batch`; what is refused now is kept, as much of it as a half may hold.
     fn write(&mut self, batch: &[u8]) -> io::Result<()> {
-        if self.length + batch.len() as u64 > self.half_bytes && self.length > 0 {
+        self.unwritten.extend_from_slice(batch);
+        while self.unwritten.len() as u64 > self.half_bytes {
+            let first = record_bytes(&self.unwritten);
+            self.unwritten.drain(..first);
+        }
+        if self.length + self.unwritten.len() as u64 > self.half_bytes && self.length > 0 {
             self.rotate()?;
         }
-        self.file.write_all(batch)?;
-        self.length += batch.len() as u64;
+        if let Err(error) = self.file.write_all(&self.unwritten) {
+            // Part of it may have been taken: cut it off again. If that fails too, reading steps over it.
+            let _cut = self.file.set_len(self.length);
+            return Err(error);
+        }
+        self.length += self.unwritten.len() as u64;
+        self.unwritten.clear();
         self.progress.bytes.store(self.length, Ordering::Relaxed);
         Ok(())
     }
@@ -290,7 +315,9 @@ fn boot_id() -> [u8; 16] {
     id
 }
 
-fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
+/// An observation as a record; `boot_id` names the boot that its monotonic times belong to.
+#[must_use]
+pub fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
     let sentence = observation.sentence.as_str().as_bytes();
     let length = FIXED_BYTES + sentence.len();
     let mut record = Vec::with_capacity(HEADER_BYTES + length);
@@ -314,8 +341,15 @@ fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
     record
 }
 
-/// Reads all records of a file's bytes; whatever is none is counted and stepped over.
-fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered) {
+/// Bytes of the first of some whole records; all of them where it is none.
+fn record_bytes(records: &[u8]) -> usize {
+    let length = records.get(4..).and_then(|mut rest| take_u32(&mut rest));
+    length.map_or(records.len(), |length| (HEADER_BYTES + length as usize).min(records.len()))
+}
+
+/// Reads all records of a file's bytes; whatever is none is counted and stepped over. Monotonic times of another boot than
+/// `boot_id` become 0.
+pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered) {
     let mut rest = bytes;
     while !rest.is_empty() {
         match decode(rest, boot_id) {

@@ -18,7 +18,7 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
     AnswerPort, Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, Publisher, RoomScoresV1,
-    StatusResponseV1, StatusServer, Subscriber, clock, question, sequence, text,
+    StatusResponseV1, StatusServer, Subscriber, clock, question, score_flags, sequence, text,
 };
 use sd_notify::NotifyState;
 
@@ -30,11 +30,13 @@ use crate::setup::{self, SetupError};
 use crate::stop::Stop;
 
 mod board;
+mod cycle;
 mod intake;
-mod journal;
+pub mod journal;
 mod map_change;
 
 pub use board::{Board, BoardError, Entry, MapError};
+pub use cycle::Cycle;
 pub use intake::{Intake, IntakeCounters, IntakeLimits, SOURCES_MAX, Taken};
 pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
 pub use map_change::{Answered, KeptMap, MapAnswer, MapQuestion, Outcome};
@@ -43,10 +45,8 @@ pub use map_change::{Answered, KeptMap, MapAnswer, MapQuestion, Outcome};
 const QUEUE: usize = 65_536;
 /// How often connections are renewed: the time within which a late joiner has the scores.
 const TICK: Duration = Duration::from_millis(100);
-/// A failing scorer is tried again after this.
-const RETRY_NS: u64 = 1_000_000_000;
-/// Scores wait at most this long for the journal.
-const JOURNAL_PATIENCE: Duration = Duration::from_millis(50);
+/// Scores wait at most this long for the journal; after that they are sent without claiming what it does not hold yet.
+const JOURNAL_PATIENCE: Duration = Duration::from_millis(5);
 /// How often what dead participants left is removed.
 const CLEAN_UP_NS: u64 = 1_000_000_000;
 const LOG_INTERVAL_NS: u64 = 5_000_000_000;
@@ -116,9 +116,11 @@ pub enum DaemonError {
         /// The system's word.
         source: std::io::Error,
     },
-    /// The scoring thread stands still.
-    #[error("the scoring thread has not moved for {seconds} s (daemon.hang_s): giving up, so that it can be restarted")]
+    /// A thread stands still.
+    #[error("the {name} thread has not moved for {seconds} s (daemon.hang_s): giving up, so that it can be restarted")]
     Hung {
+        /// Which.
+        name: &'static str,
         /// How long.
         seconds: u64,
     },
@@ -165,27 +167,25 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonEr
     let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
     let pipeline = setup::open_with(config, &map)?;
     let model_name = pipeline.model().name.clone();
-    let mut board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?;
+    let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?;
+    let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
 
     let mut intake = Intake::new(config.daemon.intake);
     let mut restored = 0;
     let mut journal = None;
     if let Some(options) = config.daemon.journal() {
         let (open, recovered) = Journal::open(&options)?;
-        let now_ns = clock::monotonic_ns();
-        restored = recovered.observations.len() as u64;
-        for observation in &recovered.observations {
-            intake.restore(observation, now_ns);
-        }
-        board.restore(recovered.observations);
         let damaged_bytes = recovered.damaged_bytes;
+        restored = recovered.observations.len() as u64;
+        cycle.restore(recovered.observations, &mut intake, clock::monotonic_ns());
         tracing::info!(restored, damaged_bytes, directory = %options.directory.display(), "journal read");
         journal = Some(open);
     }
 
     let (queue_in, queue_out) = bounded(QUEUE);
     let counters = Arc::new(Mutex::new((IntakeCounters::default(), 0)));
-    let progress_ns = Arc::new(AtomicU64::new(clock::monotonic_ns()));
+    let progress_ns = Progress::default();
+    let snapshot = cycle.board().snapshot();
     let mut scoring = Scoring {
         ready: false,
         scores,
@@ -197,34 +197,34 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonEr
         kept_map,
         moments,
         queue: queue_out,
-        heartbeat_ns: config.daemon.heartbeat_ms * 1_000_000,
         journal: journal.as_ref().map(Journal::handle),
         counters: Arc::clone(&counters),
-        progress_ns: Arc::clone(&progress_ns),
+        progress: progress_ns.clone(),
         latency_ns: Histogram::new_with_max(60_000_000_000, 3).ok(),
         tally: StatusResponseV1 {
-            epoch: board.snapshot().epoch,
+            epoch: snapshot.epoch,
             started_unix_ns: clock::unix_ns(),
             restored,
-            model_fingerprint: board.snapshot().model_fingerprint,
-            map_fingerprint: board.snapshot().map_fingerprint,
+            model_fingerprint: snapshot.model_fingerprint,
+            map_fingerprint: snapshot.map_fingerprint,
             process: std::process::id(),
             version: text::encode_cut(env!("CARGO_PKG_VERSION")),
-            map: text::encode_cut(&board.map().name),
+            map: text::encode_cut(&cycle.board().map().name),
             model: text::encode_cut(&model_name),
             ..Default::default()
         },
-        board,
+        cycle,
         log: Limiter::new(LOG_INTERVAL_NS),
     };
     let scoring = spawn("scoring", move || scoring.run())?;
-    let ingest = Ingest { narration, intake, journal, queue: queue_in, counters, stop: stop.clone() };
+    let progress = progress_ns.clone();
+    let ingest = Ingest { narration, intake, journal, queue: queue_in, counters, progress, stop: stop.clone() };
     let ingest = spawn("ingest", move || ingest.run())?;
 
     let mut cleaned_ns = 0;
     while !stop.requested() {
         std::thread::sleep(Duration::from_millis(50));
-        if scoring.is_finished() {
+        if scoring.is_finished() && !stop.requested() {
             return Err(match scoring.join() {
                 Ok(Err(error)) => error.into(),
                 _ => DaemonError::Ended { name: "scoring" },
@@ -234,9 +234,9 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonEr
             return Err(DaemonError::Ended { name: "ingest" });
         }
         let now_ns = clock::monotonic_ns();
-        let still_ns = now_ns.saturating_sub(progress_ns.load(Ordering::Relaxed));
+        let (name, still_ns) = progress_ns.slowest(now_ns);
         if still_ns > config.daemon.hang_s.saturating_mul(1_000_000_000) {
-            return Err(DaemonError::Hung { seconds: still_ns / 1_000_000_000 });
+            return Err(DaemonError::Hung { name, seconds: still_ns / 1_000_000_000 });
         }
         notify(&[NotifyState::Watchdog]);
         if now_ns.saturating_sub(cleaned_ns) >= CLEAN_UP_NS {
@@ -266,6 +266,29 @@ pub(crate) fn notify(state: &[NotifyState<'_>]) {
     }
 }
 
+/// When each thread moved last, in monotonic nanoseconds: what the watchdog looks at.
+#[derive(Debug, Clone)]
+struct Progress {
+    ingest_ns: Arc<AtomicU64>,
+    scoring_ns: Arc<AtomicU64>,
+}
+
+impl Default for Progress {
+    fn default() -> Self {
+        let now = || Arc::new(AtomicU64::new(clock::monotonic_ns()));
+        Self { ingest_ns: now(), scoring_ns: now() }
+    }
+}
+
+impl Progress {
+    /// The thread that stood still longest, and for how long, in nanoseconds.
+    fn slowest(&self, now_ns: u64) -> (&'static str, u64) {
+        let still = |moved: &AtomicU64| now_ns.saturating_sub(moved.load(Ordering::Relaxed));
+        let (ingest_ns, scoring_ns) = (still(&self.ingest_ns), still(&self.scoring_ns));
+        if ingest_ns > scoring_ns { ("ingest", ingest_ns) } else { ("scoring", scoring_ns) }
+    }
+}
+
 /// Counters of the intake, and sources known.
 type Counters = Arc<Mutex<(IntakeCounters, usize)>>;
 
@@ -275,6 +298,7 @@ struct Ingest {
     journal: Option<Journal>,
     queue: Sender<(Entry, u64)>,
     counters: Counters,
+    progress: Progress,
     stop: Stop,
 }
 
@@ -282,6 +306,7 @@ impl Ingest {
     fn run(mut self) {
         let (mut log_refused, mut log_port) = (Limiter::new(LOG_INTERVAL_NS), Limiter::new(LOG_INTERVAL_NS));
         while !self.stop.requested() {
+            self.progress.ingest_ns.store(clock::monotonic_ns(), Ordering::Relaxed);
             let received = self.narration.wait(TICK).and_then(|_| self.drain(&mut log_refused));
             if let Err(error) = received {
                 // A port that fails may recover, when file descriptors become free for instance.
@@ -298,27 +323,20 @@ impl Ingest {
         while let Some(received) = self.narration.receive()? {
             some = true;
             let now_ns = clock::monotonic_ns();
-            let refused = match received {
-                Err(error) => {
-                    self.intake.count_malformed();
-                    Some((0, error.to_string()))
+            let source = received.as_ref().map_or(0, |message| message.source);
+            let refused = match self.intake.receive(received, now_ns) {
+                Taken::Accepted { observation, missed } => {
+                    let number = self.journal.as_mut().map_or(0, |journal| journal.append(&observation));
+                    let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0 };
+                    // It fails only when the scoring thread is gone, and the main thread sees that too.
+                    let _sent = self.queue.send((entry, number));
+                    (missed > 0).then(|| format!("{missed} narrations before it were lost"))
                 }
-                Ok(message) => match self.intake.take(&message, now_ns) {
-                    Taken::Accepted { observation, missed } => {
-                        let number = self.journal.as_mut().map_or(0, |journal| journal.append(&observation));
-                        let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0 };
-                        // It fails only when the scoring thread is gone, and the main thread sees that too.
-                        let _sent = self.queue.send((entry, number));
-                        (missed > 0).then(|| (message.source, format!("{missed} narrations before it were lost")))
-                    }
-                    Taken::Duplicate => None,
-                    Taken::Limited => {
-                        Some((message.source, "its source sends too fast, or is one too many".to_owned()))
-                    }
-                    Taken::Malformed(why) => Some((message.source, why)),
-                },
+                Taken::Duplicate => None,
+                Taken::Limited => Some("its source sends too fast, or is one too many".to_owned()),
+                Taken::Malformed(why) => Some(why),
             };
-            if let Some((source, why)) = refused
+            if let Some(why) = refused
                 && let Some(held_back) = log.pass(now_ns)
             {
                 tracing::warn!(source, why, held_back, "narration");
@@ -333,7 +351,7 @@ impl Ingest {
 }
 
 struct Scoring<M> {
-    board: Board<M>,
+    cycle: Cycle<M>,
     ready: bool,
     scores: Publisher<RoomScoresV1>,
     items: ItemScoresPublisher,
@@ -344,10 +362,9 @@ struct Scoring<M> {
     kept_map: Option<KeptMap>,
     moments: AnswerPort,
     queue: Receiver<(Entry, u64)>,
-    heartbeat_ns: u64,
     journal: Option<JournalHandle>,
     counters: Counters,
-    progress_ns: Arc<AtomicU64>,
+    progress: Progress,
     latency_ns: Option<Histogram<u64>>,
     tally: StatusResponseV1,
     log: Limiter,
@@ -355,80 +372,72 @@ struct Scoring<M> {
 
 impl<M: LanguageModel> Scoring<M> {
     fn run(&mut self) -> Result<(), IpcError> {
-        let mut entries = Vec::new();
-        let mut published_ns = 0;
-        // The first step scores what the journal gave, or the binding sequence alone.
-        let mut due = true;
-        let mut retry_ns = 0;
         loop {
-            let mut journalled = 0;
             match self.queue.recv_timeout(TICK) {
                 Ok(first) => {
                     for (entry, number) in std::iter::once(first).chain(self.queue.try_iter()) {
-                        entries.push(entry);
-                        journalled = number;
+                        self.cycle.enter(entry, number);
                     }
-                    due = true;
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
             }
             if self.change_map()? {
-                (due, retry_ns) = (true, 0);
+                self.cycle.score_again();
             }
             let now_ns = clock::monotonic_ns();
-            self.progress_ns.store(now_ns, Ordering::Relaxed);
-            if due && (now_ns >= retry_ns || !entries.is_empty()) {
-                due = false;
-                if self.step(std::mem::take(&mut entries), journalled, now_ns)? {
-                    published_ns = clock::monotonic_ns();
-                } else {
-                    (due, retry_ns) = (true, now_ns + RETRY_NS);
-                }
+            self.progress.scoring_ns.store(now_ns, Ordering::Relaxed);
+            let events = self.cycle.waiting() as u64;
+            if self.cycle.step_due(now_ns) {
+                self.step(now_ns);
             }
-            let now_ns = clock::monotonic_ns();
+            self.send(events)?;
             self.scores.tick()?;
             self.items.tick()?;
             self.forecasts.tick()?;
-            if self.board.snapshot().sequence > 0 && now_ns.saturating_sub(published_ns) >= self.heartbeat_ns {
-                self.scores.send(&self.board.message(now_ns, true, !self.queue.is_empty()))?;
-                // Time alone changes where a person may be.
-                self.forecasts.send(&self.board.forecast(now_ns))?;
-                self.tally.heartbeats += 1;
-                published_ns = now_ns;
-            }
             let tally = self.tally();
             self.status.answer(|| tally)?;
-            self.moments.answer(|_| serde_json::to_string(&self.board.moment()).unwrap_or_default())?;
+            self.moments.answer(|_| serde_json::to_string(&self.cycle.board().moment()).unwrap_or_default())?;
             if self.queue.is_empty() {
-                self.board.tidy();
+                self.cycle.tidy();
             }
         }
     }
 
-    /// Returns whether there are new scores.
-    fn step(&mut self, entries: Vec<Entry>, journalled: u64, now_ns: u64) -> Result<bool, IpcError> {
-        let events = entries.len() as u64;
+    fn step(&mut self, now_ns: u64) {
         self.tally.steps += 1;
-        self.tally.merged += events.saturating_sub(1);
-        if let Err(error) = self.board.step(entries, now_ns, clock::unix_ns()) {
+        self.tally.merged += (self.cycle.waiting() as u64).saturating_sub(1);
+        if let Err(error) = self.cycle.step(now_ns, clock::unix_ns()) {
             self.tally.failed_steps += 1;
             if let Some(held_back) = self.log.pass(now_ns) {
                 tracing::error!(%error, held_back, "scoring failed; the narration is kept and scored with the next step");
             }
-            return Ok(false);
+            return;
         }
         if let Some(journal) = &self.journal
-            && !journal.wait_for(journalled, JOURNAL_PATIENCE)
+            && !journal.wait_for(self.cycle.scored_record(), JOURNAL_PATIENCE)
             && let Some(held_back) = self.log.pass(now_ns)
         {
-            tracing::warn!(held_back, "the journal is slower than the scorer");
+            tracing::warn!(
+                held_back,
+                "the journal is slower than the scorer; narration is confirmed when it is written"
+            );
         }
+    }
+
+    /// Sends what is to be sent now; `events` narrations came since the last time.
+    fn send(&mut self, events: u64) -> Result<(), IpcError> {
         let before_ns = clock::monotonic_ns();
-        let message = self.board.message(before_ns, false, !self.queue.is_empty());
-        // First, so that a planner that the scores wake finds the forecast that belongs to them.
-        self.forecasts.send(&self.board.forecast(before_ns))?;
+        let written = self.journal.as_ref().map_or(u64::MAX, JournalHandle::written);
+        let Some(message) = self.cycle.message(before_ns, written, !self.queue.is_empty()) else { return Ok(()) };
+        // First, so that a planner that the scores wake finds the forecast that belongs to them. Time alone changes where a person
+        // may be, so a heartbeat has a new one too.
+        self.forecasts.send(&self.cycle.board().forecast(before_ns))?;
         self.scores.send(&message)?;
+        if message.has(score_flags::HEARTBEAT) {
+            self.tally.heartbeats += 1;
+            return Ok(());
+        }
         let after_ns = clock::monotonic_ns();
         self.tally.published += 1;
         self.tally.sequence = message.sequence;
@@ -438,7 +447,7 @@ impl<M: LanguageModel> Scoring<M> {
             latency_ns.saturating_record(after_ns.saturating_sub(message.received_ns));
         }
         if self.items.wanted() {
-            let (header, items) = self.board.items();
+            let (header, items) = self.cycle.board().items();
             self.items.send(header, items)?;
         }
         tracing::info!(
@@ -457,12 +466,13 @@ impl<M: LanguageModel> Scoring<M> {
             self.ready = true;
             notify(&[NotifyState::Ready]);
         }
-        Ok(true)
+        Ok(())
     }
 
     /// Does what was asked of the map; returns whether it changed.
     fn change_map(&mut self) -> Result<bool, IpcError> {
-        let Self { board, answered, kept_map, map_changes, tally, .. } = self;
+        let Self { cycle, answered, kept_map, map_changes, tally, .. } = self;
+        let board = cycle.board_mut();
         let mut changed = false;
         map_changes.answer(|asked| {
             let asked = asked.map_err(|error| error.to_string()).and_then(|text| {
@@ -501,7 +511,7 @@ impl<M: LanguageModel> Scoring<M> {
             malformed: counters.malformed,
             limited: counters.limited,
             sources: sources as u32,
-            persons: self.board.snapshot().persons,
+            persons: self.cycle.board().snapshot().persons,
             waiting: self.queue.len() as u64,
             latency_p50_ns: quantile(0.5),
             latency_p99_ns: quantile(0.99),

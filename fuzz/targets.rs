@@ -1,0 +1,201 @@
+//! What is fuzzed: each target takes any bytes, may refuse them, and panics where something that must hold does not. libFuzzer
+//! drives them (`fuzz_targets/`), and so does `tests/fuzzed.rs`, over the corpus and seeded mutations of it.
+
+#![allow(dead_code, clippy::unwrap_used, clippy::allow_attributes, reason = "each driver uses its own; a panic is the report")]
+
+use std::io::Write;
+
+use roomcast::config::Config;
+use roomcast::daemon::{Intake, IntakeLimits, Recovered, Taken, journal};
+use roomcast::gguf::Header;
+use roomcast::grounding::{Grounding, GroundingOptions};
+use roomcast::label_trie::{LabelTrie, PROMPT, TokenTree};
+use roomcast::narration::Program;
+use roomcast::narrator::line_item;
+use roomcast::planner::{Planner, PlannerConfig};
+use roomcast::scorer::Token;
+use roomcast::semantic_map::SemanticMap;
+use roomcast_ipc::{ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, RoomScoresV1};
+
+/// Every target by name.
+pub const ALL: [(&str, fn(&[u8])); 8] = [
+    ("configuration", configuration),
+    ("gguf", gguf),
+    ("journal", journal),
+    ("line", line),
+    ("message", message),
+    ("program", program),
+    ("scene", scene),
+    ("trie", trie),
+];
+
+/// A scene that is accepted survives being written and read again, and can be grounded.
+pub fn scene(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let Ok(map) = SemanticMap::from_json(text) else { return };
+    let again = SemanticMap::from_json(&map.to_json()).expect("a scene that was read can be written and read");
+    assert_eq!((&map.items, &map.labels), (&again.items, &again.labels));
+    if let Ok(grounding) = Grounding::new(&map, &GroundingOptions::default()) {
+        assert_eq!(grounding.item_partition.len(), map.items.len());
+    }
+}
+
+/// Every step of a program that is accepted has a sentence.
+pub fn program(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let Ok(program) = Program::parse(text) else { return };
+    for step in &program.steps {
+        assert!(step.sentence().ends_with('.'));
+        assert!(step.entry().duration_s >= 0.0);
+    }
+}
+
+/// A line that is accepted becomes a message that the daemon accepts.
+pub fn line(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let Ok(item) = line_item(text, 1, 0) else { return };
+    let message = NarrationV1::new(item.kind, &item.text).expect("what the narrator accepts is a message");
+    let message = NarrationV1 { source: 1, epoch: 1, sequence: 1, ..message };
+    message.check().expect("what the narrator sends passes the daemon's check");
+    let taken = Intake::new(IntakeLimits::default()).take(&message, 1);
+    assert!(matches!(taken, Taken::Accepted { .. }), "{taken:?}");
+}
+
+/// A configuration that is accepted can be written and read again.
+pub fn configuration(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let Ok(config) = toml::from_str::<Config>(text) else { return };
+    if config.check().is_ok() {
+        let again = toml::to_string(&config).expect("a configuration can be written");
+        assert_eq!(toml::from_str::<Config>(&again).as_ref(), Ok(&config));
+    }
+}
+
+/// Every byte of a journal is part of a record or counted as damage, and records come back as they were written.
+pub fn journal(bytes: &[u8]) {
+    let mut recovered = Recovered::default();
+    let boot_id = [7; 16];
+    journal::read_records(bytes, &boot_id, &mut recovered);
+    let mut written = 0;
+    for observation in &recovered.observations {
+        let record = journal::encode(observation, &boot_id);
+        written += record.len() as u64;
+        let mut again = Recovered::default();
+        journal::read_records(&record, &boot_id, &mut again);
+        assert_eq!((again.observations.as_slice(), again.damaged_bytes), (std::slice::from_ref(observation), 0));
+    }
+    // A sentence is brought into its normal form when it is read, which may change its length, but never the account of damage.
+    assert!(recovered.damaged_bytes <= bytes.len() as u64);
+    if recovered.damaged_bytes == 0 && bytes.is_empty() {
+        assert_eq!(written, 0);
+    }
+}
+
+/// The image of a message: as many bytes as it has, the rest zero.
+fn image<M: ByteImage + Layout>(bytes: &[u8]) -> M {
+    let size = M::FIELDS.iter().map(|field| field.size).sum();
+    let mut image = bytes.to_vec();
+    image.resize(size, 0);
+    M::from_bytes(&image).expect("an image of the right size is a message")
+}
+
+/// Any bytes in shared memory may be looked at; those that pass the check are used without harm.
+pub fn message(bytes: &[u8]) {
+    let Some((kind, bytes)) = bytes.split_first() else { return };
+    match kind % 4 {
+        0 => {
+            let message: NarrationV1 = image(bytes);
+            let mut intake = Intake::new(IntakeLimits::default());
+            let checked = message.check();
+            let passed = checked.is_ok();
+            match intake.receive(checked.map(|()| message), 5) {
+                Taken::Accepted { observation, .. } => {
+                    assert!(passed && observation.observed_ns <= 5);
+                    assert!(!observation.sentence.as_str().contains(char::is_control));
+                    assert_eq!(intake.take(&message, 6), Taken::Duplicate);
+                }
+                Taken::Malformed(why) => assert!(!why.is_empty()),
+                other => panic!("{other:?}"),
+            }
+        }
+        1 => {
+            let scores: RoomScoresV1 = image(bytes);
+            // Reading what was not checked is safe too.
+            assert!(scores.rooms().len() <= 64 && scores.included().len() <= 16);
+            if scores.check().is_ok() {
+                let config = PlannerConfig { room_time_s: 1.0, ..PlannerConfig::default() };
+                let mut planner = Planner::new(&config, 1);
+                planner.take(&scores);
+                planner.take_forecast(&ForecastV1 { epoch: scores.epoch, ..ForecastV1::default() });
+                for now_ns in [0, scores.published_ns, scores.published_ns.saturating_add(1 << 40)] {
+                    if let Ok(Some(decision)) = planner.decide(now_ns, 0) {
+                        decision.check().expect("the planner's decisions pass the check");
+                    }
+                }
+            }
+        }
+        2 => {
+            let decision: DecisionV1 = image(bytes);
+            if decision.check().is_ok() {
+                assert!(!decision.reason().contains(char::is_control));
+            }
+        }
+        _ => {
+            let forecast: ForecastV1 = image(bytes);
+            if forecast.check().is_ok() {
+                for room in 0..forecast.room_count as usize {
+                    assert!(forecast.room(room).is_some());
+                }
+            }
+            // Unchecked, a room beyond the count is none.
+            assert!(forecast.room(usize::MAX).is_none());
+        }
+    }
+}
+
+/// Labels of any tokens: the path to each label's end spells the label, and the flat order is a preorder.
+pub fn trie(bytes: &[u8]) {
+    let labels: Vec<Vec<Token>> = bytes
+        .split(|byte| *byte == 0)
+        .filter(|label| !label.is_empty())
+        .take(200)
+        .map(|label| label.iter().take(64).map(|byte| Token(i32::from(byte % 16))).collect())
+        .collect();
+    if labels.is_empty() {
+        return;
+    }
+    for trie in [LabelTrie::new(&labels), LabelTrie::chains(&labels)] {
+        for (label, end) in labels.iter().zip(trie.label_end()) {
+            let mut spelled = Vec::new();
+            let mut node = *end;
+            while node != PROMPT {
+                let at = trie.nodes()[node as usize];
+                assert!(at.parent == PROMPT || at.parent < node, "a parent stands before its children");
+                spelled.push(at.token);
+                node = at.parent;
+            }
+            spelled.reverse();
+            assert_eq!(&spelled, label);
+        }
+        for (index, node) in trie.nodes().iter().enumerate() {
+            assert!(node.subtree >= 1 && index + node.subtree as usize <= trie.nodes().len());
+        }
+        let tree = TokenTree::of_inner_nodes(&trie);
+        assert_eq!(tree.len(), trie.inner().len());
+        for index in 0..tree.len() {
+            let (first, end) = tree.paths(index);
+            assert!(first < end && end <= tree.path_count());
+        }
+    }
+}
+
+/// A model file is read or refused, and what is read lies within the file.
+pub fn gguf(bytes: &[u8]) {
+    let mut file = tempfile::NamedTempFile::new_in(std::env::temp_dir()).expect("a file for the model");
+    file.write_all(bytes).expect("the model is written");
+    if let Ok(header) = Header::read_language_model(file.path()) {
+        for tensor in &header.tensors {
+            assert!(tensor.start + tensor.size_bytes <= bytes.len() as u64);
+        }
+    }
+}

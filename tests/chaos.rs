@@ -1,0 +1,504 @@
+//! Real processes and the real model under kill -9: narrator, daemon and planner are killed at random moments, also while they
+//! start and while they publish, and started again as a supervisor would. In the end: no narration lost, none twice under its name,
+//! no score that differs from what its claimed narration gives, no decision on stale scores, nothing left behind.
+//!
+//! By default as many cycles as fit in some seconds. `ROOMCAST_CHAOS_CYCLES=1000` runs as many, `ROOMCAST_CHAOS_SEED` chooses others:
+//!
+//!     ROOMCAST_CHAOS_CYCLES=1000 cargo test --release --test chaos -- --nocapture
+
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use hdrhistogram::Histogram;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use roomcast::config::Config;
+use roomcast::daemon::{Recovered, journal};
+use roomcast::narration::Observation;
+use roomcast::pipeline::Pipeline;
+use roomcast::scorer::llama::LlamaModel;
+use roomcast::setup;
+use roomcast_ipc::{
+    DecisionV1, Domain, IncludedV1, Node, RoomScoresV1, Subscriber, clock, decision_flags, score_flags,
+};
+use rustix::process::{Pid, Signal, kill_process};
+
+const DEFAULT_TIME: Duration = Duration::from_secs(12);
+const DEADLINE_NS: u64 = 500_000_000;
+/// What counts as the same score: quantised products differ a little with the shape of a batch.
+const TOLERANCE_NATS: f64 = 0.05;
+/// Scores recomputed at the end.
+const RECOMPUTED: usize = 400;
+/// Far longer than anything here takes.
+const PATIENCE: Duration = Duration::from_secs(60);
+const NARRATOR: &str = "person";
+const OBJECTS: [&str; 12] =
+    ["fridge", "mug", "sofa", "bed", "shower", "toothbrush", "stove", "book", "sink", "television", "closet", "table"];
+const VERBS: [&str; 3] = ["walk to", "look at", "touch"];
+
+/// The narrator has said this line; the text names it.
+fn line(number: usize) -> String {
+    let (object, verb) = (OBJECTS[number * 5 % OBJECTS.len()], VERBS[number % VERBS.len()]);
+    format!("They {verb} the {object} {number}.")
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Role {
+    Daemon,
+    Planner,
+    Narrator,
+}
+
+struct Process {
+    child: Child,
+    started: Instant,
+    /// The first sign of life since then has been seen.
+    recovered: bool,
+}
+
+/// One message of scores, as seen.
+#[derive(Debug, Clone)]
+struct Seen {
+    epoch: u64,
+    sequence: u64,
+    claim: Option<IncludedV1>,
+    window: usize,
+    log_score_nats: Vec<f64>,
+}
+
+/// What the test hears through. The ports go before the node.
+struct Ear {
+    scores: Subscriber<RoomScoresV1>,
+    decisions: Subscriber<DecisionV1>,
+    node: Node,
+}
+
+struct World {
+    rng: ChaCha8Rng,
+    directory: tempfile::TempDir,
+    domain: Domain,
+    config: PathBuf,
+    processes: BTreeMap<Role, Process>,
+    ear: Option<Ear>,
+    /// Lines that the narrator of this moment was given, by sequence number from 1.
+    given: Vec<usize>,
+    next_line: usize,
+    /// When the narrator of this moment was started; what was observed before is of its predecessors.
+    narrator_started_ns: u64,
+    /// Its epoch, as soon as a claim tells it, and how much of it is claimed.
+    narrator_epoch: Option<u64>,
+    claimed: u64,
+    daemon_epochs: Vec<u64>,
+    planner_epochs: HashSet<u64>,
+    seen: Vec<Seen>,
+    /// When each snapshot was last sent, and whether it said that scoring failed.
+    sent_ns: HashMap<(u64, u64), u64>,
+    tally: Tally,
+    recovery_us: BTreeMap<Role, Histogram<u64>>,
+}
+
+#[derive(Debug, Default)]
+struct Tally {
+    cycles: u64,
+    kills: [u64; 3],
+    /// Kills before the process had given a sign of life.
+    kills_at_start: u64,
+    messages: u64,
+    decisions: u64,
+    fallbacks: u64,
+    stale_decisions: u64,
+    wrong_claims: u64,
+    /// Processes that ended by themselves and had to be started again.
+    gave_up: u64,
+}
+
+impl World {
+    fn new(seed: u64) -> Self {
+        let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(directory.path().join("d"), &format!("chaos-{}", std::process::id())).unwrap();
+        let config = directory.path().join("roomcast.toml");
+        let text = format!(
+            "[model]\nthreads = 1\n[daemon]\nstate = {:?}\nheartbeat_ms = 100\njournal_bytes = 67108864\n\
+             [planner]\npolicy = \"greedy-avoidance\"\nroom_time_s = 0.02\ndeadline_ms = {}\n\
+             [narrator]\nname = {NARRATOR:?}\nlinger_s = 0.0\n",
+            directory.path().join("state"),
+            DEADLINE_NS / 1_000_000,
+        );
+        fs::write(&config, text).unwrap();
+        let node = domain.open("chaos").unwrap();
+        Self {
+            rng: ChaCha8Rng::seed_from_u64(seed),
+            ear: Some(Ear { scores: node.subscriber().unwrap(), decisions: node.subscriber().unwrap(), node }),
+            directory,
+            domain,
+            config,
+            processes: BTreeMap::new(),
+            given: Vec::new(),
+            next_line: 0,
+            narrator_started_ns: 0,
+            narrator_epoch: None,
+            claimed: 0,
+            daemon_epochs: Vec::new(),
+            planner_epochs: HashSet::new(),
+            seen: Vec::new(),
+            sent_ns: HashMap::new(),
+            tally: Tally::default(),
+            recovery_us: BTreeMap::new(),
+        }
+    }
+
+    fn log(&self, role: Role) -> PathBuf {
+        self.directory.path().join(format!("{role:?}.log"))
+    }
+
+    fn start(&mut self, role: Role) {
+        let arguments: &[&str] = match role {
+            Role::Daemon => &["daemon"],
+            Role::Planner => &["planner"],
+            Role::Narrator => &["narrate", "-", "--pace", "0"],
+        };
+        let log = File::options().create(true).append(true).open(self.log(role)).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
+        command.args(arguments).arg("--root").arg(self.domain.root()).args(["--domain", self.domain.name()]);
+        command.arg("--config").arg(&self.config).stdin(Stdio::piped()).stdout(Stdio::null());
+        let started_ns = clock::monotonic_ns();
+        let child = command.stderr(log).spawn().unwrap();
+        self.processes.insert(role, Process { child, started: Instant::now(), recovered: false });
+        if role == Role::Narrator {
+            // Whoever feeds a narrator gives it again what was not confirmed.
+            let confirmed = usize::try_from(self.claimed).unwrap();
+            let again = self.given.split_off(confirmed.min(self.given.len()));
+            self.given.clear();
+            (self.narrator_started_ns, self.narrator_epoch, self.claimed) = (started_ns, None, 0);
+            for number in again {
+                self.give(number);
+            }
+        }
+    }
+
+    /// Without a narrator the line waits for the next one.
+    fn give(&mut self, number: usize) {
+        self.given.push(number);
+        let narrator = self.processes.get_mut(&Role::Narrator);
+        if let Some(input) = narrator.and_then(|narrator| narrator.child.stdin.as_mut()) {
+            // It may just have ended; then the line is given to the next one.
+            let _gone = writeln!(input, "{}", line(number));
+        }
+    }
+
+    fn kill(&mut self, role: Role) {
+        let Some(mut process) = self.processes.remove(&role) else { return };
+        process.child.kill().unwrap();
+        process.child.wait().unwrap();
+        self.tally.kills[role as usize] += 1;
+        self.tally.kills_at_start += u64::from(!process.recovered);
+    }
+
+    fn recovered(&mut self, role: Role) {
+        let Some(process) = self.processes.get_mut(&role).filter(|process| !process.recovered) else { return };
+        process.recovered = true;
+        let took_us = u64::try_from(process.started.elapsed().as_micros()).unwrap();
+        self.recovery_us.entry(role).or_insert_with(|| Histogram::new(3).unwrap()).record(took_us).unwrap();
+    }
+
+    fn all_recovered(&self) -> bool {
+        [Role::Daemon, Role::Planner, Role::Narrator].iter().all(|role| self.processes.get(role).is_some_and(|p| p.recovered))
+    }
+
+    /// Lets the world go on: gives lines, looks at every message, starts again what ended by itself.
+    fn go_on(&mut self, until: impl Fn(&Self) -> bool, at_most: Duration) {
+        let start = Instant::now();
+        while !until(self) && start.elapsed() < at_most {
+            if self.given.len() as u64 - self.claimed.min(self.given.len() as u64) < 20 && self.rng.random_bool(0.4) {
+                let number = self.next_line;
+                self.next_line += 1;
+                self.give(number);
+            }
+            self.look();
+            for role in [Role::Daemon, Role::Planner, Role::Narrator] {
+                let ended = self.processes.get_mut(&role).and_then(|process| process.child.try_wait().unwrap());
+                if let Some(status) = ended {
+                    println!("{role:?} ended by itself: {status}: {}", self.last_words(role));
+                    self.tally.gave_up += 1;
+                    self.processes.remove(&role);
+                    self.start(role);
+                }
+            }
+        }
+    }
+
+    fn last_words(&self, role: Role) -> String {
+        let log = fs::read_to_string(self.log(role)).unwrap_or_default();
+        log.lines().last().unwrap_or_default().to_owned()
+    }
+
+    fn look(&mut self) {
+        let Some(ear) = &self.ear else { return };
+        ear.scores.wait(Duration::from_millis(4)).unwrap();
+        let scores: Vec<_> = std::iter::from_fn(|| ear.scores.receive().unwrap()).collect();
+        let decisions: Vec<_> = std::iter::from_fn(|| ear.decisions.receive().unwrap()).collect();
+        for scores in scores {
+            self.look_at_scores(&scores.unwrap());
+        }
+        for decision in decisions {
+            self.look_at_decision(&decision.unwrap());
+        }
+    }
+
+    fn look_at_scores(&mut self, scores: &RoomScoresV1) {
+        self.tally.messages += 1;
+        self.sent_ns.insert((scores.epoch, scores.sequence), scores.published_ns);
+        if !self.daemon_epochs.contains(&scores.epoch) {
+            self.daemon_epochs.push(scores.epoch);
+            self.recovered(Role::Daemon);
+        }
+        let claim = scores.included().first().copied();
+        if let Some(claim) = claim.filter(|claim| claim.observed_ns >= self.narrator_started_ns) {
+            // A claim never speaks of what was not given, and never goes back; what a killed daemon said may arrive late.
+            let late = self.daemon_epochs.last() != Some(&scores.epoch);
+            let other = self.narrator_epoch.is_some_and(|epoch| epoch != claim.epoch);
+            let given = self.given.len() as u64;
+            if other || claim.sequence > given || (claim.sequence < self.claimed && !late) {
+                println!("wrong claim {claim:?}: {given} given, {} claimed before", self.claimed);
+                self.tally.wrong_claims += 1;
+            }
+            self.narrator_epoch = Some(claim.epoch);
+            self.claimed = self.claimed.max(claim.sequence);
+            self.recovered(Role::Narrator);
+        }
+        if !scores.has(score_flags::HEARTBEAT) {
+            self.seen.push(Seen {
+                epoch: scores.epoch,
+                sequence: scores.sequence,
+                claim,
+                window: usize::try_from(scores.window).unwrap(),
+                log_score_nats: scores.rooms().iter().map(|room| room.log_score_nats).collect(),
+            });
+        }
+    }
+
+    fn look_at_decision(&mut self, decision: &DecisionV1) {
+        if self.planner_epochs.insert(decision.epoch) {
+            self.recovered(Role::Planner);
+        }
+        self.tally.decisions += 1;
+        if decision.has(decision_flags::FALLBACK) {
+            self.tally.fallbacks += 1;
+            return;
+        }
+        let sent_ns = self.sent_ns.get(&(decision.scores_epoch, decision.scores_sequence));
+        let confirmed = sent_ns.is_some_and(|sent_ns| decision.decided_ns.saturating_sub(*sent_ns) <= DEADLINE_NS);
+        if decision.scores_age_ns > DEADLINE_NS && !confirmed {
+            println!("stale: {} ms old, last sent at {sent_ns:?}, {decision:?}", decision.scores_age_ns / 1_000_000);
+            self.tally.stale_decisions += 1;
+        }
+    }
+
+    /// One kill: of whom, and when, the seed decides.
+    fn cycle(&mut self) {
+        self.tally.cycles += 1;
+        let roles = [Role::Daemon, Role::Planner, Role::Narrator];
+        let role = roles[self.rng.random_range(0..3)];
+        match self.rng.random_range(0..10) {
+            // While it starts: it was started a moment ago.
+            0..4 => {
+                self.kill(role);
+                self.start(role);
+                let moment = Duration::from_micros(self.rng.random_range(0..60_000));
+                std::thread::sleep(moment);
+            }
+            // While narration and scores are under way.
+            4..7 => {
+                let number = self.next_line;
+                self.next_line += 1;
+                self.give(number);
+                std::thread::sleep(Duration::from_micros(self.rng.random_range(0..8000)));
+            }
+            // Some time.
+            _ => {
+                let moment = Duration::from_millis(self.rng.random_range(0..200));
+                self.go_on(|_| false, moment);
+            }
+        }
+        self.kill(role);
+        if self.rng.random_bool(0.2) {
+            // Nobody starts it for a while: the planner falls back.
+            let moment = Duration::from_millis(self.rng.random_range(0..900));
+            self.go_on(|_| false, moment);
+        }
+        self.start(role);
+        if self.rng.random_bool(0.7) {
+            self.go_on(Self::all_recovered, PATIENCE);
+            assert!(self.all_recovered(), "not recovered within {PATIENCE:?}: {}", self.last_words(role));
+        }
+    }
+
+    /// Ends the processes as a supervisor does.
+    fn stop(&mut self) {
+        for process in self.processes.values_mut() {
+            kill_process(Pid::from_raw(process.child.id().cast_signed()).unwrap(), Signal::TERM).unwrap();
+        }
+        for (_, mut process) in std::mem::take(&mut self.processes) {
+            process.child.wait().unwrap();
+        }
+    }
+
+    /// Files of the domain, but for the one of iceoryx2's that stays until the domain is removed.
+    fn left_behind(&self) -> Vec<String> {
+        let mut left = Vec::new();
+        let prefix = format!("{}_", self.domain.name());
+        for entry in fs::read_dir("/dev/shm").unwrap() {
+            let name = entry.unwrap().file_name().into_string().unwrap();
+            if name.starts_with(&prefix) && !name.ends_with(".global_mgmt") {
+                left.push(format!("/dev/shm/{name}"));
+            }
+        }
+        let mut folders = vec![self.domain.root().to_owned()];
+        while let Some(folder) = folders.pop() {
+            for entry in fs::read_dir(&folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.is_dir() && (path.ends_with("nodes") || path.ends_with("services")) {
+                    folders.push(path);
+                } else {
+                    left.push(path.display().to_string());
+                }
+            }
+        }
+        left
+    }
+}
+
+impl Drop for World {
+    fn drop(&mut self) {
+        for process in self.processes.values_mut() {
+            let _gone = process.child.kill();
+            let _reaped = process.child.wait();
+        }
+        if std::thread::panicking() {
+            for role in [Role::Daemon, Role::Planner, Role::Narrator] {
+                let log = fs::read_to_string(self.log(role)).unwrap_or_default();
+                let last: Vec<_> = log.lines().rev().take(10).collect();
+                eprintln!("--- {role:?}, newest first\n{}", last.join("\n"));
+            }
+        }
+    }
+}
+
+/// Whether the scores are those of the `window` narrations up to `end`.
+fn same_scores(pipeline: &mut Pipeline<LlamaModel>, history: &[Observation], end: usize, seen: &Seen) -> bool {
+    pipeline.forget_person(0);
+    let start = end.saturating_sub(seen.window);
+    let scores = pipeline.step(history[start..end].iter().cloned()).unwrap();
+    let expected = &scores.grounded.partition_log_score_nats;
+    expected.iter().zip(&seen.log_score_nats).all(|(a, b)| (a - b).abs() <= TOLERANCE_NATS)
+}
+
+fn number(variable: &str) -> Option<u64> {
+    let text = std::env::var(variable).ok()?;
+    Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
+}
+
+#[test]
+fn nothing_is_lost_wrong_stale_or_left_behind_whoever_is_killed() {
+    let cycles = number("ROOMCAST_CHAOS_CYCLES");
+    let seed = number("ROOMCAST_CHAOS_SEED").unwrap_or(1);
+    let mut world = World::new(seed);
+    for role in [Role::Daemon, Role::Planner, Role::Narrator] {
+        world.start(role);
+    }
+    world.go_on(World::all_recovered, PATIENCE);
+    let start = Instant::now();
+    while cycles.map_or(start.elapsed() < DEFAULT_TIME, |cycles| world.tally.cycles < cycles) {
+        world.cycle();
+        if world.tally.cycles % 100 == 0 {
+            println!("{} cycles in {:.0} s", world.tally.cycles, start.elapsed().as_secs_f64());
+        }
+    }
+    // In peace, everything is confirmed.
+    world.go_on(World::all_recovered, PATIENCE);
+    let confirmed = |world: &World| world.claimed == world.given.len() as u64;
+    let waiting = Instant::now();
+    while !confirmed(&world) {
+        world.look();
+        assert!(waiting.elapsed() < PATIENCE, "{} of {} lines are confirmed", world.claimed, world.given.len());
+    }
+    world.stop();
+
+    // The history, as the daemon's successor would find it.
+    let mut recovered = Recovered::default();
+    for name in ["narration.journal.old", "narration.journal"] {
+        let bytes = fs::read(world.directory.path().join("state").join(name)).unwrap_or_default();
+        journal::read_records(&bytes, &[0; 16], &mut recovered);
+    }
+    let history = recovered.observations;
+    let texts: HashSet<&str> = history.iter().map(|o| o.sentence.as_str()).collect();
+    let lost = (0..world.next_line).filter(|number| !texts.contains(line(*number).as_str())).count();
+    let names: HashMap<_, _> = history.iter().enumerate().map(|(at, o)| ((o.epoch, o.sequence), at)).collect();
+    let twice = history.len() - names.len();
+
+    // Scores again, from what they claim. Those that had to wait for the journal contain a little more than they claim.
+    let (mut pipeline, _) = setup::open(&Config::load(&world.config).unwrap()).unwrap();
+    let every = world.seen.len().div_ceil(RECOMPUTED).max(1);
+    let (mut compared, mut first) = (0, 0);
+    for (index, seen) in world.seen.iter().enumerate() {
+        let first_of_daemon = index == 0 || world.seen[index - 1].epoch != seen.epoch;
+        let end = match seen.claim {
+            None => 0,
+            Some(claim) => match names.get(&(claim.epoch, claim.sequence)) {
+                Some(at) => at + 1,
+                None => {
+                    println!("scores {}/{} claim what the history lacks: {claim:?}", seen.epoch, seen.sequence);
+                    world.tally.wrong_claims += 1;
+                    continue;
+                }
+            },
+        };
+        if !(index % every == 0 || (first_of_daemon && first < RECOMPUTED)) {
+            continue;
+        }
+        first += usize::from(first_of_daemon);
+        compared += 1;
+        let ends = end..=(end + 40).min(history.len());
+        if !ends.into_iter().any(|end| same_scores(&mut pipeline, &history, end, seen)) {
+            println!("scores {}/{} are not those of what they claim: {seen:?}", seen.epoch, seen.sequence);
+            world.tally.wrong_claims += 1;
+        }
+    }
+
+    // A participant that was killed while it joined is cleaned up when it can no longer be one that joins: after 10 s.
+    let cleaning = Instant::now();
+    let node = world.ear.take().unwrap().node;
+    let mut left = usize::MAX;
+    while left > 1 && cleaning.elapsed() < Duration::from_secs(15) {
+        node.clean_up_dead();
+        let nodes = fs::read_dir(world.domain.root().join("nodes")).unwrap();
+        left = nodes.filter(|entry| entry.as_ref().unwrap().path().is_dir()).count();
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    drop(node);
+    let left = world.left_behind();
+    let tally = std::mem::take(&mut world.tally);
+    println!("{} cycles in {:.0} s, seed {seed}: {tally:?}", tally.cycles, start.elapsed().as_secs_f64());
+    println!("narrations {}, lost {lost}, taken twice {twice}; scores compared with their claims {compared}", world.next_line);
+    for (role, took_us) in &world.recovery_us {
+        let ms = |us: u64| us as f64 / 1e3;
+        println!(
+            "{role:?}: recovered {} times, p50 {:.0} ms, worst {:.0} ms",
+            took_us.len(),
+            ms(took_us.value_at_quantile(0.5)),
+            ms(took_us.max())
+        );
+    }
+    assert_eq!((lost, twice), (0, 0), "narrations lost, narrations taken twice");
+    assert_eq!((tally.wrong_claims, tally.stale_decisions), (0, 0), "wrong claims, stale decisions");
+    assert_eq!(left, Vec::<String>::new(), "left behind");
+    assert!(world.domain.clean_up().unwrap());
+    assert!(!world.domain.root().exists());
+    assert!(tally.decisions > 0 && tally.messages > 0 && compared > 0, "nothing happened");
+}
