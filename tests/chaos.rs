@@ -208,7 +208,9 @@ impl World {
     }
 
     fn all_recovered(&self) -> bool {
-        [Role::Daemon, Role::Planner, Role::Narrator].iter().all(|role| self.processes.get(role).is_some_and(|p| p.recovered))
+        [Role::Daemon, Role::Planner, Role::Narrator]
+            .iter()
+            .all(|role| self.processes.get(role).is_some_and(|p| p.recovered))
     }
 
     /// Lets the world go on: gives lines, looks at every message, starts again what ended by itself.
@@ -485,7 +487,10 @@ fn nothing_is_lost_wrong_stale_or_left_behind_whoever_is_killed() {
     let left = world.left_behind();
     let tally = std::mem::take(&mut world.tally);
     println!("{} cycles in {:.0} s, seed {seed}: {tally:?}", tally.cycles, start.elapsed().as_secs_f64());
-    println!("narrations {}, lost {lost}, taken twice {twice}; scores compared with their claims {compared}", world.next_line);
+    println!(
+        "narrations {}, lost {lost}, taken twice {twice}; scores compared with their claims {compared}",
+        world.next_line
+    );
     for (role, took_us) in &world.recovery_us {
         let ms = |us: u64| us as f64 / 1e3;
         println!(

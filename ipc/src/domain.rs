@@ -1,5 +1,6 @@
 //! Where participants meet: a root path, a name, and the nodes that join.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use std::{env, fs, io};
@@ -29,8 +30,10 @@ const OPEN_FOR: Duration = Duration::from_secs(3);
 const SHARED_MEMORY: &str = "/dev/shm";
 /// Folders that iceoryx2 makes in the root.
 const FOLDERS: [&str; 2] = ["nodes", "services"];
-/// A participant's folder without its entry is one that was killed while it joined, or one that joins at this moment; after
-/// this long it is the former.
+/// What iceoryx2 keeps of a participant in `nodes`, beside its folder.
+const MONITOR_FILES: [&str; 3] = ["node_monitor", "node_monitor_owner_lock", "node_monitor_context"];
+/// A participant of which a part is missing joins or leaves at this moment, or was killed while it did; after this long it is
+/// the latter.
 const JOINED_WITHIN: Duration = Duration::from_secs(10);
 
 /// A private world of services: participants see one another when root path and name are equal, and nobody else.
@@ -126,8 +129,7 @@ impl Domain {
             return Ok(self.remove_shared_memory().is_ok());
         }
         let config = self.config()?;
-        // A node's own creation removes what the dead left.
-        drop(self.open("clean-up")?);
+        self.open("clean-up")?.clean_up_dead();
         if self.alive(&config) > 0 {
             return Ok(false);
         }
@@ -137,21 +139,45 @@ impl Domain {
         Ok(true)
     }
 
-    /// Removes the folders of participants that were killed while they joined: iceoryx2 makes a participant's folder before the
-    /// entry by which it is found again, and so never cleans up between the two.
-    fn remove_half_joined(&self, joined_within: Duration) {
+    /// Makes participants that were killed while they joined, left or cleaned up after others such that iceoryx2 cleans up after
+    /// them, or does it in its place.
+    ///
+    /// A participant has a folder with its details, and, made after it, a monitor by which it is found. Without a monitor iceoryx2
+    /// does not look at the folder; without details it looks for the rest in its default root path instead of this one. Both
+    /// happen when a process is killed in between, and both are ordinary for moments, so nothing that changed within [`JOINED_WITHIN`] is touched.
+    fn repair(&self, own_details: &Path) {
         let nodes = self.root.join("nodes");
+        let prefix = self.prefix();
         let Ok(entries) = fs::read_dir(&nodes) else { return };
+        let mut participants = BTreeSet::new();
         for entry in entries.flatten() {
-            let (folder, name) = (entry.path(), entry.file_name());
-            let is_participant = name.to_str().is_some_and(|name| name.bytes().all(|byte| byte.is_ascii_digit()));
-            let named = nodes.join(format!("{}{}.node_monitor", self.prefix(), name.to_string_lossy()));
-            let age =
-                entry.metadata().and_then(|folder| folder.modified()).map(|made| made.elapsed().unwrap_or_default());
-            let stale = age.is_ok_and(|age| age >= joined_within);
-            if is_participant && stale && !named.exists() && self.all_ours(&folder) {
-                // Another participant may be removing it too.
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let name =
+                name.strip_prefix(&prefix).and_then(|name| name.split_once('.')).map_or(name.as_str(), |(id, _)| id);
+            if name.bytes().all(|byte| byte.is_ascii_digit()) {
+                participants.insert(name.to_owned());
+            }
+        }
+        for id in participants {
+            let folder = nodes.join(&id);
+            let [monitor, lock, context] = MONITOR_FILES.map(|suffix| nodes.join(format!("{prefix}{id}.{suffix}")));
+            let details = folder.join(format!("{prefix}node.details"));
+            let ages = [&folder, &monitor, &lock, &context].into_iter().filter_map(|path| {
+                let changed = fs::metadata(path).and_then(|about| about.modified()).ok()?;
+                Some(changed.elapsed().unwrap_or_default())
+            });
+            let whole = details.exists() && monitor.exists() && lock.exists() && context.exists();
+            if whole || ages.min().is_none_or(|youngest| youngest < JOINED_WITHIN) {
+                continue;
+            }
+            // Others may do the same at this moment: what fails here has been done there.
+            if monitor.exists() && lock.exists() && context.exists() && folder.exists() {
+                let _restored = fs::copy(own_details, &details);
+            } else if !folder.exists() || self.all_ours(&folder) {
                 let _removed = fs::remove_dir_all(&folder);
+                for file in [monitor, lock, context] {
+                    let _removed = fs::remove_file(file);
+                }
             }
         }
     }
@@ -166,7 +192,6 @@ impl Domain {
 
     /// Removes the domain's files in the root, and every folder that is empty then; what is not the domain's stays.
     fn remove_files(&self) -> io::Result<()> {
-        self.remove_half_joined(Duration::ZERO);
         let gone = |result: io::Result<()>| match result {
             Err(error) if !matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::DirectoryNotEmpty) => {
                 Err(error)
@@ -178,8 +203,11 @@ impl Domain {
             let Ok(files) = fs::read_dir(folder) else { continue };
             for file in files {
                 let file = file?;
-                if file.file_name().to_string_lossy().starts_with(&self.prefix()) {
-                    gone(fs::remove_file(file.path()))?;
+                let (path, name) = (file.path(), file.file_name());
+                if name.to_string_lossy().starts_with(&self.prefix()) {
+                    gone(fs::remove_file(path))?;
+                } else if name.as_encoded_bytes().iter().all(u8::is_ascii_digit) && self.all_ours(&path) {
+                    gone(fs::remove_dir_all(path))?;
                 }
             }
             gone(fs::remove_dir(folder))?;
@@ -371,8 +399,10 @@ impl Node {
     /// Removes what participants that died left behind; iceoryx2 does it when something is opened, a long-running process also
     /// by itself now and then.
     pub fn clean_up_dead(&self) {
+        let own = self.domain.root.join("nodes").join(self.node.id().value().to_string());
+        let own_details = own.join(format!("{}node.details", self.domain.prefix()));
+        self.domain.repair(&own_details);
         let _report = self.node.try_cleanup_dead_nodes();
-        self.domain.remove_half_joined(JOINED_WITHIN);
     }
 
     pub(crate) fn inner(&self) -> &iceoryx2::node::Node<Flavour> {
