@@ -2,8 +2,13 @@
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
 
+use std::os::unix::net::UnixDatagram;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use roomcast_ipc::Domain;
+use rustix::process::{Pid, Signal, kill_process};
 
 const UNITS: [&str; 4] =
     ["roomcast-daemon.service", "roomcast-planner.service", "roomcast-narrator.service", "roomcast-metrics.service"];
@@ -53,4 +58,105 @@ fn the_units_exposure_is_2_or_better() {
 fn the_shipped_configuration_is_one() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd/roomcast.toml");
     roomcast::config::Config::load(&path).unwrap();
+}
+
+/// The values of a key in a unit.
+fn values(unit: &str, key: &str) -> Vec<String> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd").join(unit);
+    let text = std::fs::read_to_string(path).unwrap();
+    let lines = text.lines().filter_map(|line| line.strip_prefix(key)?.strip_prefix('='));
+    lines.flat_map(str::split_whitespace).map(str::to_owned).collect()
+}
+
+#[test]
+fn the_target_starts_and_stops_the_three_in_order() {
+    // systemd starts in the order of After= and stops in the reverse; PartOf= passes the target's stop on.
+    let daemon = "roomcast-daemon.service".to_owned();
+    for unit in UNITS {
+        let target = "roomcast.target".to_owned();
+        assert!(values("roomcast.target", "Wants").contains(&unit.to_owned()), "{unit}");
+        assert!(values("roomcast.target", "After").contains(&unit.to_owned()), "{unit}");
+        assert!(values(unit, "PartOf").contains(&target) && values(unit, "WantedBy").contains(&target), "{unit}");
+        assert!(unit == daemon || values(unit, "After").contains(&daemon), "{unit} starts after the daemon");
+        assert_eq!(values(unit, "Type"), ["notify"], "{unit} has started when it says so");
+        assert_eq!((values(unit, "Restart"), values(unit, "WatchdogSec")), (vec!["always".into()], vec!["10s".into()]));
+    }
+}
+
+/// What systemd does with a `Type=notify` service that has a watchdog.
+struct Supervisor {
+    directory: tempfile::TempDir,
+    domain: Domain,
+    socket: UnixDatagram,
+    child: Option<Child>,
+}
+
+impl Supervisor {
+    fn new() -> Self {
+        let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(directory.path().join("d"), &format!("watchdog-{}", std::process::id())).unwrap();
+        let socket = UnixDatagram::bind(directory.path().join("notify")).unwrap();
+        socket.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+        Self { directory, domain, socket, child: None }
+    }
+
+    fn start(&mut self) {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
+        command.args(["daemon", "--domain", self.domain.name(), "--root"]).arg(self.domain.root());
+        command.arg("--state").arg(self.directory.path().join("state")).env_remove("ROOMCAST_CONFIG");
+        command.env("NOTIFY_SOCKET", self.directory.path().join("notify")).env("WATCHDOG_USEC", "10000000");
+        self.child = Some(command.stdin(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
+    }
+
+    fn signal(&self, signal: Signal) {
+        let process = Pid::from_raw(self.child.as_ref().unwrap().id().cast_signed()).unwrap();
+        kill_process(process, signal).unwrap();
+    }
+
+    /// Whether the service says `word` within `time`.
+    fn hears(&self, word: &str, time: Duration) -> bool {
+        let start = Instant::now();
+        let mut message = [0; 512];
+        while start.elapsed() < time {
+            if let Ok(length) = self.socket.recv(&mut message)
+                && String::from_utf8_lossy(&message[..length]).lines().any(|line| line == word)
+            {
+                return true;
+            }
+        }
+        false
+    }
+}
+
+impl Drop for Supervisor {
+    fn drop(&mut self) {
+        if let Some(mut child) = self.child.take() {
+            let _gone = child.kill();
+            let _reaped = child.wait();
+        }
+        let _left = self.domain.clean_up();
+    }
+}
+
+#[test]
+fn a_hung_daemon_falls_silent_so_that_the_watchdog_restarts_it() {
+    const PATIENCE: Duration = Duration::from_secs(60);
+    let mut supervisor = Supervisor::new();
+    supervisor.start();
+    assert!(supervisor.hears("READY=1", PATIENCE), "it says when it is ready");
+    assert!(supervisor.hears("WATCHDOG=1", PATIENCE), "it says that it lives");
+
+    supervisor.signal(Signal::STOP);
+    // What was said before the stop is read first; then there is silence.
+    while supervisor.hears("WATCHDOG=1", Duration::from_millis(150)) {}
+    assert!(
+        !supervisor.hears("WATCHDOG=1", Duration::from_secs(2)),
+        "a daemon that stands still does not say that it lives"
+    );
+
+    // What systemd does when WatchdogSec= is over: abort, and start again. A stopped process can still be killed.
+    supervisor.signal(Signal::KILL);
+    supervisor.child.take().unwrap().wait().unwrap();
+    supervisor.start();
+    assert!(supervisor.hears("READY=1", PATIENCE), "the next one takes its place");
 }

@@ -25,7 +25,7 @@ const NAME_LIMIT: usize = 24;
 /// Most bytes of the root path, for the same reason.
 const ROOT_LIMIT: usize = 40;
 /// How long opening a service is retried: a peer that starts, stops or has just died is in the way for moments only.
-const OPEN_FOR: Duration = Duration::from_secs(3);
+const OPEN_FOR: Duration = Duration::from_secs(5);
 /// Where iceoryx2 keeps its shared memory on Linux.
 const SHARED_MEMORY: &str = "/dev/shm";
 /// Folders that iceoryx2 makes in the root.
@@ -35,6 +35,9 @@ const MONITOR_FILES: [&str; 3] = ["node_monitor", "node_monitor_owner_lock", "no
 /// A participant of which a part is missing joins or leaves at this moment, or was killed while it did; after this long it is
 /// the latter.
 const JOINED_WITHIN: Duration = Duration::from_secs(10);
+/// A service that is not finished is made at this moment, or its maker was killed; after this long it is the latter. Less than
+/// [`OPEN_FOR`], so that whoever opens it gets through.
+const MADE_WITHIN: Duration = Duration::from_secs(2);
 
 /// A private world of services: participants see one another when root path and name are equal, and nobody else.
 ///
@@ -139,45 +142,46 @@ impl Domain {
         Ok(true)
     }
 
-    /// Makes participants that were killed while they joined, left or cleaned up after others such that iceoryx2 cleans up after
-    /// them, or does it in its place.
+    /// Removes what processes left that were killed while they joined, opened a service, or cleaned up after others: iceoryx2 does
+    /// not, and a service that was never finished keeps everybody out of it.
     ///
-    /// A participant has a folder with its details, and, made after it, a monitor by which it is found. Without a monitor iceoryx2
-    /// does not look at the folder; without details it looks for the rest in its default root path instead of this one. Both
-    /// happen when a process is killed in between, and both are ordinary for moments, so nothing that changed within [`JOINED_WITHIN`] is touched.
-    fn repair(&self, own_details: &Path) {
-        let nodes = self.root.join("nodes");
+    /// A participant has a folder with its details and, made after it, a monitor by which it is found. Without a monitor iceoryx2
+    /// does not see the folder; without details, which are the last to be cleaned up, it looks for the rest in its default root path
+    /// instead of this one. A service's file can be written to until it is finished. All this is ordinary for moments, so nothing is
+    /// touched that changed within [`JOINED_WITHIN`] and [`MADE_WITHIN`].
+    fn repair(&self) {
+        let age = |path: &Path| fs::metadata(path).and_then(|about| about.modified()).ok()?.elapsed().ok();
         let prefix = self.prefix();
-        let Ok(entries) = fs::read_dir(&nodes) else { return };
+        let nodes = self.root.join("nodes");
         let mut participants = BTreeSet::new();
-        for entry in entries.flatten() {
+        for entry in fs::read_dir(&nodes).into_iter().flatten().flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
-            let name =
-                name.strip_prefix(&prefix).and_then(|name| name.split_once('.')).map_or(name.as_str(), |(id, _)| id);
-            if name.bytes().all(|byte| byte.is_ascii_digit()) {
-                participants.insert(name.to_owned());
+            let monitored = name.strip_prefix(&prefix).and_then(|name| name.split_once('.'));
+            let id = monitored.map_or(name.as_str(), |(id, _)| id);
+            if id.bytes().all(|byte| byte.is_ascii_digit()) {
+                participants.insert(id.to_owned());
             }
         }
         for id in participants {
             let folder = nodes.join(&id);
-            let [monitor, lock, context] = MONITOR_FILES.map(|suffix| nodes.join(format!("{prefix}{id}.{suffix}")));
-            let details = folder.join(format!("{prefix}node.details"));
-            let ages = [&folder, &monitor, &lock, &context].into_iter().filter_map(|path| {
-                let changed = fs::metadata(path).and_then(|about| about.modified()).ok()?;
-                Some(changed.elapsed().unwrap_or_default())
-            });
-            let whole = details.exists() && monitor.exists() && lock.exists() && context.exists();
-            if whole || ages.min().is_none_or(|youngest| youngest < JOINED_WITHIN) {
-                continue;
-            }
-            // Others may do the same at this moment: what fails here has been done there.
-            if monitor.exists() && lock.exists() && context.exists() && folder.exists() {
-                let _restored = fs::copy(own_details, &details);
-            } else if !folder.exists() || self.all_ours(&folder) {
+            let monitor = MONITOR_FILES.map(|suffix| nodes.join(format!("{prefix}{id}.{suffix}")));
+            let whole =
+                folder.join(format!("{prefix}node.details")).exists() && monitor.iter().all(|file| file.exists());
+            let youngest = monitor.iter().chain([&folder]).filter_map(|path| age(path)).min();
+            let foreign = folder.exists() && !self.all_ours(&folder);
+            if !whole && !foreign && youngest.is_some_and(|age| age >= JOINED_WITHIN) {
+                // Others may do the same at this moment: what fails here has been done there.
                 let _removed = fs::remove_dir_all(&folder);
-                for file in [monitor, lock, context] {
+                for file in monitor {
                     let _removed = fs::remove_file(file);
                 }
+            }
+        }
+        for entry in fs::read_dir(self.root.join("services")).into_iter().flatten().flatten() {
+            let unfinished = entry.metadata().is_ok_and(|about| !about.permissions().readonly());
+            let ours = entry.file_name().to_string_lossy().starts_with(&prefix);
+            if ours && unfinished && age(&entry.path()).is_some_and(|age| age >= MADE_WITHIN) {
+                let _removed = fs::remove_file(entry.path());
             }
         }
     }
@@ -399,9 +403,7 @@ impl Node {
     /// Removes what participants that died left behind; iceoryx2 does it when something is opened, a long-running process also
     /// by itself now and then.
     pub fn clean_up_dead(&self) {
-        let own = self.domain.root.join("nodes").join(self.node.id().value().to_string());
-        let own_details = own.join(format!("{}node.details", self.domain.prefix()));
-        self.domain.repair(&own_details);
+        self.domain.repair();
         let _report = self.node.try_cleanup_dead_nodes();
     }
 

@@ -1,0 +1,248 @@
+//! What a service does when the system has nothing left to give: file descriptors, shared memory, disk; and when another user
+//! comes. A clear error or no error, never a signal; and it recovers when there is room again.
+
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
+
+use std::fs::{self, File};
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use roomcast::daemon::{Recovered, journal};
+use roomcast_ipc::{Domain, StatusResponseV1};
+use rustix::process::{Pid, Signal, geteuid, kill_process};
+
+const PATIENCE: Duration = Duration::from_secs(120);
+const NOBODY: u32 = 65_534;
+
+/// A private domain; gone when dropped, with the process in it.
+struct World {
+    directory: tempfile::TempDir,
+    domain: Domain,
+    running: Option<Child>,
+}
+
+impl World {
+    fn new(name: &str) -> Self {
+        let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(directory.path().join("d"), &format!("{name}-{}", std::process::id())).unwrap();
+        Self { directory, domain, running: None }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.directory.path().join(name)
+    }
+
+    /// `prefix` runs the command, `prlimit --nofile=20` for instance.
+    fn command(&self, prefix: &[&str], arguments: &[&str]) -> Command {
+        let words: Vec<_> = prefix.iter().chain(&[env!("CARGO_BIN_EXE_roomcast")]).chain(arguments).copied().collect();
+        let mut command = Command::new(words[0]);
+        command.args(&words[1..]).arg("--root").arg(self.domain.root()).args(["--domain", self.domain.name()]);
+        command.env_remove("ROOMCAST_CONFIG").stdin(Stdio::null());
+        command
+    }
+
+    fn start(&mut self, mut command: Command) {
+        let log = File::create(self.path("log")).unwrap();
+        self.running = Some(command.stdout(Stdio::null()).stderr(log).spawn().unwrap());
+    }
+
+    fn log(&self) -> String {
+        fs::read_to_string(self.path("log")).unwrap()
+    }
+
+    fn status(&self) -> StatusResponseV1 {
+        let node = self.domain.open("test").unwrap();
+        node.status_client().unwrap().ask(PATIENCE).unwrap()
+    }
+
+    fn narrate(&self, lines: &str) -> Output {
+        let file = self.path("lines.txt");
+        fs::write(&file, lines).unwrap();
+        self.command(&[], &["narrate", file.to_str().unwrap(), "--pace", "0", "--linger", "60"]).output().unwrap()
+    }
+
+    fn stop(&mut self) {
+        let mut child = self.running.take().unwrap();
+        kill_process(Pid::from_raw(child.id().cast_signed()).unwrap(), Signal::TERM).unwrap();
+        let status = child.wait().unwrap();
+        assert!(status.success(), "{status}: {}", self.log());
+    }
+}
+
+impl Drop for World {
+    fn drop(&mut self) {
+        if let Some(mut child) = self.running.take() {
+            let _gone = child.kill();
+            let _reaped = child.wait();
+            if std::thread::panicking() {
+                eprintln!("--- {}", self.log());
+            }
+        }
+        let _left = self.domain.clean_up();
+    }
+}
+
+fn eventually(what: &str, mut holds: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !holds() {
+        assert!(start.elapsed() < PATIENCE, "not within {PATIENCE:?}: {what}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// Whether this user may mount, which some of these tests need.
+fn may_mount() -> bool {
+    let may = Command::new("unshare").args(["-m", "mount", "-t", "tmpfs", "tmpfs", "/mnt"]).output();
+    let may = may.is_ok_and(|output| output.status.success());
+    if !may {
+        eprintln!("SKIPPED: only root can mount the small file systems that this needs");
+    }
+    may
+}
+
+/// It ends by itself with an error in words, or runs until it is asked to stop; it is never killed by a signal of the system's.
+fn ends_in_words(mut command: Command, what: &str) -> bool {
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let start = Instant::now();
+    while child.try_wait().unwrap().is_none() && start.elapsed() < Duration::from_millis(1500) {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let ran = child.try_wait().unwrap().is_none();
+    if ran {
+        kill_process(Pid::from_raw(child.id().cast_signed()).unwrap(), Signal::TERM).unwrap();
+    }
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    let code = output.status.code().unwrap_or_else(|| panic!("{what}: {}: {said}", output.status));
+    if code != 0 {
+        let last = said.lines().last().unwrap_or_default();
+        assert!(last.starts_with("roomcast: ") && !said.contains("panicked"), "{what}: exit code {code}: {said}");
+        println!("{what}: {last}");
+    }
+    code == 0
+}
+
+#[test]
+fn too_few_file_descriptors_are_an_error_in_words_and_nothing_is_left_broken() {
+    let world = World::new("files");
+    let mut refused = 0;
+    for limit in [8, 14, 22, 30] {
+        let prefix = ["prlimit", &format!("--nofile={limit}")];
+        refused += usize::from(!ends_in_words(world.command(&prefix, &["daemon"]), &format!("{limit} descriptors")));
+    }
+    assert!(refused > 0, "the limits were too high to show anything");
+    assert!(ends_in_words(world.command(&[], &["daemon"]), "no limit"), "the next one starts");
+}
+
+#[test]
+fn full_shared_memory_is_an_error_in_words() {
+    if !may_mount() {
+        return;
+    }
+    let world = World::new("memory");
+    let mut refused = 0;
+    for size in ["4k", "600k", "2500k"] {
+        let mount = format!("mount -t tmpfs -o size={size} tmpfs /dev/shm && exec \"$@\"");
+        let prefix = ["unshare", "-m", "sh", "-c", &mount, "sh"];
+        refused +=
+            usize::from(!ends_in_words(world.command(&prefix, &["daemon"]), &format!("{size} of shared memory")));
+    }
+    assert!(refused > 0, "the sizes were too large to show anything");
+    assert!(ends_in_words(world.command(&[], &["daemon"]), "enough"), "the next one starts");
+}
+
+#[test]
+fn a_full_disk_costs_nothing_that_room_on_it_does_not_bring_back() {
+    if !may_mount() {
+        return;
+    }
+    let mut world = World::new("disk");
+    let state = world.path("state");
+    fs::create_dir(&state).unwrap();
+    // The disk holds 256 KiB, of which something else has taken all but some pages.
+    let mount = format!(
+        "mount -t tmpfs -o size=256k tmpfs {0} && head -c 240k /dev/zero > {0}/other && exec \"$@\"",
+        state.display()
+    );
+    let prefix = ["unshare", "-m", "sh", "-c", &mount, "sh"];
+    world.start(world.command(&prefix, &["daemon", "--state", state.to_str().unwrap()]));
+    let lines: String = (0..800).map(|number| format!("They do thing {number}.\n")).collect();
+    let narrated = world.narrate(&lines);
+    assert!(narrated.status.success(), "narration goes on: {}", String::from_utf8_lossy(&narrated.stderr));
+    let status = world.status();
+    assert_eq!((status.accepted, status.missed), (800, 0));
+    assert!(status.journal_failures > 0, "the disk was not full");
+    assert!(world.log().contains("the journal cannot be written"), "{}", world.log());
+
+    let inside = PathBuf::from(format!("/proc/{}/root{}", world.running.as_ref().unwrap().id(), state.display()));
+    fs::remove_file(inside.join("other")).unwrap();
+    let kept = || {
+        let mut recovered = Recovered::default();
+        let bytes = fs::read(inside.join("narration.journal")).unwrap();
+        journal::read_records(&bytes, &[0; 16], &mut recovered);
+        recovered.observations
+    };
+    eventually("the journal catches up", || kept().len() == 800);
+    assert!(kept().iter().zip(0..).all(|(o, number)| o.sentence.as_str() == format!("They do thing {number}.")));
+    world.stop();
+}
+
+/// The program at a place that other users can reach too.
+fn program_for_others(directory: &Path) -> PathBuf {
+    fs::set_permissions(directory, fs::Permissions::from_mode(0o755)).unwrap();
+    let program = directory.join("roomcast");
+    fs::copy(env!("CARGO_BIN_EXE_roomcast"), &program).unwrap();
+    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
+    program
+}
+
+#[test]
+fn another_user_can_neither_read_nor_publish() {
+    if !geteuid().is_root() {
+        eprintln!("SKIPPED: only root can run something as another user");
+        return;
+    }
+    let mut world = World::new("nobody");
+    let program = program_for_others(world.directory.path());
+    world.start(world.command(&[], &["daemon"]));
+    let before = world.status();
+    let as_nobody = |program: &Path, arguments: &[&str]| {
+        let mut command = Command::new(program);
+        command.args(arguments).uid(NOBODY).gid(NOBODY).stdin(Stdio::null()).output().unwrap()
+    };
+    let root = world.domain.root().to_str().unwrap();
+    for arguments in [&["narrate", "p0-breakfast-and-television"][..], &["planner"], &["daemon"]] {
+        let joined = [arguments, &["--root", root, "--domain", world.domain.name()]].concat();
+        let output = as_nobody(&program, &joined);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && said.contains("belongs to user 0"), "{arguments:?}: {said}");
+    }
+    // Not by going round the program either: no file of the domain opens, for reading or writing.
+    let prefix = format!("{}_", world.domain.name());
+    let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
+    let shared: Vec<_> =
+        shared.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(&prefix)).collect();
+    assert!(!shared.is_empty());
+    let mut files: Vec<_> = shared.iter().map(|path| path.to_str().unwrap()).collect();
+    files.push(root);
+    for file in files {
+        for script in ["cat \"$0\" || ls \"$0\"", ": >> \"$0\" || touch \"$0\"/x"] {
+            let output = as_nobody(Path::new("/bin/sh"), &["-c", script, file]);
+            assert!(!output.status.success(), "{script}: {file} is open to user {NOBODY}");
+        }
+    }
+    let after = world.status();
+    assert_eq!((before.epoch, after.received), (after.epoch, before.received), "the daemon has heard nothing");
+    world.stop();
+
+    // And whoever puts a file of the domain's name in the way is noticed.
+    let planted = PathBuf::from(format!("/dev/shm/{prefix}planted"));
+    fs::write(&planted, "").unwrap();
+    std::os::unix::fs::chown(&planted, Some(NOBODY), Some(NOBODY)).unwrap();
+    let error = world.domain.open("test").unwrap_err().to_string();
+    fs::remove_file(&planted).unwrap();
+    assert!(error.contains("belongs to user 65534"), "{error}");
+}

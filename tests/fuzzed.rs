@@ -1,0 +1,194 @@
+//! The fuzz targets of `fuzz/` over their corpus and seeded mutations of it: what libFuzzer does for hours, for some seconds.
+//! `ROOMCAST_FUZZ_RUNS=1000000` gives every target so many mutations, `ROOMCAST_FUZZ_SEED` others.
+//!
+//! And model files: truncated, with flipped bits and with numbers that no writer writes, each loaded in a process of its own.
+
+#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a panic in a test is the report")]
+
+use std::panic::catch_unwind;
+use std::path::Path;
+use std::process::Command;
+
+use rand::seq::IndexedRandom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use roomcast::daemon::journal;
+use roomcast::embedded;
+use roomcast::narration::{Observation, Sentence};
+use roomcast_ipc::{ByteImage, NarrationV1, RoomScoresV1, text};
+
+#[path = "../fuzz/targets.rs"]
+mod targets;
+
+/// Mutations of each target by default; those that write files get fewer.
+const RUNS: u64 = 20_000;
+/// Damaged model files that llama.cpp is given by default.
+const MODELS: usize = 12;
+
+fn number(variable: &str) -> Option<u64> {
+    let text = std::env::var(variable).ok()?;
+    Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
+}
+
+/// What a target's mutations start from: its corpus, and what the product itself ships or writes.
+fn seeds(target: &str) -> Vec<Vec<u8>> {
+    let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target);
+    let files = std::fs::read_dir(&corpus).unwrap_or_else(|error| panic!("{}: {error}", corpus.display()));
+    let mut files: Vec<_> = files.map(|file| file.unwrap().path()).collect();
+    files.sort();
+    let mut seeds: Vec<_> = files.iter().map(|file| std::fs::read(file).unwrap()).collect();
+    assert!(!seeds.is_empty(), "{} is empty", corpus.display());
+    match target {
+        "configuration" => seeds.push(roomcast::config::DEFAULT_TOML.as_bytes().to_vec()),
+        "program" => seeds.extend(embedded::PROGRAMS.iter().map(|program| program.text.as_bytes().to_vec())),
+        "scene" => seeds.push(embedded::SCENES[0].text.as_bytes().to_vec()),
+        "journal" => seeds.push((1..6).flat_map(|number| journal::encode(&observation(number), &[7; 16])).collect()),
+        "message" => seeds.extend([narration(), scores()]),
+        _ => {}
+    }
+    seeds
+}
+
+fn observation(sequence: u64) -> Observation {
+    Observation {
+        person: 0,
+        source: 7,
+        epoch: 1,
+        sequence,
+        observed_ns: sequence,
+        observed_unix_ns: sequence,
+        sentence: Sentence::new(&format!("They do thing {sequence}.")).unwrap(),
+    }
+}
+
+fn narration() -> Vec<u8> {
+    let message = NarrationV1::new(1, "[Grab] <mug> (1)").unwrap();
+    let message = NarrationV1 { source: 7, epoch: 1, sequence: 1, ..message };
+    [vec![0], message.to_bytes()].concat()
+}
+
+fn scores() -> Vec<u8> {
+    let mut scores = RoomScoresV1 { epoch: 3, sequence: 1, room_count: 2, label_mass: 0.8, ..Default::default() };
+    for (room, (id, probability)) in scores.room.iter_mut().zip([("kitchen", 0.75), ("bathroom", 0.25)]) {
+        room.id = text::encode("room id", id).unwrap();
+        room.probability = probability;
+    }
+    [vec![1], scores.to_bytes()].concat()
+}
+
+/// Some changes of the kinds that find faults in parsers.
+fn mutate(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], rng: &mut ChaCha8Rng) {
+    for _ in 0..rng.random_range(1..6) {
+        let at = rng.random_range(0..=bytes.len());
+        match rng.random_range(0..8) {
+            0 if at < bytes.len() => bytes[at] ^= 1 << rng.random_range(0..8),
+            1 if at < bytes.len() => bytes[at] = rng.random(),
+            2 => bytes.truncate(at),
+            3 => {
+                let more: Vec<u8> = (0..rng.random_range(1..20)).map(|_| rng.random()).collect();
+                bytes.splice(at..at, more);
+            }
+            4 => {
+                let end = rng.random_range(at..=bytes.len());
+                bytes.drain(at..end.min(at + 64));
+            }
+            5 => {
+                // A piece of itself or of another seed.
+                let other = seeds.choose(rng).unwrap();
+                let from = rng.random_range(0..=other.len());
+                let piece = other[from..other.len().min(from + 200)].to_vec();
+                bytes.splice(at..at, piece);
+            }
+            6 => {
+                let extreme = [0, 1, u64::MAX, 1 << 31, 1 << 63, f64::NAN.to_bits()].choose(rng).unwrap().to_le_bytes();
+                let length = [1, 2, 4, 8].choose(rng).unwrap();
+                let end = (at + length).min(bytes.len());
+                bytes.splice(at..end, extreme[..*length].iter().copied());
+            }
+            _ => {
+                let word: &[u8] = [
+                    &b"-1"[..],
+                    b"1e999",
+                    b"nan",
+                    b"\"\"",
+                    b"[[",
+                    b"{}",
+                    b"null",
+                    b"\xff\xfe",
+                    "\u{202e}".as_bytes(),
+                    b"\0",
+                    b"RCJ1",
+                    b"99999999999999999999",
+                    b"\n",
+                    b"<s>",
+                    b"\\u0000",
+                ]
+                .choose(rng)
+                .unwrap();
+                bytes.splice(at..at, word.iter().copied());
+            }
+        }
+    }
+}
+
+#[test]
+fn no_target_fails_on_its_corpus_or_mutations_of_it() {
+    let seed = number("ROOMCAST_FUZZ_SEED").unwrap_or(1);
+    for (name, target) in targets::ALL {
+        let seeds = seeds(name);
+        for bytes in &seeds {
+            target(bytes);
+        }
+        let slow = if matches!(name, "gguf" | "scene") { 10 } else { 1 };
+        let runs = number("ROOMCAST_FUZZ_RUNS").unwrap_or(RUNS) / slow;
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        for run in 0..runs {
+            let mut bytes = seeds.choose(&mut rng).unwrap().clone();
+            mutate(&mut bytes, &seeds, &mut rng);
+            if catch_unwind(|| target(&bytes)).is_err() {
+                let file = std::env::temp_dir().join(format!("roomcast-fuzz-{name}-{seed}-{run}"));
+                std::fs::write(&file, &bytes).unwrap();
+                panic!("{name}: mutation {run} of seed {seed} fails; its bytes are in {}", file.display());
+            }
+        }
+        println!("{name}: {} files of the corpus and {runs} mutations", seeds.len());
+    }
+}
+
+/// Gives a model file to a process of its own; its exit code, or what ended it.
+fn load(model: &[u8], directory: &Path) -> Result<i32, String> {
+    let file = directory.join("model.gguf");
+    std::fs::write(&file, model).unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_roomcast")).args(["model", "rehearse"]).arg(&file).output().unwrap();
+    output.status.code().ok_or_else(|| format!("{}: {}", output.status, String::from_utf8_lossy(&output.stderr)))
+}
+
+#[test]
+fn a_broken_model_file_ends_in_an_error() {
+    let directory = tempfile::tempdir().unwrap();
+    let whole = embedded::MODEL;
+    assert_eq!(load(whole, directory.path()), Ok(0));
+    let runs = number("ROOMCAST_FUZZ_MODELS").map_or(MODELS, |runs| usize::try_from(runs).unwrap());
+    let mut rng = ChaCha8Rng::seed_from_u64(number("ROOMCAST_FUZZ_SEED").unwrap_or(1));
+    // Metadata and tensor descriptions; what lies behind them are weights.
+    let header = whole.windows(24).position(|at| at.starts_with(b"output_norm.weight")).unwrap();
+    let mut codes = std::collections::BTreeMap::new();
+    for run in 0..runs {
+        let mut model = whole.to_vec();
+        let at = rng.random_range(0..header);
+        match run % 3 {
+            0 => model.truncate(rng.random_range(0..whole.len())),
+            1 => model[at] ^= 1 << rng.random_range(0..8),
+            _ => {
+                let extreme: u32 = *[0, 1, 2, 255, i32::MAX as u32, u32::MAX].choose(&mut rng).unwrap();
+                model[at..at + 4].copy_from_slice(&extreme.to_le_bytes());
+            }
+        }
+        let code = load(&model, directory.path()).unwrap_or_else(|died| panic!("run {run}, at {at}: {died}"));
+        if run % 3 == 0 {
+            assert_eq!(code, i32::from(roomcast::exit_code::MODEL), "a truncated file is refused");
+        }
+        *codes.entry(code).or_insert(0) += 1;
+    }
+    println!("{runs} damaged model files, by exit code: {codes:?}");
+}
