@@ -427,7 +427,7 @@ pub fn run(
         sender.confirm(TICK)?;
     }
     // The daemon has it all; a recorder that looks now and then gets its chance before what was sent goes with its publisher.
-    if sender.outcome.sent > 0 && !stop.requested() {
+    if sender.account.outcome.sent > 0 && !stop.requested() {
         sender.confirm(Duration::ZERO)?;
         std::thread::sleep(TICK);
     }

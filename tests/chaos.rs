@@ -418,7 +418,7 @@ fn nothing_is_lost_wrong_stale_or_left_behind_whoever_is_killed() {
     let start = Instant::now();
     while cycles.map_or(start.elapsed() < DEFAULT_TIME, |cycles| world.tally.cycles < cycles) {
         world.cycle();
-        if world.tally.cycles % 100 == 0 {
+        if world.tally.cycles.is_multiple_of(100) {
             println!("{} cycles in {:.0} s", world.tally.cycles, start.elapsed().as_secs_f64());
         }
     }

@@ -19,7 +19,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use roomcast::daemon::{Board, Cycle, Entry, Intake, IntakeLimits, Recovered, Taken, journal};
-use roomcast::grounding::{Grounding, GroundingOptions};
+use roomcast::grounding::{Grounding, GroundingOptions, PartitionLevel};
 use roomcast::label_trie::TokenTree;
 use roomcast::narration::{HistoryLimits, Observation};
 use roomcast::narrator::{Account, Item};
@@ -40,6 +40,7 @@ const NARRATORS: usize = 2;
 /// What the narration service keeps for a subscriber that joins, and the room scores' buffer.
 const HISTORY: usize = 32;
 const BUFFER: usize = 2;
+const GROUNDING: GroundingOptions = GroundingOptions { level: PartitionLevel::Room, room_labels: false };
 const BOOT: [u8; 16] = [7; 16];
 const SCENE: &str = r#"{"format": "roomcast-scene", "version": 1, "name": "two", "rooms": [
   {"id": "a", "label": "a", "box": {"min_m": [0, 0, 0], "max_m": [1, 1, 1]}},
@@ -259,8 +260,7 @@ impl World {
     }
 
     fn pipeline(&self, history: HistoryLimits, failures: &Rc<Cell<u32>>) -> Pipeline<WholePrompt> {
-        let grounding =
-            Grounding::new(&self.map, &GroundingOptions { room_labels: false, ..Default::default() }).unwrap();
+        let grounding = Grounding::new(&self.map, &GROUNDING).unwrap();
         let options = PipelineOptions { history, ..self.options.clone() };
         Pipeline::new(WholePrompt::new(failures), grounding, options).unwrap()
     }
@@ -565,7 +565,7 @@ impl World {
             return Ok(());
         }
         let pipeline = self.pipeline(self.options.history, &self.failures);
-        let board = Board::new(pipeline, self.map.clone(), self.epoch()).unwrap();
+        let board = Board::new(pipeline, self.map.clone(), GROUNDING, self.epoch()).unwrap();
         let mut cycle = Cycle::new(board, HEARTBEAT_NS);
         let mut intake = Intake::new(IntakeLimits::default());
         let mut recovered = Recovered::default();

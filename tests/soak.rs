@@ -58,7 +58,7 @@ fn memory_and_descriptors_stay_flat() {
     let map = setup::load_map(None).unwrap();
     let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
     let pipeline = Pipeline::new(TableModel::new(1), grounding, PipelineOptions::default()).unwrap();
-    let mut cycle = Cycle::new(Board::new(pipeline, map, 1).unwrap(), 250_000_000);
+    let mut cycle = Cycle::new(Board::new(pipeline, map, GroundingOptions::default(), 1).unwrap(), 250_000_000);
     let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, ..IntakeLimits::default() });
     let options = JournalOptions { directory: directory.path().join("state"), bytes_max: 1 << 20, sync_ms: 1000 };
     let (mut journal, _) = Journal::open(&options).unwrap();

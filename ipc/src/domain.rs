@@ -28,6 +28,9 @@ const ROOT_LIMIT: usize = 40;
 const OPEN_FOR: Duration = Duration::from_secs(5);
 /// Where iceoryx2 keeps its shared memory on Linux.
 const SHARED_MEMORY: &str = "/dev/shm";
+/// Shared memory that must be free before a participant joins or opens a port: more than the largest port takes. iceoryx2
+/// maps its memory before it is there, and whoever touches what is not ends by SIGBUS.
+const FREE_BYTES: u64 = 8 << 20;
 /// Folders that iceoryx2 makes in the root.
 const FOLDERS: [&str; 2] = ["nodes", "services"];
 /// What iceoryx2 keeps of a participant in `nodes`, beside its folder.
@@ -105,6 +108,7 @@ impl Domain {
     pub fn open(&self, participant: &str) -> Result<Node, IpcError> {
         self.prepare_root()?;
         self.refuse_foreign_shared_memory()?;
+        refuse_full_shared_memory()?;
         // iceoryx2 logs to standard error; what matters comes back as an error.
         iceoryx2::prelude::set_log_level(LogLevel::Fatal);
         let join = |cause: String| IpcError::Join { root: self.root.clone(), cause };
@@ -268,6 +272,23 @@ impl Domain {
         Ok(())
     }
 
+    /// Has the system give every page of the domain's shared memory now, so that it cannot be out of them when one is first
+    /// touched, in the middle of a publish.
+    fn commit_shared_memory(&self) -> Result<(), IpcError> {
+        for file in self.shared_memory().unwrap_or_default() {
+            // What cannot be opened is gone again, or being made.
+            let Ok(open) = fs::File::options().write(true).open(&file) else { continue };
+            let bytes = open.metadata().map_or(0, |about| about.len());
+            if bytes > 0
+                && let Err(rustix::io::Errno::NOSPC) =
+                    rustix::fs::fallocate(&open, rustix::fs::FallocateFlags::KEEP_SIZE, 0, bytes)
+            {
+                return Err(IpcError::SharedMemoryFull { free_bytes: 0, needed_bytes: bytes });
+            }
+        }
+        Ok(())
+    }
+
     /// iceoryx2 opens one file per domain, its counter of participants, to every user. Nobody else is to reach it.
     fn close_to_others(&self) {
         use std::os::unix::fs::PermissionsExt;
@@ -417,11 +438,15 @@ impl Node {
 
     /// Repeats while the failure may pass: a peer is starting, stopping, or has died a moment ago.
     fn retry<T>(&self, mut open: impl FnMut() -> Result<T, OpenFailure>) -> Result<T, IpcError> {
+        refuse_full_shared_memory()?;
         let start = Instant::now();
         let mut pause = Duration::from_millis(2);
         loop {
             match open() {
-                Ok(port) => return Ok(port),
+                Ok(port) => {
+                    self.domain.commit_shared_memory()?;
+                    return Ok(port);
+                }
                 Err(OpenFailure::Final(error)) => return Err(error),
                 Err(OpenFailure::Passing(error)) if start.elapsed() > OPEN_FOR => {
                     return Err(match error {
@@ -439,6 +464,17 @@ impl Node {
             }
         }
     }
+}
+
+/// An error in words where iceoryx2 would end by a signal.
+fn refuse_full_shared_memory() -> Result<(), IpcError> {
+    // Where it cannot be asked, there is no such file system, and iceoryx2 says so.
+    let Ok(about) = rustix::fs::statvfs(SHARED_MEMORY) else { return Ok(()) };
+    let free_bytes = about.f_bavail.saturating_mul(about.f_frsize);
+    if free_bytes >= FREE_BYTES {
+        return Ok(());
+    }
+    Err(IpcError::SharedMemoryFull { free_bytes, needed_bytes: FREE_BYTES })
 }
 
 /// Whether trying again may help.

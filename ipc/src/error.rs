@@ -88,6 +88,16 @@ pub enum IpcError {
         /// Its owner's user id.
         owner: u32,
     },
+    /// There is not enough shared memory left.
+    #[error(
+        "/dev/shm has {free_bytes} bytes free, {needed_bytes} are needed: remove what fills it, or mount it larger"
+    )]
+    SharedMemoryFull {
+        /// What is left, in bytes.
+        free_bytes: u64,
+        /// What is needed, in bytes.
+        needed_bytes: u64,
+    },
     /// The node, a participant's entry in the domain, could not be made.
     #[error("cannot join the domain at {}: {cause}; is {} writable and has /dev/shm space left?", root.display(), root.display())]
     Join {

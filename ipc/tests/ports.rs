@@ -217,3 +217,44 @@ fn cleaning_up_leaves_nothing() {
     assert_eq!(private.shared_memory_files(), 0);
     assert!(!private.domain.root().exists());
 }
+
+#[test]
+fn cleaning_up_spares_what_is_not_the_domains() {
+    let private = Private::new("spares");
+    let note = private.domain.root().join("note");
+    std::fs::write(&note, "not ours").unwrap();
+    drop(private.domain.open("test").unwrap().publisher::<RoomScoresV1>().unwrap());
+    assert!(private.domain.clean_up().unwrap());
+    assert_eq!(std::fs::read_to_string(&note).unwrap(), "not ours");
+    let left = std::fs::read_dir(private.domain.root()).unwrap().count();
+    assert_eq!((left, private.shared_memory_files()), (1, 0));
+}
+
+#[test]
+fn what_killed_participants_left_half_made_is_cleaned_up_and_keeps_nobody_out() {
+    let private = Private::new("half-made");
+    let (root, name) = (private.domain.root().to_owned(), private.domain.name().to_owned());
+    let node = private.domain.open("test").unwrap();
+    let scores = node.publisher::<RoomScoresV1>().unwrap();
+    // A participant without a monitor, one without details, and a service that was never finished, all a minute old.
+    let nodes = root.join("nodes");
+    let (joining, cleaned) = (nodes.join("1234567"), nodes.join("7654321"));
+    let monitor = nodes.join(format!("{name}_7654321.node_monitor"));
+    let service = root.join("services").join(format!("{name}_{}.service", "0".repeat(40)));
+    std::fs::create_dir(&joining).unwrap();
+    std::fs::write(joining.join(format!("{name}_node.details")), "").unwrap();
+    std::fs::create_dir(&cleaned).unwrap();
+    std::fs::write(&monitor, "").unwrap();
+    std::fs::write(&service, "").unwrap();
+    let made = [&joining, &cleaned, &monitor, &service];
+    node.clean_up_dead();
+    assert!(made.iter().all(|path| path.exists()), "what may just be in the making is left alone");
+    for path in made {
+        let minute_ago = std::time::SystemTime::now() - Duration::from_secs(60);
+        std::fs::File::open(path).unwrap().set_modified(minute_ago).unwrap();
+    }
+    node.clean_up_dead();
+    assert!(made.iter().all(|path| !path.exists()), "{made:?}");
+    scores.send(&self::scores(1)).unwrap();
+    drop((scores, node));
+}

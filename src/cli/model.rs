@@ -335,7 +335,7 @@ fn rehearse(file: &Path) -> CommandResult {
     let prepared = scorer.prepare(&["washing machine", "mug"], &binding, Tokenisation::Joint);
     let prepared = prepared.map_err(|error| model_failure(&error))?;
     let mut prompt = String::new();
-    write_prompt(["They walk to the kitchen."].into_iter(), &binding, false, &mut prompt);
+    write_prompt(["They walk to the kitchen."], &binding, false, &mut prompt);
     let mut scores = LabelScores::default();
     scorer.score(&prepared, &prompt, Method::Trie, &mut scores).map_err(|error| model_failure(&error))
 }
