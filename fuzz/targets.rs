@@ -22,8 +22,11 @@ use roomcast::scorer::Token;
 use roomcast::semantic_map::SemanticMap;
 use roomcast_ipc::{ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, RoomScoresV1};
 
+/// What a target does with bytes: nothing that can be seen, unless it panics.
+pub type Target = fn(&[u8]);
+
 /// Every target by name.
-pub const ALL: [(&str, fn(&[u8])); 8] = [
+pub const ALL: [(&str, Target); 8] = [
     ("configuration", configuration),
     ("gguf", gguf),
     ("journal", journal),
