@@ -81,7 +81,7 @@ pub fn run(args: &Args) -> CommandResult {
     let node = domain.open("roomcast-demo").map_err(ipc)?;
     let mut show = Show::new(&node, &map, &grounding, speed).map_err(ipc)?;
 
-    println!(
+    let scene = format!(
         "{}: {} items, {} rooms. {}, {} steps, {real_s:.0} s of a person's time played {speed:.1} times faster.",
         map.name,
         map.items.len(),
@@ -89,7 +89,8 @@ pub fn run(args: &Args) -> CommandResult {
         program.title,
         program.steps.len()
     );
-    println!("The robot works {:.0} s in a room, by the policy {}.\n", args.room_time, args.policy);
+    let robot = format!("The robot works {:.0} s in a room, by the policy {}.\n", args.room_time, args.policy);
+    show.say(&[scene, robot]);
 
     let mut daemon = vec!["--scene".into(), args.scene.clone().into_os_string()];
     if let Some(model) = &args.model {
@@ -99,15 +100,15 @@ pub fn run(args: &Args) -> CommandResult {
     let result = play(args, &mut stage, &mut show, speed, &stop);
     show.close();
     // The ports go before the domain can be removed.
-    let summary = show.summary(args.policy);
+    let (summary, unheard) = (show.summary(args.policy), show.unheard);
     drop((show, node));
     drop(stage);
     if stop.requested() {
         return Err(Failure::new(exit_code::INTERRUPTED, "interrupted; everything is cleaned up"));
     }
     result?;
-    println!("{summary}");
-    Ok(())
+    // Whoever read has left: the show ends as well, and quietly.
+    if unheard { Ok(()) } else { super::scene::print(&format!("{summary}\n")) }
 }
 
 fn load_program(path: &Path) -> Result<Program, Failure> {
@@ -121,7 +122,7 @@ fn load_program(path: &Path) -> Result<Program, Failure> {
 
 fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &Stop) -> CommandResult {
     let start = Instant::now();
-    while !stop.requested() && show.scores_seen == 0 {
+    while !stop.requested() && !show.unheard && show.scores_seen == 0 {
         stage.check()?;
         show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))?;
         if start.elapsed() > START_WITHIN {
@@ -132,13 +133,13 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
     let (policy, seed) = (args.policy.to_string().into(), args.seed.to_string().into());
     let room_time = (args.room_time / speed).to_string().into();
     stage.start("planner", &["--policy".into(), policy, "--seed".into(), seed, "--room-time".into(), room_time])?;
-    while !stop.requested() && show.robot.is_empty() {
+    while !stop.requested() && !show.unheard && show.robot.is_empty() {
         stage.check()?;
         show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))?;
     }
     let program = args.program.clone().into_os_string();
     stage.start("narrate", &[program, "--speed".into(), speed.to_string().into(), "--name".into(), "person".into()])?;
-    while !stop.requested() && !stage.narrator_done()? {
+    while !stop.requested() && !show.unheard && !stage.narrator_done()? {
         show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))?;
     }
     // What the narrator's end was waiting for may still lie in the ports.
@@ -232,6 +233,8 @@ struct Show<'a> {
     names: Vec<String>,
     ids: Vec<String>,
     speed: f64,
+    /// Standard output is closed.
+    unheard: bool,
     scores_seen: u64,
     sentences: Vec<(u64, String)>,
     decision: Option<DecisionV1>,
@@ -258,6 +261,7 @@ impl<'a> Show<'a> {
             names: grounding.partitions.iter().map(|partition| partition.label.clone()).collect(),
             ids: grounding.partitions.iter().map(|partition| partition.id.clone()).collect(),
             speed,
+            unheard: false,
             scores_seen: 0,
             sentences: Vec::new(),
             decision: None,
@@ -403,10 +407,10 @@ impl<'a> Show<'a> {
         self.erase();
         let mut out = io::stdout().lock();
         for line in lines {
-            // A closed pipe ends the show, not the system: the processes are ended by their own guard.
-            let _written = writeln!(out, "{line}");
+            // A closed pipe ends the show; the processes are ended by their own guard.
+            self.unheard |= writeln!(out, "{line}").is_err();
         }
-        let _flushed = out.flush();
+        self.unheard |= out.flush().is_err();
     }
 
     fn draw(&mut self, lines: &[String]) {
@@ -416,7 +420,7 @@ impl<'a> Show<'a> {
 
     fn erase(&mut self) {
         if let Some(lines) = self.panel.filter(|lines| *lines > 0) {
-            print!("\x1b[{lines}A\x1b[J");
+            self.unheard |= write!(io::stdout(), "\x1b[{lines}A\x1b[J").is_err();
             self.panel = Some(0);
         }
     }
