@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use iceoryx2::prelude::ZeroCopySend;
 use roomcast_ipc::{
     Domain, Field, IpcError, ItemScoreV1, ItemScoresHeaderV1, Layout, Message, MessageError, NarrationV1, RoomScoresV1,
-    ServiceQuality, StatusResponseV1, narration_kind, text,
+    ServiceQuality, StatusResponseV1, narration_kind, question, text,
 };
 
 /// A domain that removes itself, also when the test fails.
@@ -201,6 +201,31 @@ fn status_is_answered_or_its_absence_is_said() {
         }
     });
     assert_eq!(client.ask(Duration::from_secs(30)).unwrap().steps, 42);
+    stop.send(()).unwrap();
+    thread.join().unwrap();
+}
+
+#[test]
+fn questions_in_words_are_answered_at_any_length_or_their_absence_is_said() {
+    let private = Private::new("questions");
+    let node = private.domain.open("both").unwrap();
+    let client = node.question_port(question::MOMENT).unwrap();
+    assert!(matches!(client.ask("{}", Duration::from_millis(50)), Err(IpcError::NoAnswer { .. })));
+    let server = node.answer_port(question::MOMENT).unwrap();
+    let (stop, stopped) = std::sync::mpsc::channel::<()>();
+    let thread = std::thread::spawn(move || {
+        while stopped.try_recv().is_err() {
+            server.answer(|asked| asked.unwrap().chars().rev().collect()).unwrap();
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    });
+    let patience = Duration::from_secs(30);
+    assert_eq!(client.ask("stressed", patience).unwrap(), "desserts");
+    // Longer than what the ports were made for: they grow.
+    let long = "ab".repeat(400_000);
+    assert_eq!(client.ask(&long, patience).unwrap(), "ba".repeat(400_000));
+    let too_long = "a".repeat(question::QUESTION_BYTES_MAX + 1);
+    assert!(matches!(client.ask(&too_long, patience), Err(IpcError::Refused { .. })));
     stop.send(()).unwrap();
     thread.join().unwrap();
 }
