@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use std::{env, fs, io};
 
 use iceoryx2::config::Config;
+use iceoryx2::node::NodeView;
 use iceoryx2::prelude::{
     CallbackProgression, FileName, LogLevel, NodeBuilder, NodeName, SemanticString, SignalHandlingMode,
 };
@@ -35,6 +36,8 @@ const FREE_BYTES: u64 = 8 << 20;
 const FOLDERS: [&str; 2] = ["nodes", "services"];
 /// What iceoryx2 keeps of a participant in `nodes`, beside its folder.
 const MONITOR_FILES: [&str; 3] = ["node_monitor", "node_monitor_owner_lock", "node_monitor_context"];
+/// Endings of the files of ports.
+const PORT_FILES: [&str; 4] = ["data", "connection", "event", "event_mgmt"];
 /// A participant of which a part is missing joins or leaves at this moment, or was killed while it did; after this long it is
 /// the latter.
 const JOINED_WITHIN: Duration = Duration::from_secs(10);
@@ -166,8 +169,8 @@ impl Domain {
                 participants.insert(id.to_owned());
             }
         }
-        for id in participants {
-            let folder = nodes.join(&id);
+        for id in &participants {
+            let folder = nodes.join(id);
             let monitor = MONITOR_FILES.map(|suffix| nodes.join(format!("{prefix}{id}.{suffix}")));
             let whole =
                 folder.join(format!("{prefix}node.details")).exists() && monitor.iter().all(|file| file.exists());
@@ -181,11 +184,52 @@ impl Domain {
                 }
             }
         }
+        self.repair_ports(&participants);
         for entry in fs::read_dir(self.root.join("services")).into_iter().flatten().flatten() {
             let unfinished = entry.metadata().is_ok_and(|about| !about.permissions().readonly());
             let ours = entry.file_name().to_string_lossy().starts_with(&prefix);
             if ours && unfinished && age(&entry.path()).is_some_and(|age| age >= MADE_WITHIN) {
                 let _removed = fs::remove_file(entry.path());
+            }
+        }
+    }
+
+    /// Removes what ports left whose participant is gone altogether, killed between making a file and noting that it is its own.
+    ///
+    /// The numbers of a participant and of its ports end in the 32 bits of its process id, and no port outlives its participant's entry,
+    /// which is cleaned up last.
+    fn repair_ports(&self, participants: &BTreeSet<String>) {
+        let process = |number: &str| number.parse::<u128>().ok().map(|number| number as u32);
+        let known: BTreeSet<u32> = participants.iter().filter_map(|id| process(id)).collect();
+        let sockets = fs::read_dir(&self.root).into_iter().flatten().flatten().map(|entry| entry.path());
+        for file in self.shared_memory().unwrap_or_default().into_iter().chain(sockets) {
+            let Some(name) = file.file_name().map(|name| name.to_string_lossy().into_owned()) else { continue };
+            let Some((stem, suffix)) = name.strip_prefix(&self.prefix()).and_then(|name| name.split_once('.')) else {
+                continue;
+            };
+            // Numbers only: between them stands the service's hash.
+            let owners: Vec<u32> = stem.split('_').filter(|part| part.len() < 40).filter_map(process).collect();
+            let of_a_port = PORT_FILES.contains(&suffix) && !owners.is_empty();
+            let age = fs::metadata(&file).and_then(|about| about.modified()).ok().and_then(|made| made.elapsed().ok());
+            if of_a_port
+                && owners.iter().all(|owner| !known.contains(owner))
+                && age.is_some_and(|age| age >= JOINED_WITHIN)
+            {
+                let _removed = fs::remove_file(file);
+            }
+        }
+    }
+
+    /// Removes a participant that is dead and that iceoryx2 has failed to clean up after for [`JOINED_WITHIN`]; its ports' files go
+    /// with the next [`Domain::repair`].
+    fn remove_dead(&self, id: u128) {
+        let nodes = self.root.join("nodes");
+        let folder = nodes.join(id.to_string());
+        let changed = fs::metadata(&folder).and_then(|about| about.modified()).ok().and_then(|at| at.elapsed().ok());
+        if changed.is_some_and(|age| age >= JOINED_WITHIN) && self.all_ours(&folder) {
+            let _removed = fs::remove_dir_all(&folder);
+            for suffix in MONITOR_FILES {
+                let _removed = fs::remove_file(nodes.join(format!("{}{id}.{suffix}", self.prefix())));
             }
         }
     }
@@ -425,7 +469,19 @@ impl Node {
     /// by itself now and then.
     pub fn clean_up_dead(&self) {
         self.domain.repair();
-        let _report = self.node.try_cleanup_dead_nodes();
+        if self.node.try_cleanup_dead_nodes().failed_cleanups > 0 {
+            let mut dead = Vec::new();
+            // A list that fails half-way has named some, and the next one goes on.
+            let _listed = iceoryx2::node::Node::<Flavour>::list(&self.config, |state| {
+                if let iceoryx2::node::NodeState::Dead(node) = state {
+                    dead.push(node.id().value());
+                }
+                CallbackProgression::Continue
+            });
+            for id in dead {
+                self.domain.remove_dead(id);
+            }
+        }
     }
 
     pub(crate) fn inner(&self) -> &iceoryx2::node::Node<Flavour> {

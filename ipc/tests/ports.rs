@@ -271,7 +271,11 @@ fn what_killed_participants_left_half_made_is_cleaned_up_and_keeps_nobody_out() 
     std::fs::create_dir(&cleaned).unwrap();
     std::fs::write(&monitor, "").unwrap();
     std::fs::write(&service, "").unwrap();
-    let made = [&joining, &cleaned, &monitor, &service];
+    // And what a port left whose participant (of process 4321) is gone altogether.
+    let orphan = format!("/dev/shm/{name}_{}_{}.event_mgmt", "0".repeat(40), (7_u128 << 96) + 4321);
+    let orphan = std::path::PathBuf::from(orphan);
+    std::fs::write(&orphan, "").unwrap();
+    let made = [&joining, &cleaned, &monitor, &service, &orphan];
     node.clean_up_dead();
     assert!(made.iter().all(|path| path.exists()), "what may just be in the making is left alone");
     for path in made {
@@ -282,4 +286,42 @@ fn what_killed_participants_left_half_made_is_cleaned_up_and_keeps_nobody_out() 
     assert!(made.iter().all(|path| !path.exists()), "{made:?}");
     scores.send(&self::scores(1)).unwrap();
     drop((scores, node));
+}
+
+#[test]
+fn what_belongs_to_the_living_is_left_alone_however_old() {
+    let private = Private::new("living");
+    let (daemon, planner) = (private.domain.open("daemon").unwrap(), private.domain.open("planner").unwrap());
+    let publisher = daemon.publisher::<RoomScoresV1>().unwrap();
+    let subscriber = planner.subscriber::<RoomScoresV1>().unwrap();
+    publisher.send(&scores(1)).unwrap();
+    assert_eq!(eventually(|| subscriber.newest().unwrap()).sequence, 1);
+    let mut files = Vec::new();
+    let mut folders = vec![private.domain.root().to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path.clone());
+            }
+            files.push(path);
+        }
+    }
+    let prefix = format!("{}_", private.domain.name());
+    let shared = std::fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
+    files.extend(shared.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(&prefix)));
+    for path in &files {
+        let minute_ago = std::time::SystemTime::now() - Duration::from_secs(60);
+        // Sockets cannot be opened, and stay as young as they are.
+        if let Ok(file) = std::fs::File::open(path) {
+            file.set_modified(minute_ago).unwrap();
+        }
+    }
+    daemon.clean_up_dead();
+    planner.clean_up_dead();
+    let gone: Vec<_> = files.iter().filter(|path| !path.exists()).collect();
+    assert!(gone.is_empty(), "{gone:?}");
+    publisher.send(&scores(2)).unwrap();
+    assert_eq!(eventually(|| subscriber.newest().unwrap()).sequence, 2);
+    drop((publisher, subscriber, daemon, planner));
 }
