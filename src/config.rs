@@ -121,8 +121,10 @@ pub struct ModelConfig {
     pub path: Option<PathBuf>,
     /// The SHA-256 that the file must have, in hexadecimal; any when empty.
     pub sha256: Option<String>,
-    /// Threads of one decoder call; 0 chooses all cores but one, or both of two.
+    /// Threads of one decoder call; 0 chooses one per core of `cores`, or without these all cores but one, or both of two.
     pub threads: usize,
+    /// Cores that the scorer runs on, by number; any when empty.
+    pub cores: Vec<usize>,
     /// Positions of prompt and labels together.
     pub context_tokens: u32,
     /// Paths of the label trie that one decoder call may hold.
@@ -136,7 +138,7 @@ pub struct ModelConfig {
 impl Default for ModelConfig {
     fn default() -> Self {
         let LlamaOptions { context_tokens, sequences, cache, lock_memory, .. } = LlamaOptions::default();
-        Self { path: None, sha256: None, threads: 0, context_tokens, sequences, cache, lock_memory }
+        Self { path: None, sha256: None, threads: 0, cores: Vec::new(), context_tokens, sequences, cache, lock_memory }
     }
 }
 
@@ -146,7 +148,11 @@ impl ModelConfig {
     pub fn llama_options(&self) -> LlamaOptions {
         let default = LlamaOptions::default();
         LlamaOptions {
-            threads: if self.threads == 0 { default.threads } else { self.threads },
+            threads: match (self.threads, self.cores.len()) {
+                (0, 0) => default.threads,
+                (0, cores) => cores,
+                (threads, _) => threads,
+            },
             context_tokens: self.context_tokens,
             sequences: self.sequences,
             cache: self.cache,
@@ -311,6 +317,14 @@ mod tests {
     #[test]
     fn the_manual_states_the_defaults() {
         assert_eq!(toml::from_str::<Config>(DEFAULT_TOML).unwrap(), Config::default());
+    }
+
+    #[test]
+    fn threads_follow_the_cores_unless_they_are_given() {
+        let threads = |toml: &str| toml::from_str::<Config>(toml).unwrap().model.llama_options().threads;
+        assert_eq!(threads("[model]\ncores = [1, 2, 5]"), 3);
+        assert_eq!(threads("[model]\ncores = [1, 2, 5]\nthreads = 2"), 2);
+        assert_eq!(threads(""), LlamaOptions::default().threads);
     }
 
     #[test]

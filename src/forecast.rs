@@ -190,25 +190,24 @@ fn likeliest(p: &[f64]) -> Option<usize> {
     (0..p.len()).max_by(|a, b| p[*a].total_cmp(&p[*b]))
 }
 
-/// Finds which label of a map a sentence mentions.
+/// Finds which label of a map a sentence mentions; built once per map.
 #[derive(Debug, Clone)]
-pub struct Mentions<'a> {
-    map: &'a SemanticMap,
-    label_of_text: HashMap<&'a str, usize>,
+pub struct Mentions {
+    label_of_text: HashMap<String, usize>,
 }
 
-impl<'a> Mentions<'a> {
-    /// `grounding` must be of `map`.
+impl Mentions {
+    /// `grounding` must be of the map that sentences are looked up in.
     #[must_use]
-    pub fn new(map: &'a SemanticMap, grounding: &'a Grounding) -> Self {
+    pub fn new(grounding: &Grounding) -> Self {
         let labels = grounding.scored_labels.iter().enumerate();
-        Self { map, label_of_text: labels.map(|(index, label)| (label.text.as_str(), index)).collect() }
+        Self { label_of_text: labels.map(|(index, label)| (label.text.clone(), index)).collect() }
     }
 
     /// The last thing mentioned ("They put the plate on the *table*"), as an index of
     /// [`Grounding::scored_labels`]: the longest run of up to four words after an article that names a label or a room.
     #[must_use]
-    pub fn last(&self, sentence: &str) -> Option<usize> {
+    pub fn last(&self, map: &SemanticMap, sentence: &str) -> Option<usize> {
         const WORDS_MAX: usize = 4;
         let lower = sentence.to_lowercase();
         let words: Vec<&str> =
@@ -217,17 +216,17 @@ impl<'a> Mentions<'a> {
             |at| {
                 (1..=WORDS_MAX.min(words.len() - at))
                     .rev()
-                    .find_map(|length| self.label(&words[at..at + length].join(" ")))
+                    .find_map(|length| self.label(map, &words[at..at + length].join(" ")))
             },
         )
     }
 
-    fn label(&self, name: &str) -> Option<usize> {
+    fn label(&self, map: &SemanticMap, name: &str) -> Option<usize> {
         if let Some(label) = self.label_of_text.get(name) {
             return Some(*label);
         }
-        let item = self.map.find_label(name).map(|label| self.map.labels[label.0 as usize].as_str());
-        let text = item.or_else(|| self.map.find_room(name).map(|room| self.map.rooms[room.0 as usize].label.as_str()));
+        let item = map.find_label(name).map(|label| map.labels[label.0 as usize].as_str());
+        let text = item.or_else(|| map.find_room(name).map(|room| map.rooms[room.0 as usize].label.as_str()));
         self.label_of_text.get(text?).copied()
     }
 }
@@ -247,13 +246,13 @@ mod tests {
     #[test]
     fn it_moves_from_the_present_room_over_the_scores_to_the_long_run() {
         let (map, grounding) = studio();
-        let mentions = Mentions::new(&map, &grounding);
+        let mentions = Mentions::new(&grounding);
         let room = |id: &str| grounding.partitions.iter().position(|p| p.id == id).unwrap();
         let (kitchen, main) = (room("kitchen"), room("main-room"));
         let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
         let mut scores = [0.05; 3];
         scores[main] = 0.9;
-        forecaster.observe(10.0, mentions.last("They open the fridge."), &grounding, &scores);
+        forecaster.observe(10.0, mentions.last(&map, "They open the fridge."), &grounding, &scores);
         let at = |t: f64| forecaster.at(10.0, t);
         assert!(at(0.0)[kitchen] > 0.9, "{:?}", at(0.0));
         assert!(at(100.0)[main] > at(0.0)[main] && at(100.0)[main] > at(100.0)[kitchen], "{:?}", at(100.0));
@@ -265,8 +264,8 @@ mod tests {
     #[test]
     fn who_has_stayed_long_stays_on() {
         let (map, grounding) = studio();
-        let mentions = Mentions::new(&map, &grounding);
-        let bed = mentions.last("They lie on the bed.");
+        let mentions = Mentions::new(&grounding);
+        let bed = mentions.last(&map, "They lie on the bed.");
         let mut short = Forecaster::new(3, ForecastOptions::default(), 0.0);
         short.observe(5.0, bed, &grounding, &[1.0 / 3.0; 3]);
         let mut long = short.clone();
@@ -278,8 +277,9 @@ mod tests {
     #[test]
     fn mentions_are_found_through_aliases_and_the_last_one_counts() {
         let (map, grounding) = studio();
-        let mentions = Mentions::new(&map, &grounding);
-        let text = |sentence: &str| mentions.last(sentence).map(|label| grounding.scored_labels[label].text.as_str());
+        let mentions = Mentions::new(&grounding);
+        let text =
+            |sentence: &str| mentions.last(&map, sentence).map(|label| grounding.scored_labels[label].text.as_str());
         assert_eq!(text("They walk to the couch."), Some("sofa"));
         assert_eq!(text("They put the shirt into the washing machine."), Some("washing machine"));
         assert_eq!(text("They walk to the kitchen."), Some("kitchen"));

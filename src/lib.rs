@@ -56,6 +56,8 @@ pub mod hub;
 
 pub mod setup;
 
+pub mod affinity;
+
 pub mod stop;
 
 pub mod logging;
@@ -65,6 +67,8 @@ pub mod simulation;
 pub mod experiment;
 
 pub mod recording;
+
+pub mod latency;
 
 pub mod top;
 

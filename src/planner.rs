@@ -19,6 +19,9 @@ use crate::policy::{Policy, PolicyError, PolicyName, RobotState};
 use crate::semantic_map::PartitionId;
 use crate::stop::Stop;
 
+/// How often connections are renewed.
+const TICK: Duration = Duration::from_millis(100);
+
 /// The section `[planner]`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -29,7 +32,7 @@ pub struct PlannerConfig {
     pub policy: PolicyName,
     /// Seed of the policy's random choices.
     pub seed: u64,
-    /// T_r: seconds that the robot must spend in every room.
+    /// T_r: seconds that the robot must spend in every room; 0 decides anew with every new score.
     pub room_time_s: f64,
     /// Milliseconds after which scores that the daemon has not confirmed are not acted upon.
     pub deadline_ms: u64,
@@ -67,6 +70,8 @@ pub struct Planner {
     covered: Vec<bool>,
     /// When the robot is free again.
     free_ns: u64,
+    /// Epoch and sequence of the scores last decided upon.
+    decided: Option<(u64, u64)>,
     /// The fallback has been published and holds until scores are fresh.
     falling_back: bool,
 }
@@ -89,6 +94,7 @@ impl Planner {
             room: None,
             covered: Vec::new(),
             free_ns: 0,
+            decided: None,
             falling_back: false,
         }
     }
@@ -186,6 +192,12 @@ impl Planner {
             return Ok(Some(DecisionV1 { flags: decision.flags | decision_flags::FALLBACK | stale, ..decision }));
         };
         self.falling_back = false;
+        // A robot that is always free decides once per score, not as often as it looks.
+        let of = Some((scores.epoch, scores.sequence));
+        if self.room_time_ns == 0 && self.decided == of {
+            return Ok(None);
+        }
+        self.decided = of;
         // The stay that ends now is work done.
         if let Some(covered) = self.room.and_then(|room| self.covered.get_mut(room))
             && self.free_ns > 0
@@ -244,6 +256,15 @@ impl Planner {
         self.free_ns
     }
 
+    /// How long there is nothing to decide unless something arrives, at most [`TICK`].
+    #[must_use]
+    pub fn idle(&self, now_ns: u64) -> Duration {
+        if self.room_time_ns == 0 {
+            return TICK;
+        }
+        Duration::from_nanos(self.free_ns.saturating_sub(now_ns)).clamp(Duration::from_millis(1), TICK)
+    }
+
     /// The room that the robot is in, by index in the scores' rooms.
     #[must_use]
     pub fn room(&self) -> Option<usize> {
@@ -297,8 +318,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     notify(&[NotifyState::Ready]);
     while !stop.requested() {
         let now_ns = clock::monotonic_ns();
-        let until_free = Duration::from_nanos(planner.free_ns().saturating_sub(now_ns));
-        scores.wait(until_free.clamp(Duration::from_millis(1), Duration::from_millis(100)))?;
+        scores.wait(planner.idle(now_ns))?;
         while let Some(received) = scores.receive()? {
             match received {
                 Ok(snapshot) => planner.take(&snapshot),
@@ -499,6 +519,18 @@ mod tests {
         planner.take(&failed);
         let decision = planner.decide(9 * S, 0).unwrap().unwrap();
         assert_eq!(decision.flags, decision_flags::FALLBACK | decision_flags::STALE);
+    }
+
+    #[test]
+    fn a_robot_that_is_always_free_decides_once_per_score() {
+        let config =
+            PlannerConfig { policy: PolicyName::GreedyAvoidance, room_time_s: 0.0, ..PlannerConfig::default() };
+        let mut planner = Planner::new(&config, 1);
+        planner.take(&scores(1, S, &[0.7, 0.3]));
+        assert_eq!(planner.decide(S, 0).unwrap().unwrap().to(), "room-1");
+        assert_eq!(planner.decide(S + 1, 0).unwrap(), None);
+        planner.take(&scores(2, S + 2, &[0.2, 0.8]));
+        assert_eq!(planner.decide(S + 2, 0).unwrap().unwrap().to(), "room-0");
     }
 
     #[test]

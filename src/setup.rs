@@ -9,7 +9,7 @@ use crate::embedded::{self, ModelFile};
 use crate::grounding::{Grounding, GroundingError};
 use crate::pipeline::{Pipeline, PipelineError, PipelineOptions};
 use crate::scorer::llama::{LlamaModel, LlamaOptions, file_fingerprint};
-use crate::scorer::{ModelError, hex_string};
+use crate::scorer::{LanguageModel, ModelError, hex_string};
 use crate::semantic_map::{SceneError, SemanticMap};
 
 /// What kept the service from becoming ready.
@@ -92,19 +92,31 @@ pub fn load_map(path: Option<&Path>) -> Result<SemanticMap, SetupError> {
 /// The first part that cannot be set up.
 pub fn open(config: &Config) -> Result<(Pipeline<LlamaModel>, SemanticMap), SetupError> {
     let map = load_map(config.scene.path.as_deref())?;
-    Ok((open_with(config, &map)?, map))
+    Ok((open_with(config, &map, configured_model)?, map))
 }
 
-/// Sets up everything that the configuration names, with another map than the one it names.
+/// Sets up everything that the configuration names, with another map than the one it names, and with the model that `model`
+/// gives ([`configured_model`]).
 ///
 /// # Errors
 /// The first part that cannot be set up.
-pub fn open_with(config: &Config, map: &SemanticMap) -> Result<Pipeline<LlamaModel>, SetupError> {
+pub fn open_with<M: LanguageModel>(
+    config: &Config,
+    map: &SemanticMap,
+    model: impl FnOnce(&Config) -> Result<M, SetupError>,
+) -> Result<Pipeline<M>, SetupError> {
     config.check()?;
     let grounding = Grounding::new(map, &config.grounding)?;
+    Ok(Pipeline::new(model(config)?, grounding, pipeline_options(config)?)?)
+}
+
+/// The model that the configuration names, or the embedded one.
+///
+/// # Errors
+/// When it cannot be loaded, or is not the one that is pinned.
+pub fn configured_model(config: &Config) -> Result<LlamaModel, SetupError> {
     check_pin(config)?;
-    let model = load_model(config.model.path.as_deref(), &config.model.llama_options())?;
-    Ok(Pipeline::new(model, grounding, pipeline_options(config)?)?)
+    load_model(config.model.path.as_deref(), &config.model.llama_options())
 }
 
 /// Holds the model file to the checksum that the configuration pins, before llama.cpp sees any of it.

@@ -624,3 +624,26 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
         assert!((a.probability - b.probability).abs() < 5e-3 && a.id == b.id, "{} {}", a.probability, b.probability);
     }
 }
+
+#[test]
+fn latency_measures_every_path_beside_its_yardsticks() {
+    let world = World::new("latency");
+    let arguments = ["latency", "--samples", "5", "--pause", "1", "--scorer", "none", "--load", "idle", "--json"];
+    let output = world.command(&arguments).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let rows = report["rows"].as_array().unwrap();
+    let paths: Vec<_> = rows.iter().map(|row| row["path"].as_str().unwrap()).collect();
+    assert_eq!(paths, ["event-to-scores", "event-to-decision", "bare-iceoryx2", "unix-socket", "eventfd"]);
+    for row in rows {
+        assert_eq!(
+            (row["n"].as_u64(), row["scorer"].as_str(), row["load"].as_str()),
+            (Some(5), Some("none"), Some("idle"))
+        );
+        let at: Vec<_> =
+            ["p50_ns", "p90_ns", "p99_ns", "p999_ns", "max_ns"].map(|key| row[key].as_u64().unwrap()).into();
+        assert!(at[0] > 0 && at.is_sorted(), "{row}");
+    }
+    let refused = world.command(&["latency", "--samples", "0"]).output().unwrap();
+    assert_eq!(refused.status.code(), Some(i32::from(exit_code::USAGE)));
+}

@@ -53,6 +53,7 @@
 //! # Ok::<(), roomcast_ipc::IpcError>(())
 //! ```
 
+pub mod bare;
 pub mod clock;
 mod domain;
 mod error;

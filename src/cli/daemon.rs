@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use super::{CommandResult, Failure, model, service};
-use crate::{daemon, logging};
+use crate::scorer::none::NoModel;
+use crate::{daemon, logging, setup};
 
 /// Arguments of `roomcast daemon`.
 #[derive(Debug, clap::Args)]
@@ -19,6 +20,9 @@ pub struct Args {
     /// The state directory with the narration journal, in place of the configuration's.
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
+    /// Score without a model, every word as likely as every other: for `roomcast latency`.
+    #[arg(long, hide = true, conflicts_with = "model")]
+    no_model: bool,
 }
 
 /// Runs the daemon until it is asked to stop.
@@ -40,8 +44,13 @@ pub fn run(args: &Args) -> CommandResult {
         config.daemon.state.clone_from(&args.state);
     }
     // A pinned file is known to be good.
-    if let (Some(path), None) = (&config.model.path, &config.model.sha256) {
+    if let (Some(path), None, false) = (&config.model.path, &config.model.sha256, args.no_model) {
         model::try_elsewhere(path)?;
     }
-    daemon::run(&config, &domain, &stop).map_err(|error| Failure::new(error.exit_code(), error))
+    let ended = if args.no_model {
+        daemon::run(&config, &domain, &stop, |_| Ok(NoModel::default()))
+    } else {
+        daemon::run(&config, &domain, &stop, setup::configured_model)
+    };
+    ended.map_err(|error| Failure::new(error.exit_code(), error))
 }

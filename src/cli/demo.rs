@@ -1,9 +1,7 @@
 //! `roomcast demo`: the whole system on this machine, three processes in a private domain, one activity in one apartment.
 
-use std::fs::File;
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
@@ -11,8 +9,8 @@ use roomcast_ipc::{
     DecisionV1, Domain, IpcError, ItemScoresSubscriber, NarrationV1, Node, RoomScoresV1, Subscriber, decision_flags,
     score_flags,
 };
-use rustix::process::{Pid, Signal, kill_process};
 
+use super::stage::Stage;
 use super::{CommandResult, Failure, bar, service};
 use crate::exit_code;
 use crate::grounding::{Grounding, GroundingOptions};
@@ -24,8 +22,6 @@ use crate::stop::Stop;
 
 /// Loading the model is the slow part of the start.
 const START_WITHIN: Duration = Duration::from_secs(120);
-/// After its last word the narrator waits for the daemon; then nothing more comes.
-const STOP_WITHIN: Duration = Duration::from_secs(5);
 const ITEMS_WITHIN: Duration = Duration::from_millis(200);
 const BAR_WIDTH: usize = 30;
 const TOP_OBJECTS: usize = 5;
@@ -77,7 +73,7 @@ pub fn run(args: &Args) -> CommandResult {
     let directory = directory.map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot use /tmp: {error}")))?;
     let ipc = |error: IpcError| Failure::new(exit_code::IPC, error);
     let domain = Domain::new(directory.path().join("d"), &format!("demo-{}", std::process::id())).map_err(ipc)?;
-    let mut stage = Stage { children: Vec::new(), domain: domain.clone(), logs: directory.path().to_owned() };
+    let mut stage = Stage::new(domain.clone(), directory.path());
     let node = domain.open("roomcast-demo").map_err(ipc)?;
     let mut show = Show::new(&node, &map, &grounding, speed).map_err(ipc)?;
 
@@ -139,84 +135,11 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
     }
     let program = args.program.clone().into_os_string();
     stage.start("narrate", &[program, "--speed".into(), speed.to_string().into(), "--name".into(), "person".into()])?;
-    while !stop.requested() && !show.unheard && !stage.narrator_done()? {
+    while !stop.requested() && !show.unheard && !stage.ended("narrate")? {
         show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))?;
     }
     // What the narrator's end was waiting for may still lie in the ports.
     show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))
-}
-
-/// The child processes; dropping ends them and removes the domain.
-struct Stage {
-    children: Vec<(&'static str, Child)>,
-    domain: Domain,
-    logs: PathBuf,
-}
-
-impl Stage {
-    fn start(&mut self, command: &'static str, arguments: &[std::ffi::OsString]) -> Result<(), Failure> {
-        let failed =
-            |error: io::Error| Failure::new(exit_code::FAILURE, format!("cannot start `roomcast {command}`: {error}"));
-        let log = File::create(self.logs.join(command)).map_err(failed)?;
-        let child = Command::new(std::env::current_exe().map_err(failed)?)
-            .arg(command)
-            .args(arguments)
-            .arg("--root")
-            .arg(self.domain.root())
-            .args(["--domain", self.domain.name()])
-            .env_remove("ROOMCAST_CONFIG")
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(log)
-            .spawn()
-            .map_err(failed)?;
-        self.children.push((command, child));
-        Ok(())
-    }
-
-    /// Fails with what a process said when it has ended, unless it is the narrator and all is well.
-    fn check(&mut self) -> CommandResult {
-        for (command, child) in &mut self.children {
-            let Ok(Some(status)) = child.try_wait() else { continue };
-            let command = *command;
-            if command == "narrate" && status.success() {
-                continue;
-            }
-            let said = std::fs::read_to_string(self.logs.join(command)).unwrap_or_default();
-            let last: Vec<&str> = said.lines().rev().take(5).collect();
-            let said = last.into_iter().rev().collect::<Vec<_>>().join("\n");
-            let code = status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(exit_code::FAILURE);
-            return Err(Failure::new(code, format!("`roomcast {command}` ended ({status}):\n{said}")));
-        }
-        Ok(())
-    }
-
-    fn narrator_done(&mut self) -> Result<bool, Failure> {
-        self.check()?;
-        let narrator = self.children.iter_mut().find(|(command, _)| *command == "narrate");
-        Ok(narrator.is_some_and(|(_, child)| matches!(child.try_wait(), Ok(Some(_)))))
-    }
-}
-
-impl Drop for Stage {
-    fn drop(&mut self) {
-        for (_, child) in self.children.iter().rev() {
-            // One that has ended already needs no signal.
-            let _gone = Pid::from_raw(child.id().cast_signed()).map(|pid| kill_process(pid, Signal::TERM));
-        }
-        let start = Instant::now();
-        for (_, child) in &mut self.children {
-            while matches!(child.try_wait(), Ok(None)) && start.elapsed() < STOP_WITHIN {
-                std::thread::sleep(Duration::from_millis(10));
-            }
-            // Only one that hangs is still there to be killed.
-            let _killed = child.kill();
-            let _reaped = child.wait();
-        }
-        if let Err(error) = self.domain.clean_up() {
-            eprintln!("roomcast: {error}");
-        }
-    }
 }
 
 /// A room and from when on, in monotonic nanoseconds.

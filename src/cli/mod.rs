@@ -15,6 +15,7 @@ mod demo;
 mod doctor;
 mod experiment;
 mod explain;
+mod latency;
 mod man;
 mod metrics;
 mod model;
@@ -25,6 +26,7 @@ mod replay;
 mod scene;
 mod score;
 mod service;
+mod stage;
 mod top;
 
 /// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
@@ -107,6 +109,8 @@ enum Command {
     Experiment(experiment::Args),
     /// Explain the scores of one moment: rooms, labels, tokens, items and the narration behind them.
     Explain(explain::Args),
+    /// Measure how long events take to become scores and decisions, between real processes.
+    Latency(latency::Args),
     /// Write the manual pages of all commands.
     Man(man::Args),
     /// Serve metrics of a running system for Prometheus, on a loopback address.
@@ -133,7 +137,12 @@ impl Command {
     /// Whether a reader that leaves may end the command at once: it holds no place in a domain, and no processes.
     fn only_prints(&self) -> bool {
         match self {
-            Self::Daemon(_) | Self::Demo(_) | Self::Metrics(_) | Self::Narrate(_) | Self::Planner(_) => false,
+            Self::Daemon(_)
+            | Self::Demo(_)
+            | Self::Latency(_)
+            | Self::Metrics(_)
+            | Self::Narrate(_)
+            | Self::Planner(_) => false,
             Self::Record(_) | Self::Replay(_) | Self::Top(_) => false,
             Self::Completions(_) | Self::Config(_) | Self::Doctor(_) | Self::Experiment(_) | Self::Explain(_) => true,
             Self::Man(_) | Self::Model(_) | Self::Scene(_) | Self::Score(_) => true,
@@ -157,6 +166,7 @@ pub fn main() -> ExitCode {
         Command::Doctor(args) => doctor::run(&args),
         Command::Experiment(args) => experiment::run(&args),
         Command::Explain(args) => explain::run(&args),
+        Command::Latency(args) => latency::run(&args),
         Command::Man(args) => man::run(&args),
         Command::Metrics(args) => metrics::run(&args),
         Command::Model(args) => model::run(&args),

@@ -60,14 +60,20 @@ pub struct Entry {
     pub after_gap: bool,
 }
 
+/// Of an observation: the person, when it was observed in monotonic nanoseconds, the label that it mentions.
+type Seen = (u32, u64, Option<usize>);
+
 /// Owns the pipeline and the current snapshot.
 #[derive(Debug)]
 pub struct Board<M> {
     pipeline: Pipeline<M>,
     map: SemanticMap,
     grounding: GroundingOptions,
+    mentions: Mentions,
     snapshot: RoomScoresV1,
     accepted: std::collections::BTreeMap<u64, u64>,
+    /// Working memory of a step: person, when observed, label mentioned.
+    seen: Vec<Seen>,
     /// Per person where they will be; persons unknown to the histories are forgotten.
     forecasters: std::collections::BTreeMap<u32, Forecaster>,
 }
@@ -99,11 +105,13 @@ impl<M: LanguageModel> Board<M> {
             ..Default::default()
         };
         Ok(Self {
+            mentions: Mentions::new(pipeline.grounding()),
             pipeline,
             map,
             grounding,
             snapshot,
             accepted: std::collections::BTreeMap::new(),
+            seen: Vec::new(),
             forecasters: std::collections::BTreeMap::new(),
         })
     }
@@ -126,6 +134,7 @@ impl<M: LanguageModel> Board<M> {
         }
         self.snapshot.map_fingerprint = map.fingerprint;
         (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
+        self.mentions = Mentions::new(self.pipeline.grounding());
         self.map = map;
         Ok(new_labels)
     }
@@ -144,7 +153,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Takes the scored observations into the forecasts of their persons.
-    fn watch(&mut self, seen: &[(u32, u64, Option<usize>)]) {
+    fn watch(&mut self, seen: &[Seen]) {
         let grounding = self.pipeline.grounding();
         let probability = &self.pipeline.scores().grounded.partition_probability;
         for &(person, observed_ns, mention) in seen {
@@ -197,17 +206,24 @@ impl<M: LanguageModel> Board<M> {
     ///
     /// When the model fails. The observations are in the histories all the same; the snapshot keeps the last good scores, says
     /// so in its flags, and does not claim the new narration.
-    pub fn step(&mut self, entries: Vec<Entry>, now_ns: u64, now_unix_ns: u64) -> Result<(), PipelineError> {
-        let received_ns = entries.iter().map(|entry| entry.received_ns).min();
-        let gap = entries.iter().any(|entry| entry.after_gap);
-        for entry in &entries {
-            *self.accepted.entry(entry.observation.source).or_default() += 1;
-        }
-        let mentions = Mentions::new(&self.map, self.pipeline.grounding());
-        let seen: Vec<_> = (entries.iter().map(|entry| &entry.observation))
-            .map(|o| (o.person, o.observed_ns, mentions.last(o.sentence.as_str())))
-            .collect();
-        self.pipeline.observe(entries.into_iter().map(|entry| entry.observation));
+    pub fn step(
+        &mut self,
+        entries: impl IntoIterator<Item = Entry>,
+        now_ns: u64,
+        now_unix_ns: u64,
+    ) -> Result<(), PipelineError> {
+        let mut received_ns = None;
+        let mut gap = false;
+        let mut seen = std::mem::take(&mut self.seen);
+        seen.clear();
+        let (accepted, mentions, map) = (&mut self.accepted, &self.mentions, &self.map);
+        self.pipeline.observe(entries.into_iter().map(|Entry { observation: o, received_ns: at_ns, after_gap }| {
+            received_ns = Some(received_ns.map_or(at_ns, |first: u64| first.min(at_ns)));
+            gap |= after_gap;
+            *accepted.entry(o.source).or_default() += 1;
+            seen.push((o.person, o.observed_ns, mentions.last(map, o.sentence.as_str())));
+            o
+        }));
         if let Err(error) = self.pipeline.score() {
             self.snapshot.flags |= score_flags::SCORER_FAILED;
             return Err(error);
@@ -219,6 +235,7 @@ impl<M: LanguageModel> Board<M> {
         self.snapshot.wait_ns = received_ns.map_or(0, |received_ns| now_ns.saturating_sub(received_ns));
         self.snapshot.flags = if gap { score_flags::GAP } else { 0 };
         self.watch(&seen);
+        self.seen = seen;
         self.fill();
         Ok(())
     }

@@ -22,6 +22,7 @@ use roomcast_ipc::{
 };
 use sd_notify::NotifyState;
 
+use crate::affinity::{self, AffinityError};
 use crate::config::Config;
 use crate::hub::hex;
 use crate::logging::Limiter;
@@ -105,6 +106,9 @@ pub enum DaemonError {
     /// A service.
     #[error(transparent)]
     Ipc(#[from] IpcError),
+    /// The cores.
+    #[error(transparent)]
+    Affinity(#[from] AffinityError),
     /// The journal.
     #[error(transparent)]
     Journal(#[from] JournalError),
@@ -140,6 +144,7 @@ impl DaemonError {
             Self::Setup(error) => error.exit_code(),
             Self::Board(_) => crate::exit_code::INPUT,
             Self::Ipc(_) => crate::exit_code::IPC,
+            Self::Affinity(_) => crate::exit_code::CONFIG,
             Self::Journal(_) | Self::Thread { .. } | Self::Hung { .. } | Self::Ended { .. } => {
                 crate::exit_code::FAILURE
             }
@@ -147,12 +152,17 @@ impl DaemonError {
     }
 }
 
-/// Runs until asked to stop.
+/// Runs until asked to stop, with the model that `model` gives ([`setup::configured_model`]).
 ///
 /// # Errors
 ///
 /// [`DaemonError`] when it cannot begin, hangs, or a service is lost.
-pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonError> {
+pub fn run<M: LanguageModel + Send + 'static>(
+    config: &Config,
+    domain: &Domain,
+    stop: &Stop,
+    model: impl FnOnce(&Config) -> Result<M, SetupError>,
+) -> Result<(), DaemonError> {
     let node = domain.open("roomcast-daemon")?;
     // First the place that only one daemon can hold, then the ear, then the model, which takes longest: narration that comes
     // meanwhile waits in the port.
@@ -165,7 +175,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonEr
     let configured = setup::load_map(config.scene.path.as_deref())?;
     let kept_map = config.daemon.state_directory().map(|directory| KeptMap::new(&directory, &configured));
     let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
-    let pipeline = setup::open_with(config, &map)?;
+    let pipeline = setup::open_with(config, &map, model)?;
     let model_name = pipeline.model().name.clone();
     let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?;
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
@@ -216,7 +226,11 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonEr
         cycle,
         log: Limiter::new(LOG_INTERVAL_NS),
     };
-    let scoring = spawn("scoring", move || scoring.run())?;
+    let cores = config.model.cores.clone();
+    let scoring = spawn("scoring", move || {
+        affinity::bind(&cores)?;
+        Ok::<(), DaemonError>(scoring.run()?)
+    })?;
     let progress = progress_ns.clone();
     let ingest = Ingest { narration, intake, journal, queue: queue_in, counters, progress, stop: stop.clone() };
     let ingest = spawn("ingest", move || ingest.run())?;
@@ -226,7 +240,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonEr
         std::thread::sleep(Duration::from_millis(50));
         if scoring.is_finished() && !stop.requested() {
             return Err(match scoring.join() {
-                Ok(Err(error)) => error.into(),
+                Ok(Err(error)) => error,
                 _ => DaemonError::Ended { name: "scoring" },
             });
         }
@@ -395,8 +409,7 @@ impl<M: LanguageModel> Scoring<M> {
             self.scores.tick()?;
             self.items.tick()?;
             self.forecasts.tick()?;
-            let tally = self.tally();
-            self.status.answer(|| tally)?;
+            self.status.answer(|| self.tally())?;
             self.moments.answer(|_| serde_json::to_string(&self.cycle.board().moment()).unwrap_or_default())?;
             if self.queue.is_empty() {
                 self.cycle.tidy();

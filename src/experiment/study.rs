@@ -83,7 +83,7 @@ impl<'a> Home<'a> {
         options: &Options,
     ) -> Result<Self, ExperimentError> {
         let mut binder = Binder::new(map, grounding, options.items);
-        let mentions = Mentions::new(map, grounding);
+        let mentions = Mentions::new(grounding);
         let mut grounded = GroundedScores::default();
         let mut tracks = Vec::with_capacity(activities.len());
         for (name, activity) in activities {
@@ -103,7 +103,7 @@ impl<'a> Home<'a> {
                 grounding.ground(row, &mut grounded)?;
                 scores.push(grounded.partition_log_score_nats.iter().map(|log_score| log_score.exp()).collect());
             }
-            let mentions = sentences.iter().map(|sentence| mentions.last(sentence.as_str())).collect();
+            let mentions = sentences.iter().map(|sentence| mentions.last(map, sentence.as_str())).collect();
             tracks.push(Track { timeline, scores, mentions });
         }
         source.flush()?;

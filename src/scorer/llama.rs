@@ -11,6 +11,7 @@ use std::io::Read;
 use std::num::NonZeroU32;
 use std::path::Path;
 use std::sync::{Mutex, OnceLock};
+use std::time::Instant;
 
 use llama_cpp_2::context::LlamaContext;
 use llama_cpp_2::context::params::{KvCacheType, LlamaContextParams};
@@ -290,8 +291,10 @@ impl LlamaModel {
             return Ok(());
         }
         let (batch, rows) = (&mut self.batch, &self.rows);
+        let start = Instant::now();
         let result = self.loaded.with_dependent_mut(|_, context| {
             context.decode(batch)?;
+            stats.decoder_ns += u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
             for &(position, row) in rows {
                 visit(row, context.get_logits_ith(position));
             }

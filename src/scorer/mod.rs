@@ -13,6 +13,7 @@ use crate::prompt::BindingSequence;
 
 pub mod certified;
 pub mod llama;
+pub mod none;
 pub mod softmax;
 pub mod table;
 
@@ -160,6 +161,8 @@ pub struct DecodeStats {
     pub prompt_tokens_decoded: u32,
     /// Tree tokens decoded, repeats included.
     pub tree_tokens_decoded: u32,
+    /// Nanoseconds within the decoder's calls: what is left of a step's time is ours.
+    pub decoder_ns: u64,
 }
 
 impl std::ops::AddAssign for DecodeStats {
@@ -167,6 +170,7 @@ impl std::ops::AddAssign for DecodeStats {
         self.calls += other.calls;
         self.prompt_tokens_decoded += other.prompt_tokens_decoded;
         self.tree_tokens_decoded += other.tree_tokens_decoded;
+        self.decoder_ns += other.decoder_ns;
     }
 }
 

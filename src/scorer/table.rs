@@ -1,4 +1,4 @@
-//! A deterministic language model whose next-token probabilities follow from a seed: for tests, benches and the no-op scorer of `latency`.
+//! A deterministic language model whose next-token probabilities follow from a seed: for tests and benches.
 //!
 //! Its tokens are bytes, or words from a list. The logits after a sequence depend on its last [`TableModel::MEMORY`]
 //! tokens by a fixed hash, so that any score can be recomputed by hand from [`TableModel::logits_after`].
@@ -138,6 +138,7 @@ impl LanguageModel for TableModel {
             calls: 1,
             prompt_tokens_decoded: (prompt.len() - shared) as u32,
             tree_tokens_decoded: tree.len() as u32,
+            decoder_ns: 0,
         })
     }
 }

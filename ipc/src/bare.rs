@@ -1,0 +1,100 @@
+//! iceoryx2 by itself: the yardstick that `roomcast latency` lays beside the contract. No checks, no settings, no history: publish,
+//! notify, wake, receive. Not part of the contract.
+
+use std::time::{Duration, Instant};
+
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::prelude::ServiceName;
+
+use crate::domain::{Flavour, Node};
+use crate::{IpcError, Message};
+
+/// Sends payloads of `M`'s layout, unchecked.
+#[derive(Debug)]
+pub struct BareSender<M: Message> {
+    publisher: iceoryx2::port::publisher::Publisher<Flavour, M, ()>,
+    notifier: Notifier<Flavour>,
+    service: &'static str,
+}
+
+/// Receives payloads of `M`'s layout, unchecked.
+#[derive(Debug)]
+pub struct BareReceiver<M: Message> {
+    subscriber: iceoryx2::port::subscriber::Subscriber<Flavour, M, ()>,
+    listener: Listener<Flavour>,
+    service: &'static str,
+}
+
+impl<M: Message> BareSender<M> {
+    /// Opens or makes `service`, with iceoryx2's own defaults.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn open(node: &Node, service: &'static str) -> Result<Self, IpcError> {
+        let failed = |error: &dyn std::fmt::Debug| port(service, "open", error);
+        let name = ServiceName::new(service).map_err(|error| failed(&error))?;
+        let data = node.inner().service_builder(&name).publish_subscribe::<M>().open_or_create();
+        let events = node.inner().service_builder(&name).event().open_or_create();
+        Ok(Self {
+            publisher: data.map_err(|error| failed(&error))?.publisher_builder().create().map_err(|e| failed(&e))?,
+            notifier: events.map_err(|error| failed(&error))?.notifier_builder().create().map_err(|e| failed(&e))?,
+            service,
+        })
+    }
+
+    /// Publishes a copy and notifies.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn send(&self, payload: &M) -> Result<(), IpcError> {
+        self.publisher.send_copy(*payload).map_err(|error| port(self.service, "send", &error))?;
+        self.notifier.notify().map_err(|error| port(self.service, "notify", &error))?;
+        Ok(())
+    }
+}
+
+impl<M: Message> BareReceiver<M> {
+    /// Opens or makes `service`, with iceoryx2's own defaults.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn open(node: &Node, service: &'static str) -> Result<Self, IpcError> {
+        let failed = |error: &dyn std::fmt::Debug| port(service, "open", error);
+        let name = ServiceName::new(service).map_err(|error| failed(&error))?;
+        let data = node.inner().service_builder(&name).publish_subscribe::<M>().open_or_create();
+        let events = node.inner().service_builder(&name).event().open_or_create();
+        Ok(Self {
+            listener: events.map_err(|error| failed(&error))?.listener_builder().create().map_err(|e| failed(&e))?,
+            subscriber: data.map_err(|error| failed(&error))?.subscriber_builder().create().map_err(|e| failed(&e))?,
+            service,
+        })
+    }
+
+    /// Sleeps until a payload is there, at most for `timeout`, and copies it out.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn receive(&self, timeout: Duration) -> Result<Option<M>, IpcError> {
+        let end = Instant::now() + timeout;
+        loop {
+            let sample = self.subscriber.receive().map_err(|error| port(self.service, "receive", &error))?;
+            if let Some(sample) = sample {
+                return Ok(Some(*sample.payload()));
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            self.listener.timed_wait(|_| (), left).map_err(|error| port(self.service, "wait", &error))?;
+        }
+    }
+}
+
+fn port(service: &'static str, operation: &'static str, error: &dyn std::fmt::Debug) -> IpcError {
+    IpcError::Port { service, operation, cause: format!("{error:?}") }
+}

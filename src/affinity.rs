@@ -1,0 +1,69 @@
+//! Which processor cores the scorer may use.
+
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
+/// Cores that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum AffinityError {
+    /// A core that this process may not run on.
+    #[error("model.cores names core {core}, but this process may run on {allowed:?} only: name some of these, or none")]
+    Unknown {
+        /// The core.
+        core: usize,
+        /// Those it may run on.
+        allowed: Vec<usize>,
+    },
+    /// The system refuses.
+    #[error("the scorer cannot be bound to the cores {cores:?} (model.cores): {source}")]
+    Refused {
+        /// The cores.
+        cores: Vec<usize>,
+        /// The system's word.
+        source: rustix::io::Errno,
+    },
+}
+
+/// Binds the calling thread, and every thread that it starts from now on, to `cores`; to none in particular when there are none.
+///
+/// llama.cpp's threads are started by the thread that decodes first, so binding that one binds them all.
+///
+/// # Errors
+///
+/// [`AffinityError`] when a core does not exist or is not this process's to use.
+pub fn bind(cores: &[usize]) -> Result<(), AffinityError> {
+    if cores.is_empty() {
+        return Ok(());
+    }
+    let refused = |source| AffinityError::Refused { cores: cores.to_vec(), source };
+    let allowed = sched_getaffinity(None).map_err(refused)?;
+    let mut chosen = CpuSet::new();
+    for &core in cores {
+        if core >= CpuSet::MAX_CPU || !allowed.is_set(core) {
+            let allowed = (0..CpuSet::MAX_CPU).filter(|&core| allowed.is_set(core)).collect();
+            return Err(AffinityError::Unknown { core, allowed });
+        }
+        chosen.set(core);
+    }
+    sched_setaffinity(None, &chosen).map_err(refused)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_and_its_children_stay_on_the_cores_named() {
+        std::thread::spawn(|| {
+            bind(&[]).unwrap();
+            let before = sched_getaffinity(None).unwrap();
+            let core = (0..CpuSet::MAX_CPU).find(|&core| before.is_set(core)).unwrap();
+            bind(&[core]).unwrap();
+            let child = std::thread::spawn(|| sched_getaffinity(None).unwrap()).join().unwrap();
+            assert!(child.count() == 1 && child.is_set(core));
+            let error = bind(&[core, CpuSet::MAX_CPU]).unwrap_err().to_string();
+            assert!(error.contains("model.cores") && error.contains(&format!("[{core}]")), "{error}");
+        })
+        .join()
+        .unwrap();
+    }
+}

@@ -1,0 +1,288 @@
+//! `roomcast latency`: events to scores and decisions between real processes, beside the least that the machine needs for it.
+
+use std::path::PathBuf;
+use std::process::Stdio;
+use std::time::Duration;
+
+use hdrhistogram::Histogram;
+use indicatif::ProgressBar;
+use roomcast_ipc::{DecisionV1, Domain, Node, RoomScoresV1};
+use serde::Serialize;
+
+use super::stage::Stage;
+use super::{CommandResult, Failure, print_json, service};
+use crate::exit_code;
+use crate::latency::{self, LatencyError, Narrator, Path, Probe, Row};
+use crate::narration::Program;
+use crate::stop::Stop;
+
+/// Loading the model is the slow part of the start.
+const START_WITHIN: Duration = Duration::from_secs(120);
+
+/// Arguments of `roomcast latency`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Samples per path.
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
+    samples: u64,
+    /// Milliseconds of silence before each sample, in which the processes fall asleep.
+    #[arg(long, value_name = "MS", default_value_t = 5)]
+    pause: u64,
+    /// Which scorer: the model, none (every word is as likely), or both in turn.
+    #[arg(long, value_enum, default_value_t = Scorer::Both)]
+    scorer: Scorer,
+    /// With the machine idle, with one spinning thread per core, or both in turn.
+    #[arg(long, value_enum, default_value_t = Load::Both)]
+    load: Load,
+    /// The scene file, or a shipped scene's name.
+    #[arg(long, value_name = "FILE", default_value = "apartment-e0")]
+    scene: PathBuf,
+    /// A GGUF model; the embedded household model when left out.
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+    /// Answer over a yardstick's path: the other end of a measurement.
+    #[arg(long, hide = true)]
+    echo: Option<Path>,
+    /// Keep every core busy.
+    #[arg(long, hide = true)]
+    spin: bool,
+    #[command(flatten)]
+    service: service::Args,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Scorer {
+    Model,
+    None,
+    Both,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Load {
+    Idle,
+    Busy,
+    Both,
+}
+
+#[derive(Serialize)]
+struct Report {
+    rows: Vec<Row>,
+}
+
+impl From<LatencyError> for Failure {
+    fn from(error: LatencyError) -> Self {
+        let code = match &error {
+            LatencyError::Ipc(_) => exit_code::IPC,
+            _ => exit_code::FAILURE,
+        };
+        Self::new(code, error)
+    }
+}
+
+/// Measures and prints a row per path, scorer and load.
+///
+/// # Errors
+///
+/// When a process cannot be started, ends, or does not answer.
+pub fn run(args: &Args) -> CommandResult {
+    let stop = service::stop()?;
+    if args.spin {
+        latency::spin(&stop);
+        return Ok(());
+    }
+    if let Some(path) = args.echo {
+        let (_, domain) = args.service.load()?;
+        let node = domain.open("roomcast-latency-echo").map_err(|error| Failure::new(exit_code::IPC, error))?;
+        return Ok(latency::echo(path, &node, &stop)?);
+    }
+    let scorers: &[&str] = match args.scorer {
+        Scorer::Model => &["model"],
+        Scorer::None => &["none"],
+        Scorer::Both => &["none", "model"],
+    };
+    let loads: &[&str] = match args.load {
+        Load::Idle => &["idle"],
+        Load::Busy => &["busy"],
+        Load::Both => &["idle", "busy"],
+    };
+    let runs = (scorers.len() * loads.len()) as u64;
+    let progress = ProgressBar::new(runs * 2 * (args.samples + args.warm_up()));
+    let mut rows = Vec::new();
+    for scorer in scorers {
+        for load in loads {
+            let measured = measure(args, scorer, load, &stop, &progress);
+            if stop.requested() {
+                return Err(Failure::new(exit_code::INTERRUPTED, "interrupted; everything is cleaned up"));
+            }
+            rows.extend(measured?);
+        }
+    }
+    progress.finish_and_clear();
+    if args.json {
+        return print_json(&Report { rows });
+    }
+    print(&rows);
+    Ok(())
+}
+
+impl Args {
+    /// Samples thrown away at first, until caches and connections are warm.
+    fn warm_up(&self) -> u64 {
+        (self.samples / 20).clamp(10, 100)
+    }
+}
+
+/// One scorer under one load: first scores, then decisions, each beside the yardsticks; those of the second part are not kept.
+fn measure(
+    args: &Args,
+    scorer: &'static str,
+    load: &'static str,
+    stop: &Stop,
+    progress: &ProgressBar,
+) -> Result<Vec<Row>, Failure> {
+    let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp");
+    let directory = directory.map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot use /tmp: {error}")))?;
+    let ipc = |error| Failure::new(exit_code::IPC, error);
+    let domain = Domain::new(directory.path().join("d"), &format!("latency-{}", std::process::id())).map_err(ipc)?;
+    let mut stage = Stage::new(domain.clone(), directory.path());
+    let node = domain.open("roomcast-latency").map_err(ipc)?;
+    let result = on_stage(args, scorer, load, &mut stage, &node, stop, progress);
+    // The node goes before the domain can be removed.
+    drop(node);
+    // A process that has ended knows better why than the one that waited for it.
+    if result.is_err() && !stop.requested() {
+        stage.check()?;
+    }
+    result
+}
+
+fn on_stage(
+    args: &Args,
+    scorer: &'static str,
+    load: &'static str,
+    stage: &mut Stage,
+    node: &Node,
+    stop: &Stop,
+    progress: &ProgressBar,
+) -> Result<Vec<Row>, Failure> {
+    let mut daemon = vec!["--scene".into(), args.scene.clone().into_os_string()];
+    match (&args.model, scorer) {
+        (_, "none") => daemon.push("--no-model".into()),
+        (Some(model), _) => daemon.extend(["--model".into(), model.clone().into_os_string()]),
+        (None, _) => {}
+    }
+    stage.start("daemon", &daemon)?;
+    let mut probes = yardsticks(stage, node)?;
+    let ipc = |error| Failure::new(exit_code::IPC, error);
+    let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
+    wait_for(stage, stop, || scores.newest().map(|scores| scores.is_some()).map_err(ipc))?;
+    if load == "busy" {
+        stage.start("latency", &["--spin".into()])?;
+    }
+    let sentences = sentences()?;
+    probes.push(Probe::Scores(Narrator::new(node, "latency", &sentences)?, scores));
+    let pause = Duration::from_millis(args.pause);
+    let take = |probes: &mut Vec<Probe>| {
+        latency::interleaved(probes, args.samples, args.warm_up(), pause, stop, || progress.inc(1))
+    };
+    let row = |probe: &Probe, samples_ns: &Histogram<u64>| Row::new(probe.path(), scorer, load, samples_ns);
+    let histograms = take(&mut probes)?;
+    let mut rows: Vec<Row> = probes.iter().zip(&histograms).rev().map(|(probe, samples)| row(probe, samples)).collect();
+
+    // The scores' subscriber goes, and the planner takes its place: each path wakes the processes that lie on it, no others.
+    let narrator = match probes.pop() {
+        Some(Probe::Scores(narrator, _)) => narrator,
+        _ => Narrator::new(node, "latency-decision", &sentences)?,
+    };
+    let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
+    stage.start("planner", &["--room-time".into(), "0".into()])?;
+    wait_for(stage, stop, || decisions.newest().map(|decision| decision.is_some()).map_err(ipc))?;
+    probes.push(Probe::Decision(narrator, decisions));
+    let histograms = take(&mut probes)?;
+    if let (Some(probe), Some(samples)) = (probes.last(), histograms.last()) {
+        rows.insert(1, row(probe, samples));
+    }
+    Ok(rows)
+}
+
+/// The yardsticks, with a process at the other end of each.
+fn yardsticks(stage: &mut Stage, node: &Node) -> Result<Vec<Probe>, Failure> {
+    let echo = |path: &str| ["--echo".into(), path.into()];
+    let (counters, input, output) = Probe::eventfd()?;
+    stage.start_with("latency", &echo("eventfd"), Stdio::from(input), Stdio::from(output))?;
+    let (socket, there) = Probe::unix_socket()?;
+    stage.start_with("latency", &echo("unix-socket"), Stdio::from(there), Stdio::null())?;
+    // The requests' sender is there before the process that listens to it.
+    let bare = Probe::bare_iceoryx2(node)?;
+    stage.start("latency", &echo("bare-iceoryx2"))?;
+    Ok(vec![counters, socket, bare])
+}
+
+fn wait_for(stage: &mut Stage, stop: &Stop, mut there: impl FnMut() -> Result<bool, Failure>) -> CommandResult {
+    let start = std::time::Instant::now();
+    while !stop.requested() && !there()? {
+        stage.check()?;
+        if start.elapsed() > START_WITHIN {
+            let within = START_WITHIN.as_secs();
+            return Err(Failure::new(exit_code::FAILURE, format!("the processes were not ready within {within} s")));
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    Ok(())
+}
+
+/// What a person does in the shipped programs.
+fn sentences() -> Result<Vec<String>, Failure> {
+    let mut sentences = Vec::new();
+    for shipped in crate::embedded::PROGRAMS {
+        let program = Program::parse(shipped.text).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+        sentences.extend(program.steps.iter().map(crate::narration::Action::sentence));
+    }
+    Ok(sentences)
+}
+
+fn print(rows: &[Row]) {
+    let mut table = super::table(&[
+        "path",
+        "scorer",
+        "load",
+        "n",
+        "p50 (us)",
+        "p90",
+        "p99",
+        "p99.9",
+        "max",
+        "p50 / bare",
+        "p99 / bare",
+    ]);
+    for row in rows {
+        let bare =
+            rows.iter().find(|bare| (bare.path, bare.scorer, bare.load) == (Path::BareIceoryx2, row.scorer, row.load));
+        let us = |ns: u64| format!("{:.1}", ns as f64 / 1e3);
+        let ratio = |of: fn(&Row) -> u64| {
+            bare.map(|bare| format!("{:.2}", of(row) as f64 / of(bare).max(1) as f64)).unwrap_or_default()
+        };
+        let path = serde_json::to_value(row.path).ok().and_then(|path| path.as_str().map(str::to_owned));
+        table.add_row(vec![
+            path.unwrap_or_default(),
+            row.scorer.to_owned(),
+            row.load.to_owned(),
+            row.n.to_string(),
+            us(row.p50_ns),
+            us(row.p90_ns),
+            us(row.p99_ns),
+            us(row.p999_ns),
+            us(row.max_ns),
+            ratio(|row| row.p50_ns),
+            ratio(|row| row.p99_ns),
+        ]);
+    }
+    println!("{table}");
+    println!(
+        "Round trips between processes, in microseconds, one sample of each path in turn: a narration there, scores or a decision\n\
+         back; the yardsticks carry the same sizes and do nothing in between."
+    );
+}

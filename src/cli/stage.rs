@@ -1,0 +1,114 @@
+//! Child processes in a private domain: what `demo` and `latency` play on.
+
+use std::ffi::OsString;
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use roomcast_ipc::Domain;
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::{CommandResult, Failure};
+use crate::exit_code;
+
+/// A process that has not ended so long after it was asked to is killed.
+const STOP_WITHIN: Duration = Duration::from_secs(5);
+
+/// `roomcast` commands that run as processes of their own; dropping ends them and removes the domain.
+pub(super) struct Stage {
+    children: Vec<(&'static str, Child)>,
+    domain: Domain,
+    logs: PathBuf,
+}
+
+impl Stage {
+    /// Nobody yet; what the processes log goes into files in `logs`.
+    pub(super) fn new(domain: Domain, logs: &Path) -> Self {
+        Self { children: Vec::new(), domain, logs: logs.to_owned() }
+    }
+
+    /// Starts `roomcast COMMAND ARGUMENTS` in the domain.
+    pub(super) fn start(&mut self, command: &'static str, arguments: &[OsString]) -> CommandResult {
+        self.start_with(command, arguments, Stdio::null(), Stdio::null())
+    }
+
+    /// As [`Stage::start`], with standard input and output.
+    pub(super) fn start_with(
+        &mut self,
+        command: &'static str,
+        arguments: &[OsString],
+        input: Stdio,
+        output: Stdio,
+    ) -> CommandResult {
+        let failed =
+            |error: io::Error| Failure::new(exit_code::FAILURE, format!("cannot start `roomcast {command}`: {error}"));
+        let log = File::create(self.log(self.children.len())).map_err(failed)?;
+        let child = Command::new(std::env::current_exe().map_err(failed)?)
+            .arg(command)
+            .args(arguments)
+            .arg("--root")
+            .arg(self.domain.root())
+            .args(["--domain", self.domain.name()])
+            .env_remove("ROOMCAST_CONFIG")
+            .stdin(input)
+            .stdout(output)
+            .stderr(log)
+            .spawn()
+            .map_err(failed)?;
+        self.children.push((command, child));
+        Ok(())
+    }
+
+    fn log(&self, number: usize) -> PathBuf {
+        self.logs.join(format!("log-{number}"))
+    }
+
+    /// Fails with what a process said when it has ended, unless it is the narrator and all is well.
+    pub(super) fn check(&mut self) -> CommandResult {
+        for number in 0..self.children.len() {
+            let log = self.log(number);
+            let (command, child) = &mut self.children[number];
+            let Ok(Some(status)) = child.try_wait() else { continue };
+            let command = *command;
+            if command == "narrate" && status.success() {
+                continue;
+            }
+            let said = std::fs::read_to_string(log).unwrap_or_default();
+            let last: Vec<&str> = said.lines().rev().take(5).collect();
+            let said = last.into_iter().rev().collect::<Vec<_>>().join("\n");
+            let code = status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(exit_code::FAILURE);
+            return Err(Failure::new(code, format!("`roomcast {command}` ended ({status}):\n{said}")));
+        }
+        Ok(())
+    }
+
+    /// Whether the process that runs `command` has ended well; fails as [`Stage::check`].
+    pub(super) fn ended(&mut self, command: &str) -> Result<bool, Failure> {
+        self.check()?;
+        let child = self.children.iter_mut().find(|(name, _)| *name == command);
+        Ok(child.is_some_and(|(_, child)| matches!(child.try_wait(), Ok(Some(_)))))
+    }
+}
+
+impl Drop for Stage {
+    fn drop(&mut self) {
+        for (_, child) in self.children.iter().rev() {
+            // One that has ended already needs no signal.
+            let _gone = Pid::from_raw(child.id().cast_signed()).map(|pid| kill_process(pid, Signal::TERM));
+        }
+        let start = Instant::now();
+        for (_, child) in &mut self.children {
+            while matches!(child.try_wait(), Ok(None)) && start.elapsed() < STOP_WITHIN {
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            // Only one that hangs is still there to be killed.
+            let _killed = child.kill();
+            let _reaped = child.wait();
+        }
+        if let Err(error) = self.domain.clean_up() {
+            eprintln!("roomcast: {error}");
+        }
+    }
+}

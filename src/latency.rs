@@ -1,0 +1,462 @@
+//! How long a message takes from one process to another and back, over several paths, one sample at a time.
+//!
+//! Every path is a round trip between two processes or more, measured at the process where it begins and ends, and every
+//! path carries the same sizes: a narration there, a snapshot of scores back. The yardsticks do nothing in between:
+//!
+//! | path | there | back |
+//! | --- | --- | --- |
+//! | `eventfd` | a counter | a counter: what waking two processes costs, whoever does it |
+//! | `unix-socket` | a sequenced packet of a narration's size | one of the scores' size |
+//! | `bare-iceoryx2` | publish, notify, receive, of a narration's layout | the same of the scores' layout |
+//! | `event-to-scores` | narration to the daemon | its scores, with all that it does for them |
+//! | `event-to-decision` | narration to the daemon | the decision of the planner that its scores woke |
+
+use std::os::fd::{AsFd, OwnedFd};
+use std::time::{Duration, Instant};
+
+use hdrhistogram::Histogram;
+use roomcast_ipc::bare::{BareReceiver, BareSender};
+use roomcast_ipc::{
+    DecisionV1, IpcError, MessageError, NarrationV1, Node, Publisher, RoomScoresV1, Subscriber, clock, narration_kind,
+    sequence,
+};
+use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+use rustix::io::Errno;
+use rustix::net::{AddressFamily, RecvFlags, SendFlags, SocketFlags, SocketType, recv, send, socketpair};
+use serde::Serialize;
+
+use crate::stop::Stop;
+
+/// An answer that has not come after so long never will.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// How often a process that answers looks whether it is to stop.
+const TICK: Duration = Duration::from_millis(100);
+const REQUEST: &str = "roomcast/latency/request";
+const REPLY: &str = "roomcast/latency/reply";
+
+/// What is measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Path {
+    /// Narration published to scores received.
+    EventToScores,
+    /// Narration published to decision received.
+    EventToDecision,
+    /// Two messages over iceoryx2 by itself.
+    BareIceoryx2,
+    /// Two packets over a Unix socket.
+    UnixSocket,
+    /// Two wake-ups.
+    Eventfd,
+}
+
+/// A measurement that failed.
+#[derive(Debug, thiserror::Error)]
+pub enum LatencyError {
+    /// A service.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+    /// The text of an event.
+    #[error(transparent)]
+    Message(#[from] MessageError),
+    /// A descriptor.
+    #[error("the {path} path failed: {source}")]
+    System {
+        /// Which.
+        path: &'static str,
+        /// The system's word.
+        source: Errno,
+    },
+    /// Nothing came back.
+    #[error("nothing came back over the {path} path within {} s: the process at its other end hangs or has ended", PATIENCE.as_secs())]
+    NoAnswer {
+        /// Which.
+        path: &'static str,
+    },
+    /// A latency beyond what can be recorded.
+    #[error("the histogram cannot be made: {0}")]
+    Histogram(#[from] hdrhistogram::CreationError),
+}
+
+/// One path, ready to be measured.
+#[derive(Debug)]
+pub enum Probe {
+    /// [`Path::Eventfd`]: written to, read from.
+    Eventfd(OwnedFd, OwnedFd),
+    /// [`Path::UnixSocket`].
+    UnixSocket(OwnedFd),
+    /// [`Path::BareIceoryx2`].
+    BareIceoryx2(Box<(BareSender<NarrationV1>, BareReceiver<RoomScoresV1>)>),
+    /// [`Path::EventToScores`].
+    Scores(Narrator, Subscriber<RoomScoresV1>),
+    /// [`Path::EventToDecision`].
+    Decision(Narrator, Subscriber<DecisionV1>),
+}
+
+/// Publishes sentences in turn.
+#[derive(Debug)]
+pub struct Narrator {
+    port: Publisher<NarrationV1>,
+    sentences: Vec<NarrationV1>,
+    source: u64,
+    epoch: u64,
+    sequence: u64,
+}
+
+impl Narrator {
+    /// A narrator of `sentences`, from the first to the last and over again.
+    ///
+    /// # Errors
+    /// When the service cannot be opened or a sentence is no message.
+    pub fn new(node: &Node, name: &str, sentences: &[String]) -> Result<Self, LatencyError> {
+        let sentences = sentences.iter().map(|text| NarrationV1::new(narration_kind::SENTENCE, text));
+        Ok(Self {
+            port: node.publisher()?,
+            sentences: sentences.collect::<Result<_, _>>()?,
+            source: sequence::source_of_name(name),
+            epoch: sequence::random_epoch(),
+            sequence: 0,
+        })
+    }
+
+    /// The next event, observed now.
+    fn next(&mut self) -> NarrationV1 {
+        let place = usize::try_from(self.sequence).unwrap_or(0) % self.sentences.len().max(1);
+        self.sequence += 1;
+        NarrationV1 {
+            source: self.source,
+            epoch: self.epoch,
+            sequence: self.sequence,
+            observed_ns: clock::monotonic_ns(),
+            observed_unix_ns: clock::unix_ns(),
+            ..self.sentences.get(place).copied().unwrap_or_default()
+        }
+    }
+}
+
+impl Probe {
+    /// The path that it measures.
+    #[must_use]
+    pub fn path(&self) -> Path {
+        match self {
+            Self::Eventfd(..) => Path::Eventfd,
+            Self::UnixSocket(_) => Path::UnixSocket,
+            Self::BareIceoryx2(_) => Path::BareIceoryx2,
+            Self::Scores(..) => Path::EventToScores,
+            Self::Decision(..) => Path::EventToDecision,
+        }
+    }
+
+    /// Two event counters and the descriptors for the process that answers: its input, its output.
+    ///
+    /// # Errors
+    /// When the system gives none.
+    pub fn eventfd() -> Result<(Self, OwnedFd, OwnedFd), LatencyError> {
+        let counter =
+            || eventfd(0, EventfdFlags::CLOEXEC).map_err(|source| LatencyError::System { path: "eventfd", source });
+        let (there, back) = (counter()?, counter()?);
+        let copy = |fd: &OwnedFd| {
+            rustix::io::fcntl_dupfd_cloexec(fd, 3).map_err(|source| LatencyError::System { path: "eventfd", source })
+        };
+        let (input, output) = (copy(&there)?, copy(&back)?);
+        Ok((Self::Eventfd(there, back), input, output))
+    }
+
+    /// A pair of connected sockets, one for the process that answers.
+    ///
+    /// # Errors
+    /// When the system gives none.
+    pub fn unix_socket() -> Result<(Self, OwnedFd), LatencyError> {
+        let (here, there) = socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None)
+            .map_err(|source| LatencyError::System { path: "unix-socket", source })?;
+        Ok((Self::UnixSocket(here), there))
+    }
+
+    /// The beginning and end of a bare iceoryx2 round trip.
+    ///
+    /// # Errors
+    /// When a service cannot be opened.
+    pub fn bare_iceoryx2(node: &Node) -> Result<Self, LatencyError> {
+        Ok(Self::BareIceoryx2(Box::new((BareSender::open(node, REQUEST)?, BareReceiver::open(node, REPLY)?))))
+    }
+
+    /// Sends once and waits for the answer; gives the nanoseconds from before the one to after the other.
+    ///
+    /// # Errors
+    /// When a path fails, or nothing comes back.
+    pub fn measure(&mut self) -> Result<u64, LatencyError> {
+        match self {
+            Self::Eventfd(there, back) => {
+                let start = Instant::now();
+                wake(there)?;
+                await_wake(back, PATIENCE)?.ok_or(LatencyError::NoAnswer { path: "eventfd" })?;
+                Ok(nanoseconds(start))
+            }
+            Self::UnixSocket(socket) => {
+                let failed = |source| LatencyError::System { path: "unix-socket", source };
+                let mut reply = [0_u8; size_of::<RoomScoresV1>()];
+                let start = Instant::now();
+                send(&*socket, &[1; size_of::<NarrationV1>()], SendFlags::empty()).map_err(failed)?;
+                let (_, bytes) = recv(&*socket, reply.as_mut_slice(), RecvFlags::empty()).map_err(failed)?;
+                let elapsed_ns = nanoseconds(start);
+                if bytes == reply.len() { Ok(elapsed_ns) } else { Err(LatencyError::NoAnswer { path: "unix-socket" }) }
+            }
+            Self::BareIceoryx2(ports) => {
+                let (there, back) = &**ports;
+                let message = NarrationV1::default();
+                let start = Instant::now();
+                there.send(&message)?;
+                back.receive(PATIENCE)?.ok_or(LatencyError::NoAnswer { path: "bare-iceoryx2" })?;
+                Ok(nanoseconds(start))
+            }
+            Self::Scores(narrator, scores) => {
+                let message = narrator.next();
+                let key = (message.source, message.epoch);
+                let start = Instant::now();
+                narrator.port.send(&message)?;
+                wait_for(scores, "event-to-scores", |scores| {
+                    scores.included().iter().any(|i| (i.source, i.epoch) == key && i.sequence >= message.sequence)
+                })?;
+                Ok(nanoseconds(start))
+            }
+            Self::Decision(narrator, decisions) => {
+                let message = narrator.next();
+                let start = Instant::now();
+                narrator.port.send(&message)?;
+                wait_for(decisions, "event-to-decision", |decision| decision.observed_ns >= message.observed_ns)?;
+                Ok(nanoseconds(start))
+            }
+        }
+    }
+}
+
+/// Sleeps on a port until a message satisfies `is_it`.
+fn wait_for<M: roomcast_ipc::Message>(
+    port: &Subscriber<M>,
+    path: &'static str,
+    is_it: impl Fn(&M) -> bool,
+) -> Result<(), LatencyError> {
+    let end = Instant::now() + PATIENCE;
+    loop {
+        while let Some(received) = port.receive()? {
+            if received.is_ok_and(|message| is_it(&message)) {
+                return Ok(());
+            }
+        }
+        let left = end.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Err(LatencyError::NoAnswer { path });
+        }
+        port.wait(left)?;
+    }
+}
+
+fn wake(counter: &OwnedFd) -> Result<(), LatencyError> {
+    rustix::io::write(counter, &1_u64.to_ne_bytes())
+        .map_err(|source| LatencyError::System { path: "eventfd", source })?;
+    Ok(())
+}
+
+/// Whether the counter was raised within `timeout`; it is at zero again then.
+fn await_wake(counter: &OwnedFd, timeout: Duration) -> Result<Option<()>, LatencyError> {
+    let failed = |source| LatencyError::System { path: "eventfd", source };
+    if !readable(counter, timeout).map_err(failed)? {
+        return Ok(None);
+    }
+    rustix::io::read(counter, &mut [0; 8]).map_err(failed)?;
+    Ok(Some(()))
+}
+
+fn readable(fd: impl AsFd, timeout: Duration) -> Result<bool, Errno> {
+    let timeout = Timespec::try_from(timeout).map_err(|_| Errno::INVAL)?;
+    match poll(&mut [PollFd::new(&fd, PollFlags::IN)], Some(&timeout)) {
+        Ok(ready) => Ok(ready > 0),
+        Err(Errno::INTR) => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// Answers everything that comes over one of the yardsticks until asked to stop; over descriptors, standard input and output are the
+/// two ends.
+///
+/// # Errors
+/// When the path fails or is not one that answers.
+pub fn echo(path: Path, node: &Node, stop: &Stop) -> Result<(), LatencyError> {
+    match path {
+        Path::Eventfd => {
+            let copy = |fd: std::os::fd::BorrowedFd<'_>| {
+                rustix::io::fcntl_dupfd_cloexec(fd, 3)
+                    .map_err(|source| LatencyError::System { path: "eventfd", source })
+            };
+            let (input, output) = (copy(std::io::stdin().as_fd())?, copy(std::io::stdout().as_fd())?);
+            while !stop.requested() {
+                if await_wake(&input, TICK)?.is_some() {
+                    wake(&output)?;
+                }
+            }
+        }
+        Path::UnixSocket => {
+            let failed = |source| LatencyError::System { path: "unix-socket", source };
+            let (input, reply) = (std::io::stdin(), [2_u8; size_of::<RoomScoresV1>()]);
+            let mut request = [0_u8; size_of::<NarrationV1>()];
+            while !stop.requested() {
+                if !readable(&input, TICK).map_err(failed)? {
+                    continue;
+                }
+                let (_, bytes) = recv(&input, request.as_mut_slice(), RecvFlags::empty()).map_err(failed)?;
+                if bytes == 0 {
+                    // The other end is closed.
+                    return Ok(());
+                }
+                send(&input, &reply, SendFlags::empty()).map_err(failed)?;
+            }
+        }
+        Path::BareIceoryx2 | Path::EventToScores | Path::EventToDecision => {
+            let (requests, replies) =
+                (BareReceiver::<NarrationV1>::open(node, REQUEST)?, BareSender::open(node, REPLY)?);
+            let reply = RoomScoresV1::default();
+            while !stop.requested() {
+                if requests.receive(TICK)?.is_some() {
+                    replies.send(&reply)?;
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Keeps every core busy until asked to stop: what the rest of a robot's software does to a machine at its worst.
+pub fn spin(stop: &Stop) {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|scope| {
+        for _ in 0..cores {
+            scope.spawn(|| {
+                // More than a second-level cache holds, so that caches are contended too.
+                let mut memory = vec![1_u64; 1 << 18];
+                while !stop.requested() {
+                    for (place, value) in (0_u64..).zip(&mut memory) {
+                        *value = value.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(place);
+                    }
+                    std::hint::black_box(&memory);
+                }
+            });
+        }
+    });
+}
+
+/// The distribution of one path's samples, in nanoseconds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Row {
+    /// What was measured.
+    pub path: Path,
+    /// "model", or "none" for the scorer that costs nothing; of a yardstick, beside which it was measured.
+    pub scorer: &'static str,
+    /// "idle", or "busy" with one spinning thread per core.
+    pub load: &'static str,
+    /// Samples.
+    pub n: u64,
+    /// Median.
+    pub p50_ns: u64,
+    /// 90 of 100 are at most this.
+    pub p90_ns: u64,
+    /// 99 of 100.
+    pub p99_ns: u64,
+    /// 999 of 1 000.
+    pub p999_ns: u64,
+    /// The longest.
+    pub max_ns: u64,
+}
+
+impl Row {
+    /// Sums up a histogram.
+    #[must_use]
+    pub fn new(path: Path, scorer: &'static str, load: &'static str, samples_ns: &Histogram<u64>) -> Self {
+        let at = |quantile| samples_ns.value_at_quantile(quantile);
+        Self {
+            path,
+            scorer,
+            load,
+            n: samples_ns.len(),
+            p50_ns: at(0.5),
+            p90_ns: at(0.9),
+            p99_ns: at(0.99),
+            p999_ns: at(0.999),
+            max_ns: samples_ns.max(),
+        }
+    }
+}
+
+/// Measures the probes in turn, `samples` times each after `warm_up`, with a pause before every sample; gives a histogram per probe.
+///
+/// Interleaved, so that whatever else the machine does meets all paths alike.
+///
+/// # Errors
+/// When a path fails. A stop ends the measurement early, with what there is.
+pub fn interleaved(
+    probes: &mut [Probe],
+    samples: u64,
+    warm_up: u64,
+    pause: Duration,
+    stop: &Stop,
+    mut progress: impl FnMut(),
+) -> Result<Vec<Histogram<u64>>, LatencyError> {
+    let mut histograms = Vec::new();
+    for _ in probes.iter() {
+        histograms.push(Histogram::new_with_max(60_000_000_000, 3)?);
+    }
+    for round in 0..warm_up + samples {
+        for (probe, histogram) in probes.iter_mut().zip(&mut histograms) {
+            if stop.requested() {
+                return Ok(histograms);
+            }
+            std::thread::sleep(pause);
+            let elapsed_ns = probe.measure()?;
+            if round >= warm_up {
+                histogram.saturating_record(elapsed_ns);
+            }
+        }
+        progress();
+    }
+    Ok(histograms)
+}
+
+fn nanoseconds(since: Instant) -> u64 {
+    u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_sums_up_its_samples() {
+        let mut samples_ns = Histogram::new_with_max(1_000_000, 3).unwrap();
+        (1..=1000).for_each(|ns| samples_ns.record(ns).unwrap());
+        let row = Row::new(Path::Eventfd, "none", "idle", &samples_ns);
+        assert_eq!(
+            (row.n, row.p50_ns, row.p90_ns, row.p99_ns, row.p999_ns, row.max_ns),
+            (1000, 500, 900, 990, 999, 1000)
+        );
+    }
+
+    #[test]
+    fn sockets_and_counters_carry_there_and_back() {
+        let (mut probe, there) = Probe::unix_socket().unwrap();
+        let answer = std::thread::spawn(move || {
+            let mut request = [0_u8; size_of::<NarrationV1>()];
+            let (_, bytes) = recv(&there, request.as_mut_slice(), RecvFlags::empty()).unwrap();
+            assert_eq!(bytes, request.len());
+            send(&there, &[2; size_of::<RoomScoresV1>()], SendFlags::empty()).unwrap();
+        });
+        assert!(probe.measure().unwrap() > 0);
+        answer.join().unwrap();
+
+        let (mut probe, input, output) = Probe::eventfd().unwrap();
+        let answer = std::thread::spawn(move || {
+            await_wake(&input, PATIENCE).unwrap().unwrap();
+            wake(&output).unwrap();
+        });
+        assert!(probe.measure().unwrap() > 0);
+        answer.join().unwrap();
+    }
+}
