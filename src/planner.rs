@@ -256,7 +256,7 @@ impl Planner {
         self.free_ns
     }
 
-    /// How long there is nothing to decide unless something arrives, at most [`TICK`].
+    /// How long there is nothing to decide unless something arrives, at most 100 ms.
     #[must_use]
     pub fn idle(&self, now_ns: u64) -> Duration {
         if self.room_time_ns == 0 {
