@@ -32,6 +32,10 @@ const DROPPED: usize = 3;
 const DEAD: usize = 4;
 /// Participants that may have one service open at once.
 pub(crate) const MAX_NODES: usize = 32;
+/// Notifiers that a service can hold beside those of its publishers. iceoryx2 keeps the place of a notifier whose process
+/// was killed at one unlucky moment; without spare places the next publisher could never join. Who may publish is limited by the
+/// publishers, not by this.
+const LEFT_BEHIND: usize = 64;
 
 const ITEM_SCORES: &str = "roomcast/v1/item-scores";
 const STATUS: &str = "roomcast/v1/status";
@@ -466,7 +470,7 @@ fn open_event(
         .inner()
         .service_builder(&service_name(name)?)
         .event()
-        .max_notifiers(notifiers)
+        .max_notifiers(notifiers + LEFT_BEHIND)
         .max_listeners(listeners)
         .max_nodes(MAX_NODES)
         .event_id_max_value(DEAD)

@@ -16,6 +16,8 @@ Payload = TypeVar("Payload", bound=ctypes.Structure)
 
 _EVENTS = {"data": 1, "created": 2, "dropped": 3, "dead": 4}
 _MAX_NODES = 32
+# Places for notifiers of killed processes, as in the Rust crate.
+_LEFT_BEHIND = 64
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ def _open(node: Any, service: Service) -> tuple[Any, Any]:
             event = (
                 node.service_builder(name)
                 .event()
-                .max_notifiers(service.publishers)
+                .max_notifiers(service.publishers + _LEFT_BEHIND)
                 .max_listeners(service.subscribers)
                 .max_nodes(_MAX_NODES)
                 .event_id_max_value(_EVENTS["dead"])
