@@ -1,6 +1,6 @@
 //! Real processes and the real model under kill -9: narrator, daemon and planner are killed at random moments, also while they
 //! start and while they publish, and started again as a supervisor would. In the end: no narration lost, none twice under its name,
-//! no score that differs from what its claimed narration gives, no decision on stale scores, nothing left behind.
+//! no score that differs from what its claimed narration gives, no decision on stale scores, and no more left behind than is documented.
 //!
 //! By default as many cycles as fit in some seconds. `ROOMCAST_CHAOS_CYCLES=1000` runs as many, `ROOMCAST_CHAOS_SEED` chooses others:
 //!
@@ -407,7 +407,7 @@ fn number(variable: &str) -> Option<u64> {
 }
 
 #[test]
-fn nothing_is_lost_wrong_stale_or_left_behind_whoever_is_killed() {
+fn nothing_is_lost_wrong_or_stale_whoever_is_killed() {
     let cycles = number("ROOMCAST_CHAOS_CYCLES");
     let seed = number("ROOMCAST_CHAOS_SEED").unwrap_or(1);
     let mut world = World::new(seed);
@@ -502,11 +502,10 @@ fn nothing_is_lost_wrong_stale_or_left_behind_whoever_is_killed() {
     }
     assert_eq!((lost, twice), (0, 0), "narrations lost, narrations taken twice");
     assert_eq!((tally.wrong_claims, tally.stale_decisions), (0, 0), "wrong claims, stale decisions");
-    // Known limit (docs/reliability.md): of about one killed participant in 400 iceoryx2 cannot clean up after at once. Files of
-    // a participant are up to a dozen; more than two participants' worth in a run of seconds is a fault of ours.
-    println!("left behind: {left:?}");
+    // Known limit (docs/reliability.md): of about one killed participant in 400 iceoryx2 cannot clean up after. Each leaves three
+    // or four files; a run of seconds may meet one such participant.
     let kills: u64 = tally.kills.iter().sum();
-    assert!(left.len() as u64 <= 24 + 12 * kills / 200, "left behind: {left:?}");
+    assert!(left.len() as u64 <= 4 * (1 + kills / 200), "left behind: {left:?}");
     assert!(world.domain.clean_up().unwrap() || !left.is_empty());
     assert!(tally.decisions > 0 && tally.messages > 0 && compared > 0, "nothing happened");
 }
