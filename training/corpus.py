@@ -134,11 +134,6 @@ class Corpus:
         self.weights = list(np.cumsum([counts[p.title] ** -0.35 for p in self.programs]))
         self.all_labels = sorted({label for labels in self.scenes.values() for label in labels})
 
-    def settled(self) -> Corpus:
-        """The same sources as the product meets them: mostly undisturbed, in its style, answered in a map's labels."""
-        shares = {"program": 0.60, "day": 0.05, "routine": 0.30, "wording": 0.03, "prior": 0.02}
-        return Corpus(self.programs, self.days, self.routines, self.scenes, 0.4, 0.85, 0.97, 0.25, shares, 0.0)
-
     def draw_program(self, rng: random.Random) -> Program:
         return rng.choices(self.programs, cum_weights=self.weights)[0]
 

@@ -62,6 +62,10 @@ class Block(nn.Module):
         self.gate_up = nn.Linear(width, 2 * shape.feed_forward, bias=False)
         self.down = nn.Linear(shape.feed_forward, width, bias=False)
 
+    def matrices(self) -> list[tuple[nn.Linear, int]]:
+        """The block's layers, each with the number of matrices that it joins."""
+        return [(self.query_key_value, 3), (self.attention_out, 1), (self.gate_up, 2), (self.down, 1)]
+
     def forward(self, x, cos, sin, mask):
         batch, time, width = x.shape
         q, k, v = (

@@ -32,7 +32,7 @@ import statistics_file
 import tokenizer as vocabulary
 from corpus import Corpus, Encoder, scene_labels
 from model import Shape
-from train import FIRST, SECOND, restore, train
+from train import Schedule, restore, train
 
 ROOT = Path(__file__).resolve().parent.parent
 DESCRIPTION = (
@@ -60,9 +60,8 @@ def main() -> None:
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--large", action="store_true", help="the larger variant, for a GPU")
     arguments.add_argument("--dev", action="store_true", help="hold the development clusters out too")
-    arguments.add_argument("--short", type=int, metavar="STEPS", help="end each phase after so many steps, to try the pipeline out")
-    arguments.add_argument("--resume", action="store_true", help="take the vocabulary and the phases that are already done from --work")
-    arguments.add_argument("--export-only", action="store_true", help="take the last checkpoint and vocabulary from --work instead of training")
+    arguments.add_argument("--short", type=int, metavar="STEPS", help="end training after so many steps, to try the pipeline out")
+    arguments.add_argument("--export-only", action="store_true", help="take the vocabulary and the trained weights from --work instead of training")
     given = arguments.parse_args()
 
     torch.set_num_threads(1)  # sums depend on the number of threads; training uses processes
@@ -70,27 +69,20 @@ def main() -> None:
     given.work.mkdir(parents=True, exist_ok=True)
     given.out.mkdir(parents=True, exist_ok=True)
     corpus, programs = corpus_of(given.shared, given.dev)
-    first, second, last = (given.work / f"{name}.pt" for name in ("first", "second", "checkpoint"))
-    if given.resume or given.export_only:
-        pieces = vocabulary.load(given.work / "vocabulary.model")
+    trained, last = given.work / "trained.pt", given.work / "checkpoint.pt"
+    if given.export_only:
+        pieces, model = vocabulary.load(given.work / "vocabulary.model"), restore(trained)
     else:
         pieces = vocabulary.train(corpus, given.seed, 3072, given.work / "vocabulary")
-    if given.export_only:
-        model = restore(last)
-    else:
         size = -(-pieces.vocab_size() // 32) * 32
         shape = Shape(vocab=size, width=512, layers=8, feed_forward=1408) if given.large else Shape(vocab=size)
-        phases = [replace(s, rows=16 * s.rows if given.large else s.rows, until=given.short or s.until) for s in (FIRST, SECOND)]
-        encoder = Encoder(pieces)
-        if not (given.resume and first.exists()):
-            train(shape, phases[0], encoder, corpus, given.seed, device, first)
-        if not (given.resume and second.exists()):
-            train(shape, phases[1], encoder, corpus.settled(), given.seed, device, second, start=first)
-        model = restore(second)
-        temperature = calibrate.fit(model, encoder, programs["calibration"], sorted((given.shared / "virtualhome/scenes").glob("*_graph.json")))
-        calibrate.apply(model, temperature)
-        print(f"temperature {temperature:.2f}")
-        torch.save({"shape": model.shape.to_dict(), "model": model.state_dict(), "temperature": temperature}, last)
+        schedule = Schedule()
+        schedule = replace(schedule, rows=(16 if given.large else 1) * schedule.rows, until=given.short or schedule.until)
+        model = train(shape, schedule, Encoder(pieces), corpus, given.seed, device, trained)
+    temperature = calibrate.fit(model, Encoder(pieces), programs["calibration"], sorted((given.shared / "virtualhome/scenes").glob("*_graph.json")))
+    calibrate.apply(model, temperature)
+    print(f"temperature {temperature:.2f}")
+    torch.save({"shape": model.shape.to_dict(), "model": model.state_dict(), "temperature": temperature}, last)
     reference, shipped = given.work / "household-f32.gguf", given.out / "household.gguf"
     export.write(model, pieces, reference, "f32", DESCRIPTION)
     export.write(model, pieces, shipped, "q8_0", DESCRIPTION)
@@ -131,7 +123,7 @@ def write_manifest(given, corpus, programs, model, shipped: Path) -> None:
     manifest = {
         "model": {"file": shipped.name, "sha256": data.sha256(shipped), "bytes": shipped.stat().st_size, "parameters": model.parameter_count(), "shape": model.shape.to_dict()},
         "command": f"python training/run.py --shared SHARED --seed {given.seed}" + (" --dev" if given.dev else "") + (f" --short {given.short}" if given.short else ""),
-        "environment": {"python": platform.python_version(), "torch": torch.__version__, "workers": FIRST.workers, "machine": platform.machine()},
+        "environment": {"python": platform.python_version(), "torch": torch.__version__, "workers": Schedule.workers, "machine": platform.machine()},
         "splits": {
             split: {
                 "programs": len(members),

@@ -19,13 +19,15 @@ import torch.nn.functional as F
 
 from corpus import Corpus, Encoder, pack
 from model import Household, Shape
+from muon import Muon
 
 
 @dataclass(frozen=True)
 class Schedule:
-    name: str = "first"
-    steps: int = 3000  # over which the rate falls
-    until: int = 2000  # and after which training stops
+    """How long and how fast. Training is broken off while the rate is still high: what is kept is the moving average of the weights."""
+
+    steps: int = 6000  # over which the rate falls
+    until: int = 4000  # and after which training stops
     workers: int = 2  # processes, on CPUs
     rows: int = 4  # per worker
     length: int = 192
@@ -34,12 +36,6 @@ class Schedule:
     weight_decay: float = 0.1
     dropout: float = 0.15
     average: float = 0.998  # decay of the moving average of the weights that is shipped
-
-
-# Two phases: a long one on narrations of every kind, broken off while the rate is still high, then a short one on narrations as
-# the product sends them, in which the rate falls to nearly nothing.
-FIRST = Schedule()
-SECOND = Schedule(name="second", steps=700, until=700, rate=1e-3, warm_up=30, average=0.99)
 
 
 def rate_at(step: int, schedule: Schedule) -> float:
@@ -73,52 +69,48 @@ def batches(encoder: Encoder, corpus: Corpus, seed: str, schedule: Schedule, dev
         yield {name: value.to(device) for name, value in queue.get().items()}
 
 
-def train(shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, start: Path | None = None) -> Household:
-    """Trains, from the weights in `start` if given, and returns the averaged weights, which are also left in `checkpoint`.
+def train(shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path) -> Household:
+    """Trains, and returns the averaged weights, which are also left in `checkpoint`.
 
     On CPUs every worker is a process with one thread and a part of the batch: they meet once per step, whereas threads meet
     in every operation and lose most of their time when something else runs beside them.
     """
     workers = schedule.workers if device == "cpu" else 1
     if workers == 1:
-        work(0, 1, shape, schedule, encoder, corpus, seed, device, checkpoint, start)
+        work(0, 1, shape, schedule, encoder, corpus, seed, device, checkpoint)
     else:
         with socket.create_server(("127.0.0.1", 0)) as server:
             os.environ.update(MASTER_ADDR="127.0.0.1", MASTER_PORT=str(server.getsockname()[1]))
-        arguments = (workers, shape, schedule, encoder, corpus, seed, device, checkpoint, start)
+        arguments = (workers, shape, schedule, encoder, corpus, seed, device, checkpoint)
         torch.multiprocessing.start_processes(work, arguments, nprocs=workers, start_method="fork")
     return restore(checkpoint)
 
 
-def work(rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, start: Path | None) -> None:
+def work(rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path) -> None:
     if workers > 1:
         torch.set_num_threads(1)
         torch.distributed.init_process_group("gloo", rank=rank, world_size=workers)
     torch.manual_seed(seed)
     model = Household(shape, schedule.dropout).to(device)
-    if start:
-        model.load_state_dict(restore(start).state_dict())
     torch.manual_seed(seed * workers + rank)
     averaged = {name: value.detach().clone() for name, value in model.state_dict().items()}
-    matrices = [p for p in model.parameters() if p.dim() == 2]
-    others = [p for p in model.parameters() if p.dim() != 2]
-    groups = [{"params": matrices, "weight_decay": schedule.weight_decay}, {"params": others, "weight_decay": 0.0}]
-    optimiser = torch.optim.AdamW(groups, lr=schedule.rate, betas=(0.9, 0.98), fused=True)
+    optimisers = optimisers_of(model, schedule, rank, workers)
     # Processors without bfloat16 arithmetic imitate it, dozens of times slower than single precision.
     half = device != "cpu" or torch.cpu.get_capabilities().get("avx512_bf16", False)
     model.train()
     began, running = time.monotonic(), 0.0
-    for step, batch in enumerate(batches(encoder, corpus, f"{seed} {rank}" + (" settled" if start else ""), schedule, device), 1):
-        for group in optimiser.param_groups:
+    for step, batch in enumerate(batches(encoder, corpus, f"{seed} {rank}", schedule, device), 1):
+        for group in (group for optimiser in optimisers for group in optimiser.param_groups):
             group["lr"] = rate_at(step - 1, schedule)
         with torch.autocast(device, torch.bfloat16, enabled=half):
             loss = loss_of(model, batch)
-        optimiser.zero_grad(set_to_none=True)
+        model.zero_grad(set_to_none=True)
         loss.backward()
         if workers > 1:
             share_gradients(model, workers)
         torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
-        optimiser.step()
+        for optimiser in optimisers:
+            optimiser.step()
         running += loss.item()
         if rank:
             continue
@@ -129,12 +121,24 @@ def work(rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Enc
         if step % 50 == 0:
             seconds = time.monotonic() - began
             speed = step * workers * schedule.rows * schedule.length / seconds
-            print(f"{schedule.name} step {step}/{schedule.until}  loss {running / 50:.4f}  {speed:.0f} tokens/s  {seconds:.0f} s", flush=True)
+            print(f"step {step}/{schedule.until}  loss {running / 50:.4f}  {speed:.0f} tokens/s  {seconds:.0f} s", flush=True)
             running = 0.0
         if step % 200 == 0 or step == schedule.until:
             torch.save({"shape": shape.to_dict(), "model": averaged, "step": step}, checkpoint)
     if workers > 1:
         torch.distributed.destroy_process_group()
+
+
+def optimisers_of(model: Household, schedule: Schedule, rank: int, workers: int) -> list[torch.optim.Optimizer]:
+    """Muon for the matrices of the blocks, Adam for the rest."""
+    blocks = [(module.weight, parts) for block in model.blocks for module, parts in block.matrices()]
+    inside = {id(weight) for weight, _ in blocks}
+    rest = [p for p in model.parameters() if id(p) not in inside]
+    groups = [{"params": [p for p in rest if p.dim() == 2], "weight_decay": schedule.weight_decay}, {"params": [p for p in rest if p.dim() != 2], "weight_decay": 0.0}]
+    return [
+        Muon([weight for weight, _ in blocks], [parts for _, parts in blocks], schedule.rate, schedule.weight_decay, rank=rank, workers=workers),
+        torch.optim.AdamW(groups, lr=schedule.rate, betas=(0.9, 0.98), fused=True),
+    ]
 
 
 def share_gradients(model: Household, workers: int) -> None:

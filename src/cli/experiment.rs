@@ -8,6 +8,7 @@ use super::{CommandResult, Failure};
 use crate::exit_code;
 use crate::experiment::baselines::{HOUSEHOLD_STATISTICS, Statistics};
 use crate::experiment::forecast::{self, NamedProgram, Report};
+use crate::experiment::metrics::Summary;
 use crate::experiment::{ExperimentError, Progress, ScoreSource};
 use crate::grounding::{Grounding, GroundingOptions};
 use crate::narration::history::HistoryLimits;
@@ -241,25 +242,33 @@ fn split(programs: Vec<NamedProgram>, manifest: &Path, name: &str) -> Result<Vec
 fn print_forecast(report: &Report) {
     let mut table =
         super::table(&["scene", "target", "predictor", "cases", "nll (nats)", "top-1", "top-5", "mrr", "brier", "ece"]);
+    let mut differences =
+        super::table(&["scene", "target", "model less", "nll (nats)", "top-1", "top-5", "mrr", "brier"]);
     let mut rows: Vec<_> = report.rows.iter().collect();
     rows.sort_by(|a, b| (&a.scene, a.target).cmp(&(&b.scene, b.target)));
     for row in rows {
-        let s = &row.summary;
+        let target =
+            serde_json::to_value(row.target).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default();
+        let named = [row.scene.clone(), target, row.predictor.to_owned()];
         let with = |value: f64, [low, high]: [f64; 2]| format!("{value:.3} [{low:.3}, {high:.3}]");
-        table.add_row(vec![
-            row.scene.clone(),
-            serde_json::to_value(row.target).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default(),
-            row.predictor.to_owned(),
-            s.cases.to_string(),
-            with(s.nll_nats, s.ci95.nll_nats),
-            with(s.top1, s.ci95.top1),
-            with(s.top5, s.ci95.top5),
-            with(s.mrr, s.ci95.mrr),
-            with(s.brier, s.ci95.brier),
-            with(s.ece, s.ci95.ece),
-        ]);
+        let figures = |s: &Summary| {
+            [
+                with(s.nll_nats, s.ci95.nll_nats),
+                with(s.top1, s.ci95.top1),
+                with(s.top5, s.ci95.top5),
+                with(s.mrr, s.ci95.mrr),
+                with(s.brier, s.ci95.brier),
+            ]
+        };
+        if let Some(less) = &row.model_less_this {
+            differences.add_row(named.iter().cloned().chain(figures(less)));
+        }
+        let s = &row.summary;
+        let ece = with(s.ece, s.ci95.ece);
+        table.add_row(named.into_iter().chain([s.cases.to_string()]).chain(figures(s)).chain([ece]));
     }
     println!("{table}");
+    println!("\nOn the same cases, resampled together, the model less each of them:\n{differences}");
     println!(
         "{} cases in {} programs; {:.1} % of the next objects are in the maps; 95 % intervals by bootstrap over programs; {} scores computed, the others from the cache",
         report.cases,

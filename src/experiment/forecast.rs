@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::baselines::{self, Baselines, Statistics};
-use super::metrics::{Summary, Sums, summarise};
+use super::metrics::{Summary, Sums, difference, summarise};
 use super::scores::{ScoreSource, ScoresError};
 use super::{ExperimentError, Progress};
 use crate::grounding::{GroundedScores, Grounding};
@@ -55,6 +55,8 @@ pub struct Row {
     /// How well.
     #[serde(flatten)]
     pub summary: Summary,
+    /// The model's figures less these, on the same cases resampled together; none for the model itself.
+    pub model_less_this: Option<Summary>,
 }
 
 /// The table, and what was left out of it.
@@ -248,6 +250,9 @@ fn evaluate<M: LanguageModel>(
             target: TARGETS[index % TARGETS.len()],
             scene: map.name.clone(),
             summary: summarise(groups, options.seed),
+            // The model is the first predictor.
+            model_less_this: (index >= TARGETS.len())
+                .then(|| difference(&sums[index % TARGETS.len()], groups, options.seed)),
         })
         .collect();
     Ok((rows, count))

@@ -103,21 +103,44 @@ pub struct Summary {
     pub ci95: Intervals,
 }
 
-/// Sums up groups of cases; resamples whole groups, because the cases of one program depend on one another. The draws
-/// depend on `seed` and the number of groups alone, so that rows over the same groups are resampled alike.
+/// Sums up groups of cases; resamples whole groups, because the cases of one program depend on one another.
 #[must_use]
 pub fn summarise(groups: &[Sums], seed: u64) -> Summary {
-    let mut all = Sums::default();
-    groups.iter().for_each(|group| all.merge(group));
+    bootstrap([groups], seed, |[all]| all.means())
+}
+
+/// The means of one forecast less those of another on the same cases in the same groups. Both are resampled together, so that how hard the
+/// cases happen to be, which is most of what makes the intervals of each wide, cancels: an interval on one side of zero tells
+/// them apart even where their own intervals overlap.
+#[must_use]
+pub fn difference(groups: &[Sums], others: &[Sums], seed: u64) -> Summary {
+    bootstrap([groups, others], seed, |[own, other]| {
+        let (own, other) = (own.means(), other.means());
+        std::array::from_fn(|metric| own[metric] - other[metric])
+    })
+}
+
+/// The draws depend on `seed` and the number of groups alone.
+fn bootstrap<const ROWS: usize>(
+    rows: [&[Sums]; ROWS],
+    seed: u64,
+    value: impl Fn([Sums; ROWS]) -> [f64; METRICS.len()],
+) -> Summary {
+    let groups = rows.iter().map(|row| row.len()).min().unwrap_or(0);
+    let total = |groups: &[usize]| {
+        rows.map(|row| {
+            let mut sum = Sums::default();
+            groups.iter().for_each(|group| sum.merge(&row[*group]));
+            sum
+        })
+    };
+    let all = total(&(0..groups).collect::<Vec<_>>());
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut samples: [Vec<f64>; METRICS.len()] = Default::default();
     for _ in 0..RESAMPLES {
-        let mut sample = Sums::default();
-        for _ in groups {
-            sample.merge(&groups[rng.random_range(0..groups.len())]);
-        }
-        if sample.cases > 0.0 {
-            samples.iter_mut().zip(sample.means()).for_each(|(samples, mean)| samples.push(mean));
+        let sample = total(&(0..groups).map(|_| rng.random_range(0..groups)).collect::<Vec<_>>());
+        if sample.iter().all(|sums| sums.cases > 0.0) {
+            samples.iter_mut().zip(value(sample)).for_each(|(samples, mean)| samples.push(mean));
         }
     }
     let interval = |index: usize| {
@@ -126,7 +149,7 @@ pub fn summarise(groups: &[Sums], seed: u64) -> Summary {
         let at = |share: f64| values.get((share * values.len() as f64) as usize).copied().unwrap_or(0.0);
         [at(0.025), at(0.975)]
     };
-    let [nll_nats, top1, top5, mrr, brier, ece] = all.means();
+    let [nll_nats, top1, top5, mrr, brier, ece] = value(all);
     let ci95 = Intervals {
         nll_nats: interval(0),
         top1: interval(1),
@@ -135,7 +158,8 @@ pub fn summarise(groups: &[Sums], seed: u64) -> Summary {
         brier: interval(4),
         ece: interval(5),
     };
-    Summary { cases: all.cases as usize, nll_nats, top1, top5, mrr, brier, ece, ci95 }
+    let cases = all.first().map_or(0.0, |sums| sums.cases) as usize;
+    Summary { cases, nll_nats, top1, top5, mrr, brier, ece, ci95 }
 }
 
 #[cfg(test)]
@@ -183,5 +207,28 @@ mod tests {
         assert!(few.ci95.top1[0] <= few.top1 && few.top1 <= few.ci95.top1[1]);
         assert!(width(&many) < 0.2 * width(&few));
         assert_eq!(summarise(&groups(20), 1), few);
+    }
+
+    #[test]
+    fn a_difference_on_the_same_cases_is_surer_than_either_forecast() {
+        // Hard and easy groups make both means unsure; one forecast is better in every group by nearly the same.
+        let groups = |bonus: f64| -> Vec<Sums> {
+            (0..40)
+                .map(|i| {
+                    let mut sums = Sums::default();
+                    let p = [0.15, 0.75][i % 2] + bonus + 0.001 * (i % 5) as f64 * bonus;
+                    sums.add(&[p, 1.0 - p], 0);
+                    sums
+                })
+                .collect()
+        };
+        let (better, worse) = (groups(0.1), groups(0.0));
+        let (own, other) = (summarise(&better, 1), summarise(&worse, 1));
+        assert!(own.ci95.brier[1] > other.ci95.brier[0], "each by itself overlaps");
+        let gain = difference(&better, &worse, 1);
+        assert!(gain.ci95.brier[1] < 0.0 && gain.ci95.nll_nats[1] < 0.0);
+        assert!((gain.nll_nats - (own.nll_nats - other.nll_nats)).abs() < 1e-12);
+        let none = difference(&better, &better, 1);
+        assert_eq!((none.nll_nats, none.ci95.mrr), (0.0, [0.0, 0.0]));
     }
 }
