@@ -1,6 +1,7 @@
 //! Where participants meet: a root path, a name, and the nodes that join.
 
 use std::collections::BTreeSet;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use std::{env, fs, io};
@@ -172,8 +173,10 @@ impl Domain {
         for id in &participants {
             let folder = nodes.join(id);
             let monitor = MONITOR_FILES.map(|suffix| nodes.join(format!("{prefix}{id}.{suffix}")));
-            let whole =
-                folder.join(format!("{prefix}node.details")).exists() && monitor.iter().all(|file| file.exists());
+            // A monitor that is being made can only be written to. Whoever is killed then has opened nothing yet, and counts for
+            // iceoryx2 as about to join, for ever.
+            let made = |file: &PathBuf| fs::metadata(file).is_ok_and(|about| about.permissions().mode() & 0o400 != 0);
+            let whole = folder.join(format!("{prefix}node.details")).exists() && monitor.iter().all(made);
             let youngest = monitor.iter().chain([&folder]).filter_map(|path| age(path)).min();
             let foreign = folder.exists() && !self.all_ours(&folder);
             if !whole && !foreign && youngest.is_some_and(|age| age >= JOINED_WITHIN) {

@@ -1,0 +1,175 @@
+//! Participants killed at any moment, mostly while they join, open their ports or clean up after one another: nothing of them
+//! stays, and their places come free.
+//!
+//! `ROOMCAST_KILLS=20000 cargo test --release -p roomcast-ipc --test killed -- --nocapture` kills so many.
+
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant, SystemTime};
+
+use roomcast_ipc::{
+    DecisionV1, Domain, ForecastV1, NarrationV1, Node, RoomScoresV1, StatusResponseV1, narration_kind, question,
+};
+
+/// Kills by default.
+const KILLS: usize = 300;
+/// Tells a child what it is: role, root path, domain's name.
+const CHILD: &str = "ROOMCAST_KILLED_CHILD";
+
+/// Ports as the daemon, a planner or a narrator opens them, in use until the process is killed.
+fn take_part(role: &str, node: &Node) {
+    let narration = NarrationV1::new(narration_kind::SENTENCE, "They grab the mug.").unwrap();
+    let narration = NarrationV1 { source: 7, epoch: 1, sequence: 1, ..narration };
+    match role {
+        "daemon" => {
+            let heard = node.subscriber::<NarrationV1>().unwrap();
+            let scores = node.publisher::<RoomScoresV1>().unwrap();
+            let forecast = node.publisher::<ForecastV1>().unwrap();
+            let items = node.item_scores_publisher().unwrap();
+            let status = node.status_server().unwrap();
+            let moments = node.answer_port(question::MOMENT).unwrap();
+            loop {
+                scores.send_unchecked(&RoomScoresV1::default()).unwrap();
+                forecast.send_unchecked(&ForecastV1::default()).unwrap();
+                let _answered = status.answer(StatusResponseV1::default);
+                let _answered = moments.answer(|_| String::new());
+                items.tick().unwrap();
+                scores.tick().unwrap();
+                while heard.receive().unwrap().is_some() {}
+                heard.wait(Duration::from_millis(3)).unwrap();
+                node.clean_up_dead();
+            }
+        }
+        "planner" => {
+            let scores = node.subscriber::<RoomScoresV1>().unwrap();
+            let decisions = node.publisher::<DecisionV1>().unwrap();
+            loop {
+                scores.wait(Duration::from_millis(3)).unwrap();
+                while scores.receive().unwrap().is_some() {}
+                decisions.send_unchecked(&DecisionV1::default()).unwrap();
+                decisions.tick().unwrap();
+            }
+        }
+        _ => {
+            let said = node.publisher::<NarrationV1>().unwrap();
+            let scores = node.subscriber::<RoomScoresV1>().unwrap();
+            loop {
+                said.send(&narration).unwrap();
+                said.tick().unwrap();
+                scores.wait(Duration::from_millis(3)).unwrap();
+                while scores.receive().unwrap().is_some() {}
+            }
+        }
+    }
+}
+
+/// The child's side: run by the other test in a process of its own.
+#[test]
+#[ignore = "a process of the other test"]
+fn child() {
+    let Ok(what) = std::env::var(CHILD) else { return };
+    let [role, root, name] = what.split(' ').collect::<Vec<_>>()[..] else { panic!("{what:?}") };
+    let node = Domain::new(root, name).unwrap().open(role).unwrap();
+    take_part(role, &node);
+}
+
+fn start(role: &str, domain: &Domain) -> Child {
+    let mut command = Command::new(std::env::current_exe().unwrap());
+    command.args(["--exact", "child", "--ignored", "--nocapture"]);
+    command.env(CHILD, format!("{role} {} {}", domain.root().display(), domain.name()));
+    command.stdin(Stdio::null()).stdout(Stdio::null()).spawn().unwrap()
+}
+
+/// Every file of the domain, but for iceoryx2's counter of participants, which stays until the domain is removed.
+fn files(domain: &Domain) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    let prefix = format!("{}_", domain.name());
+    let mut folders = vec![domain.root().to_owned(), Path::new("/dev/shm").to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).into_iter().flatten().flatten() {
+            let (path, name) = (entry.path(), entry.file_name().into_string().unwrap());
+            if path.is_dir() && path.starts_with(domain.root()) {
+                if path.parent().unwrap().ends_with("nodes") {
+                    files.push(path.clone());
+                }
+                folders.push(path);
+            } else if name.starts_with(&prefix) && !name.ends_with(".global_mgmt") {
+                files.push(path);
+            }
+        }
+    }
+    files
+}
+
+/// As if a minute had passed: what is left half-made is taken for that after some seconds only.
+fn age(files: &[PathBuf]) {
+    for path in files {
+        // Sockets cannot be opened, and files without permission neither.
+        if let Ok(file) = std::fs::File::open(path) {
+            file.set_modified(SystemTime::now() - Duration::from_secs(60)).unwrap();
+        }
+    }
+}
+
+fn number(variable: &str) -> Option<u64> {
+    let text = std::env::var(variable).ok()?;
+    Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
+}
+
+#[test]
+fn nothing_stays_of_participants_killed_at_any_moment() {
+    let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+    let domain = Domain::new(root.path(), &format!("killed-{}", std::process::id())).unwrap();
+    let kills = number("ROOMCAST_KILLS").map_or(KILLS, |kills| usize::try_from(kills).unwrap());
+    let mut random = number("ROOMCAST_KILLS_SEED").unwrap_or(1).wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    // Xorshift: moments need no better chance.
+    let mut below = |limit: u64| {
+        random ^= random << 13;
+        random ^= random >> 7;
+        random ^= random << 17;
+        random % limit
+    };
+    let node = domain.open("test").unwrap();
+    let living = node.subscriber::<RoomScoresV1>().unwrap();
+    let roles = ["daemon", "planner", "narrator"];
+    let mut children = roles.map(|role| start(role, &domain));
+    for _ in 0..kills {
+        let who = below(3) as usize;
+        std::thread::sleep(Duration::from_micros(below(20_000)));
+        children[who].kill().unwrap();
+        children[who].wait().unwrap();
+        children[who] = start(roles[who], &domain);
+    }
+    for child in &mut children {
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    let start = Instant::now();
+    let mut left = files(&domain);
+    println!("{} files before cleaning up", left.len());
+    for _ in 0..200 {
+        if start.elapsed() > Duration::from_secs(15) {
+            break;
+        }
+        node.clean_up_dead();
+        let still = files(&domain);
+        if still == left {
+            age(&still);
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        left = still;
+    }
+    drop((living, node));
+    let left = files(&domain);
+    for path in &left {
+        println!("left {}", path.display());
+    }
+    if left.is_empty() {
+        assert!(domain.clean_up().unwrap());
+    } else {
+        std::mem::forget(root);
+    }
+    assert!(left.is_empty());
+}
