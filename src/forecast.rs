@@ -23,7 +23,7 @@
 use std::collections::HashMap;
 
 use crate::grounding::Grounding;
-use crate::semantic_map::SemanticMap;
+use crate::semantic_map::{Names, SemanticMap, plain_words};
 
 /// What the forecast assumes before it has watched the home.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -72,6 +72,8 @@ impl Learned {
 pub struct Forecaster {
     options: ForecastOptions,
     belief: Vec<f64>,
+    /// Working memory of an observation: the belief just after it.
+    predicted: Vec<f64>,
     scores: Vec<f64>,
     spent_s: Vec<f64>,
     to_object: Learned,
@@ -94,6 +96,7 @@ impl Forecaster {
             options,
             spent_s: even.iter().map(|p| p * options.stay_s).collect(),
             belief: even.clone(),
+            predicted: even.clone(),
             scores: even,
             to_object: prior(options.object_s),
             stay: prior(options.stay_s),
@@ -120,7 +123,9 @@ impl Forecaster {
         for (spent, p) in self.spent_s.iter_mut().zip(&self.belief) {
             *spent += p * elapsed_s;
         }
-        let mut predicted = self.at(at_s, 0.0);
+        let mut predicted = std::mem::take(&mut self.predicted);
+        predicted.clear();
+        predicted.extend(self.at(at_s, 0.0));
         let mentioned =
             mention.filter(|label| *label < grounding.weights.nrows() && grounding.weights.ncols() == rooms);
         if let Some(label) = mentioned {
@@ -132,7 +137,7 @@ impl Forecaster {
             let total: f64 = predicted.iter().sum();
             if total > 0.0 {
                 predicted.iter_mut().for_each(|p| *p /= total);
-                self.belief = predicted;
+                std::mem::swap(&mut self.belief, &mut predicted);
             }
             if self.object != mentioned {
                 self.to_object.add(at_s - self.object_since_s);
@@ -140,6 +145,7 @@ impl Forecaster {
                 self.object = mentioned;
             }
         }
+        self.predicted = predicted;
         if likeliest(&self.belief) != before {
             self.stay.add(at_s - self.room_since_s);
             self.room_since_s = at_s;
@@ -151,8 +157,7 @@ impl Forecaster {
     }
 
     /// Per room the probability that the person is in it at `now_s + horizon_s`; sums to one.
-    #[must_use]
-    pub fn at(&self, now_s: f64, horizon_s: f64) -> Vec<f64> {
+    pub fn at(&self, now_s: f64, horizon_s: f64) -> impl ExactSizeIterator<Item = f64> {
         // Silence is evidence that nothing else was done, except for its last part, which an action still in progress may
         // fill: that part belongs to the horizon of what was known before it.
         let silence_s = (now_s - self.updated_s).max(0.0);
@@ -162,13 +167,11 @@ impl Forecaster {
         let same_object = self.to_object.survival(object_age_s, horizon_s);
         let same_stay = self.stay.survival(0.0, horizon_s);
         let spent_s: f64 = self.spent_s.iter().sum();
-        (0..self.belief.len())
-            .map(|room| {
-                let long_run = self.spent_s[room] / spent_s;
-                let after = same_stay * self.scores[room] + (1.0 - same_stay) * long_run;
-                same_object * self.belief[room] + (1.0 - same_object) * after
-            })
-            .collect()
+        (0..self.belief.len()).map(move |room| {
+            let long_run = self.spent_s[room] / spent_s;
+            let after = same_stay * self.scores[room] + (1.0 - same_stay) * long_run;
+            same_object * self.belief[room] + (1.0 - same_object) * after
+        })
     }
 
     /// Per room the expected time the person spends in it between `from_s` and `to_s` after `now_s`, in seconds.
@@ -190,44 +193,58 @@ fn likeliest(p: &[f64]) -> Option<usize> {
     (0..p.len()).max_by(|a, b| p[*a].total_cmp(&p[*b]))
 }
 
-/// Finds which label of a map a sentence mentions; built once per map.
+/// Finds which label of a map a sentence mentions; built once per map, nothing is allocated per sentence once warm.
 #[derive(Debug, Clone)]
 pub struct Mentions {
-    label_of_text: HashMap<String, usize>,
+    /// Every name by which a label or a room can be mentioned, in plain words, to an index of [`Grounding::scored_labels`].
+    label_of_name: HashMap<String, usize>,
+    /// Working memory: the sentence in plain words, and where in it each word begins and ends.
+    plain: String,
+    words: Vec<(usize, usize)>,
 }
 
 impl Mentions {
-    /// `grounding` must be of the map that sentences are looked up in.
+    /// The names that `map` knows ([`SemanticMap::find_label`], [`SemanticMap::find_room`]); `grounding` must be of the same map.
     #[must_use]
-    pub fn new(grounding: &Grounding) -> Self {
-        let labels = grounding.scored_labels.iter().enumerate();
-        Self { label_of_text: labels.map(|(index, label)| (label.text.clone(), index)).collect() }
+    pub fn new(map: &SemanticMap, grounding: &Grounding) -> Self {
+        let label_of_text: HashMap<&str, usize> =
+            grounding.scored_labels.iter().enumerate().map(|(index, label)| (label.text.as_str(), index)).collect();
+        let meant = |name: &str| {
+            let item = map.find_label(name).map(|label| map.labels[label.0 as usize].as_str());
+            let text = item.or_else(|| map.find_room(name).map(|room| map.rooms[room.0 as usize].label.as_str()));
+            label_of_text.get(text?).copied()
+        };
+        let aliases = map.aliases.values().flatten().map(String::as_str);
+        let rooms = map.rooms.iter().map(|room| room.id.as_str());
+        let names = Names::built_in().names().chain(aliases).chain(rooms);
+        let known = names.filter_map(|name| Some((plain_words(name), meant(name)?)));
+        // What the labels themselves say comes last and counts.
+        let labels = label_of_text.iter().map(|(text, label)| (plain_words(text), *label));
+        Self { label_of_name: known.chain(labels).collect(), plain: String::new(), words: Vec::new() }
     }
 
     /// The last thing mentioned ("They put the plate on the *table*"), as an index of
     /// [`Grounding::scored_labels`]: the longest run of up to four words after an article that names a label or a room.
     #[must_use]
-    pub fn last(&self, map: &SemanticMap, sentence: &str) -> Option<usize> {
+    pub fn last(&mut self, sentence: &str) -> Option<usize> {
         const WORDS_MAX: usize = 4;
-        let lower = sentence.to_lowercase();
-        let words: Vec<&str> =
-            lower.split(|c: char| !(c.is_alphanumeric() || c == '\'' || c == '-')).filter(|w| !w.is_empty()).collect();
-        (1..words.len()).rev().filter(|at| matches!(words[at - 1], "the" | "a" | "an" | "their" | "some")).find_map(
-            |at| {
-                (1..=WORDS_MAX.min(words.len() - at))
-                    .rev()
-                    .find_map(|length| self.label(map, &words[at..at + length].join(" ")))
-            },
-        )
-    }
-
-    fn label(&self, map: &SemanticMap, name: &str) -> Option<usize> {
-        if let Some(label) = self.label_of_text.get(name) {
-            return Some(*label);
+        self.plain.clear();
+        self.words.clear();
+        for word in sentence.split(|c: char| !(c.is_alphanumeric() || c == '\'')).filter(|word| !word.is_empty()) {
+            if !self.plain.is_empty() {
+                self.plain.push(' ');
+            }
+            let start = self.plain.len();
+            self.plain.extend(word.chars().flat_map(char::to_lowercase));
+            self.words.push((start, self.plain.len()));
         }
-        let item = map.find_label(name).map(|label| map.labels[label.0 as usize].as_str());
-        let text = item.or_else(|| map.find_room(name).map(|room| map.rooms[room.0 as usize].label.as_str()));
-        self.label_of_text.get(text?).copied()
+        let (plain, words) = (&self.plain, &self.words);
+        let article =
+            |&(start, end): &(usize, usize)| matches!(&plain[start..end], "the" | "a" | "an" | "their" | "some");
+        (1..words.len()).rev().filter(|at| article(&words[at - 1])).find_map(|at| {
+            let run = |length: usize| &plain[words[at].0..words[at + length - 1].1];
+            (1..=WORDS_MAX.min(words.len() - at)).rev().find_map(|length| self.label_of_name.get(run(length)).copied())
+        })
     }
 }
 
@@ -246,14 +263,14 @@ mod tests {
     #[test]
     fn it_moves_from_the_present_room_over_the_scores_to_the_long_run() {
         let (map, grounding) = studio();
-        let mentions = Mentions::new(&grounding);
+        let mut mentions = Mentions::new(&map, &grounding);
         let room = |id: &str| grounding.partitions.iter().position(|p| p.id == id).unwrap();
         let (kitchen, main) = (room("kitchen"), room("main-room"));
         let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
         let mut scores = [0.05; 3];
         scores[main] = 0.9;
-        forecaster.observe(10.0, mentions.last(&map, "They open the fridge."), &grounding, &scores);
-        let at = |t: f64| forecaster.at(10.0, t);
+        forecaster.observe(10.0, mentions.last("They open the fridge."), &grounding, &scores);
+        let at = |t: f64| forecaster.at(10.0, t).collect::<Vec<_>>();
         assert!(at(0.0)[kitchen] > 0.9, "{:?}", at(0.0));
         assert!(at(100.0)[main] > at(0.0)[main] && at(100.0)[main] > at(100.0)[kitchen], "{:?}", at(100.0));
         assert!(at(1e5).iter().all(|p| (0.1..0.8).contains(p)), "{:?}", at(1e5));
@@ -264,22 +281,22 @@ mod tests {
     #[test]
     fn who_has_stayed_long_stays_on() {
         let (map, grounding) = studio();
-        let mentions = Mentions::new(&grounding);
-        let bed = mentions.last(&map, "They lie on the bed.");
+        let mut mentions = Mentions::new(&map, &grounding);
+        let bed = mentions.last("They lie on the bed.");
         let mut short = Forecaster::new(3, ForecastOptions::default(), 0.0);
         short.observe(5.0, bed, &grounding, &[1.0 / 3.0; 3]);
         let mut long = short.clone();
         long.observe(3000.0, bed, &grounding, &[1.0 / 3.0; 3]);
         let here = likeliest(short.belief()).unwrap();
-        assert!(long.at(3000.0, 60.0)[here] > short.at(5.0, 60.0)[here]);
+        assert!(long.at(3000.0, 60.0).nth(here) > short.at(5.0, 60.0).nth(here));
     }
 
     #[test]
     fn mentions_are_found_through_aliases_and_the_last_one_counts() {
         let (map, grounding) = studio();
-        let mentions = Mentions::new(&grounding);
-        let text =
-            |sentence: &str| mentions.last(&map, sentence).map(|label| grounding.scored_labels[label].text.as_str());
+        let mut mentions = Mentions::new(&map, &grounding);
+        let mut text =
+            |sentence: &str| mentions.last(sentence).map(|label| grounding.scored_labels[label].text.as_str());
         assert_eq!(text("They walk to the couch."), Some("sofa"));
         assert_eq!(text("They put the shirt into the washing machine."), Some("washing machine"));
         assert_eq!(text("They walk to the kitchen."), Some("kitchen"));
@@ -299,7 +316,7 @@ mod tests {
             for (wait_s, label, share) in events {
                 now_s += wait_s;
                 forecaster.observe(now_s, label, &grounding, &[share, 1.0 - share, 0.0]);
-                let p = forecaster.at(now_s, horizon_s);
+                let p: Vec<f64> = forecaster.at(now_s, horizon_s).collect();
                 prop_assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9);
                 prop_assert!(p.iter().all(|p| *p >= 0.0));
             }

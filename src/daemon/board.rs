@@ -1,6 +1,8 @@
 //! From observations to the snapshot that is published: the pipeline's step, with sequence numbers, ages and flags. No clock,
 //! no port: the daemon's loop, the simulation and the tests drive it alike.
 
+use std::cmp::Reverse;
+
 use roomcast_ipc::{
     ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, MAX_HORIZONS, MAX_ROOMS, MAX_SOURCES,
     MessageError, NAME_BYTES, NO_PARTITION, RoomScoresV1, RoomV1, reached, score_flags, text,
@@ -10,7 +12,7 @@ use crate::forecast::{ForecastOptions, Forecaster, Mentions};
 use crate::grounding::{GroundingOptions, Partition, partitions};
 use crate::moment::Moment;
 use crate::narration::Observation;
-use crate::pipeline::{Pipeline, PipelineError};
+use crate::pipeline::{Included, Pipeline, PipelineError};
 use crate::scorer::LanguageModel;
 use crate::scorer::certified::Effort;
 use crate::semantic_map::SemanticMap;
@@ -74,6 +76,8 @@ pub struct Board<M> {
     accepted: std::collections::BTreeMap<u64, u64>,
     /// Working memory of a step: person, when observed, label mentioned.
     seen: Vec<Seen>,
+    /// Working memory of a step: the sources that the scores name, newest first.
+    newest_sources: Vec<Included>,
     /// Per person where they will be; persons unknown to the histories are forgotten.
     forecasters: std::collections::BTreeMap<u32, Forecaster>,
 }
@@ -105,13 +109,14 @@ impl<M: LanguageModel> Board<M> {
             ..Default::default()
         };
         Ok(Self {
-            mentions: Mentions::new(pipeline.grounding()),
+            mentions: Mentions::new(&map, pipeline.grounding()),
             pipeline,
             map,
             grounding,
             snapshot,
             accepted: std::collections::BTreeMap::new(),
             seen: Vec::new(),
+            newest_sources: Vec::new(),
             forecasters: std::collections::BTreeMap::new(),
         })
     }
@@ -134,7 +139,7 @@ impl<M: LanguageModel> Board<M> {
         }
         self.snapshot.map_fingerprint = map.fingerprint;
         (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
-        self.mentions = Mentions::new(self.pipeline.grounding());
+        self.mentions = Mentions::new(&map, self.pipeline.grounding());
         self.map = map;
         Ok(new_labels)
     }
@@ -187,12 +192,12 @@ impl<M: LanguageModel> Board<M> {
         }
         let now_s = now_ns as f64 / 1e9;
         for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
-            let mut free = vec![1.0; rooms.len()];
+            let mut free = [1.0; MAX_ROOMS];
             for forecaster in self.forecasters.values() {
                 let probability = forecaster.at(now_s, f64::from(*horizon_s));
                 free.iter_mut().zip(probability).for_each(|(free, p)| *free *= 1.0 - p);
             }
-            for (room, free) in free.into_iter().enumerate() {
+            for (room, free) in free.into_iter().take(rooms.len()).enumerate() {
                 let occupied = if self.forecasters.is_empty() { 1.0 / rooms.len() as f64 } else { 1.0 - free };
                 message.probability[room][place] = occupied.clamp(0.0, 1.0) as f32;
             }
@@ -216,12 +221,12 @@ impl<M: LanguageModel> Board<M> {
         let mut gap = false;
         let mut seen = std::mem::take(&mut self.seen);
         seen.clear();
-        let (accepted, mentions, map) = (&mut self.accepted, &self.mentions, &self.map);
+        let (accepted, mentions) = (&mut self.accepted, &mut self.mentions);
         self.pipeline.observe(entries.into_iter().map(|Entry { observation: o, received_ns: at_ns, after_gap }| {
             received_ns = Some(received_ns.map_or(at_ns, |first: u64| first.min(at_ns)));
             gap |= after_gap;
             *accepted.entry(o.source).or_default() += 1;
-            seen.push((o.person, o.observed_ns, mentions.last(map, o.sentence.as_str())));
+            seen.push((o.person, o.observed_ns, mentions.last(o.sentence.as_str())));
             o
         }));
         if let Err(error) = self.pipeline.score() {
@@ -332,13 +337,15 @@ impl<M: LanguageModel> Board<M> {
         snapshot.window = window;
         snapshot.person = if persons == 1 { last } else { ALL_PERSONS };
 
-        let mut included: Vec<_> = scores.included.iter().collect();
-        included.sort_by_key(|included| std::cmp::Reverse(included.observed_ns));
-        let cut = included.len() > MAX_SOURCES;
-        included.truncate(MAX_SOURCES);
-        snapshot.source_count = included.len() as u32;
+        self.newest_sources.clear();
+        self.newest_sources.extend_from_slice(&scores.included);
+        // By source where times are equal, so that the same step gives the same message.
+        self.newest_sources.sort_unstable_by_key(|included| (Reverse(included.observed_ns), included.source));
+        let cut = self.newest_sources.len() > MAX_SOURCES;
+        self.newest_sources.truncate(MAX_SOURCES);
+        snapshot.source_count = self.newest_sources.len() as u32;
         snapshot.included = Default::default();
-        for (place, included) in snapshot.included.iter_mut().zip(&included) {
+        for (place, included) in snapshot.included.iter_mut().zip(&self.newest_sources) {
             *place = IncludedV1 {
                 source: included.source,
                 epoch: included.epoch,
@@ -348,7 +355,7 @@ impl<M: LanguageModel> Board<M> {
             };
         }
         snapshot.flags |= if cut { score_flags::SOURCES_CUT } else { 0 };
-        snapshot.flags |= if included.is_empty() { score_flags::NO_NARRATION } else { 0 };
+        snapshot.flags |= if self.newest_sources.is_empty() { score_flags::NO_NARRATION } else { 0 };
     }
 }
 

@@ -88,8 +88,7 @@ impl<M: LanguageModel> Cycle<M> {
     ///
     /// When the model fails. The observations are in the histories all the same, and a later step scores them.
     pub fn step(&mut self, now_ns: u64, now_unix_ns: u64) -> Result<(), PipelineError> {
-        let entries = std::mem::take(&mut self.waiting);
-        if let Err(error) = self.board.step(entries, now_ns, now_unix_ns) {
+        if let Err(error) = self.board.step(self.waiting.drain(..), now_ns, now_unix_ns) {
             self.due = true;
             self.retry_ns = now_ns.saturating_add(RETRY_NS);
             return Err(error);

@@ -83,7 +83,7 @@ impl<'a> Home<'a> {
         options: &Options,
     ) -> Result<Self, ExperimentError> {
         let mut binder = Binder::new(map, grounding, options.items);
-        let mentions = Mentions::new(grounding);
+        let mut mentions = Mentions::new(map, grounding);
         let mut grounded = GroundedScores::default();
         let mut tracks = Vec::with_capacity(activities.len());
         for (name, activity) in activities {
@@ -103,7 +103,7 @@ impl<'a> Home<'a> {
                 grounding.ground(row, &mut grounded)?;
                 scores.push(grounded.partition_log_score_nats.iter().map(|log_score| log_score.exp()).collect());
             }
-            let mentions = sentences.iter().map(|sentence| mentions.last(map, sentence.as_str())).collect();
+            let mentions = sentences.iter().map(|sentence| mentions.last(sentence.as_str())).collect();
             tracks.push(Track { timeline, scores, mentions });
         }
         source.flush()?;
@@ -438,7 +438,7 @@ pub fn horizons(homes: &[Home<'_>], forecast: ForecastOptions, horizons_s: &[usi
                 let stays: Vec<f64> = (0..rooms).map(|room| if room == here { 0.95 } else { other }).collect();
                 for (column, horizon_s) in horizons_s.iter().enumerate() {
                     let Some(truth) = track.timeline.rooms.get(done.at_s as usize + horizon_s) else { continue };
-                    let joined = forecaster.at(done.at_s, *horizon_s as f64);
+                    let joined: Vec<f64> = forecaster.at(done.at_s, *horizon_s as f64).collect();
                     for (predictor, p) in [&joined, &stays, &scores].into_iter().enumerate() {
                         let sum = &mut sums[predictor * horizons_s.len() + column];
                         let hit = p[truth.0 as usize];

@@ -7,6 +7,7 @@
 //! all paths through it, and a prompt token those of all paths (which needs the unified cache). Trees with more paths
 //! than sequences go in waves.
 
+use std::cell::RefCell;
 use std::io::Read;
 use std::num::NonZeroU32;
 use std::path::Path;
@@ -71,6 +72,39 @@ impl Default for LlamaOptions {
     }
 }
 
+impl LlamaOptions {
+    /// Positions of a context of a model that was trained on sequences of `trained_tokens`.
+    fn positions(&self, trained_tokens: u32) -> u32 {
+        self.context_tokens.min(trained_tokens).max(1)
+    }
+
+    /// llama.cpp's own parameters for a context of a model that was trained on sequences of `trained_tokens`.
+    #[must_use]
+    pub fn context_parameters(&self, trained_tokens: u32) -> LlamaContextParams {
+        let positions = self.positions(trained_tokens);
+        let threads = i32::try_from(self.threads.max(1)).unwrap_or(1);
+        let cache = match self.cache {
+            CacheType::F16 => KvCacheType::F16,
+            CacheType::F32 => KvCacheType::F32,
+        };
+        let batch_tokens = positions.min(512);
+        LlamaContextParams::default()
+            .with_n_ctx(NonZeroU32::new(positions))
+            .with_n_batch(batch_tokens)
+            .with_n_ubatch(batch_tokens)
+            .with_n_seq_max(self.sequences.clamp(1, SEQUENCES_MAX))
+            .with_n_threads(threads)
+            .with_n_threads_batch(threads)
+            .with_type_k(cache)
+            .with_type_v(cache)
+            // One canonical arithmetic: the fused kernels sum in half precision.
+            .with_flash_attention_policy(llama_cpp_sys_2::LLAMA_FLASH_ATTN_TYPE_DISABLED)
+            .with_kv_unified(true)
+            .with_swa_full(true)
+            .with_no_perf(true)
+    }
+}
+
 self_cell::self_cell!(
     /// A context borrows its weights; both live and move together.
     struct Loaded {
@@ -97,6 +131,8 @@ pub struct LlamaModel {
     untidy: bool,
     sequence_ids: Vec<i32>,
     rows: Vec<(i32, usize)>,
+    /// Working memory of the tokeniser.
+    tokens: RefCell<Vec<LlamaToken>>,
 }
 
 impl std::fmt::Debug for LlamaModel {
@@ -105,8 +141,12 @@ impl std::fmt::Debug for LlamaModel {
     }
 }
 
-/// llama.cpp's process-wide state, set up once; its log goes to `tracing`.
-fn backend() -> Result<&'static LlamaBackend, String> {
+/// llama.cpp's process-wide state, set up once; its log goes to `tracing`. Public for what runs llama.cpp by itself beside the
+/// scorer, to compare: nobody else can set it up a second time.
+///
+/// # Errors
+/// Why it cannot be set up.
+pub fn backend() -> Result<&'static LlamaBackend, String> {
     static BACKEND: OnceLock<LlamaBackend> = OnceLock::new();
     static SETTING_UP: Mutex<()> = Mutex::new(());
     let _guard = SETTING_UP.lock().map_err(|_| "setting up llama.cpp failed before".to_owned())?;
@@ -192,7 +232,7 @@ impl LlamaModel {
         let parameters = LlamaModelParams::default().with_use_mmap(true).with_use_mlock(options.lock_memory);
         let weights = Weights::load_from_file(backend, path, &parameters).map_err(|e| fail(e.to_string()))?;
         let text = |key: &str| weights.meta_val_str(key).ok();
-        let context_tokens = options.context_tokens.min(weights.n_ctx_train()).max(1);
+        let context_tokens = options.positions(weights.n_ctx_train());
         let sequences = options.sequences.clamp(1, SEQUENCES_MAX);
         let vocabulary = weights.vocab();
         let info = ModelInfo {
@@ -218,26 +258,8 @@ impl LlamaModel {
         };
         let add_start_token = vocabulary.should_add_bos();
         let start_token = Token(vocabulary.bos().0);
-        let threads = i32::try_from(options.threads.max(1)).unwrap_or(1);
-        let cache = match options.cache {
-            CacheType::F16 => KvCacheType::F16,
-            CacheType::F32 => KvCacheType::F32,
-        };
-        let batch_tokens = context_tokens.min(512);
-        let context = LlamaContextParams::default()
-            .with_n_ctx(NonZeroU32::new(context_tokens))
-            .with_n_batch(batch_tokens)
-            .with_n_ubatch(batch_tokens)
-            .with_n_seq_max(sequences)
-            .with_n_threads(threads)
-            .with_n_threads_batch(threads)
-            .with_type_k(cache)
-            .with_type_v(cache)
-            // One canonical arithmetic: the fused kernels sum in half precision.
-            .with_flash_attention_policy(llama_cpp_sys_2::LLAMA_FLASH_ATTN_TYPE_DISABLED)
-            .with_kv_unified(true)
-            .with_swa_full(true)
-            .with_no_perf(true);
+        let context = options.context_parameters(weights.n_ctx_train());
+        let batch_tokens = context.n_batch();
         let loaded = Loaded::try_new(weights, |weights| weights.new_context(backend, context))
             .map_err(|e| fail(e.to_string()))?;
         Ok(Self {
@@ -253,6 +275,7 @@ impl LlamaModel {
             untidy: false,
             sequence_ids: Vec::new(),
             rows: Vec::new(),
+            tokens: RefCell::new(Vec::with_capacity(context_tokens as usize)),
         })
     }
 
@@ -341,8 +364,10 @@ impl LanguageModel for LlamaModel {
         if start == TextStart::Sequence && self.add_start_token && self.start_token.0 >= 0 {
             out.push(self.start_token);
         }
-        let tokens = self.loaded.borrow_owner().vocab().tokenize(text.as_bytes(), false, false);
-        out.extend(tokens.into_iter().map(|t| Token(t.0)));
+        let mut tokens = self.tokens.borrow_mut();
+        tokens.clear();
+        self.loaded.borrow_owner().vocab().tokenize_into(text.as_bytes(), &mut tokens, false, false);
+        out.extend(tokens.iter().map(|t| Token(t.0)));
         Ok(())
     }
 

@@ -9,6 +9,7 @@ mod names;
 mod schema;
 
 pub use names::Names;
+pub(crate) use names::plain_words;
 pub use schema::{MAX_FILE_BYTES, MAX_ITEMS, MAX_ROOMS, MAX_TEXT_BYTES, SceneError};
 
 /// Index of an item in [`SemanticMap::items`].
@@ -208,7 +209,7 @@ impl SemanticMap {
     }
 
     fn find<T>(&self, name: &str, known: impl Fn(&str) -> Option<T>) -> Option<T> {
-        let plain = names::plain_words(name);
+        let plain = plain_words(name);
         let words = Names::built_in().words(name);
         let own_aliases = || {
             let means = |others: &[String]| others.iter().any(|other| *other == plain || *other == words);

@@ -58,6 +58,11 @@ impl Names {
             .unwrap_or(plain)
     }
 
+    /// Every name that the table knows something of.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.words.keys().chain(self.aliases.keys()).map(String::as_str)
+    }
+
     /// Other words under which a map may list what `words` name, the best first. They are directed: a "cup" may be served
     /// by a "mug"; and they are not followed twice.
     pub fn aliases<'a>(&'a self, words: &str) -> impl Iterator<Item = &'a str> + use<'a> {
@@ -66,7 +71,7 @@ impl Names {
 }
 
 /// Lower case, with single spaces where underscores, hyphens or white space stand.
-pub(super) fn plain_words(text: &str) -> String {
+pub(crate) fn plain_words(text: &str) -> String {
     let spaced = text.to_lowercase().replace(['_', '-'], " ");
     spaced.split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -1,0 +1,427 @@
+//! What one event costs beside bare llama.cpp: `cargo bench --bench event` (`-- --help` lists the options).
+//!
+//! Each program that ships is told in each apartment, event by event. At every event four things are timed, in turn, so that
+//! whatever else the machine does meets all alike:
+//!
+//! - all that the daemon does from a narration received to exact scores published, and the same until the order of the rooms is certain
+//!   (`ranking`);
+//! - llama.cpp by itself in a context of the same parameters: one decoder call with the same new tokens and the same inner nodes of the
+//!   label trie, and one with the new tokens alone. Only the call is timed, neither filling its batch nor reading its rows.
+//!
+//! The scores of both are compared, so that it is the same work that is timed.
+
+#![expect(clippy::expect_used, reason = "a bench that cannot set up has nothing to measure")]
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::Parser;
+use comfy_table::{ContentArrangement, Table, presets};
+use llama_cpp_2::context::LlamaContext;
+use llama_cpp_2::llama_batch::LlamaBatch;
+use llama_cpp_2::model::LlamaModel as Weights;
+use llama_cpp_2::model::params::LlamaModelParams;
+use llama_cpp_2::token::LlamaToken;
+use roomcast::daemon::{Board, Cycle, Entry, Intake, IntakeLimits, Taken};
+use roomcast::embedded::{self, ModelFile};
+use roomcast::grounding::{Grounding, GroundingOptions};
+use roomcast::label_trie::{LabelTrie, PROMPT, TokenTree};
+use roomcast::narration::{Action, Program};
+use roomcast::pipeline::{Pipeline, PipelineOptions};
+use roomcast::prompt::write_prompt;
+use roomcast::scorer::certified::Effort;
+use roomcast::scorer::llama::{LlamaModel, LlamaOptions, backend};
+use roomcast::scorer::{LanguageModel, Token};
+use roomcast::semantic_map::SemanticMap;
+use roomcast_ipc::{Domain, ForecastV1, NarrationV1, Publisher, RoomScoresV1, Subscriber, clock, narration_kind};
+
+/// Events at the beginning of each program that are told but not counted.
+const WARM_UP: usize = 3;
+/// Most that the two may differ, in nats per label: batches of another size are multiplied by other kernels.
+const TOLERANCE_NATS: f64 = 0.1;
+
+#[derive(Parser)]
+struct Args {
+    /// How often each program is told in each apartment.
+    #[arg(long, default_value_t = 2)]
+    rounds: usize,
+    /// A GGUF model; the embedded household model when left out.
+    #[arg(long)]
+    model: Option<PathBuf>,
+    /// Threads of one decoder call; the product's default when left out.
+    #[arg(long)]
+    threads: Option<usize>,
+    /// What cargo says to every bench.
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+/// llama.cpp by itself.
+struct Bare<'a> {
+    context: LlamaContext<'a>,
+    batch: LlamaBatch<'static>,
+    sequences: i32,
+    kept: Vec<Token>,
+}
+
+impl<'a> Bare<'a> {
+    /// `sequences` paths behind every prompt.
+    fn new(weights: &'a Weights, options: &LlamaOptions, sequences: u32) -> Self {
+        let parameters = options.context_parameters(weights.n_ctx_train());
+        let batch = LlamaBatch::new(parameters.n_batch() as usize, options.sequences.cast_signed());
+        let backend = backend().expect("llama.cpp is set up");
+        let context = weights.new_context(backend, parameters).expect("the context fits into memory");
+        Self { context, batch, sequences: sequences.cast_signed().max(1), kept: Vec::new() }
+    }
+
+    /// Makes the cache hold exactly `prefix`.
+    fn hold(&mut self, prefix: &[Token]) {
+        let shared = self.kept.iter().zip(prefix).take_while(|(a, b)| a == b).count();
+        let removed = self.context.clear_kv_cache_seq(None, Some(shared as u32), None);
+        assert!(removed.expect("the position is one"), "the cache can be cut");
+        self.batch.clear();
+        let all: Vec<i32> = (0..self.sequences).collect();
+        for (position, token) in prefix.iter().enumerate().skip(shared) {
+            self.batch.add(LlamaToken(token.0), position as i32, &all, false).expect("the batch has room");
+        }
+        if self.batch.n_tokens() > 0 {
+            self.context.decode(&mut self.batch).expect("the prefix is decoded");
+        }
+        self.kept = prefix.to_vec();
+    }
+
+    /// One call with what of `prompt` is not held and `tree` behind it; gives its nanoseconds.
+    fn decode(&mut self, prompt: &[Token], tree: &TokenTree) -> u64 {
+        self.batch.clear();
+        let all: Vec<i32> = (0..self.sequences).collect();
+        for (position, token) in prompt.iter().enumerate().skip(self.kept.len()) {
+            let last = position + 1 == prompt.len();
+            self.batch.add(LlamaToken(token.0), position as i32, &all, last).expect("the batch has room");
+        }
+        for index in 0..tree.len() {
+            let (first, last) = tree.paths(index);
+            let paths = &all[first as usize..last as usize];
+            let position = prompt.len() as i32 + tree.depth(index) as i32 - 1;
+            self.batch.add(LlamaToken(tree.token(index).0), position, paths, true).expect("the batch has room");
+        }
+        let start = Instant::now();
+        self.context.decode(&mut self.batch).expect("the batch is decoded");
+        nanoseconds(start)
+    }
+
+    /// Per label its log-probability in nats, of the last call, by hand.
+    fn log_prob_nats(&self, new_tokens: usize, trie: &LabelTrie) -> Vec<f64> {
+        let row = |parent: u32| {
+            let place = if parent == PROMPT { 0 } else { 1 + trie.nodes()[parent as usize].inner as usize };
+            let row = self.context.get_logits_ith((new_tokens - 1 + place) as i32);
+            let max = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+            let sum: f64 = row.iter().map(|&logit| f64::from(logit - max).exp()).sum();
+            (row, f64::from(max) + sum.ln())
+        };
+        let rows: Vec<_> = [PROMPT].iter().chain(trie.inner()).map(|&parent| row(parent)).collect();
+        let mut path = Vec::with_capacity(trie.nodes().len());
+        for node in trie.nodes() {
+            let place = if node.parent == PROMPT { 0 } else { 1 + trie.nodes()[node.parent as usize].inner as usize };
+            let (row, denominator) = &rows[place];
+            let above = if node.parent == PROMPT { 0.0 } else { path[node.parent as usize] };
+            path.push(above + f64::from(row[node.token.0 as usize]) - denominator);
+        }
+        trie.label_end().iter().map(|&end| path[end as usize]).collect()
+    }
+}
+
+/// All that the daemon does for an event, less its threads.
+struct Ours {
+    intake: Intake,
+    cycle: Cycle<LlamaModel>,
+    forecasts: Publisher<ForecastV1>,
+    scores: Publisher<RoomScoresV1>,
+    received: Subscriber<RoomScoresV1>,
+    sequence: u64,
+}
+
+/// Where an event's time went, in nanoseconds.
+#[derive(Default, Clone, Copy)]
+struct Parts {
+    total: u64,
+    decoder: u64,
+    prompt: u64,
+    cache: u64,
+    trie: u64,
+    ground: u64,
+    publish: u64,
+}
+
+impl Parts {
+    /// Checks, history, mentions, forecasts' update.
+    fn rest(&self) -> u64 {
+        let known = self.decoder + self.prompt + self.cache + self.trie + self.ground + self.publish;
+        self.total.saturating_sub(known)
+    }
+}
+
+impl Ours {
+    fn new(model: LlamaModel, map: &SemanticMap, effort: Effort, domain: &Domain) -> Self {
+        let grounding = Grounding::new(map, &GroundingOptions::default()).expect("the scene has labels");
+        let options = PipelineOptions { effort, ..PipelineOptions::default() };
+        let pipeline = Pipeline::new(model, grounding, options).expect("the context is large enough");
+        let board = Board::new(pipeline, map.clone(), GroundingOptions::default(), 1).expect("the rooms fit a message");
+        let node = domain.open("bench").expect("the domain is private");
+        Self {
+            intake: Intake::new(IntakeLimits { rate_per_s: 0.0, ..IntakeLimits::default() }),
+            cycle: Cycle::new(board, u64::MAX / 2),
+            forecasts: node.publisher().expect("a port is free"),
+            scores: node.publisher().expect("a port is free"),
+            received: node.subscriber().expect("a port is free"),
+            sequence: 0,
+        }
+    }
+
+    fn event(&mut self, sentence: &str) -> Parts {
+        self.sequence += 1;
+        let message = NarrationV1::new(narration_kind::SENTENCE, sentence).expect("the sentence is one");
+        let now_ns = clock::monotonic_ns();
+        let message = NarrationV1 { source: 1, epoch: 1, sequence: self.sequence, observed_ns: now_ns, ..message };
+        let start = Instant::now();
+        let taken = self.intake.receive(Ok(message), now_ns);
+        if let Taken::Accepted { observation, .. } = taken {
+            self.cycle.enter(Entry { observation, received_ns: now_ns, after_gap: false }, 0);
+        }
+        self.cycle.step(now_ns, now_ns).expect("the model scores");
+        let publishing = Instant::now();
+        self.forecasts.send(&self.cycle.board().forecast(now_ns)).expect("the forecast is sent");
+        let scores = self.cycle.message(now_ns, u64::MAX, false).expect("there are new scores");
+        self.scores.send(&scores).expect("the scores are sent");
+        let publish = nanoseconds(publishing);
+        let total = nanoseconds(start);
+        assert!(self.received.newest().expect("the port works").is_some(), "the scores arrive");
+        let scores = self.cycle.board().pipeline().scores();
+        let decoder = scores.stats.decoder_ns;
+        let trie = scores.timing.trie_ns;
+        let calls = scores.timing.prefix_ns;
+        // Under `ranking` further calls count as time in the trie.
+        let (cache, trie) = match calls.checked_sub(decoder) {
+            Some(cache) => (cache, trie),
+            None => (0, (trie + calls).saturating_sub(decoder)),
+        };
+        Parts {
+            total,
+            decoder,
+            prompt: scores.timing.tokenise_ns,
+            cache,
+            trie,
+            ground: scores.timing.ground_ns,
+            publish,
+        }
+    }
+
+    /// The tokens that the model has read and keeps, after the idle work.
+    fn kept(&self, weights: &Weights, prompt: &[Token], before: u64) -> Vec<Token> {
+        let pipeline = self.cycle.board().pipeline();
+        let history = pipeline.histories().get(0).expect("there is one person");
+        if history.left() == before {
+            return prompt.to_vec();
+        }
+        tokens(weights, &history.sentences().collect::<Vec<_>>().join(" "))
+    }
+
+    fn left(&self) -> u64 {
+        self.cycle.board().pipeline().histories().get(0).map_or(0, |history| history.left())
+    }
+}
+
+/// As llama.cpp cuts a text by itself, behind the model's start token.
+fn tokens(weights: &Weights, text: &str) -> Vec<Token> {
+    weights.vocab().tokenize(text.as_bytes(), true, false).into_iter().map(|token| Token(token.0)).collect()
+}
+
+fn nanoseconds(since: Instant) -> u64 {
+    u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// One event, measured.
+struct Sample {
+    new_tokens: usize,
+    nodes: usize,
+    exact: Parts,
+    bare_exact: u64,
+    ranking: Parts,
+    bare_new: u64,
+}
+
+fn tell(
+    program: &[String],
+    map: &SemanticMap,
+    load: &dyn Fn() -> LlamaModel,
+    weights: &Weights,
+    options: &LlamaOptions,
+    rounds: usize,
+) -> Vec<Sample> {
+    let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").expect("/tmp can be used");
+    let domain = |name: &str| {
+        let name = format!("{name}-{}", std::process::id());
+        Domain::new(directory.path().join(&name), &name).expect("the domain can be named")
+    };
+    let domains = [domain("exact"), domain("ranking")];
+    let mut samples = Vec::new();
+    {
+        let mut exact = Ours::new(load(), map, Effort::Exact, &domains[0]);
+        let mut ranking = Ours::new(load(), map, Effort::Ranking, &domains[1]);
+        let prepared = exact.cycle.board().pipeline().prepared().clone();
+        let tree = TokenTree::of_inner_nodes(prepared.trie());
+        assert!(tree.path_count() <= options.sequences, "the whole trie fits into one call");
+        let mut bare_exact = Bare::new(weights, options, tree.path_count());
+        let mut bare_new = Bare::new(weights, options, 1);
+        let none = TokenTree::default();
+        let mut kept: Vec<Token> = Vec::new();
+        let mut prompt_text = String::new();
+        for (number, sentence) in program.iter().cycle().take(program.len() * rounds).enumerate() {
+            let pipeline = exact.cycle.board().pipeline();
+            let history = pipeline.histories().get(0);
+            let sentences = history.into_iter().flat_map(|history| history.sentences()).chain([sentence.as_str()]);
+            write_prompt(sentences, prepared.binding(), false, &mut prompt_text);
+            let prompt = tokens(weights, &prompt_text);
+            let keep = kept.iter().zip(&prompt).take_while(|(a, b)| a == b).count().min(prompt.len() - 1);
+            let left = exact.left();
+            let mut sample = Sample {
+                new_tokens: prompt.len() - keep,
+                nodes: tree.len(),
+                exact: Parts::default(),
+                bare_exact: 0,
+                ranking: Parts::default(),
+                bare_new: 0,
+            };
+            bare_exact.hold(&prompt[..keep]);
+            bare_new.hold(&prompt[..keep]);
+            for turn in 0..4 {
+                // Each goes first as often as the others.
+                match (turn + number) % 4 {
+                    0 => sample.exact = exact.event(sentence),
+                    1 => sample.bare_exact = bare_exact.decode(&prompt, &tree),
+                    2 => sample.ranking = ranking.event(sentence),
+                    _ => sample.bare_new = bare_new.decode(&prompt, &none),
+                }
+            }
+            let scores = exact.cycle.board().pipeline().scores();
+            assert_eq!(scores.stats.prompt_tokens_decoded as usize, sample.new_tokens, "the same new tokens");
+            assert_eq!(scores.stats.tree_tokens_decoded as usize, tree.len(), "the same nodes");
+            let by_hand = bare_exact.log_prob_nats(sample.new_tokens, prepared.trie());
+            let apart = |(a, b): (&f64, &f64)| (a - b).abs();
+            let worst = scores.label_log_prob_nats.iter().zip(&by_hand).map(apart).fold(0.0, f64::max);
+            assert!(worst < TOLERANCE_NATS, "the scores are {worst} nats apart");
+            exact.cycle.tidy();
+            ranking.cycle.tidy();
+            kept = exact.kept(weights, &prompt, left);
+            if number >= WARM_UP {
+                samples.push(sample);
+            }
+        }
+    }
+    for domain in &domains {
+        domain.clean_up().expect("nobody is left in the domain");
+    }
+    samples
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+fn table(header: &[&str]) -> Table {
+    let mut table = Table::new();
+    table.load_style(presets::ASCII_MARKDOWN).set_content_arrangement(ContentArrangement::Disabled);
+    table.set_header(header.iter().copied());
+    table
+}
+
+fn row(name: &str, samples: &[&Sample]) -> Vec<String> {
+    let us = |of: &dyn Fn(&Sample) -> u64| format!("{:.0}", median(samples.iter().map(|s| of(s) as f64 / 1e3)));
+    let ratio = |of: &dyn Fn(&Sample) -> f64| format!("{:.3}", median(samples.iter().map(|s| of(s))));
+    vec![
+        name.to_owned(),
+        samples.len().to_string(),
+        format!(
+            "{:.0} + {:.0}",
+            median(samples.iter().map(|s| s.new_tokens as f64)),
+            median(samples.iter().map(|s| s.nodes as f64))
+        ),
+        us(&|s| s.exact.total),
+        us(&|s| s.bare_exact),
+        ratio(&|s| s.exact.total as f64 / s.bare_exact as f64),
+        us(&|s| s.ranking.total),
+        us(&|s| s.bare_new),
+        ratio(&|s| s.ranking.total as f64 / s.bare_new as f64),
+        format!("{:.1} %", 100.0 * median(samples.iter().map(|s| 1.0 - s.exact.decoder as f64 / s.exact.total as f64))),
+    ]
+}
+
+fn main() {
+    let args = Args::parse();
+    let file = ModelFile::create().expect("there is memory for the model");
+    let path = args.model.clone().unwrap_or_else(|| file.path());
+    let mut options = LlamaOptions::default();
+    options.threads = args.threads.unwrap_or(options.threads);
+    let load = || LlamaModel::load(&path, &options).expect("the model can be loaded");
+    let weights = Weights::load_from_file(backend().expect("llama.cpp is set up"), &path, &LlamaModelParams::default());
+    let weights = weights.expect("the model can be loaded");
+
+    let mut told = Vec::new();
+    for program in embedded::PROGRAMS {
+        let sentences: Vec<String> =
+            Program::parse(program.text).expect("it ships").steps.iter().map(Action::sentence).collect();
+        for scene in embedded::SCENES.iter().filter(|scene| scene.name.starts_with("apartment")) {
+            let map = SemanticMap::from_json(scene.text).expect("it ships");
+            let samples = tell(&sentences, &map, &load, &weights, &options, args.rounds);
+            told.push((program.name, scene.name, samples));
+        }
+    }
+
+    println!("{}, {} threads\n", load().info().description, options.threads);
+    let mut events = table(&[
+        "program, scene",
+        "events",
+        "tokens + nodes",
+        "exact (us)",
+        "bare, same batch",
+        "ratio",
+        "ranking (us)",
+        "bare, new tokens",
+        "ratio",
+        "ours around the decoder",
+    ]);
+    for (program, scene, samples) in &told {
+        events.add_row(row(&format!("{program}, {scene}"), &samples.iter().collect::<Vec<_>>()));
+    }
+    let all: Vec<&Sample> = told.iter().flat_map(|(.., samples)| samples).collect();
+    events.add_row(row("all", &all));
+    println!("{events}\n\nMedians; ratios are taken event by event.\n");
+
+    let mut parts = table(&["part", "exact (us)", "of the event", "ranking (us)", "of the event"]);
+    type Part = fn(&Parts) -> u64;
+    let named: [(&str, Part); 8] = [
+        ("decoder", |p| p.decoder),
+        ("prompt: text and tokens", |p| p.prompt),
+        ("cache and batch", |p| p.cache),
+        ("softmax and trie", |p| p.trie),
+        ("grounding", |p| p.ground),
+        ("forecast and publishing", |p| p.publish),
+        ("checks, history, mentions", Parts::rest),
+        ("all", |p| p.total),
+    ];
+    for (name, of) in named {
+        let us = |parts: fn(&Sample) -> &Parts| format!("{:.1}", median(all.iter().map(|s| of(parts(s)) as f64 / 1e3)));
+        let share = |parts: fn(&Sample) -> &Parts| {
+            format!("{:.1} %", 100.0 * median(all.iter().map(|s| of(parts(s)) as f64 / parts(s).total as f64)))
+        };
+        parts.add_row(vec![
+            name.to_owned(),
+            us(|s| &s.exact),
+            share(|s| &s.exact),
+            us(|s| &s.ranking),
+            share(|s| &s.ranking),
+        ]);
+    }
+    println!("{parts}");
+}

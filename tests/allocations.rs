@@ -1,0 +1,86 @@
+//! An event allocates nothing on our side once warm: history, prompt, tokens, trie, softmax, grounding, forecast and messages work in
+//! memory that is there. Counted on the scoring thread, with the model that ships; llama.cpp's own memory is not Rust's and not counted.
+
+#![expect(clippy::unwrap_used, reason = "a panic is a test's report")]
+
+use roomcast::daemon::{Board, Cycle, Entry};
+use roomcast::embedded;
+use roomcast::grounding::{Grounding, GroundingOptions};
+use roomcast::narration::{Observation, Program, Sentence};
+use roomcast::pipeline::{Pipeline, PipelineOptions};
+use roomcast::scorer::certified::Effort;
+use roomcast::scorer::llama::LlamaOptions;
+use roomcast::semantic_map::SemanticMap;
+use roomcast::setup::load_model;
+use roomcast_ipc::{Domain, ForecastV1, RoomScoresV1, clock};
+
+/// iceoryx2 itself allocates once for each message sent.
+const SENDS: u64 = 2;
+
+/// Allocations of each event of the shipped programs, the third time that they are told: of the step, of writing the messages, of sending
+/// them, of the idle work.
+fn allocations(effort: Effort) -> Vec<[u64; 4]> {
+    let map = SemanticMap::from_json(embedded::scene("apartment-e0").unwrap().text).unwrap();
+    let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+    let options = PipelineOptions { effort, ..PipelineOptions::default() };
+    let pipeline = Pipeline::new(load_model(None, &LlamaOptions::default()).unwrap(), grounding, options).unwrap();
+    let board = Board::new(pipeline, map, GroundingOptions::default(), 1).unwrap();
+    let mut cycle = Cycle::new(board, u64::MAX / 2);
+    let sentences: Vec<String> = embedded::PROGRAMS
+        .iter()
+        .flat_map(|program| Program::parse(program.text).unwrap().steps)
+        .map(|action| action.sentence())
+        .collect();
+
+    let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+    let domain = Domain::new(directory.path().join("d"), &format!("alloc-{}", std::process::id())).unwrap();
+    let mut counts = Vec::new();
+    {
+        let node = domain.open("allocations").unwrap();
+        let forecasts = node.publisher::<ForecastV1>().unwrap();
+        let scores = node.publisher::<RoomScoresV1>().unwrap();
+        let received = node.subscriber::<RoomScoresV1>().unwrap();
+        for (sequence, sentence) in (1..).zip(sentences.iter().cycle().take(3 * sentences.len())) {
+            let now_ns = clock::monotonic_ns();
+            let observation = Observation {
+                person: 0,
+                source: 1,
+                epoch: 1,
+                sequence,
+                observed_ns: now_ns,
+                observed_unix_ns: 0,
+                sentence: Sentence::new(sentence).unwrap(),
+            };
+            let scored = allocation_counter::measure(|| {
+                cycle.enter(Entry { observation, received_ns: now_ns, after_gap: false }, 0);
+                cycle.step(now_ns, now_ns).unwrap();
+            });
+            let (mut forecast, mut message) = (None, None);
+            let written = allocation_counter::measure(|| {
+                forecast = Some(cycle.board().forecast(now_ns));
+                message = cycle.message(now_ns, u64::MAX, false);
+            });
+            let sent = allocation_counter::measure(|| {
+                forecasts.send(&forecast.unwrap()).unwrap();
+                scores.send(&message.unwrap()).unwrap();
+            });
+            let tidied = allocation_counter::measure(|| cycle.tidy());
+            counts.push([scored, written, sent, tidied].map(|part| part.count_total));
+            assert_eq!(received.newest().unwrap().unwrap().sequence, sequence);
+        }
+    }
+    domain.clean_up().unwrap();
+    assert!(counts[0][0] > 0, "the first event finds its memory, or nothing is counted");
+    counts.split_off(2 * sentences.len())
+}
+
+#[test]
+fn an_event_allocates_nothing_once_warm() {
+    for effort in [Effort::Exact, Effort::Ranking] {
+        let counts = allocations(effort);
+        assert!(
+            counts.iter().all(|&[step, messages, send, tidy]| (step, messages, tidy) == (0, 0, 0) && send <= SENDS),
+            "{effort:?}: {counts:?}"
+        );
+    }
+}
