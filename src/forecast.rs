@@ -196,9 +196,11 @@ fn likeliest(p: &[f64]) -> Option<usize> {
 /// Finds which label of a map a sentence mentions; built once per map, nothing is allocated per sentence once warm.
 #[derive(Debug, Clone)]
 pub struct Mentions {
-    /// Every name by which a label or a room can be mentioned, in plain words, to an index of [`Grounding::scored_labels`].
+    /// Every name by which a label or a room can be mentioned, as it is and in plain words, to an index of
+    /// [`Grounding::scored_labels`].
     label_of_name: HashMap<String, usize>,
-    /// Working memory: the sentence in plain words, and where in it each word begins and ends.
+    /// Working memory: the sentence's words in lower case, the same with spaces for hyphens, and where in both each word begins and ends.
+    lower: String,
     plain: String,
     words: Vec<(usize, usize)>,
 }
@@ -217,10 +219,16 @@ impl Mentions {
         let aliases = map.aliases.values().flatten().map(String::as_str);
         let rooms = map.rooms.iter().map(|room| room.id.as_str());
         let names = Names::built_in().names().chain(aliases).chain(rooms);
-        let known = names.filter_map(|name| Some((plain_words(name), meant(name)?)));
+        let forms = names.flat_map(|name| [name.to_owned(), plain_words(name)]);
+        let known = forms.filter_map(|name| meant(&name).map(|label| (name, label)));
         // What the labels themselves say comes last and counts.
-        let labels = label_of_text.iter().map(|(text, label)| (plain_words(text), *label));
-        Self { label_of_name: known.chain(labels).collect(), plain: String::new(), words: Vec::new() }
+        let labels = label_of_text.iter().map(|(text, label)| ((*text).to_owned(), *label));
+        Self {
+            label_of_name: known.chain(labels).collect(),
+            lower: String::new(),
+            plain: String::new(),
+            words: Vec::new(),
+        }
     }
 
     /// The last thing mentioned ("They put the plate on the *table*"), as an index of
@@ -228,22 +236,28 @@ impl Mentions {
     #[must_use]
     pub fn last(&mut self, sentence: &str) -> Option<usize> {
         const WORDS_MAX: usize = 4;
-        self.plain.clear();
+        self.lower.clear();
         self.words.clear();
-        for word in sentence.split(|c: char| !(c.is_alphanumeric() || c == '\'')).filter(|word| !word.is_empty()) {
-            if !self.plain.is_empty() {
-                self.plain.push(' ');
+        for word in sentence.split(|c: char| !(c.is_alphanumeric() || c == '\'' || c == '-')).filter(|w| !w.is_empty())
+        {
+            if !self.lower.is_empty() {
+                self.lower.push(' ');
             }
-            let start = self.plain.len();
-            self.plain.extend(word.chars().flat_map(char::to_lowercase));
-            self.words.push((start, self.plain.len()));
+            let start = self.lower.len();
+            self.lower.extend(word.chars().flat_map(char::to_lowercase));
+            self.words.push((start, self.lower.len()));
         }
-        let (plain, words) = (&self.plain, &self.words);
+        self.plain.clear();
+        self.plain.extend(self.lower.chars().map(|c| if c == '-' { ' ' } else { c }));
+        let words = &self.words;
         let article =
-            |&(start, end): &(usize, usize)| matches!(&plain[start..end], "the" | "a" | "an" | "their" | "some");
+            |&(start, end): &(usize, usize)| matches!(&self.lower[start..end], "the" | "a" | "an" | "their" | "some");
+        let label = |start: usize, end: usize| {
+            let plain = || self.label_of_name.get(self.plain[start..end].trim());
+            self.label_of_name.get(&self.lower[start..end]).or_else(plain).copied()
+        };
         (1..words.len()).rev().filter(|at| article(&words[at - 1])).find_map(|at| {
-            let run = |length: usize| &plain[words[at].0..words[at + length - 1].1];
-            (1..=WORDS_MAX.min(words.len() - at)).rev().find_map(|length| self.label_of_name.get(run(length)).copied())
+            (1..=WORDS_MAX.min(words.len() - at)).rev().find_map(|length| label(words[at].0, words[at + length - 1].1))
         })
     }
 }
@@ -302,6 +316,33 @@ mod tests {
         assert_eq!(text("They walk to the kitchen."), Some("kitchen"));
         assert_eq!(text("They stand up."), None);
         assert_eq!(text(""), None);
+    }
+
+    /// The table that is built once must say what asking the map says.
+    #[test]
+    fn every_name_means_what_the_map_says() {
+        for scene in crate::embedded::SCENES {
+            let map = SemanticMap::from_json(scene.text).unwrap();
+            let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+            let mut mentions = Mentions::new(&map, &grounding);
+            let asked = |name: &str| {
+                let item = map.find_label(name).map(|label| &map.labels[label.0 as usize]);
+                let text = item.or_else(|| map.find_room(name).map(|room| &map.rooms[room.0 as usize].label))?;
+                grounding.scored_labels.iter().position(|label| label.text == *text)
+            };
+            let own = map.aliases.values().flatten().chain(&map.labels).map(String::as_str);
+            let rooms = map.rooms.iter().flat_map(|room| [room.id.as_str(), room.label.as_str()]);
+            let mut found = 0;
+            for name in Names::built_in().names().chain(own).chain(rooms) {
+                for name in [name.replace('_', " "), plain_words(name), plain_words(name).replace(' ', "-")] {
+                    let words: Vec<&str> = name.split(' ').collect();
+                    let expected = (1..=words.len().min(4)).rev().find_map(|length| asked(&words[..length].join(" ")));
+                    assert_eq!(mentions.last(&format!("They see the {name}.")), expected, "{}: {name}", scene.name);
+                    found += usize::from(expected.is_some());
+                }
+            }
+            assert!(found > map.labels.len(), "{}: {found}", scene.name);
+        }
     }
 
     proptest! {

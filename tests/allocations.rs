@@ -14,7 +14,7 @@ use roomcast::semantic_map::SemanticMap;
 use roomcast::setup::load_model;
 use roomcast_ipc::{Domain, ForecastV1, RoomScoresV1, clock};
 
-/// iceoryx2 itself allocates once for each message sent.
+/// iceoryx2 itself allocates once for each message sent: in `send_copy`, an `Arc` around the mutex of the sample that it lends.
 const SENDS: u64 = 2;
 
 /// Allocations of each event of the shipped programs, the third time that they are told: of the step, of writing the messages, of sending
