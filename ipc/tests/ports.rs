@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
 
+use std::os::unix::fs::PermissionsExt;
 use std::time::{Duration, Instant};
 
 use iceoryx2::prelude::ZeroCopySend;
@@ -271,16 +272,29 @@ fn what_killed_participants_left_half_made_is_cleaned_up_and_keeps_nobody_out() 
     std::fs::create_dir(&cleaned).unwrap();
     std::fs::write(&monitor, "").unwrap();
     std::fs::write(&service, "").unwrap();
+    // A participant whose monitor was still being made: nobody may read its files yet.
+    let starting = nodes.join("5555555");
+    std::fs::create_dir(&starting).unwrap();
+    std::fs::write(starting.join(format!("{name}_node.details")), "").unwrap();
+    let unreadable = ["node_monitor", "node_monitor_owner_lock", "node_monitor_context"]
+        .map(|kind| nodes.join(format!("{name}_5555555.{kind}")));
+    for file in &unreadable {
+        std::fs::write(file, "").unwrap();
+    }
     // And what a port left whose participant (of process 4321) is gone altogether.
     let orphan = format!("/dev/shm/{name}_{}_{}.event_mgmt", "0".repeat(40), (7_u128 << 96) + 4321);
     let orphan = std::path::PathBuf::from(orphan);
     std::fs::write(&orphan, "").unwrap();
-    let made = [&joining, &cleaned, &monitor, &service, &orphan];
+    let made = [&joining, &cleaned, &monitor, &service, &orphan, &starting].into_iter().chain(&unreadable);
+    let made: Vec<_> = made.collect();
     node.clean_up_dead();
     assert!(made.iter().all(|path| path.exists()), "what may just be in the making is left alone");
-    for path in made {
+    for path in &made {
         let minute_ago = std::time::SystemTime::now() - Duration::from_secs(60);
         std::fs::File::open(path).unwrap().set_modified(minute_ago).unwrap();
+    }
+    for file in &unreadable {
+        std::fs::set_permissions(file, std::fs::Permissions::from_mode(0o200)).unwrap();
     }
     node.clean_up_dead();
     assert!(made.iter().all(|path| !path.exists()), "{made:?}");
