@@ -186,7 +186,6 @@ pub struct Pipeline<M> {
     /// Stands in before anybody was observed.
     nobody: Person,
     prompt: String,
-    tokens: Vec<crate::scorer::Token>,
     /// The person whose prompt the model has read last.
     read: Option<u32>,
     scores: Scores,
@@ -211,7 +210,6 @@ impl<M: LanguageModel> Pipeline<M> {
             persons: Vec::new(),
             nobody: Person::new(0),
             prompt: String::new(),
-            tokens: Vec::new(),
             read: None,
             scores: Scores::default(),
         })
@@ -312,10 +310,9 @@ impl<M: LanguageModel> Pipeline<M> {
             };
             let person = observation.person;
             self.scores.newest_observed_ns = self.scores.newest_observed_ns.max(observation.observed_ns);
-            self.tokens.clear();
             let text = observation.sentence.as_str();
-            let tokens = match self.scorer.model().tokenise(text, TextStart::Within, &mut self.tokens) {
-                Ok(()) => self.tokens.len() + 1,
+            let tokens = match self.scorer.sentence_tokens(text) {
+                Ok(tokens) => tokens + 1,
                 // A safe bound; scoring will name the failure.
                 Err(_) => text.len(),
             };

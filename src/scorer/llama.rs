@@ -21,6 +21,8 @@ use llama_cpp_2::llama_batch::LlamaBatch;
 use llama_cpp_2::model::LlamaModel as Weights;
 use llama_cpp_2::model::params::LlamaModelParams;
 use llama_cpp_2::token::LlamaToken;
+use llama_cpp_2::token_type::LlamaTokenAttr;
+use llama_cpp_2::vocab::{LlamaVocab, VocabType};
 use llama_cpp_2::{LogOptions, send_logs_to_tracing};
 use sha2::{Digest, Sha256};
 
@@ -122,6 +124,7 @@ pub struct LlamaModel {
     info: ModelInfo,
     add_start_token: bool,
     start_token: Token,
+    sentences_apart: bool,
     sequences: u32,
     /// Prompt whose keys and values are in the cache.
     kept: Vec<Token>,
@@ -218,6 +221,21 @@ pub fn file_fingerprint(path: &Path) -> std::io::Result<[u8; 32]> {
     }
 }
 
+/// Whether texts may be cut into tokens sentence by sentence. A SentencePiece vocabulary merges two neighbours only to a token that it
+/// has, so nothing merges across a full stop and a space when no token holds both. Tokens of the user's own are cut out by other rules,
+/// and other kinds of vocabularies have rules of their own for words: they are not asked.
+fn sentences_apart(vocabulary: &LlamaVocab<'_>) -> bool {
+    let cut = |text: &str| vocabulary.tokenize(text.as_bytes(), false, false);
+    let joins = |token| {
+        let own = vocabulary.attr(token).contains(LlamaTokenAttr::UserDefined);
+        own || vocabulary.text(token).is_none_or(|text| text.to_string_lossy().contains(".\u{2581}"))
+    };
+    vocabulary.vocab_type() == VocabType::SPM
+        // Without a space put before every text, a sentence by itself is another one than behind a space.
+        && [cut("a."), cut("a")].concat() == cut("a. a")
+        && !vocabulary.tokens().any(joins)
+}
+
 impl LlamaModel {
     /// Loads a GGUF file.
     ///
@@ -256,6 +274,7 @@ impl LlamaModel {
             shares_prefix: !weights.is_recurrent() && !weights.is_hybrid(),
             fingerprint,
         };
+        let sentences_apart = sentences_apart(&vocabulary);
         let add_start_token = vocabulary.should_add_bos();
         let start_token = Token(vocabulary.bos().0);
         let context = options.context_parameters(weights.n_ctx_train());
@@ -269,6 +288,7 @@ impl LlamaModel {
             info,
             add_start_token,
             start_token,
+            sentences_apart,
             sequences,
             kept: Vec::new(),
             kept_sequences: 1,
@@ -369,6 +389,10 @@ impl LanguageModel for LlamaModel {
         self.loaded.borrow_owner().vocab().tokenize_into(text.as_bytes(), &mut tokens, false, false);
         out.extend(tokens.iter().map(|t| Token(t.0)));
         Ok(())
+    }
+
+    fn sentences_apart(&self) -> bool {
+        self.sentences_apart
     }
 
     fn token_text(&self, token: Token) -> String {

@@ -8,10 +8,12 @@
 use std::time::Instant;
 
 use self::certified::{Certified, Effort};
+use self::cutter::Cutter;
 use crate::label_trie::{LabelTrie, PROMPT, TokenTree};
 use crate::prompt::BindingSequence;
 
 pub mod certified;
+mod cutter;
 pub mod llama;
 pub mod none;
 pub mod softmax;
@@ -125,6 +127,12 @@ pub trait LanguageModel {
     /// # Errors
     /// When the tokeniser fails.
     fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError>;
+
+    /// Whether a text is always cut into the tokens of its sentences, cut [`TextStart::Within`] one by one: a sentence ends with a full
+    /// stop before a space, and the space is not part of the next one.
+    fn sentences_apart(&self) -> bool {
+        false
+    }
 
     /// The text of a token, for people.
     fn token_text(&self, token: Token) -> String;
@@ -297,6 +305,7 @@ pub struct Scorer<M> {
     model: M,
     /// The last prompt's tokens, without those that labels replace.
     prompt: Vec<Token>,
+    cutter: Cutter,
     /// Per trie node `ln p(token | path to its parent)`, then `ln q(n)`.
     node_log_prob_nats: Vec<f64>,
 }
@@ -304,7 +313,7 @@ pub struct Scorer<M> {
 impl<M: LanguageModel> Scorer<M> {
     /// A scorer over a model.
     pub fn new(model: M) -> Self {
-        Self { model, prompt: Vec::new(), node_log_prob_nats: Vec::new() }
+        Self { model, prompt: Vec::new(), cutter: Cutter::default(), node_log_prob_nats: Vec::new() }
     }
 
     /// What the model says of itself.
@@ -416,6 +425,22 @@ impl<M: LanguageModel> Scorer<M> {
         }
     }
 
+    /// How many tokens `sentence` has within a prompt. It is cut once: the prompt that it becomes part of finds its tokens.
+    ///
+    /// # Errors
+    /// When the tokeniser fails.
+    pub fn sentence_tokens(&mut self, sentence: &str) -> Result<usize, ScoreError> {
+        self.prompt.clear();
+        self.cutter.cut(&self.model, sentence, TextStart::Within, &mut self.prompt)?;
+        Ok(self.prompt.len())
+    }
+
+    fn cut_prompt(&mut self, prompt: &str) -> Result<(), ScoreError> {
+        self.prompt.clear();
+        self.cutter.cut(&self.model, prompt, TextStart::Sequence, &mut self.prompt)?;
+        Ok(())
+    }
+
     /// Cuts the prompt into tokens and clears `out`.
     fn begin(
         &mut self,
@@ -424,8 +449,7 @@ impl<M: LanguageModel> Scorer<M> {
         method: Method,
         out: &mut LabelScores,
     ) -> Result<(), ScoreError> {
-        self.prompt.clear();
-        self.model.tokenise(prompt, TextStart::Sequence, &mut self.prompt)?;
+        self.cut_prompt(prompt)?;
         out.prompt_tokens = self.prompt.len();
         self.prompt.truncate(self.prompt.len().saturating_sub(prepared.replaced));
         if self.prompt.is_empty() {
@@ -554,8 +578,7 @@ impl<M: LanguageModel> Scorer<M> {
     /// # Errors
     /// When it does not fit or the model fails.
     pub fn read_ahead(&mut self, prompt: &str) -> Result<(), ScoreError> {
-        self.prompt.clear();
-        self.model.tokenise(prompt, TextStart::Sequence, &mut self.prompt)?;
+        self.cut_prompt(prompt)?;
         if !self.prompt.is_empty() && self.model.info().shares_prefix {
             self.model.decode(&self.prompt, &TokenTree::default(), false, &mut |_, _| {})?;
         }
