@@ -144,6 +144,7 @@ struct Ours {
 #[derive(Default, Clone, Copy)]
 struct Parts {
     total: u64,
+    intake: u64,
     decoder: u64,
     prompt: u64,
     cache: u64,
@@ -153,9 +154,9 @@ struct Parts {
 }
 
 impl Parts {
-    /// Checks, history, mentions, forecasts' update.
+    /// Mentions, history, the new sentence's tokens, forecasts' update, snapshot.
     fn rest(&self) -> u64 {
-        let known = self.decoder + self.prompt + self.cache + self.trie + self.ground + self.publish;
+        let known = self.intake + self.decoder + self.prompt + self.cache + self.trie + self.ground + self.publish;
         self.total.saturating_sub(known)
     }
 }
@@ -187,6 +188,7 @@ impl Ours {
         if let Taken::Accepted { observation, .. } = taken {
             self.cycle.enter(Entry { observation, received_ns: now_ns, after_gap: false }, 0);
         }
+        let intake = nanoseconds(start);
         self.cycle.step(now_ns, now_ns).expect("the model scores");
         let publishing = Instant::now();
         self.forecasts.send(&self.cycle.board().forecast(now_ns)).expect("the forecast is sent");
@@ -206,6 +208,7 @@ impl Ours {
         };
         Parts {
             total,
+            intake,
             decoder,
             prompt: scores.timing.tokenise_ns,
             cache,
@@ -400,14 +403,15 @@ fn main() {
 
     let mut parts = table(&["part", "exact (us)", "of the event", "ranking (us)", "of the event"]);
     type Part = fn(&Parts) -> u64;
-    let named: [(&str, Part); 8] = [
+    let named: [(&str, Part); 9] = [
+        ("checks", |p| p.intake),
         ("decoder", |p| p.decoder),
         ("prompt: text and tokens", |p| p.prompt),
         ("cache and batch", |p| p.cache),
         ("softmax and trie", |p| p.trie),
         ("grounding", |p| p.ground),
         ("forecast and publishing", |p| p.publish),
-        ("checks, history, mentions", Parts::rest),
+        ("history, new tokens, snapshot", Parts::rest),
         ("all", |p| p.total),
     ];
     for (name, of) in named {

@@ -12,39 +12,36 @@ const LANES: usize = 16;
 /// row holds such a value; callers refuse those.
 #[must_use]
 pub fn log_sum_exp(row: &[f32]) -> f64 {
-    let mut max = f32::NEG_INFINITY;
+    let mut highest = f32::NEG_INFINITY;
     let mut sum = 0.0_f64;
     for block in row.chunks(BLOCK) {
-        let (block_max, nan) = max_and_nan(block);
-        if nan {
-            return f64::NAN;
-        }
+        let block_max = max(block);
         if block_max == f32::INFINITY {
             return f64::INFINITY;
         }
-        if block_max > max {
-            sum *= (f64::from(max) - f64::from(block_max)).exp();
-            max = block_max;
+        if block_max > highest {
+            sum *= (f64::from(highest) - f64::from(block_max)).exp();
+            highest = block_max;
         }
-        if max > f32::NEG_INFINITY {
-            sum += f64::from(sum_exp(block, max));
+        if highest > f32::NEG_INFINITY {
+            sum += f64::from(sum_exp(block, highest));
+        } else if block.iter().any(|value| value.is_nan()) {
+            return f64::NAN;
         }
     }
-    f64::from(max) + sum.ln()
+    f64::from(highest) + sum.ln()
 }
 
-fn max_and_nan(block: &[f32]) -> (f32, bool) {
+/// The largest value that is a number; those that are not show in the sum.
+fn max(block: &[f32]) -> f32 {
     let mut lanes = [f32::NEG_INFINITY; LANES];
-    let mut nan = [false; LANES];
     let (chunks, rest) = block.as_chunks::<LANES>();
     for chunk in chunks {
         for lane in 0..LANES {
-            nan[lane] |= chunk[lane].is_nan();
             lanes[lane] = if chunk[lane] > lanes[lane] { chunk[lane] } else { lanes[lane] };
         }
     }
-    let max = lanes.iter().chain(rest).copied().fold(f32::NEG_INFINITY, f32::max);
-    (max, nan.iter().any(|&n| n) || rest.iter().any(|x| x.is_nan()))
+    lanes.iter().chain(rest).copied().fold(f32::NEG_INFINITY, f32::max)
 }
 
 fn sum_exp(block: &[f32], max: f32) -> f32 {
@@ -67,7 +64,8 @@ fn exp_not_positive(x: f32) -> f32 {
     let x = if x < -87.0 { -87.0 } else { x };
     // Adding and taking away 1.5 * 2^23 rounds to the nearest integer.
     const ROUND: f32 = 12_582_912.0;
-    let n = (x * std::f32::consts::LOG2_E + ROUND) - ROUND;
+    let shifted = x * std::f32::consts::LOG2_E + ROUND;
+    let n = shifted - ROUND;
     // ln 2 in two parts, so that n times the first is exact.
     let r = (x - n * 0.693_359_4) - n * -2.121_944_4e-4;
     let mut p = 1.0 / 5040.0;
@@ -78,8 +76,9 @@ fn exp_not_positive(x: f32) -> f32 {
     p = p * r + 0.5;
     p = p * r + 1.0;
     p = p * r + 1.0;
-    // n lies in -126..=0, so the biased exponent is in 1..=127.
-    p * f32::from_bits((n as i32 + 127).cast_unsigned() << 23)
+    // The low bits of the shifted value are n, which lies in -126..=0: as an exponent it is biased by 127. Nothing here may carry a
+    // check, which would keep the compiler from using vectors.
+    p * f32::from_bits((shifted.to_bits() << 23).wrapping_add(127 << 23))
 }
 
 #[cfg(test)]
@@ -99,6 +98,12 @@ mod tests {
         let mut row = [0.0; 64];
         row[3] = f32::NAN;
         assert!(log_sum_exp(&row).is_nan());
+        let mut row = [f32::NEG_INFINITY; 2 * BLOCK];
+        row[BLOCK + 5] = 1.0;
+        assert!((log_sum_exp(&row) - 1.0).abs() < 1e-6);
+        row[3] = f32::NAN;
+        assert!(log_sum_exp(&row).is_nan(), "before the first number");
+        let mut row = [0.0; 64];
         row[3] = f32::INFINITY;
         assert_eq!(log_sum_exp(&row), f64::INFINITY);
         assert!((log_sum_exp(&[0.0; 64]) - 64f64.ln()).abs() < 1e-6);

@@ -99,6 +99,10 @@ pub fn by_mixed_integer_program(
     }
     let mut model = problem.try_optimise(Sense::Minimise).map_err(ClairvoyantError::Refused)?;
     model.make_quiet();
+    // The relaxation is nearly whole-numbered, so a search for a first solution costs more than the program itself; neither it nor the
+    // solver's own threads (the cells are already solved side by side) change the optimum.
+    let _faster = model.try_set_option("mip_heuristic_run_feasibility_jump", false);
+    let _faster = model.try_set_option("parallel", "off");
     let solved = model.solve();
     match solved.status() {
         HighsModelStatus::Optimal => {

@@ -1,0 +1,186 @@
+//! The parts of an event, each by what it grows with.
+//!
+//! `cargo bench --bench parts`; `ROOMCAST_BENCH_MODELS=a.gguf:b.gguf` measures the scoring with those models too.
+
+#![expect(clippy::expect_used, reason = "a bench that cannot set up has nothing to measure")]
+
+use std::hint::black_box;
+use std::path::PathBuf;
+
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use roomcast::embedded;
+use roomcast::grounding::{Grounding, GroundingOptions};
+use roomcast::label_trie::LabelTrie;
+use roomcast::narration::history::HistoryLimits;
+use roomcast::narration::{Observation, Program, Sentence};
+use roomcast::pipeline::{Pipeline, PipelineOptions};
+use roomcast::prompt::{BindingSequence, write_prompt};
+use roomcast::scorer::llama::{LlamaModel, LlamaOptions};
+use roomcast::scorer::{LabelScores, LanguageModel, Method, Scorer, TextStart, Tokenisation, softmax};
+use roomcast::semantic_map::SemanticMap;
+use roomcast::setup::load_model;
+
+fn sentences() -> Vec<String> {
+    let programs = embedded::PROGRAMS.iter().flat_map(|p| Program::parse(p.text).expect("it ships").steps);
+    programs.map(|action| action.sentence()).collect()
+}
+
+fn apartment() -> SemanticMap {
+    SemanticMap::from_json(embedded::scene("apartment-e0").expect("it ships").text).expect("it ships")
+}
+
+fn model(path: Option<&PathBuf>) -> LlamaModel {
+    load_model(path.map(PathBuf::as_path), &LlamaOptions::default()).expect("the model can be loaded")
+}
+
+/// `count` different labels of two words each, of the words that the model knows: "mug table", "mug lamp", ...
+fn labels(count: usize) -> Vec<String> {
+    let words = apartment().labels;
+    let side = (count as f64).sqrt().ceil() as usize;
+    (0..count).map(|at| format!("{} {}", words[at / side % words.len()], words[at % side % words.len()])).collect()
+}
+
+fn trie(criterion: &mut Criterion) {
+    let scorer = Scorer::new(model(None));
+    let mut group = criterion.benchmark_group("trie, built once per map");
+    group.sample_size(10);
+    for count in [10, 100, 1_000, 10_000] {
+        let labels = labels(count);
+        let prepared = scorer.prepare(&labels, &BindingSequence::default(), Tokenisation::Joint).expect("words");
+        group.throughput(Throughput::Elements(count as u64));
+        group.bench_function(BenchmarkId::new("of tokens", count), |bencher| {
+            bencher.iter(|| LabelTrie::new(black_box(prepared.tokens())));
+        });
+        group.bench_function(BenchmarkId::new("cut into tokens and built", count), |bencher| {
+            bencher.iter(|| scorer.prepare(black_box(&labels), &BindingSequence::default(), Tokenisation::Joint));
+        });
+    }
+    group.finish();
+}
+
+fn prompt(criterion: &mut Criterion) {
+    let (told, binding, model) = (sentences(), BindingSequence::default(), model(None));
+    let mut group = criterion.benchmark_group("prompt, by sentences");
+    for count in [4, 16, 64] {
+        let narration = || told.iter().cycle().take(count).map(String::as_str);
+        let mut text = String::new();
+        group.throughput(Throughput::Elements(count as u64));
+        group.bench_function(BenchmarkId::new("written", count), |bencher| {
+            bencher.iter(|| write_prompt(black_box(narration()), &binding, false, &mut text));
+        });
+        write_prompt(narration(), &binding, false, &mut text);
+        let mut tokens = Vec::new();
+        group.bench_function(BenchmarkId::new("cut into tokens whole", count), |bencher| {
+            bencher.iter(|| {
+                tokens.clear();
+                model.tokenise(black_box(&text), TextStart::Sequence, &mut tokens)
+            });
+        });
+        let mut scorer = Scorer::new(self::model(None));
+        group.bench_function(BenchmarkId::new("cut into tokens as an event does", count), |bencher| {
+            bencher.iter(|| scorer.sentence_tokens(black_box(&text)));
+        });
+    }
+    group.finish();
+}
+
+fn soft_max(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("softmax, by vocabulary");
+    for size in [3_072_usize, 32_000, 49_152, 151_936] {
+        let row: Vec<f32> = (0..size).map(|at| ((at * 2_654_435_761) % 1_000) as f32 / 50.0 - 10.0).collect();
+        group.throughput(Throughput::Elements(size as u64));
+        group.bench_function(BenchmarkId::from_parameter(size), |bencher| {
+            bencher.iter(|| softmax::log_sum_exp(black_box(&row)));
+        });
+    }
+    group.finish();
+}
+
+/// One event of a running narration: a new sentence behind a history that is kept.
+struct Told {
+    pipeline: Pipeline<LlamaModel>,
+    sentences: Vec<Sentence>,
+    next: u64,
+}
+
+impl Told {
+    fn new(model: LlamaModel, grounding: Grounding, options: PipelineOptions) -> Self {
+        let pipeline = Pipeline::new(model, grounding, options).expect("the context is large enough");
+        let sentences = sentences().iter().map(|text| Sentence::new(text).expect("it is one")).collect();
+        let mut told = Self { pipeline, sentences, next: 0 };
+        // As long as the window will ever be.
+        (0..2 * options_window(&told.pipeline)).for_each(|_| told.event());
+        told
+    }
+
+    fn event(&mut self) {
+        let place = usize::try_from(self.next).unwrap_or(0) % self.sentences.len();
+        self.next += 1;
+        let observation = Observation {
+            person: 0,
+            source: 1,
+            epoch: 1,
+            sequence: self.next,
+            observed_ns: self.next,
+            observed_unix_ns: 0,
+            sentence: self.sentences[place].clone(),
+        };
+        self.pipeline.step([observation]).expect("the model scores");
+        self.pipeline.tidy();
+    }
+}
+
+fn options_window(pipeline: &Pipeline<LlamaModel>) -> usize {
+    pipeline.options().history.observations
+}
+
+fn event(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("event with the idle work after it");
+    group.sample_size(20);
+    let grounding = || Grounding::new(&apartment(), &GroundingOptions::default()).expect("the scene has labels");
+    for observations in [4, 12, 40] {
+        let history = HistoryLimits { observations, ..HistoryLimits::default() };
+        let mut told = Told::new(model(None), grounding(), PipelineOptions { history, ..PipelineOptions::default() });
+        group.bench_function(BenchmarkId::new("by sentences kept", observations), |bencher| {
+            bencher.iter(|| told.event());
+        });
+    }
+    let others = std::env::var("ROOMCAST_BENCH_MODELS").unwrap_or_default();
+    for path in std::iter::once(None).chain(others.split(':').filter(|p| !p.is_empty()).map(|p| Some(PathBuf::from(p))))
+    {
+        let name = path.as_ref().map_or("embedded".into(), |path| path.display().to_string());
+        let mut told = Told::new(model(path.as_ref()), grounding(), PipelineOptions::default());
+        group.bench_function(BenchmarkId::new("by model", name), |bencher| bencher.iter(|| told.event()));
+    }
+    group.finish();
+}
+
+/// A prompt of twelve sentences that was read before, its last token and the labels decoded anew.
+fn scoring(criterion: &mut Criterion) {
+    let binding = BindingSequence::default();
+    let mut text = String::new();
+    write_prompt(sentences().iter().take(12).map(String::as_str), &binding, false, &mut text);
+    let mut scorer = Scorer::new(model(None));
+    let mut scores = LabelScores::default();
+    let mut group = criterion.benchmark_group("labels behind a prompt that is kept");
+    group.sample_size(10);
+    let two_words = labels(100);
+    for method in [Method::Trie, Method::SharedPrefix, Method::Independent] {
+        let prepared = scorer.prepare(&two_words, &binding, Tokenisation::Joint).expect("words");
+        group.bench_function(BenchmarkId::new("by method, 100 labels", format!("{method:?}")), |bencher| {
+            bencher.iter(|| scorer.score(&prepared, black_box(&text), method, &mut scores).expect("scores"));
+        });
+    }
+    for count in [10, 100, 1_000, 10_000] {
+        let labels = labels(count);
+        let prepared = scorer.prepare(&labels, &binding, Tokenisation::Joint).expect("words");
+        group.throughput(Throughput::Elements(count as u64));
+        group.bench_function(BenchmarkId::new("by labels", count), |bencher| {
+            bencher.iter(|| scorer.score(&prepared, black_box(&text), Method::Trie, &mut scores).expect("scores"));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, trie, prompt, soft_max, event, scoring);
+criterion_main!(benches);

@@ -1,0 +1,81 @@
+//! Roomcast's side of the comparison with its peers (`benches/peers/run`): one running narration, an event for every line read.
+//!
+//! Arguments: method, model file or `-` for the embedded one, scene, threads, observations in the window, program files.
+//! The first line written holds the labels and their tokens; every line read runs one event, and answers with its prompt, its
+//! log-probabilities in nats and its time, from the sentence to the scores of the rooms.
+
+#![expect(clippy::expect_used, reason = "a bench that cannot set up has nothing to measure")]
+
+use std::io::{BufRead, Write};
+use std::path::Path;
+use std::time::Instant;
+
+use clap::ValueEnum;
+use roomcast::grounding::{Grounding, GroundingOptions};
+use roomcast::narration::history::HistoryLimits;
+use roomcast::narration::program::Program;
+use roomcast::narration::{Observation, Sentence};
+use roomcast::pipeline::{Pipeline, PipelineOptions};
+use roomcast::scorer::Method;
+use roomcast::scorer::llama::LlamaOptions;
+use roomcast::setup;
+use serde_json::json;
+
+fn main() {
+    // Cargo adds `--bench`.
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
+    let [method, model, scene, threads, observations, programs @ ..] = arguments.as_slice() else {
+        println!("peers: run by benches/peers/run");
+        return;
+    };
+    let map = setup::load_map(Some(Path::new(scene))).expect("a scene");
+    let grounding = Grounding::new(&map, &GroundingOptions::default()).expect("a scene that can be grounded");
+    let threads = threads.parse().expect("a number of threads");
+    let options = LlamaOptions { threads, ..LlamaOptions::default() };
+    let model = setup::load_model((model != "-").then_some(Path::new(model)), &options).expect("a model");
+    let observations = observations.parse().expect("a number of observations");
+    let options = PipelineOptions {
+        method: Method::from_str(method, true).expect("a method"),
+        history: HistoryLimits { observations, ..HistoryLimits::default() },
+        ..PipelineOptions::default()
+    };
+    let mut pipeline = Pipeline::new(model, grounding, options).expect("a model that fits the scene");
+    let sentences: Vec<Sentence> = programs
+        .iter()
+        .flat_map(|program| Program::load(Path::new(program)).expect("a program").steps)
+        .map(|action| Sentence::new(&action.sentence()).expect("a sentence"))
+        .collect();
+    let mut narration = (0..).zip(sentences.iter().cycle()).map(|(sequence, sentence)| Observation {
+        person: 0,
+        source: 0,
+        epoch: 0,
+        sequence,
+        observed_ns: 0,
+        observed_unix_ns: 0,
+        sentence: sentence.clone(),
+    });
+    pipeline.observe(narration.by_ref().take(observations));
+    let mut output = std::io::stdout().lock();
+    let labels = pipeline.prepared();
+    writeln!(output, "{}", json!({"labels": labels.labels(), "tokens": labels.tokens()})).expect("a reader");
+    for line in std::io::stdin().lock().lines() {
+        line.expect("a line");
+        let observation = narration.next().expect("narration without end");
+        let start = Instant::now();
+        pipeline.step([observation]).expect("scores");
+        let event_ns = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        let mut prompt = String::new();
+        for (_, sentence) in pipeline.read_sentences() {
+            prompt.push_str(sentence);
+            prompt.push(' ');
+        }
+        prompt.push_str(pipeline.options().binding.stem());
+        let scores = pipeline.scores();
+        let answer = json!({
+            "ns": event_ns, "prompt": prompt, "prompt_tokens": scores.prompt_tokens,
+            "log_prob_nats": scores.label_log_prob_nats,
+        });
+        pipeline.tidy();
+        writeln!(output, "{answer}").expect("a reader");
+    }
+}

@@ -1,0 +1,137 @@
+"""Roomcast beside its peers: the same model, labels, prompts, threads and machine, one event of each in turn.
+
+Run by `benches/peers/run`; README.md beside this file says what is compared.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import shapes
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+PROGRAMS = sorted((ROOT / "scenes/programs").glob("*.txt"))
+PEERS = ["shared-prefix", "llama.cpp-layout", "transformers", "cappr", "independent"]
+TOLERANCE_NATS = 1e-2
+
+
+class Worker:
+    """One process that answers one event at a time."""
+
+    def __init__(self, name: str, command: list[str]) -> None:
+        self.name, self.times_ms, self.difference_nats = name, [], 0.0
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    def read(self) -> dict:
+        for line in self.process.stdout:
+            line = line.removeprefix("answer ")
+            if line.startswith("{"):
+                return json.loads(line)
+        raise SystemExit(f"{self.name} ended with exit code {self.process.wait()}; its message stands above")
+
+    def send(self, message: dict) -> None:
+        self.process.stdin.write(json.dumps(message) + "\n")
+        self.process.stdin.flush()
+
+    def close(self) -> None:
+        self.process.stdin.close()
+        self.process.wait()
+
+
+def measure(model: Path, embedded: bool, peers: list[str], events: int, warm: int, arguments: argparse.Namespace) -> list[Worker]:
+    """Runs `events` events of every peer, each in turn; the first worker is Roomcast itself."""
+    def roomcast(method: str) -> Worker:
+        observations = arguments.observations or (44 if embedded else 21)
+        settings = [method, str(model), arguments.scene, str(arguments.threads), str(observations)]
+        return Worker(method, [arguments.bench, *settings, *map(str, PROGRAMS)])
+
+    workers = []
+    try:
+        for name in ["trie", *peers]:
+            ours = name in ("trie", "shared-prefix", "independent")
+            command = [sys.executable, str(HERE / "worker.py"), name, str(model), str(arguments.threads)]
+            workers.append(roomcast(name) if ours else Worker(name, command))
+            if ours:
+                labels = workers[-1].read()
+            else:
+                workers[-1].send(labels)
+        tokens = []
+        for event in range(warm + events):
+            for worker in workers:
+                worker.send({"prompt": prompt} if worker is not workers[0] else {})
+                answer = worker.read()
+                if worker is workers[0]:
+                    prompt, expected = answer["prompt"], np.array(answer["log_prob_nats"])
+                    tokens.append(answer["prompt_tokens"])
+                difference = np.abs(np.array(answer["log_prob_nats"]) - expected).max()
+                worker.difference_nats = max(worker.difference_nats, float(difference))
+                if event >= warm:
+                    worker.times_ms.append(answer["ns"] / 1e6)
+        workers[0].labels, workers[0].prompt_tokens = len(labels["labels"]), int(np.median(tokens))
+        workers[0].inner = len({tuple(own[:n]) for own in labels["tokens"] for n in range(1, len(own))})
+        return workers
+    finally:
+        for worker in workers:
+            worker.close()
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--bench", required=True, help=argparse.SUPPRESS)
+    parser.add_argument("--model", nargs="+", default=["embedded"], help=f"embedded, a GGUF file, or a shape: {', '.join(shapes.SHAPES)}")
+    parser.add_argument("--kind", choices=shapes.FILE_TYPES, default="q4_0", help="the format of the shapes' matrices (q4_0)")
+    parser.add_argument("--scene", default="apartment-e0", help="a shipped scene or a scene file (apartment-e0, 115 labels and 3 rooms)")
+    parser.add_argument("--events", type=int, default=10)
+    parser.add_argument("--observations", type=int, default=0, help="in the window; by default as many as make about 150 tokens")
+    parser.add_argument("--threads", type=int, default=max(2, (os.cpu_count() or 2) - 1) if (os.cpu_count() or 2) > 2 else 2)
+    parser.add_argument("--peers", nargs="*", default=PEERS, choices=PEERS)
+    parser.add_argument("--no-check", action="store_true", help="leave out the comparison of scores with f32 weights")
+    parser.add_argument("--csv", type=Path)
+    arguments = parser.parse_args()
+    rows, failed = [], False
+    with tempfile.TemporaryDirectory(prefix="roomcast-peers-") as folder:
+        for name in arguments.model:
+            path = Path(name)
+            if name == "embedded":
+                path = ROOT / "models/household.gguf"
+            elif name in shapes.SHAPES:
+                path = Path(folder) / f"{name}-{arguments.kind}.gguf"
+                shapes.write(name, arguments.kind, path)
+            checked = {}
+            if not arguments.no_check:
+                wide = Path(folder) / "f32.gguf"
+                shapes.widened(path, wide)
+                checked = {w.name: w.difference_nats for w in measure(wide, name == "embedded", arguments.peers, 1, 0, arguments)}
+                failed |= any(not difference <= TOLERANCE_NATS for difference in checked.values())
+            workers = measure(path, name == "embedded", arguments.peers, arguments.events, 1, arguments)
+            ours = workers[0]
+            base = np.median(ours.times_ms)
+            print(f"\n{name}: {ours.labels} labels, {ours.inner} inner nodes, {ours.prompt_tokens} prompt tokens, {arguments.threads} threads, "
+                  f"{arguments.events} events")
+            print(f"{'':18}{'median ms':>11}{'ratio':>8}{'nats apart':>12}{'with f32':>11}")
+            for worker in workers:
+                median = float(np.median(worker.times_ms))
+                row = [name, worker.name, f"{median:.3f}", f"{median / base:.2f}", f"{worker.difference_nats:.2g}",
+                       f"{checked[worker.name]:.2g}" if checked else ""]
+                rows.append(row)
+                print(f"{row[1]:18}{row[2]:>11}{row[3]:>8}{row[4]:>12}{row[5]:>11}", flush=True)
+    if arguments.csv:
+        with arguments.csv.open("w", newline="") as out:
+            csv.writer(out).writerows([["model", "method", "median_ms", "ratio", "difference_nats", "difference_f32_nats"], *rows])
+    if failed:
+        print(f"scores differ by more than {TOLERANCE_NATS} nats with f32 weights", file=sys.stderr)
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,153 @@
+"""One peer in a process of its own: reads prompts as JSON lines, answers with log-probabilities in nats and nanoseconds.
+
+    python worker.py PEER MODEL THREADS
+
+The first line read holds the labels and their tokens.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+Score = Callable[[str], list[float]]
+
+
+def log_probs(logits: np.ndarray, tokens: np.ndarray) -> np.ndarray:
+    """ln p(token) by row."""
+    top = logits.max(axis=-1, keepdims=True)
+    total = np.log(np.exp(logits - top).sum(axis=-1)) + top[:, 0]
+    return logits[np.arange(len(tokens)), tokens] - total
+
+
+def cappr(model: str, threads: int, labels: list[str], _: list[list[int]]) -> Score:
+    """CAPPr as its documentation shows it: it keeps the prompt and loops over the labels."""
+    from cappr.llama_cpp.classify import log_probs_conditional
+    from llama_cpp import GGML_TYPE_F32, Llama
+
+    llama = Llama(model, n_ctx=512, n_threads=threads, n_threads_batch=threads, logits_all=True, verbose=False,
+                  type_k=GGML_TYPE_F32, type_v=GGML_TYPE_F32)
+    return lambda prompt: [sum(one) for one in log_probs_conditional(prompt, labels, llama, show_progress_bar=False)]
+
+
+def llama_cpp_layout(model: str, threads: int, labels: list[str], tokens: list[list[int]]) -> Score:
+    """The layout of llama.cpp's HellaSwag scoring: the common prompt on all sequences, then every label on one of its own, anew for every
+    task. llama-perplexity itself reads four endings a task and no more, so its calls are made here through llama-cpp-python."""
+    import llama_cpp as c
+
+    c.llama_backend_init()
+    weights = c.llama_model_load_from_file(model.encode(), c.llama_model_default_params())
+    parameters = c.llama_context_default_params()
+    parameters.n_ctx = parameters.n_batch = parameters.n_ubatch = 1024
+    parameters.n_seq_max = len(labels)
+    parameters.n_threads = parameters.n_threads_batch = threads
+    parameters.type_k = parameters.type_v = c.GGML_TYPE_F32
+    parameters.flash_attn_type = 0
+    parameters.kv_unified = True
+    context = c.llama_init_from_model(weights, parameters)
+    vocabulary, memory = c.llama_model_get_vocab(weights), c.llama_get_memory(context)
+    size = c.llama_vocab_n_tokens(vocabulary)
+    batch = c.llama_batch_init(1024, 0, len(labels))
+    room = (c.llama_token * 1024)()
+
+    def score(prompt: str) -> list[float]:
+        text = prompt.encode()
+        prefix = list(room[: c.llama_tokenize(vocabulary, text, len(text), room, 1024, True, False)])
+        batch.n_tokens = 0
+
+        def add(token: int, position: int, sequences: range, wanted: bool) -> None:
+            at = batch.n_tokens
+            batch.token[at], batch.pos[at], batch.n_seq_id[at], batch.logits[at] = token, position, len(sequences), wanted
+            for place, sequence in enumerate(sequences):
+                batch.seq_id[at][place] = sequence
+            batch.n_tokens += 1
+
+        for position, token in enumerate(prefix):
+            add(token, position, range(len(tokens)), position == len(prefix) - 1)
+        rows, wanted = [], []
+        for label, own in enumerate(tokens):
+            before = 0
+            for place, token in enumerate(own):
+                rows.append(before)
+                wanted.append(token)
+                if place + 1 < len(own):  # The last token's logits are of no use.
+                    before = batch.n_tokens - len(prefix) + 1
+                    add(token, len(prefix) + place, range(label, label + 1), True)
+        c.llama_memory_clear(memory, True)
+        if c.llama_decode(context, batch):
+            raise RuntimeError("llama_decode failed")
+        count = batch.n_tokens - len(prefix) + 1
+        logits = np.ctypeslib.as_array(c.llama_get_logits(context), (count, size))
+        # One pass over every row, not one for every label.
+        top = logits.max(axis=1)
+        total = np.log(np.exp(logits - top[:, None]).sum(axis=1)) + top
+        each = logits[rows, wanted] - total[rows]
+        ends = np.cumsum([0] + [len(own) for own in tokens])
+        return np.add.reduceat(each.astype(np.float64), ends[:-1]).tolist()
+
+    return score
+
+
+def transformers(model: str, threads: int, labels: list[str], tokens: list[list[int]]) -> Score:
+    """Hugging Face transformers with a prefix kept from event to event, and the labels of several tokens as one batch behind it.
+    Text is cut into tokens by llama.cpp's vocabulary, which costs next to nothing."""
+    import copy
+
+    import torch
+    from llama_cpp import Llama
+    from transformers import AutoModelForCausalLM, DynamicCache
+
+    torch.set_num_threads(threads)
+    path = Path(model)
+    network = AutoModelForCausalLM.from_pretrained(path.parent, gguf_file=path.name, dtype=torch.float32).eval()
+    text = Llama(model, vocab_only=True, verbose=False)
+    long = [label for label, own in enumerate(tokens) if len(own) > 1]
+    width = max((len(tokens[label]) - 1 for label in long), default=0)
+    # Padding stands behind a label, where attention to the left does not see it.
+    batch = torch.tensor([tokens[label][:-1] + [0] * (width - len(tokens[label]) + 1) for label in long])
+    kept: list[int] = []
+    cache = DynamicCache(config=network.config)
+
+    @torch.inference_mode()
+    def score(prompt: str) -> list[float]:
+        nonlocal kept, cache
+        prefix = text.tokenize(prompt.encode(), add_bos=True)
+        same = next((i for i, (a, b) in enumerate(zip(kept, prefix)) if a != b), min(len(kept), len(prefix)))
+        same = min(same, len(prefix) - 1)
+        cache.crop(same)
+        first = network(torch.tensor([prefix[same:]]), past_key_values=cache, use_cache=True, logits_to_keep=1).logits[0, -1]
+        kept = prefix
+        first = first.log_softmax(-1)
+        out = [first[own[0]].item() for own in tokens]
+        if long:
+            branches = copy.deepcopy(cache)
+            branches.batch_repeat_interleave(len(long))
+            rest = network(batch, past_key_values=branches, use_cache=True).logits.log_softmax(-1)
+            for row, label in enumerate(long):
+                for place, token in enumerate(tokens[label][1:]):
+                    out[label] += rest[row, place, token].item()
+        return out
+
+    return score
+
+
+def main() -> None:
+    peer, model, threads = sys.argv[1:]
+    given = json.loads(sys.stdin.readline())
+    makers = {"cappr": cappr, "llama.cpp-layout": llama_cpp_layout, "transformers": transformers}
+    score = makers[peer](model, int(threads), given["labels"], given["tokens"])
+    for line in sys.stdin:
+        prompt = json.loads(line)["prompt"]
+        start = time.perf_counter_ns()
+        scores = score(prompt)
+        nanoseconds = time.perf_counter_ns() - start
+        print("answer " + json.dumps({"ns": nanoseconds, "log_prob_nats": scores}), flush=True)
+
+
+if __name__ == "__main__":
+    main()
