@@ -154,7 +154,7 @@ struct Parts {
 }
 
 impl Parts {
-    /// Mentions, history, the new sentence's tokens, forecasts' update, snapshot.
+    /// Mentions, history, the new sentence's tokens (in the first round; later it is known), forecasts' update, snapshot.
     fn rest(&self) -> u64 {
         let known = self.intake + self.decoder + self.prompt + self.cache + self.trie + self.ground + self.publish;
         self.total.saturating_sub(known)

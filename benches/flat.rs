@@ -1,7 +1,8 @@
 //! Whether an event costs after days of narration what it cost at first: `cargo bench --bench flat -- --events 10000`.
 //!
-//! One pipeline hears everything. Beside it a young one hears the same, and is replaced after every hundred events, so that each event is
-//! measured in an old and in a young pipeline in turn, whatever else the machine does.
+//! One pipeline hears everything: the programs that ship, over and over. Beside it a young one hears the same, and is replaced after every
+//! hundred measured events, so that each event is measured in an old and in a young pipeline in turn, whatever else the machine does.
+//! `--alone` leaves the young ones out, for what the old one takes of memory.
 
 #![expect(clippy::expect_used, reason = "a bench that cannot set up has nothing to measure")]
 
@@ -18,14 +19,17 @@ use roomcast::semantic_map::SemanticMap;
 use roomcast::setup::load_model;
 use roomcast_ipc::clock;
 
-/// Events before a young pipeline is measured, and after which it is replaced.
-const YOUNG: std::ops::Range<u64> = 10..110;
+/// Events that a young pipeline is measured for. Before them it hears every sentence once, as the old one has.
+const YOUNG: u64 = 100;
 
 #[derive(Parser)]
 struct Args {
     /// How many events are told.
     #[arg(long, default_value_t = 10_000)]
     events: u64,
+    /// Without young pipelines.
+    #[arg(long)]
+    alone: bool,
     /// Cargo adds it.
     #[arg(long, hide = true)]
     bench: bool,
@@ -39,8 +43,8 @@ fn cycle() -> Cycle<LlamaModel> {
     Cycle::new(Board::new(pipeline, map, GroundingOptions::default(), 1).expect("the rooms fit"), u64::MAX / 2)
 }
 
-/// One event in nanoseconds, without the idle work after it.
-fn event(cycle: &mut Cycle<LlamaModel>, sequence: u64, sentence: &Sentence) -> u64 {
+/// One event in microseconds: without the idle work after it, and with it.
+fn event(cycle: &mut Cycle<LlamaModel>, sequence: u64, sentence: &Sentence) -> [f64; 2] {
     let now_ns = clock::monotonic_ns();
     let observation = Observation {
         person: 0,
@@ -56,15 +60,16 @@ fn event(cycle: &mut Cycle<LlamaModel>, sequence: u64, sentence: &Sentence) -> u
     cycle.step(now_ns, now_ns).expect("the model scores");
     let forecast = cycle.board().forecast(now_ns);
     let message = cycle.message(now_ns, u64::MAX, false);
-    let took_ns = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
     std::hint::black_box((forecast, message));
+    let event_us = start.elapsed().as_secs_f64() * 1e6;
     cycle.tidy();
-    took_ns
+    [event_us, start.elapsed().as_secs_f64() * 1e6]
 }
 
-fn median(values: &mut [f64]) -> f64 {
+fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
+    let mut values: Vec<f64> = values.collect();
     values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+    values.get((values.len() as f64 * share) as usize).copied().unwrap_or(f64::NAN)
 }
 
 fn resident_kib() -> u64 {
@@ -77,40 +82,46 @@ fn main() {
     let programs = embedded::PROGRAMS.iter().flat_map(|p| Program::parse(p.text).expect("it ships").steps);
     let sentences: Vec<Sentence> =
         programs.map(|action| Sentence::new(&action.sentence()).expect("it is one")).collect();
-    let (mut old, mut young) = (cycle(), cycle());
-    let mut young_age = 0;
-    let (mut olds, mut youngs, mut ratios) = (Vec::new(), Vec::new(), Vec::new());
-    println!("events           old p50 (us)  young p50 (us)  old / young  resident (KiB)");
+    let heard = sentences.len() as u64;
+    let (mut old, mut young, mut young_age) = (cycle(), cycle(), 0);
+    // Of the old one, of the young one.
+    let mut samples: Vec<([f64; 2], [f64; 2])> = Vec::new();
+    println!(
+        "events            p50 (us)   p99 (us)  with idle work, mean (us)  old / young  with idle work  resident (KiB)"
+    );
     let block = (args.events / 10).max(1);
     for (number, sentence) in (0..args.events).zip(sentences.iter().cycle()) {
-        let (mut old_ns, mut young_ns) = (0, 0);
+        let (mut old_us, mut young_us) = ([f64::NAN; 2], [f64::NAN; 2]);
         for turn in 0..2 {
             // Each goes first as often as the other.
             match (turn + number) % 2 {
-                0 => old_ns = event(&mut old, number + 1, sentence),
-                _ => young_ns = event(&mut young, number + 1, sentence),
+                0 => old_us = event(&mut old, number + 1, sentence),
+                _ if args.alone => {}
+                _ => young_us = event(&mut young, number + 1, sentence),
             }
         }
-        if YOUNG.contains(&young_age) && number >= YOUNG.start {
-            olds.push(old_ns as f64 / 1e3);
-            youngs.push(young_ns as f64 / 1e3);
-            ratios.push(old_ns as f64 / young_ns.max(1) as f64);
+        if args.alone || (number >= heard && young_age >= heard) {
+            samples.push((old_us, young_us));
         }
         young_age += 1;
-        if young_age == YOUNG.end {
+        if !args.alone && young_age == heard + YOUNG {
             (young, young_age) = (cycle(), 0);
         }
         if (number + 1) % block == 0 {
-            let (from, to) = (number + 2 - block, number + 1);
+            let olds = |part: usize| samples.iter().map(move |(old, _)| old[part]);
+            // Whole tellings are compared where the idle work counts: it falls on every fifth event, not on the same ones in both.
+            let young_mean = samples.iter().map(|(_, young)| young[1]).sum::<f64>();
             println!(
-                "{:16} {:12.0} {:15.0} {:12.3} {:15}",
-                format!("{from} to {to}"),
-                median(&mut olds),
-                median(&mut youngs),
-                median(&mut ratios),
+                "{:16} {:9.0} {:10.0} {:26.0} {:12.3} {:15.3} {:15}",
+                format!("{} to {}", number + 2 - block, number + 1),
+                quantile(olds(0), 0.5),
+                quantile(olds(0), 0.99),
+                olds(1).sum::<f64>() / samples.len() as f64,
+                quantile(samples.iter().map(|(old, young)| old[0] / young[0]), 0.5),
+                olds(1).sum::<f64>() / young_mean,
                 resident_kib()
             );
-            (olds, youngs, ratios) = (Vec::new(), Vec::new(), Vec::new());
+            samples.clear();
         }
     }
 }

@@ -7,7 +7,7 @@
 use std::hint::black_box;
 use std::path::PathBuf;
 
-use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use roomcast::embedded;
 use roomcast::grounding::{Grounding, GroundingOptions};
 use roomcast::label_trie::LabelTrie;
@@ -35,7 +35,7 @@ fn model(path: Option<&PathBuf>) -> LlamaModel {
 
 /// `count` different labels of two words each, of the words that the model knows: "mug table", "mug lamp", ...
 fn labels(count: usize) -> Vec<String> {
-    let words = apartment().labels;
+    let words: Vec<String> = apartment().labels.into_iter().filter(|label| !label.contains(' ')).collect();
     let side = (count as f64).sqrt().ceil() as usize;
     (0..count).map(|at| format!("{} {}", words[at / side % words.len()], words[at % side % words.len()])).collect()
 }
@@ -49,10 +49,12 @@ fn trie(criterion: &mut Criterion) {
         let prepared = scorer.prepare(&labels, &BindingSequence::default(), Tokenisation::Joint).expect("words");
         group.throughput(Throughput::Elements(count as u64));
         group.bench_function(BenchmarkId::new("of tokens", count), |bencher| {
-            bencher.iter(|| LabelTrie::new(black_box(prepared.tokens())));
+            bencher.iter_with_large_drop(|| LabelTrie::new(black_box(prepared.tokens())));
         });
         group.bench_function(BenchmarkId::new("cut into tokens and built", count), |bencher| {
-            bencher.iter(|| scorer.prepare(black_box(&labels), &BindingSequence::default(), Tokenisation::Joint));
+            bencher.iter_with_large_drop(|| {
+                scorer.prepare(black_box(&labels), &BindingSequence::default(), Tokenisation::Joint)
+            });
         });
     }
     group.finish();
@@ -77,10 +79,19 @@ fn prompt(criterion: &mut Criterion) {
             });
         });
         let mut scorer = Scorer::new(self::model(None));
-        group.bench_function(BenchmarkId::new("cut into tokens as an event does", count), |bencher| {
+        group.bench_function(BenchmarkId::new("cut into tokens, every sentence known", count), |bencher| {
             bencher.iter(|| scorer.sentence_tokens(black_box(&text)));
         });
     }
+    let mut scorer = Scorer::new(self::model(None));
+    let mut number = 0_u64;
+    group.bench_function("a sentence never heard, cut into tokens", |bencher| {
+        let fresh = || {
+            number += 1;
+            format!("They grab the mug {number}.")
+        };
+        bencher.iter_batched(fresh, |text| scorer.sentence_tokens(&text), BatchSize::SmallInput);
+    });
     group.finish();
 }
 
@@ -155,7 +166,8 @@ fn event(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// A prompt of twelve sentences that was read before, its last token and the labels decoded anew.
+/// A prompt of twelve sentences that was read before: its last token and the labels are decoded anew, and the labels of the round before
+/// dropped.
 fn scoring(criterion: &mut Criterion) {
     let binding = BindingSequence::default();
     let mut text = String::new();

@@ -479,7 +479,9 @@ impl Header {
         // An empty token is renamed by its number in llama.cpp, so several of them do no harm.
         let mut seen = HashSet::with_capacity(self.vocabulary.len());
         for (index, token) in self.vocabulary.iter().enumerate() {
-            if !token.is_empty() && !seen.insert(token.as_slice()) {
+            // llama.cpp reads up to the first zero byte.
+            let token = token.split(|byte| *byte == 0).next().unwrap_or_default();
+            if !token.is_empty() && !seen.insert(token) {
                 return refuse(format!(
                     "token {index} of the vocabulary, {:?}, occurs twice",
                     String::from_utf8_lossy(token)
@@ -658,6 +660,8 @@ pub(crate) mod tests {
     fn a_vocabulary_that_would_end_the_process_is_refused() {
         let error = read(&tiny(&["a", "a"])).unwrap_err().to_string();
         assert!(error.contains("token 1 of the vocabulary, \"a\", occurs twice"), "{error}");
+        let error = read(&tiny(&["a", "a\0b"])).unwrap_err().to_string();
+        assert!(error.contains("occurs twice"), "llama.cpp reads both as \"a\": {error}");
         // The same file as a sentencepiece model lacks the tokens of the bytes.
         let bytes = tiny(&["a", "b"]);
         let at = bytes.windows(4).position(|window| window == b"gpt2").unwrap();

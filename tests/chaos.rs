@@ -86,6 +86,8 @@ struct World {
     config: PathBuf,
     processes: BTreeMap<Role, Process>,
     ear: Option<Ear>,
+    /// Files of the test's own entry in the domain.
+    own: Vec<String>,
     /// Lines that the narrator of this moment was given, by sequence number from 1.
     given: Vec<usize>,
     next_line: usize,
@@ -132,7 +134,9 @@ impl World {
         );
         fs::write(&config, text).unwrap();
         let node = domain.open("chaos").unwrap();
+        let own = files_of(&domain);
         Self {
+            own,
             rng: ChaCha8Rng::seed_from_u64(seed),
             ear: Some(Ear { scores: node.subscriber().unwrap(), decisions: node.subscriber().unwrap(), node }),
             directory,
@@ -347,33 +351,38 @@ impl World {
             kill_process(Pid::from_raw(process.child.id().cast_signed()).unwrap(), Signal::TERM).unwrap();
         }
         for (_, mut process) in std::mem::take(&mut self.processes) {
-            process.child.wait().unwrap();
+            let status = process.child.wait().unwrap();
+            // A panic's exit code is 101; an abort has none.
+            assert!(status.code().is_some_and(|code| code != 101), "a process ended with {status}");
         }
     }
 
-    /// Files of the domain, but for the one of iceoryx2's that stays until the domain is removed.
+    /// Files of the domain that are not the test's own, but for the one of iceoryx2's that stays until the domain is removed.
     fn left_behind(&self) -> Vec<String> {
-        let mut left = Vec::new();
-        let prefix = format!("{}_", self.domain.name());
-        for entry in fs::read_dir("/dev/shm").unwrap() {
-            let name = entry.unwrap().file_name().into_string().unwrap();
-            if name.starts_with(&prefix) && !name.ends_with(".global_mgmt") {
-                left.push(format!("/dev/shm/{name}"));
-            }
-        }
-        let mut folders = vec![self.domain.root().to_owned()];
-        while let Some(folder) = folders.pop() {
-            for entry in fs::read_dir(&folder).unwrap() {
-                let path = entry.unwrap().path();
-                if path.is_dir() && (path.ends_with("nodes") || path.ends_with("services")) {
-                    folders.push(path);
-                } else {
-                    left.push(path.display().to_string());
-                }
-            }
-        }
+        let mut left = files_of(&self.domain);
+        left.retain(|file| !self.own.contains(file) && !file.ends_with(".global_mgmt"));
         left
     }
+}
+
+/// All files of a domain.
+fn files_of(domain: &Domain) -> Vec<String> {
+    let prefix = format!("{}_", domain.name());
+    let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut files: Vec<String> =
+        shared.filter(|name| name.starts_with(&prefix)).map(|name| format!("/dev/shm/{name}")).collect();
+    let mut folders = vec![domain.root().to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).into_iter().flatten() {
+            let path = entry.unwrap().path();
+            if path.is_dir() && (path.ends_with("nodes") || path.ends_with("services")) {
+                folders.push(path);
+            } else {
+                files.push(path.display().to_string());
+            }
+        }
+    }
+    files
 }
 
 impl Drop for World {
@@ -478,8 +487,7 @@ fn nothing_is_lost_wrong_or_stale_whoever_is_killed() {
     // A participant that was killed while it joined is cleaned up when it can no longer be one that joins: after 10 s.
     let cleaning = Instant::now();
     let node = world.ear.take().unwrap().node;
-    // The test's own entry and ports stay until it leaves: a folder, three files of a monitor.
-    while world.left_behind().len() > 4 && cleaning.elapsed() < Duration::from_secs(40) {
+    while !world.left_behind().is_empty() && cleaning.elapsed() < Duration::from_secs(40) {
         node.clean_up_dead();
         std::thread::sleep(Duration::from_millis(200));
     }
@@ -505,5 +513,6 @@ fn nothing_is_lost_wrong_or_stale_whoever_is_killed() {
     println!("left behind: {}", left.len());
     assert!(left.is_empty(), "left behind: {left:?}");
     assert!(world.domain.clean_up().unwrap());
+    assert_eq!(files_of(&world.domain), Vec::<String>::new(), "left behind by the clean-up of the domain");
     assert!(tally.decisions > 0 && tally.messages > 0 && compared > 0, "nothing happened");
 }

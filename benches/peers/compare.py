@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -23,13 +24,17 @@ ROOT = HERE.parents[1]
 PROGRAMS = sorted((ROOT / "scenes/programs").glob("*.txt"))
 PEERS = ["shared-prefix", "llama.cpp-layout", "transformers", "cappr", "independent"]
 TOLERANCE_NATS = 1e-2
+# Between two peers: what spins for its next work gives up by then.
+SILENCE_S = 0.05
+# Events of the check with f32 weights: the window is cut within them, after which a kept prefix is another one.
+CHECKED = 7
 
 
 class Worker:
     """One process that answers one event at a time."""
 
     def __init__(self, name: str, command: list[str]) -> None:
-        self.name, self.times_ms, self.difference_nats = name, [], 0.0
+        self.name, self.times_ms, self.decoder_ms, self.ratios, self.difference_nats = name, [], [], [], 0.0
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def read(self) -> dict:
@@ -67,16 +72,24 @@ def measure(model: Path, embedded: bool, peers: list[str], events: int, warm: in
                 workers[-1].send(labels)
         tokens = []
         for event in range(warm + events):
-            for worker in workers:
+            # Roomcast makes the prompt; the others follow in another order every time, each after a silence in which threads fall asleep.
+            others = workers[1:]
+            for worker in [workers[0], *others[event % len(others):], *others[: event % len(others)]] if others else workers:
+                time.sleep(SILENCE_S)
                 worker.send({"prompt": prompt} if worker is not workers[0] else {})
                 answer = worker.read()
+                scores = np.array(answer["log_prob_nats"])
                 if worker is workers[0]:
-                    prompt, expected = answer["prompt"], np.array(answer["log_prob_nats"])
+                    prompt, expected, ours_ns = answer["prompt"], scores, answer["ns"]
                     tokens.append(answer["prompt_tokens"])
-                difference = np.abs(np.array(answer["log_prob_nats"]) - expected).max()
-                worker.difference_nats = max(worker.difference_nats, float(difference))
+                if scores.shape != expected.shape or not np.isfinite(scores).all():
+                    raise SystemExit(f"{worker.name} gave {scores.shape} scores, not all of them numbers, for {expected.shape} labels")
+                worker.difference_nats = max(worker.difference_nats, float(np.abs(scores - expected).max()))
                 if event >= warm:
                     worker.times_ms.append(answer["ns"] / 1e6)
+                    worker.ratios.append(answer["ns"] / ours_ns)
+                    if answer.get("decoder_ns"):
+                        worker.decoder_ms.append(answer["decoder_ns"] / 1e6)
         workers[0].labels, workers[0].prompt_tokens = len(labels["labels"]), int(np.median(tokens))
         workers[0].inner = len({tuple(own[:n]) for own in labels["tokens"] for n in range(1, len(own))})
         return workers
@@ -95,6 +108,7 @@ def main() -> int:
     parser.add_argument("--observations", type=int, default=0, help="in the window; by default as many as make about 150 tokens")
     parser.add_argument("--threads", type=int, default=max(2, (os.cpu_count() or 2) - 1) if (os.cpu_count() or 2) > 2 else 2)
     parser.add_argument("--peers", nargs="*", default=PEERS, choices=PEERS)
+    parser.add_argument("--checked", type=int, default=CHECKED, help=f"events whose scores are compared with f32 weights ({CHECKED})")
     parser.add_argument("--no-check", action="store_true", help="leave out the comparison of scores with f32 weights")
     parser.add_argument("--csv", type=Path)
     arguments = parser.parse_args()
@@ -111,23 +125,22 @@ def main() -> int:
             if not arguments.no_check:
                 wide = Path(folder) / "f32.gguf"
                 shapes.widened(path, wide)
-                checked = {w.name: w.difference_nats for w in measure(wide, name == "embedded", arguments.peers, 1, 0, arguments)}
+                checked = {w.name: w.difference_nats for w in measure(wide, name == "embedded", arguments.peers, arguments.checked, 0, arguments)}
                 failed |= any(not difference <= TOLERANCE_NATS for difference in checked.values())
             workers = measure(path, name == "embedded", arguments.peers, arguments.events, 1, arguments)
             ours = workers[0]
-            base = np.median(ours.times_ms)
             print(f"\n{name}: {ours.labels} labels, {ours.inner} inner nodes, {ours.prompt_tokens} prompt tokens, {arguments.threads} threads, "
                   f"{arguments.events} events")
-            print(f"{'':18}{'median ms':>11}{'ratio':>8}{'nats apart':>12}{'with f32':>11}")
+            print(f"{'':18}{'median ms':>11}{'fastest':>10}{'decoder':>10}{'ratio':>8}{'nats apart':>12}{'with f32':>11}")
             for worker in workers:
-                median = float(np.median(worker.times_ms))
-                row = [name, worker.name, f"{median:.3f}", f"{median / base:.2f}", f"{worker.difference_nats:.2g}",
+                decoder = f"{np.median(worker.decoder_ms):.3f}" if worker.decoder_ms else ""
+                row = [name, worker.name, f"{np.median(worker.times_ms):.3f}", f"{min(worker.times_ms):.3f}", decoder, f"{np.median(worker.ratios):.2f}", f"{worker.difference_nats:.2g}",
                        f"{checked[worker.name]:.2g}" if checked else ""]
                 rows.append(row)
-                print(f"{row[1]:18}{row[2]:>11}{row[3]:>8}{row[4]:>12}{row[5]:>11}", flush=True)
+                print(f"{row[1]:18}{row[2]:>11}{row[3]:>10}{row[4]:>10}{row[5]:>8}{row[6]:>12}{row[7]:>11}", flush=True)
     if arguments.csv:
         with arguments.csv.open("w", newline="") as out:
-            csv.writer(out).writerows([["model", "method", "median_ms", "ratio", "difference_nats", "difference_f32_nats"], *rows])
+            csv.writer(out).writerows([["model", "method", "median_ms", "fastest_ms", "decoder_ms", "ratio", "difference_nats", "difference_f32_nats"], *rows])
     if failed:
         print(f"scores differ by more than {TOLERANCE_NATS} nats with f32 weights", file=sys.stderr)
     return int(failed)

@@ -16,6 +16,10 @@ from pathlib import Path
 import numpy as np
 
 Score = Callable[[str], list[float]]
+# Positions that every peer gets.
+CONTEXT = 1024
+# llama.cpp's own limit (LLAMA_MAX_SEQ).
+SEQUENCES_MAX = 256
 
 
 def log_probs(logits: np.ndarray, tokens: np.ndarray) -> np.ndarray:
@@ -26,24 +30,42 @@ def log_probs(logits: np.ndarray, tokens: np.ndarray) -> np.ndarray:
 
 
 def cappr(model: str, threads: int, labels: list[str], _: list[list[int]]) -> Score:
-    """CAPPr as its documentation shows it: it keeps the prompt and loops over the labels."""
-    from cappr.llama_cpp.classify import log_probs_conditional
+    """CAPPr at its best: the narration stays in the model from event to event (`cache_model`), the binding sequence is read once, and
+    the labels follow one by one, or all at once where each is a single token."""
+    from cappr.llama_cpp.classify import cache_model, log_probs_conditional
     from llama_cpp import GGML_TYPE_F32, Llama
 
-    llama = Llama(model, n_ctx=512, n_threads=threads, n_threads_batch=threads, logits_all=True, verbose=False,
+    llama = Llama(model, n_ctx=CONTEXT, n_threads=threads, n_threads_batch=threads, logits_all=True, verbose=False,
                   type_k=GGML_TYPE_F32, type_v=GGML_TYPE_F32)
-    return lambda prompt: [sum(one) for one in log_probs_conditional(prompt, labels, llama, show_progress_bar=False)]
+    kept = ""
+
+    def score(prompt: str) -> list[float]:
+        nonlocal kept
+        narration, stop, binding = prompt.rpartition(". ")
+        narration += stop.strip()
+        if not kept or not narration.startswith(kept):
+            llama.reset()
+            kept = ""
+        cache_model(llama, narration[len(kept):].strip())
+        kept = narration
+        return [sum(one) for one in log_probs_conditional(binding, labels, llama, show_progress_bar=False, reset_model=False)]
+
+    return score
 
 
 def llama_cpp_layout(model: str, threads: int, labels: list[str], tokens: list[list[int]]) -> Score:
     """The layout of llama.cpp's HellaSwag scoring: the common prompt on all sequences, then every label on one of its own, anew for every
     task. llama-perplexity itself reads four endings a task and no more, so its calls are made here through llama-cpp-python."""
+    import ctypes
+
     import llama_cpp as c
 
+    if len(labels) > SEQUENCES_MAX:
+        raise SystemExit(f"{len(labels)} labels, and llama.cpp has {SEQUENCES_MAX} sequences: choose a scene with fewer")
     c.llama_backend_init()
     weights = c.llama_model_load_from_file(model.encode(), c.llama_model_default_params())
     parameters = c.llama_context_default_params()
-    parameters.n_ctx = parameters.n_batch = parameters.n_ubatch = 1024
+    parameters.n_ctx = parameters.n_batch = parameters.n_ubatch = CONTEXT
     parameters.n_seq_max = len(labels)
     parameters.n_threads = parameters.n_threads_batch = threads
     parameters.type_k = parameters.type_v = c.GGML_TYPE_F32
@@ -52,23 +74,27 @@ def llama_cpp_layout(model: str, threads: int, labels: list[str], tokens: list[l
     context = c.llama_init_from_model(weights, parameters)
     vocabulary, memory = c.llama_model_get_vocab(weights), c.llama_get_memory(context)
     size = c.llama_vocab_n_tokens(vocabulary)
-    batch = c.llama_batch_init(1024, 0, len(labels))
-    room = (c.llama_token * 1024)()
+    batch = c.llama_batch_init(CONTEXT, 0, 1)
+    room = (c.llama_token * CONTEXT)()
+    # Made once, so that filling a batch from Python costs as little as it can.
+    each = [(c.llama_seq_id * 1)(label) for label in range(len(labels))]
+    all_of_them = (c.llama_seq_id * len(labels))(*range(len(labels)))
 
     def score(prompt: str) -> list[float]:
         text = prompt.encode()
-        prefix = list(room[: c.llama_tokenize(vocabulary, text, len(text), room, 1024, True, False)])
+        prefix = list(room[: c.llama_tokenize(vocabulary, text, len(text), room, CONTEXT, True, False)])
         batch.n_tokens = 0
 
-        def add(token: int, position: int, sequences: range, wanted: bool) -> None:
+        def add(token: int, position: int, sequences: ctypes.Array, wanted: bool) -> None:
             at = batch.n_tokens
+            if at >= CONTEXT:
+                raise SystemExit(f"prompt and labels have more than {CONTEXT} tokens: choose a smaller scene or window")
             batch.token[at], batch.pos[at], batch.n_seq_id[at], batch.logits[at] = token, position, len(sequences), wanted
-            for place, sequence in enumerate(sequences):
-                batch.seq_id[at][place] = sequence
+            batch.seq_id[at] = sequences
             batch.n_tokens += 1
 
         for position, token in enumerate(prefix):
-            add(token, position, range(len(tokens)), position == len(prefix) - 1)
+            add(token, position, all_of_them, position == len(prefix) - 1)
         rows, wanted = [], []
         for label, own in enumerate(tokens):
             before = 0
@@ -77,18 +103,20 @@ def llama_cpp_layout(model: str, threads: int, labels: list[str], tokens: list[l
                 wanted.append(token)
                 if place + 1 < len(own):  # The last token's logits are of no use.
                     before = batch.n_tokens - len(prefix) + 1
-                    add(token, len(prefix) + place, range(label, label + 1), True)
+                    add(token, len(prefix) + place, each[label], True)
         c.llama_memory_clear(memory, True)
+        start = time.perf_counter_ns()
         if c.llama_decode(context, batch):
             raise RuntimeError("llama_decode failed")
         count = batch.n_tokens - len(prefix) + 1
         logits = np.ctypeslib.as_array(c.llama_get_logits(context), (count, size))
+        score.decoder_ns = time.perf_counter_ns() - start
         # One pass over every row, not one for every label.
         top = logits.max(axis=1)
         total = np.log(np.exp(logits - top[:, None]).sum(axis=1)) + top
-        each = logits[rows, wanted] - total[rows]
+        chosen = logits[rows, wanted] - total[rows]
         ends = np.cumsum([0] + [len(own) for own in tokens])
-        return np.add.reduceat(each.astype(np.float64), ends[:-1]).tolist()
+        return np.add.reduceat(chosen.astype(np.float64), ends[:-1]).tolist()
 
     return score
 
@@ -146,7 +174,8 @@ def main() -> None:
         start = time.perf_counter_ns()
         scores = score(prompt)
         nanoseconds = time.perf_counter_ns() - start
-        print("answer " + json.dumps({"ns": nanoseconds, "log_prob_nats": scores}), flush=True)
+        answer = {"ns": nanoseconds, "decoder_ns": getattr(score, "decoder_ns", None), "log_prob_nats": scores}
+        print("answer " + json.dumps(answer), flush=True)
 
 
 if __name__ == "__main__":

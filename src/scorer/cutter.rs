@@ -11,7 +11,8 @@ use super::{LanguageModel, ModelError, TextStart, Token};
 /// Sentences that are remembered: the default windows of a dozen persons. The oldest makes room for a new one.
 const REMEMBERED: usize = 256;
 
-/// The sentences cut lately, with their tokens. Memory is used again, so that a warm cutter allocates nothing.
+/// The sentences cut lately, with their tokens. Memory is used again: a warm cutter allocates only for a sentence longer than the one whose
+/// place it takes.
 #[derive(Debug, Default)]
 pub(super) struct Cutter {
     /// Of the sentences, in the same places, to find them fast.

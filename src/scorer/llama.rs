@@ -22,7 +22,7 @@ use llama_cpp_2::model::LlamaModel as Weights;
 use llama_cpp_2::model::params::LlamaModelParams;
 use llama_cpp_2::token::LlamaToken;
 use llama_cpp_2::token_type::LlamaTokenAttr;
-use llama_cpp_2::vocab::{LlamaVocab, VocabType};
+use llama_cpp_2::vocab::LlamaVocab;
 use llama_cpp_2::{LogOptions, send_logs_to_tracing};
 use sha2::{Digest, Sha256};
 
@@ -221,19 +221,18 @@ pub fn file_fingerprint(path: &Path) -> std::io::Result<[u8; 32]> {
     }
 }
 
-/// Whether texts may be cut into tokens sentence by sentence. A SentencePiece vocabulary merges two neighbours only to a token that it
-/// has, so nothing merges across a full stop and a space when no token holds both. Tokens of the user's own are cut out by other rules,
-/// and other kinds of vocabularies have rules of their own for words: they are not asked.
+/// Whether texts may be cut into tokens sentence by sentence with this SentencePiece vocabulary: it merges two neighbours only to a token
+/// that it has, best score first, so nothing merges across a full stop and a space when no token holds both. Tokens of the user's own are cut
+/// out by other rules, and scores that are no numbers have no order.
 fn sentences_apart(vocabulary: &LlamaVocab<'_>) -> bool {
     let cut = |text: &str| vocabulary.tokenize(text.as_bytes(), false, false);
     let joins = |token| {
         let own = vocabulary.attr(token).contains(LlamaTokenAttr::UserDefined);
-        own || vocabulary.text(token).is_none_or(|text| text.to_string_lossy().contains(".\u{2581}"))
+        own || vocabulary.score(token).is_nan()
+            || vocabulary.text(token).is_none_or(|text| text.to_string_lossy().contains(".\u{2581}"))
     };
-    vocabulary.vocab_type() == VocabType::SPM
-        // Without a space put before every text, a sentence by itself is another one than behind a space.
-        && [cut("a."), cut("a")].concat() == cut("a. a")
-        && !vocabulary.tokens().any(joins)
+    // Without a space put before every text, a sentence by itself is another one than behind a space.
+    [cut("a."), cut("a")].concat() == cut("a. a") && !vocabulary.tokens().any(joins)
 }
 
 impl LlamaModel {
@@ -274,7 +273,7 @@ impl LlamaModel {
             shares_prefix: !weights.is_recurrent() && !weights.is_hybrid(),
             fingerprint,
         };
-        let sentences_apart = sentences_apart(&vocabulary);
+        let sentences_apart = text("tokenizer.ggml.model").as_deref() == Some("llama") && sentences_apart(&vocabulary);
         let add_start_token = vocabulary.should_add_bos();
         let start_token = Token(vocabulary.bos().0);
         let context = options.context_parameters(weights.n_ctx_train());

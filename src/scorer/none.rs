@@ -44,6 +44,10 @@ impl LanguageModel for NoModel {
         Ok(())
     }
 
+    fn sentences_apart(&self) -> bool {
+        true
+    }
+
     fn token_text(&self, _token: Token) -> String {
         "(word)".into()
     }

@@ -109,6 +109,20 @@ mod tests {
         assert!((log_sum_exp(&[0.0; 64]) - 64f64.ln()).abs() < 1e-6);
     }
 
+    /// Flat rows have the most terms that count, and so the largest sums of rounding.
+    #[test]
+    fn flat_rows_are_as_exact() {
+        for size in [1, 15, 17, 1023, 1025, 50_001] {
+            for offset in [0.0, 0.1, -7.3] {
+                let row: Vec<f32> = (0..size).map(|at| offset + (at % 7) as f32 * 0.03).collect();
+                assert!((log_sum_exp(&row) - by_hand(&row)).abs() < 4e-6, "{size} {offset}");
+                let mut row = row;
+                row[size - 1] = f32::NAN;
+                assert!(log_sum_exp(&row).is_nan(), "{size} {offset}");
+            }
+        }
+    }
+
     proptest::proptest! {
         #[test]
         fn agrees_with_double_precision(row in proptest::collection::vec(-200f32..200.0, 1..5000)) {
