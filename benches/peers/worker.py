@@ -32,6 +32,8 @@ def log_probs(logits: np.ndarray, tokens: np.ndarray) -> np.ndarray:
 def cappr(model: str, threads: int, labels: list[str], _: list[list[int]]) -> Score:
     """CAPPr at its best: the narration stays in the model from event to event (`cache_model`), the binding sequence is read once, and
     the labels follow one by one, or all at once where each is a single token."""
+    # CAPPr imports its other back end wherever transformers is installed, and does not know its newest versions.
+    sys.modules["transformers"] = None
     from cappr.llama_cpp.classify import cache_model, log_probs_conditional
     from llama_cpp import GGML_TYPE_F32, Llama
 
@@ -62,6 +64,8 @@ def llama_cpp_layout(model: str, threads: int, labels: list[str], tokens: list[l
 
     if len(labels) > SEQUENCES_MAX:
         raise SystemExit(f"{len(labels)} labels, and llama.cpp has {SEQUENCES_MAX} sequences: choose a scene with fewer")
+    quiet = c.llama_log_callback(lambda *_: None)
+    c.llama_log_set(quiet, ctypes.c_void_p(0))
     c.llama_backend_init()
     weights = c.llama_model_load_from_file(model.encode(), c.llama_model_default_params())
     parameters = c.llama_context_default_params()
@@ -118,6 +122,7 @@ def llama_cpp_layout(model: str, threads: int, labels: list[str], tokens: list[l
         ends = np.cumsum([0] + [len(own) for own in tokens])
         return np.add.reduceat(chosen.astype(np.float64), ends[:-1]).tolist()
 
+    score.quiet = quiet  # As long as llama.cpp may call it.
     return score
 
 
@@ -147,7 +152,8 @@ def transformers(model: str, threads: int, labels: list[str], tokens: list[list[
         prefix = text.tokenize(prompt.encode(), add_bos=True)
         same = next((i for i, (a, b) in enumerate(zip(kept, prefix)) if a != b), min(len(kept), len(prefix)))
         same = min(same, len(prefix) - 1)
-        cache.crop(same)
+        if kept and same < cache.get_seq_length():
+            cache.crop(same - cache.get_seq_length())
         first = network(torch.tensor([prefix[same:]]), past_key_values=cache, use_cache=True, logits_to_keep=1).logits[0, -1]
         kept = prefix
         first = first.log_softmax(-1)

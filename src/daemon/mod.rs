@@ -387,7 +387,9 @@ struct Scoring<M> {
 impl<M: LanguageModel> Scoring<M> {
     fn run(&mut self) -> Result<(), IpcError> {
         loop {
-            match self.queue.recv_timeout(TICK) {
+            // A changed map is scored at once.
+            let patience = if self.cycle.step_due(clock::monotonic_ns()) { Duration::ZERO } else { TICK };
+            match self.queue.recv_timeout(patience) {
                 Ok(first) => {
                     for (entry, number) in std::iter::once(first).chain(self.queue.try_iter()) {
                         self.cycle.enter(entry, number);
@@ -396,9 +398,6 @@ impl<M: LanguageModel> Scoring<M> {
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
             }
-            if self.change_map()? {
-                self.cycle.score_again();
-            }
             let now_ns = clock::monotonic_ns();
             self.progress.scoring_ns.store(now_ns, Ordering::Relaxed);
             let events = self.cycle.waiting() as u64;
@@ -406,9 +405,13 @@ impl<M: LanguageModel> Scoring<M> {
                 self.step(now_ns);
             }
             self.send(events)?;
+            // What comes after may wait for the scores: looking for questions alone takes as long as a small step.
             self.scores.tick()?;
             self.items.tick()?;
             self.forecasts.tick()?;
+            if self.change_map()? {
+                self.cycle.score_again();
+            }
             self.status.answer(|| self.tally())?;
             self.moments.answer(|_| serde_json::to_string(&self.cycle.board().moment()).unwrap_or_default())?;
             if self.queue.is_empty() {
