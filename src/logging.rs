@@ -1,7 +1,11 @@
 //! Logs: to the journal when systemd listens, else to standard error; filtered by `ROOMCAST_LOG` ([`FILTER_DEFAULT`] when unset).
+//!
+//! Standard error may be a pipe that nobody reads, or a file on a disk that is busy for seconds. So a thread of its own writes it, and
+//! lines that it cannot keep up with (128 000 may wait) are lost: what is logged never holds up what acts.
 
 use std::io::IsTerminal;
 
+use tracing_appender::non_blocking::WorkerGuard;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, fmt};
@@ -12,19 +16,31 @@ pub const FILTER_VARIABLE: &str = "ROOMCAST_LOG";
 /// llama.cpp tells much about itself that matters only when a model does not load.
 pub const FILTER_DEFAULT: &str = "info,llama-cpp-2=warn,llama_cpp_2=error";
 
+/// Keeps the log's thread alive. Dropping it writes what is still to be written, for a second at most.
+#[must_use = "the log ends when this is dropped"]
+#[derive(Debug)]
+pub struct Log {
+    _writer: Option<WorkerGuard>,
+}
+
 /// Sets up logging, once per process; a second call changes nothing.
-pub fn init() {
+pub fn init() -> Log {
     let filter = EnvFilter::try_from_env(FILTER_VARIABLE).unwrap_or_else(|_| EnvFilter::new(FILTER_DEFAULT));
     let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
     let registry = tracing_subscriber::registry().with(filter);
     // An error says that somebody else has set up logging already, a test for instance.
-    let _set = match journal {
-        Some(journal) => registry.with(journal).try_init(),
+    match journal {
+        Some(journal) => {
+            let _set = registry.with(journal).try_init();
+            Log { _writer: None }
+        }
         None => {
             let colours = std::io::stderr().is_terminal();
-            registry.with(fmt::layer().with_writer(std::io::stderr).with_ansi(colours)).try_init()
+            let (lines, writer) = tracing_appender::non_blocking(std::io::stderr());
+            let _set = registry.with(fmt::layer().with_writer(lines).with_ansi(colours)).try_init();
+            Log { _writer: Some(writer) }
         }
-    };
+    }
 }
 
 /// An error with its causes, in one line.

@@ -103,6 +103,27 @@ fn may_mount() -> bool {
     may
 }
 
+/// A pipe that is full: its reader has stopped reading. The daemon starts, scores and stops all the same.
+#[test]
+fn a_log_that_nobody_reads_holds_up_nothing() {
+    let mut world = World::new("mute");
+    let (unread, log) = rustix::pipe::pipe().unwrap();
+    let room = rustix::pipe::fcntl_setpipe_size(&log, 4096).unwrap();
+    // Loading a model alone is told in more words than the pipe takes.
+    let mut command = world.command(&[], &["daemon"]);
+    command.env("ROOMCAST_LOG", "trace").stdout(Stdio::null()).stderr(log);
+    world.running = Some(command.spawn().unwrap());
+    drop(command);
+    fs::write(world.path("log"), "(not read)").unwrap();
+    let told = world.narrate("They walk to the kitchen.\nThey open the fridge.\n");
+    assert!(told.status.success(), "{}", String::from_utf8_lossy(&told.stderr));
+    assert_eq!(world.status().accepted, 2);
+    // A line is written whole or not at all.
+    let full = rustix::io::ioctl_fionread(&unread).unwrap() as usize + 512 > room;
+    assert!(full, "the pipe was not full, so nothing was shown");
+    world.stop();
+}
+
 /// It ends by itself with an error in words, or runs until it is asked to stop; it is never killed by a signal of the system's.
 fn ends_in_words(mut command: Command, what: &str) -> bool {
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();

@@ -32,7 +32,7 @@ pub struct Args {
 /// When it cannot begin: configuration, model, scene, shared memory, another daemon.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
-    logging::init();
+    let _log = logging::init();
     let (mut config, domain) = args.service.load()?;
     if args.scene.is_some() {
         config.scene.path.clone_from(&args.scene);

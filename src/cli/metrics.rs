@@ -23,7 +23,7 @@ pub struct Args {
 /// When no address is configured, it is none of this machine alone, or it is taken; when a service is lost.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
-    logging::init();
+    let _log = logging::init();
     let (config, domain) = args.service.load()?;
     let Some(address) = args.listen.or(config.metrics.listen) else {
         return Err(Failure::new(

@@ -62,7 +62,7 @@ pub struct Args {
 /// When the input is malformed, a service cannot be opened, or the daemon did not confirm everything.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
-    logging::init();
+    let _log = logging::init();
     let (mut config, domain) = args.service.load()?;
     let narrator = &mut config.narrator;
     if let Some(name) = &args.name {

@@ -30,7 +30,7 @@ pub struct Args {
 /// When the configuration is malformed or a service cannot be opened.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
-    logging::init();
+    let _log = logging::init();
     let (mut config, domain) = args.service.load()?;
     let planned = &mut config.planner;
     if let Some(robot) = &args.robot {

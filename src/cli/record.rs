@@ -43,7 +43,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// When a service cannot be opened, or the file cannot be written.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
-    logging::init();
+    let _log = logging::init();
     let (_, domain) = args.service.load()?;
     let ipc = |error| Failure::new(exit_code::IPC, error);
     let node = domain.open("roomcast-record").map_err(ipc)?;
