@@ -499,6 +499,18 @@ mod tests {
         /// Publishes messages in order and returns when the broker has all of them.
         fn publish(&self, messages: &[(&str, String, bool)]) {
             let (client, mut connection) = Client::new(MqttOptions::new("publisher", "127.0.0.1", self.port), 1000);
+            // A broker that has just begun to listen may still turn its first clients away.
+            let deadline = std::time::Instant::now() + Duration::from_secs(20);
+            loop {
+                match connection.recv().unwrap() {
+                    Ok(Event::Incoming(Packet::ConnAck(_))) => break,
+                    Ok(_) => {}
+                    Err(error) => {
+                        assert!(std::time::Instant::now() < deadline, "no connection to port {}: {error}", self.port);
+                        std::thread::sleep(Duration::from_millis(20));
+                    }
+                }
+            }
             for (topic, payload, retain) in messages {
                 client.try_publish(*topic, QoS::AtLeastOnce, *retain, payload.as_bytes()).unwrap();
             }
