@@ -3,6 +3,8 @@
 use std::collections::BTreeSet;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use std::{env, fs, io};
 
@@ -45,6 +47,8 @@ const JOINED_WITHIN: Duration = Duration::from_secs(10);
 /// A service that is not finished is made at this moment, or its maker was killed; after this long it is the latter. Less than
 /// [`OPEN_FOR`], so that whoever opens it gets through.
 const MADE_WITHIN: Duration = Duration::from_secs(2);
+/// How often a participant looks for shared memory that nobody will finish.
+const WATCH_EVERY: Duration = Duration::from_millis(500);
 
 /// A private world of services: participants see one another when root path and name are equal, and nobody else.
 ///
@@ -119,6 +123,7 @@ impl Domain {
         let config = self.config()?;
         let name =
             NodeName::new(participant).map_err(|error| join(format!("participant {participant:?}: {error:?}")))?;
+        let guardian = Guardian::start(self).map_err(|error| join(format!("no thread can be started: {error}")))?;
         let node = NodeBuilder::new()
             .name(&name)
             .config(&config)
@@ -126,7 +131,7 @@ impl Domain {
             .create::<Flavour>()
             .map_err(|error| join(format!("{error:?}")))?;
         self.close_to_others();
-        Ok(Node { node, config, domain: self.clone() })
+        Ok(Node { node, config, domain: self.clone(), _guardian: guardian })
     }
 
     /// Removes what dead participants left, and, when nobody is left alive, everything of the domain: its shared memory, its files
@@ -200,7 +205,7 @@ impl Domain {
     /// Removes what ports left whose participant is gone altogether, killed between making a file and noting that it is its own.
     ///
     /// The numbers of a participant and of its ports end in the 32 bits of its process id, and no port outlives its participant's entry,
-    /// which is cleaned up last.
+    /// which is cleaned up last. A connection has two participants, and is of no use to one without the other.
     fn repair_ports(&self, participants: &BTreeSet<String>) {
         let process = |number: &str| number.parse::<u128>().ok().map(|number| number as u32);
         let known: BTreeSet<u32> = participants.iter().filter_map(|id| process(id)).collect();
@@ -215,9 +220,20 @@ impl Domain {
             let of_a_port = PORT_FILES.contains(&suffix) && !owners.is_empty();
             let age = fs::metadata(&file).and_then(|about| about.modified()).ok().and_then(|made| made.elapsed().ok());
             if of_a_port
-                && owners.iter().all(|owner| !known.contains(owner))
+                && owners.iter().any(|owner| !known.contains(owner))
                 && age.is_some_and(|age| age >= JOINED_WITHIN)
             {
+                let _removed = fs::remove_file(file);
+            }
+        }
+    }
+
+    /// Removes shared memory that has had no size for [`MADE_WITHIN`].
+    fn remove_unmade_memory(&self) {
+        for file in self.shared_memory().unwrap_or_default() {
+            let Ok(about) = fs::symlink_metadata(&file) else { continue };
+            let age = about.modified().ok().and_then(|made| made.elapsed().ok());
+            if about.is_file() && about.len() == 0 && age.is_some_and(|age| age >= MADE_WITHIN) {
                 let _removed = fs::remove_file(file);
             }
         }
@@ -393,6 +409,43 @@ pub struct Node {
     node: iceoryx2::node::Node<Flavour>,
     config: Config,
     domain: Domain,
+    /// Last, since leaving may have to wait for memory too.
+    _guardian: Guardian,
+}
+
+/// Frees whoever waits for shared memory that will never be finished.
+///
+/// A process that is killed between making a piece of shared memory and giving it its size leaves a file of no bytes. iceoryx2 waits for
+/// such memory without end, whatever it is about: opening a service, cleaning up after the dead, sending. So a thread of every
+/// participant removes these files when they are [`MADE_WITHIN`] old, and what waited goes on with an error that passes.
+#[derive(Debug)]
+struct Guardian {
+    stop: Option<mpsc::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Guardian {
+    fn start(domain: &Domain) -> io::Result<Self> {
+        let domain = domain.clone();
+        let (stop, stopped) = mpsc::channel();
+        let watch = move || {
+            while stopped.recv_timeout(WATCH_EVERY) == Err(mpsc::RecvTimeoutError::Timeout) {
+                domain.remove_unmade_memory();
+            }
+        };
+        let thread = std::thread::Builder::new().name("guardian".to_owned()).spawn(watch)?;
+        Ok(Self { stop: Some(stop), thread: Some(thread) })
+    }
+}
+
+impl Drop for Guardian {
+    fn drop(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            // It cannot panic, and has nothing to say.
+            let _ended = thread.join();
+        }
+    }
 }
 
 impl Node {

@@ -3,7 +3,7 @@
 //!
 //! `ROOMCAST_KILLS=2500 ROOMCAST_KILLS_SEED=2 cargo test --release --workspace --test killed` kills so many.
 
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
+#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a panic in a test is the report")]
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -163,4 +163,42 @@ fn nothing_stays_of_participants_killed_at_any_moment() {
     let left = files(&domain);
     assert!(left.is_empty(), "{left:#?}");
     assert!(domain.clean_up().unwrap());
+}
+
+/// A service whose maker was killed before its shared memory had a size: iceoryx2 by itself would wait for it for ever, whoever opens the
+/// service, sends, or cleans up.
+#[test]
+fn memory_that_never_got_its_size_keeps_nobody_waiting() {
+    let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+    let domain = Domain::new(root.path(), &format!("sizeless-{}", std::process::id())).unwrap();
+    let services = |domain: &Domain| {
+        let mut services = files(domain);
+        services.retain(|file| file.extension().is_some_and(|ending| ending == "dynamic"));
+        services
+    };
+    let mut child = start("daemon", &domain);
+    let began = Instant::now();
+    // A daemon has seven ports, each with its service.
+    while services(&domain).len() < 7 {
+        assert!(began.elapsed() < Duration::from_secs(60), "the child opens nothing: {:#?}", files(&domain));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    for memory in services(&domain) {
+        std::fs::File::create(memory).unwrap();
+    }
+    // In a thread, so that a wait without end is told rather than waited for.
+    let (done, ended) = std::sync::mpsc::channel();
+    let own = domain.clone();
+    std::thread::spawn(move || {
+        let node = own.open("next").unwrap();
+        let scores = node.publisher::<RoomScoresV1>().unwrap();
+        node.clean_up_dead();
+        scores.send_unchecked(&RoomScoresV1::default()).unwrap();
+        drop((scores, node));
+        done.send(own.clean_up().unwrap()).unwrap();
+    });
+    assert!(ended.recv_timeout(Duration::from_secs(60)).expect("somebody still waits after a minute"));
+    assert_eq!(files(&domain), Vec::<PathBuf>::new());
 }
