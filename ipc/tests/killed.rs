@@ -3,7 +3,7 @@
 //!
 //! `ROOMCAST_KILLS=2500 ROOMCAST_KILLS_SEED=2 cargo test --release --workspace --test killed` kills so many.
 
-#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a panic in a test is the report")]
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
