@@ -204,10 +204,10 @@ impl Domain {
 
     /// Removes what ports left whose participant is gone altogether, killed between making a file and noting that it is its own.
     ///
-    /// The numbers of a participant and of its ports end in the 32 bits of its process id, and no port outlives its participant's entry,
-    /// which is cleaned up last. A connection has two participants, and is of no use to one without the other.
+    /// The numbers of a participant and of its ports hold the process id (iceoryx2's `UniqueSystemId`: from the lowest bits up 32 of seconds, of
+    /// nanoseconds, of the process id, of a counter), and no port outlives its participant's entry, which is cleaned up last. A connection has two participants, and is of no use to one without the other.
     fn repair_ports(&self, participants: &BTreeSet<String>) {
-        let process = |number: &str| number.parse::<u128>().ok().map(|number| number as u32);
+        let process = |number: &str| number.parse::<u128>().ok().map(|number| (number >> 64) as u32);
         let known: BTreeSet<u32> = participants.iter().filter_map(|id| process(id)).collect();
         let sockets = fs::read_dir(&self.root).into_iter().flatten().flatten().map(|entry| entry.path());
         for file in self.shared_memory().unwrap_or_default().into_iter().chain(sockets) {
