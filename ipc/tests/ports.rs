@@ -282,9 +282,9 @@ fn what_killed_participants_left_half_made_is_cleaned_up_and_keeps_nobody_out() 
         std::fs::write(file, "").unwrap();
     }
     // And what a port left whose participant (of process 4321) is gone altogether.
-    let orphan = format!("/dev/shm/{name}_{}_{}.event_mgmt", "0".repeat(40), (7_u128 << 96) + 4321);
+    let orphan = format!("/dev/shm/{name}_{}_{}.event_mgmt", "0".repeat(40), (7_u128 << 96) + (4321 << 64));
     let orphan = std::path::PathBuf::from(orphan);
-    std::fs::write(&orphan, "").unwrap();
+    std::fs::write(&orphan, "what ports have").unwrap();
     let made = [&joining, &cleaned, &monitor, &service, &orphan, &starting].into_iter().chain(&unreadable);
     let made: Vec<_> = made.collect();
     node.clean_up_dead();
