@@ -46,15 +46,7 @@ fn cycle() -> Cycle<LlamaModel> {
 /// One event in microseconds: without the idle work after it, and with it.
 fn event(cycle: &mut Cycle<LlamaModel>, sequence: u64, sentence: &Sentence) -> [f64; 2] {
     let now_ns = clock::monotonic_ns();
-    let observation = Observation {
-        person: 0,
-        source: 1,
-        epoch: 1,
-        sequence,
-        observed_ns: now_ns,
-        observed_unix_ns: 0,
-        sentence: sentence.clone(),
-    };
+    let observation = Observation { observed_ns: now_ns, ..Observation::of(sequence, sentence.clone()) };
     let start = Instant::now();
     cycle.enter(Entry { observation, received_ns: now_ns, after_gap: false }, 0);
     cycle.step(now_ns, now_ns).expect("the model scores");

@@ -127,15 +127,7 @@ impl Told {
     fn event(&mut self) {
         let place = usize::try_from(self.next).unwrap_or(0) % self.sentences.len();
         self.next += 1;
-        let observation = Observation {
-            person: 0,
-            source: 1,
-            epoch: 1,
-            sequence: self.next,
-            observed_ns: self.next,
-            observed_unix_ns: 0,
-            sentence: self.sentences[place].clone(),
-        };
+        let observation = Observation::of(self.next, self.sentences[place].clone());
         self.pipeline.step([observation]).expect("the model scores");
         self.pipeline.tidy();
     }

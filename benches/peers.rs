@@ -45,15 +45,8 @@ fn main() {
         .flat_map(|program| Program::load(Path::new(program)).expect("a program").steps)
         .map(|action| Sentence::new(&action.sentence()).expect("a sentence"))
         .collect();
-    let mut narration = (0..).zip(sentences.iter().cycle()).map(|(sequence, sentence)| Observation {
-        person: 0,
-        source: 0,
-        epoch: 0,
-        sequence,
-        observed_ns: 0,
-        observed_unix_ns: 0,
-        sentence: sentence.clone(),
-    });
+    let mut narration =
+        (0..).zip(sentences.iter().cycle()).map(|(sequence, sentence)| Observation::of(sequence, sentence.clone()));
     pipeline.observe(narration.by_ref().take(observations));
     let mut output = std::io::stdout().lock();
     let labels = pipeline.prepared();

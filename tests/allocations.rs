@@ -42,15 +42,8 @@ fn allocations(effort: Effort) -> Vec<[u64; 4]> {
         let received = node.subscriber::<RoomScoresV1>().unwrap();
         for (sequence, sentence) in (1..).zip(sentences.iter().cycle().take(3 * sentences.len())) {
             let now_ns = clock::monotonic_ns();
-            let observation = Observation {
-                person: 0,
-                source: 1,
-                epoch: 1,
-                sequence,
-                observed_ns: now_ns,
-                observed_unix_ns: 0,
-                sentence: Sentence::new(sentence).unwrap(),
-            };
+            let sentence = Sentence::new(sentence).unwrap();
+            let observation = Observation { observed_ns: now_ns, ..Observation::of(sequence, sentence) };
             let scored = allocation_counter::measure(|| {
                 cycle.enter(Entry { observation, received_ns: now_ns, after_gap: false }, 0);
                 cycle.step(now_ns, now_ns).unwrap();

@@ -159,15 +159,7 @@ fn the_tokenizer_is_the_one_of_the_training() {
 }
 
 fn observation(sequence: u64, sentence: &str) -> Observation {
-    Observation {
-        person: 0,
-        source: 1,
-        epoch: 1,
-        sequence,
-        observed_ns: sequence,
-        observed_unix_ns: 0,
-        sentence: Sentence::new(sentence).unwrap(),
-    }
+    Observation { observed_ns: sequence, ..Observation::of(sequence, Sentence::new(sentence).unwrap()) }
 }
 
 /// A long running pipeline with partial answers and idle compaction against an exact one: the bounds hold, the certified

@@ -106,7 +106,7 @@ def main() -> int:
     parser.add_argument("--scene", default="apartment-e0", help="a shipped scene or a scene file (apartment-e0, 115 labels and 3 rooms)")
     parser.add_argument("--events", type=int, default=10)
     parser.add_argument("--observations", type=int, default=0, help="in the window; by default as many as make about 150 tokens")
-    parser.add_argument("--threads", type=int, default=max(2, (os.cpu_count() or 2) - 1) if (os.cpu_count() or 2) > 2 else 2)
+    parser.add_argument("--threads", type=int, default=max(2, (os.cpu_count() or 2) - 1))
     parser.add_argument("--peers", nargs="*", default=PEERS, choices=PEERS)
     parser.add_argument("--checked", type=int, default=CHECKED, help=f"events whose scores are compared with f32 weights ({CHECKED})")
     parser.add_argument("--no-check", action="store_true", help="leave out the comparison of scores with f32 weights")

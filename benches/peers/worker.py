@@ -22,13 +22,6 @@ CONTEXT = 1024
 SEQUENCES_MAX = 256
 
 
-def log_probs(logits: np.ndarray, tokens: np.ndarray) -> np.ndarray:
-    """ln p(token) by row."""
-    top = logits.max(axis=-1, keepdims=True)
-    total = np.log(np.exp(logits - top).sum(axis=-1)) + top[:, 0]
-    return logits[np.arange(len(tokens)), tokens] - total
-
-
 def cappr(model: str, threads: int, labels: list[str], _: list[list[int]]) -> Score:
     """CAPPr at its best: the narration stays in the model from event to event (`cache_model`), the binding sequence is read once, and
     the labels follow one by one, or all at once where each is a single token."""

@@ -163,7 +163,6 @@ impl Domain {
     /// instead of this one. A service's file can be written to until it is finished. All this is ordinary for moments, so nothing is
     /// touched that changed within [`JOINED_WITHIN`] and [`MADE_WITHIN`].
     fn repair(&self) {
-        let age = |path: &Path| fs::metadata(path).and_then(|about| about.modified()).ok()?.elapsed().ok();
         let prefix = self.prefix();
         let nodes = self.root.join("nodes");
         let mut participants = BTreeSet::new();
@@ -204,8 +203,9 @@ impl Domain {
 
     /// Removes what ports left whose participant is gone altogether, killed between making a file and noting that it is its own.
     ///
-    /// The numbers of a participant and of its ports hold the process id (iceoryx2's `UniqueSystemId`: from the lowest bits up 32 of seconds, of
-    /// nanoseconds, of the process id, of a counter), and no port outlives its participant's entry, which is cleaned up last. A connection has two participants, and is of no use to one without the other.
+    /// The numbers of a participant and of its ports hold the process id (iceoryx2's `UniqueSystemId`: from the lowest bits up 32 of
+    /// seconds, of nanoseconds, of the process id, of a counter), and no port outlives its participant's entry, which is cleaned up last. A
+    /// connection has two participants, and is of no use to one without the other.
     fn repair_ports(&self, participants: &BTreeSet<String>) {
         let process = |number: &str| number.parse::<u128>().ok().map(|number| (number >> 64) as u32);
         let known: BTreeSet<u32> = participants.iter().filter_map(|id| process(id)).collect();
@@ -218,10 +218,9 @@ impl Domain {
             // Numbers only: between them stands the service's hash.
             let owners: Vec<u32> = stem.split('_').filter(|part| part.len() < 40).filter_map(process).collect();
             let of_a_port = PORT_FILES.contains(&suffix) && !owners.is_empty();
-            let age = fs::metadata(&file).and_then(|about| about.modified()).ok().and_then(|made| made.elapsed().ok());
             if of_a_port
                 && owners.iter().any(|owner| !known.contains(owner))
-                && age.is_some_and(|age| age >= JOINED_WITHIN)
+                && age(&file).is_some_and(|age| age >= JOINED_WITHIN)
             {
                 let _removed = fs::remove_file(file);
             }
@@ -232,8 +231,7 @@ impl Domain {
     fn remove_unmade_memory(&self) {
         for file in self.shared_memory().unwrap_or_default() {
             let Ok(about) = fs::symlink_metadata(&file) else { continue };
-            let age = about.modified().ok().and_then(|made| made.elapsed().ok());
-            if about.is_file() && about.len() == 0 && age.is_some_and(|age| age >= MADE_WITHIN) {
+            if about.is_file() && about.len() == 0 && age(&file).is_some_and(|age| age >= MADE_WITHIN) {
                 let _removed = fs::remove_file(file);
             }
         }
@@ -244,8 +242,7 @@ impl Domain {
     fn remove_dead(&self, id: u128) {
         let nodes = self.root.join("nodes");
         let folder = nodes.join(id.to_string());
-        let changed = fs::metadata(&folder).and_then(|about| about.modified()).ok().and_then(|at| at.elapsed().ok());
-        if changed.is_some_and(|age| age >= JOINED_WITHIN) && self.all_ours(&folder) {
+        if age(&folder).is_some_and(|age| age >= JOINED_WITHIN) && self.all_ours(&folder) {
             let _removed = fs::remove_dir_all(&folder);
             for suffix in MONITOR_FILES {
                 let _removed = fs::remove_file(nodes.join(format!("{}{id}.{suffix}", self.prefix())));
@@ -401,6 +398,11 @@ impl Domain {
         config.global.prefix = FileName::new(self.prefix().as_bytes()).map_err(bad_name)?;
         Ok(config)
     }
+}
+
+/// How long ago a file, or what is in a folder, last changed; none where it is gone, or changed in the future.
+fn age(path: &Path) -> Option<Duration> {
+    fs::metadata(path).and_then(|about| about.modified()).ok()?.elapsed().ok()
 }
 
 /// A participant's place in a domain. Ports live on when it is dropped before them.

@@ -286,17 +286,8 @@ fn model_and_scene(config: &Config) -> Vec<Finding> {
                 sentences.iter().filter_map(|action| Sentence::new(&action.sentence()).ok()).collect();
             let mut times_ms = Vec::new();
             for (sequence, sentence) in (1..).zip(sentences) {
-                let observation = Observation {
-                    person: 0,
-                    source: 0,
-                    epoch: 0,
-                    sequence,
-                    observed_ns: 0,
-                    observed_unix_ns: 0,
-                    sentence,
-                };
                 let scoring = Instant::now();
-                if let Err(error) = pipeline.step([observation]) {
+                if let Err(error) = pipeline.step([Observation::of(sequence, sentence)]) {
                     findings.push(Finding::wrong("speed", error.to_string(), "roomcast model check FILE"));
                     return findings;
                 }

@@ -169,18 +169,7 @@ fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
             }
         }
     }
-    Ok((0..)
-        .zip(sentences)
-        .map(|(sequence, sentence)| Observation {
-            person: 0,
-            source: 0,
-            epoch: 0,
-            sequence,
-            observed_ns: 0,
-            observed_unix_ns: 0,
-            sentence,
-        })
-        .collect())
+    Ok((0..).zip(sentences).map(|(sequence, sentence)| Observation::of(sequence, sentence)).collect())
 }
 
 /// Everything that the scores consist of; other programs rely on these keys.

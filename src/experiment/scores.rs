@@ -213,7 +213,7 @@ impl<M: LanguageModel> ScoreSource<M> {
             tokens.clear();
             let cut = self.scorer.model().tokenise(sentence.as_str(), TextStart::Within, &mut tokens);
             cut.map_err(ScoreError::from)?;
-            history.push(observation(sentence.clone()), tokens.len() + 1);
+            history.push(Observation::of(0, sentence.clone()), tokens.len() + 1);
             rows.push(self.score(history.sentences(), binding)?);
         }
         Ok(rows)
@@ -227,10 +227,6 @@ impl<M: LanguageModel> ScoreSource<M> {
         let Some(cache) = &mut self.cache else { return Ok(()) };
         cache.file.flush().map_err(|source| ScoresError::Cache { path: cache.path.clone(), source })
     }
-}
-
-fn observation(sentence: Sentence) -> Observation {
-    Observation { person: 0, source: 0, epoch: 0, sequence: 0, observed_ns: 0, observed_unix_ns: 0, sentence }
 }
 
 #[cfg(test)]

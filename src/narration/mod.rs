@@ -191,6 +191,14 @@ pub struct Observation {
     pub sentence: Sentence,
 }
 
+impl Observation {
+    /// What a text says rather than a port: of person 0, by source 0 in its epoch 0, at no known time.
+    #[must_use]
+    pub fn of(sequence: u64, sentence: Sentence) -> Self {
+        Self { person: 0, source: 0, epoch: 0, sequence, observed_ns: 0, observed_unix_ns: 0, sentence }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -7,6 +7,7 @@
 use std::hash::{BuildHasher, BuildHasherDefault, DefaultHasher};
 
 use super::{LanguageModel, ModelError, TextStart, Token};
+use crate::narration::SENTENCE_BYTES_MAX;
 
 /// Sentences that are remembered: the default windows of a dozen persons. The oldest makes room for a new one.
 const REMEMBERED: usize = 256;
@@ -41,7 +42,7 @@ impl Cutter {
         model.tokenise("", start, out)?;
         let mut rest = text;
         // A lone space at the very end stays with what is before it: by itself it would be no text at all.
-        while let Some(stop) = rest.find(". ").filter(|stop| stop + 2 < rest.len()) {
+        while let Some(stop) = sentence_end(rest).filter(|stop| stop + 2 < rest.len()) {
             self.cut_sentence(model, &rest[..=stop], out)?;
             rest = &rest[stop + 2..];
         }
@@ -62,6 +63,10 @@ impl Cutter {
         }
         let before = out.len();
         model.tokenise(sentence, TextStart::Within, out)?;
+        if sentence.len() > SENTENCE_BYTES_MAX {
+            // No narrator's: not worth its memory.
+            return Ok(());
+        }
         if self.sentences.len() < REMEMBERED {
             self.hashes.push(0);
             self.sentences.push(Default::default());
@@ -76,6 +81,11 @@ impl Cutter {
         self.next = (self.next + 1) % REMEMBERED;
         Ok(())
     }
+}
+
+/// Where in `text` the first sentence has its last byte, if another follows.
+fn sentence_end(text: &str) -> Option<usize> {
+    text.as_bytes().windows(2).position(|pair| matches!(pair, [b'.' | b'!' | b'?', b' ']))
 }
 
 #[cfg(test)]
@@ -96,7 +106,7 @@ mod tests {
             serde_json::from_str(include_str!("../../models/household-tokens.json")).unwrap();
         let texts: Vec<String> = texts.into_iter().map(|(text, _)| text).collect();
         assert!(texts.len() > REMEMBERED);
-        let joint = prop::sample::select(vec![". ", ".  ", " ", ".", "", ". . ", "...", ".\u{2581}", "? "]);
+        let joint = prop::sample::select(vec![". ", ".  ", " ", ".", "", ". . ", "...", ".\u{2581}", "? ", "! ", "?! "]);
         let prompt = prop::collection::vec((prop::sample::select(texts), joint), 0..12);
         let cutter = std::cell::RefCell::new(Cutter::default());
         let mut runner = TestRunner::new(Config { cases: 2000, failure_persistence: None, ..Config::default() });

@@ -222,14 +222,17 @@ pub fn file_fingerprint(path: &Path) -> std::io::Result<[u8; 32]> {
 }
 
 /// Whether texts may be cut into tokens sentence by sentence with this SentencePiece vocabulary: it merges two neighbours only to a token
-/// that it has, best score first, so nothing merges across a full stop and a space when no token holds both. Tokens of the user's own are cut
-/// out by other rules, and scores that are no numbers have no order.
+/// that it has, best score first, so nothing merges across the end of a sentence and a space when no token holds both. Tokens of the user's
+/// own are cut out by other rules, and scores that are no numbers have no order.
 fn sentences_apart(vocabulary: &LlamaVocab<'_>) -> bool {
     let cut = |text: &str| vocabulary.tokenize(text.as_bytes(), false, false);
     let joins = |token| {
         let own = vocabulary.attr(token).contains(LlamaTokenAttr::UserDefined);
         own || vocabulary.score(token).is_nan()
-            || vocabulary.text(token).is_none_or(|text| text.to_string_lossy().contains(".\u{2581}"))
+            || vocabulary.text(token).is_none_or(|text| {
+                let text = text.to_string_lossy();
+                [".\u{2581}", "!\u{2581}", "?\u{2581}"].iter().any(|both| text.contains(both))
+            })
     };
     // Without a space put before every text, a sentence by itself is another one than behind a space.
     [cut("a."), cut("a")].concat() == cut("a. a") && !vocabulary.tokens().any(joins)

@@ -129,7 +129,7 @@ pub trait LanguageModel {
     fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError>;
 
     /// Whether a text is always cut into the tokens of its sentences, cut [`TextStart::Within`] one by one: a sentence ends with a full
-    /// stop before a space, and the space is not part of the next one.
+    /// stop, an exclamation or a question mark before a space, and the space is not part of the next one.
     fn sentences_apart(&self) -> bool {
         false
     }
