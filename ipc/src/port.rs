@@ -93,19 +93,20 @@ impl<M: Message> Publisher<M> {
         Ok(())
     }
 
-    /// Hands the history to subscribers that joined since; to be called every 100 ms or so.
+    /// Hands the history to subscribers that joined since; to be called every 100 ms or so. Returns whether any joined or left.
     ///
     /// # Errors
     ///
     /// [`IpcError::Port`].
-    pub fn tick(&self) -> Result<(), IpcError> {
+    pub fn tick(&self) -> Result<bool, IpcError> {
         let subscribers = self.subscribers();
         self.publisher.update_connections().map_err(|error| port(M::SERVICE.name, "connect", &error))?;
         // A newcomer has its history now and may be asleep.
-        if self.known.replace(subscribers) != subscribers {
+        let changed = self.known.replace(subscribers) != subscribers;
+        if changed {
             self.wake();
         }
-        Ok(())
+        Ok(changed)
     }
 
     /// Subscribers connected to the service.
@@ -153,7 +154,13 @@ impl<M: Message> Subscriber<M> {
     /// [`IpcError::Port`].
     pub fn wait(&self, timeout: Duration) -> Result<bool, IpcError> {
         use iceoryx2::port::listener::ListenerWaitError;
-        match self.listener.timed_wait(|_| (), timeout) {
+        // iceoryx2 hands the time to the socket, where none stands for no end.
+        let waited = if timeout.is_zero() {
+            self.listener.try_wait(|_| ())
+        } else {
+            self.listener.timed_wait(|_| (), timeout)
+        };
+        match waited {
             Ok(news) => Ok(news > 0),
             Err(ListenerWaitError::InterruptSignal) => Ok(false),
             Err(error) => Err(port(M::SERVICE.name, "wait", &error)),

@@ -1,20 +1,24 @@
 //! The daemon: receives narration, scores the rooms, publishes.
 //!
 //! ```text
-//! ingest thread:  narration port -> intake -> journal, queue
-//! scoring thread: queue (all that waits) -> board -> room scores, item scores; heartbeat, status
+//! scoring thread: ear -> board -> room scores, item scores; heartbeat, status
+//! relief thread:  the ear while the scoring thread is busy
 //! main thread:    signals, watchdog
+//!
+//! ear: narration port -> intake -> journal, queue
 //! ```
 //!
-//! The ingest thread never waits for the scorer as long as the queue (65 536 observations) has room, so nothing that arrives
-//! while a step runs is lost; it becomes part of the next step together with all else that waits.
+//! There is one ear, and whoever has it listens. The scoring thread listens itself while it has nothing to do, so that an event wakes one
+//! thread, not two. Before a step it hands the ear to the relief thread, so that nothing that arrives meanwhile is lost; it becomes part of
+//! the next step together with all else that waits in the queue. The relief thread gives the ear back soon after the step.
 
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use crossbeam::select;
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
     AnswerPort, Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, Publisher, RoomScoresV1,
@@ -46,6 +50,8 @@ pub use map_change::{Answered, KeptMap, MapAnswer, MapQuestion, Outcome};
 const QUEUE: usize = 65_536;
 /// How often connections are renewed: the time within which a late joiner has the scores.
 const TICK: Duration = Duration::from_millis(100);
+/// The relief thread has the ear at most so long after a step; an event that comes meanwhile wakes both threads.
+const RELIEF: Duration = Duration::from_millis(5);
 /// Scores wait at most this long for the journal; after that they are sent without claiming what it does not hold yet.
 const JOURNAL_PATIENCE: Duration = Duration::from_millis(5);
 /// How often what dead participants left is removed.
@@ -192,9 +198,25 @@ pub fn run<M: LanguageModel + Send + 'static>(
         journal = Some(open);
     }
 
-    let (queue_in, queue_out) = bounded(QUEUE);
+    let (queue_in, queue) = bounded(QUEUE);
     let counters = Arc::new(Mutex::new((IntakeCounters::default(), 0)));
     let progress_ns = Progress::default();
+    let journal_handle = journal.as_ref().map(Journal::handle);
+    let limiter = || Limiter::new(LOG_INTERVAL_NS);
+    let ear = Ear {
+        narration,
+        intake,
+        journal,
+        queue: queue_in,
+        counters: Arc::clone(&counters),
+        log_refused: limiter(),
+        log_port: limiter(),
+    };
+    // There is one ear: it never waits for a place.
+    let ((over, handed_over), (back, given_back)) = (bounded(1), bounded(1));
+    let busy = Arc::new(AtomicBool::new(false));
+    let relief =
+        Relief { handed_over, back, busy: Arc::clone(&busy), progress: progress_ns.clone(), stop: stop.clone() };
     let snapshot = cycle.board().snapshot();
     let mut scoring = Scoring {
         ready: false,
@@ -206,9 +228,14 @@ pub fn run<M: LanguageModel + Send + 'static>(
         answered: Answered::default(),
         kept_map,
         moments,
-        queue: queue_out,
-        journal: journal.as_ref().map(Journal::handle),
-        counters: Arc::clone(&counters),
+        ear: Some(Box::new(ear)),
+        deaf: false,
+        over,
+        given_back,
+        busy,
+        queue,
+        journal: journal_handle,
+        counters,
         progress: progress_ns.clone(),
         latency_ns: Histogram::new_with_max(60_000_000_000, 3).ok(),
         tally: StatusResponseV1 {
@@ -224,16 +251,15 @@ pub fn run<M: LanguageModel + Send + 'static>(
             ..Default::default()
         },
         cycle,
-        log: Limiter::new(LOG_INTERVAL_NS),
+        log: limiter(),
+        stop: stop.clone(),
     };
     let cores = config.model.cores.clone();
     let scoring = spawn("scoring", move || {
         affinity::bind(&cores)?;
         Ok::<(), DaemonError>(scoring.run()?)
     })?;
-    let progress = progress_ns.clone();
-    let ingest = Ingest { narration, intake, journal, queue: queue_in, counters, progress, stop: stop.clone() };
-    let ingest = spawn("ingest", move || ingest.run())?;
+    let relief = spawn("relief", move || relief.run())?;
 
     let mut cleaned_ns = 0;
     while !stop.requested() {
@@ -244,8 +270,8 @@ pub fn run<M: LanguageModel + Send + 'static>(
                 _ => DaemonError::Ended { name: "scoring" },
             });
         }
-        if ingest.is_finished() && !stop.requested() {
-            return Err(DaemonError::Ended { name: "ingest" });
+        if relief.is_finished() && !stop.requested() {
+            return Err(DaemonError::Ended { name: "relief" });
         }
         let now_ns = clock::monotonic_ns();
         let (name, still_ns) = progress_ns.slowest(now_ns);
@@ -259,8 +285,8 @@ pub fn run<M: LanguageModel + Send + 'static>(
         }
     }
     notify(&[NotifyState::Stopping]);
-    // The ingest thread ends first and closes the queue; the scoring thread finishes what is in it.
-    ingest.join().map_err(|_| DaemonError::Ended { name: "ingest" })?;
+    // The relief thread gives the ear back; the scoring thread finishes what it has heard.
+    relief.join().map_err(|_| DaemonError::Ended { name: "relief" })?;
     scoring.join().map_err(|_| DaemonError::Ended { name: "scoring" })??;
     tracing::info!("stopped");
     Ok(())
@@ -283,14 +309,14 @@ pub(crate) fn notify(state: &[NotifyState<'_>]) {
 /// When each thread moved last, in monotonic nanoseconds: what the watchdog looks at.
 #[derive(Debug, Clone)]
 struct Progress {
-    ingest_ns: Arc<AtomicU64>,
+    relief_ns: Arc<AtomicU64>,
     scoring_ns: Arc<AtomicU64>,
 }
 
 impl Default for Progress {
     fn default() -> Self {
         let now = || Arc::new(AtomicU64::new(clock::monotonic_ns()));
-        Self { ingest_ns: now(), scoring_ns: now() }
+        Self { relief_ns: now(), scoring_ns: now() }
     }
 }
 
@@ -298,43 +324,44 @@ impl Progress {
     /// The thread that stood still longest, and for how long, in nanoseconds.
     fn slowest(&self, now_ns: u64) -> (&'static str, u64) {
         let still = |moved: &AtomicU64| now_ns.saturating_sub(moved.load(Ordering::Relaxed));
-        let (ingest_ns, scoring_ns) = (still(&self.ingest_ns), still(&self.scoring_ns));
-        if ingest_ns > scoring_ns { ("ingest", ingest_ns) } else { ("scoring", scoring_ns) }
+        let (relief_ns, scoring_ns) = (still(&self.relief_ns), still(&self.scoring_ns));
+        if relief_ns > scoring_ns { ("relief", relief_ns) } else { ("scoring", scoring_ns) }
     }
 }
 
 /// Counters of the intake, and sources known.
 type Counters = Arc<Mutex<(IntakeCounters, usize)>>;
 
-struct Ingest {
+/// Hears narrators, for whoever has it.
+struct Ear {
     narration: Subscriber<NarrationV1>,
     intake: Intake,
     journal: Option<Journal>,
     queue: Sender<(Entry, u64)>,
     counters: Counters,
-    progress: Progress,
-    stop: Stop,
+    log_refused: Limiter,
+    log_port: Limiter,
 }
 
-impl Ingest {
-    fn run(mut self) {
-        let (mut log_refused, mut log_port) = (Limiter::new(LOG_INTERVAL_NS), Limiter::new(LOG_INTERVAL_NS));
-        while !self.stop.requested() {
-            self.progress.ingest_ns.store(clock::monotonic_ns(), Ordering::Relaxed);
-            let received = self.narration.wait(TICK).and_then(|_| self.drain(&mut log_refused));
-            if let Err(error) = received {
-                // A port that fails may recover, when file descriptors become free for instance.
-                if let Some(held_back) = log_port.pass(clock::monotonic_ns()) {
-                    tracing::error!(%error, held_back, "cannot receive narration");
-                }
-                std::thread::sleep(TICK);
+impl Ear {
+    /// Sleeps until there is narration or `patience` is over, and takes in all that is there.
+    fn listen(&mut self, patience: Duration) {
+        let received = self.narration.wait(patience).and_then(|_| self.drain());
+        if let Err(error) = received {
+            // A port that fails may recover, when file descriptors become free for instance.
+            if let Some(held_back) = self.log_port.pass(clock::monotonic_ns()) {
+                tracing::error!(%error, held_back, "cannot receive narration");
             }
+            std::thread::sleep(patience);
         }
     }
 
-    fn drain(&mut self, log: &mut Limiter) -> Result<(), IpcError> {
+    fn drain(&mut self) -> Result<(), IpcError> {
         let mut some = false;
-        while let Some(received) = self.narration.receive()? {
+        // Whoever listens may be the one who empties the queue: what finds no place there stays in the port.
+        while !self.queue.is_full()
+            && let Some(received) = self.narration.receive()?
+        {
             some = true;
             let now_ns = clock::monotonic_ns();
             let source = received.as_ref().map_or(0, |message| message.source);
@@ -351,7 +378,7 @@ impl Ingest {
                 Taken::Malformed(why) => Some(why),
             };
             if let Some(why) = refused
-                && let Some(held_back) = log.pass(now_ns)
+                && let Some(held_back) = self.log_refused.pass(now_ns)
             {
                 tracing::warn!(source, why, held_back, "narration");
             }
@@ -361,6 +388,38 @@ impl Ingest {
             *self.counters.lock().unwrap_or_else(PoisonError::into_inner) = counters;
         }
         Ok(())
+    }
+}
+
+/// Listens while the scoring thread is busy.
+struct Relief {
+    handed_over: Receiver<Box<Ear>>,
+    back: Sender<Box<Ear>>,
+    busy: Arc<AtomicBool>,
+    progress: Progress,
+    stop: Stop,
+}
+
+impl Relief {
+    fn run(self) {
+        while !self.stop.requested() {
+            let moved = || self.progress.relief_ns.store(clock::monotonic_ns(), Ordering::Relaxed);
+            moved();
+            let mut ear = match self.handed_over.recv_timeout(TICK) {
+                Ok(ear) => ear,
+                Err(RecvTimeoutError::Timeout) => continue,
+                Err(RecvTimeoutError::Disconnected) => return,
+            };
+            loop {
+                ear.listen(RELIEF);
+                moved();
+                if !self.busy.load(Ordering::Acquire) || self.stop.requested() {
+                    break;
+                }
+            }
+            // It fails only when the scoring thread is gone, and the main thread sees that too.
+            let _given = self.back.send(ear);
+        }
     }
 }
 
@@ -375,6 +434,14 @@ struct Scoring<M> {
     answered: Answered,
     kept_map: Option<KeptMap>,
     moments: AnswerPort,
+    /// The relief thread has it otherwise.
+    ear: Option<Box<Ear>>,
+    /// The relief thread has ended, and the ear with it.
+    deaf: bool,
+    over: Sender<Box<Ear>>,
+    given_back: Receiver<Box<Ear>>,
+    /// The relief thread is to keep the ear.
+    busy: Arc<AtomicBool>,
     queue: Receiver<(Entry, u64)>,
     journal: Option<JournalHandle>,
     counters: Counters,
@@ -382,33 +449,31 @@ struct Scoring<M> {
     latency_ns: Option<Histogram<u64>>,
     tally: StatusResponseV1,
     log: Limiter,
+    stop: Stop,
 }
 
 impl<M: LanguageModel> Scoring<M> {
     fn run(&mut self) -> Result<(), IpcError> {
         loop {
+            let last = self.deaf || (self.stop.requested() && self.ear.is_some());
             // A changed map is scored at once.
-            let patience = if self.cycle.step_due(clock::monotonic_ns()) { Duration::ZERO } else { TICK };
-            match self.queue.recv_timeout(patience) {
-                Ok(first) => {
-                    for (entry, number) in std::iter::once(first).chain(self.queue.try_iter()) {
-                        self.cycle.enter(entry, number);
-                    }
-                }
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return Ok(()),
-            }
+            let wait = !last && !self.cycle.step_due(clock::monotonic_ns());
+            self.hear(if wait { TICK } else { Duration::ZERO });
             let now_ns = clock::monotonic_ns();
             self.progress.scoring_ns.store(now_ns, Ordering::Relaxed);
             let events = self.cycle.waiting() as u64;
             if self.cycle.step_due(now_ns) {
+                if !last {
+                    hand_over(&mut self.ear, &self.over, &self.busy);
+                }
                 self.step(now_ns);
             }
             self.send(events)?;
+            if last {
+                return Ok(());
+            }
             // What comes after may wait for the scores: looking for questions alone takes as long as a small step.
-            self.scores.tick()?;
-            self.items.tick()?;
-            self.forecasts.tick()?;
+            self.renew_connections()?;
             if self.change_map()? {
                 self.cycle.score_again();
             }
@@ -417,7 +482,37 @@ impl<M: LanguageModel> Scoring<M> {
             if self.queue.is_empty() {
                 self.cycle.tidy();
             }
+            self.busy.store(false, Ordering::Release);
         }
+    }
+
+    /// Sleeps until there is narration or `patience` is over, and takes in all that was heard.
+    fn hear(&mut self, patience: Duration) {
+        if let Some(ear) = &mut self.ear {
+            ear.listen(patience);
+        } else {
+            select! {
+                recv(self.given_back) -> ear => {
+                    self.deaf = ear.is_err();
+                    self.ear = ear.ok();
+                }
+                recv(self.queue) -> heard => if let Ok((entry, number)) = heard { self.cycle.enter(entry, number) },
+                default(patience) => {}
+            }
+        }
+        for (entry, number) in self.queue.try_iter() {
+            self.cycle.enter(entry, number);
+        }
+    }
+
+    /// Hands the newest messages to whoever has joined since.
+    fn renew_connections(&mut self) -> Result<(), IpcError> {
+        self.scores.tick()?;
+        self.items.tick()?;
+        if self.forecasts.tick()? && self.cycle.board().snapshot().sequence > 0 {
+            self.forecasts.send(&self.cycle.board().forecast(clock::monotonic_ns()))?;
+        }
+        Ok(())
     }
 
     fn step(&mut self, now_ns: u64) {
@@ -447,8 +542,10 @@ impl<M: LanguageModel> Scoring<M> {
         let written = self.journal.as_ref().map_or(u64::MAX, JournalHandle::written);
         let Some(message) = self.cycle.message(before_ns, written, !self.queue.is_empty()) else { return Ok(()) };
         // First, so that a planner that the scores wake finds the forecast that belongs to them. Time alone changes where a person
-        // may be, so a heartbeat has a new one too.
-        self.forecasts.send(&self.cycle.board().forecast(before_ns))?;
+        // may be, so a heartbeat has a new one too. Nobody else waits for it: who joins later gets one of that moment.
+        if self.forecasts.subscribers() > 0 {
+            self.forecasts.send(&self.cycle.board().forecast(before_ns))?;
+        }
         self.scores.send(&message)?;
         if message.has(score_flags::HEARTBEAT) {
             self.tally.heartbeats += 1;
@@ -487,7 +584,7 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Does what was asked of the map; returns whether it changed.
     fn change_map(&mut self) -> Result<bool, IpcError> {
-        let Self { cycle, answered, kept_map, map_changes, tally, .. } = self;
+        let Self { cycle, answered, kept_map, map_changes, tally, ear, over, busy, .. } = self;
         let board = cycle.board_mut();
         let mut changed = false;
         map_changes.answer(|asked| {
@@ -498,6 +595,7 @@ impl<M: LanguageModel> Scoring<M> {
             let id = asked.as_ref().ok().map(|question| question.id.clone());
             let known = id.as_ref().and_then(|id| answered.get(id)).cloned();
             let answer = known.unwrap_or_else(|| {
+                hand_over(ear, over, busy);
                 let answer = answer_change(board, kept_map.as_ref(), asked);
                 if answer.outcome == Outcome::Applied {
                     changed = true;
@@ -536,6 +634,15 @@ impl<M: LanguageModel> Scoring<M> {
             journal_failures: self.journal.as_ref().map_or(0, JournalHandle::failures),
             ..self.tally
         }
+    }
+}
+
+/// Gives the ear to the relief thread, for as long as `busy` is set, if it does not have it already.
+fn hand_over(ear: &mut Option<Box<Ear>>, over: &Sender<Box<Ear>>, busy: &AtomicBool) {
+    busy.store(true, Ordering::Release);
+    if let Some(ear) = ear.take() {
+        // It fails only when the relief thread is gone, and the main thread sees that too.
+        let _handed = over.send(ear);
     }
 }
 

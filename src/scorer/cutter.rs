@@ -106,7 +106,8 @@ mod tests {
             serde_json::from_str(include_str!("../../models/household-tokens.json")).unwrap();
         let texts: Vec<String> = texts.into_iter().map(|(text, _)| text).collect();
         assert!(texts.len() > REMEMBERED);
-        let joint = prop::sample::select(vec![". ", ".  ", " ", ".", "", ". . ", "...", ".\u{2581}", "? ", "! ", "?! "]);
+        let joint =
+            prop::sample::select(vec![". ", ".  ", " ", ".", "", ". . ", "...", ".\u{2581}", "? ", "! ", "?! "]);
         let prompt = prop::collection::vec((prop::sample::select(texts), joint), 0..12);
         let cutter = std::cell::RefCell::new(Cutter::default());
         let mut runner = TestRunner::new(Config { cases: 2000, failure_persistence: None, ..Config::default() });
