@@ -155,11 +155,8 @@ impl<M: Message> Subscriber<M> {
     pub fn wait(&self, timeout: Duration) -> Result<bool, IpcError> {
         use iceoryx2::port::listener::ListenerWaitError;
         // iceoryx2 hands the time to the socket, where none stands for no end.
-        let waited = if timeout.is_zero() {
-            self.listener.try_wait(|_| ())
-        } else {
-            self.listener.timed_wait(|_| (), timeout)
-        };
+        let waited =
+            if timeout.is_zero() { self.listener.try_wait(|_| ()) } else { self.listener.timed_wait(|_| (), timeout) };
         match waited {
             Ok(news) => Ok(news > 0),
             Err(ListenerWaitError::InterruptSignal) => Ok(false),

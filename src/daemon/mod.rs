@@ -9,8 +9,8 @@
 //! ```
 //!
 //! There is one ear, and whoever has it listens. The scoring thread listens itself while it has nothing to do, so that an event wakes one
-//! thread, not two. Before a step it hands the ear to the relief thread, so that nothing that arrives meanwhile is lost; it becomes part of
-//! the next step together with all else that waits in the queue. The relief thread gives the ear back soon after the step.
+//! thread, not two. Before a step that may take long it hands the ear to the relief thread, so that nothing that arrives meanwhile is lost;
+//! it becomes part of the next step together with all else that waits in the queue. The relief thread gives the ear back soon after the step.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -52,6 +52,8 @@ const QUEUE: usize = 65_536;
 const TICK: Duration = Duration::from_millis(100);
 /// The relief thread has the ear at most so long after a step; an event that comes meanwhile wakes both threads.
 const RELIEF: Duration = Duration::from_millis(5);
+/// While a step that takes less runs, the port holds what comes: waking another thread would take longer than most of it.
+const SHORT_STEP_NS: u64 = 200_000;
 /// Scores wait at most this long for the journal; after that they are sent without claiming what it does not hold yet.
 const JOURNAL_PATIENCE: Duration = Duration::from_millis(5);
 /// How often what dead participants left is removed.
@@ -233,6 +235,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
         over,
         given_back,
         busy,
+        step_ns: u64::MAX,
         queue,
         journal: journal_handle,
         counters,
@@ -442,6 +445,8 @@ struct Scoring<M> {
     given_back: Receiver<Box<Ear>>,
     /// The relief thread is to keep the ear.
     busy: Arc<AtomicBool>,
+    /// What the last step took, as a guess at the next.
+    step_ns: u64,
     queue: Receiver<(Entry, u64)>,
     journal: Option<JournalHandle>,
     counters: Counters,
@@ -463,10 +468,11 @@ impl<M: LanguageModel> Scoring<M> {
             self.progress.scoring_ns.store(now_ns, Ordering::Relaxed);
             let events = self.cycle.waiting() as u64;
             if self.cycle.step_due(now_ns) {
-                if !last {
+                if !last && self.step_ns >= SHORT_STEP_NS {
                     hand_over(&mut self.ear, &self.over, &self.busy);
                 }
                 self.step(now_ns);
+                self.step_ns = clock::monotonic_ns().saturating_sub(now_ns);
             }
             self.send(events)?;
             if last {
