@@ -56,6 +56,20 @@ fn event(criterion: &mut Criterion, name: &str, sizes: &[(usize, usize)]) {
     group.finish();
 }
 
+/// What those pay for who look at items.
+fn items(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("items' scores");
+    for items in [100, 10_000, 100_000] {
+        let grounding = Grounding::new(&building(4, items), &GroundingOptions::default()).expect("it has labels");
+        let log_prob_nats = vec![-5.0; grounding.scored_labels.len()];
+        group.throughput(Throughput::Elements(items as u64));
+        group.bench_function(BenchmarkId::from_parameter(format!("{items} items")), |bencher| {
+            bencher.iter(|| grounding.item_log_score_nats(black_box(&log_prob_nats)).sum::<f64>());
+        });
+    }
+    group.finish();
+}
+
 fn ground(criterion: &mut Criterion) {
     event(criterion, "ground, by items", &[(4, 100), (4, 1_000), (4, 10_000), (4, 100_000)]);
     event(criterion, "ground, by rooms", &[(10, 10_000), (100, 10_000), (1_000, 10_000)]);
@@ -74,5 +88,5 @@ fn assign(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, ground, assign);
+criterion_group!(benches, items, ground, assign);
 criterion_main!(benches);

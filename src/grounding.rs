@@ -213,8 +213,6 @@ pub struct Regrouped {
 /// The scores of one event. Keep one and pass it to every call: nothing is allocated once it has its size.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GroundedScores {
-    /// Per item ln s_i, with s_i = s_c,i / n_l,i.
-    pub item_log_score_nats: Vec<f64>,
     /// Per partition ln S_j (Equation 2); minus infinity where no item with a score lies.
     pub partition_log_score_nats: Vec<f64>,
     /// Per partition S_j / sum of all S; uniform when all S are zero.
@@ -230,7 +228,6 @@ pub struct GroundedScores {
 impl Default for GroundedScores {
     fn default() -> Self {
         Self {
-            item_log_score_nats: Vec::new(),
             partition_log_score_nats: Vec::new(),
             partition_probability: Vec::new(),
             label_mass: 0.0,
@@ -335,9 +332,8 @@ impl Grounding {
         self.scored_labels.iter().map(|label| label.text.as_str()).collect()
     }
 
-    /// Scores every item and partition: s_i = s_c,i / n_l,i and S_j = sum of s_i over the items i of partition j (Equation
-    /// 2), from ln s_c per label in nats. Linear in labels times partitions and in items; allocates nothing once `out` has
-    /// its size.
+    /// Scores every partition: S_j = sum of s_i over the items i of partition j (Equation 2), from ln s_c per label in nats. Linear in
+    /// labels times partitions, however many items bear the labels; allocates nothing once `out` has its size.
     ///
     /// # Errors
     /// When the scores are not one log-probability per label; minus infinity is one.
@@ -373,17 +369,18 @@ impl Grounding {
             out.partition_log_score_nats.push(log_score_nats);
         }
         normalise(&out.partition_log_score_nats, &mut out.partition_probability);
-
-        out.item_log_score_nats.clear();
-        for bounds in self.term_start.windows(2) {
-            let terms = &self.item_terms[bounds[0]..bounds[1]];
-            let log_score_nats = |term: &Term| label_log_prob_nats[term.label] + term.ln_share;
-            out.item_log_score_nats.push(match terms {
-                [term] => log_score_nats(term),
-                terms => log_sum_exp(|| terms.iter().map(log_score_nats)),
-            });
-        }
         Ok(())
+    }
+
+    /// Per item ln s_i, with s_i = s_c,i / n_l,i, from ln s_c per label in nats: for those who look at items. A label without a score is
+    /// impossible.
+    pub fn item_log_score_nats<'a>(&'a self, label_log_prob_nats: &'a [f64]) -> impl ExactSizeIterator<Item = f64> {
+        let log_score_nats =
+            |term: &Term| label_log_prob_nats.get(term.label).copied().unwrap_or(f64::NEG_INFINITY) + term.ln_share;
+        self.term_start.windows(2).map(move |bounds| match &self.item_terms[bounds[0]..bounds[1]] {
+            [term] => log_score_nats(term),
+            terms => log_sum_exp(|| terms.iter().map(log_score_nats)),
+        })
     }
 
     /// The labels that contribute most to a partition's score, at most `count`: index in [`Grounding::scored_labels`] and
@@ -643,12 +640,11 @@ mod tests {
         let mug = map.find_label("mug").unwrap().0 as usize;
         assert_eq!(grounding.scored_labels[mug].count, 3.25);
         assert!((grounding.weights[(mug, 1)] - 1.25 / 3.25).abs() < 1e-15);
-        let mut scores = GroundedScores::default();
         let log_prob_nats: Vec<f64> = (0..grounding.scored_labels.len()).map(|label| -1.0 - label as f64).collect();
-        grounding.ground(&log_prob_nats, &mut scores).unwrap();
+        let scores: Vec<f64> = grounding.item_log_score_nats(&log_prob_nats).collect();
         let poster = map.find_label("poster").unwrap().0 as usize;
         let expected = log_prob_nats[poster].exp() * (0.75 / 0.75) + log_prob_nats[mug].exp() * (0.25 / 3.25);
-        assert!((scores.item_log_score_nats[7] - expected.ln()).abs() < 1e-12);
+        assert!((scores[7] - expected.ln()).abs() < 1e-12);
     }
 
     #[test]
@@ -711,7 +707,6 @@ mod tests {
         grounding.ground(&log_prob_nats, &mut scores).unwrap();
         let place = |scores: &GroundedScores| {
             [
-                scores.item_log_score_nats.as_ptr(),
                 scores.partition_log_score_nats.as_ptr(),
                 scores.partition_probability.as_ptr(),
                 scores.relative.as_ptr(),
@@ -765,6 +760,7 @@ mod tests {
             let log_prob_nats: Vec<f64> = (0..grounding.scored_labels.len()).map(|label| seeds[label % 9]).collect();
             let mut scores = GroundedScores::default();
             grounding.ground(&log_prob_nats, &mut scores).unwrap();
+            let items: Vec<f64> = grounding.item_log_score_nats(&log_prob_nats).collect();
 
             let texts = grounding.label_texts();
             let mut sums = vec![0.0; map.rooms.len()];
@@ -772,7 +768,7 @@ mod tests {
                 let label = texts.iter().position(|text| *text == map.labels[item.label.0 as usize]).unwrap();
                 let count = map.items.iter().filter(|other| other.label == item.label).count() as f64;
                 let score = log_prob_nats[label].exp() / count;
-                prop_assert!((scores.item_log_score_nats[index] - score.ln()).abs() < 1e-9);
+                prop_assert!((items[index] - score.ln()).abs() < 1e-9);
                 let overlaps: Vec<f64> = (map.rooms.iter())
                     .map(|room| (0..3).map(|axis| {
                         let upper = item.bounds.max_m[axis].min(room.bounds.max_m[axis]);

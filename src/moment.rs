@@ -116,6 +116,8 @@ pub struct Explained {
     pub grounding: Grounding,
     /// The scores, recomputed from the labels'.
     pub scores: GroundedScores,
+    /// Per item ln s_i.
+    pub item_log_score_nats: Vec<f64>,
 }
 
 impl Moment {
@@ -214,6 +216,7 @@ impl Moment {
             binding: &self.binding,
         };
         let explanation = explanation::explain(&evidence, most_labels, |label| labels[label].tokens.clone());
-        Ok(Explained { explanation, map, grounding, scores })
+        let item_log_score_nats = grounding.item_log_score_nats(&label_log_prob_nats).collect();
+        Ok(Explained { explanation, map, grounding, scores, item_log_score_nats })
     }
 }

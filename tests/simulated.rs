@@ -117,9 +117,9 @@ impl LanguageModel for WholePrompt {
 struct Daemon {
     intake: Intake,
     cycle: Cycle<WholePrompt>,
-    /// From the ingest thread to the scoring thread.
+    /// From the ear to the scoring loop.
     queue: VecDeque<(Entry, u64)>,
-    /// From the ingest thread to the journal's writer.
+    /// From the ear to the journal's writer.
     records: VecDeque<Vec<u8>>,
     appended: u64,
     written: u64,
@@ -337,7 +337,7 @@ impl World {
         self.daemon.as_ref().is_some_and(|daemon| self.now_ns >= daemon.hung_ns)
     }
 
-    /// What the daemon's ingest thread does with one message.
+    /// What the daemon's ear does with one message.
     fn ingest(&mut self) -> Check {
         if !self.awake() {
             return Ok(());

@@ -80,9 +80,9 @@ pub fn run(args: &Args) -> CommandResult {
 }
 
 fn draw(explained: &Explained, path: &Path) -> CommandResult {
-    let Explained { explanation, map, grounding, scores } = explained;
+    let Explained { explanation, map, grounding, scores, item_log_score_nats } = explained;
     let caption = explanation.narration.last().map_or("", String::as_str);
-    let heat = Heat::new(&scores.partition_probability, &scores.item_log_score_nats, caption);
+    let heat = Heat::new(&scores.partition_probability, item_log_score_nats, caption);
     let svg = drawing::svg(map, grounding, Some(&heat)).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
     scene::write_drawing(path, svg, 2.0)
 }

@@ -185,7 +185,8 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
             })
         })
         .collect();
-    let items: Vec<_> = (map.items.iter().zip(&scores.grounded.item_log_score_nats).zip(&grounding.item_partition))
+    let item_scores = grounding.item_log_score_nats(&scores.label_log_prob_nats);
+    let items: Vec<_> = (map.items.iter().zip(item_scores).zip(&grounding.item_partition))
         .map(|((item, log_score_nats), &partition)| {
             json!({"id": item.id, "label": map.labels[item.label.0 as usize], "partition": partition_id(partition), "log_score_nats": log_score_nats})
         })

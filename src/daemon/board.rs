@@ -286,13 +286,14 @@ impl<M: LanguageModel> Board<M> {
         for item in &self.map.items {
             counts[item.label.0 as usize] += 1;
         }
-        let scores = &self.pipeline.scores().grounded.item_log_score_nats;
-        let partitions = &self.pipeline.grounding().item_partition;
-        let items = self.map.items.iter().enumerate().map(move |(index, item)| ItemScoreV1 {
+        let grounding = self.pipeline.grounding();
+        let scores = grounding.item_log_score_nats(&self.pipeline.scores().label_log_prob_nats);
+        let placed = self.map.items.iter().zip(&grounding.item_partition).zip(scores);
+        let items = placed.map(move |((item, partition), log_score_nats)| ItemScoreV1 {
             id: text::encode_cut(&item.id),
             label: text::encode_cut(&self.map.labels[item.label.0 as usize]),
-            log_score_nats: scores.get(index).copied().unwrap_or(f64::NEG_INFINITY),
-            partition: partitions.get(index).copied().flatten().map_or(NO_PARTITION, |partition| partition.0),
+            log_score_nats,
+            partition: partition.map_or(NO_PARTITION, |partition| partition.0),
             label_items: counts[item.label.0 as usize],
         });
         (header, items)

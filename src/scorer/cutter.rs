@@ -1,8 +1,8 @@
 //! Cuts a prompt into tokens, each sentence once.
 //!
 //! From event to event a prompt gains one sentence and keeps the others, and its binding sequence is always the same. Where a model's
-//! vocabulary allows it ([`LanguageModel::sentences_apart`]), the prompt is cut sentence by sentence, and the sentences cut lately are
-//! remembered. For other models the whole prompt is cut anew.
+//! vocabulary allows it ([`LanguageModel::sentences_apart`]), the prompt is cut sentence by sentence: what it begins with as the prompt
+//! before did is taken from there, and the other sentences cut lately are remembered. For other models the whole prompt is cut anew.
 
 use std::hash::{BuildHasher, BuildHasherDefault, DefaultHasher};
 
@@ -21,32 +21,94 @@ pub(super) struct Cutter {
     sentences: Vec<(String, Vec<Token>)>,
     /// The place that the next sentence takes.
     next: usize,
+    before: Prompt,
+}
+
+/// A prompt that was cut.
+#[derive(Debug, Default)]
+struct Prompt {
+    text: String,
+    tokens: Vec<Token>,
+    /// Where another sentence follows: bytes of the text, tokens.
+    ends: Vec<(usize, usize)>,
+}
+
+impl Prompt {
+    /// Keeps the sentences that `text` begins with too, and more follows: their bytes, their tokens.
+    fn keep(&mut self, text: &str) -> (usize, usize) {
+        let same = self.text.as_bytes().iter().zip(text.as_bytes()).take_while(|(a, b)| a == b).count();
+        let kept = self.ends.partition_point(|&(bytes, _)| bytes <= same && bytes < text.len());
+        self.ends.truncate(kept);
+        self.ends.last().copied().unwrap_or_default()
+    }
 }
 
 impl Cutter {
-    /// Appends the tokens of `text` to `out`: exactly those that [`LanguageModel::tokenise`] gives.
+    /// Gives the tokens of a prompt into `out`: exactly those that [`LanguageModel::tokenise`] gives.
     ///
     /// # Errors
     /// When the tokeniser fails.
-    pub(super) fn cut<M: LanguageModel>(
+    pub(super) fn cut_prompt<M: LanguageModel>(
         &mut self,
         model: &M,
         text: &str,
-        start: TextStart,
         out: &mut Vec<Token>,
     ) -> Result<(), ModelError> {
+        out.clear();
         if !model.sentences_apart() {
-            return model.tokenise(text, start, out);
+            return model.tokenise(text, TextStart::Sequence, out);
         }
-        // The start token, where the model wants one.
-        model.tokenise("", start, out)?;
-        let mut rest = text;
+        // Taken: nothing is known of a prompt that fails half way.
+        let mut before = std::mem::take(&mut self.before);
+        let (begin, tokens) = before.keep(text);
+        out.extend_from_slice(&before.tokens[..tokens]);
+        if begin == 0 {
+            // The start token, where the model wants one.
+            model.tokenise("", TextStart::Sequence, out)?;
+        }
+        self.cut_from(begin, model, text, out, |end| before.ends.push(end))?;
+        before.text.clear();
+        before.text.push_str(text);
+        before.tokens.clear();
+        before.tokens.extend_from_slice(out);
+        self.before = before;
+        Ok(())
+    }
+
+    /// Gives the tokens of a piece of narration within a prompt into `out`.
+    ///
+    /// # Errors
+    /// When the tokeniser fails.
+    pub(super) fn cut_narration<M: LanguageModel>(
+        &mut self,
+        model: &M,
+        text: &str,
+        out: &mut Vec<Token>,
+    ) -> Result<(), ModelError> {
+        out.clear();
+        if !model.sentences_apart() {
+            return model.tokenise(text, TextStart::Within, out);
+        }
+        self.cut_from(0, model, text, out, |_| ())
+    }
+
+    /// Appends the tokens of what follows the first `begin` bytes; says where another sentence follows, in bytes and tokens.
+    fn cut_from<M: LanguageModel>(
+        &mut self,
+        mut begin: usize,
+        model: &M,
+        text: &str,
+        out: &mut Vec<Token>,
+        mut ended: impl FnMut((usize, usize)),
+    ) -> Result<(), ModelError> {
         // A lone space at the very end stays with what is before it: by itself it would be no text at all.
-        while let Some(stop) = sentence_end(rest).filter(|stop| stop + 2 < rest.len()) {
-            self.cut_sentence(model, &rest[..=stop], out)?;
-            rest = &rest[stop + 2..];
+        while let Some(next) = next_sentence(&text[begin..]).map(|next| begin + next).filter(|next| *next < text.len())
+        {
+            self.cut_sentence(model, &text[begin..next - 1], out)?;
+            begin = next;
+            ended((begin, out.len()));
         }
-        self.cut_sentence(model, rest, out)
+        self.cut_sentence(model, &text[begin..], out)
     }
 
     fn cut_sentence<M: LanguageModel>(
@@ -83,9 +145,9 @@ impl Cutter {
     }
 }
 
-/// Where in `text` the first sentence has its last byte, if another follows.
-fn sentence_end(text: &str) -> Option<usize> {
-    text.as_bytes().windows(2).position(|pair| matches!(pair, [b'.' | b'!' | b'?', b' ']))
+/// Where in `text` the second sentence begins, behind a space.
+fn next_sentence(text: &str) -> Option<usize> {
+    text.as_bytes().windows(2).position(|pair| matches!(pair, [b'.' | b'!' | b'?', b' '])).map(|end| end + 2)
 }
 
 #[cfg(test)]
@@ -112,13 +174,23 @@ mod tests {
         let cutter = std::cell::RefCell::new(Cutter::default());
         let mut runner = TestRunner::new(Config { cases: 2000, failure_persistence: None, ..Config::default() });
         let result = runner.run(&prompt, |parts| {
-            let prompt: String = parts.iter().flat_map(|(text, joint)| [text.as_str(), joint]).collect();
-            for start in [TextStart::Sequence, TextStart::Within] {
-                let (mut whole, mut cut) = (Vec::new(), Vec::new());
-                model.tokenise(&prompt, start, &mut whole).unwrap();
-                cutter.borrow_mut().cut(&model, &prompt, start, &mut cut).unwrap();
+            let mut prompt: String = parts.iter().flat_map(|(text, joint)| [text.as_str(), joint]).collect();
+            let (mut whole, mut cut) = (Vec::new(), Vec::new());
+            model.tokenise(&prompt, TextStart::Sequence, &mut whole).unwrap();
+            cutter.borrow_mut().cut_prompt(&model, &prompt, &mut cut).unwrap();
+            prop_assert_eq!(&cut, &whole, "{:?}", prompt);
+            // As the next event has it: the same narration, and a little more.
+            for more in [" They walk to the sink.", ".", " "] {
+                prompt.push_str(more);
+                whole.clear();
+                model.tokenise(&prompt, TextStart::Sequence, &mut whole).unwrap();
+                cutter.borrow_mut().cut_prompt(&model, &prompt, &mut cut).unwrap();
                 prop_assert_eq!(&cut, &whole, "{:?}", prompt);
             }
+            whole.clear();
+            model.tokenise(&prompt, TextStart::Within, &mut whole).unwrap();
+            cutter.borrow_mut().cut_narration(&model, &prompt, &mut cut).unwrap();
+            prop_assert_eq!(&cut, &whole, "{:?}", prompt);
             Ok(())
         });
         result.unwrap();

@@ -430,15 +430,12 @@ impl<M: LanguageModel> Scorer<M> {
     /// # Errors
     /// When the tokeniser fails.
     pub fn sentence_tokens(&mut self, sentence: &str) -> Result<usize, ScoreError> {
-        self.prompt.clear();
-        self.cutter.cut(&self.model, sentence, TextStart::Within, &mut self.prompt)?;
+        self.cutter.cut_narration(&self.model, sentence, &mut self.prompt)?;
         Ok(self.prompt.len())
     }
 
     fn cut_prompt(&mut self, prompt: &str) -> Result<(), ScoreError> {
-        self.prompt.clear();
-        self.cutter.cut(&self.model, prompt, TextStart::Sequence, &mut self.prompt)?;
-        Ok(())
+        Ok(self.cutter.cut_prompt(&self.model, prompt, &mut self.prompt)?)
     }
 
     /// Cuts the prompt into tokens and clears `out`.

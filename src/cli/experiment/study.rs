@@ -535,7 +535,8 @@ impl Setup<'_> {
             let mut grounded = GroundedScores::default();
             grounding.ground(last, &mut grounded).map_err(ExperimentError::from)?;
             let caption = sentences.last().map_or("", Sentence::as_str);
-            let heat = drawing::Heat::new(&grounded.partition_probability, &grounded.item_log_score_nats, caption);
+            let items: Vec<f64> = grounding.item_log_score_nats(last).collect();
+            let heat = drawing::Heat::new(&grounded.partition_probability, &items, caption);
             let svg = drawing::svg(map, grounding, Some(&heat)).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
             pictures.push((format!("grounding-{}", map.name), svg));
         }
