@@ -163,9 +163,8 @@ pub fn line_item(text: &str, line: u64, person: u32) -> Result<Item, InputError>
     };
     // What the daemon would refuse is refused here, where somebody sees it.
     NarrationV1::new(item.kind, &item.text).map_err(|source| InputError::Message { line, source })?;
-    if item.kind == narration_kind::ACTION {
-        Observed::parse(&item.text).map_err(|source| InputError::Line { line, source })?;
-    }
+    let observed = Observed::of_kind(item.kind, &item.text).and_then(|observed| Ok(observed.sentence()?));
+    observed.map_err(|source| InputError::Line { line, source })?;
     Ok(item)
 }
 
@@ -514,7 +513,8 @@ mod tests {
         assert_eq!(item("the oven is on").unwrap(), (narration_kind::DEVICE, "the oven is on".to_owned(), 3));
         let json = item(r#"{"text": "They sit down.", "person": 9}"#).unwrap();
         assert_eq!(json, (narration_kind::SENTENCE, "They sit down.".to_owned(), 9));
-        for bad in ["{\"text\": 3}", "{\"txt\": \"a\"}", "[Fly] <mug> (1)", "...", "a\u{7}b"] {
+        let kinds = [r#"{"text": ".", "kind": "sentence"}"#, r#"{"text": "They sit.", "kind": "action"}"#];
+        for bad in ["{\"text\": 3}", "{\"txt\": \"a\"}", "[Fly] <mug> (1)", "...", "a\u{7}b"].into_iter().chain(kinds) {
             assert!(item(bad).unwrap_err().to_string().starts_with("line 1: "), "{bad}");
         }
     }

@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use roomcast_ipc::sequence::{Arrival, Follower};
-use roomcast_ipc::{MessageError, NarrationV1, narration_kind};
+use roomcast_ipc::{MessageError, NarrationV1};
 
-use crate::narration::{Action, DeviceState, Observation, Observed, ObservedError, Sentence};
+use crate::narration::{Observation, Observed};
 
 /// Most sources followed; those of further ones are refused, so that inventing sources exhausts nothing.
 pub const SOURCES_MAX: usize = 64;
@@ -105,14 +105,8 @@ impl Intake {
     /// Judges a message that has passed [`roomcast_ipc::Message::check`].
     pub fn take(&mut self, message: &NarrationV1, now_ns: u64) -> Taken {
         self.counters.received += 1;
-        let observed = match observed(message) {
-            Ok(observed) => observed,
-            Err(error) => {
-                self.counters.malformed += 1;
-                return Taken::Malformed(error.to_string());
-            }
-        };
-        let sentence = match observed.sentence() {
+        let sentence = Observed::of_kind(message.kind, message.text()).and_then(|observed| Ok(observed.sentence()?));
+        let sentence = match sentence {
             Ok(sentence) => sentence,
             Err(error) => {
                 self.counters.malformed += 1;
@@ -183,21 +177,10 @@ impl Intake {
     }
 }
 
-/// The kind is the narrator's word: a sentence that looks like an action stays a sentence.
-fn observed(message: &NarrationV1) -> Result<Observed, ObservedError> {
-    let text = message.text();
-    Ok(match message.kind {
-        narration_kind::ACTION => Observed::Action(Action::parse(text)?),
-        narration_kind::DEVICE => match DeviceState::parse(text) {
-            Some(device) => Observed::Device(device),
-            None => Observed::Sentence(Sentence::new(text)?),
-        },
-        _ => Observed::Sentence(Sentence::new(text)?),
-    })
-}
-
 #[cfg(test)]
 mod tests {
+    use roomcast_ipc::narration_kind;
+
     use super::*;
 
     fn message(source: u64, epoch: u64, sequence: u64, text: &str) -> NarrationV1 {

@@ -5,6 +5,8 @@
 
 use std::fmt;
 
+use roomcast_ipc::narration_kind;
+
 pub mod action;
 pub mod history;
 pub mod program;
@@ -157,6 +159,22 @@ impl Observed {
         }
         let sentence = Sentence::new(line)?;
         Ok(DeviceState::parse(sentence.as_str()).map_or(Self::Sentence(sentence), Self::Device))
+    }
+
+    /// Reads a message's text as its kind says ([`narration_kind`]): the kind is the narrator's word, so a sentence that looks like an action
+    /// stays a sentence; a device's state may be told in any words. Narrators ask this before they send, so that they send nothing that the
+    /// daemon refuses.
+    ///
+    /// # Errors
+    /// The text's fault, as that kind.
+    pub fn of_kind(kind: u32, text: &str) -> Result<Self, ObservedError> {
+        if kind == narration_kind::ACTION {
+            return Ok(Self::Action(Action::parse(text)?));
+        }
+        match DeviceState::parse(text).filter(|_| kind == narration_kind::DEVICE) {
+            Some(device) => Ok(Self::Device(device)),
+            None => Ok(Self::Sentence(Sentence::new(text)?)),
+        }
     }
 
     /// Its sentence in the narration.
