@@ -26,15 +26,15 @@ from muon import Muon
 class Schedule:
     """How long and how fast. Training is broken off while the rate is still high: what is kept is the moving average of the weights."""
 
-    steps: int = 6000  # over which the rate falls
-    until: int = 4000  # and after which training stops
+    steps: int = 6600  # over which the rate falls
+    until: int = 4400  # and after which training stops
     workers: int = 2  # processes, on CPUs
     rows: int = 4  # per worker
     length: int = 192
     rate: float = 2e-3
     warm_up: int = 150
     weight_decay: float = 0.1
-    dropout: float = 0.15
+    dropout: float = 0.2
     average: float = 0.998  # decay of the moving average of the weights that is shipped
 
 
