@@ -5,12 +5,12 @@
 //! relief thread:  the ear while the scoring thread is busy
 //! main thread:    signals, watchdog
 //!
-//! ear: narration port -> intake -> journal, queue
+//! ear: narration port -> intake -> journal
 //! ```
 //!
 //! There is one ear, and whoever has it listens. The scoring thread listens itself while it has nothing to do, so that an event wakes one
 //! thread, not two. Before a step that may take long it hands the ear to the relief thread, so that nothing that arrives meanwhile is lost;
-//! it becomes part of the next step together with all else that waits in the queue. The relief thread gives the ear back soon after the step.
+//! it waits in a queue, and becomes part of the next step. The relief thread gives the ear back soon after the step.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -48,6 +48,8 @@ pub use map_change::{Answered, KeptMap, MapAnswer, MapQuestion, Outcome};
 
 /// Observations that may wait for the scorer.
 const QUEUE: usize = 65_536;
+/// Messages taken from the port at once: a flood of them must not keep the scorer from its steps.
+const AT_ONCE: usize = 2048;
 /// How often connections are renewed: the time within which a late joiner has the scores.
 const TICK: Duration = Duration::from_millis(100);
 /// The relief thread has the ear at most so long after a step; an event that comes meanwhile wakes both threads.
@@ -209,16 +211,22 @@ pub fn run<M: LanguageModel + Send + 'static>(
         narration,
         intake,
         journal,
-        queue: queue_in,
         counters: Arc::clone(&counters),
+        more: false,
         log_refused: limiter(),
         log_port: limiter(),
     };
     // There is one ear: it never waits for a place.
     let ((over, handed_over), (back, given_back)) = (bounded(1), bounded(1));
     let busy = Arc::new(AtomicBool::new(false));
-    let relief =
-        Relief { handed_over, back, busy: Arc::clone(&busy), progress: progress_ns.clone(), stop: stop.clone() };
+    let relief = Relief {
+        handed_over,
+        back,
+        queue: queue_in,
+        busy: Arc::clone(&busy),
+        progress: progress_ns.clone(),
+        stop: stop.clone(),
+    };
     let snapshot = cycle.board().snapshot();
     let mut scoring = Scoring {
         ready: false,
@@ -340,16 +348,19 @@ struct Ear {
     narration: Subscriber<NarrationV1>,
     intake: Intake,
     journal: Option<Journal>,
-    queue: Sender<(Entry, u64)>,
     counters: Counters,
+    /// The port was not emptied the last time.
+    more: bool,
     log_refused: Limiter,
     log_port: Limiter,
 }
 
 impl Ear {
-    /// Sleeps until there is narration or `patience` is over, and takes in all that is there.
-    fn listen(&mut self, patience: Duration) {
-        let received = self.narration.wait(patience).and_then(|_| self.drain());
+    /// Sleeps until there is narration or `patience` is over; gives what is there to `hear`, with its number in the journal.
+    fn listen(&mut self, patience: Duration, hear: impl FnMut(Entry, u64)) {
+        // The port wakes once for all that came, so nothing would wake for what was left there.
+        let waited = if self.more { Ok(true) } else { self.narration.wait(patience) };
+        let received = waited.and_then(|_| self.drain(hear));
         if let Err(error) = received {
             // A port that fails may recover, when file descriptors become free for instance.
             if let Some(held_back) = self.log_port.pass(clock::monotonic_ns()) {
@@ -359,21 +370,19 @@ impl Ear {
         }
     }
 
-    fn drain(&mut self) -> Result<(), IpcError> {
-        let mut some = false;
-        // Whoever listens may be the one who empties the queue: what finds no place there stays in the port.
-        while !self.queue.is_full()
+    fn drain(&mut self, mut hear: impl FnMut(Entry, u64)) -> Result<(), IpcError> {
+        let mut messages = 0;
+        while messages < AT_ONCE
             && let Some(received) = self.narration.receive()?
         {
-            some = true;
+            messages += 1;
             let now_ns = clock::monotonic_ns();
             let source = received.as_ref().map_or(0, |message| message.source);
             let refused = match self.intake.receive(received, now_ns) {
                 Taken::Accepted { observation, missed } => {
                     let number = self.journal.as_mut().map_or(0, |journal| journal.append(&observation));
                     let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0 };
-                    // It fails only when the scoring thread is gone, and the main thread sees that too.
-                    let _sent = self.queue.send((entry, number));
+                    hear(entry, number);
                     (missed > 0).then(|| format!("{missed} narrations before it were lost"))
                 }
                 Taken::Duplicate => None,
@@ -386,7 +395,8 @@ impl Ear {
                 tracing::warn!(source, why, held_back, "narration");
             }
         }
-        if some {
+        self.more = messages == AT_ONCE;
+        if messages > 0 {
             let counters = (self.intake.counters(), self.intake.sources());
             *self.counters.lock().unwrap_or_else(PoisonError::into_inner) = counters;
         }
@@ -398,6 +408,7 @@ impl Ear {
 struct Relief {
     handed_over: Receiver<Box<Ear>>,
     back: Sender<Box<Ear>>,
+    queue: Sender<(Entry, u64)>,
     busy: Arc<AtomicBool>,
     progress: Progress,
     stop: Stop,
@@ -414,7 +425,8 @@ impl Relief {
                 Err(RecvTimeoutError::Disconnected) => return,
             };
             loop {
-                ear.listen(RELIEF);
+                // It fails only when the scoring thread is gone, and the main thread sees that too.
+                ear.listen(RELIEF, |entry, number| drop(self.queue.send((entry, number))));
                 moved();
                 if !self.busy.load(Ordering::Acquire) || self.stop.requested() {
                     break;
@@ -494,9 +506,7 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Sleeps until there is narration or `patience` is over, and takes in all that was heard.
     fn hear(&mut self, patience: Duration) {
-        if let Some(ear) = &mut self.ear {
-            ear.listen(patience);
-        } else {
+        if self.ear.is_none() {
             select! {
                 recv(self.given_back) -> ear => {
                     self.deaf = ear.is_err();
@@ -506,8 +516,13 @@ impl<M: LanguageModel> Scoring<M> {
                 default(patience) => {}
             }
         }
+        // First what the relief thread heard, while it had the ear.
         for (entry, number) in self.queue.try_iter() {
             self.cycle.enter(entry, number);
+        }
+        if let Some(ear) = &mut self.ear {
+            let patience = if self.cycle.waiting() > 0 { Duration::ZERO } else { patience };
+            ear.listen(patience, |entry, number| self.cycle.enter(entry, number));
         }
     }
 
@@ -546,7 +561,8 @@ impl<M: LanguageModel> Scoring<M> {
     fn send(&mut self, events: u64) -> Result<(), IpcError> {
         let before_ns = clock::monotonic_ns();
         let written = self.journal.as_ref().map_or(u64::MAX, JournalHandle::written);
-        let Some(message) = self.cycle.message(before_ns, written, !self.queue.is_empty()) else { return Ok(()) };
+        let behind = !self.queue.is_empty() || self.ear.as_ref().is_some_and(|ear| ear.more);
+        let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
         // First, so that a planner that the scores wake finds the forecast that belongs to them. Time alone changes where a person
         // may be, so a heartbeat has a new one too. Nobody else waits for it: who joins later gets one of that moment.
         if self.forecasts.subscribers() > 0 {
