@@ -191,7 +191,7 @@ impl Ours {
         let intake = nanoseconds(start);
         self.cycle.step(now_ns, now_ns).expect("the model scores");
         let publishing = Instant::now();
-        self.forecasts.send(&self.cycle.board().forecast(now_ns)).expect("the forecast is sent");
+        self.forecasts.send(&self.cycle.board_mut().forecast(now_ns)).expect("the forecast is sent");
         let scores = self.cycle.message(now_ns, u64::MAX, false).expect("there are new scores");
         self.scores.send(&scores).expect("the scores are sent");
         let publish = nanoseconds(publishing);

@@ -50,7 +50,7 @@ fn allocations(effort: Effort) -> Vec<[u64; 4]> {
             });
             let (mut forecast, mut message) = (None, None);
             let written = allocation_counter::measure(|| {
-                forecast = Some(cycle.board().forecast(now_ns));
+                forecast = Some(cycle.board_mut().forecast(now_ns));
                 message = cycle.message(now_ns, u64::MAX, false);
             });
             let sent = allocation_counter::measure(|| {

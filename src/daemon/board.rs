@@ -62,8 +62,14 @@ pub struct Entry {
     pub after_gap: bool,
 }
 
-/// Of an observation: the person, when it was observed in monotonic nanoseconds, the label that it mentions.
-type Seen = (u32, u64, Option<usize>);
+/// An observation that the forecasts do not know yet.
+#[derive(Debug, Default)]
+struct Seen {
+    person: u32,
+    /// Monotonic.
+    observed_ns: u64,
+    sentence: String,
+}
 
 /// Owns the pipeline and the current snapshot.
 #[derive(Debug)]
@@ -74,13 +80,17 @@ pub struct Board<M> {
     mentions: Mentions,
     snapshot: RoomScoresV1,
     accepted: std::collections::BTreeMap<u64, u64>,
-    /// Working memory of a step: person, when observed, label mentioned.
+    /// What the forecasts do not know yet are the first `unwatched` of them; the others are memory to be used again.
     seen: Vec<Seen>,
+    unwatched: usize,
     /// Working memory of a step: the sources that the scores name, newest first.
     newest_sources: Vec<Included>,
     /// Per person where they will be; persons unknown to the histories are forgotten.
     forecasters: std::collections::BTreeMap<u32, Forecaster>,
 }
+
+/// Observations whose memory is used again: more come at once after a stand-still only.
+const SEEN_KEPT: usize = 256;
 
 /// The horizons that the forecast is published for, in seconds.
 pub const HORIZONS_S: [f32; MAX_HORIZONS] =
@@ -116,6 +126,7 @@ impl<M: LanguageModel> Board<M> {
             snapshot,
             accepted: std::collections::BTreeMap::new(),
             seen: Vec::new(),
+            unwatched: 0,
             newest_sources: Vec::new(),
             forecasters: std::collections::BTreeMap::new(),
         })
@@ -128,6 +139,8 @@ impl<M: LanguageModel> Board<M> {
     ///
     /// [`MapError`] when the map does not fit into a message, or cannot be grounded; the old one stays in use then.
     pub fn change_map(&mut self, map: SemanticMap) -> Result<usize, MapError> {
+        // What was seen on the old map is understood by it.
+        self.watch();
         let partitions = partitions(&map, self.grounding.level);
         let (room, room_count) = named_rooms(&partitions)?;
         let new_labels = self.pipeline.change_map(&map, &self.grounding)?;
@@ -158,15 +171,16 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Takes the scored observations into the forecasts of their persons.
-    fn watch(&mut self, seen: &[Seen]) {
+    fn watch(&mut self) {
         let grounding = self.pipeline.grounding();
         let probability = &self.pipeline.scores().grounded.partition_probability;
-        for &(person, observed_ns, mention) in seen {
-            let at_s = observed_ns as f64 / 1e9;
+        for Seen { person, observed_ns, sentence } in &self.seen[..std::mem::take(&mut self.unwatched)] {
+            let at_s = *observed_ns as f64 / 1e9;
             let fresh = || Forecaster::new(grounding.partitions.len(), ForecastOptions::default(), at_s);
-            let forecaster = self.forecasters.entry(person).or_insert_with(fresh);
-            forecaster.observe(at_s, mention, grounding, probability);
+            let forecaster = self.forecasters.entry(*person).or_insert_with(fresh);
+            forecaster.observe(at_s, self.mentions.last(sentence), grounding, probability);
         }
+        self.seen.truncate(SEEN_KEPT);
         let histories = self.pipeline.histories();
         self.forecasters.retain(|person, _| histories.get(*person).is_some());
     }
@@ -174,7 +188,8 @@ impl<M: LanguageModel> Board<M> {
     /// Where persons will be from `now_ns` on, for the horizons of `HORIZONS_S`: of several persons, the probability that any of them is in
     /// a room. Without an observation every room is as likely.
     #[must_use]
-    pub fn forecast(&self, now_ns: u64) -> ForecastV1 {
+    pub fn forecast(&mut self, now_ns: u64) -> ForecastV1 {
+        self.watch();
         let mut message = ForecastV1 {
             epoch: self.snapshot.epoch,
             sequence: self.snapshot.sequence,
@@ -217,16 +232,23 @@ impl<M: LanguageModel> Board<M> {
         now_ns: u64,
         now_unix_ns: u64,
     ) -> Result<(), PipelineError> {
+        // What nobody wanted a forecast from, nor was there time for: with the scores of its own step.
+        self.watch();
         let mut received_ns = None;
         let mut gap = false;
-        let mut seen = std::mem::take(&mut self.seen);
-        seen.clear();
-        let (accepted, mentions) = (&mut self.accepted, &mut self.mentions);
+        let (accepted, seen, unwatched) = (&mut self.accepted, &mut self.seen, &mut self.unwatched);
         self.pipeline.observe(entries.into_iter().map(|Entry { observation: o, received_ns: at_ns, after_gap }| {
             received_ns = Some(received_ns.map_or(at_ns, |first: u64| first.min(at_ns)));
             gap |= after_gap;
             *accepted.entry(o.source).or_default() += 1;
-            seen.push((o.person, o.observed_ns, mentions.last(o.sentence.as_str())));
+            if *unwatched == seen.len() {
+                seen.push(Seen::default());
+            }
+            let place = &mut seen[*unwatched];
+            *unwatched += 1;
+            (place.person, place.observed_ns) = (o.person, o.observed_ns);
+            place.sentence.clear();
+            place.sentence.push_str(o.sentence.as_str());
             o
         }));
         if let Err(error) = self.pipeline.score() {
@@ -239,8 +261,6 @@ impl<M: LanguageModel> Board<M> {
         self.snapshot.received_ns = received_ns.unwrap_or(self.snapshot.received_ns);
         self.snapshot.wait_ns = received_ns.map_or(0, |received_ns| now_ns.saturating_sub(received_ns));
         self.snapshot.flags = if gap { score_flags::GAP } else { 0 };
-        self.watch(&seen);
-        self.seen = seen;
         self.fill();
         Ok(())
     }
@@ -275,6 +295,7 @@ impl<M: LanguageModel> Board<M> {
 
     /// Work that can wait until there is nothing else to do.
     pub fn tidy(&mut self) {
+        self.watch();
         self.pipeline.tidy();
     }
 

@@ -132,7 +132,7 @@ impl<M: LanguageModel> Cycle<M> {
         (self.due, self.retry_ns) = (true, 0);
     }
 
-    /// The board, to change its map.
+    /// The board, to change its map or to forecast.
     pub fn board_mut(&mut self) -> &mut Board<M> {
         &mut self.board
     }

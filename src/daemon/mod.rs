@@ -531,7 +531,7 @@ impl<M: LanguageModel> Scoring<M> {
         self.scores.tick()?;
         self.items.tick()?;
         if self.forecasts.tick()? && self.cycle.board().snapshot().sequence > 0 {
-            self.forecasts.send(&self.cycle.board().forecast(clock::monotonic_ns()))?;
+            self.forecasts.send(&self.cycle.board_mut().forecast(clock::monotonic_ns()))?;
         }
         Ok(())
     }
@@ -566,7 +566,7 @@ impl<M: LanguageModel> Scoring<M> {
         // First, so that a planner that the scores wake finds the forecast that belongs to them. Time alone changes where a person
         // may be, so a heartbeat has a new one too. Nobody else waits for it: who joins later gets one of that moment.
         if self.forecasts.subscribers() > 0 {
-            self.forecasts.send(&self.cycle.board().forecast(before_ns))?;
+            self.forecasts.send(&self.cycle.board_mut().forecast(before_ns))?;
         }
         self.scores.send(&message)?;
         if message.has(score_flags::HEARTBEAT) {

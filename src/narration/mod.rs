@@ -171,10 +171,12 @@ impl Observed {
         if kind == narration_kind::ACTION {
             return Ok(Self::Action(Action::parse(text)?));
         }
-        match DeviceState::parse(text).filter(|_| kind == narration_kind::DEVICE) {
-            Some(device) => Ok(Self::Device(device)),
-            None => Ok(Self::Sentence(Sentence::new(text)?)),
+        if kind == narration_kind::DEVICE
+            && let Some(device) = DeviceState::parse(text)
+        {
+            return Ok(Self::Device(device));
         }
+        Ok(Self::Sentence(Sentence::new(text)?))
     }
 
     /// Its sentence in the narration.
