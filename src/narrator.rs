@@ -163,8 +163,7 @@ pub fn line_item(text: &str, line: u64, person: u32) -> Result<Item, InputError>
     };
     // What the daemon would refuse is refused here, where somebody sees it.
     NarrationV1::new(item.kind, &item.text).map_err(|source| InputError::Message { line, source })?;
-    let observed = Observed::of_kind(item.kind, &item.text).and_then(|observed| Ok(observed.sentence()?));
-    observed.map_err(|source| InputError::Line { line, source })?;
+    Observed::sentence_of(item.kind, &item.text).map_err(|source| InputError::Line { line, source })?;
     Ok(item)
 }
 

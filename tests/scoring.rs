@@ -21,7 +21,7 @@ use roomcast::setup::load_model;
 
 /// Quantised kernels round activations to 127 steps. Sums in another order differ in their last bits, and once in some hundred prompts that is
 /// enough for another step: then scores are hundredths of a nat apart, where in single precision they are 1e-6 apart.
-const ROUNDED_NATS_PER_TOKEN: f64 = 0.1;
+const ROUNDED_NATS_PER_TOKEN: f64 = 0.05;
 /// As far as scores may be apart in all but a few prompts.
 const TOLERANCE_NATS_PER_TOKEN: f64 = 2e-3;
 

@@ -239,7 +239,7 @@ struct Checked {
 
 /// Largest difference between two methods' scores of one label, in nats per token. Quantised kernels round activations; sums in another
 /// order, as other batches have them, may take one to the next step.
-const METHODS_TOLERANCE_NATS_PER_TOKEN: f64 = 0.1;
+const METHODS_TOLERANCE_NATS_PER_TOKEN: f64 = 2e-2;
 
 fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_json: bool) -> CommandResult {
     let model_failure = |error: &dyn std::fmt::Display| Failure::new(exit_code::MODEL, error.to_string());

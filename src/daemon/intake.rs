@@ -105,8 +105,7 @@ impl Intake {
     /// Judges a message that has passed [`roomcast_ipc::Message::check`].
     pub fn take(&mut self, message: &NarrationV1, now_ns: u64) -> Taken {
         self.counters.received += 1;
-        let sentence = Observed::of_kind(message.kind, message.text()).and_then(|observed| Ok(observed.sentence()?));
-        let sentence = match sentence {
+        let sentence = match Observed::sentence_of(message.kind, message.text()) {
             Ok(sentence) => sentence,
             Err(error) => {
                 self.counters.malformed += 1;

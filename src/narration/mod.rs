@@ -161,22 +161,22 @@ impl Observed {
         Ok(DeviceState::parse(sentence.as_str()).map_or(Self::Sentence(sentence), Self::Device))
     }
 
-    /// Reads a message's text as its kind says ([`narration_kind`]): the kind is the narrator's word, so a sentence that looks like an action
-    /// stays a sentence; a device's state may be told in any words. Narrators ask this before they send, so that they send nothing that the
-    /// daemon refuses.
+    /// The sentence that a message's text becomes, read as its kind says ([`narration_kind`]): the kind is the narrator's word, so a
+    /// sentence that looks like an action stays a sentence; a device's state may be told in any words. Narrators ask this before they
+    /// send, so that they send nothing that the daemon refuses.
     ///
     /// # Errors
     /// The text's fault, as that kind.
-    pub fn of_kind(kind: u32, text: &str) -> Result<Self, ObservedError> {
+    pub fn sentence_of(kind: u32, text: &str) -> Result<Sentence, ObservedError> {
         if kind == narration_kind::ACTION {
-            return Ok(Self::Action(Action::parse(text)?));
+            return Ok(Self::Action(Action::parse(text)?).sentence()?);
         }
         if kind == narration_kind::DEVICE
             && let Some(device) = DeviceState::parse(text)
         {
-            return Ok(Self::Device(device));
+            return Ok(device.sentence()?);
         }
-        Ok(Self::Sentence(Sentence::new(text)?))
+        Ok(Sentence::new(text)?)
     }
 
     /// Its sentence in the narration.
