@@ -1,4 +1,7 @@
 //! The shipped model through the real scorer: all methods give the same scores, incrementally and afresh, on every scene.
+//!
+//! Twice: with the very weights that ship, whose quantised kernels round, and with the same weights in single precision, where
+//! nothing but the order of sums may differ.
 
 #![expect(clippy::unwrap_used, reason = "a panic is a test's report")]
 
@@ -7,6 +10,7 @@ use std::path::Path;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use roomcast::embedded;
+use roomcast::gguf::Header;
 use roomcast::grounding::{Grounding, GroundingOptions};
 use roomcast::narration::history::HistoryLimits;
 use roomcast::narration::program::Program;
@@ -14,30 +18,99 @@ use roomcast::narration::{Observation, Sentence};
 use roomcast::pipeline::{Pipeline, PipelineOptions};
 use roomcast::prompt::{BindingSequence, write_prompt};
 use roomcast::scorer::certified::Effort;
-use roomcast::scorer::llama::{LlamaModel, LlamaOptions};
+use roomcast::scorer::llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast::scorer::{LabelScores, Method, Scorer, Tokenisation};
 use roomcast::semantic_map::{SemanticMap, import};
 use roomcast::setup::load_model;
 
-/// Quantised kernels round activations to 127 steps. Sums in another order differ in their last bits, and once in some hundred prompts that is
-/// enough for another step: then scores are hundredths of a nat apart, where in single precision they are 1e-6 apart.
-const ROUNDED_NATS_PER_TOKEN: f64 = 0.05;
-/// As far as scores may be apart in all but a few prompts.
-const TOLERANCE_NATS_PER_TOKEN: f64 = 2e-3;
+/// The model that ships, or the same weights in single precision.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Weights {
+    /// Quantised kernels round activations to 127 steps. Sums in another order differ in their last bits, and once in some hundred
+    /// prompts that is enough for another step: then scores are hundredths of a nat apart.
+    Shipped,
+    /// In f32, keys and values too: only the order of sums is left.
+    SinglePrecision,
+}
+
+impl Weights {
+    /// How far scores may be apart, in nats per token of a label: in any prompt, and in all but one of fifty.
+    fn tolerances(self) -> (f64, f64) {
+        match self {
+            Self::Shipped => (0.05, 2e-3),
+            Self::SinglePrecision => (SINGLE_PRECISION_NATS_PER_TOKEN, SINGLE_PRECISION_NATS_PER_TOKEN),
+        }
+    }
+
+    fn load(self, options: &LlamaOptions) -> LlamaModel {
+        match self {
+            Self::Shipped => load_model(None, options).unwrap(),
+            Self::SinglePrecision => {
+                let file = tempfile::Builder::new().suffix(".gguf").tempfile().unwrap();
+                std::fs::write(file.path(), single_precision(embedded::MODEL)).unwrap();
+                let options = LlamaOptions { cache: CacheType::F32, ..options.clone() };
+                load_model(Some(file.path()), &options).unwrap()
+            }
+        }
+    }
+}
+
+const SINGLE_PRECISION_NATS_PER_TOKEN: f64 = 1e-5;
+
+/// A GGUF file whose Q8_0 tensors are written out as F32: blocks of 32 elements, a half-precision scale and 32 signed bytes.
+fn single_precision(model: &[u8]) -> Vec<u8> {
+    const Q8_0_BLOCK_BYTES: usize = 34;
+    const ALIGNMENT_BYTES: usize = 32;
+    let header = Header::read(&embedded::ModelFile::create().unwrap().path()).unwrap();
+    // Tensor descriptions begin with the first one's name, and that with its length.
+    let first = &header.tensors.iter().min_by_key(|t| t.start).unwrap().name;
+    let name = |name: &str| [&(name.len() as u64).to_le_bytes(), name.as_bytes()].concat();
+    let wanted = name(first);
+    let descriptions = model.windows(wanted.len()).position(|bytes| bytes == wanted).unwrap();
+    let (mut out, mut data) = (model[..descriptions].to_vec(), Vec::new());
+    for tensor in &header.tensors {
+        let bytes = &model[tensor.start as usize..][..tensor.size_bytes as usize];
+        out.extend(name(&tensor.name));
+        out.extend((tensor.shape.len() as u32).to_le_bytes());
+        tensor.shape.iter().for_each(|extent| out.extend(extent.to_le_bytes()));
+        out.extend(0_u32.to_le_bytes()); // F32
+        out.extend((data.len() as u64).to_le_bytes());
+        match tensor.kind {
+            "F32" => data.extend_from_slice(bytes),
+            "Q8_0" => {
+                for block in bytes.chunks_exact(Q8_0_BLOCK_BYTES) {
+                    let scale = half::f16::from_le_bytes([block[0], block[1]]).to_f32();
+                    data.extend(block[2..].iter().flat_map(|&q| (scale * f32::from(q.cast_signed())).to_le_bytes()));
+                }
+            }
+            kind => unreachable!("the shipped model has a tensor of type {kind}; teach this test to write it out"),
+        }
+        data.resize(data.len().next_multiple_of(ALIGNMENT_BYTES), 0);
+    }
+    out.resize(out.len().next_multiple_of(ALIGNMENT_BYTES), 0);
+    out.extend(data);
+    out
+}
 
 /// How many comparisons there were, and how many of them were rounded to another step.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Compared {
+    weights: Weights,
     all: usize,
     rounded: usize,
     worst: f64,
 }
 
 impl Compared {
+    fn with(weights: Weights) -> Self {
+        Self { weights, all: 0, rounded: 0, worst: 0.0 }
+    }
+
     fn add(&mut self, nats_per_token: f64, what: &str) {
-        assert!(nats_per_token <= ROUNDED_NATS_PER_TOKEN, "{what}: {nats_per_token} nats per token apart");
+        let (any, most) = self.weights.tolerances();
+        assert!(nats_per_token <= any, "{what}, {:?}: {nats_per_token} nats per token apart", self.weights);
         self.all += 1;
-        self.rounded += usize::from(nats_per_token > TOLERANCE_NATS_PER_TOKEN);
+        self.rounded += usize::from(nats_per_token > most);
         self.worst = self.worst.max(nats_per_token);
     }
 
@@ -92,13 +165,22 @@ fn apart(prepared_tokens: &[Vec<roomcast::scorer::Token>], a: &[f64], b: &[f64])
 
 #[test]
 fn methods_agree_on_every_scene_for_random_narrations_windows_and_bindings() {
+    methods_agree(Weights::Shipped);
+}
+
+#[test]
+fn methods_agree_in_single_precision_to_the_last_digits() {
+    methods_agree(Weights::SinglePrecision);
+}
+
+fn methods_agree(weights: Weights) {
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(2);
     let (sentences, bindings) = (sentences(), bindings());
     // Few sequences, so that the trie and above all the chains need several waves.
-    let mut scorer = Scorer::new(model(24));
-    let mut fresh = Scorer::new(model(64));
+    let mut scorer = Scorer::new(weights.load(&options(24)));
+    let mut fresh = Scorer::new(weights.load(&options(64)));
     let (mut scores, mut other) = (LabelScores::default(), LabelScores::default());
-    let mut compared = Compared::default();
+    let mut compared = Compared::with(weights);
     for map in maps() {
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
         for round in 0..4 {
@@ -188,14 +270,23 @@ fn observation(sequence: u64, sentence: &str) -> Observation {
 /// order is the true one, and the histories are the same.
 #[test]
 fn partial_answers_are_true_over_whole_programs() {
+    partial_answers_are_true(Weights::Shipped);
+}
+
+#[test]
+fn partial_answers_are_true_in_single_precision_to_the_last_digits() {
+    partial_answers_are_true(Weights::SinglePrecision);
+}
+
+fn partial_answers_are_true(weights: Weights) {
     let map = SemanticMap::from_json(embedded::scene("apartment-e0").unwrap().text).unwrap();
     let pipeline = |effort| {
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
         let options = PipelineOptions { effort, history: HistoryLimits::default(), ..PipelineOptions::default() };
-        Pipeline::new(model(64), grounding, options).unwrap()
+        Pipeline::new(weights.load(&self::options(64)), grounding, options).unwrap()
     };
     let mut exact = pipeline(Effort::Exact);
-    let mut compared = Compared::default();
+    let mut compared = Compared::with(weights);
     for effort in [Effort::Ranking, Effort::Top, Effort::Deadline] {
         let mut exact_scores = Vec::new();
         let mut partial = pipeline(effort);
@@ -216,7 +307,7 @@ fn partial_answers_are_true_over_whole_programs() {
             };
             let margin =
                 order(&exact_scores).windows(2).map(|w| exact_scores[w[0]] - exact_scores[w[1]]).fold(9.0, f64::min);
-            if scores.reached == Effort::Ranking && margin > ROUNDED_NATS_PER_TOKEN {
+            if scores.reached == Effort::Ranking && margin > weights.tolerances().0 {
                 assert_eq!(order(&scores.grounded.partition_log_score_nats), order(&exact_scores));
             }
             partial.tidy();
