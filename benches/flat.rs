@@ -64,6 +64,11 @@ fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
     values.get((values.len() as f64 * share) as usize).copied().unwrap_or(f64::NAN)
 }
 
+/// A ratio to the young pipeline; there is none where the old one is alone.
+fn ratio(value: f64) -> String {
+    if value.is_nan() { "-".into() } else { format!("{value:.3}") }
+}
+
 fn resident_kib() -> u64 {
     let statm = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
     statm.split_whitespace().nth(1).and_then(|pages| pages.parse::<u64>().ok()).unwrap_or(0) * 4
@@ -104,13 +109,13 @@ fn main() {
             // Whole tellings are compared where the idle work counts: it falls on every fifth event, not on the same ones in both.
             let young_mean = samples.iter().map(|(_, young)| young[1]).sum::<f64>();
             println!(
-                "{:16} {:9.0} {:10.0} {:26.0} {:12.3} {:15.3} {:15}",
+                "{:16} {:9.0} {:10.0} {:26.0} {:>12} {:>15} {:15}",
                 format!("{} to {}", number + 2 - block, number + 1),
                 quantile(olds(0), 0.5),
                 quantile(olds(0), 0.99),
                 olds(1).sum::<f64>() / samples.len() as f64,
-                quantile(samples.iter().map(|(old, young)| old[0] / young[0]), 0.5),
-                olds(1).sum::<f64>() / young_mean,
+                ratio(quantile(samples.iter().map(|(old, young)| old[0] / young[0]), 0.5)),
+                ratio(olds(1).sum::<f64>() / young_mean),
                 resident_kib()
             );
             samples.clear();

@@ -31,6 +31,15 @@ struct Process {
     log: PathBuf,
 }
 
+/// A command without a domain to join.
+fn roomcast(arguments: &[&str]) -> Command {
+    // An installed binary can be tested instead of the one just built.
+    let built = || env!("CARGO_BIN_EXE_roomcast").into();
+    let mut command = Command::new(std::env::var_os("ROOMCAST_BINARY").unwrap_or_else(built));
+    command.args(arguments).env_remove("ROOMCAST_CONFIG").stdin(Stdio::null());
+    command
+}
+
 impl World {
     fn new(name: &str) -> Self {
         let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
@@ -39,11 +48,8 @@ impl World {
     }
 
     fn command(&self, arguments: &[&str]) -> Command {
-        // An installed binary can be tested instead of the one just built.
-        let built = || env!("CARGO_BIN_EXE_roomcast").into();
-        let mut command = Command::new(std::env::var_os("ROOMCAST_BINARY").unwrap_or_else(built));
-        command.args(arguments).arg("--root").arg(self.domain.root()).args(["--domain", self.domain.name()]);
-        command.env_remove("ROOMCAST_CONFIG").stdin(Stdio::null());
+        let mut command = roomcast(arguments);
+        command.arg("--root").arg(self.domain.root()).args(["--domain", self.domain.name()]);
         command
     }
 
@@ -627,9 +633,8 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
 
 #[test]
 fn latency_measures_every_path_beside_its_yardsticks() {
-    let world = World::new("latency");
     let arguments = ["latency", "--samples", "5", "--pause", "1", "--scorer", "none", "--load", "idle", "--json"];
-    let output = world.command(&arguments).output().unwrap();
+    let output = roomcast(&arguments).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let rows = report["rows"].as_array().unwrap();
@@ -644,6 +649,6 @@ fn latency_measures_every_path_beside_its_yardsticks() {
             ["p50_ns", "p90_ns", "p99_ns", "p999_ns", "max_ns"].map(|key| row[key].as_u64().unwrap()).into();
         assert!(at[0] > 0 && at.is_sorted(), "{row}");
     }
-    let refused = world.command(&["latency", "--samples", "0"]).output().unwrap();
+    let refused = roomcast(&["latency", "--samples", "0"]).output().unwrap();
     assert_eq!(refused.status.code(), Some(i32::from(exit_code::USAGE)));
 }

@@ -43,12 +43,14 @@ pub struct Args {
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
-    /// Answer over a yardstick's path: the other end of a measurement.
-    #[arg(long, hide = true)]
+}
+
+/// Arguments of `roomcast latency-end`, which a measurement starts for itself.
+#[derive(Debug, clap::Args)]
+pub struct EndArgs {
+    /// Answer over this yardstick's path; keep every core busy when left out.
+    #[arg(long)]
     echo: Option<Path>,
-    /// Keep every core busy.
-    #[arg(long, hide = true)]
-    spin: bool,
     #[command(flatten)]
     service: service::Args,
 }
@@ -89,15 +91,6 @@ impl From<LatencyError> for Failure {
 /// When a process cannot be started, ends, or does not answer.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
-    if args.spin {
-        latency::spin(&stop);
-        return Ok(());
-    }
-    if let Some(path) = args.echo {
-        let (_, domain) = args.service.load()?;
-        let node = domain.open("roomcast-latency-echo").map_err(|error| Failure::new(exit_code::IPC, error))?;
-        return Ok(latency::echo(path, &node, &stop)?);
-    }
     let scorers: &[&str] = match args.scorer {
         Scorer::Model => &["model"],
         Scorer::None => &["none"],
@@ -126,6 +119,22 @@ pub fn run(args: &Args) -> CommandResult {
     }
     print(&rows);
     Ok(())
+}
+
+/// Is the other end of a measurement.
+///
+/// # Errors
+///
+/// When the yardstick's path fails.
+pub fn run_end(args: &EndArgs) -> CommandResult {
+    let stop = service::stop()?;
+    let Some(path) = args.echo else {
+        latency::spin(&stop);
+        return Ok(());
+    };
+    let (_, domain) = args.service.load()?;
+    let node = domain.open("roomcast-latency-end").map_err(|error| Failure::new(exit_code::IPC, error))?;
+    Ok(latency::echo(path, &node, &stop)?)
 }
 
 impl Args {
@@ -180,7 +189,7 @@ fn on_stage(
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
     wait_for(stage, stop, || scores.newest().map(|scores| scores.is_some()).map_err(ipc))?;
     if load == "busy" {
-        stage.start("latency", &["--spin".into()])?;
+        stage.start("latency-end", &[])?;
     }
     let sentences = sentences()?;
     probes.push(Probe::Scores(Narrator::new(node, "latency", &sentences)?, scores));
@@ -212,12 +221,12 @@ fn on_stage(
 fn yardsticks(stage: &mut Stage, node: &Node) -> Result<Vec<Probe>, Failure> {
     let echo = |path: &str| ["--echo".into(), path.into()];
     let (counters, input, output) = Probe::eventfd()?;
-    stage.start_with("latency", &echo("eventfd"), Stdio::from(input), Stdio::from(output))?;
+    stage.start_with("latency-end", &echo("eventfd"), Stdio::from(input), Stdio::from(output))?;
     let (socket, there) = Probe::unix_socket()?;
-    stage.start_with("latency", &echo("unix-socket"), Stdio::from(there), Stdio::null())?;
+    stage.start_with("latency-end", &echo("unix-socket"), Stdio::from(there), Stdio::null())?;
     // The requests' sender is there before the process that listens to it.
     let bare = Probe::bare_iceoryx2(node)?;
-    stage.start("latency", &echo("bare-iceoryx2"))?;
+    stage.start("latency-end", &echo("bare-iceoryx2"))?;
     Ok(vec![counters, socket, bare])
 }
 

@@ -111,6 +111,9 @@ enum Command {
     Explain(explain::Args),
     /// Measure how long events take to become scores and decisions, between real processes.
     Latency(latency::Args),
+    /// The other end of a measurement of `latency`, which starts it.
+    #[command(hide = true)]
+    LatencyEnd(latency::EndArgs),
     /// Write the manual pages of all commands.
     Man(man::Args),
     /// Serve metrics of a running system for Prometheus, on a loopback address.
@@ -140,6 +143,7 @@ impl Command {
             Self::Daemon(_)
             | Self::Demo(_)
             | Self::Latency(_)
+            | Self::LatencyEnd(_)
             | Self::Metrics(_)
             | Self::Narrate(_)
             | Self::Planner(_) => false,
@@ -167,6 +171,7 @@ pub fn main() -> ExitCode {
         Command::Experiment(args) => experiment::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::Latency(args) => latency::run(&args),
+        Command::LatencyEnd(args) => latency::run_end(&args),
         Command::Man(args) => man::run(&args),
         Command::Metrics(args) => metrics::run(&args),
         Command::Model(args) => model::run(&args),
