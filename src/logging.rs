@@ -25,11 +25,16 @@ pub struct Log {
 
 /// Sets up logging, once per process; a second call changes nothing.
 pub fn init() -> Log {
-    let filter = EnvFilter::try_from_env(FILTER_VARIABLE).unwrap_or_else(|_| EnvFilter::new(FILTER_DEFAULT));
+    let wanted = std::env::var(FILTER_VARIABLE).ok().filter(|text| !text.trim().is_empty());
+    let (filter, refused) =
+        match wanted.as_deref().map_or_else(|| EnvFilter::try_new(FILTER_DEFAULT), EnvFilter::try_new) {
+            Ok(filter) => (filter, None),
+            Err(error) => (EnvFilter::new(FILTER_DEFAULT), Some(error)),
+        };
     let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
     let registry = tracing_subscriber::registry().with(filter);
     // An error says that somebody else has set up logging already, a test for instance.
-    match journal {
+    let log = match journal {
         Some(journal) => {
             let _set = registry.with(journal).try_init();
             Log { _writer: None }
@@ -40,7 +45,11 @@ pub fn init() -> Log {
             let _set = registry.with(fmt::layer().with_writer(lines).with_ansi(colours)).try_init();
             Log { _writer: Some(writer) }
         }
+    };
+    if let Some(error) = refused {
+        tracing::warn!(%error, "{FILTER_VARIABLE} is no filter of logs, so the default holds; write for instance warn or info,roomcast=debug");
     }
+    log
 }
 
 /// An error with its causes, in one line.

@@ -85,9 +85,12 @@ pub fn print_json(value: &impl serde::Serialize) -> CommandResult {
     writeln!(std::io::stdout().lock(), "{text}").map_err(|e| Failure::new(exit_code::FAILURE, e))
 }
 
+const LOGS: &str = "Services log to the journal under systemd, else to standard error. ROOMCAST_LOG says what is told: warn, info (the default),
+or info,roomcast=debug for a line per step.";
+
 /// Which room a person will be in next, in time for the robot to be elsewhere.
 #[derive(Debug, Parser)]
-#[command(name = "roomcast", version, propagate_version = true)]
+#[command(name = "roomcast", version, propagate_version = true, after_help = LOGS)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,

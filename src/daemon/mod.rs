@@ -585,7 +585,8 @@ impl<M: LanguageModel> Scoring<M> {
             let (header, items) = self.cycle.board().items();
             self.items.send(header, items)?;
         }
-        tracing::info!(
+        // Every event has one of these: metrics and the status answer tell the same in sum.
+        tracing::debug!(
             sequence = message.sequence,
             events,
             wait_us = message.wait_ns / 1000,
@@ -599,6 +600,10 @@ impl<M: LanguageModel> Scoring<M> {
         );
         if !self.ready {
             self.ready = true;
+            let board = self.cycle.board();
+            let (model, map) = (board.pipeline().model().name.as_str(), board.map().name.as_str());
+            let (labels, rooms) = (board.pipeline().prepared().labels().len(), message.rooms().len());
+            tracing::info!(model, map, labels, rooms, "ready: the first scores are out");
             notify(&[NotifyState::Ready]);
         }
         Ok(())
