@@ -207,7 +207,11 @@ impl Domain {
     /// seconds, of nanoseconds, of the process id, of a counter), and no port outlives its participant's entry, which is cleaned up last. A
     /// connection has two participants, and is of no use to one without the other.
     fn repair_ports(&self, participants: &BTreeSet<String>) {
-        let process = |number: &str| number.parse::<u128>().ok().map(|number| (number >> 64) as u32);
+        let process = |number: &str| {
+            let process = (number.parse::<u128>().ok()? >> 64) as u32;
+            // A small number counts something else: memory that grows has a file `PORT__0` for its first segment.
+            (process != 0).then_some(process)
+        };
         let known: BTreeSet<u32> = participants.iter().filter_map(|id| process(id)).collect();
         let sockets = fs::read_dir(&self.root).into_iter().flatten().flatten().map(|entry| entry.path());
         for file in self.shared_memory().unwrap_or_default().into_iter().chain(sockets) {

@@ -312,6 +312,9 @@ fn what_belongs_to_the_living_is_left_alone_however_old() {
     let subscriber = planner.subscriber::<RoomScoresV1>().unwrap();
     publisher.send(&scores(1)).unwrap();
     assert_eq!(eventually(|| subscriber.newest().unwrap()).sequence, 1);
+    // Ports whose messages grow have their memory in numbered segments, which nobody has opened yet.
+    let items = daemon.item_scores_publisher().unwrap();
+    let (moments, status) = (daemon.answer_port(question::MOMENT).unwrap(), daemon.status_server().unwrap());
     let mut files = Vec::new();
     let mut folders = vec![private.domain.root().to_owned()];
     while let Some(folder) = folders.pop() {
@@ -339,5 +342,20 @@ fn what_belongs_to_the_living_is_left_alone_however_old() {
     assert!(gone.is_empty(), "{gone:?}");
     publisher.send(&scores(2)).unwrap();
     assert_eq!(eventually(|| subscriber.newest().unwrap()).sequence, 2);
-    drop((publisher, subscriber, daemon, planner));
+    let (question, asked) = (planner.question_port(question::MOMENT).unwrap(), planner.status_client().unwrap());
+    let stop = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !stop.load(std::sync::atomic::Ordering::Relaxed) {
+                moments.answer(|asked| asked.unwrap().to_uppercase()).unwrap();
+                status.answer(StatusResponseV1::default).unwrap();
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        });
+        let answers = (question.ask("still here", Duration::from_secs(10)), asked.ask(Duration::from_secs(10)));
+        stop.store(true, std::sync::atomic::Ordering::Relaxed);
+        assert_eq!(answers.0.unwrap(), "STILL HERE");
+        answers.1.unwrap();
+    });
+    drop((publisher, subscriber, items, question, asked, moments, status, daemon, planner));
 }
