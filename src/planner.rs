@@ -307,7 +307,8 @@ impl Planner {
 /// [`IpcError`] when a service cannot be opened or is lost.
 pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError> {
     let config = &config.planner;
-    let node = domain.open("roomcast-planner")?;
+    let node = domain.open(&format!("roomcast-planner {}", config.robot))?;
+    node.be_the_only_one()?;
     let scores = node.subscriber::<RoomScoresV1>()?;
     let forecasts = node.subscriber::<ForecastV1>()?;
     let decisions = node.publisher::<DecisionV1>()?;

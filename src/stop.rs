@@ -1,13 +1,18 @@
-//! A clean stop on ctrl-C and on a termination signal; the second one ends at once.
+//! A clean stop on ctrl-C and on a termination signal; one more, from somebody who has waited, ends at once.
 
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use signal_hook::consts::{SIGINT, SIGTERM};
-use signal_hook::flag;
+use signal_hook::iterator::Signals;
+use signal_hook::{flag, low_level};
 
 use crate::exit_code;
+
+/// Signals closer together are one wish to stop: `timeout` and terminals send theirs to a process and again to its group.
+const ONE_WISH: Duration = Duration::from_millis(500);
 
 /// Whether somebody has asked this process to stop.
 #[derive(Debug, Clone, Default)]
@@ -20,18 +25,26 @@ impl Stop {
         Self::default()
     }
 
-    /// One that SIGINT and SIGTERM set; a second signal ends the process with [`exit_code::INTERRUPTED`].
+    /// One that SIGINT and SIGTERM set; a further signal half a second later or more ends the process with [`exit_code::INTERRUPTED`].
     ///
     /// # Errors
     ///
-    /// When the system refuses the handlers.
+    /// When the system refuses the handlers, or the thread that waits for further signals.
     pub fn on_signals() -> io::Result<Self> {
         let stop = Self::new();
         for signal in [SIGINT, SIGTERM] {
-            // In this order: the first signal finds the flag unset.
-            flag::register_conditional_shutdown(signal, i32::from(exit_code::INTERRUPTED), Arc::clone(&stop.0))?;
             flag::register(signal, Arc::clone(&stop.0))?;
         }
+        let mut signals = Signals::new([SIGINT, SIGTERM])?;
+        let wait = move || {
+            let mut first = None;
+            for _signal in &mut signals {
+                if first.get_or_insert_with(Instant::now).elapsed() >= ONE_WISH {
+                    low_level::exit(i32::from(exit_code::INTERRUPTED));
+                }
+            }
+        };
+        std::thread::Builder::new().name("signals".to_owned()).spawn(wait)?;
         Ok(stop)
     }
 

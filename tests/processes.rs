@@ -316,6 +316,81 @@ fn a_second_daemon_is_refused_and_the_first_stops_cleanly() {
     assert!(!world.domain.root().exists());
 }
 
+/// As `timeout` and terminals do it: a signal to the process, and another at once to its group.
+#[test]
+fn signals_in_a_row_are_one_wish_to_stop() {
+    let mut world = World::new("twice");
+    let daemon = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    scores_with(&node.subscriber::<RoomScoresV1>().unwrap(), "the first scores", |_| true);
+    for signal in [Signal::TERM, Signal::INT, Signal::TERM] {
+        world.signal(daemon, signal);
+    }
+    let (status, log) = world.wait(daemon);
+    assert!(status.success() && log.contains("stopped"), "{status}: {log}");
+    drop(node);
+    assert!(world.domain.clean_up().unwrap());
+    assert_eq!(world.shared_memory_files(), Vec::<String>::new());
+}
+
+#[test]
+fn a_second_planner_of_the_same_robot_is_refused() {
+    let mut world = World::new("robots");
+    world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let decisions = node.subscriber::<DecisionV1>().unwrap();
+    let first = world.start(&["planner", "--robot", "one", "--room-time", "0"]);
+    eventually("a decision", || decisions.newest().unwrap());
+    let other = world.start(&["planner", "--robot", "two", "--room-time", "0"]);
+    let second = world.start(&["planner", "--robot", "one"]);
+    let (status, log) = world.wait(second);
+    assert_eq!(status.code(), Some(i32::from(exit_code::IPC)), "{log}");
+    assert!(log.contains(&format!("roomcast-planner one (process {})", world.children[first].child.id())), "{log}");
+    // A planner that was killed is in nobody's way.
+    world.signal(first, Signal::KILL);
+    world.wait(first);
+    let third = world.start(&["planner", "--robot", "one", "--room-time", "0"]);
+    let process = world.children[third].child.id();
+    eventually("the third planner decides", || {
+        assert!(world.children[third].child.try_wait().unwrap().is_none(), "process {process} ended");
+        decisions.newest().unwrap().filter(|decision| decision.robot == sequence::source_of_name("one"))
+    });
+    assert!(world.children[other].child.try_wait().unwrap().is_none());
+}
+
+/// `demo` is killed and cannot end what it has started.
+#[test]
+fn the_processes_of_a_killed_demo_end_with_it() {
+    let mut demo = roomcast(&["demo", "--seconds", "60"]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let demo_id = demo.id().to_string();
+    // Process, and its arguments.
+    let children = || -> Vec<(u32, Vec<String>)> {
+        let processes =
+            std::fs::read_dir("/proc").unwrap().filter_map(|entry| entry.unwrap().file_name().into_string().ok());
+        let of_demo = processes.filter_map(|id| id.parse().ok()).filter(|id: &u32| {
+            let environment = std::fs::read(format!("/proc/{id}/environ")).unwrap_or_default();
+            let wanted = format!("ROOMCAST_STAGE={demo_id}");
+            environment.split(|&byte| byte == 0).any(|variable| variable == wanted.as_bytes())
+        });
+        let arguments = |id| {
+            let line = std::fs::read(format!("/proc/{id}/cmdline")).unwrap_or_default();
+            String::from_utf8_lossy(&line).split('\0').map(str::to_owned).collect()
+        };
+        of_demo.map(|id| (id, arguments(id))).collect()
+    };
+    let started = eventually("daemon, planner and narrator run", || Some(children()).filter(|all| all.len() == 3));
+    demo.kill().unwrap();
+    demo.wait().unwrap();
+    eventually("they end", || children().is_empty().then_some(()));
+    let of = |option: &str| {
+        let arguments = &started[0].1;
+        arguments[arguments.iter().position(|argument| argument == option).unwrap() + 1].clone()
+    };
+    let root = PathBuf::from(of("--root"));
+    assert!(Domain::new(&root, &of("--domain")).unwrap().clean_up().unwrap());
+    std::fs::remove_dir_all(root.parent().unwrap()).unwrap();
+}
+
 #[test]
 fn a_stopped_daemon_makes_the_planner_stay() {
     let mut world = World::new("stopped");

@@ -11,7 +11,7 @@ use std::{env, fs, io};
 use iceoryx2::config::Config;
 use iceoryx2::node::NodeView;
 use iceoryx2::prelude::{
-    CallbackProgression, FileName, LogLevel, NodeBuilder, NodeName, SemanticString, SignalHandlingMode,
+    CallbackProgression, FileName, LogLevel, NodeBuilder, NodeName, NodeState, SemanticString, SignalHandlingMode,
 };
 use iceoryx2::service::ipc_threadsafe;
 use rustix::process::geteuid;
@@ -292,7 +292,7 @@ impl Domain {
         let mut alive = 0;
         // A list that fails half-way counts as somebody alive: nothing is removed on a guess.
         let listed = iceoryx2::node::Node::<Flavour>::list(config, |state| {
-            alive += usize::from(!matches!(state, iceoryx2::node::NodeState::Dead(_)));
+            alive += usize::from(!matches!(state, NodeState::Dead(_)));
             CallbackProgression::Continue
         });
         if listed.is_err() { alive.max(1) } else { alive }
@@ -455,6 +455,37 @@ impl Drop for Guardian {
 }
 
 impl Node {
+    /// Makes sure that nobody else of this participant's name is alive. Of several that join at once, the first stays.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::NameTaken`] when the other does not leave within 5 s.
+    pub fn be_the_only_one(&self) -> Result<(), IpcError> {
+        // From the lowest bits up: seconds, nanoseconds, process, counter.
+        let age = |id: u128| [0, 32, 64, 96].map(|bit| (id >> bit) as u32);
+        self.retry(|| {
+            let mut holder = None;
+            let listed = iceoryx2::node::Node::<Flavour>::list(&self.config, |state| {
+                if let NodeState::Alive(other) = state
+                    && let Some(details) = other.details()
+                    && details.name() == self.node.name()
+                    && age(other.id().value()) < age(self.node.id().value())
+                {
+                    holder = Some(format!("{} (process {})", details.name(), details.process_id().value()));
+                }
+                CallbackProgression::Continue
+            });
+            match (listed, holder) {
+                (_, Some(holder)) => Err(OpenFailure::Passing(IpcError::NameTaken { holder })),
+                (Err(error), None) => Err(OpenFailure::Passing(IpcError::Join {
+                    root: self.domain.root.clone(),
+                    cause: format!("the participants cannot be listed: {error:?}"),
+                })),
+                (Ok(()), None) => Ok(()),
+            }
+        })
+    }
+
     /// A publisher of `M`. Fails with [`IpcError::Occupied`] when its places are taken.
     ///
     /// # Errors
@@ -535,7 +566,7 @@ impl Node {
             let mut dead = Vec::new();
             // A list that fails half-way has named some, and the next one goes on.
             let _listed = iceoryx2::node::Node::<Flavour>::list(&self.config, |state| {
-                if let iceoryx2::node::NodeState::Dead(node) = state {
+                if let NodeState::Dead(node) = state {
                     dead.push(node.id().value());
                 }
                 CallbackProgression::Continue

@@ -144,6 +144,14 @@ pub enum IpcError {
         /// How many places there are.
         limit: usize,
     },
+    /// Another participant of this name is alive.
+    #[error(
+        "{holder} is here already, and there can be one of that name; stop it first, give this one another name, or use another domain"
+    )]
+    NameTaken {
+        /// Name and process of the other.
+        holder: String,
+    },
     /// The service could not be opened within the time allowed for it.
     #[error("service {service}: cannot open it: {cause}; tried for {tried_ms} ms")]
     Open {

@@ -234,6 +234,8 @@ pub struct ItemScores {
 pub struct ItemScoresPublisher {
     publisher: iceoryx2::port::publisher::Publisher<Flavour, [ItemScoreV1], ItemScoresHeaderV1>,
     factory: Factory<[ItemScoreV1], ItemScoresHeaderV1>,
+    /// How many subscribers there were at the last tick.
+    known: Cell<usize>,
 }
 
 impl ItemScoresPublisher {
@@ -245,13 +247,17 @@ impl ItemScoresPublisher {
             .allocation_strategy(AllocationStrategy::PowerOfTwo)
             .create()
             .map_err(|_| occupied(&factory, &publishers(&factory), ITEM_SCORES, "publisher", 1))?;
-        Ok(Self { publisher, factory })
+        Ok(Self { publisher, factory, known: Cell::new(0) })
     }
 
     /// Whether anybody wants them; sending is not worth its time otherwise.
     #[must_use]
     pub fn wanted(&self) -> bool {
-        self.factory.dynamic_config().number_of_subscribers() > 0
+        self.subscribers() > 0
+    }
+
+    fn subscribers(&self) -> usize {
+        self.factory.dynamic_config().number_of_subscribers()
     }
 
     /// Sends the scores of all items.
@@ -273,13 +279,16 @@ impl ItemScoresPublisher {
         Ok(())
     }
 
-    /// Hands the history to subscribers that joined since.
+    /// Hands the history to subscribers that joined since. Returns whether one joined that found nobody else, and may have found no
+    /// history: nothing is sent while nobody wants it.
     ///
     /// # Errors
     ///
     /// [`IpcError::Port`].
-    pub fn tick(&self) -> Result<(), IpcError> {
-        self.publisher.update_connections().map_err(|error| port(ITEM_SCORES, "connect", &error))
+    pub fn tick(&self) -> Result<bool, IpcError> {
+        let subscribers = self.subscribers();
+        self.publisher.update_connections().map_err(|error| port(ITEM_SCORES, "connect", &error))?;
+        Ok(self.known.replace(subscribers) == 0 && subscribers > 0)
     }
 }
 

@@ -174,9 +174,11 @@ fn item_scores_flow_only_when_wanted() {
     let private = Private::new("items");
     let node = private.domain.open("both").unwrap();
     let publisher = node.item_scores_publisher().unwrap();
-    assert!(!publisher.wanted());
+    assert!(!publisher.wanted() && !publisher.tick().unwrap());
     let subscriber = node.item_scores_subscriber().unwrap();
     assert!(publisher.wanted());
+    assert!(publisher.tick().unwrap(), "the first one wants them now");
+    assert!(!publisher.tick().unwrap());
     let header = ItemScoresHeaderV1 { epoch: 1, sequence: 5, ..Default::default() };
     for count in [3, 700] {
         let items = (0..count).map(|index| ItemScoreV1 { partition: index, ..Default::default() });

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use roomcast_ipc::Domain;
 
-use super::Failure;
+use super::{Failure, stage};
 use crate::config::Config;
 use crate::exit_code;
 use crate::stop::Stop;
@@ -45,11 +45,13 @@ impl Args {
     }
 }
 
-/// A stop on signals.
+/// A stop on signals, and with the command that has started this one for itself.
 ///
 /// # Errors
 ///
 /// When the system refuses the handlers.
 pub fn stop() -> Result<Stop, Failure> {
-    Stop::on_signals().map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot handle signals: {error}")))
+    let stop = Stop::on_signals();
+    stop.and_then(|stop| stage::leave_with_parent().map(|()| stop))
+        .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot handle signals: {error}")))
 }

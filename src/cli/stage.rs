@@ -8,13 +8,34 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use roomcast_ipc::Domain;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, getppid, kill_process, set_parent_process_death_signal};
 
 use super::{CommandResult, Failure};
 use crate::exit_code;
 
 /// A process that has not ended so long after it was asked to is killed.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
+
+/// Tells a process on a stage who has set it up.
+const PARENT_VARIABLE: &str = "ROOMCAST_STAGE";
+
+/// Ends this process with the one that has set up its stage, if it is on one: that one may be killed without a chance to end it.
+///
+/// # Errors
+///
+/// When the system refuses.
+pub(super) fn leave_with_parent() -> io::Result<()> {
+    let Some(parent) = std::env::var(PARENT_VARIABLE).ok().and_then(|text| text.parse().ok()).and_then(Pid::from_raw)
+    else {
+        return Ok(());
+    };
+    set_parent_process_death_signal(Some(Signal::TERM))?;
+    // It may have been killed before that.
+    if getppid() != Some(parent) {
+        kill_process(rustix::process::getpid(), Signal::TERM)?;
+    }
+    Ok(())
+}
 
 /// `roomcast` commands that run as processes of their own; dropping ends them and removes the domain.
 pub(super) struct Stage {
@@ -52,6 +73,7 @@ impl Stage {
             .arg(self.domain.root())
             .args(["--domain", self.domain.name()])
             .env_remove("ROOMCAST_CONFIG")
+            .env(PARENT_VARIABLE, std::process::id().to_string())
             .stdin(input)
             .stdout(output)
             .stderr(log)

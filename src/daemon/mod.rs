@@ -529,7 +529,10 @@ impl<M: LanguageModel> Scoring<M> {
     /// Hands the newest messages to whoever has joined since.
     fn renew_connections(&mut self) -> Result<(), IpcError> {
         self.scores.tick()?;
-        self.items.tick()?;
+        if self.items.tick()? && self.cycle.board().snapshot().sequence > 0 {
+            let (header, items) = self.cycle.board().items();
+            self.items.send(header, items)?;
+        }
         if self.forecasts.tick()? && self.cycle.board().snapshot().sequence > 0 {
             self.forecasts.send(&self.cycle.board_mut().forecast(clock::monotonic_ns()))?;
         }
