@@ -267,6 +267,8 @@ fn print(rows: &[Row]) {
         "p50 / bare",
         "p99 / bare",
     ]);
+    // So many columns would break names and figures apart in a narrow terminal.
+    table.set_content_arrangement(comfy_table::ContentArrangement::Disabled);
     for row in rows {
         let bare =
             rows.iter().find(|bare| (bare.path, bare.scorer, bare.load) == (Path::BareIceoryx2, row.scorer, row.load));

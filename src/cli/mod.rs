@@ -86,12 +86,13 @@ pub fn print_json(value: &impl serde::Serialize) -> CommandResult {
     writeln!(std::io::stdout().lock(), "{text}").map_err(|e| Failure::new(exit_code::FAILURE, e))
 }
 
-const CODES_AND_LOGS: &str = "Exit codes: 0 all went well; 1 anything else failed; 2 usage; 3 input (scene, program, narration, recording); 4 configuration;
-5 model; 6 shared memory, a service or another daemon; 7 a check found faults; 130 interrupted before the work was done.
-A service that a signal asks to stop ends with 0.
+const CODES_AND_LOGS: &str = "\
+Exit codes: 0 all went well; 1 anything else failed; 2 usage; 3 input (scene, program, narration, recording); 4 configuration; 5 model; \
+6 shared memory, a service or another daemon; 7 a check found faults; 130 interrupted before the work was done. A service that a signal \
+asks to stop ends with 0.
 
-Services log to the journal under systemd, else to standard error. ROOMCAST_LOG says what is told: warn, info (the default),
-or info,roomcast=debug for a line per step.";
+Services log to the journal under systemd, else to standard error. ROOMCAST_LOG says what is told: warn, info (the default), or \
+info,roomcast=debug for a line per step.";
 
 /// Which room a person will be in next, in time for the robot to be elsewhere.
 #[derive(Debug, Parser)]
