@@ -23,6 +23,12 @@ pub const DEFAULT_TOML: &str = include_str!("default.toml");
 /// Most bytes of a configuration file.
 pub const FILE_BYTES_MAX: u64 = 1 << 20;
 
+/// Least bytes of the journal: either half holds a few of the longest sentences.
+const JOURNAL_BYTES_MIN: u64 = 8192;
+
+/// Most bytes of a name that messages carry whole.
+const NAME_BYTES_MAX: usize = 48;
+
 /// A configuration that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
@@ -57,6 +63,17 @@ pub enum ConfigError {
         value: String,
         /// What it may hold.
         remedy: &'static str,
+    },
+    /// The section `[ipc]` names no domain.
+    #[error("the configuration's section [ipc] cannot be used: {0}")]
+    Domain(#[from] IpcError),
+    /// One of the faults above, with the file that it is in.
+    #[error("{path}: {fault}")]
+    InFile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        fault: Box<Self>,
     },
 }
 
@@ -210,7 +227,7 @@ impl Config {
         let text = std::fs::read_to_string(path).map_err(read)?;
         let config: Self = toml::from_str(&text)
             .map_err(|source| ConfigError::Parse { path: path.to_owned(), source: Box::new(source) })?;
-        config.check()?;
+        config.check().map_err(|fault| ConfigError::InFile { path: path.to_owned(), fault: Box::new(fault) })?;
         Ok(config)
     }
 
@@ -236,6 +253,12 @@ impl Config {
             &model.sequences,
             "give 1 to 256, llama.cpp's limit",
         )?;
+        limit(
+            (1..).zip(&model.cores).all(|(next, core)| !model.cores[next..].contains(core)),
+            "model.cores",
+            &format!("{:?}", model.cores),
+            "name each core once",
+        )?;
         if let Some(sum) = &model.sha256 {
             limit(
                 sum.len() == 64 && sum.bytes().all(|b| b.is_ascii_hexdigit()),
@@ -259,7 +282,20 @@ impl Config {
             "give 1 to 60000",
         )?;
         self.binding()?;
+        self.ipc.domain()?;
         let daemon = &self.daemon;
+        limit(
+            daemon.state.as_ref().is_none_or(|state| !state.as_os_str().is_empty()),
+            "daemon.state",
+            &"empty",
+            "give a directory, or leave the key out for no journal",
+        )?;
+        limit(
+            daemon.journal_bytes >= JOURNAL_BYTES_MIN,
+            "daemon.journal_bytes",
+            &daemon.journal_bytes,
+            "give 8192 or more",
+        )?;
         limit(
             (10..=60_000).contains(&daemon.heartbeat_ms),
             "daemon.heartbeat_ms",
@@ -275,6 +311,10 @@ impl Config {
             "give 0 (no limit) or more",
         )?;
         limit(burst >= 1.0 && burst.is_finite(), "daemon.intake.burst", &burst, "give 1 or more")?;
+        for (key, name) in [("planner.robot", &self.planner.robot), ("narrator.name", &self.narrator.name)] {
+            let fits = !name.trim().is_empty() && name.len() <= NAME_BYTES_MAX && !name.contains(char::is_control);
+            limit(fits, key, &format!("{name:?}"), "give 1 to 48 bytes of text without control characters")?;
+        }
         let planner = &self.planner;
         limit(
             (0.0..=1e9).contains(&planner.room_time_s),
@@ -334,5 +374,31 @@ mod tests {
         assert!(config.check().unwrap_err().to_string().contains("model.sequences is 999"));
         let config: Config = toml::from_str("[metrics]\nlisten = \"0.0.0.0:9464\"").unwrap();
         assert!(config.check().unwrap_err().to_string().contains("metrics.listen is 0.0.0.0:9464"));
+        for (toml, part) in [
+            ("[ipc]\ndomain = \"ABC\"", "ABC"),
+            ("[ipc]\ndomain = \"\"", "[ipc]"),
+            ("[ipc]\nroot = \"rel\"", "rel"),
+            ("[planner]\nrobot = \"\"", "planner.robot is \"\""),
+            ("[narrator]\nname = \" \"", "narrator.name is \" \""),
+            ("[narrator]\nlinger_s = nan", "narrator.linger_s is NaN"),
+            ("[model]\ncores = [0, 1, 0]", "model.cores is [0, 1, 0]"),
+            ("[daemon]\nstate = \"\"", "daemon.state is empty"),
+            ("[daemon]\njournal_bytes = 1", "daemon.journal_bytes is 1"),
+        ] {
+            let error = toml::from_str::<Config>(toml).unwrap().check().unwrap_err().to_string();
+            assert!(error.contains(part), "{toml}: {error}");
+        }
+        let fits = "[model]\ncores = [1, 0]\n[daemon]\njournal_bytes = 8192\n[ipc]\ndomain = \"a-1\"";
+        toml::from_str::<Config>(fits).unwrap().check().unwrap();
+    }
+
+    #[test]
+    fn a_fault_names_the_file_it_is_in() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[model]\nthreads = 999").unwrap();
+        let error = Config::load(file.path()).unwrap_err();
+        let text = crate::logging::chain(&error);
+        assert!(text.starts_with(&file.path().display().to_string()), "{text}");
+        assert_eq!(text.matches("model.threads is 999").count(), 1, "{text}");
     }
 }

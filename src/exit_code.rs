@@ -1,4 +1,4 @@
-//! Exit codes of the `roomcast` command. Scripts may rely on them.
+//! Exit codes of the `roomcast` command. Scripts may rely on them; `roomcast --help` tells them.
 
 /// All went well.
 pub const OK: u8 = 0;
@@ -16,5 +16,6 @@ pub const MODEL: u8 = 5;
 pub const IPC: u8 = 6;
 /// A check ran and found faults (`scene check`, `model check`, `doctor`).
 pub const CHECK: u8 = 7;
-/// Ended by ctrl-C or a termination signal.
+/// Interrupted by ctrl-C or a termination signal before the work was done, or by a second signal. A service that is asked to stop
+/// has done its work: it ends with [`OK`].
 pub const INTERRUPTED: u8 = 130;

@@ -26,6 +26,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rumqttc::{Client, Event, MqttOptions, Packet, Publish, QoS, TlsConfiguration, Transport};
+use rustls::pki_types::CertificateDer;
+use rustls::pki_types::pem::PemObject;
 use serde_json::json;
 
 use crate::stop::Stop;
@@ -63,6 +65,20 @@ pub enum MqttError {
     Address {
         /// What was given.
         given: String,
+    },
+    /// Scheme and CA file do not fit together.
+    #[error("{given:?} with{} a CA file: give mqtts://HOST[:PORT] with --mqtt-ca FILE, or mqtt://HOST[:PORT] without", if *.authority { "" } else { "out" })]
+    Scheme {
+        /// The address.
+        given: String,
+        /// Whether there is a CA file.
+        authority: bool,
+    },
+    /// The CA file has no certificate.
+    #[error("{path} holds no certificate: give a PEM file with those that the broker's is signed by")]
+    Authority {
+        /// The file.
+        path: PathBuf,
     },
     /// The client gave up.
     #[error("the MQTT client failed: {reason}")]
@@ -255,7 +271,12 @@ impl Listener {
 }
 
 impl Broker {
-    fn options(&self) -> Result<MqttOptions, MqttError> {
+    /// What the client needs to know, with the files read: whatever is wrong with the set-up shows here, before anything is connected.
+    ///
+    /// # Errors
+    ///
+    /// [`MqttError`] for an address or a file that cannot be used.
+    pub fn options(&self) -> Result<MqttOptions, MqttError> {
         let wrong = || MqttError::Address { given: self.address.clone() };
         let (scheme, rest) = self.address.split_once("://").ok_or_else(wrong)?;
         let secure = match scheme {
@@ -281,6 +302,9 @@ impl Broker {
         match (&self.authority, secure) {
             (Some(path), true) => {
                 let ca = std::fs::read(path).map_err(|source| MqttError::Read { path: path.clone(), source })?;
+                if !CertificateDer::pem_slice_iter(&ca).any(|certificate| certificate.is_ok()) {
+                    return Err(MqttError::Authority { path: path.clone() });
+                }
                 // A second call finds one installed, and that is as good.
                 let _installed = rustls::crypto::ring::default_provider().install_default();
                 options.set_transport(Transport::tls_with_config(TlsConfiguration::Simple {
@@ -290,7 +314,9 @@ impl Broker {
                 }));
             }
             (None, false) => {}
-            _ => return Err(wrong()),
+            (authority, _) => {
+                return Err(MqttError::Scheme { given: self.address.clone(), authority: authority.is_some() });
+            }
         }
         Ok(options)
     }
@@ -304,13 +330,15 @@ const HEARD_MAX: usize = 256;
 ///
 /// # Errors
 ///
-/// [`MqttError`] for an address, a file or a client that cannot be used.
-pub fn listen(broker: &Broker, rules: Rules, mut out: impl Write, stop: &Stop) -> Result<Heard, MqttError> {
+/// [`MqttError::Client`] when the client cannot go on.
+pub fn listen(options: MqttOptions, rules: Rules, mut out: impl Write, stop: &Stop) -> Result<Heard, MqttError> {
     let filters = rules.filters();
     let mut listener = Listener::new(rules);
     let failed = |error: &dyn std::fmt::Display| MqttError::Client { reason: error.to_string() };
     // Requests are sent from this very loop: there is room for a subscription to each filter, and for acknowledgements.
-    let (client, mut connection) = Client::new(broker.options()?, filters.len() + 256);
+    let broker = options.broker_address();
+    let broker = format!("{}:{}", broker.0, broker.1);
+    let (client, mut connection) = Client::new(options, filters.len() + 256);
     let mut connections = 0_u64;
     // What a broker sends again after a connection broke is what it did not see acknowledged: it may have been heard.
     let mut heard = std::collections::VecDeque::with_capacity(HEARD_MAX);
@@ -320,7 +348,7 @@ pub fn listen(broker: &Broker, rules: Rules, mut out: impl Write, stop: &Stop) -
             Ok(Event::Incoming(Packet::ConnAck(_))) => {
                 connections += 1;
                 listener.first_connection = connections == 1;
-                tracing::info!(broker = broker.address, connections, "connected");
+                tracing::info!(broker, connections, "connected");
                 // Again at every connection: a broker that lost its sessions would say nothing any more.
                 for filter in &filters {
                     client.try_subscribe(filter, QoS::AtLeastOnce).map_err(|error| failed(&error))?;
@@ -351,7 +379,7 @@ pub fn listen(broker: &Broker, rules: Rules, mut out: impl Write, stop: &Stop) -
             }
             Ok(_) => {}
             Err(error) => {
-                tracing::warn!(broker = broker.address, %error, "no connection, trying again");
+                tracing::warn!(broker, %error, "no connection, trying again");
                 std::thread::sleep(RECONNECT);
             }
         }
@@ -444,9 +472,16 @@ mod tests {
         let broker = |address: &str| Broker { address: address.into(), client: "test".into(), ..Broker::default() };
         assert_eq!(broker("mqtt://hub").options().unwrap().broker_address(), ("hub".into(), 1883));
         assert_eq!(broker("mqtt://hub:99").options().unwrap().broker_address(), ("hub".into(), 99));
-        for wrong in ["hub", "http://hub", "mqtt://", "mqtt://hub:port", "mqtts://hub"] {
+        for wrong in ["hub", "http://hub", "mqtt://", "mqtt://hub:port", "mqtt://hub:99999"] {
             assert!(matches!(broker(wrong).options(), Err(MqttError::Address { .. })), "{wrong}");
         }
+        let folder = tempfile::tempdir().unwrap();
+        let with = |address: &str, authority| Broker { authority, ..broker(address) }.options().unwrap_err();
+        let text = Some(pem(folder.path(), "text", "no certificate"));
+        assert!(with("mqtts://hub", None).to_string().contains("without a CA file"));
+        assert!(with("mqtt://hub", text.clone()).to_string().contains("with a CA file"));
+        assert!(matches!(with("mqtts://hub", text), MqttError::Authority { .. }));
+        assert!(matches!(with("mqtts://hub", Some(folder.path().join("nowhere"))), MqttError::Read { .. }));
     }
 
     const ANYBODY: &str = "allow_anonymous true";
@@ -598,8 +633,8 @@ mod tests {
             Rules::parse("[[rule]]\ntopic = \"home/oven\"\nsay = \"the oven is {value}\"\nretained = true").unwrap();
         let (reader, writer) = std::io::pipe().unwrap();
         let stop = Stop::new();
-        let (own_stop, own_broker) = (stop.clone(), to.clone());
-        let listening = std::thread::spawn(move || listen(&own_broker, rules, writer, &own_stop));
+        let (own_stop, own_options) = (stop.clone(), to.options().unwrap());
+        let listening = std::thread::spawn(move || listen(own_options, rules, writer, &own_stop));
         let (client, mut connection) = Client::new(Broker { client: "publisher".into(), ..to }.options().unwrap(), 10);
         client.try_publish("home/oven", QoS::AtLeastOnce, true, "on").unwrap();
         while !matches!(connection.recv().unwrap().unwrap(), Event::Incoming(Packet::PubAck(_))) {}
@@ -623,7 +658,7 @@ mod tests {
         let stop = Stop::new();
         let own_stop = stop.clone();
         let to = Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "listener".into(), ..Broker::default() };
-        let listening = std::thread::spawn(move || listen(&to, rules, writer, &own_stop));
+        let listening = std::thread::spawn(move || listen(to.options().unwrap(), rules, writer, &own_stop));
         let mut lines = BufReader::new(reader).lines().map(Result::unwrap);
         // What is retained comes first: the subscription stands.
         assert!(lines.next().unwrap().contains("the oven is on"));

@@ -68,6 +68,12 @@ pub enum InputError {
         /// The system's word.
         source: io::Error,
     },
+    /// What is to be a FIFO is something else.
+    #[error("{path} is there and is no named pipe: remove it, give another path, or leave out --fifo to read it once")]
+    NoFifo {
+        /// The file.
+        path: PathBuf,
+    },
     /// The program is malformed.
     #[error(transparent)]
     Program(#[from] ProgramError),
@@ -89,13 +95,13 @@ pub enum InputError {
     },
     /// A line of JSON is malformed.
     #[error(
-        "line {line}: {source}; expected {{\"text\": \"...\"}}, with \"person\": number and \"kind\": \"sentence\", \"action\" or \"device\" if you like"
+        "line {line}: {reason}; expected {{\"text\": \"...\"}}, with \"person\": number and \"kind\": \"sentence\", \"action\" or \"device\" if you like"
     )]
     Json {
         /// From 1.
         line: u64,
-        /// Why.
-        source: serde_json::Error,
+        /// Why, and in which column.
+        reason: String,
     },
     /// A line of a sensor log is malformed.
     #[error("line {line}: {reason}")]
@@ -150,7 +156,7 @@ pub fn program_items(program: &Program, person: u32) -> Vec<Item> {
 pub fn line_item(text: &str, line: u64, person: u32) -> Result<Item, InputError> {
     let text = text.trim();
     let item = if text.starts_with('{') {
-        let json: JsonLine = serde_json::from_str(text).map_err(|source| InputError::Json { line, source })?;
+        let json: JsonLine = serde_json::from_str(text).map_err(|error| json_error(line, &error))?;
         let kind = match json.kind {
             Some(JsonKind::Sentence) => narration_kind::SENTENCE,
             Some(JsonKind::Action) => narration_kind::ACTION,
@@ -165,6 +171,17 @@ pub fn line_item(text: &str, line: u64, person: u32) -> Result<Item, InputError>
     NarrationV1::new(item.kind, &item.text).map_err(|source| InputError::Message { line, source })?;
     Observed::sentence_of(item.kind, &item.text).map_err(|source| InputError::Line { line, source })?;
     Ok(item)
+}
+
+/// The parser saw one line only, and calls it the first.
+fn json_error(line: u64, error: &serde_json::Error) -> InputError {
+    let said = error.to_string();
+    let position = format!(" at line {} column {}", error.line(), error.column());
+    let reason = match said.strip_suffix(&position) {
+        Some(reason) => format!("{reason} at column {}", error.column()),
+        None => said,
+    };
+    InputError::Json { line, reason }
 }
 
 fn kind_of(text: &str, line: u64) -> Result<u32, InputError> {
@@ -486,7 +503,7 @@ fn read_lines(name: &str, stream: Box<dyn Read + Send>, person: u32, items: &Sen
 ///
 /// # Errors
 ///
-/// [`InputError::Read`] when it cannot be made, or something else is there.
+/// [`InputError::Read`] when it cannot be made, [`InputError::NoFifo`] when something else is there.
 pub fn make_fifo(path: &PathBuf) -> Result<(), InputError> {
     use rustix::fs::{CWD, FileType, Mode, mknodat};
     let read = |source| InputError::Read { name: path.display().to_string(), source };
@@ -495,6 +512,7 @@ pub fn make_fifo(path: &PathBuf) -> Result<(), InputError> {
         Err(rustix::io::Errno::EXIST) if std::fs::metadata(path).is_ok_and(|found| found.file_type().is_fifo()) => {
             Ok(())
         }
+        Err(rustix::io::Errno::EXIST) => Err(InputError::NoFifo { path: path.clone() }),
         Err(error) => Err(read(error.into())),
     }
 }
@@ -516,6 +534,8 @@ mod tests {
         for bad in ["{\"text\": 3}", "{\"txt\": \"a\"}", "[Fly] <mug> (1)", "...", "a\u{7}b"].into_iter().chain(kinds) {
             assert!(item(bad).unwrap_err().to_string().starts_with("line 1: "), "{bad}");
         }
+        let error = line_item("{\"txt\": \"a\"}", 8, 0).unwrap_err().to_string();
+        assert!(error.starts_with("line 8: unknown field") && !error.contains("line 1"), "{error}");
     }
 
     #[test]
@@ -553,6 +573,6 @@ mod tests {
         make_fifo(&path).unwrap();
         let file = directory.path().join("file");
         std::fs::write(&file, "").unwrap();
-        assert!(make_fifo(&file).is_err());
+        assert!(matches!(make_fifo(&file), Err(InputError::NoFifo { .. })));
     }
 }

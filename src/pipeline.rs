@@ -30,7 +30,7 @@ pub enum PipelineError {
     Grounding(#[from] GroundingError),
     /// The model's context is too small for a history at all.
     #[error(
-        "the context of {context} tokens leaves none for narration: the labels and the binding sequence need {needed}; raise scoring.context_tokens or use another model"
+        "the context of {context} tokens leaves none for narration: the labels and the binding sequence need {needed}; raise model.context_tokens or use another model"
     )]
     ContextTooSmall {
         /// Tokens of the context.

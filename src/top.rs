@@ -281,7 +281,7 @@ impl View {
                 // What is lost stands first: the line may be too long for the screen.
                 let lost = if lost.is_empty() { "nothing lost".to_owned() } else { lost.join(", ") };
                 Line::from(format!(
-                    "{age}{} narrations, {lost}; event to scores {:.1} ms median, {:.1} p99",
+                    "{age}{} narrations, {lost}; event to scores {:.1} ms median, {:.1} ms p99",
                     status.accepted,
                     status.latency_p50_ns as f64 / 1e6,
                     status.latency_p99_ns as f64 / 1e6,

@@ -604,6 +604,50 @@ fn metrics_of_a_running_daemon_are_scraped() {
 }
 
 #[test]
+fn a_wrong_set_up_of_narrate_is_its_end() {
+    let world = World::new("wrong");
+    let rules = world.directory.path().join("rules.toml");
+    std::fs::write(&rules, "[[rule]]\ntopic = \"a\"\nsay = \"They sit.\"").unwrap();
+    let (rules, nowhere) = (rules.to_str().unwrap(), "/nowhere/at-all");
+    let mqtt = |arguments: &[&'static str]| [&["--rules", rules, "--mqtt"], arguments].concat();
+    for (arguments, code, part) in [
+        (mqtt(&["http://127.0.0.1:1"]), exit_code::USAGE, "no broker"),
+        (mqtt(&["mqtt://h:99999"]), exit_code::USAGE, "no broker"),
+        (mqtt(&["mqtts://127.0.0.1:1"]), exit_code::USAGE, "without a CA file"),
+        (mqtt(&["mqtt://127.0.0.1:1", "--mqtt-ca", nowhere]), exit_code::USAGE, "with a CA file"),
+        (mqtt(&["mqtts://127.0.0.1:1", "--mqtt-ca", nowhere]), exit_code::INPUT, nowhere),
+        (mqtt(&["mqtt://127.0.0.1:1", "--mqtt-credentials", nowhere]), exit_code::INPUT, nowhere),
+        (vec!["--fifo", rules], exit_code::INPUT, "no named pipe"),
+        (vec!["--linger", "nan"], exit_code::CONFIG, "linger_s is NaN"),
+        (vec!["--linger=-1"], exit_code::CONFIG, "linger_s is -1"),
+        (vec!["--name", ""], exit_code::CONFIG, "narrator.name"),
+    ] {
+        let output = world.command(&["narrate"]).args(&arguments).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(i32::from(code)), "{arguments:?}: {said}");
+        assert!(said.contains(part), "{arguments:?}: {said}");
+    }
+}
+
+#[test]
+fn the_doctor_blames_the_part_that_is_wrong() {
+    let world = World::new("doctor");
+    let output = world.command(&["doctor", "--json", "--scene", "/nowhere/at-all"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(i32::from(exit_code::CHECK)));
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let finding = |check: &str| {
+        let findings = report["findings"].as_array().unwrap();
+        findings.iter().find(|finding| finding["check"] == check).unwrap().clone()
+    };
+    let scene = finding("scene");
+    assert_eq!(scene["verdict"], "wrong");
+    assert!(scene["found"].as_str().unwrap().contains("No such file"), "{scene}");
+    assert_eq!(finding("model")["verdict"], "good");
+    let messages = finding("messages");
+    assert!(messages["found"].as_str().unwrap().contains(world.domain.root().to_str().unwrap()), "{messages}");
+}
+
+#[test]
 fn a_sensor_log_is_narrated() {
     let mut world = World::new("sensors");
     world.start_daemon();

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::{CommandResult, Failure, model, service};
 use crate::scorer::none::NoModel;
-use crate::{daemon, logging, setup};
+use crate::{daemon, exit_code, logging, setup};
 
 /// Arguments of `roomcast daemon`.
 #[derive(Debug, clap::Args)]
@@ -43,6 +43,7 @@ pub fn run(args: &Args) -> CommandResult {
     if args.state.is_some() {
         config.daemon.state.clone_from(&args.state);
     }
+    config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
     // A pinned file is known to be good.
     if let (Some(path), None, false) = (&config.model.path, &config.model.sha256, args.no_model) {
         model::try_elsewhere(path)?;

@@ -1,5 +1,6 @@
 //! `roomcast demo`: the whole system on this machine, three processes in a private domain, one activity in one apartment.
 
+use std::collections::VecDeque;
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -159,7 +160,9 @@ struct Show<'a> {
     /// Standard output is closed.
     unheard: bool,
     scores_seen: u64,
-    sentences: Vec<(u64, String)>,
+    /// Narration that no scores contain yet, with the time of its observation.
+    sentences: VecDeque<(u64, String)>,
+    untold: VecDeque<DecisionV1>,
     decision: Option<DecisionV1>,
     top: Vec<(String, f64)>,
     /// Where the robot was.
@@ -186,7 +189,8 @@ impl<'a> Show<'a> {
             speed,
             unheard: false,
             scores_seen: 0,
-            sentences: Vec::new(),
+            sentences: VecDeque::new(),
+            untold: VecDeque::new(),
             decision: None,
             top: Vec::new(),
             robot: Vec::new(),
@@ -199,14 +203,6 @@ impl<'a> Show<'a> {
 
     fn poll(&mut self, timeout: Duration) -> Result<(), IpcError> {
         self.scores.wait(timeout)?;
-        while let Some(received) = self.narration.receive()? {
-            let Ok(narration) = received else { continue };
-            self.narrated(&narration);
-        }
-        while let Some(received) = self.decisions.receive()? {
-            let Ok(decision) = received else { continue };
-            self.decided(&decision);
-        }
         while let Some(received) = self.scores.receive()? {
             let Ok(scores) = received else { continue };
             // The items' scores follow their rooms' within moments.
@@ -221,9 +217,35 @@ impl<'a> Show<'a> {
                     break;
                 }
             }
+            // After the scores: what they contain was narrated before they were published.
+            self.hear()?;
             self.scored(&scores);
         }
+        self.hear()?;
+        self.tell_decisions(u64::MAX);
         Ok(())
+    }
+
+    /// Takes what lies in the ports: first the decisions, so that whatever was narrated before them is there, too.
+    fn hear(&mut self) -> Result<(), IpcError> {
+        while let Some(received) = self.decisions.receive()? {
+            self.untold.extend(received.ok());
+        }
+        while let Some(received) = self.narration.receive()? {
+            let Ok(narration) = received else { continue };
+            self.narrated(&narration);
+        }
+        Ok(())
+    }
+
+    /// Tells the decisions made before `until_ns`, but for those that narration comes before which waits for its scores: what is
+    /// told is in the order of time.
+    fn tell_decisions(&mut self, until_ns: u64) {
+        let until_ns = self.sentences.front().map_or(until_ns, |(observed_ns, _)| until_ns.min(*observed_ns));
+        while let Some(decision) = self.untold.front().copied().filter(|decision| decision.decided_ns < until_ns) {
+            self.untold.pop_front();
+            self.decided(&decision);
+        }
     }
 
     fn narrated(&mut self, narration: &NarrationV1) {
@@ -237,7 +259,7 @@ impl<'a> Show<'a> {
         let room = place.or(here.flatten());
         let from_ns = self.person.last().map_or(self.begin_ns, |(.., until_ns)| *until_ns);
         self.person.push((room, from_ns, narration.observed_ns));
-        self.sentences.push((narration.observed_ns, sentence));
+        self.sentences.push_back((narration.observed_ns, sentence));
     }
 
     /// The room of the map's first thing of that name, or the room itself.
@@ -278,25 +300,28 @@ impl<'a> Show<'a> {
         {
             latency_ns.saturating_record(scores.published_ns.saturating_sub(scores.observed_ns));
         }
-        let mut lines = Vec::new();
+        // Nothing was observed when these scores were made: they are the first.
+        let mut news = scores.observed_ns == 0;
+        if news {
+            self.say(&[format!("{:6.1} s  nothing is known of the person yet", 0.0)]);
+        }
         // Everything that these scores include for the first time.
-        let included = self.sentences.iter().take_while(|(observed_ns, _)| *observed_ns <= scores.observed_ns).count();
-        for (observed_ns, sentence) in self.sentences.drain(..included).collect::<Vec<_>>() {
+        while self.sentences.front().is_some_and(|(observed_ns, _)| *observed_ns <= scores.observed_ns) {
+            let Some((observed_ns, sentence)) = self.sentences.pop_front() else { break };
+            self.tell_decisions(observed_ns);
             let took_ms = scores.published_ns.saturating_sub(observed_ns) as f64 / 1e6;
-            lines.push(format!("{:6.1} s  {sentence}  (scored after {took_ms:.1} ms)", self.at_s(observed_ns)));
+            let at_s = self.at_s(observed_ns);
+            self.say(&[format!("{at_s:6.1} s  {sentence}  (scored after {took_ms:.1} ms)")]);
+            news = true;
         }
-        if lines.is_empty() {
-            lines.push(format!("{:6.1} s  nothing is known of the person yet", 0.0));
+        if !news {
+            return;
         }
-        let rooms = self.rooms(scores);
-        let objects = self.objects();
+        let panel = [self.rooms(scores), vec![self.objects()]].concat();
         if self.panel.is_some() {
-            self.say(&lines);
-            self.draw(&[rooms, vec![objects]].concat());
+            self.draw(&panel);
         } else {
-            lines.extend(rooms);
-            lines.push(objects);
-            self.say(&lines);
+            self.say(&panel);
         }
     }
 
@@ -336,8 +361,10 @@ impl<'a> Show<'a> {
         self.unheard |= out.flush().is_err();
     }
 
+    /// Draws the live panel: a line that the terminal would wrap could not be erased by counting lines, so it is cut.
     fn draw(&mut self, lines: &[String]) {
-        self.say(lines);
+        let columns = crossterm::terminal::size().map_or(usize::MAX, |(columns, _)| usize::from(columns));
+        self.say(&lines.iter().map(|line| cut(line, columns)).collect::<Vec<_>>());
         self.panel = self.panel.map(|_| lines.len());
     }
 
@@ -392,6 +419,15 @@ fn shared_with(&(room, from_ns, until_ns): &(Option<usize>, u64, u64), robot: &[
     overlaps.sum()
 }
 
+/// As much of a line as fits into so many columns.
+fn cut(line: &str, columns: usize) -> String {
+    let mut line = line.to_owned();
+    while ratatui::text::Line::raw(&line).width() > columns {
+        line.pop();
+    }
+    line
+}
+
 /// The likeliest labels: an item's score is its label's, shared among the label's items.
 fn top_labels(items: &[roomcast_ipc::ItemScoreV1]) -> Vec<(String, f64)> {
     let mut best = std::collections::BTreeMap::new();
@@ -408,6 +444,13 @@ fn top_labels(items: &[roomcast_ipc::ItemScoreV1]) -> Vec<(String, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lines_are_cut_by_the_columns_that_they_take() {
+        assert_eq!(cut("kitchen ███", 20), "kitchen ███");
+        assert_eq!(cut("kitchen ███", 9), "kitchen █");
+        assert_eq!(cut("厨房", 3), "厨");
+    }
 
     #[test]
     fn shared_time_is_the_overlap_of_two_timelines() {

@@ -1,6 +1,6 @@
 //! `roomcast doctor`: can this machine run Roomcast, and how well. Every finding that is not good comes with its remedy.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use comfy_table::{Color, Table};
@@ -8,22 +8,23 @@ use roomcast_ipc::{Domain, NarrationV1};
 use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
 
-use super::{CommandResult, Failure};
+use super::{CommandResult, Failure, service};
 use crate::config::Config;
 use crate::embedded;
 use crate::exit_code;
-use crate::gguf::Header;
 use crate::grounding::Grounding;
+use crate::logging::chain;
 use crate::narration::{Observation, Program, Sentence};
-use crate::scorer::llama;
+use crate::scorer::LanguageModel;
+use crate::scorer::llama::{self, LlamaModel};
+use crate::semantic_map::SemanticMap;
 use crate::setup;
 
 /// Arguments of `roomcast doctor`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The configuration to check model, scene and limits for; the defaults when left out.
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
+    #[command(flatten)]
+    service: service::Args,
     /// A GGUF model to check in place of the configured one.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -111,7 +112,7 @@ fn llama_build() -> Finding {
     let check = "llama.cpp";
     let built = match llama::build_features() {
         Ok(built) => built,
-        Err(error) => return Finding::wrong(check, error.to_string(), "build Roomcast again"),
+        Err(error) => return Finding::wrong(check, chain(&error), "build Roomcast again"),
     };
     let missing = |fault: bool| {
         let units =
@@ -158,7 +159,7 @@ fn shared_memory() -> Finding {
     }
 }
 
-/// Joins the default domain, which proves its root directory, and opens services in a private one, which disturbs nobody.
+/// Joins the domain, which proves its root directory, and opens services in a private one, which disturbs nobody.
 fn messages(domain: &Domain) -> Finding {
     let check = "messages";
     let root = match tempfile::tempdir() {
@@ -187,7 +188,7 @@ fn messages(domain: &Domain) -> Finding {
         ),
         Err(error) => Finding::wrong(
             check,
-            error.to_string(),
+            chain(&error),
             "all participants run as one user, with the same root directory, which that user owns",
         ),
     }
@@ -217,99 +218,100 @@ fn locked_memory(wanted: bool, model_bytes: u64) -> Finding {
     }
 }
 
-/// Loads model and scene as the daemon would, and times events of a shipped program.
+/// Loads scene and model as the daemon would, each judged by itself, and times events of a shipped program where both are good.
 fn model_and_scene(config: &Config) -> Vec<Finding> {
-    let mut findings = Vec::new();
-    let shown = |path: &Option<PathBuf>, embedded: &str| {
-        path.as_ref().map_or(embedded.to_owned(), |path| path.display().to_string())
-    };
-    match setup::load_map(config.scene.path.as_deref()).map_err(|error| error.to_string()).and_then(|map| {
-        let grounding = Grounding::new(&map, &config.grounding).map_err(|error| error.to_string())?;
-        Ok((map, grounding))
-    }) {
-        Err(error) => findings.push(Finding::wrong(
-            "scene",
-            error,
-            "roomcast scene check FILE names every fault; without scene.path the shipped studio is used",
-        )),
-        Ok((map, grounding)) => {
-            let found = format!(
-                "{}: {} rooms, {} items of {} labels",
-                shown(&config.scene.path, "studio (embedded)"),
-                map.rooms.len(),
-                map.items.len(),
-                map.labels.len()
-            );
-            findings.push(match grounding.unassigned.len() {
-                0 => Finding::good("scene", found),
-                count => Finding::limited(
-                    "scene",
-                    format!("{found}; {count} items in no partition"),
-                    "roomcast scene check FILE lists them",
-                ),
-            });
-        }
-    }
-    if let Some(path) = &config.model.path
-        && let Err(error) = Header::read_language_model(path)
-    {
-        findings.push(Finding::wrong(
-            "model",
-            error.to_string(),
-            "without model.path the embedded household model is used",
-        ));
-        return findings;
-    }
-    let loading = Instant::now();
-    let opened = setup::open(config);
-    let load_ms = loading.elapsed().as_secs_f64() * 1e3;
-    match opened {
-        Err(error) => findings.push(Finding::wrong(
-            "model",
-            error.to_string(),
-            "roomcast model check FILE; without model.path the embedded household model is used",
-        )),
-        Ok((mut pipeline, _)) => {
-            let about = pipeline.model();
-            findings.push(Finding::good(
-                "model",
-                format!(
-                    "{}: {}, {}, {}, loads in {load_ms:.0} ms",
-                    shown(&config.model.path, embedded::MODEL_NAME),
-                    about.name,
-                    about.architecture,
-                    about.description
-                ),
-            ));
-            let sentences = Program::parse(embedded::PROGRAMS[0].text).map(|program| program.steps).unwrap_or_default();
-            let sentences: Vec<_> =
-                sentences.iter().filter_map(|action| Sentence::new(&action.sentence()).ok()).collect();
-            let mut times_ms = Vec::new();
-            for (sequence, sentence) in (1..).zip(sentences) {
-                let scoring = Instant::now();
-                if let Err(error) = pipeline.step([Observation::of(sequence, sentence)]) {
-                    findings.push(Finding::wrong("speed", error.to_string(), "roomcast model check FILE"));
-                    return findings;
-                }
-                times_ms.push(scoring.elapsed().as_secs_f64() * 1e3);
-                pipeline.tidy();
-            }
-            times_ms.sort_by(f64::total_cmp);
-            let (median_ms, worst_ms) = (times_ms[times_ms.len() / 2], times_ms[times_ms.len() - 1]);
-            let found =
-                format!("an event is scored in {median_ms:.1} ms (median of {}, worst {worst_ms:.1})", times_ms.len());
-            findings.push(if median_ms > 1_000.0 {
-                Finding::limited(
-                    "speed",
-                    found,
-                    "a smaller model or a smaller quantisation (Q4_0), more cores, a shorter history",
-                )
-            } else {
-                Finding::good("speed", found)
-            });
-        }
+    let (scene, map) = scene(config);
+    let (model, loaded) = model(config);
+    let mut findings = vec![scene, model];
+    if let (Some(map), Some(loaded)) = (map, loaded) {
+        findings.push(speed(config, &map, loaded));
     }
     findings
+}
+
+fn shown(path: Option<&Path>, embedded: &str) -> String {
+    path.map_or(embedded.to_owned(), |path| path.display().to_string())
+}
+
+fn scene(config: &Config) -> (Finding, Option<SemanticMap>) {
+    let path = config.scene.path.as_deref();
+    let read = setup::load_map(path).and_then(|map| {
+        let grounding = Grounding::new(&map, &config.grounding)?;
+        Ok((map, grounding))
+    });
+    let (map, grounding) = match read {
+        Ok(read) => read,
+        Err(error) => {
+            let remedy = "roomcast scene check FILE names every fault; without scene.path the shipped studio is used";
+            return (Finding::wrong("scene", chain(&error), remedy), None);
+        }
+    };
+    let found = format!(
+        "{}: {} rooms, {} items of {} labels",
+        shown(path, "studio (embedded)"),
+        map.rooms.len(),
+        map.items.len(),
+        map.labels.len()
+    );
+    let finding = match grounding.unassigned.len() {
+        0 => Finding::good("scene", found),
+        count => Finding::limited(
+            "scene",
+            format!("{found}; {count} items in no partition"),
+            "roomcast scene check FILE lists them",
+        ),
+    };
+    (finding, Some(map))
+}
+
+fn model(config: &Config) -> (Finding, Option<LlamaModel>) {
+    let loading = Instant::now();
+    match setup::configured_model(config) {
+        Ok(model) => {
+            let about = model.info();
+            let found = format!(
+                "{}: {}, {}, {}, loads in {:.0} ms",
+                shown(config.model.path.as_deref(), embedded::MODEL_NAME),
+                about.name,
+                about.architecture,
+                about.description,
+                loading.elapsed().as_secs_f64() * 1e3
+            );
+            (Finding::good("model", found), Some(model))
+        }
+        Err(error) => {
+            let remedy = "roomcast model check FILE; without model.path the embedded household model is used";
+            (Finding::wrong("model", chain(&error), remedy), None)
+        }
+    }
+}
+
+fn speed(config: &Config, map: &SemanticMap, model: LlamaModel) -> Finding {
+    let wrong = |error: &dyn std::error::Error| Finding::wrong("speed", chain(error), "roomcast model check FILE");
+    let mut pipeline = match setup::open_with(config, map, |_| Ok(model)) {
+        Ok(pipeline) => pipeline,
+        Err(error) => return wrong(&error),
+    };
+    let sentences = Program::parse(embedded::PROGRAMS[0].text).map(|program| program.steps).unwrap_or_default();
+    let sentences: Vec<_> = sentences.iter().filter_map(|action| Sentence::new(&action.sentence()).ok()).collect();
+    let mut times_ms = Vec::new();
+    for (sequence, sentence) in (1..).zip(sentences) {
+        let scoring = Instant::now();
+        if let Err(error) = pipeline.step([Observation::of(sequence, sentence)]) {
+            return wrong(&error);
+        }
+        times_ms.push(scoring.elapsed().as_secs_f64() * 1e3);
+        pipeline.tidy();
+    }
+    times_ms.sort_by(f64::total_cmp);
+    let (median_ms, worst_ms) = (times_ms[times_ms.len() / 2], times_ms[times_ms.len() - 1]);
+    let found =
+        format!("an event is scored in {median_ms:.1} ms (median of {}, worst {worst_ms:.1} ms)", times_ms.len());
+    if median_ms > 1_000.0 {
+        let remedy = "a smaller model or a smaller quantisation (Q4_0), more cores, a shorter history";
+        return Finding::limited("speed", found, remedy);
+    }
+    Finding::good("speed", found)
 }
 
 /// Runs every check and prints the findings.
@@ -318,10 +320,7 @@ fn model_and_scene(config: &Config) -> Vec<Finding> {
 ///
 /// With [`exit_code::CHECK`] when something is wrong, with [`exit_code::CONFIG`] when the configuration cannot be read.
 pub fn run(args: &Args) -> CommandResult {
-    let mut config = match &args.config {
-        Some(path) => Config::load(path).map_err(|error| Failure::new(exit_code::CONFIG, error))?,
-        None => Config::default(),
-    };
+    let (mut config, domain) = args.service.load()?;
     if args.model.is_some() {
         config.model.path.clone_from(&args.model);
     }
@@ -336,7 +335,7 @@ pub fn run(args: &Args) -> CommandResult {
         processor(),
         llama_build(),
         shared_memory(),
-        messages(&Domain::default_for_user()),
+        messages(&domain),
         open_files(),
         locked_memory(config.model.lock_memory, model_bytes),
     ];

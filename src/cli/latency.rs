@@ -260,13 +260,15 @@ fn print(rows: &[Row]) {
         "load",
         "n",
         "p50 (us)",
-        "p90",
-        "p99",
-        "p99.9",
-        "max",
+        "p90 (us)",
+        "p99 (us)",
+        "p99.9 (us)",
+        "max (us)",
         "p50 / bare",
         "p99 / bare",
     ]);
+    // So many columns would break names and figures apart in a narrow terminal.
+    table.set_content_arrangement(comfy_table::ContentArrangement::Disabled);
     for row in rows {
         let bare =
             rows.iter().find(|bare| (bare.path, bare.scorer, bare.load) == (Path::BareIceoryx2, row.scorer, row.load));

@@ -68,11 +68,12 @@ pub fn bar(share: f64, width: usize) -> String {
     format!("{}{}", "█".repeat(eighths / 8), EIGHTHS[eighths % 8])
 }
 
-/// An empty table in the one style that all commands print.
+/// An empty table in the one style that all commands print; in a terminal it keeps to its width.
 #[must_use]
 pub fn table(header: &[&str]) -> comfy_table::Table {
     let mut table = comfy_table::Table::new();
     table.load_style(comfy_table::presets::NOTHING).set_header(header);
+    table.set_content_arrangement(comfy_table::ContentArrangement::Dynamic);
     table
 }
 
@@ -85,12 +86,17 @@ pub fn print_json(value: &impl serde::Serialize) -> CommandResult {
     writeln!(std::io::stdout().lock(), "{text}").map_err(|e| Failure::new(exit_code::FAILURE, e))
 }
 
-const LOGS: &str = "Services log to the journal under systemd, else to standard error. ROOMCAST_LOG says what is told: warn, info (the default),
-or info,roomcast=debug for a line per step.";
+const CODES_AND_LOGS: &str = "\
+Exit codes: 0 all went well; 1 anything else failed; 2 usage; 3 input (scene, program, narration, recording); 4 configuration; 5 model; \
+6 shared memory, a service or another daemon; 7 a check found faults; 130 interrupted before the work was done. A service that a signal \
+asks to stop ends with 0.
+
+Services log to the journal under systemd, else to standard error. ROOMCAST_LOG says what is told: warn, info (the default), or \
+info,roomcast=debug for a line per step.";
 
 /// Which room a person will be in next, in time for the robot to be elsewhere.
 #[derive(Debug, Parser)]
-#[command(name = "roomcast", version, propagate_version = true, after_help = LOGS)]
+#[command(name = "roomcast", version, propagate_version = true, after_help = CODES_AND_LOGS)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,

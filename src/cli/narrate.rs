@@ -1,9 +1,10 @@
 //! `roomcast narrate`: publishes observations.
 
 use std::path::{Path, PathBuf};
+use std::thread::JoinHandle;
 
 use super::{CommandResult, Failure, print_json, service};
-use crate::mqtt::{self, Broker, Rules};
+use crate::mqtt::{self, Broker, Heard, MqttError, Rules};
 use crate::narrator::{self, Input, Pace};
 use crate::sensor_log::SensorRules;
 use crate::stop::Stop;
@@ -69,6 +70,7 @@ pub fn run(args: &Args) -> CommandResult {
         narrator.name.clone_from(name);
     }
     narrator.linger_s = args.linger.unwrap_or(narrator.linger_s);
+    config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
     let positive = |value: f64| value.is_finite() && value >= 0.0;
     let pace = args.pace.map_or(Pace::Speed(args.speed), Pace::Seconds);
     if !matches!(pace, Pace::Seconds(value) | Pace::Speed(value) if positive(value)) || pace == Pace::Speed(0.0) {
@@ -78,8 +80,13 @@ pub fn run(args: &Args) -> CommandResult {
     if let Some(fifo) = &args.fifo {
         narrator::make_fifo(fifo).map_err(input)?;
     }
+    let mut listener = None;
     let source = match (&args.mqtt, &args.sensors) {
-        (Some(address), _) => listen(args, address, &config.narrator.name, &stop)?,
+        (Some(address), _) => {
+            let (lines, thread) = listen(args, address, &config.narrator.name, &stop)?;
+            listener = Some(thread);
+            lines
+        }
         (None, Some(log)) => read_sensors(log, args.rules.as_deref().unwrap_or(Path::new("rules.toml")))?,
         (None, None) if args.rules.is_some() => {
             return Err(Failure::new(exit_code::USAGE, "--rules are for --mqtt or --sensors; give one of them"));
@@ -88,6 +95,10 @@ pub fn run(args: &Args) -> CommandResult {
     };
     let outcome = narrator::run(&config.narrator, &domain, source, pace, &stop)
         .map_err(|error| Failure::new(exit_code::IPC, error))?;
+    // On a wish to stop the connection may take its time to close, and nothing is left to be said.
+    if let Some(listener) = listener.filter(|_| !stop.requested()) {
+        join(listener)?;
+    }
     if args.json {
         print_json(&outcome)?;
     }
@@ -97,11 +108,12 @@ pub fn run(args: &Args) -> CommandResult {
         return Err(Failure::new(exit_code::INPUT, format!("{refused} lines were no narration; the log names them")));
     }
     if unconfirmed > 0 {
-        let (sent, root) = (outcome.sent, domain.root().display());
+        let sent = outcome.sent;
         return Err(Failure::new(
             exit_code::IPC,
             format!(
-                "{unconfirmed} of {sent} narrations were not confirmed; is a daemon running in the domain at {root}?"
+                "{unconfirmed} of {sent} narrations were not confirmed; is a daemon running in {}?",
+                service::shown(&domain)
             ),
         ));
     }
@@ -119,20 +131,39 @@ fn read_sensors(log: &Path, rules: &Path) -> Result<Input, Failure> {
 
 /// Listens to the broker in a thread of its own; its lines come through a pipe, whose small buffer holds it back while the daemon is
 /// behind.
-fn listen(args: &Args, address: &str, name: &str, stop: &Stop) -> Result<Input, Failure> {
-    let input = |error| Failure::new(exit_code::INPUT, error);
-    let rules = Rules::load(args.rules.as_deref().unwrap_or(Path::new("rules.toml"))).map_err(input)?;
+fn listen(args: &Args, address: &str, name: &str, stop: &Stop) -> Result<(Input, Listener), Failure> {
+    let rules = Rules::load(args.rules.as_deref().unwrap_or(Path::new("rules.toml"))).map_err(mqtt_failure)?;
     let broker = Broker {
         address: address.to_owned(),
         client: format!("roomcast-{name}"),
         credentials: args.mqtt_credentials.clone(),
         authority: args.mqtt_ca.clone(),
     };
+    let options = broker.options().map_err(mqtt_failure)?;
     let (reader, writer) = std::io::pipe().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
     let stop = stop.clone();
-    std::thread::spawn(move || match mqtt::listen(&broker, rules, writer, &stop) {
-        Ok(heard) => tracing::info!(said = heard.said, unfit = heard.unfit, silent = heard.silent, "left the broker"),
-        Err(error) => tracing::error!(%error, "MQTT ended"),
-    });
-    Ok(Input::Lines { name: address.to_owned(), stream: Box::new(reader), person: args.person })
+    let listener = std::thread::Builder::new().name("mqtt".to_owned());
+    let listener = listener
+        .spawn(move || mqtt::listen(options, rules, writer, &stop))
+        .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot start the mqtt thread: {error}")))?;
+    Ok((Input::Lines { name: address.to_owned(), stream: Box::new(reader), person: args.person }, listener))
+}
+
+type Listener = JoinHandle<Result<Heard, MqttError>>;
+
+/// How listening ended, which it does by itself only when the client cannot go on.
+fn join(listener: Listener) -> CommandResult {
+    let heard = listener.join().map_err(|_| Failure::new(exit_code::FAILURE, "the mqtt thread ended unexpectedly"))?;
+    let heard = heard.map_err(mqtt_failure)?;
+    tracing::info!(said = heard.said, unfit = heard.unfit, silent = heard.silent, "left the broker");
+    Ok(())
+}
+
+fn mqtt_failure(error: MqttError) -> Failure {
+    let code = match error {
+        MqttError::Address { .. } | MqttError::Scheme { .. } => exit_code::USAGE,
+        MqttError::Read { .. } | MqttError::Rules { .. } | MqttError::Authority { .. } => exit_code::INPUT,
+        MqttError::Client { .. } => exit_code::FAILURE,
+    };
+    Failure::new(code, error)
 }

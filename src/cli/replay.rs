@@ -119,12 +119,12 @@ pub fn run(args: &Args) -> CommandResult {
             return Ok(());
         }
     }
-    let root = domain.root().display();
     Err(Failure::new(
         exit_code::IPC,
         format!(
-            "no scores contain the last narration of {}; is a daemon running in the domain at {root}?",
-            NarrationV1::SERVICE.name
+            "no scores contain the last narration of {}; is a daemon running in {}?",
+            NarrationV1::SERVICE.name,
+            service::shown(&domain)
         ),
     ))
 }

@@ -45,6 +45,12 @@ impl Args {
     }
 }
 
+/// A domain as messages name it.
+#[must_use]
+pub fn shown(domain: &Domain) -> String {
+    format!("the domain {} at {}", domain.name(), domain.root().display())
+}
+
 /// A stop on signals, and with the command that has started this one for itself.
 ///
 /// # Errors

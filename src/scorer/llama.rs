@@ -40,7 +40,8 @@ pub enum CacheType {
     /// Half precision: half the memory, and differences of up to 1e-2 nats per token between scoring methods, because
     /// llama.cpp multiplies by half precision differently at other batch sizes.
     F16,
-    /// Single precision: all methods agree to the last bit with the embedded model.
+    /// Single precision: methods differ by the order of their sums alone. Quantised weights can make hundredths of a nat of
+    /// that, once in some hundred prompts.
     #[default]
     F32,
 }
