@@ -563,6 +563,18 @@ fn output_into_a_pipe_that_closes_ends_quietly() {
 }
 
 #[test]
+fn output_that_cannot_be_written_is_an_error_and_no_panic() {
+    let score = ["score", "--narration", "They sit."];
+    for arguments in [&["completions", "bash"][..], &["config"], &["doctor"], &score, &["scene", "show", "studio"]] {
+        let full = File::options().write(true).open("/dev/full").unwrap();
+        let output = roomcast(arguments).stdout(full).stderr(Stdio::piped()).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(i32::from(exit_code::FAILURE)), "{arguments:?}: {said}");
+        assert!(said.contains("standard output: No space left on device"), "{arguments:?}: {said}");
+    }
+}
+
+#[test]
 fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_them() {
     let mut world = World::new("record");
     world.start_daemon();

@@ -104,7 +104,7 @@ pub fn run(args: &Args) -> CommandResult {
     }
     result?;
     // Whoever read has left: the show ends as well, and quietly.
-    if unheard { Ok(()) } else { super::scene::print(&format!("{summary}\n")) }
+    if unheard { Ok(()) } else { super::print(&format!("{summary}\n")) }
 }
 
 fn load_program(path: &Path) -> Result<Program, Failure> {

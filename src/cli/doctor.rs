@@ -349,7 +349,7 @@ pub fn run(args: &Args) -> CommandResult {
             "findings": findings,
         }))?;
     } else {
-        println!("{}", table(&findings));
+        super::print(&format!("{}\n", table(&findings)))?;
     }
     match wrong {
         0 => Ok(()),

@@ -1,5 +1,6 @@
 //! `roomcast experiment`: the paper's tables and figures, and the project's own.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
@@ -189,8 +190,7 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
     if args.json {
         return super::print_json(&report);
     }
-    print_forecast(&report);
-    Ok(())
+    print_forecast(&report)
 }
 
 fn map(path: &Path) -> Result<(SemanticMap, Grounding), Failure> {
@@ -239,7 +239,7 @@ fn split(programs: Vec<NamedProgram>, manifest: &Path, name: &str) -> Result<Vec
     Ok(chosen)
 }
 
-fn print_forecast(report: &Report) {
+fn print_forecast(report: &Report) -> CommandResult {
     let mut table =
         super::table(&["scene", "target", "predictor", "cases", "nll (nats)", "top-1", "top-5", "mrr", "brier", "ece"]);
     let mut differences =
@@ -267,9 +267,10 @@ fn print_forecast(report: &Report) {
         let ece = with(s.ece, s.ci95.ece);
         table.add_row(named.into_iter().chain([s.cases.to_string()]).chain(figures(s)).chain([ece]));
     }
-    println!("{table}");
-    println!("\nOn the same cases, resampled together, the model less each of them:\n{differences}");
-    println!(
+    let mut text =
+        format!("{table}\n\nOn the same cases, resampled together, the model less each of them:\n{differences}\n");
+    let _ = writeln!(
+        text,
         "{} cases in {} programs; {:.1} % of the next objects are in the maps; 95 % intervals by bootstrap over programs; {} scores computed, the others from the cache",
         report.cases,
         report.programs,
@@ -278,6 +279,7 @@ fn print_forecast(report: &Report) {
     );
     let missing: Vec<_> = report.unbound.iter().take(12).map(|(name, n)| format!("{name} ({n})")).collect();
     if !missing.is_empty() {
-        println!("not in the maps: {}", missing.join(", "));
+        let _ = writeln!(text, "not in the maps: {}", missing.join(", "));
     }
+    super::print(&text)
 }

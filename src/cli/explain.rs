@@ -76,7 +76,7 @@ pub fn run(args: &Args) -> CommandResult {
         return super::print_json(&explained.explanation);
     }
     let note = note.map_or_else(String::new, |note| format!("{note}\n\n"));
-    scene::print(&format!("{note}{}", explained.explanation))
+    super::print(&format!("{note}{}", explained.explanation))
 }
 
 fn draw(explained: &Explained, path: &Path) -> CommandResult {

@@ -12,7 +12,7 @@ use roomcast_ipc::{question, sequence};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::{CommandResult, Failure, service};
+use super::{CommandResult, Failure, print, service};
 use crate::daemon::{MapAnswer, MapQuestion, Outcome};
 use crate::exit_code;
 use crate::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
@@ -174,10 +174,6 @@ pub fn run(args: &Args) -> CommandResult {
 
 fn input(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Failure {
     Failure::new(exit_code::INPUT, error)
-}
-
-pub(super) fn print(text: &str) -> CommandResult {
-    std::io::stdout().write_all(text.as_bytes()).map_err(|error| Failure::new(exit_code::FAILURE, error))
 }
 
 /// Writes beside the target and renames, so that no reader sees half a file.

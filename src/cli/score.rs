@@ -1,5 +1,6 @@
 //! `roomcast score`: one narration against one scene, once.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
@@ -83,8 +84,7 @@ pub fn run(args: &Args) -> CommandResult {
     if args.json {
         super::print_json(&report(&pipeline, &map))
     } else {
-        print_tables(&pipeline, &map, args.top);
-        Ok(())
+        super::print(&tables(&pipeline, &map, args.top))
     }
 }
 
@@ -224,7 +224,7 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
     })
 }
 
-fn print_tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usize) {
+fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usize) -> String {
     let (scores, grounding) = (pipeline.scores(), pipeline.grounding());
     let grounded = &scores.grounded;
     let mut table = super::table(&["partition", "probability", "", "ln score", "because of"]);
@@ -242,7 +242,7 @@ fn print_tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top
             behind.join(", "),
         ]);
     }
-    println!("{table}\n");
+    let mut text = format!("{table}\n\n");
     let mut table = super::table(&["label", "probability", "ln probability", "items", "tokens"]);
     let mut order: Vec<usize> = (0..grounding.scored_labels.len()).collect();
     order.sort_by(|&a, &b| scores.label_log_prob_nats[b].total_cmp(&scores.label_log_prob_nats[a]));
@@ -258,9 +258,10 @@ fn print_tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top
             pieces.join(" "),
         ]);
     }
-    println!("{table}\n");
+    let _ = writeln!(text, "{table}\n");
     let timing = scores.timing;
-    println!(
+    let _ = writeln!(
+        text,
         "{} labels and {} items of {} by {}; the labels cover {:.1} % of what could come next.",
         grounding.scored_labels.len(),
         map.items.len(),
@@ -268,7 +269,8 @@ fn print_tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top
         pipeline.model().name,
         100.0 * grounded.label_mass
     );
-    println!(
+    let _ = writeln!(
+        text,
         "{} prompt tokens; {:.2} ms: tokenise {:.2}, prefix {:.2}, trie {:.2}, ground {:.3}.",
         scores.prompt_tokens,
         timing.total_ns as f64 / 1e6,
@@ -277,4 +279,5 @@ fn print_tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top
         timing.trie_ns as f64 / 1e6,
         timing.ground_ns as f64 / 1e6
     );
+    text
 }

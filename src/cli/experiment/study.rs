@@ -6,7 +6,7 @@ use std::str::FromStr;
 use serde_json::json;
 
 use super::{ModelArgs, map, report_faults};
-use crate::cli::{CommandResult, Failure, print_json, table};
+use crate::cli::{CommandResult, Failure, print, print_json, table};
 use crate::embedded;
 use crate::exit_code;
 use crate::experiment::report::{Report, Table};
@@ -314,23 +314,19 @@ impl Setup<'_> {
         if self.args.json {
             return print_json(&json);
         }
-        for part in &report.tables {
-            println!("\n{}", part.title);
-            print_table(part);
-        }
-        println!();
-        report.notes.iter().for_each(|note| println!("{note}"));
-        Ok(())
+        let tables: String =
+            report.tables.iter().map(|part| format!("\n{}\n{}\n", part.title, as_text(part))).collect();
+        print(&format!("{tables}\n{}\n", report.notes.join("\n")))
     }
 }
 
-fn print_table(part: &Table) {
+fn as_text(part: &Table) -> comfy_table::Table {
     let header: Vec<&str> = part.header.iter().map(String::as_str).collect();
     let mut table = table(&header);
     part.rows.iter().for_each(|row| {
         table.add_row(row);
     });
-    println!("{table}");
+    table
 }
 
 const APARTMENTS: [&str; 3] = ["apartment-e0", "apartment-e1", "apartment-e2"];
