@@ -575,6 +575,52 @@ fn output_that_cannot_be_written_is_an_error_and_no_panic() {
 }
 
 #[test]
+fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
+    let score = ["score", "--narration", "They sit."];
+    let explain = ["explain", "--narration", "They sit."];
+    let recording = ["explain", "--recording", "day.mcap"];
+    let table2 = ["experiment", "table2"];
+    let pareto = ["experiment", "pareto"];
+    let cases: [(&[&str], &[&str]); 28] = [
+        (&score, &["--threads", "100000"]),
+        (&score, &["--steps", "3"]),
+        (&score, &["--effort", "ranking", "--method", "independent"]),
+        (&score, &["--deadline-ms", "3"]),
+        (&score, &["--effort", "deadline", "--deadline-ms", "0"]),
+        (&score, &["--history", "0"]),
+        (&score, &["--history", "99999999999"]),
+        (&explain, &["--threads", "257"]),
+        (&explain, &["--at", "3"]),
+        (&explain, &["--sequence", "3"]),
+        (&explain, &["--config", "/nonexistent"]),
+        (&explain, &["--root", "/x"]),
+        (&explain, &["--live"]),
+        (&["explain", "--live"], &["--binding", "p1"]),
+        (&["explain", "--live"], &["--at", "3"]),
+        (&recording, &["--at", "nan"]),
+        (&recording, &["--history", "3"]),
+        (&recording, &["--root", "/x"]),
+        (&table2, &["--threads", "100000"]),
+        (&table2, &["--restarts", "0"]),
+        (&table2, &["--pace", "nan"]),
+        (&table2, &["--pace=-1"]),
+        (&table2, &["--object-time", "nan"]),
+        (&table2, &["--stay-time", "0"]),
+        (&table2, &["--longest-act", "0"]),
+        (&table2, &["--history", "0"]),
+        (&pareto, &["--weight", "nan"]),
+        (&pareto, &["--weight=-5"]),
+    ];
+    for (command, more) in cases {
+        let mut command = roomcast(command);
+        let output = command.args(more).env_remove("ROOMCAST_ROOT").env_remove("ROOMCAST_DOMAIN").output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(i32::from(exit_code::USAGE)), "{command:?}: {said}");
+        assert_eq!(output.stdout, b"", "{command:?}");
+    }
+}
+
+#[test]
 fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_them() {
     let mut world = World::new("record");
     world.start_daemon();

@@ -11,7 +11,7 @@ use roomcast_ipc::{
 };
 
 use super::stage::Stage;
-use super::{CommandResult, Failure, bar, service};
+use super::{CommandResult, Failure, bar, ranges, service};
 use crate::exit_code;
 use crate::grounding::{Grounding, GroundingOptions};
 use crate::narration::{Action, ObjectRef, Program};
@@ -45,10 +45,10 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// How long the activity plays, in seconds; real time is sped up to fit.
-    #[arg(long, value_name = "SECONDS", default_value_t = 24.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 24.0, value_parser = ranges::positive)]
     seconds: f64,
     /// T_r: seconds of the person's time that the robot spends in a room.
-    #[arg(long, value_name = "SECONDS", default_value_t = 15.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 15.0, value_parser = ranges::positive)]
     room_time: f64,
 }
 
@@ -64,9 +64,6 @@ pub fn run(args: &Args) -> CommandResult {
     let grounding = grounding.map_err(|error| Failure::new(exit_code::INPUT, error))?;
     let program = load_program(&args.program)?;
     let real_s: f64 = program.steps.iter().map(|step| step.entry().duration_s).sum();
-    if !(args.seconds > 0.0 && args.seconds.is_finite() && args.room_time > 0.0 && args.room_time.is_finite()) {
-        return Err(Failure::new(exit_code::USAGE, "--seconds and --room-time must be finite and more than 0"));
-    }
     let speed = real_s / args.seconds;
 
     let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp");

@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 
-use super::{CommandResult, Failure};
+use super::{CommandResult, Failure, ranges};
 use crate::exit_code;
 use crate::experiment::baselines::{HOUSEHOLD_STATISTICS, Statistics};
 use crate::experiment::forecast::{self, NamedProgram, Report};
 use crate::experiment::metrics::Summary;
-use crate::experiment::{ExperimentError, Progress, ScoreSource};
+use crate::experiment::{ExperimentError, Progress, ScoreSource, ScoresError};
 use crate::grounding::{Grounding, GroundingOptions};
 use crate::narration::history::HistoryLimits;
 use crate::prompt::BindingSequence;
@@ -51,8 +51,8 @@ struct ModelArgs {
     /// A GGUF model; the embedded household model when left out.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// Observations in the history window, the paper's n_h, exactly; the daemon's default window when left out.
-    #[arg(long, value_name = "N")]
+    /// Observations in the history window, the paper's n_h, exactly, 1 to 1000; the daemon's default window when left out.
+    #[arg(long, value_name = "N", value_parser = ranges::observations())]
     history: Option<usize>,
     /// How labels are scored; all methods agree up to rounding.
     #[arg(long, value_enum, default_value_t)]
@@ -60,9 +60,9 @@ struct ModelArgs {
     /// How prompt and labels are cut into tokens.
     #[arg(long, value_enum, default_value_t)]
     tokenisation: Tokenisation,
-    /// Threads of one decoder call; all cores but one, or both of two, when left out.
-    #[arg(long, value_name = "N")]
-    threads: Option<usize>,
+    /// Threads of one decoder call, at most 256; 0 chooses all cores but one, or both of two.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = ranges::threads())]
+    threads: usize,
     /// Where scores are kept for the next run; below the user's cache folder when left out.
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
@@ -94,7 +94,8 @@ impl ModelArgs {
     /// The product's scorer for a map's labels.
     fn source(&self, grounding: &Grounding) -> Result<ScoreSource<LlamaModel>, ExperimentError> {
         let default = LlamaOptions::default();
-        let options = LlamaOptions { threads: self.threads.unwrap_or(default.threads), ..default };
+        let options =
+            LlamaOptions { threads: if self.threads == 0 { default.threads } else { self.threads }, ..default };
         let model = setup::load_model(self.model.as_deref(), &options)?;
         let labels = grounding.label_texts();
         Ok(ScoreSource::new(model, &labels, self.method, self.tokenisation, self.cache().as_deref())?)
@@ -135,9 +136,10 @@ struct ForecastArgs {
 impl From<ExperimentError> for Failure {
     fn from(error: ExperimentError) -> Self {
         let code = match &error {
-            ExperimentError::Scores(_) => exit_code::MODEL,
+            ExperimentError::Scores(ScoresError::Score(_)) => exit_code::MODEL,
             ExperimentError::Setup(error) => error.exit_code(),
-            ExperimentError::Clairvoyant(_)
+            ExperimentError::Scores(ScoresError::Cache { .. })
+            | ExperimentError::Clairvoyant(_)
             | ExperimentError::BelowBound { .. }
             | ExperimentError::SolversDisagree { .. } => exit_code::FAILURE,
             _ => exit_code::INPUT,

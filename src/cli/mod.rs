@@ -24,6 +24,7 @@ mod metrics;
 mod model;
 mod narrate;
 mod planner;
+mod ranges;
 mod record;
 mod replay;
 mod scene;

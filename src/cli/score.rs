@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{CommandResult, Failure};
+use super::{CommandResult, Failure, ranges};
 use crate::exit_code;
 use crate::grounding::{Grounding, GroundingOptions, PartitionLevel};
 use crate::narration::history::HistoryLimits;
@@ -18,6 +18,9 @@ use crate::scorer::llama::{CacheType, LlamaModel, LlamaOptions};
 use crate::scorer::{LanguageModel, Method, Tokenisation, hex_string};
 use crate::semantic_map::{PartitionId, SemanticMap};
 use crate::setup;
+
+/// As in the configuration.
+const DEADLINE_MS_DEFAULT: u64 = 5;
 
 /// Arguments of `roomcast score`.
 #[derive(Debug, clap::Args)]
@@ -32,11 +35,11 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
     /// How many steps of the program were done; all when left out.
-    #[arg(long, value_name = "N", requires = "program")]
+    #[arg(long, value_name = "N", requires = "program", conflicts_with = "narration")]
     steps: Option<usize>,
-    /// The binding sequence: default, p0 to p5, or a text of your own.
-    #[arg(long, value_name = "TEXT", default_value = "default")]
-    binding: BindingSequence,
+    /// The binding sequence: default, p0 to p5, or a text of your own; default when left out.
+    #[arg(long, value_name = "TEXT")]
+    binding: Option<BindingSequence>,
     /// A GGUF model; the embedded household model when left out.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -46,23 +49,23 @@ pub struct Args {
     /// How far the answer goes: exact, or until the ranking, the top partition, or the time is certain.
     #[arg(long, value_enum, default_value_t)]
     effort: Effort,
-    /// The time for the answer under --effort deadline, in milliseconds.
-    #[arg(long, value_name = "MS", default_value_t = 5)]
-    deadline_ms: u64,
+    /// The time for the answer under --effort deadline, in milliseconds, 1 to 60000; 5 when left out.
+    #[arg(long, value_name = "MS", value_parser = ranges::deadline_ms())]
+    deadline_ms: Option<u64>,
     /// How prompt and labels are cut into tokens.
     #[arg(long, value_enum, default_value_t)]
     tokenisation: Tokenisation,
-    /// What a partition is.
-    #[arg(long, value_enum, default_value_t)]
-    level: PartitionLevel,
+    /// What a partition is; a room when left out.
+    #[arg(long, value_enum)]
+    level: Option<PartitionLevel>,
     /// Do not score the rooms' names as labels.
     #[arg(long)]
     no_room_labels: bool,
-    /// Observations in the history window, the paper's n_h.
-    #[arg(long, value_name = "N", default_value_t = 16)]
+    /// Observations in the history window, the paper's n_h, 1 to 1000.
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = ranges::observations())]
     history: usize,
-    /// Threads of one decoder call; 0 chooses all cores but one, or both of two.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    /// Threads of one decoder call, at most 256; 0 chooses all cores but one, or both of two.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = ranges::threads())]
     threads: usize,
     /// How the key-value cache is stored.
     #[arg(long, value_enum, default_value_t)]
@@ -91,7 +94,7 @@ pub fn run(args: &Args) -> CommandResult {
 impl Args {
     /// How the map is grounded.
     pub(super) fn grounding(&self) -> GroundingOptions {
-        GroundingOptions { level: self.level, room_labels: !self.no_room_labels }
+        GroundingOptions { level: self.level.unwrap_or_default(), room_labels: !self.no_room_labels }
     }
 
     /// The scene, the model and how it runs, for commands that score something else than a given narration.
@@ -109,8 +112,13 @@ impl Args {
     }
 
     /// The binding sequence.
-    pub(super) fn binding(&self) -> &BindingSequence {
-        &self.binding
+    pub(super) fn binding(&self) -> BindingSequence {
+        self.binding.clone().unwrap_or_default()
+    }
+
+    /// Whether it is said how to ask or what a partition is, which a recording may say itself.
+    pub(super) fn says_binding_or_partitions(&self) -> bool {
+        self.binding.is_some() || self.level.is_some() || self.no_room_labels
     }
 
     /// How many labels are wanted.
@@ -126,16 +134,23 @@ impl Args {
 
 /// The pipeline after its one step, and its map.
 pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap), Failure> {
+    let usage = |error: &str| Err(Failure::new(exit_code::USAGE, error));
+    if !args.method.allows(args.effort) {
+        return usage("only --method trie can end early: leave out --method, or give --effort exact");
+    }
+    if args.deadline_ms.is_some() && args.effort != Effort::Deadline {
+        return usage("--deadline-ms says nothing without --effort deadline: give both, or neither");
+    }
     let map = setup::load_map(args.scene.as_deref())?;
     let grounding = Grounding::new(&map, &args.grounding()).map_err(|e| Failure::new(exit_code::INPUT, e))?;
     let observations = observations(args)?;
     let model = setup::load_model(args.model.as_deref(), &args.llama_options())?;
     let options = PipelineOptions {
-        binding: args.binding.clone(),
+        binding: args.binding(),
         tokenisation: args.tokenisation,
         method: args.method,
         effort: args.effort,
-        deadline_ns: args.deadline_ms.saturating_mul(1_000_000),
+        deadline_ns: args.deadline_ms.unwrap_or(DEADLINE_MS_DEFAULT) * 1_000_000,
         history: HistoryLimits::exact(args.history),
     };
     let mut pipeline = Pipeline::new(model, grounding, options).map_err(|e| Failure::new(exit_code::MODEL, e))?;

@@ -195,6 +195,14 @@ pub enum Method {
     Trie,
 }
 
+impl Method {
+    /// Whether this method can end where the effort says: the others score every label, however long it takes.
+    #[must_use]
+    pub fn allows(self, effort: Effort) -> bool {
+        self == Self::Trie || effort == Effort::Exact
+    }
+}
+
 /// How prompt and label are cut into tokens.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
