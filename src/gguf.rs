@@ -40,7 +40,7 @@ pub enum GgufError {
     },
     /// The first four bytes are not `GGUF`.
     #[error(
-        "{path} is no GGUF model: it starts with {found:?}, not with \"GGUF\"; convert it with llama.cpp's convert_hf_to_gguf.py or choose a .gguf file"
+        "{path} is no GGUF model: it starts with \"{found}\", not with \"GGUF\"; convert it with llama.cpp's convert_hf_to_gguf.py or choose a .gguf file"
     )]
     Magic {
         /// The file.

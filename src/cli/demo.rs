@@ -1,7 +1,7 @@
 //! `roomcast demo`: the whole system on this machine, three processes in a private domain, one activity in one apartment.
 
 use std::io::{self, IsTerminal, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
@@ -11,10 +11,10 @@ use roomcast_ipc::{
 };
 
 use super::stage::Stage;
-use super::{CommandResult, Failure, bar, ranges, service};
+use super::{CommandResult, Failure, bar, count, ranges, service};
 use crate::exit_code;
 use crate::grounding::{Grounding, GroundingOptions};
-use crate::narration::{Action, ObjectRef, Program};
+use crate::narration::{Action, ObjectRef};
 use crate::policy::PolicyName;
 use crate::semantic_map::SemanticMap;
 use crate::setup;
@@ -62,7 +62,7 @@ pub fn run(args: &Args) -> CommandResult {
     let map = setup::load_map(Some(&args.scene))?;
     let grounding = Grounding::new(&map, &GroundingOptions::default());
     let grounding = grounding.map_err(|error| Failure::new(exit_code::INPUT, error))?;
-    let program = load_program(&args.program)?;
+    let program = setup::load_program(&args.program).map_err(|error| Failure::new(exit_code::INPUT, error))?;
     let real_s: f64 = program.steps.iter().map(|step| step.entry().duration_s).sum();
     let speed = real_s / args.seconds;
 
@@ -75,12 +75,12 @@ pub fn run(args: &Args) -> CommandResult {
     let mut show = Show::new(&node, &map, &grounding, speed).map_err(ipc)?;
 
     let scene = format!(
-        "{}: {} items, {} rooms. {}, {} steps, {real_s:.0} s of a person's time played {speed:.1} times faster.",
+        "{}: {}, {}. {}, {}, {real_s:.0} s of a person's time played {speed:.1} times faster.",
         map.name,
-        map.items.len(),
-        grounding.partitions.len(),
+        count(map.items.len(), "item"),
+        count(grounding.partitions.len(), "room"),
         program.title,
-        program.steps.len()
+        count(program.steps.len(), "step")
     );
     let robot = format!("The robot works {:.0} s in a room, by the policy {}.\n", args.room_time, args.policy);
     show.say(&[scene, robot]);
@@ -102,15 +102,6 @@ pub fn run(args: &Args) -> CommandResult {
     result?;
     // Whoever read has left: the show ends as well, and quietly.
     if unheard { Ok(()) } else { super::print(&format!("{summary}\n")) }
-}
-
-fn load_program(path: &Path) -> Result<Program, Failure> {
-    let shipped = path.to_str().filter(|_| !path.exists()).and_then(crate::embedded::program);
-    let program = match shipped {
-        Some(shipped) => Program::parse(shipped.text),
-        None => Program::load(path),
-    };
-    program.map_err(|error| Failure::new(exit_code::INPUT, error))
 }
 
 fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &Stop) -> CommandResult {

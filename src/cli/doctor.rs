@@ -234,11 +234,11 @@ fn model_and_scene(config: &Config) -> Vec<Finding> {
         )),
         Ok((map, grounding)) => {
             let found = format!(
-                "{}: {} rooms, {} items of {} labels",
+                "{}: {}, {} of {}",
                 shown(&config.scene.path, "studio (embedded)"),
-                map.rooms.len(),
-                map.items.len(),
-                map.labels.len()
+                super::count(map.rooms.len(), "room"),
+                super::count(map.items.len(), "item"),
+                super::count(map.labels.len(), "label")
             );
             findings.push(match grounding.unassigned.len() {
                 0 => Finding::good("scene", found),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 
-use super::{CommandResult, Failure, ranges};
+use super::{CommandResult, Failure, count, ranges};
 use crate::exit_code;
 use crate::experiment::baselines::{HOUSEHOLD_STATISTICS, Statistics};
 use crate::experiment::forecast::{self, NamedProgram, Report};
@@ -252,7 +252,11 @@ fn print_forecast(report: &Report) -> CommandResult {
         let target =
             serde_json::to_value(row.target).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default();
         let named = [row.scene.clone(), target, row.predictor.to_owned()];
-        let with = |value: f64, [low, high]: [f64; 2]| format!("{value:.3} [{low:.3}, {high:.3}]");
+        // Resampling one program gives the same cases again and again: no interval at all, and not one without width.
+        let with = |value: f64, [low, high]: [f64; 2]| match report.programs {
+            0 | 1 => format!("{value:.3}"),
+            _ => format!("{value:.3} [{low:.3}, {high:.3}]"),
+        };
         let figures = |s: &Summary| {
             [
                 with(s.nll_nats, s.ci95.nll_nats),
@@ -273,11 +277,16 @@ fn print_forecast(report: &Report) -> CommandResult {
         format!("{table}\n\nOn the same cases, resampled together, the model less each of them:\n{differences}\n");
     let _ = writeln!(
         text,
-        "{} cases in {} programs; {:.1} % of the next objects are in the maps; 95 % intervals by bootstrap over programs; {} scores computed, the others from the cache",
-        report.cases,
-        report.programs,
+        "{} in {}; {:.1} % of the next objects are in the maps; {}; {} computed, the others from the cache",
+        count(report.cases, "case"),
+        count(report.programs, "program"),
         100.0 * report.bound_share,
-        report.computed
+        if report.programs > 1 {
+            "95 % intervals by bootstrap over programs"
+        } else {
+            "intervals need several programs"
+        },
+        count(report.computed, "score")
     );
     let missing: Vec<_> = report.unbound.iter().take(12).map(|(name, n)| format!("{name} ({n})")).collect();
     if !missing.is_empty() {

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use roomcast_ipc::question;
 
-use super::{CommandResult, Failure, ranges, scene, score, service};
+use super::{CommandResult, Failure, count, ranges, scene, score, service};
 use crate::grounding::Grounding;
 use crate::hub::hex;
 use crate::moment::{Explained, Moment};
@@ -170,11 +170,8 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
         scores.sequence
     );
     if window != scores.window {
-        let _ = write!(
-            note,
-            "\nThey contain {} narrations, of which {window} are taken from the recording.",
-            scores.window
-        );
+        let _ =
+            write!(note, "\nThey contain {}; the recording has {window}.", count(scores.window as usize, "narration"));
     }
     Ok((Moment::of(&pipeline, &map, &grounding, Some(&scores)), note))
 }

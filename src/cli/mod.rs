@@ -72,6 +72,12 @@ pub fn bar(share: f64, width: usize) -> String {
     format!("{}{}", "█".repeat(eighths / 8), EIGHTHS[eighths % 8])
 }
 
+/// So many of something whose plural ends in s: "1 room", "2 rooms".
+#[must_use]
+pub fn count(number: usize, noun: &str) -> String {
+    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
+}
+
 /// An empty table in the one style that all commands print.
 #[must_use]
 pub fn table(header: &[&str]) -> comfy_table::Table {

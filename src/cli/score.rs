@@ -5,11 +5,10 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{CommandResult, Failure, ranges};
+use super::{CommandResult, Failure, count, ranges};
 use crate::exit_code;
 use crate::grounding::{Grounding, GroundingOptions, PartitionLevel};
 use crate::narration::history::HistoryLimits;
-use crate::narration::program::Program;
 use crate::narration::{Observation, Observed, Sentence};
 use crate::pipeline::{Pipeline, PipelineOptions};
 use crate::prompt::BindingSequence;
@@ -31,7 +30,7 @@ pub struct Args {
     /// What was just done, as sentences or VirtualHome actions; several are separated by newlines or sentence ends.
     #[arg(long, value_name = "TEXT", conflicts_with = "program")]
     narration: Option<String>,
-    /// An activity program whose first steps are the narration.
+    /// An activity program, or a shipped one's name, whose first steps are the narration.
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
     /// How many steps of the program were done; all when left out.
@@ -161,13 +160,13 @@ pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap),
 fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
     let mut sentences = Vec::new();
     if let Some(path) = &args.program {
-        let program = Program::load(path).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+        let program = setup::load_program(path).map_err(|e| Failure::new(exit_code::INPUT, e))?;
         let steps = args.steps.unwrap_or(program.steps.len());
         if steps > program.steps.len() {
             let (path, has) = (path.display(), program.steps.len());
             return Err(Failure::new(
                 exit_code::INPUT,
-                format!("--steps {steps} is more than the {has} steps of {path}: give at most {has}"),
+                format!("--steps {steps} is more than the program {path} has: give at most {has}"),
             ));
         }
         for action in &program.steps[..steps] {
@@ -277,17 +276,17 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
     let timing = scores.timing;
     let _ = writeln!(
         text,
-        "{} labels and {} items of {} by {}; the labels cover {:.1} % of what could come next.",
-        grounding.scored_labels.len(),
-        map.items.len(),
+        "{} and {} of {} by {}; the labels cover {:.1} % of what could come next.",
+        count(grounding.scored_labels.len(), "label"),
+        count(map.items.len(), "item"),
         map.name,
         pipeline.model().name,
         100.0 * grounded.label_mass
     );
     let _ = writeln!(
         text,
-        "{} prompt tokens; {:.2} ms: tokenise {:.2}, prefix {:.2}, trie {:.2}, ground {:.3}.",
-        scores.prompt_tokens,
+        "{}; {:.2} ms: tokenise {:.2}, prefix {:.2}, trie {:.2}, ground {:.3}.",
+        count(scores.prompt_tokens, "prompt token"),
         timing.total_ns as f64 / 1e6,
         timing.tokenise_ns as f64 / 1e6,
         timing.prefix_ns as f64 / 1e6,

@@ -248,7 +248,7 @@ impl LlamaModel {
     pub fn load(path: &Path, options: &LlamaOptions) -> Result<Self, ModelError> {
         let fail = |reason: String| ModelError::Load { path: path.display().to_string(), reason };
         // llama.cpp may abort on a damaged file, and take the service with it.
-        Header::read_language_model(path).map_err(|e| fail(e.to_string()))?;
+        Header::read_language_model(path)?;
         let fingerprint = file_fingerprint(path).map_err(|e| fail(e.to_string()))?;
         let backend = backend().map_err(fail)?;
         let parameters = LlamaModelParams::default().with_use_mmap(true).with_use_mlock(options.lock_memory);

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use serde_json::json;
 
 use super::{ModelArgs, map, report_faults};
-use crate::cli::{CommandResult, Failure, print, print_json, ranges, table};
+use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
 use crate::embedded;
 use crate::exit_code;
 use crate::experiment::report::{Report, Table};
@@ -15,12 +15,14 @@ use crate::experiment::tables::{self, DIFFERENCES, PAPER_TABLE1};
 use crate::experiment::{ExperimentError, Progress, ScoreSource};
 use crate::forecast::ForecastOptions;
 use crate::grounding::{GroundedScores, Grounding};
+use crate::narration::Sentence;
 use crate::narration::history::HistoryLimits;
-use crate::narration::{Program, Sentence};
+
 use crate::policy::{PolicyName, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS};
 use crate::prompt::BindingSequence;
 use crate::scorer::llama::LlamaModel;
 use crate::semantic_map::{SemanticMap, drawing};
+use crate::setup;
 use crate::simulation::binding::ItemChoice;
 use crate::simulation::homer::Day;
 use crate::simulation::timeline::PersonOptions;
@@ -154,10 +156,8 @@ impl StudyArgs {
     /// The activities of a file, of a folder, or of the binary.
     fn load(&self, path: &Path) -> Result<Vec<(String, Activity)>, Failure> {
         let input = |error: crate::narration::ProgramError| Failure::new(exit_code::INPUT, error);
-        if !path.exists()
-            && let Some(shipped) = path.to_str().and_then(embedded::program)
-        {
-            let program = Program::parse(shipped.text).map_err(input)?;
+        if !path.exists() && path.to_str().and_then(embedded::program).is_some() {
+            let program = setup::load_program(path).map_err(input)?;
             return Ok(vec![(path.display().to_string(), Activity::Program(program))]);
         }
         let (mut files, faults) = super::forecast::load_programs(path)?;
@@ -291,13 +291,13 @@ impl Setup<'_> {
         let closed_s =
             homes.iter().map(|home| home.cost().naive_disturbance()).sum::<f64>() / homes.len().max(1) as f64;
         vec![format!(
-            "Model {model}, binding \"{}\", {} homes and activities, T {horizon_s:.0} s on average, T_r {:?} s, {} restarts, seed {}; {computed} \
+            "Model {model}, binding \"{}\", {} of home and activity, T {horizon_s:.0} s on average, T_r {:?} s, {}, seed {}; {computed} \
              scores computed, the others from the cache. In closed form the naive policy disturbs {closed_s:.1} s. The clairvoyant bound is \
              HiGHS's optimum of the mixed-integer program, equal to that of the dynamic program in every cell.",
             self.args.binding.text().trim_end(),
-            homes.len(),
+            count(homes.len(), "pair"),
             self.room_times_s,
-            self.options.restarts,
+            count(self.options.restarts as usize, "restart"),
             self.options.seed,
         )]
     }
