@@ -648,7 +648,7 @@ pub(crate) mod tests {
     #[test]
     fn other_files_are_named_as_such() {
         assert!(
-            read(b"PK\x03\x04 a zip archive").unwrap_err().to_string().contains(r#""PK\\x03\\x04", not with "GGUF""#)
+            read(b"PK\x03\x04 a zip archive").unwrap_err().to_string().contains(r#""PK\x03\x04", not with "GGUF""#)
         );
         let mut old = tiny(&["a"]);
         old[4] = 1;

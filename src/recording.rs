@@ -515,7 +515,7 @@ mod tests {
     #[test]
     fn a_recording_is_not_overwritten_and_a_damaged_one_is_named() {
         let (_folder, path) = recorded(&messages());
-        assert!(matches!(Recorder::create(&path), Err(RecordingError::Io { .. })));
+        assert!(matches!(Recorder::create(&path), Err(RecordingError::Exists { .. })));
         let whole = std::fs::read(&path).unwrap();
         std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
         assert!(matches!(read(&path), Err(RecordingError::Mcap { .. })));
