@@ -9,12 +9,12 @@ use serde::{Deserialize, Serialize};
 use crate::daemon::DaemonConfig;
 use crate::grounding::GroundingOptions;
 use crate::metrics::MetricsConfig;
-use crate::narration::history::HistoryLimits;
+use crate::narration::history::{HistoryLimits, OBSERVATIONS_MAX};
 use crate::narrator::NarratorConfig;
 use crate::planner::PlannerConfig;
 use crate::prompt::BindingSequence;
 use crate::scorer::certified::Effort;
-use crate::scorer::llama::{CacheType, LlamaOptions, SEQUENCES_MAX};
+use crate::scorer::llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
 use crate::scorer::{Method, Tokenisation};
 
 /// The commented default configuration, as a file to start from.
@@ -22,6 +22,8 @@ pub const DEFAULT_TOML: &str = include_str!("default.toml");
 
 /// Most bytes of a configuration file.
 pub const FILE_BYTES_MAX: u64 = 1 << 20;
+/// Most milliseconds that a step may take under `effort = "deadline"`.
+pub const DEADLINE_MS_MAX: u64 = 60_000;
 
 /// Least bytes of the journal: either half holds a few of the longest sentences.
 const JOURNAL_BYTES_MIN: u64 = 8192;
@@ -240,7 +242,7 @@ impl Config {
             if ok { Ok(()) } else { Err(ConfigError::Value { key, value: value.to_string(), remedy }) }
         };
         let model = &self.model;
-        limit(model.threads <= 256, "model.threads", &model.threads, "give 0 (automatic) to 256")?;
+        limit(model.threads <= THREADS_MAX, "model.threads", &model.threads, "give 0 (automatic) to 256")?;
         limit(
             (64..=1 << 20).contains(&model.context_tokens),
             "model.context_tokens",
@@ -268,7 +270,7 @@ impl Config {
             )?;
         }
         limit(
-            (1..=1000).contains(&self.history.observations),
+            (1..=OBSERVATIONS_MAX).contains(&self.history.observations),
             "history.observations",
             &self.history.observations,
             "give 1 to 1000",
@@ -276,10 +278,17 @@ impl Config {
         limit(self.history.slack <= 1000, "history.slack", &self.history.slack, "give 0 to 1000")?;
         limit(self.history.tokens >= 16, "history.tokens", &self.history.tokens, "give 16 or more")?;
         limit(
-            (1..=60_000).contains(&self.scoring.deadline_ms),
+            (1..=DEADLINE_MS_MAX).contains(&self.scoring.deadline_ms),
             "scoring.deadline_ms",
             &self.scoring.deadline_ms,
             "give 1 to 60000",
+        )?;
+        let scoring = &self.scoring;
+        limit(
+            scoring.method.allows(scoring.effort),
+            "scoring.effort",
+            &format!("{:?}", scoring.effort).to_lowercase(),
+            "give \"exact\", or scoring.method = \"trie\", which alone can end early",
         )?;
         self.binding()?;
         self.ipc.domain()?;
@@ -372,6 +381,8 @@ mod tests {
         assert!(toml::from_str::<Config>("[model]\nthread = 2").is_err());
         let config: Config = toml::from_str("[model]\nsequences = 999").unwrap();
         assert!(config.check().unwrap_err().to_string().contains("model.sequences is 999"));
+        let config: Config = toml::from_str("[scoring]\neffort = \"ranking\"\nmethod = \"independent\"").unwrap();
+        assert!(config.check().unwrap_err().to_string().contains("scoring.effort is ranking"));
         let config: Config = toml::from_str("[metrics]\nlisten = \"0.0.0.0:9464\"").unwrap();
         assert!(config.check().unwrap_err().to_string().contains("metrics.listen is 0.0.0.0:9464"));
         for (toml, part) in [

@@ -42,6 +42,12 @@ pub const PROGRAMS: [EmbeddedText; 3] = [
     EmbeddedText { name: "p2-long-evening", text: include_str!("../scenes/programs/p2-long-evening.txt") },
 ];
 
+/// The names of embedded texts, for messages.
+#[must_use]
+pub fn names(texts: &[EmbeddedText]) -> String {
+    texts.iter().map(|text| text.name).collect::<Vec<_>>().join(", ")
+}
+
 /// The embedded scene of that name.
 #[must_use]
 pub fn scene(name: &str) -> Option<EmbeddedText> {

@@ -40,7 +40,7 @@ pub enum GgufError {
     },
     /// The first four bytes are not `GGUF`.
     #[error(
-        "{path} is no GGUF model: it starts with {found:?}, not with \"GGUF\"; convert it with llama.cpp's convert_hf_to_gguf.py or choose a .gguf file"
+        "{path} is no GGUF model: it starts with \"{found}\", not with \"GGUF\"; convert it with llama.cpp's convert_hf_to_gguf.py or choose a .gguf file"
     )]
     Magic {
         /// The file.
@@ -648,7 +648,7 @@ pub(crate) mod tests {
     #[test]
     fn other_files_are_named_as_such() {
         assert!(
-            read(b"PK\x03\x04 a zip archive").unwrap_err().to_string().contains(r#""PK\\x03\\x04", not with "GGUF""#)
+            read(b"PK\x03\x04 a zip archive").unwrap_err().to_string().contains(r#""PK\x03\x04", not with "GGUF""#)
         );
         let mut old = tiny(&["a"]);
         old[4] = 1;

@@ -20,6 +20,7 @@ use sd_notify::NotifyState;
 use crate::daemon::notify;
 use crate::embedded;
 use crate::narration::{Observed, ObservedError, Program, ProgramError};
+use crate::setup;
 use crate::stop::Stop;
 
 /// Narrations that may be under way unconfirmed: what the service's history holds for a daemon that restarts.
@@ -221,10 +222,8 @@ impl Input {
         if name == "-" {
             return Ok(Self::Lines { name: "standard input".to_owned(), stream: Box::new(io::stdin()), person });
         }
-        if !path.exists()
-            && let Some(program) = embedded::program(&name)
-        {
-            return Ok(Self::Items(program_items(&Program::parse(program.text)?, person)));
+        if !path.exists() && embedded::program(&name).is_some() {
+            return Ok(Self::Items(program_items(&setup::load_program(path)?, person)));
         }
         let read = |source| InputError::Read { name: name.clone(), source };
         if std::fs::metadata(path).map_err(read)?.file_type().is_fifo() {

@@ -37,6 +37,12 @@ pub enum RecordingError {
         /// The system's word.
         source: std::io::Error,
     },
+    /// A recording overwrites nothing.
+    #[error("the recording {path} exists already; choose another name, or move it away")]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
     /// The file is larger than [`FILE_BYTES_MAX`].
     #[error("the recording {path} has more than {FILE_BYTES_MAX} bytes; split it by `mcap filter`")]
     TooLarge {
@@ -248,7 +254,10 @@ impl Recorder {
     ///
     /// [`RecordingError::Io`], [`RecordingError::Mcap`].
     pub fn create(path: &Path) -> Result<Self, RecordingError> {
-        let file = File::create_new(path).map_err(|source| RecordingError::Io { path: path.to_owned(), source })?;
+        let file = File::create_new(path).map_err(|source| match source.kind() {
+            std::io::ErrorKind::AlreadyExists => RecordingError::Exists { path: path.to_owned() },
+            _ => RecordingError::Io { path: path.to_owned(), source },
+        })?;
         let library = concat!("roomcast ", env!("CARGO_PKG_VERSION"));
         let fail = |source| RecordingError::Mcap { path: path.to_owned(), source: Box::new(source) };
         let mut writer = WriteOptions::new().profile("").library(library).create(BufWriter::new(file)).map_err(fail)?;
@@ -506,7 +515,7 @@ mod tests {
     #[test]
     fn a_recording_is_not_overwritten_and_a_damaged_one_is_named() {
         let (_folder, path) = recorded(&messages());
-        assert!(matches!(Recorder::create(&path), Err(RecordingError::Io { .. })));
+        assert!(matches!(Recorder::create(&path), Err(RecordingError::Exists { .. })));
         let whole = std::fs::read(&path).unwrap();
         std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
         assert!(matches!(read(&path), Err(RecordingError::Mcap { .. })));

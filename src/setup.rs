@@ -7,6 +7,7 @@ use sha2::{Digest, Sha256};
 use crate::config::{Config, ConfigError};
 use crate::embedded::{self, ModelFile};
 use crate::grounding::{Grounding, GroundingError};
+use crate::narration::{Program, ProgramError};
 use crate::pipeline::{Pipeline, PipelineError, PipelineOptions};
 use crate::scorer::llama::{LlamaModel, LlamaOptions, file_fingerprint};
 use crate::scorer::{LanguageModel, ModelError, hex_string};
@@ -21,6 +22,12 @@ pub enum SetupError {
     /// The scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// Neither a file nor the name of a shipped scene.
+    #[error("there is no scene {path}: give a scene's file, or a shipped scene by its name, {}", embedded::names(&embedded::SCENES))]
+    NoScene {
+        /// What was given.
+        path: String,
+    },
     /// The scene's grounding.
     #[error(transparent)]
     Grounding(#[from] GroundingError),
@@ -53,7 +60,7 @@ impl SetupError {
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Config(_) => crate::exit_code::CONFIG,
-            Self::Scene(_) | Self::Grounding(_) => crate::exit_code::INPUT,
+            Self::Scene(_) | Self::NoScene { .. } | Self::Grounding(_) => crate::exit_code::INPUT,
             Self::Model(_) | Self::Embedded(_) | Self::Pipeline(_) | Self::Pin { .. } => crate::exit_code::MODEL,
         }
     }
@@ -81,9 +88,23 @@ pub fn load_map(path: Option<&Path>) -> Result<SemanticMap, SetupError> {
         Some(_) => None,
     };
     Ok(match (text, path) {
+        (None, Some(path)) if matches!(path.try_exists(), Ok(false)) => {
+            return Err(SetupError::NoScene { path: path.display().to_string() });
+        }
         (None, Some(path)) => SemanticMap::load(path)?,
         (text, _) => SemanticMap::from_json(text.unwrap_or(embedded::SCENES[0].text))?,
     })
+}
+
+/// Loads the activity program at `path`, or a shipped program when `path` is its bare name.
+///
+/// # Errors
+/// When the file is missing or malformed.
+pub fn load_program(path: &Path) -> Result<Program, ProgramError> {
+    match path.to_str().filter(|_| !path.exists()).and_then(embedded::program) {
+        Some(shipped) => Program::parse(shipped.text),
+        None => Program::load(path),
+    }
 }
 
 /// Sets up everything that the configuration names.

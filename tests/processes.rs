@@ -682,6 +682,104 @@ fn output_into_a_pipe_that_closes_ends_quietly() {
 }
 
 #[test]
+fn output_that_cannot_be_written_is_an_error_and_no_panic() {
+    let score = ["score", "--narration", "They sit."];
+    for arguments in [&["completions", "bash"][..], &["config"], &["doctor"], &score, &["scene", "show", "studio"]] {
+        let full = File::options().write(true).open("/dev/full").unwrap();
+        let output = roomcast(arguments).stdout(full).stderr(Stdio::piped()).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(i32::from(exit_code::FAILURE)), "{arguments:?}: {said}");
+        assert!(said.contains("standard output: No space left on device"), "{arguments:?}: {said}");
+    }
+}
+
+#[test]
+fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
+    let score = ["score", "--narration", "They sit."];
+    let explain = ["explain", "--narration", "They sit."];
+    let recording = ["explain", "--recording", "day.mcap"];
+    let table2 = ["experiment", "table2"];
+    let pareto = ["experiment", "pareto"];
+    let cases: [(&[&str], &[&str]); 28] = [
+        (&score, &["--threads", "100000"]),
+        (&score, &["--steps", "3"]),
+        (&score, &["--effort", "ranking", "--method", "independent"]),
+        (&score, &["--deadline-ms", "3"]),
+        (&score, &["--effort", "deadline", "--deadline-ms", "0"]),
+        (&score, &["--history", "0"]),
+        (&score, &["--history", "99999999999"]),
+        (&explain, &["--threads", "257"]),
+        (&explain, &["--at", "3"]),
+        (&explain, &["--sequence", "3"]),
+        (&explain, &["--config", "/nonexistent"]),
+        (&explain, &["--root", "/x"]),
+        (&explain, &["--live"]),
+        (&["explain", "--live"], &["--binding", "p1"]),
+        (&["explain", "--live"], &["--at", "3"]),
+        (&recording, &["--at", "nan"]),
+        (&recording, &["--history", "3"]),
+        (&recording, &["--root", "/x"]),
+        (&table2, &["--threads", "100000"]),
+        (&table2, &["--restarts", "0"]),
+        (&table2, &["--pace", "nan"]),
+        (&table2, &["--pace=-1"]),
+        (&table2, &["--object-time", "nan"]),
+        (&table2, &["--stay-time", "0"]),
+        (&table2, &["--longest-act", "0"]),
+        (&table2, &["--history", "0"]),
+        (&pareto, &["--weight", "nan"]),
+        (&pareto, &["--weight=-5"]),
+    ];
+    for (command, more) in cases {
+        let mut command = roomcast(command);
+        let output = command.args(more).env_remove("ROOMCAST_ROOT").env_remove("ROOMCAST_DOMAIN").output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(i32::from(exit_code::USAGE)), "{command:?}: {said}");
+        assert_eq!(output.stdout, b"", "{command:?}");
+    }
+}
+
+#[test]
+fn errors_name_the_file_and_the_remedy_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let empty = file("empty.json", "");
+    let graph = file("graph.json", r#"{"nodes": [], "edges": []}"#);
+    let day = file("day.txt", "wake_up (06:00 - 06:10)\n\n### wake_up-00.txt\n\n[WALK] <bedroom> (162) [1]\n370.0\n");
+    let json = file("model.json", "{\n \"a\": 1}");
+    let out = folder.path().join("out.json").to_str().unwrap().to_owned();
+    let shipped = "studio, apartment-e0";
+    let cases: [(&[&str], &[&str]); 10] = [
+        (&["scene", "change", "studio", &empty, "--out", &out], &["changes /", "empty.json: EOF", "a JSON list"]),
+        (&["scene", "change", "studio", "nope", "--out", &out], &["changes nope: cannot be read"]),
+        (&["scene", "apply", &empty], &["changes /", "empty.json: EOF"]),
+        (&["scene", "draw", "studio", "--scores", "nope"], &["scores nope: cannot be read"]),
+        (&["score", "--scene", "nowhere"], &["no scene nowhere", shipped]),
+        (&["score", "--program", "nowhere"], &["program nowhere", "p0-breakfast-and-television"]),
+        (&["score", "--program", &day], &["day.txt: line 5", "HOMER+", "`roomcast experiment`"]),
+        (&["score", "--narration", "[Teleport] <mug> (1)"], &["unknown action `Teleport`", "`walk`"]),
+        (&["model", "check", "nope"], &["model file nope", "check the path"]),
+        (&["model", "info", &json], &[r#"starts with "{\n \"", not with"#]),
+    ];
+    for (arguments, parts) in cases {
+        let output = roomcast(arguments).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(!output.status.success() && !said.contains(".: "), "{arguments:?}: {said}");
+        for part in parts {
+            assert_eq!(said.matches(part).count(), 1, "{arguments:?}: {part} in {said}");
+        }
+    }
+    let output = roomcast(&["scene", "check", &graph]).output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.contains("graph.json: nodes: unknown field") && said.contains("`roomcast scene import`"), "{said}");
+    assert!(String::from_utf8(output.stderr).unwrap().contains("1 scene with errors, 0 warnings"));
+}
+
+#[test]
 fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_them() {
     let mut world = World::new("record");
     world.start_daemon();

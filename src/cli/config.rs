@@ -1,6 +1,5 @@
 //! `roomcast config`: the commented default configuration, or a check of one's own.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use super::{CommandResult, Failure};
@@ -27,5 +26,5 @@ pub fn run(args: &Args) -> CommandResult {
             toml::to_string(&config).map_err(|e| Failure::new(exit_code::FAILURE, e))?
         }
     };
-    std::io::stdout().write_all(text.as_bytes()).map_err(|e| Failure::new(exit_code::FAILURE, e))
+    super::print(&text)
 }

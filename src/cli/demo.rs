@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::io::{self, IsTerminal, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
@@ -12,10 +12,10 @@ use roomcast_ipc::{
 };
 
 use super::stage::Stage;
-use super::{CommandResult, Failure, bar, service};
+use super::{CommandResult, Failure, bar, count, ranges, service};
 use crate::exit_code;
 use crate::grounding::{Grounding, GroundingOptions};
-use crate::narration::{Action, ObjectRef, Program};
+use crate::narration::{Action, ObjectRef};
 use crate::policy::PolicyName;
 use crate::semantic_map::SemanticMap;
 use crate::setup;
@@ -46,10 +46,10 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// How long the activity plays, in seconds; real time is sped up to fit.
-    #[arg(long, value_name = "SECONDS", default_value_t = 24.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 24.0, value_parser = ranges::positive)]
     seconds: f64,
     /// T_r: seconds of the person's time that the robot spends in a room.
-    #[arg(long, value_name = "SECONDS", default_value_t = 15.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 15.0, value_parser = ranges::positive)]
     room_time: f64,
 }
 
@@ -63,11 +63,8 @@ pub fn run(args: &Args) -> CommandResult {
     let map = setup::load_map(Some(&args.scene))?;
     let grounding = Grounding::new(&map, &GroundingOptions::default());
     let grounding = grounding.map_err(|error| Failure::new(exit_code::INPUT, error))?;
-    let program = load_program(&args.program)?;
+    let program = setup::load_program(&args.program).map_err(|error| Failure::new(exit_code::INPUT, error))?;
     let real_s: f64 = program.steps.iter().map(|step| step.entry().duration_s).sum();
-    if !(args.seconds > 0.0 && args.seconds.is_finite() && args.room_time > 0.0 && args.room_time.is_finite()) {
-        return Err(Failure::new(exit_code::USAGE, "--seconds and --room-time must be finite and more than 0"));
-    }
     let speed = real_s / args.seconds;
 
     let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp");
@@ -79,12 +76,12 @@ pub fn run(args: &Args) -> CommandResult {
     let mut show = Show::new(&node, &map, &grounding, speed).map_err(ipc)?;
 
     let scene = format!(
-        "{}: {} items, {} rooms. {}, {} steps, {real_s:.0} s of a person's time played {speed:.1} times faster.",
+        "{}: {}, {}. {}, {}, {real_s:.0} s of a person's time played {speed:.1} times faster.",
         map.name,
-        map.items.len(),
-        grounding.partitions.len(),
+        count(map.items.len(), "item"),
+        count(grounding.partitions.len(), "room"),
         program.title,
-        program.steps.len()
+        count(program.steps.len(), "step")
     );
     let robot = format!("The robot works {:.0} s in a room, by the policy {}.\n", args.room_time, args.policy);
     show.say(&[scene, robot]);
@@ -105,16 +102,7 @@ pub fn run(args: &Args) -> CommandResult {
     }
     result?;
     // Whoever read has left: the show ends as well, and quietly.
-    if unheard { Ok(()) } else { super::scene::print(&format!("{summary}\n")) }
-}
-
-fn load_program(path: &Path) -> Result<Program, Failure> {
-    let shipped = path.to_str().filter(|_| !path.exists()).and_then(crate::embedded::program);
-    let program = match shipped {
-        Some(shipped) => Program::parse(shipped.text),
-        None => Program::load(path),
-    };
-    program.map_err(|error| Failure::new(exit_code::INPUT, error))
+    if unheard { Ok(()) } else { super::print(&format!("{summary}\n")) }
 }
 
 fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &Stop) -> CommandResult {

@@ -247,11 +247,11 @@ fn scene(config: &Config) -> (Finding, Option<SemanticMap>) {
         }
     };
     let found = format!(
-        "{}: {} rooms, {} items of {} labels",
+        "{}: {}, {} of {}",
         shown(path, "studio (embedded)"),
-        map.rooms.len(),
-        map.items.len(),
-        map.labels.len()
+        super::count(map.rooms.len(), "room"),
+        super::count(map.items.len(), "item"),
+        super::count(map.labels.len(), "label")
     );
     let finding = match grounding.unassigned.len() {
         0 => Finding::good("scene", found),
@@ -348,7 +348,7 @@ pub fn run(args: &Args) -> CommandResult {
             "findings": findings,
         }))?;
     } else {
-        println!("{}", table(&findings));
+        super::print(&format!("{}\n", table(&findings)))?;
     }
     match wrong {
         0 => Ok(()),

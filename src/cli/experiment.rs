@@ -1,15 +1,16 @@
 //! `roomcast experiment`: the paper's tables and figures, and the project's own.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 
-use super::{CommandResult, Failure};
+use super::{CommandResult, Failure, count, ranges};
 use crate::exit_code;
 use crate::experiment::baselines::{HOUSEHOLD_STATISTICS, Statistics};
 use crate::experiment::forecast::{self, NamedProgram, Report};
 use crate::experiment::metrics::Summary;
-use crate::experiment::{ExperimentError, Progress, ScoreSource};
+use crate::experiment::{ExperimentError, Progress, ScoreSource, ScoresError};
 use crate::grounding::{Grounding, GroundingOptions};
 use crate::narration::history::HistoryLimits;
 use crate::prompt::BindingSequence;
@@ -50,8 +51,8 @@ struct ModelArgs {
     /// A GGUF model; the embedded household model when left out.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// Observations in the history window, the paper's n_h, exactly; the daemon's default window when left out.
-    #[arg(long, value_name = "N")]
+    /// Observations in the history window, the paper's n_h, exactly, 1 to 1000; the daemon's default window when left out.
+    #[arg(long, value_name = "N", value_parser = ranges::observations())]
     history: Option<usize>,
     /// How labels are scored; all methods agree up to rounding.
     #[arg(long, value_enum, default_value_t)]
@@ -59,9 +60,9 @@ struct ModelArgs {
     /// How prompt and labels are cut into tokens.
     #[arg(long, value_enum, default_value_t)]
     tokenisation: Tokenisation,
-    /// Threads of one decoder call; all cores but one, or both of two, when left out.
-    #[arg(long, value_name = "N")]
-    threads: Option<usize>,
+    /// Threads of one decoder call, at most 256; 0 chooses all cores but one, or both of two.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = ranges::threads())]
+    threads: usize,
     /// Where scores are kept for the next run; below the user's cache folder when left out.
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
@@ -93,7 +94,8 @@ impl ModelArgs {
     /// The product's scorer for a map's labels.
     fn source(&self, grounding: &Grounding) -> Result<ScoreSource<LlamaModel>, ExperimentError> {
         let default = LlamaOptions::default();
-        let options = LlamaOptions { threads: self.threads.unwrap_or(default.threads), ..default };
+        let options =
+            LlamaOptions { threads: if self.threads == 0 { default.threads } else { self.threads }, ..default };
         let model = setup::load_model(self.model.as_deref(), &options)?;
         let labels = grounding.label_texts();
         Ok(ScoreSource::new(model, &labels, self.method, self.tokenisation, self.cache().as_deref())?)
@@ -134,9 +136,10 @@ struct ForecastArgs {
 impl From<ExperimentError> for Failure {
     fn from(error: ExperimentError) -> Self {
         let code = match &error {
-            ExperimentError::Scores(_) => exit_code::MODEL,
+            ExperimentError::Scores(ScoresError::Score(_)) => exit_code::MODEL,
             ExperimentError::Setup(error) => error.exit_code(),
-            ExperimentError::Clairvoyant(_)
+            ExperimentError::Scores(ScoresError::Cache { .. })
+            | ExperimentError::Clairvoyant(_)
             | ExperimentError::BelowBound { .. }
             | ExperimentError::SolversDisagree { .. } => exit_code::FAILURE,
             _ => exit_code::INPUT,
@@ -189,8 +192,7 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
     if args.json {
         return super::print_json(&report);
     }
-    print_forecast(&report);
-    Ok(())
+    print_forecast(&report)
 }
 
 fn map(path: &Path) -> Result<(SemanticMap, Grounding), Failure> {
@@ -239,7 +241,7 @@ fn split(programs: Vec<NamedProgram>, manifest: &Path, name: &str) -> Result<Vec
     Ok(chosen)
 }
 
-fn print_forecast(report: &Report) {
+fn print_forecast(report: &Report) -> CommandResult {
     let mut table =
         super::table(&["scene", "target", "predictor", "cases", "nll (nats)", "top-1", "top-5", "mrr", "brier", "ece"]);
     let mut differences =
@@ -250,7 +252,11 @@ fn print_forecast(report: &Report) {
         let target =
             serde_json::to_value(row.target).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default();
         let named = [row.scene.clone(), target, row.predictor.to_owned()];
-        let with = |value: f64, [low, high]: [f64; 2]| format!("{value:.3} [{low:.3}, {high:.3}]");
+        // Resampling one program gives the same cases again and again: no interval at all, and not one without width.
+        let with = |value: f64, [low, high]: [f64; 2]| match report.programs {
+            0 | 1 => format!("{value:.3}"),
+            _ => format!("{value:.3} [{low:.3}, {high:.3}]"),
+        };
         let figures = |s: &Summary| {
             [
                 with(s.nll_nats, s.ci95.nll_nats),
@@ -267,17 +273,24 @@ fn print_forecast(report: &Report) {
         let ece = with(s.ece, s.ci95.ece);
         table.add_row(named.into_iter().chain([s.cases.to_string()]).chain(figures(s)).chain([ece]));
     }
-    println!("{table}");
-    println!("\nOn the same cases, resampled together, the model less each of them:\n{differences}");
-    println!(
-        "{} cases in {} programs; {:.1} % of the next objects are in the maps; 95 % intervals by bootstrap over programs; {} scores computed, the others from the cache",
-        report.cases,
-        report.programs,
+    let mut text =
+        format!("{table}\n\nOn the same cases, resampled together, the model less each of them:\n{differences}\n");
+    let _ = writeln!(
+        text,
+        "{} in {}; {:.1} % of the next objects are in the maps; {}; {} computed, the others from the cache",
+        count(report.cases, "case"),
+        count(report.programs, "program"),
         100.0 * report.bound_share,
-        report.computed
+        if report.programs > 1 {
+            "95 % intervals by bootstrap over programs"
+        } else {
+            "intervals need several programs"
+        },
+        count(report.computed, "score")
     );
     let missing: Vec<_> = report.unbound.iter().take(12).map(|(name, n)| format!("{name} ({n})")).collect();
     if !missing.is_empty() {
-        println!("not in the maps: {}", missing.join(", "));
+        let _ = writeln!(text, "not in the maps: {}", missing.join(", "));
     }
+    super::print(&text)
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use roomcast_ipc::question;
 
-use super::{CommandResult, Failure, scene, score, service};
+use super::{CommandResult, Failure, count, ranges, scene, score, service};
 use crate::grounding::Grounding;
 use crate::hub::hex;
 use crate::moment::{Explained, Moment};
@@ -20,6 +20,13 @@ use crate::semantic_map::SemanticMap;
 use crate::semantic_map::drawing::{self, Heat};
 use crate::{exit_code, setup};
 
+/// What only scores of a given narration depend on: recorded and running ones are as they are. They exclude `--recording`, which
+/// `--at` and `--sequence` require; clap lets a requirement drop where something excludes it, so those two name them as well.
+const OF_A_NARRATION: [&str; 8] =
+    ["narration", "program", "steps", "method", "effort", "deadline_ms", "tokenisation", "history"];
+/// What a running daemon has of its own.
+const OF_A_MODEL: [&str; 7] = ["scene", "model", "binding", "level", "no_room_labels", "threads", "cache"];
+
 /// Arguments of `roomcast explain`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -28,16 +35,16 @@ pub struct Args {
     #[command(flatten)]
     score: score::Args,
     /// Explain the newest scores of the running system, as its daemon tells them.
-    #[arg(long, conflicts_with_all = ["narration", "program", "recording"])]
+    #[arg(long, conflicts_with = "recording", conflicts_with_all = OF_A_NARRATION, conflicts_with_all = OF_A_MODEL)]
     live: bool,
     /// Explain scores of a recording of `roomcast record`: they are computed once more and compared.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["narration", "program"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = OF_A_NARRATION)]
     recording: Option<PathBuf>,
     /// The moment, in seconds from the recording's beginning: the last scores before it. Without it, the last scores of all.
-    #[arg(long, value_name = "SECONDS", requires = "recording", conflicts_with = "sequence")]
+    #[arg(long, value_name = "SECONDS", requires = "recording", conflicts_with_all = ["sequence", "live"], conflicts_with_all = OF_A_NARRATION, value_parser = ranges::time_s)]
     at: Option<f64>,
     /// The scores' sequence number.
-    #[arg(long, value_name = "N", requires = "recording")]
+    #[arg(long, value_name = "N", requires = "recording", conflicts_with = "live", conflicts_with_all = OF_A_NARRATION)]
     sequence: Option<u64>,
     /// Also draw the plan with the heat of every room and item; the ending, `.svg` or `.png`, decides the format.
     #[arg(long, value_name = "FILE")]
@@ -52,6 +59,10 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// # Errors
 /// When the moment cannot be had (no daemon, no such scores, another model or scene), or the plan cannot be written.
 pub fn run(args: &Args) -> CommandResult {
+    if !args.live && args.service.on_command_line() {
+        let text = "--config, --root and --domain name a running system: give --live, too, or leave them out";
+        return Err(Failure::new(exit_code::USAGE, text));
+    }
     let (moment, note) = if args.live {
         let (_, domain) = args.service.load()?;
         let ipc = |error| Failure::new(exit_code::IPC, error);
@@ -76,7 +87,7 @@ pub fn run(args: &Args) -> CommandResult {
         return super::print_json(&explained.explanation);
     }
     let note = note.map_or_else(String::new, |note| format!("{note}\n\n"));
-    scene::print(&format!("{note}{}", explained.explanation))
+    super::print(&format!("{note}{}", explained.explanation))
 }
 
 fn draw(explained: &Explained, path: &Path) -> CommandResult {
@@ -99,6 +110,12 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
             ))
         })?;
     let base = base.map(|index| &recording.moments[index]);
+    if base.is_some() && args.score.says_binding_or_partitions() {
+        let text = format!(
+            "{shown} says the binding sequence and the partitions itself: leave out --binding, --level and --no-room-labels"
+        );
+        return Err(Failure::new(exit_code::USAGE, text));
+    }
     let (scene, model, options) = args.score.scene_and_model();
     let map = match (scene, base) {
         (None, Some(moment)) => {
@@ -124,7 +141,7 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
         ));
     }
     let grounding = base.map_or_else(|| args.score.grounding(), |moment| moment.grounding);
-    let binding = base.map_or_else(|| Ok(args.score.binding().clone()), Moment::binding);
+    let binding = base.map_or_else(|| Ok(args.score.binding()), Moment::binding);
     let binding = binding.map_err(|error| input(error.to_string()))?;
     let grounded = Grounding::new(&map, &grounding).map_err(|error| input(error.to_string()))?;
     // What is given is the window: nothing of it is to be cut.
@@ -153,11 +170,8 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
         scores.sequence
     );
     if window != scores.window {
-        let _ = write!(
-            note,
-            "\nThey contain {} narrations, of which {window} are taken from the recording.",
-            scores.window
-        );
+        let _ =
+            write!(note, "\nThey contain {}; the recording has {window}.", count(scores.window as usize, "narration"));
     }
     Ok((Moment::of(&pipeline, &map, &grounding, Some(&scores)), note))
 }

@@ -117,8 +117,7 @@ pub fn run(args: &Args) -> CommandResult {
     if args.json {
         return print_json(&Report { rows });
     }
-    print(&rows);
-    Ok(())
+    print(&rows)
 }
 
 /// Is the other end of a measurement.
@@ -253,7 +252,7 @@ fn sentences() -> Result<Vec<String>, Failure> {
     Ok(sentences)
 }
 
-fn print(rows: &[Row]) {
+fn print(rows: &[Row]) -> CommandResult {
     let mut table = super::table(&[
         "path",
         "scorer",
@@ -291,9 +290,8 @@ fn print(rows: &[Row]) {
             ratio(|row| row.p99_ns),
         ]);
     }
-    println!("{table}");
-    println!(
-        "Round trips between processes, in microseconds, one sample of each path in turn: a narration there, scores or a decision\n\
-         back; the yardsticks carry the same sizes and do nothing in between."
-    );
+    super::print(&format!(
+        "{table}\nRound trips between processes, in microseconds, one sample of each path in turn: a narration there, scores or a \
+         decision\nback; the yardsticks carry the same sizes and do nothing in between.\n"
+    ))
 }

@@ -1,5 +1,8 @@
 //! The command line: one file per subcommand, each with its `Args` and its `run`.
 
+// `println!` panics where standard output cannot be written, on a full disk for instance; `print` gives an error.
+#![warn(clippy::print_stdout)]
+
 use std::fmt;
 use std::io::Write;
 use std::process::ExitCode;
@@ -21,6 +24,7 @@ mod metrics;
 mod model;
 mod narrate;
 mod planner;
+mod ranges;
 mod record;
 mod replay;
 mod scene;
@@ -68,6 +72,12 @@ pub fn bar(share: f64, width: usize) -> String {
     format!("{}{}", "█".repeat(eighths / 8), EIGHTHS[eighths % 8])
 }
 
+/// So many of something whose plural ends in s: "1 room", "2 rooms".
+#[must_use]
+pub fn count(number: usize, noun: &str) -> String {
+    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
+}
+
 /// An empty table in the one style that all commands print; in a terminal it keeps to its width.
 #[must_use]
 pub fn table(header: &[&str]) -> comfy_table::Table {
@@ -77,13 +87,25 @@ pub fn table(header: &[&str]) -> comfy_table::Table {
     table
 }
 
+/// Prints on standard output, to the end: what is left in a buffer would be lost without an error.
+///
+/// # Errors
+/// When it cannot be written, for instance into a closed pipe.
+pub fn print(text: &str) -> CommandResult {
+    let mut out = std::io::stdout().lock();
+    out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(|error| {
+        let text = format!("failed to write to standard output: {error}; check where it leads");
+        Failure::new(exit_code::FAILURE, text)
+    })
+}
+
 /// Prints a value as indented JSON on standard output.
 ///
 /// # Errors
 /// When it cannot be written, for instance into a closed pipe.
 pub fn print_json(value: &impl serde::Serialize) -> CommandResult {
     let text = serde_json::to_string_pretty(value).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
-    writeln!(std::io::stdout().lock(), "{text}").map_err(|e| Failure::new(exit_code::FAILURE, e))
+    print(&format!("{text}\n"))
 }
 
 const CODES_AND_LOGS: &str = "\

@@ -1,13 +1,12 @@
 //! `roomcast model`: what a model file is, whether it works here, and how to get another.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command as Process;
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::{CommandResult, Failure};
+use super::{CommandResult, Failure, print};
 use crate::embedded::{self, ModelFile};
 use crate::exit_code;
 use crate::gguf::Header;
@@ -137,10 +136,6 @@ fn table(path: &Path, header: &Header, sha256: &str) -> String {
     ];
     let lines = rows.into_iter().filter_map(|(name, value)| Some(format!("{name:<14}{}\n", value?)));
     lines.collect()
-}
-
-fn print(text: &str) -> CommandResult {
-    std::io::stdout().write_all(text.as_bytes()).map_err(|error| Failure::new(exit_code::FAILURE, error))
 }
 
 /// The file to look at, and the value that keeps it alive when it is the embedded model.

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 
-use super::{CommandResult, Failure, print_json, service};
+use super::{CommandResult, Failure, print_json, ranges, service};
 use crate::mqtt::{self, Broker, Heard, MqttError, Rules};
 use crate::narrator::{self, Input, Pace};
 use crate::sensor_log::SensorRules;
@@ -43,13 +43,13 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 0)]
     person: u32,
     /// Seconds before each narration; 0 is as fast as the daemon takes them.
-    #[arg(long, value_name = "SECONDS", conflicts_with = "speed")]
+    #[arg(long, value_name = "SECONDS", conflicts_with = "speed", value_parser = ranges::time_s)]
     pace: Option<f64>,
     /// For programs and sensor logs: so many times faster than in reality.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = ranges::positive)]
     speed: f64,
     /// Seconds to wait at the end until the daemon has confirmed everything, in place of the configuration's.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = ranges::time_s)]
     linger: Option<f64>,
     /// Print the outcome as JSON.
     #[arg(long)]
@@ -71,11 +71,7 @@ pub fn run(args: &Args) -> CommandResult {
     }
     narrator.linger_s = args.linger.unwrap_or(narrator.linger_s);
     config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
-    let positive = |value: f64| value.is_finite() && value >= 0.0;
     let pace = args.pace.map_or(Pace::Speed(args.speed), Pace::Seconds);
-    if !matches!(pace, Pace::Seconds(value) | Pace::Speed(value) if positive(value)) || pace == Pace::Speed(0.0) {
-        return Err(Failure::new(exit_code::USAGE, "--pace must be 0 or more, --speed more than 0, both finite"));
-    }
     let input = |error| Failure::new(exit_code::INPUT, error);
     if let Some(fifo) = &args.fifo {
         narrator::make_fifo(fifo).map_err(input)?;

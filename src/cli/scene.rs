@@ -12,15 +12,15 @@ use roomcast_ipc::{question, sequence};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::{CommandResult, Failure, service};
+use super::{CommandResult, Failure, count, print, service};
 use crate::daemon::{MapAnswer, MapQuestion, Outcome};
 use crate::exit_code;
 use crate::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use crate::semantic_map::delta;
 use crate::semantic_map::drawing::{self, Heat};
-use crate::semantic_map::import::{self, ImportError, Imported, Up};
-use crate::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap};
-use crate::setup;
+use crate::semantic_map::import::{self, Imported, Up};
+use crate::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap, read_limited};
+use crate::{logging, setup};
 
 /// Arguments of `roomcast scene`.
 #[derive(Debug, clap::Args)]
@@ -144,9 +144,9 @@ struct Draw {
     /// What `roomcast score --json` printed for this scene and level.
     #[arg(long, value_name = "FILE")]
     scores: Option<PathBuf>,
-    /// A line under the title; by default the map's figures.
-    #[arg(long, default_value = "")]
-    caption: String,
+    /// A line under the title of scores; by default the map's figures.
+    #[arg(long, requires = "scores")]
+    caption: Option<String>,
     /// Pixels of the PNG per pixel of the SVG.
     #[arg(long, default_value_t = 2.0, value_parser = parse_scale)]
     scale: f32,
@@ -176,8 +176,12 @@ fn input(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Failure 
     Failure::new(exit_code::INPUT, error)
 }
 
-pub(super) fn print(text: &str) -> CommandResult {
-    std::io::stdout().write_all(text.as_bytes()).map_err(|error| Failure::new(exit_code::FAILURE, error))
+fn in_file(what: &str, path: &Path, error: &dyn std::error::Error) -> Failure {
+    input(format!("{what} {}: {}", path.display(), logging::chain(error)))
+}
+
+fn read(what: &str, path: &Path) -> Result<String, Failure> {
+    read_limited(path).map_err(|error| in_file(what, path, &error))
 }
 
 /// Writes beside the target and renames, so that no reader sees half a file.
@@ -207,22 +211,22 @@ fn load(path: &Path, level: PartitionLevel) -> Result<(SemanticMap, Grounding), 
 
 fn import(args: &Import) -> CommandResult {
     let first = &args.graph[0];
-    let equivalence = args.equivalence.as_deref().map(import::read).transpose().map_err(input)?;
+    let equivalence = args.equivalence.as_deref().map(|path| read("table of names", path)).transpose()?;
     let stem = first.file_stem().map(|stem| stem.to_string_lossy().into_owned());
     let name = args.name.clone().or(stem).unwrap_or_else(|| "imported".to_owned());
-    let in_first = |error| input(ImportError::InFile { path: first.clone(), source: Box::new(error) });
+    let in_first = |error| in_file("map", first, &error);
     let imported = match args.format {
         Format::Virtualhome => {
             let [graph] = &args.graph[..] else {
                 return Err(Failure::new(exit_code::USAGE, "a VirtualHome graph is one file; give exactly one"));
             };
-            let json = import::read(graph).map_err(input)?;
+            let json = read("map", graph)?;
             import::virtualhome(&json, &name, equivalence.as_deref()).map_err(in_first)?
         }
         Format::OpenVocabulary => {
             let mut texts = Vec::new();
             for path in map_files(&args.graph)? {
-                texts.push(import::read(&path).map_err(input)?);
+                texts.push(read("map", &path)?);
             }
             let json = import::combine(texts.iter().map(String::as_str)).map_err(in_first)?;
             let imported = import::open_vocabulary(&json, &name, args.up).map_err(in_first)?;
@@ -232,12 +236,12 @@ fn import(args: &Import) -> CommandResult {
     let Imported { map, notes } = imported;
     write(&args.out, map.to_json().as_bytes())?;
     let mut text = format!(
-        "{}: {} rooms, {} doors, {} items, {} labels\n",
+        "{}: {}, {}, {}, {}\n",
         args.out.display(),
-        map.rooms.len(),
-        map.doors.len(),
-        map.items.len(),
-        map.labels.len()
+        count(map.rooms.len(), "room"),
+        count(map.doors.len(), "door"),
+        count(map.items.len(), "item"),
+        count(map.labels.len(), "label")
     );
     for note in notes {
         let _ = writeln!(text, "  {note}");
@@ -247,16 +251,17 @@ fn import(args: &Import) -> CommandResult {
 
 fn change(args: &Change) -> CommandResult {
     let (map, before) = load(&args.scene, PartitionLevel::Room)?;
-    let json = import::read(&args.changes).map_err(input)?;
-    let changed = delta::parse_changes(&json).and_then(|changes| map.changed(changes)).map_err(input)?;
+    let json = read("changes", &args.changes)?;
+    let changed = delta::parse_changes(&json).and_then(|changes| map.changed(changes));
+    let changed = changed.map_err(|error| in_file("changes", &args.changes, &error))?;
     let after = before.regroup(&changed, &GroundingOptions::default()).map_err(input)?;
     write(&args.out, changed.to_json().as_bytes())?;
     print(&format!(
-        "{}: {} items, {} outside, {} labels that the map did not have\n",
+        "{}: {}, {} outside, {} that the map did not have\n",
         args.out.display(),
-        changed.items.len(),
+        count(changed.items.len(), "item"),
         after.grounding.unassigned.len(),
-        after.new_labels
+        count(after.new_labels, "label")
     ))
 }
 
@@ -266,12 +271,12 @@ fn apply(args: &Apply) -> CommandResult {
         std::io::read_to_string(std::io::stdin())
             .map_err(|error| input(format!("cannot read standard input: {error}")))?
     } else {
-        import::read(&args.changes).map_err(input)?
+        read("changes", &args.changes)?
     };
     let question = MapQuestion {
         id: format!("{:016x}", sequence::random_epoch()),
         expected_map: args.expect.clone(),
-        changes: delta::parse_changes(&json).map_err(input)?,
+        changes: delta::parse_changes(&json).map_err(|error| in_file("changes", &args.changes, &error))?,
     };
     let question = serde_json::to_string(&question).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
     let ipc = |error| Failure::new(exit_code::IPC, error);
@@ -296,13 +301,15 @@ fn apply(args: &Apply) -> CommandResult {
     }
     let model = match new_labels {
         0 => "the model was not touched".to_owned(),
-        count => format!("the model was prepared for {count} new labels"),
+        labels => format!("the model was prepared for {}", count(*labels, "new label")),
     };
     let after_restart =
         if *kept { "" } else { "; a restarted daemon begins with its scene file again (daemon.state keeps changes)" };
     print(&format!(
-        "map {}: {rooms} rooms, {items} items, {outside} outside; regrouped in {:.2} ms, {model}{after_restart}\n",
+        "map {}: {}, {}, {outside} outside; regrouped in {:.2} ms, {model}{after_restart}\n",
         &map[..map.len().min(16)],
+        count(*rooms, "room"),
+        count(*items, "item"),
         *regrouped_in_ns as f64 / 1e6,
     ))
 }
@@ -375,10 +382,11 @@ fn check(args: &Check) -> CommandResult {
                 let ties = grounding.placed_by(Placement::Tie);
                 let _ = writeln!(
                     text,
-                    "ok       {shown}: {} rooms, {} items, {} labels, {ties} ties, {} outside",
-                    map.rooms.len(),
-                    map.items.len(),
-                    map.labels.len(),
+                    "ok       {shown}: {}, {}, {}, {}, {} outside",
+                    count(map.rooms.len(), "room"),
+                    count(map.items.len(), "item"),
+                    count(map.labels.len(), "label"),
+                    count(ties, "tie"),
                     grounding.unassigned.len()
                 );
                 for warning in &warnings {
@@ -396,7 +404,10 @@ fn check(args: &Check) -> CommandResult {
     match (errors, warned) {
         (0, 0) => Ok(()),
         (0, _) if !args.strict => Ok(()),
-        _ => Err(Failure::new(exit_code::CHECK, format!("{errors} scenes with errors, {warned} warnings"))),
+        _ => Err(Failure::new(
+            exit_code::CHECK,
+            format!("{} with errors, {}", count(errors, "scene"), count(warned, "warning")),
+        )),
     }
 }
 
@@ -477,7 +488,8 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
     for line in [&map.description, &map.source].into_iter().filter(|line| !line.is_empty()) {
         let _ = writeln!(text, "{line}");
     }
-    let _ = writeln!(text, "{} items, {} labels, {} doors\n", map.items.len(), map.labels.len(), map.doors.len());
+    let (items, labels) = (count(map.items.len(), "item"), count(map.labels.len(), "label"));
+    let _ = writeln!(text, "{items}, {labels}, {}\n", count(map.doors.len(), "door"));
 
     let mut partitions = table(["partition", "size (m)", "items", "labels", "most frequent"], 1..4);
     for (index, partition) in (0u32..).zip(&grounding.partitions) {
@@ -491,7 +503,7 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
             .map(|bounds| bounds.size_m().map(|size_m| format!("{size_m:.1}")).join(" x "))
             .collect();
         let named: Vec<String> =
-            frequent.iter().take(4).map(|&(label, count)| format!("{count} {}", map.labels[label])).collect();
+            frequent.iter().take(4).map(|&(label, count)| format!("{} ({count})", map.labels[label])).collect();
         partitions.add_row([
             partition.id.clone(),
             sizes.join(", "),
@@ -568,7 +580,7 @@ fn read_heat(path: &Path, map: &SemanticMap, grounding: &Grounding, caption: &st
     let wrong = |problem: String| {
         input(format!("scores {shown}: {problem}; give what `roomcast score --json` printed for this scene and level"))
     };
-    let json = import::read(path).map_err(input)?;
+    let json = read("scores", path)?;
     let scores: Scores = serde_json::from_str(&json).map_err(|error| wrong(error.to_string()))?;
     let partitions: HashMap<&str, f64> =
         scores.partitions.iter().map(|score| (score.id.as_str(), score.probability)).collect();
@@ -586,7 +598,8 @@ fn read_heat(path: &Path, map: &SemanticMap, grounding: &Grounding, caption: &st
 
 fn draw(args: &Draw) -> CommandResult {
     let (map, grounding) = load(&args.scene, args.level)?;
-    let heat = args.scores.as_deref().map(|path| read_heat(path, &map, &grounding, &args.caption)).transpose()?;
+    let caption = args.caption.as_deref().unwrap_or_default();
+    let heat = args.scores.as_deref().map(|path| read_heat(path, &map, &grounding, caption)).transpose()?;
     let stem = args.scene.file_stem().map(PathBuf::from).unwrap_or_else(|| PathBuf::from("scene"));
     let out = args.out.clone().unwrap_or_else(|| stem.with_extension("svg"));
     let svg = drawing::svg(&map, &grounding, heat.as_ref()).map_err(input)?;

@@ -1,14 +1,14 @@
 //! `roomcast score`: one narration against one scene, once.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{CommandResult, Failure};
+use super::{CommandResult, Failure, count, ranges};
 use crate::exit_code;
 use crate::grounding::{Grounding, GroundingOptions, PartitionLevel};
 use crate::narration::history::HistoryLimits;
-use crate::narration::program::Program;
 use crate::narration::{Observation, Observed, Sentence};
 use crate::pipeline::{Pipeline, PipelineOptions};
 use crate::prompt::BindingSequence;
@@ -17,6 +17,9 @@ use crate::scorer::llama::{CacheType, LlamaModel, LlamaOptions};
 use crate::scorer::{LanguageModel, Method, Tokenisation, hex_string};
 use crate::semantic_map::{PartitionId, SemanticMap};
 use crate::setup;
+
+/// As in the configuration.
+const DEADLINE_MS_DEFAULT: u64 = 5;
 
 /// Arguments of `roomcast score`.
 #[derive(Debug, clap::Args)]
@@ -27,15 +30,15 @@ pub struct Args {
     /// What was just done, as sentences or VirtualHome actions; several are separated by newlines or sentence ends.
     #[arg(long, value_name = "TEXT", conflicts_with = "program")]
     narration: Option<String>,
-    /// An activity program whose first steps are the narration.
+    /// An activity program, or a shipped one's name, whose first steps are the narration.
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
     /// How many steps of the program were done; all when left out.
-    #[arg(long, value_name = "N", requires = "program")]
+    #[arg(long, value_name = "N", requires = "program", conflicts_with = "narration")]
     steps: Option<usize>,
-    /// The binding sequence: default, p0 to p5, or a text of your own.
-    #[arg(long, value_name = "TEXT", default_value = "default")]
-    binding: BindingSequence,
+    /// The binding sequence: default, p0 to p5, or a text of your own; default when left out.
+    #[arg(long, value_name = "TEXT")]
+    binding: Option<BindingSequence>,
     /// A GGUF model; the embedded household model when left out.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -45,23 +48,23 @@ pub struct Args {
     /// How far the answer goes: exact, or until the ranking, the top partition, or the time is certain.
     #[arg(long, value_enum, default_value_t)]
     effort: Effort,
-    /// The time for the answer under --effort deadline, in milliseconds.
-    #[arg(long, value_name = "MS", default_value_t = 5)]
-    deadline_ms: u64,
+    /// The time for the answer under --effort deadline, in milliseconds, 1 to 60000; 5 when left out.
+    #[arg(long, value_name = "MS", value_parser = ranges::deadline_ms())]
+    deadline_ms: Option<u64>,
     /// How prompt and labels are cut into tokens.
     #[arg(long, value_enum, default_value_t)]
     tokenisation: Tokenisation,
-    /// What a partition is.
-    #[arg(long, value_enum, default_value_t)]
-    level: PartitionLevel,
+    /// What a partition is; a room when left out.
+    #[arg(long, value_enum)]
+    level: Option<PartitionLevel>,
     /// Do not score the rooms' names as labels.
     #[arg(long)]
     no_room_labels: bool,
-    /// Observations in the history window, the paper's n_h.
-    #[arg(long, value_name = "N", default_value_t = 16)]
+    /// Observations in the history window, the paper's n_h, 1 to 1000.
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = ranges::observations())]
     history: usize,
-    /// Threads of one decoder call; 0 chooses all cores but one, or both of two.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    /// Threads of one decoder call, at most 256; 0 chooses all cores but one, or both of two.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = ranges::threads())]
     threads: usize,
     /// How the key-value cache is stored.
     #[arg(long, value_enum, default_value_t)]
@@ -83,15 +86,14 @@ pub fn run(args: &Args) -> CommandResult {
     if args.json {
         super::print_json(&report(&pipeline, &map))
     } else {
-        print_tables(&pipeline, &map, args.top);
-        Ok(())
+        super::print(&tables(&pipeline, &map, args.top))
     }
 }
 
 impl Args {
     /// How the map is grounded.
     pub(super) fn grounding(&self) -> GroundingOptions {
-        GroundingOptions { level: self.level, room_labels: !self.no_room_labels }
+        GroundingOptions { level: self.level.unwrap_or_default(), room_labels: !self.no_room_labels }
     }
 
     /// The scene, the model and how it runs, for commands that score something else than a given narration.
@@ -109,8 +111,13 @@ impl Args {
     }
 
     /// The binding sequence.
-    pub(super) fn binding(&self) -> &BindingSequence {
-        &self.binding
+    pub(super) fn binding(&self) -> BindingSequence {
+        self.binding.clone().unwrap_or_default()
+    }
+
+    /// Whether it is said how to ask or what a partition is, which a recording may say itself.
+    pub(super) fn says_binding_or_partitions(&self) -> bool {
+        self.binding.is_some() || self.level.is_some() || self.no_room_labels
     }
 
     /// How many labels are wanted.
@@ -126,16 +133,23 @@ impl Args {
 
 /// The pipeline after its one step, and its map.
 pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap), Failure> {
+    let usage = |error: &str| Err(Failure::new(exit_code::USAGE, error));
+    if !args.method.allows(args.effort) {
+        return usage("only --method trie can end early: leave out --method, or give --effort exact");
+    }
+    if args.deadline_ms.is_some() && args.effort != Effort::Deadline {
+        return usage("--deadline-ms says nothing without --effort deadline: give both, or neither");
+    }
     let map = setup::load_map(args.scene.as_deref())?;
     let grounding = Grounding::new(&map, &args.grounding()).map_err(|e| Failure::new(exit_code::INPUT, e))?;
     let observations = observations(args)?;
     let model = setup::load_model(args.model.as_deref(), &args.llama_options())?;
     let options = PipelineOptions {
-        binding: args.binding.clone(),
+        binding: args.binding(),
         tokenisation: args.tokenisation,
         method: args.method,
         effort: args.effort,
-        deadline_ns: args.deadline_ms.saturating_mul(1_000_000),
+        deadline_ns: args.deadline_ms.unwrap_or(DEADLINE_MS_DEFAULT) * 1_000_000,
         history: HistoryLimits::exact(args.history),
     };
     let mut pipeline = Pipeline::new(model, grounding, options).map_err(|e| Failure::new(exit_code::MODEL, e))?;
@@ -146,13 +160,13 @@ pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap),
 fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
     let mut sentences = Vec::new();
     if let Some(path) = &args.program {
-        let program = Program::load(path).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+        let program = setup::load_program(path).map_err(|e| Failure::new(exit_code::INPUT, e))?;
         let steps = args.steps.unwrap_or(program.steps.len());
         if steps > program.steps.len() {
             let (path, has) = (path.display(), program.steps.len());
             return Err(Failure::new(
                 exit_code::INPUT,
-                format!("--steps {steps} is more than the {has} steps of {path}: give at most {has}"),
+                format!("--steps {steps} is more than the program {path} has: give at most {has}"),
             ));
         }
         for action in &program.steps[..steps] {
@@ -224,7 +238,7 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
     })
 }
 
-fn print_tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usize) {
+fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usize) -> String {
     let (scores, grounding) = (pipeline.scores(), pipeline.grounding());
     let grounded = &scores.grounded;
     let mut table = super::table(&["partition", "probability", "", "ln score", "because of"]);
@@ -242,7 +256,7 @@ fn print_tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top
             behind.join(", "),
         ]);
     }
-    println!("{table}\n");
+    let mut text = format!("{table}\n\n");
     let mut table = super::table(&["label", "probability", "ln probability", "items", "tokens"]);
     let mut order: Vec<usize> = (0..grounding.scored_labels.len()).collect();
     order.sort_by(|&a, &b| scores.label_log_prob_nats[b].total_cmp(&scores.label_log_prob_nats[a]));
@@ -258,23 +272,26 @@ fn print_tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top
             pieces.join(" "),
         ]);
     }
-    println!("{table}\n");
+    let _ = writeln!(text, "{table}\n");
     let timing = scores.timing;
-    println!(
-        "{} labels and {} items of {} by {}; the labels cover {:.1} % of what could come next.",
-        grounding.scored_labels.len(),
-        map.items.len(),
+    let _ = writeln!(
+        text,
+        "{} and {} of {} by {}; the labels cover {:.1} % of what could come next.",
+        count(grounding.scored_labels.len(), "label"),
+        count(map.items.len(), "item"),
         map.name,
         pipeline.model().name,
         100.0 * grounded.label_mass
     );
-    println!(
-        "{} prompt tokens; {:.2} ms: tokenise {:.2}, prefix {:.2}, trie {:.2}, ground {:.3}.",
-        scores.prompt_tokens,
+    let _ = writeln!(
+        text,
+        "{}; {:.2} ms: tokenise {:.2}, prefix {:.2}, trie {:.2}, ground {:.3}.",
+        count(scores.prompt_tokens, "prompt token"),
         timing.total_ns as f64 / 1e6,
         timing.tokenise_ns as f64 / 1e6,
         timing.prefix_ns as f64 / 1e6,
         timing.trie_ns as f64 / 1e6,
         timing.ground_ns as f64 / 1e6
     );
+    text
 }

@@ -1,5 +1,6 @@
 //! What the commands of the services have in common: configuration and domain.
 
+use std::ffi::OsStr;
 use std::path::PathBuf;
 
 use roomcast_ipc::Domain;
@@ -24,6 +25,14 @@ pub struct Args {
 }
 
 impl Args {
+    /// Whether the command line, and not only the environment, names a configuration or a domain.
+    pub fn on_command_line(&self) -> bool {
+        let given = |value: Option<&OsStr>, name| value.is_some() && value != std::env::var_os(name).as_deref();
+        given(self.config.as_ref().map(|path| path.as_os_str()), "ROOMCAST_CONFIG")
+            || given(self.root.as_ref().map(|path| path.as_os_str()), "ROOMCAST_ROOT")
+            || given(self.domain.as_ref().map(OsStr::new), "ROOMCAST_DOMAIN")
+    }
+
     /// Reads the configuration and names the domain.
     ///
     /// # Errors

@@ -131,8 +131,6 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
 
 /// One line of JSON per snapshot, heartbeats left out.
 fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>) -> CommandResult {
-    use std::io::Write;
-
     let node = domain.open("roomcast-top").map_err(ipc)?;
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
     let mut taken = None;
@@ -157,7 +155,7 @@ fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>) -> CommandResult {
             "timing_ns": {"wait": snapshot.wait_ns, "tokenise": snapshot.tokenise_ns, "prefix": snapshot.prefix_ns,
                 "trie": snapshot.trie_ns, "ground": snapshot.ground_ns},
         });
-        writeln!(std::io::stdout().lock(), "{line}").map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+        super::print(&format!("{line}\n"))?;
     }
     Ok(())
 }

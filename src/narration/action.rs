@@ -59,7 +59,8 @@ pub enum ActionError {
 fn hint(nearest: &Option<String>) -> String {
     match nearest {
         Some(name) => format!(": did you mean `{name}`?"),
-        None => ": see src/narration/actions.toml for all that are known".to_owned(),
+        None => ": give one of VirtualHome's, such as `walk`, `grab`, `putback` or `switchon`; narration may be a plain sentence, too"
+            .to_owned(),
     }
 }
 

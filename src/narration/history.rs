@@ -8,6 +8,8 @@ use super::Observation;
 
 /// Most persons whose histories are kept; the one seen longest ago makes room for a new one.
 pub const PERSONS_MAX: usize = 64;
+/// Most observations that a window can be asked for.
+pub const OBSERVATIONS_MAX: usize = 1000;
 
 /// How much of the past a prompt holds.
 ///

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::action::{Action, ActionError};
+use crate::embedded;
 
 /// Largest program file that is read, in bytes. The longest of VirtualHome's has 7 KiB.
 pub const PROGRAM_BYTES_MAX: usize = 1 << 20;
@@ -13,7 +14,10 @@ pub const STEPS_MAX: usize = 10_000;
 #[derive(Debug, thiserror::Error)]
 pub enum ProgramError {
     /// The file cannot be read.
-    #[error("failed to read the activity program {path}: {source}")]
+    #[error(
+        "failed to read the activity program {path}: {source}; give a program's file, or a shipped program by its name, {}",
+        embedded::names(&embedded::PROGRAMS)
+    )]
     Read {
         /// Which file.
         path: PathBuf,
@@ -48,6 +52,15 @@ pub enum ProgramError {
         /// What is wrong with it.
         source: ActionError,
     },
+    /// A day of a household, where one activity is expected.
+    #[error(
+        "line {line} is none of a program's, and the file looks like a day in HOMER+'s format, with activities and times: `roomcast experiment` \
+         reads days, other commands programs in VirtualHome's format"
+    )]
+    Day {
+        /// The first line that no program has.
+        line: usize,
+    },
     /// There is no step at all.
     #[error("the program `{title}` has no step: add lines such as `[Walk] <kitchen> (1)`")]
     Empty {
@@ -62,6 +75,11 @@ pub enum ProgramError {
         /// What is wrong in it.
         source: Box<ProgramError>,
     },
+}
+
+/// Whether the text has the headings of HOMER+'s days ([`crate::simulation::homer`]), which no program has before its steps.
+pub(crate) fn looks_like_a_day(text: &str) -> bool {
+    text.lines().any(|line| line.starts_with("### "))
 }
 
 /// An activity as a sequence of atomic actions.
@@ -92,6 +110,7 @@ impl Program {
             Some((_, line)) if line.starts_with('[') => return Err(ProgramError::NoTitle { found: "a step" }),
             Some((_, line)) => line.to_owned(),
         };
+        let is_day = looks_like_a_day(text);
         let mut description = String::new();
         let mut steps = Vec::new();
         for (line, text) in lines {
@@ -108,7 +127,10 @@ impl Program {
             if steps.len() == STEPS_MAX {
                 return Err(ProgramError::TooManySteps { line });
             }
-            steps.push(Action::parse(text).map_err(|source| ProgramError::Step { line, source })?);
+            let step = Action::parse(text).map_err(|source| {
+                if is_day { ProgramError::Day { line } } else { ProgramError::Step { line, source } }
+            });
+            steps.push(step?);
         }
         if steps.is_empty() {
             return Err(ProgramError::Empty { title });
@@ -160,6 +182,8 @@ mod tests {
         let error = |text: &str| Program::parse(text).unwrap_err().to_string();
         assert!(error("Title\ndescription\n\n[Walk] <kitchen>\n").starts_with("line 4: expected `(number)`"));
         assert!(error("Title\n\n[Walk] <a> (1)\nnot a step\n").starts_with("line 4: expected `[`"));
+        let day = "wake_up (06:00 - 06:10)\n\n### wake_up-00.txt\n\n[WALK] <bedroom> (162) [1]\n370.0\n";
+        assert!(error(day).starts_with("line 5") && error(day).contains("HOMER+"), "{}", error(day));
         assert!(error("[Walk] <kitchen> (1)").contains("found a step"));
         assert!(error("").contains("found nothing"));
         assert!(error("Title only").contains("no step"));

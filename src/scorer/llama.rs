@@ -32,6 +32,8 @@ use crate::label_trie::TokenTree;
 
 /// llama.cpp's own limit on sequences in a context (LLAMA_MAX_SEQ).
 pub const SEQUENCES_MAX: u32 = 256;
+/// Most threads of one decoder call; llama.cpp reads and writes beyond its memory with too many.
+pub const THREADS_MAX: usize = 256;
 
 /// How the key-value cache is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
@@ -49,7 +51,7 @@ pub enum CacheType {
 /// How a model is run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LlamaOptions {
-    /// Threads of one decoder call.
+    /// Threads of one decoder call, 1 to [`THREADS_MAX`].
     pub threads: usize,
     /// Positions in the cache: prompt and tree together. No more than the model was trained with is used.
     pub context_tokens: u32,
@@ -85,7 +87,7 @@ impl LlamaOptions {
     #[must_use]
     pub fn context_parameters(&self, trained_tokens: u32) -> LlamaContextParams {
         let positions = self.positions(trained_tokens);
-        let threads = i32::try_from(self.threads.max(1)).unwrap_or(1);
+        let threads = i32::try_from(self.threads.clamp(1, THREADS_MAX)).unwrap_or(1);
         let cache = match self.cache {
             CacheType::F16 => KvCacheType::F16,
             CacheType::F32 => KvCacheType::F32,
@@ -247,7 +249,7 @@ impl LlamaModel {
     pub fn load(path: &Path, options: &LlamaOptions) -> Result<Self, ModelError> {
         let fail = |reason: String| ModelError::Load { path: path.display().to_string(), reason };
         // llama.cpp may abort on a damaged file, and take the service with it.
-        Header::read_language_model(path).map_err(|e| fail(e.to_string()))?;
+        Header::read_language_model(path)?;
         let fingerprint = file_fingerprint(path).map_err(|e| fail(e.to_string()))?;
         let backend = backend().map_err(fail)?;
         let parameters = LlamaModelParams::default().with_use_mmap(true).with_use_mlock(options.lock_memory);

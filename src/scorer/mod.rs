@@ -9,6 +9,7 @@ use std::time::Instant;
 
 use self::certified::{Certified, Effort};
 use self::cutter::Cutter;
+use crate::gguf::GgufError;
 use crate::label_trie::{LabelTrie, PROMPT, TokenTree};
 use crate::prompt::BindingSequence;
 
@@ -61,8 +62,11 @@ pub fn hex_string(bytes: &[u8; 32]) -> String {
 /// A model that failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
+    /// The file is no sound model; names it, and says what to do.
+    #[error(transparent)]
+    File(#[from] GgufError),
     /// The file cannot be loaded.
-    #[error("failed to load the model {path}: {reason}; check it with `roomcast model check`")]
+    #[error("failed to load the model {path}: {reason}; `roomcast model info` shows what the file is")]
     Load {
         /// The file.
         path: String,
@@ -193,6 +197,14 @@ pub enum Method {
     /// The prompt once, then the labels' token trie.
     #[default]
     Trie,
+}
+
+impl Method {
+    /// Whether this method can end where the effort says: the others score every label, however long it takes.
+    #[must_use]
+    pub fn allows(self, effort: Effort) -> bool {
+        self == Self::Trie || effort == Effort::Exact
+    }
 }
 
 /// How prompt and label are cut into tokens.

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::schema::{DoorEntry, ItemEntry, RoomEntry};
+use super::schema::{DoorEntry, ItemEntry, RoomEntry, place};
 use super::{Box3, SceneError, SemanticMap};
 
 /// One change. In JSON the key `change` names it: `{"change": "move-item", "id": "mug-1", "position_m": [..], "box": {..}}`.
@@ -65,10 +65,11 @@ pub struct NewDoor(DoorEntry);
 pub enum DeltaError {
     /// Not a list of changes.
     #[error(
-        "{element}: {message}; expected a JSON list of changes such as {{\"change\": \"remove-item\", \"id\": \"mug-1\"}}"
+        "{}{message}; expected a JSON list of changes such as {{\"change\": \"remove-item\", \"id\": \"mug-1\"}}",
+        place(.element)
     )]
     Json {
-        /// Path to the element, as `[3].item.box`.
+        /// Path to the element, as `[3].item.box`; `.` for the whole text.
         element: String,
         /// What the parser says.
         message: String,

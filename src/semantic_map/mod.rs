@@ -10,7 +10,7 @@ mod schema;
 
 pub use names::Names;
 pub(crate) use names::plain_words;
-pub use schema::{MAX_FILE_BYTES, MAX_ITEMS, MAX_ROOMS, MAX_TEXT_BYTES, SceneError};
+pub use schema::{MAX_FILE_BYTES, MAX_ITEMS, MAX_ROOMS, MAX_TEXT_BYTES, SceneError, read_limited};
 
 /// Index of an item in [`SemanticMap::items`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]

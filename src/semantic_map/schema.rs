@@ -44,9 +44,12 @@ pub enum SceneError {
     #[error("is larger than {} MiB; split the building into several maps", MAX_FILE_BYTES >> 20)]
     FileTooLarge,
     /// Not JSON, or not of the scene format: a missing or unknown key, a wrong type.
-    #[error("{element}: {message}; see scenes/README.md for the format")]
+    #[error(
+        "{}{message}; see scenes/README.md for the format; `roomcast scene import` turns maps of other formats into scenes",
+        place(.element)
+    )]
     Json {
-        /// Path to the element, as `items[3].box`.
+        /// Path to the element, as `items[3].box`; `.` for the whole file.
         element: String,
         /// What the parser says, with line and column.
         message: String,
@@ -147,6 +150,11 @@ pub(super) struct ItemEntry {
 pub(super) struct CaptionEntry {
     pub(super) label: String,
     pub(super) weight: f64,
+}
+
+/// The beginning of a message about an element of a JSON file; empty where it is about the whole file.
+pub(super) fn place(element: &str) -> String {
+    if element == "." { String::new() } else { format!("{element}: ") }
 }
 
 /// Where an element stands, for errors.
@@ -412,7 +420,11 @@ impl SemanticMap {
 }
 
 /// The text of a file of at most [`MAX_FILE_BYTES`].
-pub(super) fn read_limited(path: &Path) -> Result<String, SceneError> {
+/// Reads a text file of at most [`MAX_FILE_BYTES`] and one more, so that what reads the text sees that it is too long.
+///
+/// # Errors
+/// When the file cannot be read, or is no UTF-8 text; the error does not name the file.
+pub fn read_limited(path: &Path) -> Result<String, SceneError> {
     let mut text = String::new();
     // A limit on what is read, not on what the directory says: a device or a pipe has no size.
     File::open(path)?.take(MAX_FILE_BYTES + 1).read_to_string(&mut text)?;

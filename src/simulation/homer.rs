@@ -5,6 +5,7 @@
 
 use std::path::Path;
 
+use crate::narration::program;
 use crate::narration::{Action, PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
 
 /// Largest file of a day, in bytes. The longest of HOMER+ have 200 KiB.
@@ -32,7 +33,7 @@ impl Day {
     /// Whether the text is a day rather than a program.
     #[must_use]
     pub fn recognise(text: &str) -> bool {
-        text.lines().any(|line| line.starts_with("### "))
+        program::looks_like_a_day(text)
     }
 
     /// Reads a day. An action without a time gets that of the action before it.

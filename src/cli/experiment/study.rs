@@ -6,7 +6,7 @@ use std::str::FromStr;
 use serde_json::json;
 
 use super::{ModelArgs, map, report_faults};
-use crate::cli::{CommandResult, Failure, print_json, table};
+use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
 use crate::embedded;
 use crate::exit_code;
 use crate::experiment::report::{Report, Table};
@@ -15,12 +15,14 @@ use crate::experiment::tables::{self, DIFFERENCES, PAPER_TABLE1};
 use crate::experiment::{ExperimentError, Progress, ScoreSource};
 use crate::forecast::ForecastOptions;
 use crate::grounding::{GroundedScores, Grounding};
+use crate::narration::Sentence;
 use crate::narration::history::HistoryLimits;
-use crate::narration::{Program, Sentence};
+
 use crate::policy::{PolicyName, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS};
 use crate::prompt::BindingSequence;
 use crate::scorer::llama::LlamaModel;
 use crate::semantic_map::{SemanticMap, drawing};
+use crate::setup;
 use crate::simulation::binding::ItemChoice;
 use crate::simulation::homer::Day;
 use crate::simulation::timeline::PersonOptions;
@@ -37,10 +39,10 @@ pub(super) struct StudyArgs {
     #[arg(long, value_name = "FILE")]
     program: Vec<PathBuf>,
     /// T_r, the time the robot works in each room, in seconds; may be repeated.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = ranges::room_time_s())]
     room_time: Vec<usize>,
     /// Restarts per cell and policy.
-    #[arg(long, value_name = "N", default_value_t = 1000)]
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
     restarts: u64,
     /// The binding sequence: default, p0 to p5, or a text of your own.
     #[arg(long, value_name = "TEXT", default_value = "default")]
@@ -52,16 +54,16 @@ pub(super) struct StudyArgs {
     #[arg(long, value_name = "KIND", default_value = "same-room")]
     disturbance: DisturbanceArg,
     /// Seconds per action, to which programs are stretched; 0 leaves them as long as actions.toml says.
-    #[arg(long, value_name = "SECONDS", default_value_t = 24.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 24.0, value_parser = ranges::act_s_or_none)]
     pace: f64,
     /// Longest time of one act before stretching, in seconds: a demonstration shows an act, it does not wait for its end.
-    #[arg(long, value_name = "SECONDS", default_value_t = PersonOptions::default().action_s_max)]
+    #[arg(long, value_name = "SECONDS", default_value_t = PersonOptions::default().action_s_max, value_parser = ranges::act_s)]
     longest_act: f64,
     /// Mean time from one object to the next that the forecast assumes before it has watched, in seconds.
-    #[arg(long, value_name = "SECONDS", default_value_t = ForecastOptions::default().object_s)]
+    #[arg(long, value_name = "SECONDS", default_value_t = ForecastOptions::default().object_s, value_parser = ranges::act_s)]
     object_time: f64,
     /// Mean stay in a room that the forecast assumes before it has watched, in seconds.
-    #[arg(long, value_name = "SECONDS", default_value_t = ForecastOptions::default().stay_s)]
+    #[arg(long, value_name = "SECONDS", default_value_t = ForecastOptions::default().stay_s, value_parser = ranges::act_s)]
     stay_time: f64,
     /// Of folders, take only the programs of a split that a training manifest lists, such as models/manifest.json.
     #[arg(long, value_name = "FILE", requires = "program")]
@@ -121,7 +123,7 @@ pub(super) struct AblationArgs {
     #[arg(long, value_name = "TEXT")]
     prompt: Vec<BindingSequence>,
     /// Window lengths to compare; may be repeated.
-    #[arg(long, value_name = "N", default_values_t = [1, 2, 4, 8, 16])]
+    #[arg(long, value_name = "N", default_values_t = [1, 2, 4, 8, 16], value_parser = ranges::observations())]
     window: Vec<usize>,
     #[command(flatten)]
     study: StudyArgs,
@@ -131,7 +133,7 @@ pub(super) struct AblationArgs {
 #[derive(Debug, clap::Args)]
 pub(super) struct ParetoArgs {
     /// Weights of coverage-aware avoidance, in seconds of disturbance per failed coverage; may be repeated.
-    #[arg(long, value_name = "SECONDS", default_values_t = [0.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 150.0, 200.0, 300.0, 1000.0])]
+    #[arg(long, value_name = "SECONDS", default_values_t = [0.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 150.0, 200.0, 300.0, 1000.0], value_parser = ranges::time_s)]
     weight: Vec<f64>,
     #[command(flatten)]
     study: StudyArgs,
@@ -154,10 +156,8 @@ impl StudyArgs {
     /// The activities of a file, of a folder, or of the binary.
     fn load(&self, path: &Path) -> Result<Vec<(String, Activity)>, Failure> {
         let input = |error: crate::narration::ProgramError| Failure::new(exit_code::INPUT, error);
-        if !path.exists()
-            && let Some(shipped) = path.to_str().and_then(embedded::program)
-        {
-            let program = Program::parse(shipped.text).map_err(input)?;
+        if !path.exists() && path.to_str().and_then(embedded::program).is_some() {
+            let program = setup::load_program(path).map_err(input)?;
             return Ok(vec![(path.display().to_string(), Activity::Program(program))]);
         }
         let (mut files, faults) = super::forecast::load_programs(path)?;
@@ -193,18 +193,14 @@ impl StudyArgs {
         let options = Options {
             history: self.model.limits(),
             items: self.items,
-            person: PersonOptions {
-                mean_action_s,
-                action_s_max: self.longest_act.max(1.0),
-                ..PersonOptions::default()
-            },
+            person: PersonOptions { mean_action_s, action_s_max: self.longest_act, ..PersonOptions::default() },
             disturbance: self.disturbance.0,
             forecast: ForecastOptions {
-                object_s: self.object_time.max(1.0),
-                stay_s: self.stay_time.max(1.0),
+                object_s: self.object_time,
+                stay_s: self.stay_time,
                 ..ForecastOptions::default()
             },
-            restarts: self.restarts.max(1),
+            restarts: self.restarts,
             seed: self.model.seed,
         };
         let room_times_s = if self.room_time.is_empty() { room_times_s.to_vec() } else { self.room_time.clone() };
@@ -295,13 +291,13 @@ impl Setup<'_> {
         let closed_s =
             homes.iter().map(|home| home.cost().naive_disturbance()).sum::<f64>() / homes.len().max(1) as f64;
         vec![format!(
-            "Model {model}, binding \"{}\", {} homes and activities, T {horizon_s:.0} s on average, T_r {:?} s, {} restarts, seed {}; {computed} \
+            "Model {model}, binding \"{}\", {} of home and activity, T {horizon_s:.0} s on average, T_r {:?} s, {}, seed {}; {computed} \
              scores computed, the others from the cache. In closed form the naive policy disturbs {closed_s:.1} s. The clairvoyant bound is \
              HiGHS's optimum of the mixed-integer program, equal to that of the dynamic program in every cell.",
             self.args.binding.text().trim_end(),
-            homes.len(),
+            count(homes.len(), "pair"),
             self.room_times_s,
-            self.options.restarts,
+            count(self.options.restarts as usize, "restart"),
             self.options.seed,
         )]
     }
@@ -314,23 +310,19 @@ impl Setup<'_> {
         if self.args.json {
             return print_json(&json);
         }
-        for part in &report.tables {
-            println!("\n{}", part.title);
-            print_table(part);
-        }
-        println!();
-        report.notes.iter().for_each(|note| println!("{note}"));
-        Ok(())
+        let tables: String =
+            report.tables.iter().map(|part| format!("\n{}\n{}\n", part.title, as_text(part))).collect();
+        print(&format!("{tables}\n{}\n", report.notes.join("\n")))
     }
 }
 
-fn print_table(part: &Table) {
+fn as_text(part: &Table) -> comfy_table::Table {
     let header: Vec<&str> = part.header.iter().map(String::as_str).collect();
     let mut table = table(&header);
     part.rows.iter().for_each(|row| {
         table.add_row(row);
     });
-    println!("{table}");
+    table
 }
 
 const APARTMENTS: [&str; 3] = ["apartment-e0", "apartment-e1", "apartment-e2"];
@@ -409,7 +401,7 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
         "window",
         "policy",
         "D_T mean (s)",
-        "D_T std",
+        "D_T std (s)",
         "t_c mean (s)",
         "F",
         "regret (s)",

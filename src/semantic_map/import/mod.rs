@@ -3,7 +3,6 @@
 //! Whatever is read passes the same checks as a scene file, so an import is a map or an error, never half a map.
 
 use std::collections::{HashMap, HashSet};
-use std::path::{Path, PathBuf};
 
 use super::schema::{self, SceneError};
 use super::{Names, SemanticMap};
@@ -27,18 +26,10 @@ pub struct Imported {
 /// Why a map of another format cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
-    /// The error lies in this file.
-    #[error("map {}", path.display())]
-    InFile {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        source: Box<ImportError>,
-    },
     /// Not JSON, or not of the format: a missing key, a wrong type.
-    #[error("{element}: {message}; expected {expected}")]
+    #[error("{}{message}; expected {expected}", schema::place(.element))]
     Json {
-        /// Path to the element, as `nodes[3].bounding_box`.
+        /// Path to the element, as `nodes[3].bounding_box`; `.` for the whole file.
         element: String,
         /// What the parser says, with line and column.
         message: String,
@@ -51,18 +42,9 @@ pub enum ImportError {
         /// What to do.
         remedy: &'static str,
     },
-    /// The scene that came out breaks a rule of scenes, or the file cannot be read.
+    /// The scene that came out breaks a rule of scenes.
     #[error(transparent)]
     Scene(#[from] SceneError),
-}
-
-/// Reads a file for an import; at most [`super::MAX_FILE_BYTES`].
-///
-/// # Errors
-/// When the file cannot be read or is too large; the error names the file.
-pub fn read(path: &Path) -> Result<String, ImportError> {
-    schema::read_limited(path)
-        .map_err(|error| ImportError::InFile { path: path.to_owned(), source: Box::new(error.into()) })
 }
 
 fn parse<'a, T: serde::Deserialize<'a>>(json: &'a str, expected: &'static str) -> Result<T, ImportError> {

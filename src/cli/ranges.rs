@@ -1,0 +1,73 @@
+//! What numbers on the command line may be, in one place: clap refuses the others and names the argument.
+
+use clap::builder::RangedU64ValueParser;
+
+use crate::config::DEADLINE_MS_MAX;
+use crate::narration::history::OBSERVATIONS_MAX;
+use crate::scorer::llama::THREADS_MAX;
+
+/// Longest time that can be asked for, in seconds: some 30 years.
+const TIME_S_MAX: f64 = 1e9;
+/// Longest time of something that a person does before it is something else, in seconds: a day.
+const ACT_S_MAX: f64 = 86_400.0;
+
+/// Threads of one decoder call; 0 leaves the choice to the program.
+pub fn threads() -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(0..=THREADS_MAX as u64)
+}
+
+/// Observations in a history window.
+pub fn observations() -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(1..=OBSERVATIONS_MAX as u64)
+}
+
+/// Time for an answer, in milliseconds.
+pub fn deadline_ms() -> RangedU64ValueParser<u64> {
+    RangedU64ValueParser::new().range(1..=DEADLINE_MS_MAX)
+}
+
+/// How long a robot works in a room of a simulation, which goes second by second.
+pub fn room_time_s() -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(1..=ACT_S_MAX as u64)
+}
+
+/// A time, or a weight in seconds, that may be none.
+pub fn time_s(text: &str) -> Result<f64, String> {
+    number(text, |seconds| (0.0..=TIME_S_MAX).contains(&seconds), "give a number from 0 to 1000000000")
+}
+
+/// A factor, or a time that cannot be none.
+pub fn positive(text: &str) -> Result<f64, String> {
+    number(text, |value| value > 0.0 && value <= TIME_S_MAX, "give a number above 0, at most 1000000000")
+}
+
+/// A time of an act or of a stay; the simulation's steps are seconds.
+pub fn act_s(text: &str) -> Result<f64, String> {
+    number(text, |seconds| (1.0..=ACT_S_MAX).contains(&seconds), "give a number from 1 to 86400")
+}
+
+/// As [`act_s`], or down to none.
+pub fn act_s_or_none(text: &str) -> Result<f64, String> {
+    number(text, |seconds| (0.0..=ACT_S_MAX).contains(&seconds), "give a number from 0 to 86400")
+}
+
+fn number(text: &str, fits: impl Fn(f64) -> bool, remedy: &str) -> Result<f64, String> {
+    // Comparisons with NaN are false: it fits nowhere.
+    text.parse().ok().filter(|value| fits(*value)).ok_or_else(|| remedy.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_number_or_out_of_range_fits_nowhere() {
+        for text in ["nan", "inf", "-inf", "-1", "1e10", "", "x"] {
+            for parse in [time_s, positive, act_s, act_s_or_none] {
+                assert!(parse(text).is_err(), "{text}");
+            }
+        }
+        assert_eq!((time_s("0"), act_s_or_none("0"), positive("1e-3")), (Ok(0.0), Ok(0.0), Ok(1e-3)));
+        assert!(positive("0").is_err() && act_s("0.5").is_err() && act_s_or_none("86401").is_err());
+    }
+}
