@@ -10,7 +10,7 @@ from corpus import Encoder
 from data import Program
 from evaluate import Scene, cases_of, label_log_probs
 from model import Household
-from narration import DEFAULT_BINDING, sentence
+from narration import DEFAULT_BINDING
 
 TEMPERATURES = np.arange(0.8, 2.51, 0.05)
 
@@ -22,7 +22,7 @@ def fit(model: Household, encoder: Encoder, programs: list[Program], graphs: lis
         scene = Scene(path)
         cases = list(cases_of(programs, scene))
         cue, bos = encoder.ids(DEFAULT_BINDING), encoder.tokenizer.bos_id()
-        prompts = [[bos] + [t for step in steps for t in encoder.ids(sentence(step))] + cue for _, steps, *_ in cases]
+        prompts = [[bos] + [t for text in told for t in encoder.ids(text)] + cue for _, told, *_ in cases]
         scores = label_log_probs(model, encoder, prompts, [encoder.ids(label) for label in scene.labels])
         truth = np.array([scene.index[case[3]] for case in cases])
         for k, temperature in enumerate(TEMPERATURES):

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from data import Program
+from descriptions import Clause, Reader, next_things
 from narration import (
     DEFAULT_BINDING, STATES, Step, bind, next_targets, random_style, segments, words,
 )
@@ -123,8 +124,9 @@ class Corpus:
     map_answers: float = 0.75  # share of narrations whose answers are labels of a map, not words of the program
     map_narration: float = 0.35  # share of narrations that speak of a map's items
     shares: dict[str, float] = field(default_factory=lambda: {
-        "program": 0.46, "day": 0.08, "routine": 0.40, "wording": 0.04, "prior": 0.02,
+        "program": 0.42, "day": 0.08, "routine": 0.38, "description": 0.06, "wording": 0.04, "prior": 0.02,
     })
+    as_written: float = 0.35  # share of descriptions that are not told of "they"
     skip_ahead: float = 0.12  # share of answers that are the object after the next: other people do things in another order
 
     def __post_init__(self):
@@ -133,6 +135,15 @@ class Corpus:
         counts = Counter(p.title for p in self.programs)
         self.weights = list(np.cumsum([counts[p.title] ** -0.35 for p in self.programs]))
         self.all_labels = sorted({label for labels in self.scenes.values() for label in labels})
+        self.reader = Reader.of(self.programs, self.all_labels)
+        told = ((n, self.reader.clauses(p.description)) for n, p in enumerate(self.programs))
+        self.descriptions: list[list[Clause]] = []
+        drawn = []
+        for number, clauses in told:
+            if any(next_things(clauses)):
+                self.descriptions.append(clauses)
+                drawn.append(counts[self.programs[number].title] ** -0.35)
+        self.description_weights = list(np.cumsum(drawn))
 
     def draw_program(self, rng: random.Random) -> Program:
         return rng.choices(self.programs, cum_weights=self.weights)[0]
@@ -141,6 +152,8 @@ class Corpus:
         kind = rng.choices(list(self.shares), list(self.shares.values()))[0]
         if kind == "prior":
             return self.prior(rng)
+        if kind == "description":
+            return self.describe(rng)
         if kind == "wording":
             return self.narrate(self.wording(rng), rng, varied=False)
         if kind == "day":
@@ -174,6 +187,20 @@ class Corpus:
             if rng.random() < 0.6:
                 steps += [Step("walk", (two,)), Step(rng.choice(["putback", "putin"]), (one, two))]
         return steps
+
+    def describe(self, rng: random.Random) -> Sequence:
+        """What somebody wrote about an activity, and after its clauses the question which thing comes next."""
+        clauses = rng.choices(self.descriptions, cum_weights=self.description_weights)[0]
+        targets = next_things(clauses)
+        start = rng.randint(0, max(0, len(clauses) - WINDOW))
+        as_written, to_map = rng.random() < self.as_written, rng.random() < self.map_answers
+        labels = self.scenes[rng.choice(list(self.scenes))]
+        parts = [self.reader.told(clause, as_written) for clause in clauses[start : start + WINDOW]]
+        branches = [
+            Branch(k, self.binding(rng), to_map and bind(target, labels) or target)
+            for k, target in enumerate(targets[start : start + WINDOW], 1) if target
+        ]
+        return self.distract(Sequence(["".join(p) for p in parts], branches, parts), rng, 0.03)
 
     def disturb(self, steps: list[Step], rng: random.Random) -> list[Step]:
         """Missing steps, repeated steps, another activity in between, and other things of the same kind."""

@@ -20,6 +20,7 @@ class Program:
     title: str
     cluster: str
     steps: tuple[Step, ...]
+    description: str = ""  # what somebody wrote about it, in free words
 
 
 def cluster_of(title: str) -> str:
@@ -44,7 +45,8 @@ def virtualhome(shared: Path) -> list[Program]:
         lines = path.read_text(errors="replace").splitlines()
         steps = tuple(step for step in map(parse_step, lines) if step)
         if steps:
-            programs.append(Program(str(path.relative_to(shared)), lines[0].strip(), cluster_of(lines[0]), steps))
+            head = next(k for k, line in enumerate(lines) if parse_step(line))
+            programs.append(Program(str(path.relative_to(shared)), lines[0].strip(), cluster_of(lines[0]), steps, " ".join(lines[1:head]).strip()))
     return programs
 
 

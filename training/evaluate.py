@@ -21,6 +21,7 @@ import data
 import export
 import tokenizer as vocabulary
 from corpus import Encoder, PAPER_BINDINGS
+from descriptions import Reader, next_things
 from model import Household
 from narration import DEFAULT_BINDING, bind, next_targets, sentence, words
 from statistics_file import count
@@ -114,7 +115,10 @@ class Baselines:
 
 
 def cases_of(programs: list[data.Program], scene: Scene):
-    """Every step of every program whose next object is in the scene."""
+    """Every step of every program whose next object is in the scene.
+
+    Yields the program's number, the sentences of the window, the objects visited, the next object's label, the room now and the room next.
+    """
     for number, program in enumerate(programs):
         steps, targets = list(program.steps), next_targets(list(program.steps))
         identifiers = [next((o for s in steps[k + 1 :] for o in s.objects[:1] if o[0] == t), None) for k, t in enumerate(targets)]
@@ -125,16 +129,30 @@ def cases_of(programs: list[data.Program], scene: Scene):
             if step.objects and (label := bind(step.objects[0][0], scene.index)):
                 room = scene.room(label, step.objects[0][1], program.source)
             if targets[k] and (label := bind(targets[k], scene.index)):
-                yield number, steps[max(0, k + 1 - WINDOW) : k + 1], list(visited), label, room, scene.room(label, identifiers[k][1], program.source)
+                told = [sentence(s) for s in steps[max(0, k + 1 - WINDOW) : k + 1]]
+                yield number, told, list(visited), label, room, scene.room(label, identifiers[k][1], program.source)
 
 
-def evaluate(model, encoder, train_programs, programs, scene: Scene, binding: str = DEFAULT_BINDING, narrated: bool = True, bootstrap: int = 300) -> dict:
+def cases_of_descriptions(programs: list[data.Program], scene: Scene, reader: Reader):
+    """As `cases_of`, of what people wrote: every clause after which a thing of the scene comes next that the clause does not speak of."""
+    for number, program in enumerate(programs):
+        clauses = reader.clauses(program.description)
+        told = ["".join(reader.told(clause, as_written=False)) for clause in clauses]
+        room, visited = None, []
+        for k, (clause, target) in enumerate(zip(clauses, next_things(clauses))):
+            visited += [thing for *_, thing in clause.spans]
+            here = [label for *_, thing in clause.spans if (label := bind(thing, scene.index))]
+            room = scene.room(here[-1], 0, program.source) if here else room
+            if target and (label := bind(target, scene.index)):
+                yield number, told[max(0, k + 1 - WINDOW) : k + 1], list(visited), label, room, scene.room(label, 0, program.source)
+
+
+def evaluate(model, encoder, train_programs, cases: list, scene: Scene, binding: str = DEFAULT_BINDING, narrated: bool = True, bootstrap: int = 300) -> dict:
     """Rows by (target, predictor): the mean of each measure and its 95 % interval, programs being the unit that is resampled."""
-    cases = list(cases_of(programs, scene))
     label_tokens = [encoder.ids(l) for l in scene.labels]
     cue = encoder.ids(binding)
     bos = encoder.tokenizer.bos_id()
-    prompts = [[bos] + [t for s in steps if narrated for t in encoder.ids(sentence(s))] + cue for _, steps, *_ in cases]
+    prompts = [[bos] + [t for text in told if narrated for t in encoder.ids(text)] + cue for _, told, *_ in cases]
     order = np.argsort([len(p) for p in prompts])
     scores = np.zeros((len(cases), len(scene.labels)))
     scores[order] = label_log_probs(model, encoder, [prompts[i] for i in order], label_tokens)
@@ -178,10 +196,10 @@ PROMPTS = {  # the paper's, by name: binding sequence, and whether the narration
 }
 
 
-def compare_prompts(model, encoder, train_programs, programs, scene: Scene) -> None:
+def compare_prompts(model, encoder, train_programs, cases: list, scene: Scene) -> None:
     """One line per prompt of the paper; chance at ranking rooms is one in the number of rooms."""
     for name, (binding, narrated) in PROMPTS.items():
-        rows = evaluate(model, encoder, train_programs, programs, scene, binding, narrated)["rows"]
+        rows = evaluate(model, encoder, train_programs, cases, scene, binding, narrated)["rows"]
         shown = {"object": rows["object model"], "room": rows["room model"]}
         print(f"  {name:8}", "  ".join(f"{t} {m} {v[0]:.3f} [{v[1]:.3f} {v[2]:.3f}]" for t, ms in shown.items() for m, v in ms.items()), flush=True)
 
@@ -213,6 +231,7 @@ def main() -> None:
     arguments.add_argument("--split", choices=("dev", "calibration", "test"), default="test")
     arguments.add_argument("--scenes", nargs="*", default=["TestScene1", "TestScene2", "TestScene5"])
     arguments.add_argument("--limit", type=int, default=0, help="only so many programs")
+    arguments.add_argument("--descriptions", action="store_true", help="narrate what people wrote about the programs instead of their steps")
     arguments.add_argument("--prompts", action="store_true", help="compare the paper's prompts instead of the predictors")
     arguments.add_argument("--quantised", action="store_true", help="round the matrices as the shipped file does")
     given = arguments.parse_args()
@@ -227,11 +246,12 @@ def main() -> None:
         held = random.Random(0).sample(held, min(given.limit, len(held)))
     for name in given.scenes:
         scene = Scene(given.shared / f"virtualhome/scenes/{name}_graph.json")
+        cases = list(cases_of_descriptions(held, scene, Reader.of(fit, scene.labels)) if given.descriptions else cases_of(held, scene))
         if given.prompts:
             print(name)
-            compare_prompts(model, encoder, fit, held, scene)
+            compare_prompts(model, encoder, fit, cases, scene)
             continue
-        result = evaluate(model, encoder, fit, held, scene)
+        result = evaluate(model, encoder, fit, cases, scene)
         print(f"{name}: {result['cases']} cases, label mass {result['mass']:.2f}")
         for row, measures in result["rows"].items():
             print(f"  {row:28}", "  ".join(f"{m} {v[0]:.3f} [{v[1]:.3f} {v[2]:.3f}]" for m, v in measures.items()), flush=True)

@@ -26,8 +26,8 @@ from muon import Muon
 class Schedule:
     """How long and how fast. Training is broken off while the rate is still high: what is kept is the moving average of the weights."""
 
-    steps: int = 6600  # over which the rate falls
-    until: int = 4400  # and after which training stops
+    steps: int = 9000  # over which the rate falls
+    until: int = 5400  # and after which training stops
     workers: int = 2  # processes, on CPUs
     rows: int = 4  # per worker
     length: int = 192
