@@ -618,8 +618,8 @@ fn a_wrong_set_up_of_narrate_is_its_end() {
         (mqtt(&["mqtts://127.0.0.1:1", "--mqtt-ca", nowhere]), exit_code::INPUT, nowhere),
         (mqtt(&["mqtt://127.0.0.1:1", "--mqtt-credentials", nowhere]), exit_code::INPUT, nowhere),
         (vec!["--fifo", rules], exit_code::INPUT, "no named pipe"),
-        (vec!["--linger", "nan"], exit_code::CONFIG, "linger_s is NaN"),
-        (vec!["--linger=-1"], exit_code::CONFIG, "linger_s is -1"),
+        (vec!["--linger", "nan"], exit_code::USAGE, "a number from 0"),
+        (vec!["--linger=-1"], exit_code::USAGE, "a number from 0"),
         (vec!["--name", ""], exit_code::CONFIG, "narrator.name"),
     ] {
         let output = world.command(&["narrate"]).args(&arguments).output().unwrap();
@@ -641,7 +641,7 @@ fn the_doctor_blames_the_part_that_is_wrong() {
     };
     let scene = finding("scene");
     assert_eq!(scene["verdict"], "wrong");
-    assert!(scene["found"].as_str().unwrap().contains("No such file"), "{scene}");
+    assert!(scene["found"].as_str().unwrap().contains("no scene /nowhere/at-all"), "{scene}");
     assert_eq!(finding("model")["verdict"], "good");
     let messages = finding("messages");
     assert!(messages["found"].as_str().unwrap().contains(world.domain.root().to_str().unwrap()), "{messages}");
