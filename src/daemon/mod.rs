@@ -95,7 +95,8 @@ impl Default for DaemonConfig {
 
 impl DaemonConfig {
     fn state_directory(&self) -> Option<PathBuf> {
-        self.state.clone().or_else(|| std::env::var_os("STATE_DIRECTORY").map(PathBuf::from))
+        let given = || std::env::var_os("STATE_DIRECTORY").filter(|directory| !directory.is_empty());
+        self.state.clone().or_else(|| given().map(PathBuf::from))
     }
 
     fn journal(&self) -> Option<JournalOptions> {
