@@ -316,6 +316,19 @@ fn a_second_daemon_is_refused_and_the_first_stops_cleanly() {
     assert!(!world.domain.root().exists());
 }
 
+/// `top` on a quiet system: nothing is narrated after it has joined.
+#[test]
+fn whoever_joins_has_the_item_scores_without_a_new_event() {
+    let mut world = World::new("items");
+    world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = scores_with(&node.subscriber::<RoomScoresV1>().unwrap(), "the first scores", |_| true);
+    let items = node.item_scores_subscriber().unwrap();
+    let newest = eventually("item scores", || items.newest().unwrap());
+    assert_eq!((newest.header.epoch, newest.header.sequence), (scores.epoch, scores.sequence));
+    assert!(newest.items.len() > 30 && newest.items.iter().all(|item| item.log_score_nats.is_finite()));
+}
+
 /// As `timeout` and terminals do it: a signal to the process, and another at once to its group.
 #[test]
 fn signals_in_a_row_are_one_wish_to_stop() {
