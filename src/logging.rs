@@ -26,11 +26,11 @@ pub struct Log {
 /// Sets up logging, once per process; a second call changes nothing.
 pub fn init() -> Log {
     let wanted = std::env::var(FILTER_VARIABLE).ok().filter(|text| !text.trim().is_empty());
-    let (filter, refused) =
-        match wanted.as_deref().map_or_else(|| EnvFilter::try_new(FILTER_DEFAULT), EnvFilter::try_new) {
-            Ok(filter) => (filter, None),
-            Err(error) => (EnvFilter::new(FILTER_DEFAULT), Some(error)),
-        };
+    let (given, refused) = match wanted.map(EnvFilter::try_new).transpose() {
+        Ok(given) => (given, None),
+        Err(error) => (None, Some(error)),
+    };
+    let filter = given.unwrap_or_else(|| EnvFilter::new(FILTER_DEFAULT));
     let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
     let registry = tracing_subscriber::registry().with(filter);
     // An error says that somebody else has set up logging already, a test for instance.

@@ -18,7 +18,6 @@ use roomcast_ipc::{
 use sd_notify::NotifyState;
 
 use crate::daemon::notify;
-use crate::embedded;
 use crate::narration::{Observed, ObservedError, Program, ProgramError};
 use crate::setup;
 use crate::stop::Stop;
@@ -222,8 +221,8 @@ impl Input {
         if name == "-" {
             return Ok(Self::Lines { name: "standard input".to_owned(), stream: Box::new(io::stdin()), person });
         }
-        if !path.exists() && embedded::program(&name).is_some() {
-            return Ok(Self::Items(program_items(&setup::load_program(path)?, person)));
+        if let Some(shipped) = setup::shipped_program(path) {
+            return Ok(Self::Items(program_items(&shipped?, person)));
         }
         let read = |source| InputError::Read { name: name.clone(), source };
         if std::fs::metadata(path).map_err(read)?.file_type().is_fifo() {

@@ -307,7 +307,9 @@ impl Planner {
 /// [`IpcError`] when a service cannot be opened or is lost.
 pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError> {
     let config = &config.planner;
-    let node = domain.open(&format!("roomcast-planner {}", config.robot))?;
+    // Participants' names are ASCII; the number is the one by which decisions name the robot.
+    let shown: String = config.robot.chars().map(|c| if c.is_ascii() { c } else { '?' }).collect();
+    let node = domain.open(&format!("roomcast-planner {shown} {:016x}", sequence::source_of_name(&config.robot)))?;
     node.be_the_only_one()?;
     let scores = node.subscriber::<RoomScoresV1>()?;
     let forecasts = node.subscriber::<ForecastV1>()?;

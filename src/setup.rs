@@ -101,10 +101,16 @@ pub fn load_map(path: Option<&Path>) -> Result<SemanticMap, SetupError> {
 /// # Errors
 /// When the file is missing or malformed.
 pub fn load_program(path: &Path) -> Result<Program, ProgramError> {
-    match path.to_str().filter(|_| !path.exists()).and_then(embedded::program) {
-        Some(shipped) => Program::parse(shipped.text),
-        None => Program::load(path),
-    }
+    shipped_program(path).unwrap_or_else(|| Program::load(path))
+}
+
+/// The shipped program that `path` is the bare name of, unless there is a file of that name.
+///
+/// # Errors
+/// When it is malformed, which a test of the shipped programs excludes.
+pub fn shipped_program(path: &Path) -> Option<Result<Program, ProgramError>> {
+    let shipped = path.to_str().filter(|_| !path.exists()).and_then(embedded::program)?;
+    Some(Program::parse(shipped.text))
 }
 
 /// Sets up everything that the configuration names.

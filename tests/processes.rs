@@ -354,11 +354,13 @@ fn a_second_planner_of_the_same_robot_is_refused() {
     let decisions = node.subscriber::<DecisionV1>().unwrap();
     let first = world.start(&["planner", "--robot", "one", "--room-time", "0"]);
     eventually("a decision", || decisions.newest().unwrap());
-    let other = world.start(&["planner", "--robot", "two", "--room-time", "0"]);
+    let other = world.start(&["planner", "--robot", "zwei Küchen", "--room-time", "0"]);
     let second = world.start(&["planner", "--robot", "one"]);
     let (status, log) = world.wait(second);
     assert_eq!(status.code(), Some(i32::from(exit_code::IPC)), "{log}");
-    assert!(log.contains(&format!("roomcast-planner one (process {})", world.children[first].child.id())), "{log}");
+    let number = sequence::source_of_name("one");
+    let holder = format!("roomcast-planner one {number:016x} (process {})", world.children[first].child.id());
+    assert!(log.contains(&holder), "{log}");
     // A planner that was killed is in nobody's way.
     world.signal(first, Signal::KILL);
     world.wait(first);

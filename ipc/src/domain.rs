@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use std::{env, fs, io};
 
 use iceoryx2::config::Config;
-use iceoryx2::node::NodeView;
+use iceoryx2::node::{NodeDetails, NodeView};
 use iceoryx2::prelude::{
     CallbackProgression, FileName, LogLevel, NodeBuilder, NodeName, NodeState, SemanticString, SignalHandlingMode,
 };
@@ -409,6 +409,11 @@ fn age(path: &Path) -> Option<Duration> {
     fs::metadata(path).and_then(|about| about.modified()).ok()?.elapsed().ok()
 }
 
+/// A participant as errors name it.
+pub(crate) fn shown(details: &NodeDetails) -> String {
+    format!("{} (process {})", details.name(), details.process_id().value())
+}
+
 /// A participant's place in a domain. Ports live on when it is dropped before them.
 #[derive(Debug)]
 pub struct Node {
@@ -471,7 +476,7 @@ impl Node {
                     && details.name() == self.node.name()
                     && age(other.id().value()) < age(self.node.id().value())
                 {
-                    holder = Some(format!("{} (process {})", details.name(), details.process_id().value()));
+                    holder = Some(shown(details));
                 }
                 CallbackProgression::Continue
             });

@@ -21,7 +21,7 @@ use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, P
 use iceoryx2::service::builder::request_response::{RequestResponseOpenError, RequestResponseOpenOrCreateError};
 use iceoryx2::service::port_factory::publish_subscribe;
 
-use crate::domain::{Flavour, Node, OpenFailure};
+use crate::domain::{Flavour, Node, OpenFailure, shown};
 use crate::message::{ItemScoreV1, ItemScoresHeaderV1, Layout, Message, StatusRequestV1, StatusResponseV1};
 use crate::{ICEORYX2_VERSION, IpcError, MessageError};
 
@@ -580,7 +580,7 @@ pub(crate) fn occupied<F: PortFactory<Service = Flavour>>(
             && holders.contains(node.id())
             && let Some(details) = node.details()
         {
-            names.push(format!("{} (process {})", details.name(), details.process_id().value()));
+            names.push(shown(details));
         }
         CallbackProgression::Continue
     });

@@ -255,9 +255,9 @@ fn scene(config: &Config) -> (Finding, Option<SemanticMap>) {
     );
     let finding = match grounding.unassigned.len() {
         0 => Finding::good("scene", found),
-        count => Finding::limited(
+        outside => Finding::limited(
             "scene",
-            format!("{found}; {count} items in no partition"),
+            format!("{found}; {} in no partition", super::count(outside, "item")),
             "roomcast scene check FILE lists them",
         ),
     };

@@ -531,13 +531,17 @@ impl<M: LanguageModel> Scoring<M> {
     fn renew_connections(&mut self) -> Result<(), IpcError> {
         self.scores.tick()?;
         if self.items.tick()? && self.cycle.board().snapshot().sequence > 0 {
-            let (header, items) = self.cycle.board().items();
-            self.items.send(header, items)?;
+            self.send_items()?;
         }
         if self.forecasts.tick()? && self.cycle.board().snapshot().sequence > 0 {
             self.forecasts.send(&self.cycle.board_mut().forecast(clock::monotonic_ns()))?;
         }
         Ok(())
+    }
+
+    fn send_items(&self) -> Result<(), IpcError> {
+        let (header, items) = self.cycle.board().items();
+        self.items.send(header, items)
     }
 
     fn step(&mut self, now_ns: u64) {
@@ -586,8 +590,7 @@ impl<M: LanguageModel> Scoring<M> {
             latency_ns.saturating_record(after_ns.saturating_sub(message.received_ns));
         }
         if self.items.wanted() {
-            let (header, items) = self.cycle.board().items();
-            self.items.send(header, items)?;
+            self.send_items()?;
         }
         // Every event has one of these: metrics and the status answer tell the same in sum.
         tracing::debug!(

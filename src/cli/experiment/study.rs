@@ -7,7 +7,6 @@ use serde_json::json;
 
 use super::{ModelArgs, map, report_faults};
 use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
-use crate::embedded;
 use crate::exit_code;
 use crate::experiment::report::{Report, Table};
 use crate::experiment::study::{self, Activity, Decider, Figures, Home, Options};
@@ -17,7 +16,6 @@ use crate::forecast::ForecastOptions;
 use crate::grounding::{GroundedScores, Grounding};
 use crate::narration::Sentence;
 use crate::narration::history::HistoryLimits;
-
 use crate::policy::{PolicyName, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS};
 use crate::prompt::BindingSequence;
 use crate::scorer::llama::LlamaModel;
@@ -156,9 +154,8 @@ impl StudyArgs {
     /// The activities of a file, of a folder, or of the binary.
     fn load(&self, path: &Path) -> Result<Vec<(String, Activity)>, Failure> {
         let input = |error: crate::narration::ProgramError| Failure::new(exit_code::INPUT, error);
-        if !path.exists() && path.to_str().and_then(embedded::program).is_some() {
-            let program = setup::load_program(path).map_err(input)?;
-            return Ok(vec![(path.display().to_string(), Activity::Program(program))]);
+        if let Some(shipped) = setup::shipped_program(path) {
+            return Ok(vec![(path.display().to_string(), Activity::Program(shipped.map_err(input)?))]);
         }
         let (mut files, faults) = super::forecast::load_programs(path)?;
         report_faults(&faults);
