@@ -1,5 +1,5 @@
 //! What the binary carries with it, so that it runs without a network and without a data folder: the household model, the
-//! apartments, their activity programs and the statistics of the training split.
+//! scenes, their activity programs and the statistics of the training split.
 
 use std::fs::File;
 use std::io::Write;
@@ -25,14 +25,16 @@ pub struct EmbeddedText {
 }
 
 /// The scenes of `scenes/`; the first is the one for a first look.
-pub const SCENES: [EmbeddedText; 4] = [
+pub const SCENES: [EmbeddedText; 6] = [
     EmbeddedText { name: "studio", text: include_str!("../scenes/studio.json") },
     EmbeddedText { name: "apartment-e0", text: include_str!("../scenes/apartment-e0.json") },
     EmbeddedText { name: "apartment-e1", text: include_str!("../scenes/apartment-e1.json") },
     EmbeddedText { name: "apartment-e2", text: include_str!("../scenes/apartment-e2.json") },
+    EmbeddedText { name: "ward", text: include_str!("../scenes/ward.json") },
+    EmbeddedText { name: "warehouse", text: include_str!("../scenes/warehouse.json") },
 ];
 
-/// The activity programs of `scenes/programs/`, in VirtualHome's notation; every apartment has every object that they name.
+/// The activity programs of `scenes/programs/` for homes, in VirtualHome's notation; every apartment has every object that they name.
 pub const PROGRAMS: [EmbeddedText; 3] = [
     EmbeddedText {
         name: "p0-breakfast-and-television",
@@ -42,10 +44,36 @@ pub const PROGRAMS: [EmbeddedText; 3] = [
     EmbeddedText { name: "p2-long-evening", text: include_str!("../scenes/programs/p2-long-evening.txt") },
 ];
 
-/// The names of embedded texts, for messages.
+/// Those for the ward, then those for the warehouse.
+pub const WORK_PROGRAMS: [EmbeddedText; 6] = [
+    EmbeddedText { name: "w0-medication-round", text: include_str!("../scenes/programs/w0-medication-round.txt") },
+    EmbeddedText {
+        name: "w1-cleaning-and-fresh-beds",
+        text: include_str!("../scenes/programs/w1-cleaning-and-fresh-beds.txt"),
+    },
+    EmbeddedText { name: "w2-patients-morning", text: include_str!("../scenes/programs/w2-patients-morning.txt") },
+    EmbeddedText {
+        name: "g0-receiving-a-delivery",
+        text: include_str!("../scenes/programs/g0-receiving-a-delivery.txt"),
+    },
+    EmbeddedText {
+        name: "g1-picking-and-packing",
+        text: include_str!("../scenes/programs/g1-picking-and-packing.txt"),
+    },
+    EmbeddedText { name: "g2-end-of-shift", text: include_str!("../scenes/programs/g2-end-of-shift.txt") },
+];
+
+/// The names of the embedded scenes, for messages.
 #[must_use]
-pub fn names(texts: &[EmbeddedText]) -> String {
-    texts.iter().map(|text| text.name).collect::<Vec<_>>().join(", ")
+pub fn scene_names() -> String {
+    SCENES.map(|scene| scene.name).join(", ")
+}
+
+/// The names of the embedded activity programs, for messages.
+#[must_use]
+pub fn program_names() -> String {
+    let names: Vec<_> = PROGRAMS.iter().chain(&WORK_PROGRAMS).map(|program| program.name).collect();
+    names.join(", ")
 }
 
 /// The embedded scene of that name.
@@ -57,7 +85,7 @@ pub fn scene(name: &str) -> Option<EmbeddedText> {
 /// The embedded activity program of that name.
 #[must_use]
 pub fn program(name: &str) -> Option<EmbeddedText> {
-    PROGRAMS.into_iter().find(|program| program.name == name)
+    PROGRAMS.into_iter().chain(WORK_PROGRAMS).find(|program| program.name == name)
 }
 
 /// The embedded model as a file, which is what llama.cpp loads: an anonymous one in memory, so that nothing is left behind, nothing
@@ -103,7 +131,7 @@ mod tests {
     #[test]
     fn scenes_and_programs_are_found_by_name() {
         assert!(scene("studio").unwrap().text.contains("roomcast-scene"));
-        for program in PROGRAMS {
+        for program in PROGRAMS.into_iter().chain(WORK_PROGRAMS) {
             assert!(super::program(program.name).unwrap().text.contains("[Walk]"));
         }
         assert!(scene("castle").is_none());

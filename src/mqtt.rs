@@ -125,7 +125,8 @@ struct Rule {
 /// What a rule says about a message.
 #[derive(Debug, Clone, PartialEq)]
 struct Said {
-    text: String,
+    /// None where the rules speak of other values only: the value is remembered, so that the next one they speak of is news.
+    text: Option<String>,
     person: u32,
     value: String,
     retained: bool,
@@ -179,8 +180,10 @@ impl Rules {
         filters
     }
 
+    /// The first rule that speaks of the message, else the first that can read it.
     fn say(&self, topic: &str, payload: &[u8]) -> Option<Said> {
-        self.rules.iter().find_map(|rule| rule.say(topic, payload))
+        let readings = || self.rules.iter().filter_map(|rule| rule.say(topic, payload));
+        readings().find(|said| said.text.is_some()).or_else(|| readings().next())
     }
 }
 
@@ -194,14 +197,15 @@ impl Rule {
                 other => other.to_string(),
             },
         };
+        let (person, retained) = (self.person, self.retained);
         if self.when.as_ref().is_some_and(|when| !when.eq_ignore_ascii_case(&value)) {
-            return None;
+            return Some(Said { text: None, person, value, retained });
         }
         let mut text = self.say.replace("{value}", &value);
         for (number, place) in (1..).zip(places) {
             text = text.replace(&format!("{{{number}}}"), &place.replace('_', " "));
         }
-        Some(Said { text, person: self.person, value, retained: self.retained })
+        Some(Said { text: Some(text), person, value, retained })
     }
 }
 
@@ -260,13 +264,17 @@ impl Listener {
         if known || self.last.len() < TOPICS_MAX {
             self.last.insert(message.topic.clone(), said.value.clone());
         }
+        let Some(text) = said.text else {
+            self.heard.unfit += 1;
+            return None;
+        };
         let stale = message.retain && !said.retained && (self.first_connection || !known);
         if repeated || stale {
             self.heard.silent += 1;
             return None;
         }
         self.heard.said += 1;
-        Some(json!({"text": said.text, "person": said.person}).to_string())
+        Some(json!({"text": text, "person": said.person}).to_string())
     }
 }
 
@@ -293,6 +301,8 @@ impl Broker {
         }
         let mut options = MqttOptions::new(&self.client, host, port);
         options.set_keep_alive(Duration::from_secs(30)).set_clean_session(false).set_manual_acks(true);
+        // A message above the limit ends the connection, and the broker sends it again first: a wide filter may meet pictures.
+        options.set_max_packet_size(PACKET_BYTES_MAX, PACKET_BYTES_MAX);
         if let Some(path) = &self.credentials {
             let text =
                 std::fs::read_to_string(path).map_err(|source| MqttError::Read { path: path.clone(), source })?;
@@ -322,6 +332,8 @@ impl Broker {
     }
 }
 
+/// The largest message that is received, in bytes.
+const PACKET_BYTES_MAX: usize = 16 << 20;
 /// Messages that are remembered, to know those that a broker sends again; brokers keep fewer than this unacknowledged.
 const HEARD_MAX: usize = 256;
 
@@ -417,10 +429,10 @@ mod tests {
     fn rules_make_sentences() {
         let rules = Rules::parse(RULES).unwrap();
         let said = rules.say("home/binary_sensor/fridge_door/state", b"ON").unwrap();
-        assert_eq!((said.text.as_str(), said.person), ("They open the fridge.", 0));
-        assert!(rules.say("home/binary_sensor/fridge_door/state", b"off").is_none());
+        assert_eq!((said.text.as_deref(), said.person), (Some("They open the fridge."), 0));
+        assert_eq!(rules.say("home/binary_sensor/fridge_door/state", b"off").unwrap().text, None);
         let said = rules.say("home/switch/coffee_maker/json", br#"{"state": {"power": "on"}}"#).unwrap();
-        assert_eq!((said.text.as_str(), said.person), ("the coffee maker is on", 1));
+        assert_eq!((said.text.as_deref(), said.person), (Some("the coffee maker is on"), 1));
         assert!(rules.say("home/switch/coffee_maker/json", b"{").is_none());
         assert!(rules.say("elsewhere", b"\xff\xfe").is_none());
     }
@@ -446,6 +458,16 @@ mod tests {
             let error = Rules::parse(text).unwrap_err();
             assert!(error.contains(part), "{text}: {error}");
         }
+    }
+
+    #[test]
+    fn what_no_rule_speaks_of_makes_the_next_value_news() {
+        let mut listener = Listener::new(Rules::parse(RULES).unwrap());
+        let door = "home/binary_sensor/fridge_door/state";
+        let said =
+            ["on", "on", "off", "on", "off", "on"].map(|value| listener.hear(&publish(door, value, false)).is_some());
+        assert_eq!(said, [true, false, false, true, false, true]);
+        assert_eq!(listener.heard, Heard { said: 3, unfit: 2, silent: 1 });
     }
 
     #[test]

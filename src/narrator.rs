@@ -17,7 +17,7 @@ use roomcast_ipc::{
 };
 use sd_notify::NotifyState;
 
-use crate::daemon::notify;
+use crate::daemon::{IntakeLimits, notify};
 use crate::narration::{Observed, ObservedError, Program, ProgramError};
 use crate::setup;
 use crate::stop::Stop;
@@ -254,7 +254,7 @@ impl Input {
 /// How fast.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Pace {
-    /// So many seconds before each narration; 0 is as fast as the daemon confirms.
+    /// So many seconds before each narration; 0 is as fast as the daemon takes and confirms it.
     Seconds(f64),
     /// So many times faster than the actions' real durations.
     Speed(f64),
@@ -345,23 +345,62 @@ impl Account {
     }
 }
 
+/// Keeps a narrator below what the daemon takes from one source, since what is above it is dropped there. Pure: time comes in as a number.
+///
+/// It allows half of the daemon's burst and nine tenths of its rate: messages need not arrive as evenly as they are sent.
+#[derive(Debug, Clone)]
+pub struct Throttle {
+    rate_per_s: f64,
+    burst: f64,
+    allowance: f64,
+    refilled_ns: u64,
+}
+
+impl Throttle {
+    /// For a daemon with these limits, as full as it gets.
+    #[must_use]
+    pub fn new(limits: IntakeLimits, now_ns: u64) -> Self {
+        let burst = (0.5 * limits.burst).max(1.0);
+        Self { rate_per_s: 0.9 * limits.rate_per_s, burst, allowance: burst, refilled_ns: now_ns }
+    }
+
+    /// How long to wait until one more may be sent; zero is now. A rate of 0 is none.
+    pub fn wait(&mut self, now_ns: u64) -> Duration {
+        if self.rate_per_s <= 0.0 {
+            return Duration::ZERO;
+        }
+        let since_s = now_ns.saturating_sub(self.refilled_ns) as f64 / 1e9;
+        self.allowance = (self.allowance + since_s * self.rate_per_s).min(self.burst);
+        self.refilled_ns = now_ns;
+        Duration::try_from_secs_f64((1.0 - self.allowance).max(0.0) / self.rate_per_s).unwrap_or(TICK)
+    }
+
+    /// Takes note that one was sent.
+    pub fn sent(&mut self) {
+        self.allowance -= 1.0;
+    }
+}
+
 /// The narrator's ports.
 #[derive(Debug)]
 struct Narrator {
     narration: Publisher<NarrationV1>,
     scores: Subscriber<RoomScoresV1>,
     account: Account,
+    throttle: Throttle,
 }
 
 impl Narrator {
-    fn new(node: &Node, config: &NarratorConfig) -> Result<Self, IpcError> {
+    fn new(node: &Node, config: &NarratorConfig, limits: IntakeLimits) -> Result<Self, IpcError> {
         let account = Account::new(&config.name, sequence::random_epoch());
-        Ok(Self { narration: node.publisher()?, scores: node.subscriber()?, account })
+        let throttle = Throttle::new(limits, clock::monotonic_ns());
+        Ok(Self { narration: node.publisher()?, scores: node.subscriber()?, account, throttle })
     }
 
     fn send(&mut self, item: &Item) -> Result<(), IpcError> {
         let message = self.account.next(item, clock::monotonic_ns(), clock::unix_ns());
         let message = message.map_err(|source| IpcError::Refused { service: NarrationV1::SERVICE.name, source })?;
+        self.throttle.sent();
         self.narration.send(&message)
     }
 
@@ -379,20 +418,21 @@ impl Narrator {
     }
 }
 
-/// Publishes all of `input`, and stays until it is confirmed or `linger_s` is over.
+/// Publishes all of `input`, no faster than a daemon with these limits takes it, and stays until it is confirmed or `linger_s` is over.
 ///
 /// # Errors
 ///
 /// [`IpcError`] when a service cannot be opened or is lost. Lines that are no narration are logged, counted, and skipped.
 pub fn run(
     config: &NarratorConfig,
+    limits: IntakeLimits,
     domain: &Domain,
     input: Input,
     pace: Pace,
     stop: &Stop,
 ) -> Result<Outcome, IpcError> {
     let node = domain.open(&format!("roomcast-narrator-{}", config.name))?;
-    let mut sender = Narrator::new(&node, config)?;
+    let mut sender = Narrator::new(&node, config, limits)?;
     let (items_in, items) = bounded(1);
     // Reading may block for ever; the thread ends with its stream, or with the process.
     let reader = move || match input {
@@ -418,6 +458,13 @@ pub fn run(
         let due = Instant::now() + pace.before(&item);
         while !stop.requested() && Instant::now() < due {
             sender.confirm(due.saturating_duration_since(Instant::now()))?;
+        }
+        loop {
+            let wait = sender.throttle.wait(clock::monotonic_ns());
+            if wait.is_zero() || stop.requested() {
+                break;
+            }
+            sender.confirm(wait)?;
         }
         let waiting = Instant::now();
         while !stop.requested() && !sender.account.may_send() {
@@ -518,6 +565,33 @@ pub fn make_fifo(path: &PathBuf) -> Result<(), InputError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_throttled_narrator_loses_nothing_at_the_intake() {
+        use crate::daemon::{Intake, Taken};
+        let limits = IntakeLimits::default();
+        let (mut throttle, mut intake) = (Throttle::new(limits, 0), Intake::new(limits));
+        let mut account = Account::new("test", 1);
+        let item = Item { kind: narration_kind::SENTENCE, text: "They sit.".to_owned(), person: 0, duration_s: 0.0 };
+        let (mut now_ns, mut arrived_ns) = (0, 0);
+        for number in 0..20_000_u64 {
+            loop {
+                let wait = throttle.wait(now_ns);
+                if wait.is_zero() {
+                    break;
+                }
+                now_ns += u64::try_from(wait.as_nanos()).unwrap().max(1);
+            }
+            throttle.sent();
+            let message = account.next(&item, now_ns, 0).unwrap();
+            // The daemon gets them up to a second late and 32 at once.
+            arrived_ns =
+                u64::max(arrived_ns, now_ns + if number < 64 { 1_000_000_000 } else { (31 - number % 32) * 900_000 });
+            assert!(matches!(intake.take(&message, arrived_ns), Taken::Accepted { missed: 0, .. }), "{number}");
+        }
+        assert!(now_ns > 15_000_000_000, "20 000 take 20 s, less the burst: {now_ns} ns");
+        assert_eq!(Throttle::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 }, 0).wait(0), Duration::ZERO);
+    }
 
     #[test]
     fn every_form_of_line_becomes_an_item() {

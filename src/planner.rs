@@ -143,10 +143,12 @@ impl Planner {
 
     /// How long robot and person are expected to share each room in each of the coming slots, slot by slot, in seconds:
     /// twice as many slots as rooms left, so that a plan may wait for a room to become free. Empty without a forecast that is
-    /// fresh and of the scores' rooms.
+    /// fresh and of the scores' rooms, or without a time to stay.
     fn expected_shared_s(&self, scores: &RoomScoresV1, now_ns: u64) -> Vec<f64> {
         let rooms = scores.rooms();
-        let Some(forecast) = self.forecast.as_ref().filter(|forecast| {
+        // A robot that decides with every score stays nowhere for a time that could be shared.
+        let forecast = self.forecast.as_ref().filter(|_| self.room_time_ns > 0);
+        let Some(forecast) = forecast.filter(|forecast| {
             forecast.epoch == scores.epoch
                 && now_ns.saturating_sub(forecast.published_ns) <= self.deadline_ns
                 && forecast.room_count == scores.room_count
@@ -183,6 +185,7 @@ impl Planner {
                 return Ok(None);
             }
             self.falling_back = true;
+            self.decided = None;
             let why = match stale {
                 decision_flags::NO_SCORES => "no scores have arrived",
                 decision_flags::STALE => "the scores lack narration that the scorer failed on",
@@ -307,9 +310,9 @@ impl Planner {
 /// [`IpcError`] when a service cannot be opened or is lost.
 pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError> {
     let config = &config.planner;
-    // Participants' names are ASCII; the number is the one by which decisions name the robot.
-    let shown: String = config.robot.chars().map(|c| if c.is_ascii() { c } else { '?' }).collect();
-    let node = domain.open(&format!("roomcast-planner {shown} {:016x}", sequence::source_of_name(&config.robot)))?;
+    // The number is the one by which decisions name the robot.
+    let number = sequence::source_of_name(&config.robot);
+    let node = domain.open(&format!("roomcast-planner {} {number:016x}", config.robot))?;
     node.be_the_only_one()?;
     let scores = node.subscriber::<RoomScoresV1>()?;
     let forecasts = node.subscriber::<ForecastV1>()?;

@@ -23,7 +23,10 @@ pub enum SetupError {
     #[error(transparent)]
     Scene(#[from] SceneError),
     /// Neither a file nor the name of a shipped scene.
-    #[error("there is no scene {path}: give a scene's file, or a shipped scene by its name, {}", embedded::names(&embedded::SCENES))]
+    #[error(
+        "there is no scene {path}: give a scene's file, or a shipped scene by its name, {}",
+        embedded::scene_names()
+    )]
     NoScene {
         /// What was given.
         path: String,

@@ -17,6 +17,7 @@ import numpy as np
 
 from data import Program
 from descriptions import Clause, Reader, next_things
+from things import HOME, WORKPLACES, Things
 from narration import (
     DEFAULT_BINDING, STATES, Step, bind, next_targets, random_style, segments, words,
 )
@@ -47,40 +48,6 @@ DISTRACTORS = {
     cue: [w for i, part in enumerate(answers.split("|")) for w in (part.split() if i == 0 else [part])]
     for cue, answers in DISTRACTORS.items()
 }
-# Things that can take each other's place in an activity without changing its course.
-KINDS = [kind.split(", ") for kind in (
-    "mug, cup, coffee cup, water glass, glass, wine glass, drinking glass, teacup",
-    "plate, bowl, tray, dish",
-    "fork, knife, spoon, wooden spoon, cutlery",
-    "sofa, couch, chair, love seat, armchair, bench",
-    "cupboard, kitchen cabinets, kitchen cabinet, cabinet, drawer, pantry",
-    "fridge, freezer, refrigerator",
-    "table, kitchen table, dining table, coffee table, kitchen counter, desk",
-    "tv, television, radio, stereo, cd player, laptop, computer",
-    "book, novel, magazine, newspaper, textbook, folder, notebook, journal",
-    "apple, bananas, peach, plum, pear, lime, orange, tomato, bell pepper, carrot, potato, cucumber",
-    "chicken, salmon, minced meat, cutlets, steak, egg, fish",
-    "cereal, oatmeal, bread, bread slice, crackers, chips, cupcake, pie, creamy buns, pound cake, pudding, candy bar",
-    "milk, juice, wine, water, coffee, tea, beer",
-    "shirt, pants, dress, jacket, skirt, clothes pile, pajamas, sweater, coat",
-    "shoes, slippers, socks, boots",
-    "towel, washcloth, rag, cloth napkin, washing sponge, paper towel, sponge",
-    "soap, bar soap, shampoo, face soap, hair product, face cream, conditioner",
-    "toothbrush, razor, comb, hairbrush, electric shaver",
-    "deodorant, perfume, after shave, face cream, hair product",
-    "cell phone, phone, telephone, wall phone",
-    "lamp, table lamp, floor lamp, light, ceiling lamp, light switch, wall lamp",
-    "frying pan, cooking pot, pot, sauce pan, oven tray",
-    "stove, oven, microwave, toaster",
-    "dish soap, dishwashing liquid, detergent, cleaning solution, cleaning bottle",
-    "bathroom cabinet, bathroom counter, closet, dresser, nightstand, closet drawer, shelf",
-    "box, basket, laundry basket, bag, folder, trash bag",
-    "paper, mail, envelope, bills, document, notes",
-    "blanket, pillow, sheets, comforter, rug",
-    "remote control, video game controller, keyboard, mouse",
-    "garbage can, trash can, bin",
-)]
-KIND_OF = {word: kind for kind in KINDS for word in kind}
 
 
 @dataclass
@@ -97,17 +64,18 @@ class Sequence:
     segments: list[list[str]]  # of the sentences, for the vocabulary
 
 
-def scene_labels(shared: Path, own: Path) -> dict[str, list[str]]:
-    """The label words of the VirtualHome graphs and of the project's own maps, by scene."""
+def scene_labels(shared: Path, own: Path) -> dict[str, dict[str, str]]:
+    """The labels of the VirtualHome graphs and of the project's own maps, by scene: label words, and other words that a map has for them, to labels."""
     scenes = {}
     for path in sorted((shared / "virtualhome/scenes").glob("*_graph.json")):
         nodes = json.loads(path.read_text())["nodes"]
-        scenes[path.stem.removesuffix("_graph")] = sorted(
-            {words(n["class_name"]) for n in nodes} - {"character", "floor", "wall", "ceiling"}
-        )
+        labels = sorted({words(n["class_name"]) for n in nodes} - {"character", "floor", "wall", "ceiling"})
+        scenes[path.stem.removesuffix("_graph")] = {label: label for label in labels}
     for path in sorted(own.glob("*.json")):
         scene = json.loads(path.read_text())
-        scenes[path.stem] = sorted({words(thing["label"]) for key in ("rooms", "items") for thing in scene.get(key, ())})
+        labels = sorted({words(thing["label"]) for key in ("rooms", "items") for thing in scene.get(key, ())})
+        others = {word: label for label, aliases in scene.get("aliases", {}).items() for word in aliases if label in labels}
+        scenes[path.stem] = others | {label: label for label in labels}
     return scenes
 
 
@@ -117,14 +85,16 @@ class Corpus:
 
     programs: list[Program]
     days: list[list[Program]]
-    routines: list  # objects with .program(rng) -> Program
-    scenes: dict[str, list[str]]
+    routines: list  # objects with .place and .program(rng) -> Program
+    scenes: dict[str, dict[str, str]]  # of each map: its labels and their other words, to labels
+    things: Things
     disturbance: float = 1.0  # scales how often a narration is disturbed
     product_style: float = 0.62  # share of narrations in the product's own style
     map_answers: float = 0.75  # share of narrations whose answers are labels of a map, not words of the program
     map_narration: float = 0.35  # share of narrations that speak of a map's items
+    own_map: float = 0.7  # share of narrations of a workplace that has a map which are told with it, not with a home's
     shares: dict[str, float] = field(default_factory=lambda: {
-        "program": 0.42, "day": 0.08, "routine": 0.38, "description": 0.06, "wording": 0.04, "prior": 0.02,
+        "program": 0.39, "day": 0.07, "routine": 0.42, "description": 0.05, "wording": 0.05, "prior": 0.02,
     })
     as_written: float = 0.35  # share of descriptions that are not told of "they"
     skip_ahead: float = 0.12  # share of answers that are the object after the next: other people do things in another order
@@ -134,7 +104,9 @@ class Corpus:
         # A title with 128 variants must not drown the others: draw it in proportion to the root of its count.
         counts = Counter(p.title for p in self.programs)
         self.weights = list(np.cumsum([counts[p.title] ** -0.35 for p in self.programs]))
-        self.all_labels = sorted({label for labels in self.scenes.values() for label in labels})
+        self.all_labels = sorted({label for labels in self.scenes.values() for label in labels.values()})
+        self.at_work = {place: [r for r in self.routines if r.place == place] for place in WORKPLACES}
+        self.homes = [name for name in self.scenes if name not in WORKPLACES]
         self.reader = Reader.of(self.programs, self.all_labels)
         told = ((n, self.reader.clauses(p.description)) for n, p in enumerate(self.programs))
         self.descriptions: list[list[Clause]] = []
@@ -145,26 +117,38 @@ class Corpus:
                 drawn.append(counts[self.programs[number].title] ** -0.35)
         self.description_weights = list(np.cumsum(drawn))
 
+    def labels_for(self, rng: random.Random, place: str) -> dict[str, str]:
+        """The labels of a map that a narration may be told with: the place's own, or some home's."""
+        own = place in self.scenes and rng.random() < self.own_map
+        return self.scenes[place if own else rng.choice(self.homes)]
+
+    def another(self, rng: random.Random, place: str) -> list[Step]:
+        """What else is done in a place."""
+        return list((self.draw_program(rng) if place == HOME else rng.choice(self.at_work[place]).program(rng)).steps)
+
     def draw_program(self, rng: random.Random) -> Program:
         return rng.choices(self.programs, cum_weights=self.weights)[0]
 
     def draw(self, rng: random.Random) -> Sequence:
-        kind = rng.choices(list(self.shares), list(self.shares.values()))[0]
+        kind, place = rng.choices(list(self.shares), list(self.shares.values()))[0], HOME
         if kind == "prior":
             return self.prior(rng)
         if kind == "description":
             return self.describe(rng)
         if kind == "wording":
-            return self.narrate(self.wording(rng), rng, varied=False)
+            scene = self.scenes[rng.choice(list(self.scenes))]
+            labels = sorted(set(scene.values())) if rng.random() < 0.4 else self.things.some(60, rng)
+            return self.narrate(self.wording(labels, rng), rng, dict(zip(labels, labels)))
         if kind == "day":
             day = rng.choice(self.days)
             at = rng.randrange(len(day))
             steps = [step for program in day[at : at + 3] for step in program.steps]
         elif kind == "routine":
-            steps = list(rng.choice(self.routines).program(rng).steps)
+            routine = rng.choice(self.routines)
+            steps, place = list(routine.program(rng).steps), routine.place
         else:
             steps = list(self.draw_program(rng).steps)
-        return self.narrate(steps, rng)
+        return self.narrate(steps, rng, self.labels_for(rng, place), place)
 
     def prior(self, rng: random.Random) -> Sequence:
         """No narration: what people go to at all."""
@@ -172,14 +156,15 @@ class Corpus:
         for _ in range(14):
             targets = [t for t in next_targets(list(self.draw_program(rng).steps)) if t]
             if targets:
-                labels = self.scenes[rng.choice(list(self.scenes))]
+                labels = self.labels_for(rng, HOME)
                 target = rng.choice(targets)
-                branches.append(Branch(0, self.binding(rng), bind(target, labels) or target))
+                if rng.random() < 0.4:
+                    target = self.things.another(target, HOME, rng) or target
+                branches.append(Branch(0, self.binding(rng), labels.get(bind(target, labels), target)))
         return self.distract(Sequence([], branches, []), rng, 0.1)
 
-    def wording(self, rng: random.Random) -> list[Step]:
+    def wording(self, labels: list[str], rng: random.Random) -> list[Step]:
         """Somebody handles things of one map in no particular order: teaches its wordings, and that things are put back."""
-        labels = self.scenes[rng.choice(list(self.scenes))]
         steps: list[Step] = []
         while len(steps) < rng.randint(5, 14):
             one, two = ((label, 1) for label in rng.sample(labels, 2))
@@ -194,16 +179,16 @@ class Corpus:
         targets = next_things(clauses)
         start = rng.randint(0, max(0, len(clauses) - WINDOW))
         as_written, to_map = rng.random() < self.as_written, rng.random() < self.map_answers
-        labels = self.scenes[rng.choice(list(self.scenes))]
+        labels = self.labels_for(rng, HOME)
         parts = [self.reader.told(clause, as_written) for clause in clauses[start : start + WINDOW]]
         branches = [
-            Branch(k, self.binding(rng), to_map and bind(target, labels) or target)
+            Branch(k, self.binding(rng), labels.get(bind(target, labels), target) if to_map else target)
             for k, target in enumerate(targets[start : start + WINDOW], 1) if target
         ]
         return self.distract(Sequence(["".join(p) for p in parts], branches, parts), rng, 0.03)
 
-    def disturb(self, steps: list[Step], rng: random.Random) -> list[Step]:
-        """Missing steps, repeated steps, another activity in between, and other things of the same kind."""
+    def disturb(self, steps: list[Step], rng: random.Random, place: str) -> list[Step]:
+        """Missing steps, repeated steps, another activity of the place in between, and other things of the same kind."""
         roll = rng.random() / self.disturbance
         if roll < 0.12:
             steps = [s for s in steps if rng.random() > 0.12] or steps
@@ -212,18 +197,21 @@ class Corpus:
         elif roll < 0.24:
             steps = [s for s in steps for _ in range(2 if rng.random() < 0.1 else 1)]
         elif roll < 0.28:
-            other, mixed, here = list(self.draw_program(rng).steps), [], steps
+            other, mixed, here = self.another(rng, place), [], steps
             while here:
                 take = rng.randint(2, 6)
                 mixed, here, other = mixed + here[:take], other or here[take:], here[take:] if other else []
             steps = mixed
         elif roll < 0.36:
-            steps = steps + list(self.draw_program(rng).steps)
-        if rng.random() < 0.40 * self.disturbance:
+            steps = steps + self.another(rng, place)
+        roll = rng.random() / self.disturbance
+        share = 0.35 if roll < 0.25 else 0.65 if roll < 0.45 else 0.0  # the latter as in another home, with other words for everything
+        if share:
             swap = {}
             for word in sorted({word for s in steps for word, _ in s.objects}):
-                if rng.random() < 0.35 and word in KIND_OF:
-                    swap[word] = rng.choice(KIND_OF[word])
+                other = self.things.another(word, place, rng) if rng.random() < share else None
+                if other:
+                    swap[word] = other
                 elif rng.random() < 0.03:
                     swap[word] = rng.choice(self.all_labels)
             steps = [Step(s.action, tuple((swap.get(w, w), i) for w, i in s.objects)) for s in steps]
@@ -242,11 +230,11 @@ class Corpus:
                 branch.label = rng.choice(DISTRACTORS[branch.binding])
         return sequence
 
-    def narrate(self, steps: list[Step], rng: random.Random, varied: bool = True) -> Sequence:
-        if varied:
-            steps = self.disturb(steps, rng)
-        labels = self.scenes[rng.choice(list(self.scenes))]
-        bound = lambda word: bind(word, labels) or word
+    def narrate(self, steps: list[Step], rng: random.Random, labels: dict[str, str], place: str | None = None) -> Sequence:
+        """The steps told in some style, narration and answers partly in the map's `labels`; disturbed if they belong to a `place`."""
+        if place:
+            steps = self.disturb(steps, rng, place)
+        bound = lambda word: labels.get(bind(word, labels), word)
         if rng.random() < self.map_narration:  # the narrator speaks of the map's items, not of the program's objects
             steps = [Step(s.action, tuple((bound(w), i) for w, i in s.objects)) for s in steps]
         targets = next_targets(steps)

@@ -18,7 +18,7 @@ from torch import nn
 class Shape:
     """The sizes of a model. Every width is a multiple of 32, the block size of Q8_0."""
 
-    vocab: int = 3072
+    vocab: int = 4096
     width: int = 256
     layers: int = 4
     heads: int = 8

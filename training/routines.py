@@ -17,6 +17,7 @@ from pathlib import Path
 
 from data import Program, cluster_of
 from narration import ACTIONS, Step
+from things import HOME, WORKPLACES
 
 HANDLED = {"grab", "open", "switchon", "switchoff", "sit", "touch", "lie", "close", "wash", "wipe", "read", "scan", "turnon", "unlock", "push", "pull", "puton", "load", "check"}
 
@@ -65,11 +66,17 @@ def flatten(text: str, rng: random.Random) -> list[str]:
     return out
 
 
+def place_of(path: Path) -> str:
+    """The workplace that a file's name begins with, or a home."""
+    first = path.stem.split("_")[0]
+    return first if first in WORKPLACES else HOME
+
+
 def load(folder: Path) -> list[Routine]:
     routines = []
     for path in sorted(folder.glob("*.toml")):
         for entry in tomllib.loads(path.read_text())["routine"]:
-            routines.append(Routine(entry["title"], path.stem, cluster_of(entry["title"]), entry["steps"]))
+            routines.append(Routine(entry["title"], place_of(path), cluster_of(entry["title"]), entry["steps"]))
     for routine in routines:
         check(routine)
     return routines

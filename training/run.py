@@ -32,6 +32,7 @@ import statistics_file
 import tokenizer as vocabulary
 from corpus import Corpus, Encoder, scene_labels
 from model import Shape
+from things import Things
 from train import Schedule, restore, train
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -49,7 +50,7 @@ def corpus_of(shared: Path, dev: bool) -> tuple[Corpus, dict[str, list[data.Prog
         raise SystemExit(f"no activity programs below {shared}/virtualhome/programs: pass the folder that holds virtualhome and homer_plus with --shared")
     own = [r for r in routines.load(ROOT / "training/routines") if data.split_of(r.cluster, dev) == "train"]
     scenes = scene_labels(shared, ROOT / "scenes")
-    return Corpus(programs["train"], data.homer(shared), own, scenes), programs
+    return Corpus(programs["train"], data.homer(shared), own, scenes, Things.load(ROOT / "training/things")), programs
 
 
 def main() -> None:
@@ -73,7 +74,7 @@ def main() -> None:
     if given.export_only:
         pieces, model = vocabulary.load(given.work / "vocabulary.model"), restore(trained)
     else:
-        pieces = vocabulary.train(corpus, given.seed, 3072, given.work / "vocabulary")
+        pieces = vocabulary.train(corpus, given.seed, 4096, given.work / "vocabulary")
         size = -(-pieces.vocab_size() // 32) * 32
         shape = Shape(vocab=size, width=512, layers=8, feed_forward=1408) if given.large else Shape(vocab=size)
         schedule = Schedule()
@@ -119,7 +120,7 @@ def write_manifest(given, corpus, programs, model, shipped: Path) -> None:
     inputs = sorted(
         [p for folder in ("virtualhome/programs", "virtualhome/scenes", "homer_plus") for p in (given.shared / folder).rglob("*") if p.is_file()]
     )
-    here = sorted(p for pattern in ("training/*.py", "training/*.toml", "training/routines/*.toml", "src/narration/actions.toml", "src/semantic_map/names.toml", "scenes/*.json") for p in ROOT.glob(pattern))
+    here = sorted(p for pattern in ("training/*.py", "training/*.toml", "training/routines/*.toml", "training/things/*.toml", "src/narration/actions.toml", "src/semantic_map/names.toml", "scenes/*.json") for p in ROOT.glob(pattern))
     manifest = {
         "model": {"file": shipped.name, "sha256": data.sha256(shipped), "bytes": shipped.stat().st_size, "parameters": model.parameter_count(), "shape": model.shape.to_dict()},
         "command": f"python training/run.py --shared SHARED --seed {given.seed}" + (" --dev" if given.dev else "") + (f" --short {given.short}" if given.short else ""),

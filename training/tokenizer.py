@@ -29,6 +29,7 @@ def sample(corpus: Corpus, seed: int, sequences: int = 6000) -> Counter:
             counts.update((branch.binding, branch.label))
     names = set(WORDS.values()) | set(ALIASES) | {a for aliases in ALIASES.values() for a in aliases} | set(corpus.all_labels)
     names |= {word for step in (s for p in corpus.programs for s in p.steps) for word, _ in step.objects}
+    names |= corpus.things.all
     for name in names | {w for answers in DISTRACTORS.values() for w in answers}:
         counts[name] += 3
         for word in name.split():

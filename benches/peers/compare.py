@@ -21,7 +21,7 @@ import shapes
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-PROGRAMS = sorted((ROOT / "scenes/programs").glob("*.txt"))
+PROGRAMS = sorted((ROOT / "scenes/programs").glob("p*.txt"))
 PEERS = ["shared-prefix", "llama.cpp-layout", "transformers", "cappr", "independent"]
 TOLERANCE_NATS = 1e-2
 # Between two peers: what spins for its next work gives up by then.

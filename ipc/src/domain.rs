@@ -121,8 +121,10 @@ impl Domain {
         iceoryx2::prelude::set_log_level(LogLevel::Fatal);
         let join = |cause: String| IpcError::Join { root: self.root.clone(), cause };
         let config = self.config()?;
-        let name =
-            NodeName::new(participant).map_err(|error| join(format!("participant {participant:?}: {error:?}")))?;
+        // iceoryx2's names are ASCII; people's are not.
+        let shown: String =
+            participant.chars().map(|c| if c.is_ascii_graphic() || c == ' ' { c } else { '?' }).collect();
+        let name = NodeName::new(&shown).map_err(|error| join(format!("participant {participant:?}: {error:?}")))?;
         let guardian = Guardian::start(self).map_err(|error| join(format!("no thread can be started: {error}")))?;
         let node = NodeBuilder::new()
             .name(&name)

@@ -89,7 +89,7 @@ pub fn run(args: &Args) -> CommandResult {
         }
         (None, None) => Input::open(args.fifo.as_ref().unwrap_or(&args.input), args.person).map_err(input)?,
     };
-    let outcome = narrator::run(&config.narrator, &domain, source, pace, &stop)
+    let outcome = narrator::run(&config.narrator, config.daemon.intake, &domain, source, pace, &stop)
         .map_err(|error| Failure::new(exit_code::IPC, error))?;
     // On a wish to stop the connection may take its time to close, and nothing is left to be said.
     if let Some(listener) = listener.filter(|_| !stop.requested()) {
@@ -126,7 +126,7 @@ fn read_sensors(log: &Path, rules: &Path) -> Result<Input, Failure> {
 }
 
 /// Listens to the broker in a thread of its own; its lines come through a pipe, whose small buffer holds it back while the daemon is
-/// behind.
+/// behind: what is in it is acknowledged, and goes with this process.
 fn listen(args: &Args, address: &str, name: &str, stop: &Stop) -> Result<(Input, Listener), Failure> {
     let rules = Rules::load(args.rules.as_deref().unwrap_or(Path::new("rules.toml"))).map_err(mqtt_failure)?;
     let broker = Broker {
@@ -137,6 +137,8 @@ fn listen(args: &Args, address: &str, name: &str, stop: &Stop) -> Result<(Input,
     };
     let options = broker.options().map_err(mqtt_failure)?;
     let (reader, writer) = std::io::pipe().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    // The least there is, a page; a system that refuses leaves it larger.
+    let _resized = rustix::pipe::fcntl_setpipe_size(&writer, 4096);
     let stop = stop.clone();
     let listener = std::thread::Builder::new().name("mqtt".to_owned());
     let listener = listener

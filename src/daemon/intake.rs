@@ -9,6 +9,8 @@ use crate::narration::{Observation, Observed};
 
 /// Most sources followed; those of further ones are refused, so that inventing sources exhausts nothing.
 pub const SOURCES_MAX: usize = 64;
+/// After this silence a source gives way to a new one where there are too many.
+const FORGET_NS: u64 = 3_600_000_000_000;
 
 /// What one source may send.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -66,6 +68,9 @@ struct Source {
     follower: Follower,
     allowance: f64,
     refilled_ns: u64,
+    heard_ns: u64,
+    /// A number that grows with every message of any source.
+    turn: u64,
 }
 
 /// Decides about each message; remembers per source what was taken.
@@ -73,6 +78,7 @@ struct Source {
 pub struct Intake {
     limits: IntakeLimits,
     sources: BTreeMap<u64, Source>,
+    turns: u64,
     counters: IntakeCounters,
 }
 
@@ -83,9 +89,10 @@ impl Intake {
         Self { limits, ..Self::default() }
     }
 
-    /// Takes note of an observation that a former run of the daemon took, so that it is not taken twice.
+    /// Takes note of an observation that a former run of the daemon took, so that it is not taken twice; they come in their order, and
+    /// of too many sources those count that spoke last.
     pub fn restore(&mut self, observation: &Observation, now_ns: u64) {
-        if let Some(source) = self.source(observation.source, now_ns) {
+        if let Some(source) = self.source(observation.source, now_ns, 0) {
             source.follower.take(observation.epoch, observation.sequence);
         }
     }
@@ -113,7 +120,7 @@ impl Intake {
             }
         };
         let limits = self.limits;
-        let Some(source) = self.source(message.source, now_ns) else {
+        let Some(source) = self.source(message.source, now_ns, FORGET_NS) else {
             self.counters.limited += 1;
             return Taken::Limited;
         };
@@ -162,17 +169,23 @@ impl Intake {
         self.sources.len()
     }
 
-    fn source(&mut self, id: u64, now_ns: u64) -> Option<&mut Source> {
-        let room = self.sources.len() < SOURCES_MAX;
-        match self.sources.entry(id) {
-            std::collections::btree_map::Entry::Occupied(known) => Some(known.into_mut()),
-            std::collections::btree_map::Entry::Vacant(new) if room => Some(new.insert(Source {
-                follower: Follower::default(),
-                allowance: self.limits.burst,
-                refilled_ns: now_ns,
-            })),
-            std::collections::btree_map::Entry::Vacant(_) => None,
+    /// A source, known or new; in a full house the one that has been silent for longest goes, if that is `forget_ns` at least.
+    fn source(&mut self, id: u64, now_ns: u64, forget_ns: u64) -> Option<&mut Source> {
+        if !self.sources.contains_key(&id) && self.sources.len() >= SOURCES_MAX {
+            let (silent, source) = self.sources.iter().min_by_key(|(_, source)| source.turn)?;
+            if now_ns.saturating_sub(source.heard_ns) < forget_ns {
+                return None;
+            }
+            let silent = *silent;
+            self.sources.remove(&silent);
         }
+        let burst = self.limits.burst;
+        let new =
+            || Source { follower: Follower::default(), allowance: burst, refilled_ns: now_ns, heard_ns: 0, turn: 0 };
+        self.turns += 1;
+        let source = self.sources.entry(id).or_insert_with(new);
+        (source.heard_ns, source.turn) = (now_ns, self.turns);
+        Some(source)
     }
 }
 
@@ -221,6 +234,24 @@ mod tests {
         }
         assert_eq!(intake.sources(), SOURCES_MAX);
         assert!(matches!(intake.take(&message(3, 1, 2, "A."), 0), Taken::Accepted { .. }));
+    }
+
+    #[test]
+    fn of_too_many_sources_those_count_that_spoke_last() {
+        let mut intake = Intake::new(IntakeLimits::default());
+        let Taken::Accepted { observation, .. } = intake.take(&message(1, 1, 1, "A."), 0) else { panic!() };
+        for source in 1..=100 {
+            intake.restore(&Observation { source, ..observation.clone() }, 7);
+        }
+        assert_eq!(intake.sources(), SOURCES_MAX);
+        assert_eq!(intake.take(&message(100, 1, 1, "A."), 8), Taken::Duplicate);
+        assert_eq!(intake.take(&message(36, 1, 1, "A."), 8), Taken::Limited);
+        // An hour later there is room for a new one, and for one only while the others speak.
+        for source in 38..=100 {
+            assert!(matches!(intake.take(&message(source, 1, 2, "A."), FORGET_NS), Taken::Accepted { .. }));
+        }
+        assert!(matches!(intake.take(&message(36, 1, 1, "A."), FORGET_NS + 7), Taken::Accepted { .. }));
+        assert_eq!(intake.take(&message(35, 1, 1, "A."), FORGET_NS + 7), Taken::Limited);
     }
 
     #[test]

@@ -5,9 +5,13 @@
 //! payload is source, epoch, sequence, observed_ns, observed_unix_ns (u64 each), person (u32), the machine's boot id (16 bytes)
 //! and the sentence. Reading skips what is damaged and goes on at the next record whose checksum is right.
 //!
+//! When the older half goes, the last record of every source that it alone knew is carried over as `"RCJ2"`: what the source said then is
+//! history no more, but what it says again is still known.
+//!
 //! A record is handed to the system as soon as it is written, so a daemon that is killed loses nothing; what the machine loses with
 //! its power is at most the last [`JournalOptions::sync_ms`].
 
+use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -19,9 +23,11 @@ use std::time::{Duration, Instant};
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use rustix::fs::FlockOperation;
 
+use super::intake::SOURCES_MAX;
 use crate::narration::{Observation, Sentence};
 
 const MAGIC: [u8; 4] = *b"RCJ1";
+const MAGIC_CARRIED: [u8; 4] = *b"RCJ2";
 const HEADER_BYTES: usize = 12;
 const FIXED_BYTES: usize = 5 * 8 + 4 + 16;
 /// No payload is longer: a sentence has at most 1024 bytes.
@@ -66,6 +72,8 @@ pub enum JournalError {
 pub struct Recovered {
     /// The observations, oldest first.
     pub observations: Vec<Observation>,
+    /// The last ones of sources that have been silent since: too old for the history, but taken.
+    pub carried: Vec<Observation>,
     /// Bytes that were no record: a torn end, or damage.
     pub damaged_bytes: u64,
 }
@@ -115,9 +123,20 @@ impl Journal {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
             Err(error) => return Err(failed(&older, "read")(error)),
         }
-        let mut bytes = Vec::new();
+        let mut last = BTreeMap::new();
+        let mut note = |found: &Recovered, in_current| {
+            for observation in found.carried.iter().chain(&found.observations) {
+                last.insert(observation.source, (encode(observation, &boot_id), in_current));
+            }
+        };
+        note(&recovered, false);
+        let (mut bytes, mut newer) = (Vec::new(), Recovered::default());
         file.read_to_end(&mut bytes).map_err(failed(&current, "read"))?;
-        read_records(&bytes, &boot_id, &mut recovered);
+        read_records(&bytes, &boot_id, &mut newer);
+        note(&newer, true);
+        recovered.observations.append(&mut newer.observations);
+        recovered.carried.append(&mut newer.carried);
+        recovered.damaged_bytes += newer.damaged_bytes;
 
         let (records, queue) = bounded(QUEUE);
         let progress = Arc::new(Progress::default());
@@ -128,6 +147,7 @@ impl Journal {
             older,
             length: bytes.len() as u64,
             unwritten: Vec::new(),
+            last,
             half_bytes: (options.bytes_max / 2).max(4096),
             sync_every: Duration::from_millis(options.sync_ms.max(1)),
             progress: Arc::clone(&progress),
@@ -212,6 +232,8 @@ struct Writer {
     length: u64,
     /// Records that the disk refused, tried again with the next ones: a full disk may have room again.
     unwritten: Vec<u8>,
+    /// Per source its last record, and whether the current half has it.
+    last: BTreeMap<u64, (Vec<u8>, bool)>,
     half_bytes: u64,
     sync_every: Duration,
     progress: Arc<Progress>,
@@ -273,19 +295,52 @@ impl Writer {
             return Err(error);
         }
         self.length += self.unwritten.len() as u64;
+        let mut rest = &self.unwritten[..];
+        while !rest.is_empty() {
+            let (record, after) = rest.split_at(record_bytes(rest));
+            self.last.insert(source_of(record), (record.to_vec(), true));
+            rest = after;
+        }
         self.unwritten.clear();
         self.progress.bytes.store(self.length, Ordering::Relaxed);
         Ok(())
     }
 
-    /// The full half becomes the old one, whose predecessor goes. The lock moves to the new file before the old one lets go.
+    /// The full half becomes the old one, whose predecessor goes, but for the last words of sources that only it knew. The lock moves to the
+    /// new file before the old one lets go.
     fn rotate(&mut self) -> io::Result<()> {
         self.file.sync_data()?;
-        fs::rename(&self.current, &self.older)?;
+        let quiet: Vec<u64> =
+            self.last.iter().filter(|(_, (_, current))| !current).map(|(source, _)| *source).collect();
+        // More than the daemon knows, and of sources that it has forgotten.
+        for source in quiet.iter().skip(SOURCES_MAX) {
+            self.last.remove(source);
+        }
+        let mut carried: Vec<u8> = Vec::new();
+        for (record, _) in self.last.values().filter(|(_, in_current)| !in_current) {
+            carried.extend_from_slice(&MAGIC_CARRIED);
+            carried.extend_from_slice(&record[MAGIC.len()..]);
+        }
+        // In a journal of the least size it is the newest narration that counts.
+        carried.truncate(if carried.len() as u64 > self.half_bytes / 4 { 0 } else { carried.len() });
+        match fs::rename(&self.current, &self.older) {
+            // A rotation that got no further before: the old half is in place.
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            renamed => renamed?,
+        }
         let file = open_file(&self.current)?;
         rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
         self.file = file;
         self.length = 0;
+        if let Err(error) = self.file.write_all(&carried) {
+            let _cut = self.file.set_len(0);
+            return Err(error);
+        }
+        self.length = carried.len() as u64;
+        for (_, in_current) in self.last.values_mut() {
+            // What was carried is in the new half, and the half before it has the others.
+            *in_current = !*in_current && !carried.is_empty();
+        }
         Ok(())
     }
 
@@ -341,6 +396,11 @@ pub fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
     record
 }
 
+/// The source of a whole record.
+fn source_of(record: &[u8]) -> u64 {
+    record.get(HEADER_BYTES..).and_then(|mut payload| take_u64(&mut payload)).unwrap_or_default()
+}
+
 /// Bytes of the first of some whole records; all of them where it is none.
 fn record_bytes(records: &[u8]) -> usize {
     let length = records.get(4..).and_then(|mut rest| take_u32(&mut rest));
@@ -354,11 +414,12 @@ pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered)
     while !rest.is_empty() {
         match decode(rest, boot_id) {
             Some((observation, length)) => {
-                recovered.observations.push(observation);
+                let carried = rest.starts_with(&MAGIC_CARRIED);
+                if carried { &mut recovered.carried } else { &mut recovered.observations }.push(observation);
                 rest = &rest[length..];
             }
             None => {
-                let next = rest[1..].windows(MAGIC.len()).position(|window| window == MAGIC);
+                let next = rest[1..].windows(MAGIC.len()).position(|window| window == MAGIC || window == MAGIC_CARRIED);
                 let skipped = next.map_or(rest.len(), |next| next + 1);
                 recovered.damaged_bytes += skipped as u64;
                 rest = &rest[skipped..];
@@ -368,7 +429,7 @@ pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered)
 }
 
 fn decode(bytes: &[u8], boot_id: &[u8; 16]) -> Option<(Observation, usize)> {
-    let mut header = bytes.strip_prefix(&MAGIC)?;
+    let mut header = bytes.strip_prefix(&MAGIC).or_else(|| bytes.strip_prefix(&MAGIC_CARRIED))?;
     let length = take_u32(&mut header)? as usize;
     let checksum = take_u32(&mut header)?;
     if !(FIXED_BYTES..=PAYLOAD_BYTES_MAX).contains(&length) {
@@ -453,6 +514,37 @@ mod tests {
         let (_journal, recovered) = Journal::open(&options).unwrap();
         assert_eq!(recovered.observations.last().unwrap().sequence, 1999);
         assert!(recovered.observations.len() > 50);
+    }
+
+    #[test]
+    fn a_source_that_fell_silent_stays_known() {
+        let directory = tempfile::tempdir().unwrap();
+        let options = options(directory.path(), 16_384);
+        let quiet = Observation { source: 99, ..observation(41) };
+        let mut sequence = 0;
+        for run in 0..4 {
+            let (mut journal, recovered) = Journal::open(&options).unwrap();
+            let known = recovered.carried.iter().chain(&recovered.observations).filter(|o| **o == quiet).count();
+            assert!(run == 0 || known > 0, "{run}: {recovered:?}");
+            assert!(
+                recovered
+                    .observations
+                    .windows(2)
+                    .all(|pair| pair[0].source == 99 || pair[0].sequence < pair[1].sequence || pair[1].source == 99)
+            );
+            if run == 0 {
+                journal.append(&quiet);
+            }
+            // Some rotations in every run.
+            for _ in 0..700 {
+                sequence += 1;
+                let number = journal.append(&observation(sequence));
+                assert!(journal.handle().wait_for(number, Duration::from_secs(30)));
+            }
+            drop(journal);
+            let size: u64 = fs::read_dir(directory.path()).unwrap().map(|f| f.unwrap().metadata().unwrap().len()).sum();
+            assert!(size <= 16_384, "{size}");
+        }
     }
 
     #[test]

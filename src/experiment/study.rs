@@ -9,7 +9,7 @@ use crate::forecast::{ForecastOptions, Forecaster, Mentions};
 use crate::grounding::{GroundedScores, Grounding};
 use crate::narration::history::HistoryLimits;
 use crate::narration::{Program, Sentence};
-use crate::policy::{CoverageAware, Policy, PolicyName};
+use crate::policy::{CoverageAware, DP_PARTITIONS_MAX, Policy, PolicyName};
 use crate::prompt::BindingSequence;
 use crate::scorer::LanguageModel;
 use crate::semantic_map::SemanticMap;
@@ -242,8 +242,8 @@ pub struct Cell {
     pub horizon_s: usize,
 }
 
-/// Runs every decider in every home at every T_r. The optimum of each is found by HiGHS and by dynamic programming, which
-/// must agree, and no run may be better.
+/// Runs every decider in every home at every T_r. The optimum of each is found by HiGHS and, up to [`ROOMS_PROGRAMMED_MAX`] rooms, by
+/// dynamic programming, which must agree, and no run may be better.
 ///
 /// # Errors
 /// When T_r does not fit, a solver fails, or one of these checks does.
@@ -295,7 +295,19 @@ fn bound_of(optima: &[Optimum], run: &Run) -> f64 {
     if run.coverage_s.is_some() { optimum.covering_s.unwrap_or(f64::INFINITY) } else { optimum.free_s }
 }
 
+/// Rooms of a map up to which the dynamic program is exact: the robot's own is covered from the start.
+pub const ROOMS_PROGRAMMED_MAX: usize = DP_PARTITIONS_MAX + 1;
+
 fn optima(home: &Home<'_>, room_time_s: usize) -> Result<Vec<Optimum>, ExperimentError> {
+    if home.cost.rooms() > ROOMS_PROGRAMMED_MAX {
+        let solve = |start, cover| clairvoyant::by_mixed_integer_program(&home.cost, room_time_s, start, cover);
+        return (0..home.cost.rooms())
+            .map(|start| {
+                let free_s = solve(start, false)?.unwrap_or(0.0);
+                Ok(Optimum { covering_s: solve(start, true)?, free_s })
+            })
+            .collect();
+    }
     let optima = clairvoyant::by_dynamic_program(&home.cost, room_time_s);
     for (start, optimum) in optima.iter().enumerate() {
         for (cover, dynamic_s) in [(true, optimum.covering_s), (false, Some(optimum.free_s))] {

@@ -28,10 +28,10 @@ pub struct HistoryLimits {
 }
 
 impl HistoryLimits {
-    /// The paper's window of exactly the last `observations`.
+    /// The paper's window of exactly the last `observations`, however long they are.
     #[must_use]
     pub fn exact(observations: usize) -> Self {
-        Self { observations, slack: 0, ..Self::default() }
+        Self { observations, slack: 0, tokens: usize::MAX }
     }
 }
 

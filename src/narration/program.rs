@@ -16,7 +16,7 @@ pub enum ProgramError {
     /// The file cannot be read.
     #[error(
         "failed to read the activity program {path}: {source}; give a program's file, or a shipped program by its name, {}",
-        embedded::names(&embedded::PROGRAMS)
+        embedded::program_names()
     )]
     Read {
         /// Which file.

@@ -568,6 +568,8 @@ fn check_items(entries: &[ItemEntry]) -> Result<(Vec<String>, Vec<Item>), SceneE
     let items = (entries.iter())
         .map(|entry| {
             let total: f64 = entry.captions.iter().map(|caption| caption.weight).sum();
+            // Shares stay as they are, lest a map that was written change by being read.
+            let total = if (total - 1.0).abs() < 1e-9 { 1.0 } else { total };
             let caption =
                 |entry: &CaptionEntry| Caption { label: label_id(&entry.label), weight: entry.weight / total };
             Item {
@@ -582,6 +584,9 @@ fn check_items(entries: &[ItemEntry]) -> Result<(Vec<String>, Vec<Item>), SceneE
     Ok((labels.iter().map(|&label| label.to_owned()).collect(), items))
 }
 
+/// Least share of a caption.
+pub(crate) const SHARE_MIN: f64 = 1e-9;
+
 fn check_captions(place: Place, entry: &ItemEntry) -> Result<(), SceneError> {
     let captions = &entry.captions;
     if captions.is_empty() {
@@ -591,12 +596,18 @@ fn check_captions(place: Place, entry: &ItemEntry) -> Result<(), SceneError> {
         let problem = format!("{} entries, more than {MAX_CAPTIONS}", captions.len());
         return Err(place.error("captions", problem, "keep the heaviest"));
     }
+    let total: f64 = captions.iter().map(|caption| caption.weight).sum();
     for (index, caption) in captions.iter().enumerate() {
         place.label(&caption.label)?;
         // Between these bounds neither a sum nor a share leaves the range of f64; NaN fails, too.
         if !(1e-9..=1e9).contains(&caption.weight) {
             let problem = format!("the weight {} is not between 1e-9 and 1e9", caption.weight);
             return Err(place.error("captions", problem, "give a positive weight or remove the caption"));
+        }
+        // Shares are what is written back.
+        if caption.weight / total.max(1.0) < SHARE_MIN {
+            let problem = format!("the weight {} is less than {SHARE_MIN} of all", caption.weight);
+            return Err(place.error("captions", problem, "remove the caption"));
         }
         if captions[..index].iter().any(|earlier| earlier.label == caption.label) {
             let problem = format!("has {:?} twice", caption.label);
@@ -646,6 +657,23 @@ mod tests {
         let again = SemanticMap::from_json(&map.to_json()).unwrap();
         assert_eq!(map, again);
         assert_eq!(map.short_fingerprint().len(), 16);
+    }
+
+    #[test]
+    fn soft_labels_survive_writing_and_reading() {
+        let with = |weights: &[f64]| {
+            let mut scene: Value = serde_json::from_str(TWO_ROOMS).unwrap();
+            let label = |index: usize| if index == 0 { "mug".to_owned() } else { format!("thing {index}") };
+            let caption = |(index, weight): (usize, &f64)| json!({"label": label(index), "weight": weight});
+            scene["items"][0]["captions"] = weights.iter().enumerate().map(caption).collect();
+            SemanticMap::from_json(&scene.to_string())
+        };
+        for weights in [&[0.11, 0.06, 0.85, 0.3, 0.27][..], &[2.0, 1.0], &[100.0, 1e-6], &[1e9, 3.0], &[1e-9, 1e-9]] {
+            let map = with(weights).unwrap();
+            let again = SemanticMap::from_json(&map.to_json()).unwrap();
+            assert_eq!((map.fingerprint, &map), (again.fingerprint, &again));
+        }
+        assert!(message(&with(&[100.0, 5e-9]).unwrap_err()).contains("of all"));
     }
 
     #[test]

@@ -25,6 +25,7 @@ import descriptions
 import export
 import routines
 import run
+import things
 import tokenizer as vocabulary
 from model import Household, Shape
 from narration import PRODUCT, Step, Style, bind, next_targets, parse_step, segments, sentence, words
@@ -87,6 +88,18 @@ def test_routines_vary_and_are_well_formed():
     assert fixed == []
 
 
+def test_the_lexicon_is_well_formed_and_finds_things_of_a_kind():
+    lexicon = things.Things.load(HERE / "things")
+    assert len(lexicon.all) > 5000
+    assert [word for word in lexicon.all if word != word.lower().strip() or not word or len(word) > 40] == []
+    assert {file for files in things.FILES.values() for file in files} == set(lexicon.kinds)
+    rng = random.Random(1)
+    mates = {lexicon.another("cup", things.HOME, rng) for _ in range(200)}
+    assert "mug" in mates and mates <= {word for kind in [k for f in ("everyday", "house", "living") for k in lexicon.of[f].get("cup", [])] for word in kind}
+    assert lexicon.another("xylophone spaceship", things.HOME, rng) is None
+    assert len(set(lexicon.some(60, rng))) == 60
+
+
 def test_descriptions_become_narrations():
     text = "I walk to my kitchen, then I open the cabinets and take a mug. Drink coffee from mug"
     steps = tuple(step(t) for t in ("[Walk] <kitchen> (1)", "[Open] <cabinet> (1)", "[Grab] <mug> (1)", "[Drink] <coffee> (1)"))
@@ -115,7 +128,7 @@ def tiny(tmp_path_factory):
     if not (SHARED / "virtualhome").is_dir():
         pytest.skip(f"no data at {SHARED}: set SHARED")
     corpus, _ = run.corpus_of(SHARED, dev=False)
-    return corpus, vocabulary.train(corpus, 1, 3072, tmp_path_factory.mktemp("vocabulary") / "v")
+    return corpus, vocabulary.train(corpus, 1, 4096, tmp_path_factory.mktemp("vocabulary") / "v")
 
 
 def test_tokens_never_cross_segments(tiny):
@@ -136,7 +149,7 @@ def test_a_branch_is_the_prompt_that_the_product_sends(tiny):
     shape = Shape(vocab=-(-pieces.vocab_size() // 32) * 32, width=64, layers=2, heads=2, feed_forward=96)
     torch.manual_seed(0)
     model = Household(shape).eval()
-    sequence = corpus.narrate([Step(v, ((w, 1),)) for v, w in (("walk", "kitchen"), ("grab", "mug"), ("walk", "sink"), ("wash", "mug"))], random.Random(7))
+    sequence = corpus.narrate([Step(v, ((w, 1),)) for v, w in (("walk", "kitchen"), ("grab", "mug"), ("walk", "sink"), ("wash", "mug"))], random.Random(7), {})
     part = encoder.encode(sequence, 400, random.Random(0))
     index = np.arange(len(part["token"]))
     trunk = (part["branch"][None] == 0) & (index[None] < part["sees"][:, None])

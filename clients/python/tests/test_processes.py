@@ -52,6 +52,11 @@ def test_a_decision_arrives(domain: Domain) -> None:
     assert decision.stay_ns == 60_000_000_000
 
 
+def test_a_name_may_be_in_any_letters(domain: Domain) -> None:
+    with Planner("Кухонный помощник нашей бабушки", domain) as planner:
+        planner.decide("kitchen", "nobody is there")
+
+
 def test_malformed_scores_are_refused() -> None:
     message = layouts.RoomScoresV1(epoch=1, sequence=1, room_count=65)
     with pytest.raises(ValueError, match="65 rooms"):

@@ -1,5 +1,6 @@
 //! `roomcast experiment table1 | table2 | ablation | pareto | horizon`: a robot among people, many times over.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -163,8 +164,16 @@ impl StudyArgs {
             files = super::split(files, manifest, &self.split)?;
         }
         let mut activities = Vec::with_capacity(files.len());
+        let stem = |file: &Path| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let mut names = HashMap::<String, usize>::new();
+        files.iter().for_each(|file| *names.entry(stem(&file.path)).or_default() += 1);
         for file in files {
-            let name = file.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let mut name = stem(&file.path);
+            // Files of one name in several folders are told apart by these.
+            if names[&name] > 1 {
+                let below = file.path.strip_prefix(path).unwrap_or(&file.path);
+                name = below.with_extension("").display().to_string();
+            }
             // Programs were read already; days are read again with their times.
             let day = std::fs::read_to_string(&file.path).ok().filter(|text| Day::recognise(text));
             let activity = match day {
@@ -281,22 +290,40 @@ impl Setup<'_> {
         Ok(study::run(homes, &self.room_times_s, deciders, &self.options, &progress)?)
     }
 
-    fn notes(&self, sources: &[ScoreSource<LlamaModel>], homes: &[Home<'_>]) -> Vec<String> {
-        let computed: usize = sources.iter().map(ScoreSource::computed).sum();
-        let model = sources.first().map(|source| source.model().name.clone()).unwrap_or_default();
-        let horizon_s = homes.iter().map(|home| home.cost().steps()).sum::<usize>() as f64 / homes.len().max(1) as f64;
+    /// What was computed, for reports of runs; `bindings` are the binding sequences that it was computed with.
+    fn notes(&self, sources: &[ScoreSource<LlamaModel>], homes: &[Home<'_>], bindings: &str) -> Vec<String> {
+        let rooms = homes.iter().map(|home| home.cost().rooms()).max().unwrap_or(0);
+        let bound = if rooms > study::ROOMS_PROGRAMMED_MAX {
+            format!(" of up to {} rooms", study::ROOMS_PROGRAMMED_MAX)
+        } else {
+            String::new()
+        };
         let closed_s =
             homes.iter().map(|home| home.cost().naive_disturbance()).sum::<f64>() / homes.len().max(1) as f64;
         vec![format!(
-            "Model {model}, binding \"{}\", {} of home and activity, T {horizon_s:.0} s on average, T_r {:?} s, {}, seed {}; {computed} \
-             scores computed, the others from the cache. In closed form the naive policy disturbs {closed_s:.1} s. The clairvoyant bound is \
-             HiGHS's optimum of the mixed-integer program, equal to that of the dynamic program in every cell.",
-            self.args.binding.text().trim_end(),
-            count(homes.len(), "pair"),
+            "{}, T_r {:?} s, {}. In closed form the naive policy disturbs {closed_s:.1} s. The clairvoyant bound is HiGHS's optimum of the \
+             mixed-integer program, equal to that of the dynamic program in every cell{bound}.",
+            self.origin(sources, homes, bindings),
             self.room_times_s,
             count(self.options.restarts as usize, "restart"),
-            self.options.seed,
         )]
+    }
+
+    /// Where scores and activities are from.
+    fn origin(&self, sources: &[ScoreSource<LlamaModel>], homes: &[Home<'_>], bindings: &str) -> String {
+        let computed: usize = sources.iter().map(ScoreSource::computed).sum();
+        let model = sources.first().map(|source| source.model().name.clone()).unwrap_or_default();
+        let horizon_s = homes.iter().map(|home| home.cost().steps()).sum::<usize>() as f64 / homes.len().max(1) as f64;
+        format!(
+            "Model {model}, {bindings}, {} of home and activity, T {horizon_s:.0} s on average, seed {}; {computed} scores computed, the \
+             others from the cache",
+            count(homes.len(), "pair"),
+            self.options.seed,
+        )
+    }
+
+    fn binding(&self) -> String {
+        format!("binding \"{}\"", self.args.binding.text().trim_end())
     }
 
     fn finish(&self, report: &Report, json: serde_json::Value) -> CommandResult {
@@ -340,7 +367,7 @@ pub(super) fn run_table2(args: &StudyArgs) -> CommandResult {
     let homes = setup.all_homes(&mut sources, &args.binding, &setup.options)?;
     let cells = setup.run(&homes, &POLICIES)?;
     let table = tables::table2(&cells);
-    let mut notes = setup.notes(&sources, &homes);
+    let mut notes = setup.notes(&sources, &homes, &setup.binding());
     notes.insert(0, tables::headline(&table.overall));
     notes.push(DIFFERENCES.to_owned());
     let pictures = match args.out {
@@ -351,8 +378,16 @@ pub(super) fn run_table2(args: &StudyArgs) -> CommandResult {
     setup.finish(&report, json!(table))
 }
 
+fn refuse_binding(args: &StudyArgs, instead: &str) -> CommandResult {
+    if args.binding == BindingSequence::default() {
+        return Ok(());
+    }
+    Err(Failure::new(exit_code::USAGE, format!("--binding has no effect here: {instead}")))
+}
+
 /// The paper's Table I.
 pub(super) fn run_table1(args: &Table1Args) -> CommandResult {
+    refuse_binding(&args.study, "table1 scores with P0 to P5")?;
     let setup = args.study.setup(&[25, 50], &APARTMENTS[..1], &PROGRAMS[2..])?;
     let mut sources = setup.sources(&args.study.model)?;
     let mut rows: Vec<Figures> = Vec::new();
@@ -361,7 +396,7 @@ pub(super) fn run_table1(args: &Table1Args) -> CommandResult {
         let Some(binding) = BindingSequence::built_in(name) else { continue };
         let homes = setup.all_homes(&mut sources, &binding, &setup.options)?;
         if notes.is_empty() {
-            notes = setup.notes(&sources, &homes);
+            notes = setup.notes(&sources, &homes, "bindings P0 to P5");
             let cells = setup.run(&homes, &[Decider::Policy(PolicyName::Naive)])?;
             let all: Vec<_> = cells.iter().collect();
             rows.push(Figures { policy: "random".into(), ..study::figures(&all, None) });
@@ -386,6 +421,10 @@ pub(super) fn run_table1(args: &Table1Args) -> CommandResult {
 
 /// Models, prompts, windows.
 pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
+    refuse_binding(&args.study, "give --prompt")?;
+    if args.study.model.history.is_some() {
+        return Err(Failure::new(exit_code::USAGE, "--history has no effect here: give --window"));
+    }
     let setup = args.study.setup(&[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
     let prompts: Vec<BindingSequence> =
         if args.prompt.is_empty() { BindingSequence::all_built_in().collect() } else { args.prompt.clone() };
@@ -415,7 +454,7 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
                     let options = Options { history: HistoryLimits::exact(*window), ..setup.options.clone() };
                     let homes = setup.all_homes(&mut sources, binding, &options)?;
                     if notes.is_empty() {
-                        notes = setup.notes(&sources, &homes);
+                        notes = setup.notes(&sources, &homes, "bindings, windows and other models as in the table");
                     }
                     for decider in deciders {
                         let cells = setup.run(&homes, &[decider])?;
@@ -465,7 +504,7 @@ pub(super) fn run_pareto(args: &ParetoArgs) -> CommandResult {
     let table = tables::table2(&cells);
     let domination = tables::domination(&cells);
     let count = |verdict: &str| domination.iter().filter(|row| row.verdict == verdict).count();
-    let mut notes = setup.notes(&sources, &homes);
+    let mut notes = setup.notes(&sources, &homes, &setup.binding());
     notes.insert(
         0,
         format!(
@@ -501,7 +540,7 @@ pub(super) fn run_horizon(args: &StudyArgs) -> CommandResult {
     let (table, figures) = tables::horizon_report(&rows);
     let report = Report {
         title: "Where the person will be".into(),
-        notes: setup.notes(&sources, &homes),
+        notes: vec![format!("{}.", setup.origin(&sources, &homes, &setup.binding()))],
         tables: vec![table],
         figures,
     };

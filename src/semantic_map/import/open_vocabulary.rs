@@ -16,7 +16,9 @@ use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use super::{Ids, ImportError, Imported, parse, words};
-use crate::semantic_map::schema::{CaptionEntry, FORMAT, ItemEntry, MAX_CAPTIONS, RoomEntry, SceneFile, VERSION};
+use crate::semantic_map::schema::{
+    CaptionEntry, FORMAT, ItemEntry, MAX_CAPTIONS, RoomEntry, SHARE_MIN, SceneFile, VERSION,
+};
 use crate::semantic_map::{Box3, MAX_TEXT_BYTES, SemanticMap};
 
 const EXPECTED: &str = "an open-vocabulary map: `objects` and `rooms`, or ConceptGraphs' object file";
@@ -156,7 +158,9 @@ impl Object {
         if weights.is_empty() {
             weights.extend(self.name.as_deref().and_then(label_of).map(|label| (label, 1.0)));
         }
-        let mut labels: Vec<(String, f64)> = weights.into_iter().filter(|(_, weight)| *weight > 0.0).collect();
+        let least = SHARE_MIN * weights.values().sum::<f64>();
+        let likely = |(_, weight): &(String, f64)| *weight > 0.0 && *weight > least;
+        let mut labels: Vec<(String, f64)> = weights.into_iter().filter(likely).collect();
         labels.sort_by(|a, b| b.1.total_cmp(&a.1));
         labels.truncate(MAX_CAPTIONS);
         labels
@@ -347,7 +351,7 @@ mod tests {
         assert!(message("[]").contains("open-vocabulary map"));
         assert!(message("{\"rooms\": 3}").contains("rooms: invalid type"));
         assert!(message(&MAP.replace("[1, 1, 1], \"bbox", "[1, 1, 1e9], \"bbox")).contains("farther than 10 km"));
-        assert!(message(&MAP.replace("\"weight\": 2", "\"weight\": 2e10")).contains("between 1e-9 and 1e9"));
+        assert!(message(&MAP.replace("\"weight\": ", "\"weight\": 1e10")).contains("between 1e-9 and 1e9"));
     }
 
     proptest! {

@@ -237,7 +237,7 @@ class Planner(_Participant):
             message.probability = next((r.probability for r in self._last.rooms if r.id == room), 0.0)
         layouts.write_text(getattr(message, "from"), self.room, "a room's id")
         layouts.write_text(message.to, room, "a room's id")
-        layouts.write_text(message.policy, self.name[: layouts.NAME_BYTES], "the policy's name")
+        layouts.write_text(message.policy, self.name.encode()[: layouts.NAME_BYTES].decode(errors="ignore"), "the policy's name")
         layouts.write_text(message.reason, reason[: layouts.REASON_BYTES // 4], "a reason")
         self._publisher.send(message)
         self.room = room

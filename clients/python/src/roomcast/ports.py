@@ -67,7 +67,9 @@ class Domain:
         config = iox2.config.default()
         config.global_cfg.root_path = iox2.Path.new(self.root)
         config.global_cfg.prefix = iox2.FileName.new(f"{self.name}_")
-        node = iox2.NodeBuilder.new().name(iox2.NodeName.new(participant)).config(config)
+        # iceoryx2's names are ASCII; people's are not.
+        shown = participant.encode("ascii", "replace").decode()
+        node = iox2.NodeBuilder.new().name(iox2.NodeName.new(shown)).config(config)
         # Ctrl-C stays Python's.
         return node.signal_handling_mode(iox2.SignalHandlingMode.Disabled).create(iox2.ServiceType.Ipc)
 
