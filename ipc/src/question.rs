@@ -48,6 +48,7 @@ impl AnswerPort {
             .server_builder()
             .initial_max_slice_len(4096)
             .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            // Shared memory is set aside for as many answers as may be, each as long as the longest.
             .max_loaned_responses_per_request(1)
             .create();
         let server = server.map_err(|_| {
@@ -149,10 +150,9 @@ fn open(node: &Node, service: &'static str) -> Result<Factory, OpenFailure> {
         .max_servers(1)
         .max_clients(CLIENTS)
         .max_nodes(MAX_NODES)
-        // Shared memory is set aside for as many answers as these allow, each as long as the longest: few.
-        .max_active_requests_per_client(2)
-        .max_response_buffer_size(1)
-        .max_borrowed_responses_per_pending_response(1)
+        .max_active_requests_per_client(4)
+        .max_response_buffer_size(2)
+        .max_borrowed_responses_per_pending_response(2)
         .max_loaned_requests(2)
         .enable_fire_and_forget_requests(true)
         .enable_safe_overflow_for_requests(true)
