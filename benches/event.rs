@@ -30,6 +30,7 @@ use roomcast::narration::{Action, Program};
 use roomcast::pipeline::{Pipeline, PipelineOptions};
 use roomcast::prompt::write_prompt;
 use roomcast::scorer::certified::Effort;
+use roomcast::scorer::correction::CorrectionChoice;
 use roomcast::scorer::llama::{LlamaModel, LlamaOptions, backend};
 use roomcast::scorer::{LanguageModel, Token};
 use roomcast::semantic_map::SemanticMap;
@@ -164,7 +165,9 @@ impl Parts {
 impl Ours {
     fn new(model: LlamaModel, map: &SemanticMap, effort: Effort, domain: &Domain) -> Self {
         let grounding = Grounding::new(map, &GroundingOptions::default()).expect("the scene has labels");
-        let options = PipelineOptions { effort, ..PipelineOptions::default() };
+        // What is compared with bare llama.cpp is Equation 1.
+        let options =
+            PipelineOptions { effort, correction: CorrectionChoice::EQUATION_1, ..PipelineOptions::default() };
         let pipeline = Pipeline::new(model, grounding, options).expect("the context is large enough");
         let board = Board::new(pipeline, map.clone(), GroundingOptions::default(), 1).expect("the rooms fit a message");
         let node = domain.open("bench").expect("the domain is private");

@@ -15,6 +15,7 @@ use roomcast::narration::history::HistoryLimits;
 use roomcast::narration::{Observation, Program, Sentence};
 use roomcast::pipeline::{Pipeline, PipelineOptions};
 use roomcast::prompt::{BindingSequence, write_prompt};
+use roomcast::scorer::correction::Correction;
 use roomcast::scorer::llama::{LlamaModel, LlamaOptions};
 use roomcast::scorer::{LabelScores, LanguageModel, Method, Scorer, TextStart, Tokenisation, softmax};
 use roomcast::semantic_map::SemanticMap;
@@ -41,19 +42,26 @@ fn labels(count: usize) -> Vec<String> {
 }
 
 fn trie(criterion: &mut Criterion) {
-    let scorer = Scorer::new(model(None));
+    let mut scorer = Scorer::new(model(None));
     let mut group = criterion.benchmark_group("trie, built once per map");
     group.sample_size(10);
     for count in [10, 100, 1_000, 10_000] {
         let labels = labels(count);
-        let prepared = scorer.prepare(&labels, &BindingSequence::default(), Tokenisation::Joint).expect("words");
+        let prepared = scorer
+            .prepare(&labels, &BindingSequence::default(), Tokenisation::Joint, Correction::default())
+            .expect("words");
         group.throughput(Throughput::Elements(count as u64));
         group.bench_function(BenchmarkId::new("of tokens", count), |bencher| {
             bencher.iter_with_large_drop(|| LabelTrie::new(black_box(prepared.tokens())));
         });
         group.bench_function(BenchmarkId::new("cut into tokens and built", count), |bencher| {
             bencher.iter_with_large_drop(|| {
-                scorer.prepare(black_box(&labels), &BindingSequence::default(), Tokenisation::Joint)
+                scorer.prepare(
+                    black_box(&labels),
+                    &BindingSequence::default(),
+                    Tokenisation::Joint,
+                    Correction::default(),
+                )
             });
         });
     }
@@ -170,14 +178,14 @@ fn scoring(criterion: &mut Criterion) {
     group.sample_size(10);
     let two_words = labels(100);
     for method in [Method::Trie, Method::SharedPrefix, Method::Independent] {
-        let prepared = scorer.prepare(&two_words, &binding, Tokenisation::Joint).expect("words");
+        let prepared = scorer.prepare(&two_words, &binding, Tokenisation::Joint, Correction::default()).expect("words");
         group.bench_function(BenchmarkId::new("by method, 100 labels", format!("{method:?}")), |bencher| {
             bencher.iter(|| scorer.score(&prepared, black_box(&text), method, &mut scores).expect("scores"));
         });
     }
     for count in [10, 100, 1_000, 10_000] {
         let labels = labels(count);
-        let prepared = scorer.prepare(&labels, &binding, Tokenisation::Joint).expect("words");
+        let prepared = scorer.prepare(&labels, &binding, Tokenisation::Joint, Correction::default()).expect("words");
         group.throughput(Throughput::Elements(count as u64));
         group.bench_function(BenchmarkId::new("by labels", count), |bencher| {
             bencher.iter(|| scorer.score(&prepared, black_box(&text), Method::Trie, &mut scores).expect("scores"));

@@ -17,6 +17,7 @@ use roomcast::narration::program::Program;
 use roomcast::narration::{Observation, Sentence};
 use roomcast::pipeline::{Pipeline, PipelineOptions};
 use roomcast::scorer::Method;
+use roomcast::scorer::correction::CorrectionChoice;
 use roomcast::scorer::llama::LlamaOptions;
 use roomcast::setup;
 use serde_json::json;
@@ -37,6 +38,8 @@ fn main() {
     let options = PipelineOptions {
         method: Method::from_str(method, true).expect("a method"),
         history: HistoryLimits { observations, ..HistoryLimits::default() },
+        // Peers give Equation 1.
+        correction: CorrectionChoice::EQUATION_1,
         ..PipelineOptions::default()
     };
     let mut pipeline = Pipeline::new(model, grounding, options).expect("a model that fits the scene");

@@ -14,6 +14,7 @@ use crate::narrator::NarratorConfig;
 use crate::planner::PlannerConfig;
 use crate::prompt::BindingSequence;
 use crate::scorer::certified::Effort;
+use crate::scorer::correction::Continuation;
 use crate::scorer::llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
 use crate::scorer::{Method, Tokenisation};
 
@@ -198,6 +199,10 @@ pub struct ScoringConfig {
     pub method: Method,
     /// How prompt and label are cut into tokens.
     pub tokenisation: Tokenisation,
+    /// What a label's tokens after the first compete with; as the model file recommends when empty.
+    pub continuation: Option<Continuation>,
+    /// The prior weight, 0 to 1; as the model file recommends when empty.
+    pub prior: Option<f64>,
     /// How far an answer goes.
     pub effort: Effort,
     /// The time that a step may take under `effort = "deadline"`, in milliseconds.
@@ -210,6 +215,8 @@ impl Default for ScoringConfig {
             binding: "default".into(),
             method: Method::default(),
             tokenisation: Tokenisation::default(),
+            continuation: None,
+            prior: None,
             effort: Effort::default(),
             deadline_ms: 5,
         }
@@ -284,6 +291,12 @@ impl Config {
             "give 1 to 60000",
         )?;
         let scoring = &self.scoring;
+        limit(
+            scoring.prior.is_none_or(|prior| (0.0..=1.0).contains(&prior)),
+            "scoring.prior",
+            &scoring.prior.unwrap_or_default(),
+            "give 0 to 1",
+        )?;
         limit(
             scoring.method.allows(scoring.effort),
             "scoring.effort",

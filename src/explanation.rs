@@ -54,6 +54,8 @@ pub struct LabelReason {
     pub items: Vec<String>,
     /// Its tokens, where the scorer knows their probabilities one by one.
     pub tokens: Vec<TokenReason>,
+    /// What the prior adds to them, in nats; 0 without one.
+    pub prior_nats: f64,
 }
 
 /// A partition and what is behind its score.
@@ -88,10 +90,14 @@ pub struct Explanation {
     pub partitions: Vec<PartitionReason>,
 }
 
-/// Explains every partition's score by its `most_labels` largest contributions. `tokens` gives a label's tokens by its index
-/// in [`Grounding::scored_labels`]; empty where they are not known.
+/// Explains every partition's score by its `most_labels` largest contributions. `tokens` gives a label's tokens, empty
+/// where they are not known, and what the prior adds to them in nats, by its index in [`Grounding::scored_labels`].
 #[must_use]
-pub fn explain(evidence: &Evidence, most_labels: usize, tokens: impl Fn(usize) -> Vec<TokenReason>) -> Explanation {
+pub fn explain(
+    evidence: &Evidence,
+    most_labels: usize,
+    tokens: impl Fn(usize) -> (Vec<TokenReason>, f64),
+) -> Explanation {
     let Evidence { map, grounding, label_log_prob_nats, scores, narration, binding } = *evidence;
     let reason = |(index, partition): (u32, &crate::grounding::Partition)| {
         let (own, place) = (PartitionId(index), index as usize);
@@ -102,13 +108,15 @@ pub fn explain(evidence: &Evidence, most_labels: usize, tokens: impl Fn(usize) -
         let labels = shown.iter().map(|&(label, contribution_nats)| {
             let scored = &grounding.scored_labels[label];
             let here = scored.items.iter().filter(|item| grounding.item_partition[item.0 as usize] == Some(own));
+            let (tokens, prior_nats) = tokens(label);
             LabelReason {
                 label: scored.text.clone(),
                 log_prob_nats: label_log_prob_nats[label],
                 share: grounding.weights[(label, place)],
                 part_of_score: part(contribution_nats),
                 items: here.map(|item| map.items[item.0 as usize].id.clone()).collect(),
-                tokens: tokens(label),
+                tokens,
+                prior_nats,
             }
         });
         PartitionReason {
@@ -163,7 +171,7 @@ impl Display for PartitionReason {
 impl Display for LabelReason {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         const MOST_ITEMS: usize = 4;
-        let Self { label, log_prob_nats, share, part_of_score, items, tokens } = self;
+        let Self { label, log_prob_nats, share, part_of_score, items, tokens, prior_nats } = self;
         write!(f, "  {:5.1} %  {label}: probability {:.2} %", 100.0 * part_of_score, 100.0 * log_prob_nats.exp())?;
         if *share < 1.0 - 1e-9 {
             write!(f, ", {:.0} % of it here", 100.0 * share)?;
@@ -177,11 +185,15 @@ impl Display for LabelReason {
             }
             write!(f, ")")?;
         }
-        if tokens.len() > 1 {
+        let prior = *prior_nats != 0.0;
+        if tokens.len() > 1 || (prior && !tokens.is_empty()) {
             write!(f, "\n           =")?;
             for (index, token) in tokens.iter().enumerate() {
                 let times = if index == 0 { "" } else { " x" };
                 write!(f, "{times} {:?} {:.2} %", token.piece, 100.0 * token.log_prob_nats.exp())?;
+            }
+            if prior {
+                write!(f, " x {:.2}, its prior", prior_nats.exp())?;
             }
         }
         Ok(())
@@ -212,8 +224,9 @@ mod tests {
             binding: "Next, the human will go to the ",
         };
         explain(&evidence, most_labels, |label| {
-            let token = |piece: &str| TokenReason { piece: piece.to_owned(), log_prob_nats: -0.5 - label as f64 / 2.0 };
-            vec![token(" a"), token(" b")]
+            let token =
+                |piece: &str| TokenReason { piece: piece.to_owned(), log_prob_nats: -0.625 - label as f64 / 2.0 };
+            (vec![token(" a"), token(" b")], 0.25)
         })
     }
 
@@ -228,7 +241,7 @@ mod tests {
                 assert!((sum - all).abs() < 1e-12);
                 for label in &partition.labels {
                     let tokens: f64 = label.tokens.iter().map(|token| token.log_prob_nats).sum();
-                    assert!((tokens - label.log_prob_nats).abs() < 1e-12);
+                    assert!((tokens + label.prior_nats - label.log_prob_nats).abs() < 1e-12);
                 }
             }
         }

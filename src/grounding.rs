@@ -383,6 +383,18 @@ impl Grounding {
         })
     }
 
+    /// What to call the partitions in front of people, in their order: by their labels, or by their ids where several bear one label, as
+    /// the rooms of a ward do.
+    #[must_use]
+    pub fn partition_names(&self) -> Vec<String> {
+        let mut bearers = HashMap::<&str, usize>::new();
+        self.partitions.iter().for_each(|partition| *bearers.entry(&partition.label).or_default() += 1);
+        let name = |partition: &Partition| {
+            if bearers[partition.label.as_str()] > 1 { partition.id.clone() } else { partition.label.clone() }
+        };
+        self.partitions.iter().map(name).collect()
+    }
+
     /// The labels that contribute most to a partition's score, at most `count`: index in [`Grounding::scored_labels`] and
     /// ln(s_c w\[c, r\]) in nats, the largest first; equal ones in the labels' order.
     #[must_use]
@@ -577,6 +589,17 @@ mod tests {
         let index = map.items.iter().position(|item| item.id == id).unwrap();
         let partition = grounding.item_partition[index].map(|id| grounding.partitions[id.0 as usize].id.clone());
         (partition, grounding.item_placement[index])
+    }
+
+    #[test]
+    fn rooms_of_one_label_are_called_by_their_ids() {
+        let map = SemanticMap::from_json(include_str!("../scenes/ward.json")).unwrap();
+        let names = Grounding::new(&map, &GroundingOptions::default()).unwrap().partition_names();
+        assert_eq!(
+            (&names[1], &names[5], &names[6]),
+            (&"nurse station".into(), &"patient-room-1".into(), &"patient-room-2".into())
+        );
+        assert_eq!(names.iter().collect::<std::collections::BTreeSet<_>>().len(), names.len());
     }
 
     #[test]

@@ -9,6 +9,10 @@ use crate::scorer::Token;
 /// No parent: the node follows the prompt directly.
 pub const PROMPT: u32 = u32::MAX;
 
+/// Stands behind the last token of a label that begins another one, in [`LabelTrie::telling_apart`]: the label ends here. It is no
+/// token of any vocabulary, and always a leaf.
+pub const END: Token = Token(-1);
+
 /// One node of the trie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Node {
@@ -61,6 +65,48 @@ impl LabelTrie {
         }
         trie.complete();
         trie
+    }
+
+    /// The trie of the shortest paths that tell labels apart: a label whose rest no other shares ends where it parts from them, and one
+    /// that begins another has the child [`END`].
+    #[must_use]
+    pub fn telling_apart<L: AsRef<[Token]>>(labels: &[L]) -> Self {
+        let whole = Self::new(labels);
+        let ended: Vec<Vec<Token>> = (labels.iter().zip(&whole.label_end))
+            .map(|(label, &end)| {
+                let begins_another = whole.nodes.get(end as usize).is_some_and(|node| node.subtree > 1);
+                label.as_ref().iter().copied().chain(begins_another.then_some(END)).collect()
+            })
+            .collect();
+        let whole = Self::new(&ended);
+        let mut through = vec![0_u32; whole.nodes.len()];
+        for label in 0..ended.len() {
+            whole.path(label).for_each(|node| through[node] += 1);
+        }
+        let shortest: Vec<&[Token]> = (ended.iter().enumerate())
+            .map(|(label, tokens)| {
+                let alone = whole.path(label).filter(|&node| through[node] == 1).count();
+                &tokens[..tokens.len() - alone.saturating_sub(1)]
+            })
+            .collect();
+        Self::new(&shortest)
+    }
+
+    /// The nodes from a label's end back to the prompt.
+    pub fn path(&self, label: usize) -> impl Iterator<Item = usize> {
+        let known = |node: u32| (node != PROMPT).then_some(node as usize);
+        let end = self.label_end.get(label).and_then(|&end| known(end));
+        std::iter::successors(end, move |&node| known(self.nodes[node].parent))
+    }
+
+    /// The children of a node, or the first nodes behind the prompt for `None`.
+    pub fn children(&self, parent: Option<usize>) -> impl Iterator<Item = usize> + Clone {
+        let (first, end) = match parent {
+            None => (0, self.nodes.len()),
+            Some(parent) => (parent + 1, parent + self.nodes[parent].subtree as usize),
+        };
+        let inside = move |node: usize| (node < end).then_some(node);
+        std::iter::successors(inside(first), move |&node| inside(node + self.nodes[node].subtree as usize))
     }
 
     /// The same labels without sharing: one chain per label, in the labels' order.
@@ -297,7 +343,44 @@ mod tests {
         assert!(TokenTree::of_inner_nodes(&trie).is_empty());
     }
 
+    #[test]
+    fn told_apart_by_hand() {
+        let labels = ["coffee maker", "coffee", "book shelf", "coffee table lamp", "coffee table leg"];
+        let split: Vec<_> = labels.iter().map(|label| tokens(label)).collect();
+        let names = ["coffee", "maker", "book", "shelf", "table", "lamp", "leg"];
+        let name =
+            |token| names.iter().find(|name| tokens(name)[0] == token).map_or_else(|| ".".into(), ToString::to_string);
+        assert_eq!(
+            LabelTrie::telling_apart(&split).draw(name, &labels),
+            "book = book shelf\ncoffee\n  . = coffee\n  table\n    leg = coffee table leg\n    lamp = coffee table lamp\n  maker = coffee maker\n"
+        );
+        let twice = LabelTrie::telling_apart(&[tokens("a b"), tokens("a b")]);
+        assert_eq!((twice.nodes().len(), twice.label_end()), (2, &[1, 1][..]));
+    }
+
     proptest::proptest! {
+        /// Every label has a leaf of its own unless another has the same tokens, and only what tells labels apart is left.
+        #[test]
+        fn leaves_tell_labels_apart(labels in proptest::collection::hash_set(proptest::collection::vec(0..3i32, 1..5), 1..40)) {
+            let labels: Vec<Vec<Token>> = labels.into_iter().map(|l| l.into_iter().map(Token).collect()).collect();
+            let trie = LabelTrie::telling_apart(&labels);
+            let ends: std::collections::HashSet<_> = trie.label_end().iter().collect();
+            proptest::prop_assert_eq!(ends.len(), labels.len());
+            proptest::prop_assert!(trie.label_end().iter().all(|&end| trie.nodes()[end as usize].subtree == 1));
+            for (label, tokens) in labels.iter().enumerate() {
+                let mut path: Vec<_> = trie.path(label).map(|node| trie.nodes()[node].token).collect();
+                path.reverse();
+                let path = path.strip_suffix(&[END]).unwrap_or(&path);
+                proptest::prop_assert!(tokens.starts_with(path));
+                let end = trie.label_end()[label] as usize;
+                let parent = trie.nodes()[end].parent;
+                if parent != PROMPT {
+                    let below = (0..labels.len()).filter(|&other| trie.path(other).any(|node| node == parent as usize));
+                    proptest::prop_assert!(below.count() > 1, "a path that no other label shares is cut");
+                }
+            }
+        }
+
         #[test]
         fn every_label_is_spelt_by_its_path(labels in proptest::collection::vec(proptest::collection::vec(0..4i32, 1..5), 1..40)) {
             let labels: Vec<Vec<Token>> = labels.into_iter().map(|l| l.into_iter().map(Token).collect()).collect();

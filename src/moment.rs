@@ -70,6 +70,9 @@ pub struct LabelScore {
     /// Its tokens; empty where the scorer does not know their probabilities one by one (several persons, other methods than the
     /// exact trie).
     pub tokens: Vec<TokenReason>,
+    /// What the prior adds to them, in nats.
+    #[serde(default)]
+    pub prior_nats: f64,
 }
 
 /// All that is behind the scores of one moment.
@@ -140,6 +143,7 @@ impl Moment {
                 label: (*text).to_owned(),
                 log_prob_nats: log_prob_nats.is_finite().then_some(log_prob_nats),
                 tokens: tokens.collect(),
+                prior_nats: pipeline.prior_nats(index),
             }
         });
         let narration = pipeline.read_sentences();
@@ -215,7 +219,9 @@ impl Moment {
             narration: &narration,
             binding: &self.binding,
         };
-        let explanation = explanation::explain(&evidence, most_labels, |label| labels[label].tokens.clone());
+        let explanation = explanation::explain(&evidence, most_labels, |label| {
+            (labels[label].tokens.clone(), labels[label].prior_nats)
+        });
         let item_log_score_nats = grounding.item_log_score_nats(&label_log_prob_nats).collect();
         Ok(Explained { explanation, map, grounding, scores, item_log_score_nats })
     }

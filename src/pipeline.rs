@@ -10,6 +10,7 @@ use crate::narration::Observation;
 use crate::narration::history::{Histories, History, HistoryLimits};
 use crate::prompt::{BindingSequence, write_prompt};
 use crate::scorer::certified::{Bounds, Certified, Effort};
+use crate::scorer::correction::CorrectionChoice;
 use crate::scorer::{
     DecodeStats, LabelScores, LanguageModel, Method, ModelInfo, PreparedLabels, ScoreError, Scorer, TextStart,
     Tokenisation,
@@ -47,6 +48,8 @@ pub struct PipelineOptions {
     pub binding: BindingSequence,
     /// How prompt and labels are cut into tokens.
     pub tokenisation: Tokenisation,
+    /// How scores are corrected; what it does not say, the model file does.
+    pub correction: CorrectionChoice,
     /// How labels are scored.
     pub method: Method,
     /// How far an answer goes, under [`Method::Trie`]; the other methods are always exact.
@@ -62,6 +65,7 @@ impl Default for PipelineOptions {
         Self {
             binding: BindingSequence::default(),
             tokenisation: Tokenisation::default(),
+            correction: CorrectionChoice::default(),
             method: Method::default(),
             effort: Effort::default(),
             deadline_ns: 5_000_000,
@@ -106,7 +110,7 @@ pub struct Timing {
 /// The scores after a step.
 #[derive(Debug, Clone, Default)]
 pub struct Scores {
-    /// Per label `ln s_c` in nats: of one person, or the mean of `s_c` over several.
+    /// Per label `ln s_c` in nats, corrected: of one person, or the mean of `s_c` over several.
     pub label_log_prob_nats: Vec<f64>,
     /// Per item and partition.
     pub grounded: GroundedScores,
@@ -197,8 +201,8 @@ impl<M: LanguageModel> Pipeline<M> {
     /// # Errors
     /// When a label has no tokens, or the model's context leaves no room for narration.
     pub fn new(model: M, grounding: Grounding, mut options: PipelineOptions) -> Result<Self, PipelineError> {
-        let scorer = Scorer::new(model);
-        let (prepared, tokens) = prepare(&scorer, &grounding, &options)?;
+        let mut scorer = Scorer::new(model);
+        let (prepared, tokens) = prepare(&mut scorer, &grounding, &options)?;
         options.history.tokens = options.history.tokens.min(tokens);
         let histories = Histories::new(options.history);
         Ok(Self {
@@ -249,7 +253,7 @@ impl<M: LanguageModel> Pipeline<M> {
         } else {
             // The list is prepared anew, so labels that nothing bears any more can leave it.
             let grounding = Grounding::new(map, options)?;
-            let (prepared, tokens) = prepare(&self.scorer, &grounding, &self.options)?;
+            let (prepared, tokens) = prepare(&mut self.scorer, &grounding, &self.options)?;
             self.options.history.tokens = self.options.history.tokens.min(tokens);
             self.histories.limit_tokens(self.options.history.tokens);
             self.prepared = prepared;
@@ -296,6 +300,21 @@ impl<M: LanguageModel> Pipeline<M> {
         } else {
             None
         }
+    }
+
+    /// What the prior added to the sum over a label's tokens, in nats, in the last step; 0 without one, and where several persons were
+    /// scored.
+    #[must_use]
+    pub fn prior_nats(&self, label: usize) -> f64 {
+        match self.persons.as_slice() {
+            [] => self.prior_nats_of(&self.nobody, label),
+            [person] => self.prior_nats_of(person, label),
+            _ => 0.0,
+        }
+    }
+
+    fn prior_nats_of(&self, person: &Person, label: usize) -> f64 {
+        self.prepared.gain_nats().get(label).map_or(0.0, |gain_nats| gain_nats + person.scores.scale_nats)
     }
 
     /// Enters observations into the histories without scoring: nothing can fail here, and nothing is lost when the
@@ -365,8 +384,8 @@ impl<M: LanguageModel> Pipeline<M> {
             person.write_prompt(self.histories.get(person.id), &self.options);
             timing.tokenise_ns += nanoseconds(writing);
             if self.options.method == Method::Trie && self.options.effort != Effort::Exact {
-                let state = (person.certified)
-                    .get_or_insert_with(|| Certified::new(self.prepared.trie(), &self.grounding.weights));
+                let state =
+                    (person.certified).get_or_insert_with(|| Certified::new(&self.prepared, &self.grounding.weights));
                 let deadline = start + Duration::from_nanos(self.options.deadline_ns);
                 self.scorer.score_certified(
                     &self.prepared,
@@ -431,11 +450,12 @@ impl<M: LanguageModel> Pipeline<M> {
 
 /// The map's labels ready to be scored, and how many tokens they and the binding sequence leave for narration.
 fn prepare<M: LanguageModel>(
-    scorer: &Scorer<M>,
+    scorer: &mut Scorer<M>,
     grounding: &Grounding,
     options: &PipelineOptions,
 ) -> Result<(PreparedLabels, usize), PipelineError> {
-    let prepared = scorer.prepare(&grounding.label_texts(), &options.binding, options.tokenisation)?;
+    let correction = options.correction.or(scorer.info().correction);
+    let prepared = scorer.prepare(&grounding.label_texts(), &options.binding, options.tokenisation, correction)?;
     let mut binding = Vec::new();
     scorer.model().tokenise(options.binding.text(), TextStart::Sequence, &mut binding).map_err(ScoreError::from)?;
     let context = scorer.info().context_tokens;

@@ -9,6 +9,7 @@ use crate::embedded::{self, ModelFile};
 use crate::grounding::{Grounding, GroundingError};
 use crate::narration::{Program, ProgramError};
 use crate::pipeline::{Pipeline, PipelineError, PipelineOptions};
+use crate::scorer::correction::CorrectionChoice;
 use crate::scorer::llama::{LlamaModel, LlamaOptions, file_fingerprint};
 use crate::scorer::{LanguageModel, ModelError, hex_string};
 use crate::semantic_map::{SceneError, SemanticMap};
@@ -174,6 +175,7 @@ pub fn pipeline_options(config: &Config) -> Result<PipelineOptions, ConfigError>
     Ok(PipelineOptions {
         binding: config.binding()?,
         tokenisation: config.scoring.tokenisation,
+        correction: CorrectionChoice { continuation: config.scoring.continuation, prior: config.scoring.prior },
         method: config.scoring.method,
         effort: config.scoring.effort,
         deadline_ns: config.scoring.deadline_ms.saturating_mul(1_000_000),

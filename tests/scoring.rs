@@ -18,6 +18,7 @@ use roomcast::narration::{Observation, Sentence};
 use roomcast::pipeline::{Pipeline, PipelineOptions};
 use roomcast::prompt::{BindingSequence, write_prompt};
 use roomcast::scorer::certified::Effort;
+use roomcast::scorer::correction::{Continuation, Correction};
 use roomcast::scorer::llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast::scorer::{LabelScores, Method, Scorer, Tokenisation};
 use roomcast::semantic_map::{SemanticMap, import};
@@ -186,7 +187,9 @@ fn methods_agree(weights: Weights) {
         for round in 0..4 {
             let binding = bindings.choose(&mut rng).unwrap();
             let tokenisation = if round == 3 { Tokenisation::Paper } else { Tokenisation::Joint };
-            let prepared = scorer.prepare(&grounding.label_texts(), binding, tokenisation).unwrap();
+            let corrected = Correction { continuation: Continuation::Labels, prior: 0.4 };
+            let correction = if round % 2 == 1 { corrected } else { Correction::default() };
+            let prepared = scorer.prepare(&grounding.label_texts(), binding, tokenisation, correction).unwrap();
             let mut prompt = String::new();
             let mut window: Vec<&str> = Vec::new();
             // The same scorer follows a sliding window; a fresh one starts over each time.
@@ -216,11 +219,12 @@ fn methods_agree(weights: Weights) {
 #[test]
 fn labels_are_cut_as_the_joint_text_is() {
     use roomcast::scorer::{LanguageModel, TextStart};
-    let scorer = Scorer::new(model(1));
+    let mut scorer = Scorer::new(model(1));
     for map in maps() {
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
         for binding in bindings() {
-            let prepared = scorer.prepare(&grounding.label_texts(), &binding, Tokenisation::Joint).unwrap();
+            let prepared =
+                scorer.prepare(&grounding.label_texts(), &binding, Tokenisation::Joint, Correction::default()).unwrap();
             let mut prompt = String::new();
             write_prompt(["They walk to the kitchen.", "They grab the mug."], &binding, false, &mut prompt);
             let mut head = Vec::new();
@@ -320,8 +324,9 @@ fn partial_answers_are_true(weights: Weights) {
 fn a_prompt_that_does_not_fit_is_refused_and_the_next_one_works() {
     let small = LlamaOptions { context_tokens: 64, ..options(8) };
     let mut scorer = Scorer::new(load_model(None, &small).unwrap());
-    let prepared =
-        scorer.prepare(&["mug", "washing machine"], &BindingSequence::default(), Tokenisation::Joint).unwrap();
+    let prepared = scorer
+        .prepare(&["mug", "washing machine"], &BindingSequence::default(), Tokenisation::Joint, Correction::default())
+        .unwrap();
     let mut scores = LabelScores::default();
     let error = scorer.score(&prepared, &"They walk. ".repeat(100), Method::Trie, &mut scores).unwrap_err();
     assert!(error.to_string().contains("context"), "{error}");

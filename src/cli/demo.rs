@@ -172,7 +172,7 @@ impl<'a> Show<'a> {
             decisions: node.subscriber()?,
             grounding,
             map,
-            names: grounding.partitions.iter().map(|partition| partition.label.clone()).collect(),
+            names: grounding.partition_names(),
             ids: grounding.partitions.iter().map(|partition| partition.id.clone()).collect(),
             speed,
             unheard: false,

@@ -14,6 +14,7 @@ use crate::experiment::{ExperimentError, Progress, ScoreSource, ScoresError};
 use crate::grounding::{Grounding, GroundingOptions};
 use crate::narration::history::HistoryLimits;
 use crate::prompt::BindingSequence;
+use crate::scorer::correction::CorrectionChoice;
 use crate::scorer::llama::{LlamaModel, LlamaOptions};
 use crate::scorer::{Method, Tokenisation};
 use crate::semantic_map::SemanticMap;
@@ -60,6 +61,8 @@ struct ModelArgs {
     /// How prompt and labels are cut into tokens.
     #[arg(long, value_enum, default_value_t)]
     tokenisation: Tokenisation,
+    #[command(flatten)]
+    correction: CorrectionChoice,
     /// Threads of one decoder call, at most 256; 0 chooses all cores but one, or both of two.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = ranges::threads())]
     threads: usize,
@@ -98,7 +101,7 @@ impl ModelArgs {
             LlamaOptions { threads: if self.threads == 0 { default.threads } else { self.threads }, ..default };
         let model = setup::load_model(self.model.as_deref(), &options)?;
         let labels = grounding.label_texts();
-        Ok(ScoreSource::new(model, &labels, self.method, self.tokenisation, self.cache().as_deref())?)
+        Ok(ScoreSource::new(model, &labels, self.method, self.tokenisation, self.correction, self.cache().as_deref())?)
     }
 }
 

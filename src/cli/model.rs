@@ -12,6 +12,7 @@ use crate::exit_code;
 use crate::gguf::Header;
 use crate::hub::{self, Hub, HubError};
 use crate::prompt::{BindingSequence, write_prompt};
+use crate::scorer::correction::Correction;
 use crate::scorer::llama::{LlamaModel, LlamaOptions};
 use crate::scorer::{LabelScores, LanguageModel, Method, ScoreError, Scorer, Token, Tokenisation};
 
@@ -258,7 +259,9 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
     let labels: Vec<_> = case.labels.iter().map(|known| known.label.clone()).collect();
     let binding: BindingSequence =
         case.binding.parse().map_err(|error| Failure::new(exit_code::INPUT, format!("binding: {error}")))?;
-    let prepared = scorer.prepare(&labels, &binding, Tokenisation::Joint).map_err(|error| model_failure(&error))?;
+    let prepared = scorer
+        .prepare(&labels, &binding, Tokenisation::Joint, Correction::default())
+        .map_err(|error| model_failure(&error))?;
     checked.push(tokenises(&scorer, &labels, prepared.tokens()));
 
     let mut prompt = String::new();
@@ -327,7 +330,7 @@ fn rehearse(file: &Path) -> CommandResult {
     let model = LlamaModel::load(file, &LlamaOptions::default()).map_err(|error| model_failure(&error))?;
     let binding = BindingSequence::default();
     let mut scorer = Scorer::new(model);
-    let prepared = scorer.prepare(&["washing machine", "mug"], &binding, Tokenisation::Joint);
+    let prepared = scorer.prepare(&["washing machine", "mug"], &binding, Tokenisation::Joint, Correction::default());
     let prepared = prepared.map_err(|error| model_failure(&error))?;
     let mut prompt = String::new();
     write_prompt(["They walk to the kitchen."], &binding, false, &mut prompt);

@@ -13,6 +13,7 @@ use crate::narration::{Observation, Observed, Sentence};
 use crate::pipeline::{Pipeline, PipelineOptions};
 use crate::prompt::BindingSequence;
 use crate::scorer::certified::Effort;
+use crate::scorer::correction::CorrectionChoice;
 use crate::scorer::llama::{CacheType, LlamaModel, LlamaOptions};
 use crate::scorer::{LanguageModel, Method, Tokenisation, hex_string};
 use crate::semantic_map::{PartitionId, SemanticMap};
@@ -54,6 +55,8 @@ pub struct Args {
     /// How prompt and labels are cut into tokens.
     #[arg(long, value_enum, default_value_t)]
     tokenisation: Tokenisation,
+    #[command(flatten)]
+    correction: CorrectionChoice,
     /// What a partition is; a room when left out.
     #[arg(long, value_enum)]
     level: Option<PartitionLevel>,
@@ -147,6 +150,7 @@ pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap),
     let options = PipelineOptions {
         binding: args.binding(),
         tokenisation: args.tokenisation,
+        correction: args.correction,
         method: args.method,
         effort: args.effort,
         deadline_ns: args.deadline_ms.unwrap_or(DEADLINE_MS_DEFAULT) * 1_000_000,
@@ -227,6 +231,7 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
         "method": pipeline.options().method,
         "effort": {"asked": pipeline.options().effort, "reached": scores.reached},
         "tokenisation": pipeline.options().tokenisation,
+        "correction": prepared.correction(),
         "binding": pipeline.options().binding.text(),
         "prompt_tokens": scores.prompt_tokens,
         "labels": labels,
@@ -242,14 +247,15 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
     let (scores, grounding) = (pipeline.scores(), pipeline.grounding());
     let grounded = &scores.grounded;
     let mut table = super::table(&["partition", "probability", "", "ln score", "because of"]);
-    let mut order: Vec<usize> = (0..grounding.partitions.len()).collect();
+    let mut names = grounding.partition_names();
+    let mut order: Vec<usize> = (0..names.len()).collect();
     order.sort_by(|&a, &b| grounded.partition_probability[b].total_cmp(&grounded.partition_probability[a]));
     for index in order {
         let behind = grounding.top_labels(PartitionId(index as u32), &scores.label_log_prob_nats, 4);
         let behind: Vec<_> = behind.iter().map(|&(l, _)| grounding.scored_labels[l].text.as_str()).collect();
         let probability = grounded.partition_probability[index];
         table.add_row([
-            grounding.partitions[index].label.clone(),
+            std::mem::take(&mut names[index]),
             format!("{:5.1} %", 100.0 * probability),
             super::bar(probability, 24),
             format!("{:.3}", grounded.partition_log_score_nats[index]),

@@ -359,6 +359,7 @@ impl From<ScoresError> for ExperimentError {
 mod tests {
     use super::*;
     use crate::grounding::GroundingOptions;
+    use crate::scorer::correction::CorrectionChoice;
     use crate::scorer::table::TableModel;
     use crate::scorer::{Method, Tokenisation};
 
@@ -406,6 +407,7 @@ mod tests {
                     &grounding.label_texts(),
                     Method::Trie,
                     Tokenisation::Joint,
+                    CorrectionChoice::default(),
                     None,
                 )?)
             })

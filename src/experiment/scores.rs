@@ -14,6 +14,7 @@ use sha2::{Digest, Sha256};
 use crate::narration::history::{History, HistoryLimits};
 use crate::narration::{Observation, Sentence};
 use crate::prompt::{BindingSequence, write_prompt};
+use crate::scorer::correction::{Correction, CorrectionChoice};
 use crate::scorer::{
     LabelScores, LanguageModel, Method, ModelInfo, PreparedLabels, ScoreError, Scorer, TextStart, Tokenisation,
 };
@@ -109,6 +110,7 @@ pub struct ScoreSource<M> {
     prepared: HashMap<BindingSequence, PreparedLabels>,
     method: Method,
     tokenisation: Tokenisation,
+    correction: Correction,
     cache: Option<Cache>,
     known: HashMap<Key, Vec<f64>>,
     prompt: String,
@@ -126,11 +128,13 @@ impl<M: LanguageModel> ScoreSource<M> {
         labels: &[&str],
         method: Method,
         tokenisation: Tokenisation,
+        correction: CorrectionChoice,
         cache: Option<&Path>,
     ) -> Result<Self, ScoresError> {
+        let correction = correction.or(model.info().correction);
         let mut name = Sha256::new();
         name.update(model.info().fingerprint);
-        name.update(format!("{method:?} {tokenisation:?}"));
+        name.update(format!("{method:?} {tokenisation:?} {correction:?}"));
         for label in labels {
             name.update((label.len() as u64).to_le_bytes());
             name.update(label);
@@ -143,6 +147,7 @@ impl<M: LanguageModel> ScoreSource<M> {
             prepared: HashMap::new(),
             method,
             tokenisation,
+            correction,
             cache,
             known: HashMap::new(),
             prompt: String::new(),
@@ -162,7 +167,7 @@ impl<M: LanguageModel> ScoreSource<M> {
         self.computed
     }
 
-    /// Per label ln s_c in nats (Equation 1) behind the sentences of a window and the binding sequence.
+    /// Per label ln s_c in nats (Equation 1, corrected) behind the sentences of a window and the binding sequence.
     ///
     /// # Errors
     /// When the model fails or the cache cannot be written.
@@ -180,7 +185,7 @@ impl<M: LanguageModel> ScoreSource<M> {
             return Ok(scores.clone());
         }
         if !self.prepared.contains_key(binding) {
-            let prepared = self.scorer.prepare(&self.labels, binding, self.tokenisation)?;
+            let prepared = self.scorer.prepare(&self.labels, binding, self.tokenisation, self.correction)?;
             self.prepared.insert(binding.clone(), prepared);
         }
         self.scorer.score(&self.prepared[binding], &self.prompt, self.method, &mut self.out)?;
@@ -237,7 +242,15 @@ mod tests {
     const LABELS: [&str; 3] = ["mug", "sofa", "washing machine"];
 
     fn source(folder: &Path) -> ScoreSource<TableModel> {
-        ScoreSource::new(TableModel::new(3), &LABELS, Method::Trie, Tokenisation::Joint, Some(folder)).unwrap()
+        ScoreSource::new(
+            TableModel::new(3),
+            &LABELS,
+            Method::Trie,
+            Tokenisation::Joint,
+            CorrectionChoice::default(),
+            Some(folder),
+        )
+        .unwrap()
     }
 
     #[test]

@@ -478,6 +478,7 @@ pub fn horizons(homes: &[Home<'_>], forecast: ForecastOptions, horizons_s: &[usi
 mod tests {
     use super::*;
     use crate::grounding::GroundingOptions;
+    use crate::scorer::correction::CorrectionChoice;
     use crate::scorer::table::TableModel;
     use crate::scorer::{Method, Tokenisation};
 
@@ -497,8 +498,15 @@ mod tests {
         let map = SemanticMap::from_json(include_str!("../../scenes/apartment-e0.json")).unwrap();
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
         let labels = grounding.label_texts();
-        let mut source =
-            ScoreSource::new(TableModel::new(1), &labels, Method::Trie, Tokenisation::Joint, None).unwrap();
+        let mut source = ScoreSource::new(
+            TableModel::new(1),
+            &labels,
+            Method::Trie,
+            Tokenisation::Joint,
+            CorrectionChoice::default(),
+            None,
+        )
+        .unwrap();
         let programs = crate::embedded::PROGRAMS
             .map(|shipped| (shipped.name.to_owned(), Activity::Program(Program::parse(shipped.text).unwrap())));
         let chosen: Vec<_> = activities.iter().map(|i| (programs[*i].0.clone(), &programs[*i].1)).collect();

@@ -11,6 +11,10 @@
 //! `sum p_m <= 1`. What lies below `n` adds `sum_m q(n) p_m own(m, r)` plus what lies below the children, at most
 //! `sum_m q(n) p_m B(m, r)`; together at most `q(n) sum_m p_m (own(m, r) + B(m, r)) <= q(n) B(n, r)`. ∎
 //!
+//! Under [`Continuation::Labels`] only the `p_m` are others. They sum to exactly 1 then, which makes the differences below tighter
+//! still. A prior multiplies label `c`'s score by its gain, which goes into `w(c, r)`, and all scores by one scale `k`, the labels'
+//! sum without the gains over that with them: both sums are bounded as two more partitions are, and so `k` is. No order depends on it.
+//!
 //! Chains of labels ("coffee", "coffee maker") are covered: `own` adds up along a path. The same argument on
 //! `w(c, a) - w(c, b)`, with 0 among the choices because mass may go to no label at all, bounds the *difference* of two
 //! partitions' scores far more tightly than their two intervals do; a ranking is certified by these differences.
@@ -20,6 +24,8 @@
 
 use nalgebra::DMatrix;
 
+use super::PreparedLabels;
+use super::correction::Continuation;
 use crate::label_trie::{LabelTrie, PROMPT};
 
 /// How far an answer goes.
@@ -44,9 +50,13 @@ const PAIR_ENTRIES_MAX: usize = 4 << 20;
 #[derive(Debug, Clone)]
 pub struct BoundTable {
     partitions: usize,
-    /// Per trie node and partition.
+    /// The partitions, and the sums over all labels without and with their gains.
+    columns: usize,
+    /// Least and greatest gain of a label.
+    gains: (f64, f64),
+    /// Per trie node and column.
     own: Vec<f64>,
-    /// Per trie node and partition: `B(n, r)`.
+    /// Per trie node and column: `B(n, r)`.
     below: Vec<f64>,
     /// Per inner node and ordered pair `(a, b)`: most that the labels below can add to `S_a - S_b`, over `q(n)`. Empty when
     /// there are too many partitions.
@@ -56,26 +66,37 @@ pub struct BoundTable {
 impl BoundTable {
     /// Builds the table; `weights` has one row per label of the trie and one column per partition.
     #[must_use]
-    pub fn new(trie: &LabelTrie, weights: &DMatrix<f64>) -> Self {
+    pub fn new(prepared: &PreparedLabels, weights: &DMatrix<f64>) -> Self {
+        let trie = prepared.trie();
         let partitions = weights.ncols();
+        let columns = partitions + 2;
         let nodes = trie.nodes();
-        let mut own = vec![0.0; nodes.len() * partitions];
-        for (label, &end) in trie.label_end().iter().enumerate() {
+        let gains = || prepared.gain_nats().iter().map(|gain_nats| gain_nats.exp());
+        let mut own = vec![0.0; nodes.len() * columns];
+        for (label, (&end, gain)) in trie.label_end().iter().zip(gains()).enumerate() {
+            let own = &mut own[end as usize * columns..][..columns];
             for r in 0..partitions {
-                own[end as usize * partitions + r] += weights[(label, r)];
+                own[r] += gain * weights[(label, r)];
             }
+            own[partitions] += 1.0;
+            own[partitions + 1] += gain;
         }
-        let mut below = vec![0.0_f64; nodes.len() * partitions];
+        let mut below = vec![0.0_f64; nodes.len() * columns];
         let with_pairs = trie.inner().len() * partitions * partitions <= PAIR_ENTRIES_MAX;
-        let mut pairs = vec![0.0_f64; if with_pairs { trie.inner().len() * partitions * partitions } else { 0 }];
+        // Mass may go to no label at all, unless the labels share it out.
+        let nothing = match prepared.correction().continuation {
+            Continuation::Free => 0.0,
+            Continuation::Labels => f64::NEG_INFINITY,
+        };
+        let mut pairs = vec![nothing; if with_pairs { trie.inner().len() * partitions * partitions } else { 0 }];
         // Children stand behind their parents, so one pass from the back is the induction of the proof.
         for index in (0..nodes.len()).rev() {
             let node = nodes[index];
             if node.parent == PROMPT {
                 continue;
             }
-            let (this, parent) = (index * partitions, node.parent as usize * partitions);
-            for r in 0..partitions {
+            let (this, parent) = (index * columns, node.parent as usize * columns);
+            for r in 0..columns {
                 below[parent + r] = below[parent + r].max(own[this + r] + below[this + r]);
             }
             if with_pairs {
@@ -95,7 +116,8 @@ impl BoundTable {
                 }
             }
         }
-        Self { partitions, own, below, pairs }
+        let gains = (gains().fold(f64::INFINITY, f64::min), gains().fold(0.0, f64::max));
+        Self { partitions, columns, gains, own, below, pairs }
     }
 
     /// Number of partitions.
@@ -104,14 +126,14 @@ impl BoundTable {
         self.partitions
     }
 
-    /// `own(n, r)` for all `r`.
+    /// `own(n, r)` for all columns.
     fn own(&self, node: usize) -> &[f64] {
-        &self.own[node * self.partitions..][..self.partitions]
+        &self.own[node * self.columns..][..self.columns]
     }
 
-    /// `B(n, r)` for all `r`.
+    /// `B(n, r)` for all columns.
     fn below(&self, node: usize) -> &[f64] {
-        &self.below[node * self.partitions..][..self.partitions]
+        &self.below[node * self.columns..][..self.columns]
     }
 
     /// Most that one unit of mass at an inner node can add to `S_a - S_b`.
@@ -133,7 +155,11 @@ pub struct Bounds {
     pub upper: Vec<f64>,
     /// Which of the four questions these bounds answer: [`Effort::Exact`] also when another was asked.
     pub reached: Effort,
-    /// Estimates between the bounds, by which partitions are ranked.
+    /// Per column the sum over decided labels, before the scale.
+    decided: Vec<f64>,
+    /// Per column the most that the undecided add, before the scale.
+    undecided: Vec<f64>,
+    /// Per column an estimate between the two, by which partitions are ranked.
     estimate: Vec<f64>,
     order: Vec<usize>,
     /// Undecoded inner nodes whose parent is decoded: place among the inner nodes.
@@ -150,9 +176,9 @@ impl Bounds {
     /// for which the theorem holds as well, so that the estimates lie within the bounds.
     pub fn update(&mut self, trie: &LabelTrie, table: &BoundTable, q: &[f64], decoded: &[bool]) {
         let partitions = table.partitions;
-        for values in [&mut self.lower, &mut self.upper, &mut self.estimate] {
+        for values in [&mut self.decided, &mut self.undecided, &mut self.estimate] {
             values.clear();
-            values.resize(partitions, 0.0);
+            values.resize(table.columns, 0.0);
         }
         self.frontier.clear();
         let nodes = trie.nodes();
@@ -166,22 +192,28 @@ impl Bounds {
                 *estimate += q[index] * own;
             }
             if index >= undecided_until {
-                for (lower, own) in self.lower.iter_mut().zip(own) {
-                    *lower += q[index] * own;
+                for (decided, own) in self.decided.iter_mut().zip(own) {
+                    *decided += q[index] * own;
                 }
                 if node.inner != PROMPT && !decoded[node.inner as usize] {
                     self.frontier.push(node.inner);
                     undecided_until = index + node.subtree as usize;
-                    for (upper, below) in self.upper.iter_mut().zip(table.below(index)) {
-                        *upper += q[index] * below;
+                    for (undecided, below) in self.undecided.iter_mut().zip(table.below(index)) {
+                        *undecided += q[index] * below;
                     }
                 }
             }
             index += 1;
         }
-        for r in 0..partitions {
-            self.upper[r] += self.lower[r];
-        }
+        // The scale k, between its bounds: the sums' own, and those of a mean of one over the gains.
+        let most = |column: usize| self.decided[column] + self.undecided[column];
+        let (least_gain, greatest_gain) = table.gains;
+        let least_scale = (self.decided[partitions] / most(partitions + 1)).max(1.0 / greatest_gain);
+        let greatest_scale = (most(partitions) / self.decided[partitions + 1]).min(1.0 / least_gain);
+        self.lower.clear();
+        self.lower.extend((0..partitions).map(|r| least_scale * self.decided[r]));
+        self.upper.clear();
+        self.upper.extend((0..partitions).map(|r| greatest_scale * most(r)));
         self.order.clear();
         self.order.extend(0..partitions);
         let estimate = &self.estimate;
@@ -204,7 +236,7 @@ impl Bounds {
                     q[node] * table.pair(inner as usize, node, behind, ahead)
                 })
                 .sum();
-            self.lower[ahead] - self.lower[behind] > most
+            self.decided[ahead] - self.decided[behind] > most
         };
         let top =
             self.order.split_first().is_some_and(|(&first, rest)| rest.iter().all(|&other| certain(first, other)));
@@ -277,7 +309,7 @@ impl Bounds {
 
 /// Most that one unit of mass at a node can move any partition.
 fn spread(table: &BoundTable, node: usize) -> f64 {
-    table.below(node).iter().copied().fold(0.0, f64::max)
+    table.below(node)[..table.partitions].iter().copied().fold(0.0, f64::max)
 }
 
 /// What one person's certified scoring keeps from event to event.
@@ -303,9 +335,10 @@ pub struct Certified {
 }
 
 impl Certified {
-    /// For the labels of a trie, grounded by `weights` (labels by partitions).
+    /// For prepared labels, grounded by `weights` (labels by partitions).
     #[must_use]
-    pub fn new(trie: &LabelTrie, weights: &DMatrix<f64>) -> Self {
+    pub fn new(prepared: &PreparedLabels, weights: &DMatrix<f64>) -> Self {
+        let trie = prepared.trie();
         let nodes = trie.nodes();
         let mut siblings = vec![0_u32; nodes.len() + 1];
         let slot = |parent: u32| if parent == PROMPT { nodes.len() } else { parent as usize };
@@ -314,7 +347,7 @@ impl Certified {
         }
         let inner = trie.inner().len();
         Self {
-            table: BoundTable::new(trie, weights),
+            table: BoundTable::new(prepared, weights),
             bounds: Bounds::default(),
             conditional: nodes.iter().map(|n| 1.0 / f64::from(siblings[slot(n.parent)])).collect(),
             q: vec![0.0; nodes.len()],
@@ -395,6 +428,7 @@ mod tests {
 
     use super::*;
     use crate::prompt::BindingSequence;
+    use crate::scorer::correction::Correction;
     use crate::scorer::table::TableModel;
     use crate::scorer::{LabelScores, Method, Scorer, Tokenisation};
 
@@ -415,6 +449,8 @@ mod tests {
             prompts in proptest::collection::vec("[a-z]{1,12}", 1..5),
             effort in proptest::sample::select(vec![Effort::Exact, Effort::Ranking, Effort::Top, Effort::Deadline]),
             partitions in 1..5usize,
+            continuation in proptest::sample::select(vec![Continuation::Free, Continuation::Labels]),
+            prior in proptest::sample::select(vec![0.0, 0.4]),
         ) {
             let labels: Vec<String> = labels.into_iter().collect();
             let mut weights = DMatrix::from_fn(labels.len(), partitions, |c, r| shares[c * 4 + r].powi(3));
@@ -423,8 +459,8 @@ mod tests {
                 row /= sum;
             }
             let mut scorer = Scorer::new(TableModel::new(seed));
-            let prepared = scorer.prepare(&labels, &BindingSequence::default(), Tokenisation::Joint).unwrap();
-            let mut state = Certified::new(prepared.trie(), &weights);
+            let prepared = scorer.prepare(&labels, &BindingSequence::default(), Tokenisation::Joint, Correction { continuation, prior }).unwrap();
+            let mut state = Certified::new(&prepared, &weights);
             let mut certified = LabelScores::default();
             let mut full = LabelScores::default();
             for prompt in &prompts {

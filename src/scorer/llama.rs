@@ -26,6 +26,7 @@ use llama_cpp_2::vocab::LlamaVocab;
 use llama_cpp_2::{LogOptions, send_logs_to_tracing};
 use sha2::{Digest, Sha256};
 
+use super::correction::Correction;
 use super::{DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token, common_prefix};
 use crate::gguf::Header;
 use crate::label_trie::TokenTree;
@@ -277,6 +278,7 @@ impl LlamaModel {
             vocabulary: usize::try_from(vocabulary.n_tokens()).unwrap_or(0),
             context_tokens: context_tokens as usize,
             shares_prefix: !weights.is_recurrent() && !weights.is_hybrid(),
+            correction: Correction::recommended(text).map_err(fail)?,
             fingerprint,
         };
         let sentences_apart = text("tokenizer.ggml.model").as_deref() == Some("llama") && sentences_apart(&vocabulary);

@@ -1,6 +1,7 @@
 //! Scores of labels as continuations of a prompt (the paper's Equation 1).
 //!
-//! `s_c,i = prod_j p(c_i^j | N_h + B + c_i^(1..j-1))`, over all tokens `j` of label `i`, in nats as a sum of logarithms.
+//! `s_c,i = prod_j p(c_i^j | N_h + B + c_i^(1..j-1))`, over all tokens `j` of label `i`, in nats as a sum of logarithms; corrected where
+//! that was asked for ([`correction`]).
 //!
 //! [`Scorer`] holds the algorithm, [`LanguageModel`] what it needs of a model: [`llama::LlamaModel`] is the real one,
 //! [`table::TableModel`] a deterministic one whose next-token table is known by construction, for tests.
@@ -8,12 +9,14 @@
 use std::time::Instant;
 
 use self::certified::{Certified, Effort};
+use self::correction::{Continuation, Correction};
 use self::cutter::Cutter;
 use crate::gguf::GgufError;
-use crate::label_trie::{LabelTrie, PROMPT, TokenTree};
-use crate::prompt::BindingSequence;
+use crate::label_trie::{END, LabelTrie, Node, PROMPT, TokenTree};
+use crate::prompt::{BindingSequence, write_prompt};
 
 pub mod certified;
+pub mod correction;
 mod cutter;
 pub mod llama;
 pub mod none;
@@ -44,6 +47,8 @@ pub struct ModelInfo {
     pub context_tokens: usize,
     /// Whether a prefix can be shared between continuations; not so with recurrent and hybrid models.
     pub shares_prefix: bool,
+    /// The correction of scores that the model file recommends.
+    pub correction: Correction,
     /// SHA-256 of the model file; zeros when there is none.
     #[serde(serialize_with = "hex")]
     pub fingerprint: [u8; 32],
@@ -242,16 +247,22 @@ pub enum ScoreError {
 pub struct PreparedLabels {
     labels: Vec<String>,
     tokens: Vec<Vec<Token>>,
+    /// Of all tokens, or under [`Continuation::Labels`] of those that tell the labels apart.
     trie: LabelTrie,
     /// Inner nodes of the trie, for [`Method::Trie`].
     inner_tree: TokenTree,
     /// One chain per label, for [`Method::SharedPrefix`].
     chains: LabelTrie,
     chain_tree: TokenTree,
+    /// Per node of the chains its node in the trie.
+    chain_nodes: Vec<usize>,
     /// Tokens at the end of the prompt that labels replace, because a merge crosses the boundary; nearly always 0.
     replaced: usize,
     binding: BindingSequence,
     tokenisation: Tokenisation,
+    correction: Correction,
+    /// Per label `ln g_c` of the prior, in nats.
+    gain_nats: Vec<f64>,
 }
 
 impl PreparedLabels {
@@ -290,15 +301,36 @@ impl PreparedLabels {
     pub fn tokenisation(&self) -> Tokenisation {
         self.tokenisation
     }
+
+    /// How scores are corrected.
+    #[must_use]
+    pub fn correction(&self) -> Correction {
+        self.correction
+    }
+
+    /// Per label `ln g_c` of the prior, in nats; zeros without one.
+    #[must_use]
+    pub fn gain_nats(&self) -> &[f64] {
+        &self.gain_nats
+    }
+
+    fn share_out(&self, scores: &mut LabelScores) {
+        scores.scale_nats = match self.correction.prior {
+            0.0 => 0.0,
+            _ => correction::share_out(&mut scores.log_prob_nats, &self.gain_nats),
+        };
+    }
 }
 
 /// The scores of one prompt.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LabelScores {
-    /// Per label `ln s_c` in nats, Equation 1.
+    /// Per label `ln s_c` in nats: Equation 1, corrected.
     pub log_prob_nats: Vec<f64>,
     /// Tokens of the prompt.
     pub prompt_tokens: usize,
+    /// `ln k` of the prior in nats: with a label's gain, what was added to the sum over its tokens.
+    pub scale_nats: f64,
     /// What was decoded.
     pub stats: DecodeStats,
     /// Nanoseconds spent cutting the prompt into tokens.
@@ -354,13 +386,16 @@ impl<M: LanguageModel> Scorer<M> {
     /// binding sequence by itself. Where a merge crosses the boundary for any label, the crossing tokens of the binding
     /// sequence are scored with every label, so that all remain comparable.
     ///
+    /// A prior is computed here, once, from a blank narration; the kept prefix is lost.
+    ///
     /// # Errors
-    /// When there is no label, a label has no tokens, or the tokeniser fails.
+    /// When there is no label, a label has no tokens, the tokeniser fails, or the model does at a prior.
     pub fn prepare<L: AsRef<str>>(
-        &self,
+        &mut self,
         labels: &[L],
         binding: &BindingSequence,
         tokenisation: Tokenisation,
+        correction: Correction,
     ) -> Result<PreparedLabels, ScoreError> {
         if labels.is_empty() {
             return Err(ScoreError::NoLabels);
@@ -398,19 +433,41 @@ impl<M: LanguageModel> Scorer<M> {
         if let Some(index) = tokens.iter().zip(labels).position(|(t, l)| t.is_empty() || l.as_ref().trim().is_empty()) {
             return Err(ScoreError::EmptyLabel { index, label: labels[index].as_ref().to_owned() });
         }
-        let trie = LabelTrie::new(&tokens);
-        let chains = LabelTrie::chains(&tokens);
-        Ok(PreparedLabels {
+        let trie = match correction.continuation {
+            Continuation::Free => LabelTrie::new(&tokens),
+            Continuation::Labels => LabelTrie::telling_apart(&tokens),
+        };
+        let mut chain_nodes = Vec::new();
+        let mut paths: Vec<Vec<Token>> = Vec::with_capacity(tokens.len());
+        for label in 0..tokens.len() {
+            let first = chain_nodes.len();
+            chain_nodes.extend(trie.path(label));
+            chain_nodes[first..].reverse();
+            paths.push(chain_nodes[first..].iter().map(|&node| trie.nodes()[node].token).collect());
+        }
+        let chains = LabelTrie::chains(&paths);
+        let mut prepared = PreparedLabels {
             labels: labels.iter().map(|l| l.as_ref().to_owned()).collect(),
             inner_tree: TokenTree::of_inner_nodes(&trie),
             chain_tree: TokenTree::of_inner_nodes(&chains),
+            gain_nats: vec![0.0; tokens.len()],
             tokens,
             trie,
             chains,
+            chain_nodes,
             replaced,
             binding: binding.clone(),
             tokenisation,
-        })
+            correction,
+        };
+        if correction.prior > 0.0 {
+            let mut blank = String::new();
+            write_prompt([], binding, tokenisation == Tokenisation::Paper, &mut blank);
+            let mut scores = LabelScores::default();
+            self.score(&prepared, &blank, Method::Trie, &mut scores)?;
+            prepared.gain_nats = correction::gains(&scores.log_prob_nats, correction.prior);
+        }
+        Ok(prepared)
     }
 
     /// Scores every label behind `prompt`, the text that [`crate::prompt::write_prompt`] wrote for the same binding
@@ -431,10 +488,15 @@ impl<M: LanguageModel> Scorer<M> {
         self.begin(prepared, prompt, method, out)?;
         out.tokenise_ns = nanoseconds(start);
         match out.method {
-            Method::Trie => self.score_trie(&prepared.trie, &prepared.inner_tree, out),
-            Method::SharedPrefix => self.score_trie(&prepared.chains, &prepared.chain_tree, out),
+            Method::Trie => self.score_trie(prepared, &prepared.trie, &prepared.inner_tree, None, out),
+            Method::SharedPrefix => {
+                let places = Some(prepared.chain_nodes.as_slice());
+                self.score_trie(prepared, &prepared.chains, &prepared.chain_tree, places, out)
+            }
             Method::Independent => self.score_independent(prepared, out),
-        }
+        }?;
+        prepared.share_out(out);
+        Ok(())
     }
 
     /// How many tokens `sentence` has within a prompt. It is cut once: the prompt that it becomes part of finds its tokens.
@@ -472,31 +534,37 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(())
     }
 
-    /// Per token of a label ln p(token | prompt and the tokens before it), in nats, of the last [`Scorer::score`]. None unless
-    /// that was by [`Method::Trie`], which alone keeps them.
+    /// Per token of a label ln p(token | prompt and the tokens before it), in nats, of the last [`Scorer::score`]; the last one's with
+    /// that of the label's ending there, where another goes on. None unless that was by [`Method::Trie`], which alone keeps them.
     #[must_use]
     pub fn token_log_prob_nats(&self, prepared: &PreparedLabels, label: usize) -> Option<Vec<f64>> {
         let nodes = prepared.trie.nodes();
         if self.node_log_prob_nats.len() != nodes.len() {
             return None;
         }
-        let mut node = *prepared.trie.label_end().get(label)?;
-        let mut tokens = Vec::new();
-        while node != PROMPT {
-            let parent = nodes[node as usize].parent;
+        // Tokens that no other label shares are not in the trie: they are certain.
+        let mut tokens = vec![0.0; prepared.tokens.get(label)?.len()];
+        for node in prepared.trie.path(label) {
+            let Node { parent, depth, .. } = nodes[node];
             let before = if parent == PROMPT { 0.0 } else { self.node_log_prob_nats[parent as usize] };
-            tokens.push(self.node_log_prob_nats[node as usize] - before);
-            node = parent;
+            let place = (depth as usize).min(tokens.len()) - 1;
+            tokens[place] += self.node_log_prob_nats[node] - before;
         }
-        tokens.reverse();
         Some(tokens)
     }
 
     fn score_independent(&mut self, prepared: &PreparedLabels, out: &mut LabelScores) -> Result<(), ScoreError> {
-        for tokens in &prepared.tokens {
-            let trie = LabelTrie::chains(std::slice::from_ref(tokens));
+        let mut places = prepared.chain_nodes.as_slice();
+        while !places.is_empty() {
+            // A chain ends before the next node that follows the prompt.
+            let follows_prompt = |&place: &usize| prepared.trie.nodes()[place].parent == PROMPT;
+            let length = places.iter().skip(1).position(follows_prompt).map_or(places.len(), |next| next + 1);
+            let (chain, rest) = places.split_at(length);
+            let tokens: Vec<_> = chain.iter().map(|&place| prepared.trie.nodes()[place].token).collect();
+            let trie = LabelTrie::chains(&[tokens]);
             self.model.forget();
-            self.score_trie(&trie, &TokenTree::of_inner_nodes(&trie), out)?;
+            self.score_trie(prepared, &trie, &TokenTree::of_inner_nodes(&trie), Some(chain), out)?;
+            places = rest;
         }
         self.model.forget();
         Ok(())
@@ -528,6 +596,7 @@ impl<M: LanguageModel> Scorer<M> {
         if !self.model.info().shares_prefix {
             out.method = Method::Independent;
             self.score_independent(prepared, out)?;
+            prepared.share_out(out);
             return Ok(());
         }
         let mut first = true;
@@ -549,7 +618,10 @@ impl<M: LanguageModel> Scorer<M> {
                         Some(trie.inner()[place] as usize)
                     }
                 };
-                if !read_row(trie, parent, logits, |child, log_prob_nats| conditional[child] = log_prob_nats.exp()) {
+                let rivals = prepared.correction.continuation.rivals(trie, parent);
+                if !read_row(trie, parent, rivals, logits, |child, log_prob_nats| {
+                    conditional[child] = log_prob_nats.exp();
+                }) {
                     bad_row = Some(row);
                 }
                 softmax_ns += nanoseconds(start);
@@ -578,6 +650,7 @@ impl<M: LanguageModel> Scorer<M> {
         }
         out.log_prob_nats.clear();
         out.log_prob_nats.extend(trie.label_end().iter().map(|&end| state.q[end as usize].ln()));
+        prepared.share_out(out);
         state.guess(trie, effort);
         Ok(())
     }
@@ -594,8 +667,16 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(())
     }
 
-    /// Scores the labels of one trie behind `self.prompt`, and appends them to `out`.
-    fn score_trie(&mut self, trie: &LabelTrie, tree: &TokenTree, out: &mut LabelScores) -> Result<(), ScoreError> {
+    /// Scores the labels of one trie behind `self.prompt`, and appends them to `out`. `places` gives the place of the trie's nodes in
+    /// that of `prepared`; without it, they are the same.
+    fn score_trie(
+        &mut self,
+        prepared: &PreparedLabels,
+        trie: &LabelTrie,
+        tree: &TokenTree,
+        places: Option<&[usize]>,
+        out: &mut LabelScores,
+    ) -> Result<(), ScoreError> {
         let start = Instant::now();
         let nodes = trie.nodes();
         self.node_log_prob_nats.clear();
@@ -606,7 +687,9 @@ impl<M: LanguageModel> Scorer<M> {
         let stats = self.model.decode(&self.prompt, tree, true, &mut |row, logits| {
             let start = Instant::now();
             let parent = row.checked_sub(1).map(|place| trie.inner()[place] as usize);
-            if !read_row(trie, parent, logits, |child, log_prob_nats| log_prob[child] = log_prob_nats) {
+            let place = parent.map(|node| places.map_or(node, |places| places[node]));
+            let rivals = prepared.correction.continuation.rivals(&prepared.trie, place);
+            if !read_row(trie, parent, rivals, logits, |child, log_prob_nats| log_prob[child] = log_prob_nats) {
                 bad_row = Some(row);
             }
             softmax_ns += nanoseconds(start);
@@ -632,18 +715,34 @@ impl<M: LanguageModel> Scorer<M> {
 }
 
 /// Gives `ln p(child | path)` of every child of `parent` (the trie's roots for `None`) from the row of logits that follows
-/// it; false when the row is not finite.
-fn read_row(trie: &LabelTrie, parent: Option<usize>, logits: &[f32], mut give: impl FnMut(usize, f64)) -> bool {
-    let nodes = trie.nodes();
-    let denominator = softmax::log_sum_exp(logits);
-    let (mut child, end) = match parent {
-        None => (0, nodes.len()),
-        Some(parent) => (parent + 1, parent + nodes[parent].subtree as usize),
+/// it; false when the row is not finite. With `rivals`, the node's children in the trie of all labels, only they share the
+/// probability out.
+fn read_row(
+    trie: &LabelTrie,
+    parent: Option<usize>,
+    rivals: Option<impl Iterator<Item = Token> + Clone>,
+    logits: &[f32],
+    mut give: impl FnMut(usize, f64),
+) -> bool {
+    let logit = |token: Token| usize::try_from(token.0).ok().and_then(|token| logits.get(token)).copied();
+    let others = rivals.clone().map(|rivals| rivals.filter(|&token| token != END).filter_map(logit).map(f64::from));
+    let ends = rivals.is_some_and(|mut rivals| rivals.any(|token| token == END));
+    let denominator = match &others {
+        Some(others) if !ends => correction::log_sum_exp(others.clone()),
+        _ => softmax::log_sum_exp(logits),
     };
-    while child < end {
-        let logit = usize::try_from(nodes[child].token.0).ok().and_then(|token| logits.get(token));
-        give(child, logit.map_or(f64::NEG_INFINITY, |&logit| f64::from(logit) - denominator));
-        child += nodes[child].subtree as usize;
+    for child in trie.children(parent) {
+        give(
+            child,
+            match trie.nodes()[child].token {
+                END => {
+                    let others = others.iter().flat_map(Clone::clone);
+                    let taken: f64 = others.map(|logit| (logit - denominator).exp()).sum();
+                    (1.0 - taken).max(f64::MIN_POSITIVE).ln()
+                }
+                token => logit(token).map_or(f64::NEG_INFINITY, |logit| f64::from(logit) - denominator),
+            },
+        );
     }
     denominator.is_finite()
 }

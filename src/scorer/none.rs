@@ -1,6 +1,7 @@
 //! No language model at all: every word is as likely as every other. With it a step costs only what is ours around the model, which
 //! is what `roomcast latency` measures with `--scorer none`.
 
+use super::correction::Correction;
 use super::{DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token};
 use crate::label_trie::TokenTree;
 
@@ -25,6 +26,7 @@ impl Default for NoModel {
                 vocabulary: WORDS,
                 context_tokens: 1 << 20,
                 shares_prefix: true,
+                correction: Correction::default(),
                 fingerprint: [0; 32],
             },
         }
@@ -78,8 +80,14 @@ mod tests {
     #[test]
     fn every_word_is_as_likely() {
         let mut scorer = Scorer::new(NoModel::default());
-        let prepared =
-            scorer.prepare(&["mug", "washing machine"], &BindingSequence::default(), Tokenisation::Joint).unwrap();
+        let prepared = scorer
+            .prepare(
+                &["mug", "washing machine"],
+                &BindingSequence::default(),
+                Tokenisation::Joint,
+                Correction::default(),
+            )
+            .unwrap();
         let mut scores = LabelScores::default();
         scorer.score(&prepared, "They walk. Next, the human will go to the", Method::Trie, &mut scores).unwrap();
         let word = -(WORDS as f64).ln();

@@ -3,6 +3,7 @@
 //! Its tokens are bytes, or words from a list. The logits after a sequence depend on its last [`TableModel::MEMORY`]
 //! tokens by a fixed hash, so that any score can be recomputed by hand from [`TableModel::logits_after`].
 
+use super::correction::Correction;
 use super::{DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token};
 use crate::label_trie::{PROMPT, TokenTree};
 
@@ -36,6 +37,7 @@ impl TableModel {
                 vocabulary: Self::VOCABULARY,
                 context_tokens: 1 << 20,
                 shares_prefix: true,
+                correction: Correction::default(),
                 fingerprint: {
                     let mut fingerprint = [0; 32];
                     fingerprint[..8].copy_from_slice(&seed.to_le_bytes());
@@ -145,6 +147,7 @@ impl LanguageModel for TableModel {
 
 #[cfg(test)]
 mod tests {
+    use super::super::correction::Continuation;
     use super::super::{LabelScores, Method, Scorer, Tokenisation, softmax};
     use super::*;
     use crate::prompt::{BindingSequence, write_prompt};
@@ -173,7 +176,7 @@ mod tests {
             let labels: Vec<String> = labels.into_iter().collect();
             let model = TableModel::new(seed);
             let mut scorer = Scorer::new(model.clone());
-            let prepared = scorer.prepare(&labels, &binding, Tokenisation::Joint).unwrap();
+            let prepared = scorer.prepare(&labels, &binding, Tokenisation::Joint, Correction::default()).unwrap();
             let mut prompt = String::new();
             write_prompt(narration.iter().map(String::as_str), &binding, false, &mut prompt);
             let mut scores = LabelScores::default();
@@ -186,11 +189,85 @@ mod tests {
         }
     }
 
+    /// ln s of `labels[of]` under [`Continuation::Labels`], by the words of its documentation, over the labels' bytes. Every label begins
+    /// with the space after the prompt.
+    fn among_labels_by_hand(model: &TableModel, prompt: &str, labels: &[String], of: usize) -> f64 {
+        let mut sequence = Vec::new();
+        model.tokenise(prompt, TextStart::Sequence, &mut sequence).unwrap();
+        let mut sum = 0.0;
+        for at in 0..=labels[of].len() {
+            let said = &labels[of][..at];
+            let logits = model.logits_after(&sequence);
+            let all: f64 = logits.iter().map(|&logit| f64::from(logit).exp()).sum();
+            let next: std::collections::BTreeSet<u8> =
+                labels.iter().filter_map(|label| label.strip_prefix(said)?.bytes().next()).collect();
+            let others: f64 = next.iter().map(|&byte| f64::from(logits[usize::from(byte)]).exp()).sum();
+            let Some(&byte) = labels[of].as_bytes().get(at) else {
+                // The label's end gets what the others leave.
+                return if next.is_empty() { sum } else { sum + (1.0 - others / all).ln() };
+            };
+            let free = at == 0 || labels.iter().any(|label| label == said);
+            sum += f64::from(logits[usize::from(byte)]) - if free { all } else { others }.ln();
+            sequence.push(Token(i32::from(byte)));
+        }
+        sum
+    }
+
+    proptest::proptest! {
+        /// Both corrections by all three methods, against what their documentation says.
+        #[test]
+        fn every_method_corrects_alike(
+            seed: u64,
+            narration in proptest::collection::vec("[A-Z][a-z ]{0,30}\\.", 1..4),
+            labels in proptest::collection::hash_set("[a-c]{1,4}( [a-c]{1,3})?", 1..30),
+            prior in proptest::sample::select(vec![0.0, 0.3, 1.0]),
+        ) {
+            let labels: Vec<String> = labels.into_iter().collect();
+            let spaced: Vec<String> = labels.iter().map(|label| format!(" {label}")).collect();
+            let model = TableModel::new(seed);
+            let binding = BindingSequence::default();
+            let by_hand = |prompt: &str| -> Vec<f64> {
+                (0..labels.len()).map(|label| among_labels_by_hand(&model, prompt, &spaced, label)).collect()
+            };
+            let mut prompt = String::new();
+            write_prompt([], &binding, false, &mut prompt);
+            let blank = by_hand(&prompt);
+            write_prompt(narration.iter().map(String::as_str), &binding, false, &mut prompt);
+            let narrated = by_hand(&prompt);
+            let sum = |values: &[f64]| values.iter().map(|value| value.exp()).sum::<f64>().ln();
+            let gained: Vec<f64> = narrated.iter().zip(&blank).map(|(score, blank)| score - prior * blank).collect();
+            // Sharing out loses nothing: behind the first byte the labels' scores sum to its probability.
+            let first = sum(&narrated);
+            let mut head = Vec::new();
+            model.tokenise(&prompt, TextStart::Sequence, &mut head).unwrap();
+            let row = model.logits_after(&head);
+            proptest::prop_assert!((first - f64::from(row[32]) + softmax::log_sum_exp(&row)).abs() < 1e-5);
+
+            let mut scorer = Scorer::new(model.clone());
+            let correction = Correction { continuation: Continuation::Labels, prior };
+            let prepared = scorer.prepare(&labels, &binding, Tokenisation::Joint, correction).unwrap();
+            let mut scores = LabelScores::default();
+            for method in [Method::Trie, Method::SharedPrefix, Method::Independent] {
+                scorer.score(&prepared, &prompt, method, &mut scores).unwrap();
+                for (label, &score) in scores.log_prob_nats.iter().enumerate() {
+                    let expected = sum(&narrated) - sum(&gained) + gained[label];
+                    proptest::prop_assert!((score - expected).abs() < 1e-4, "{method:?} {score} {expected}");
+                    if method == Method::Trie {
+                        let tokens = scorer.token_log_prob_nats(&prepared, label).unwrap();
+                        proptest::prop_assert_eq!(tokens.len(), spaced[label].len());
+                        let sum = tokens.iter().sum::<f64>() + prepared.gain_nats()[label] + scores.scale_nats;
+                        proptest::prop_assert!((sum - score).abs() < 1e-9);
+                    }
+                }
+            }
+        }
+    }
+
     #[test]
     fn no_labels_and_empty_labels_are_refused() {
-        let scorer = Scorer::new(TableModel::new(1));
+        let mut scorer = Scorer::new(TableModel::new(1));
         let binding = BindingSequence::default();
-        assert!(scorer.prepare::<&str>(&[], &binding, Tokenisation::Joint).is_err());
-        assert!(scorer.prepare(&["mug", " "], &binding, Tokenisation::Joint).is_err());
+        assert!(scorer.prepare::<&str>(&[], &binding, Tokenisation::Joint, Correction::default()).is_err());
+        assert!(scorer.prepare(&["mug", " "], &binding, Tokenisation::Joint, Correction::default()).is_err());
     }
 }

@@ -1,0 +1,170 @@
+//! What is done to Equation 1 so that its numbers say which object comes next, and not which words are common.
+//!
+//! A language model spreads its probability over all texts, of which a map's labels are a few. Two things follow that have nothing
+//! to do with what the person is about to do, and each has its correction:
+//!
+//! **Unusual words cost.** Every token of `defibrillator` that the model finds surprising takes from its score, though
+//! nothing else in the map begins as it does. [`Continuation::Labels`] lets a label's tokens after the first compete only with
+//! what other labels of the map go on with, `p(t | n) / sum over children t' of n of p(t' | n)`; where a label ends although
+//! another goes on ("coffee", "coffee maker"), it gets what the others leave. A node's children then share out exactly the node's
+//! probability, a path without a fork costs nothing, and its tokens need not be decoded.
+//!
+//! **Common words win.** What people go to often scores high whatever was narrated. A *prior weight* `a` divides a label's score by
+//! its score under a blank narration, to the power of `a`: `s'_c = k s_c g_c` with the gain `g_c = s_c(blank)^-a`. 0 leaves Equation 1 as it
+//! is; 1 is the pointwise mutual information of Holtzman et al., "Surface Form Competition" (2021). The scale
+//! `k = sum s_c / sum s_c g_c` lets the labels share out anew what they had together.
+//!
+//! Neither is in the paper, and both are off unless the configuration asks for them or the model file recommends them
+//! (GGUF keys [`CONTINUATION_KEY`] and [`PRIOR_KEY`]), as the embedded one does.
+
+use std::str::FromStr;
+
+use super::Token;
+use crate::label_trie::LabelTrie;
+
+/// GGUF key of the recommended [`Continuation`], a string: `free` or `labels`.
+pub const CONTINUATION_KEY: &str = "roomcast.continuation";
+/// GGUF key of the recommended prior weight, a number from 0 to 1.
+pub const PRIOR_KEY: &str = "roomcast.prior";
+
+/// What a label's tokens after the first compete with.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Continuation {
+    /// Every token of the vocabulary: Equation 1.
+    #[default]
+    Free,
+    /// What other labels of the map go on with.
+    Labels,
+}
+
+impl Continuation {
+    /// The tokens that share out the probability of `node`, where they are not all of the vocabulary. The first tokens behind a
+    /// prompt always compete with all.
+    pub(super) fn rivals(self, trie: &LabelTrie, node: Option<usize>) -> Option<impl Iterator<Item = Token> + Clone> {
+        let node = node.filter(|_| self == Self::Labels)?;
+        Some(trie.children(Some(node)).map(|child| trie.nodes()[child].token))
+    }
+}
+
+/// How label scores are corrected. The default is Equation 1 as it stands.
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
+pub struct Correction {
+    /// What a label's tokens after the first compete with.
+    pub continuation: Continuation,
+    /// The prior weight `a`, from 0 to 1.
+    pub prior: f64,
+}
+
+impl Correction {
+    /// What a model file recommends: `value` gives the text of a metadata key.
+    ///
+    /// # Errors
+    /// What is wrong with a value that is there.
+    pub fn recommended(value: impl Fn(&str) -> Option<String>) -> Result<Self, String> {
+        let continuation = match value(CONTINUATION_KEY) {
+            None => Continuation::default(),
+            Some(text) => <Continuation as clap::ValueEnum>::from_str(&text, false)
+                .map_err(|_| format!("{CONTINUATION_KEY} is {text:?}, not \"free\" or \"labels\""))?,
+        };
+        let prior = match value(PRIOR_KEY) {
+            None => 0.0,
+            Some(text) => prior_weight(&text).map_err(|fault| format!("{PRIOR_KEY} is {text:?}: {fault}"))?,
+        };
+        Ok(Self { continuation, prior })
+    }
+}
+
+/// Reads a prior weight.
+///
+/// # Errors
+/// When it is not a number from 0 to 1.
+pub fn prior_weight(text: &str) -> Result<f64, String> {
+    match f64::from_str(text) {
+        Ok(weight) if (0.0..=1.0).contains(&weight) => Ok(weight),
+        _ => Err("give a number from 0 to 1".into()),
+    }
+}
+
+/// What a user says of the correction; what is not said is as the model file recommends.
+#[derive(Debug, Clone, Copy, Default, PartialEq, clap::Args)]
+pub struct CorrectionChoice {
+    /// What a label's words after the first compete with; as the model file recommends when left out.
+    #[arg(long, value_enum)]
+    pub continuation: Option<Continuation>,
+    /// Weight from 0 to 1 with which scores are divided by those of a blank narration; as the model file recommends when left out.
+    #[arg(long, value_name = "WEIGHT", value_parser = prior_weight)]
+    pub prior: Option<f64>,
+}
+
+impl CorrectionChoice {
+    /// Equation 1 whatever the model file recommends.
+    pub const EQUATION_1: Self = Self { continuation: Some(Continuation::Free), prior: Some(0.0) };
+
+    /// The choice, with what a model recommends where nothing was said.
+    #[must_use]
+    pub fn or(self, recommended: Correction) -> Correction {
+        Correction {
+            continuation: self.continuation.unwrap_or(recommended.continuation),
+            prior: self.prior.unwrap_or(recommended.prior),
+        }
+    }
+}
+
+/// Per label `ln g_c` in nats, for its ln score under a blank narration.
+pub(super) fn gains(blank_log_prob_nats: &[f64], prior: f64) -> Vec<f64> {
+    // A word that the model never says would otherwise get all.
+    blank_log_prob_nats.iter().map(|&log_prob_nats| -prior * log_prob_nats.max(-300.0)).collect()
+}
+
+/// Adds the gains to the scores, in nats, and gives `ln k`, which is added too.
+pub(super) fn share_out(log_prob_nats: &mut [f64], gain_nats: &[f64]) -> f64 {
+    let before = log_sum_exp(log_prob_nats.iter().copied());
+    log_prob_nats.iter_mut().zip(gain_nats).for_each(|(score, gain)| *score += gain);
+    let scale_nats = before - log_sum_exp(log_prob_nats.iter().copied());
+    // Scores that are all nothing stay so.
+    let scale_nats = if scale_nats.is_finite() { scale_nats } else { 0.0 };
+    log_prob_nats.iter_mut().for_each(|score| *score += scale_nats);
+    scale_nats
+}
+
+/// `ln(sum(exp(values)))` of a few finite values.
+pub(super) fn log_sum_exp(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let highest = values.clone().fold(f64::NEG_INFINITY, f64::max);
+    if highest.is_finite() { highest + values.map(|value| (value - highest).exp()).sum::<f64>().ln() } else { highest }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_blank_narration_keeps_its_sum_and_is_flattened() {
+        let blank = [0.6_f64.ln(), 0.1_f64.ln(), 0.001_f64.ln()];
+        for prior in [0.0, 0.3, 1.0] {
+            let mut corrected = blank;
+            share_out(&mut corrected, &gains(&blank, prior));
+            let corrected = corrected.map(f64::exp);
+            assert!((corrected.iter().sum::<f64>() - 0.701).abs() < 1e-12);
+            let ratio = (corrected[0] / corrected[2]).ln();
+            assert!((ratio - (1.0 - prior) * 600_f64.ln()).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn what_a_file_recommends_is_read_or_refused() {
+        let read = |continuation: Option<&str>, prior: Option<&str>| {
+            Correction::recommended(|key| if key == PRIOR_KEY { prior } else { continuation }.map(ToOwned::to_owned))
+        };
+        assert_eq!(read(None, None), Ok(Correction::default()));
+        let embedded = Correction { continuation: Continuation::Labels, prior: 0.3 };
+        assert_eq!(read(Some("labels"), Some("0.300000")), Ok(embedded));
+        for (continuation, prior) in
+            [(Some("Labels"), None), (None, Some("nan")), (None, Some("1.5")), (None, Some(""))]
+        {
+            assert!(read(continuation, prior).unwrap_err().contains("roomcast."));
+        }
+        assert_eq!(CorrectionChoice::EQUATION_1.or(embedded), Correction::default());
+        assert_eq!(CorrectionChoice::default().or(embedded), embedded);
+    }
+}
