@@ -399,6 +399,8 @@ mod tests {
         let config: Config = toml::from_str("[metrics]\nlisten = \"0.0.0.0:9464\"").unwrap();
         assert!(config.check().unwrap_err().to_string().contains("metrics.listen is 0.0.0.0:9464"));
         for (toml, part) in [
+            ("[scoring]\nprior = 1.5", "scoring.prior is 1.5"),
+            ("[scoring]\nprior = nan", "scoring.prior is NaN"),
             ("[ipc]\ndomain = \"ABC\"", "ABC"),
             ("[ipc]\ndomain = \"\"", "[ipc]"),
             ("[ipc]\nroot = \"rel\"", "rel"),

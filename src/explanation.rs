@@ -65,6 +65,8 @@ pub struct PartitionReason {
     pub id: String,
     /// Its words.
     pub label: String,
+    /// What people may call it: its words, or its id where several share them.
+    pub name: String,
     /// S_j over the sum of all S.
     pub probability: f64,
     /// ln S_j in nats.
@@ -99,6 +101,7 @@ pub fn explain(
     tokens: impl Fn(usize) -> (Vec<TokenReason>, f64),
 ) -> Explanation {
     let Evidence { map, grounding, label_log_prob_nats, scores, narration, binding } = *evidence;
+    let names = grounding.partition_names();
     let reason = |(index, partition): (u32, &crate::grounding::Partition)| {
         let (own, place) = (PartitionId(index), index as usize);
         let log_score_nats = scores.partition_log_score_nats[place];
@@ -122,6 +125,7 @@ pub fn explain(
         PartitionReason {
             id: partition.id.clone(),
             label: partition.label.clone(),
+            name: names[place].clone(),
             probability: scores.partition_probability[place],
             log_score_nats,
             labels: labels.collect(),
@@ -156,8 +160,8 @@ impl Display for Explanation {
 
 impl Display for PartitionReason {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        let Self { label, probability, log_score_nats, .. } = self;
-        writeln!(f, "{label}: {:.1} %  (ln score {log_score_nats:.3})", 100.0 * probability)?;
+        let Self { name, probability, log_score_nats, .. } = self;
+        writeln!(f, "{name}: {:.1} %  (ln score {log_score_nats:.3})", 100.0 * probability)?;
         for reason in &self.labels {
             writeln!(f, "{reason}")?;
         }

@@ -541,6 +541,20 @@ impl Header {
         }
     }
 
+    /// A value of the metadata written out, unless it is an array.
+    #[must_use]
+    pub fn written(&self, key: &str) -> Option<String> {
+        Some(match self.metadata.get(key)? {
+            Value::Unsigned(number) => number.to_string(),
+            Value::Signed(number) => number.to_string(),
+            // Most are of single precision, and would show digits that nobody wrote.
+            Value::Float(number) => (*number as f32).to_string(),
+            Value::Bool(value) => value.to_string(),
+            Value::Text(text) => text.clone(),
+            Value::Array { .. } => return None,
+        })
+    }
+
     /// The architecture, such as `llama`.
     #[must_use]
     pub fn architecture(&self) -> Option<&str> {

@@ -38,7 +38,7 @@ enum Experiment {
     Table1(study::Table1Args),
     /// The paper's Table II: disturbance, time of coverage and failure by policy.
     Table2(study::StudyArgs),
-    /// What the scores depend on: models, prompts, tokenisation, windows.
+    /// What the scores depend on: models, prompts, tokenisation, correction, windows.
     Ablation(study::AblationArgs),
     /// Disturbance against coverage for every policy and weight, with the clairvoyant bound.
     Pareto(study::ParetoArgs),

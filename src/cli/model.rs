@@ -12,7 +12,7 @@ use crate::exit_code;
 use crate::gguf::Header;
 use crate::hub::{self, Hub, HubError};
 use crate::prompt::{BindingSequence, write_prompt};
-use crate::scorer::correction::Correction;
+use crate::scorer::correction::{Continuation, Correction};
 use crate::scorer::llama::{LlamaModel, LlamaOptions};
 use crate::scorer::{LabelScores, LanguageModel, Method, ScoreError, Scorer, Token, Tokenisation};
 
@@ -98,6 +98,7 @@ fn describe(path: &Path, header: &Header, sha256: &str) -> serde_json::Value {
         "quantisation": header.quantisation().iter().map(|(kind, share)| json!({"type": kind, "share": share})).collect::<Vec<_>>(),
         "vocabulary": header.vocabulary_size(),
         "tokeniser": header.text("tokenizer.ggml.model"),
+        "correction": recommended(header).ok(),
         "context_tokens": header.architecture_number("context_length"),
         "layers": header.architecture_number("block_count"),
         "width": header.architecture_number("embedding_length"),
@@ -107,12 +108,27 @@ fn describe(path: &Path, header: &Header, sha256: &str) -> serde_json::Value {
     })
 }
 
+/// The correction of scores that the file recommends.
+fn recommended(header: &Header) -> Result<Correction, String> {
+    Correction::recommended(|key| header.written(key))
+}
+
 /// The same for people: one line per property, those that the file does not state left out.
 fn table(path: &Path, header: &Header, sha256: &str) -> String {
     let number = |name| header.architecture_number(name).map(|number| number.to_string());
     let text = |key| header.text(key).map(str::to_owned);
     let shares: Vec<_> =
         header.quantisation().iter().map(|(kind, share)| format!("{kind} {:.1} %", 100.0 * share)).collect();
+    let scoring = match recommended(header) {
+        Ok(Correction { continuation, prior }) => {
+            let competitors = match continuation {
+                Continuation::Free => "every word",
+                Continuation::Labels => "other labels' words",
+            };
+            format!("a label's further words compete with {competitors}; prior weight {prior}")
+        }
+        Err(fault) => format!("WRONG: {fault}"),
+    };
     let rows = [
         ("file", Some(path.display().to_string())),
         ("name", text("general.name")),
@@ -130,6 +146,7 @@ fn table(path: &Path, header: &Header, sha256: &str) -> String {
             )),
         ),
         ("context", number("context_length").map(|tokens| format!("{tokens} tokens"))),
+        ("scoring", Some(scoring)),
         ("layers", number("block_count")),
         ("width", number("embedding_length")),
         ("size", Some(format!("{:.1} MB", header.size_bytes as f64 / 1e6))),

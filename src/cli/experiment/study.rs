@@ -19,6 +19,8 @@ use crate::narration::Sentence;
 use crate::narration::history::HistoryLimits;
 use crate::policy::{PolicyName, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS};
 use crate::prompt::BindingSequence;
+use crate::scorer::Tokenisation;
+use crate::scorer::correction::{Correction, CorrectionChoice};
 use crate::scorer::llama::LlamaModel;
 use crate::semantic_map::{SemanticMap, drawing};
 use crate::setup;
@@ -433,7 +435,7 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
     let columns = [
         "model",
         "prompt",
-        "tokenisation",
+        "scores",
         "window",
         "policy",
         "D_T mean (s)",
@@ -442,13 +444,23 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
         "F",
         "regret (s)",
     ];
-    let mut table = Table::new("ablation", "Models, prompts, tokenisation and windows", &columns);
+    let mut table = Table::new("ablation", "Models, prompts, ways of scoring and windows", &columns);
     let (mut rows, mut notes) = (Vec::new(), Vec::new());
     for model in models {
-        for tokenisation in [crate::scorer::Tokenisation::Joint, crate::scorer::Tokenisation::Paper] {
-            let model_args = ModelArgs { model: model.clone(), tokenisation, ..args.study.model.clone() };
+        let given = args.study.model.correction;
+        let ways = [
+            ("joint", Tokenisation::Joint, given),
+            ("paper", Tokenisation::Paper, given),
+            ("joint, Equation 1", Tokenisation::Joint, CorrectionChoice::EQUATION_1),
+        ];
+        for (way, tokenisation, correction) in ways {
+            let model_args = ModelArgs { model: model.clone(), tokenisation, correction, ..args.study.model.clone() };
             let mut sources = setup.sources(&model_args)?;
-            let name = sources.first().map(|source| source.model().name.clone()).unwrap_or_default();
+            let Some(info) = sources.first().map(|source| source.model().clone()) else { continue };
+            if correction != given && given.or(info.correction) == Correction::default() {
+                continue;
+            }
+            let name = info.name;
             for binding in &prompts {
                 for window in &args.window {
                     let options = Options { history: HistoryLimits::exact(*window), ..setup.options.clone() };
@@ -463,7 +475,7 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
                         table.rows.push(vec![
                             name.clone(),
                             binding.name().to_owned(),
-                            format!("{tokenisation:?}").to_lowercase(),
+                            way.to_owned(),
                             window.to_string(),
                             figures.policy.clone(),
                             format!("{:.1}", figures.disturbance_mean),
@@ -473,7 +485,7 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
                             figures.regret_s.map_or_else(|| "-".into(), |r| format!("{r:.1}")),
                         ]);
                         rows.push(json!({
-                            "model": name, "prompt": binding.name(), "tokenisation": tokenisation, "window": window, "figures": figures,
+                            "model": name, "prompt": binding.name(), "tokenisation": tokenisation, "correction": correction.or(info.correction), "window": window, "figures": figures,
                         }));
                     }
                     if !binding.uses_narration() {
