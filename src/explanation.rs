@@ -4,7 +4,7 @@
 //! A pure function of what a step left behind; it follows the flow backwards, so that every number can be recomputed from
 //! the one below it: a partition's score is the sum of its labels' contributions, a contribution is the label's
 //! probability times the share of its items here, and a label's probability is the product over its tokens (Equations 1
-//! and 2).
+//! and 2) and what the prior makes of it ([`crate::scorer::correction`]).
 
 use std::fmt::{self, Display, Formatter};
 
@@ -35,7 +35,7 @@ pub struct Evidence<'a> {
 pub struct TokenReason {
     /// Its text.
     pub piece: String,
-    /// ln p(token | prompt and the tokens before it), in nats.
+    /// ln p(token | prompt and the tokens before it), corrected, in nats.
     pub log_prob_nats: f64,
 }
 
@@ -150,7 +150,7 @@ impl Display for Explanation {
             writeln!(f, "    {sentence}")?;
         }
         writeln!(f, "    {} ...", self.binding.trim_end())?;
-        writeln!(f, "and gives {:.1} % to the words of this map.", 100.0 * self.label_mass)?;
+        writeln!(f, "and gives {:.1} % to the labels of this map.", 100.0 * self.label_mass)?;
         for partition in &self.partitions {
             write!(f, "\n{partition}")?;
         }
@@ -197,7 +197,7 @@ impl Display for LabelReason {
                 write!(f, "{times} {:?} {:.2} %", token.piece, 100.0 * token.log_prob_nats.exp())?;
             }
             if prior {
-                write!(f, " x {:.2}, its prior", prior_nats.exp())?;
+                write!(f, " x {:.3} by the prior", prior_nats.exp())?;
             }
         }
         Ok(())

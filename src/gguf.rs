@@ -541,7 +541,7 @@ impl Header {
         }
     }
 
-    /// A value of the metadata written out, unless it is an array.
+    /// A value of the metadata written out, of an array its type and length.
     #[must_use]
     pub fn written(&self, key: &str) -> Option<String> {
         Some(match self.metadata.get(key)? {
@@ -551,7 +551,7 @@ impl Header {
             Value::Float(number) => (*number as f32).to_string(),
             Value::Bool(value) => value.to_string(),
             Value::Text(text) => text.clone(),
-            Value::Array { .. } => return None,
+            Value::Array { element, length } => format!("an array of {length} {element}"),
         })
     }
 

@@ -21,6 +21,7 @@ use std::collections::HashMap;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use crate::scorer::softmax::log_sum_exp_of;
 use crate::semantic_map::{Box3, ItemId, PartitionId, RoomId, SemanticMap};
 
 /// Most entries of the matrix of labels by partitions: 256 MiB.
@@ -217,8 +218,9 @@ pub struct GroundedScores {
     pub partition_log_score_nats: Vec<f64>,
     /// Per partition S_j / sum of all S; uniform when all S are zero.
     pub partition_probability: Vec<f64>,
-    /// Sum of s_c over the labels: the probability that the continuation is a label of the map at all. It can exceed one
-    /// where labels begin with other labels ("coffee", "coffee maker").
+    /// Sum of s_c over the labels: the probability that the continuation is a label of the map at all, or, where labels' further tokens
+    /// compete with one another only, that it begins as a label does. By Equation 1 it can exceed one where labels begin with other
+    /// labels ("coffee", "coffee maker").
     pub label_mass: f64,
     /// s_c over the largest s_c.
     relative: DVector<f64>,
@@ -248,7 +250,8 @@ impl Grounding {
 
     /// The same for a changed map, whose labels keep their places in the list, so that a model prepared for the old list
     /// still serves. Labels of the new map come after the old ones; labels that nothing bears any more stay, without
-    /// weight. When [`Regrouped::new_labels`] is 0, scores of the old list are scores of the new one.
+    /// weight. When [`Regrouped::new_labels`] is 0, scores of the old list by Equation 1 are scores of the new one; corrected ones
+    /// ([`crate::scorer::correction`]) also depend on which labels there are ([`Grounding::has_idle_labels`]).
     ///
     /// # Errors
     /// As [`Grounding::new`].
@@ -326,6 +329,12 @@ impl Grounding {
         })
     }
 
+    /// Whether the list holds labels that nothing bears any more.
+    #[must_use]
+    pub fn has_idle_labels(&self) -> bool {
+        self.scored_labels.iter().any(|label| label.items.is_empty() && label.rooms.is_empty())
+    }
+
     /// The labels to score, in the order in which [`Grounding::ground`] expects their scores.
     #[must_use]
     pub fn label_texts(&self) -> Vec<&str> {
@@ -379,7 +388,7 @@ impl Grounding {
             |term: &Term| label_log_prob_nats.get(term.label).copied().unwrap_or(f64::NEG_INFINITY) + term.ln_share;
         self.term_start.windows(2).map(move |bounds| match &self.item_terms[bounds[0]..bounds[1]] {
             [term] => log_score_nats(term),
-            terms => log_sum_exp(|| terms.iter().map(log_score_nats)),
+            terms => log_sum_exp_of(terms.iter().map(log_score_nats)),
         })
     }
 
@@ -432,25 +441,14 @@ impl Grounding {
     /// ln S_j with a reference of its own, for partitions whose labels are all far less likely than the likeliest.
     fn log_score_nats(&self, partition: usize, label_log_prob_nats: &[f64]) -> f64 {
         let column = self.weights.column(partition);
-        log_sum_exp(|| {
-            let shares = column.iter().zip(label_log_prob_nats).filter(|(weight, _)| **weight > 0.0);
-            shares.map(|(weight, log_prob_nats)| log_prob_nats + weight.ln())
-        })
+        let shares = column.iter().zip(label_log_prob_nats).filter(|(weight, _)| **weight > 0.0);
+        log_sum_exp_of(shares.map(|(weight, log_prob_nats)| log_prob_nats + weight.ln()))
     }
-}
-
-/// ln of the sum of the exponentials; minus infinity for none.
-fn log_sum_exp<I: Iterator<Item = f64>>(terms: impl Fn() -> I) -> f64 {
-    let largest = terms().fold(f64::NEG_INFINITY, f64::max);
-    if largest == f64::NEG_INFINITY {
-        return largest;
-    }
-    largest + terms().map(|term| (term - largest).exp()).sum::<f64>().ln()
 }
 
 fn normalise(log_scores_nats: &[f64], probabilities: &mut Vec<f64>) {
     probabilities.clear();
-    let total_nats = log_sum_exp(|| log_scores_nats.iter().copied());
+    let total_nats = log_sum_exp_of(log_scores_nats.iter().copied());
     if total_nats == f64::NEG_INFINITY {
         probabilities.resize(log_scores_nats.len(), 1.0 / log_scores_nats.len() as f64);
     } else {

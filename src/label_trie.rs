@@ -67,8 +67,8 @@ impl LabelTrie {
         trie
     }
 
-    /// The trie of the shortest paths that tell labels apart: a label whose rest no other shares ends where it parts from them, and one
-    /// that begins another has the child [`END`].
+    /// The trie of the paths that tell labels apart: a label ends where it parts from all others, and one that begins another has the
+    /// child [`END`]. Labels of equal tokens, which nothing tells apart, keep all of them.
     #[must_use]
     pub fn telling_apart<L: AsRef<[Token]>>(labels: &[L]) -> Self {
         let whole = Self::new(labels);

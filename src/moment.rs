@@ -12,7 +12,8 @@ use crate::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptio
 use crate::hub::hex;
 use crate::pipeline::Pipeline;
 use crate::prompt::{BindingError, BindingSequence};
-use crate::scorer::LanguageModel;
+use crate::scorer::correction::Correction;
+use crate::scorer::{LanguageModel, Tokenisation};
 use crate::semantic_map::{SceneError, SemanticMap};
 
 /// Version of the JSON form. Further keys may be added without a new one.
@@ -98,6 +99,12 @@ pub struct Moment {
     pub binding_name: String,
     /// Its text.
     pub binding: String,
+    /// How prompt and labels were cut into tokens.
+    #[serde(default)]
+    pub tokenisation: Tokenisation,
+    /// How scores were corrected; Equation 1 as it stands in recordings that do not say.
+    #[serde(default)]
+    pub correction: Correction,
     /// What the model read before it, oldest first.
     pub narration: Vec<ReadSentence>,
     /// Per source the newest narration in it.
@@ -158,6 +165,8 @@ impl Moment {
             grounding: *grounding,
             binding_name: pipeline.options().binding.name().to_owned(),
             binding: pipeline.options().binding.text().to_owned(),
+            tokenisation: pipeline.prepared().tokenisation(),
+            correction: pipeline.prepared().correction(),
             narration: narration.map(|(person, text)| ReadSentence { person, text: text.to_owned() }).collect(),
             included: (pipeline.scores().included.iter())
                 .map(|included| IncludedSource {

@@ -10,7 +10,7 @@ use crate::narration::Observation;
 use crate::narration::history::{Histories, History, HistoryLimits};
 use crate::prompt::{BindingSequence, write_prompt};
 use crate::scorer::certified::{Bounds, Certified, Effort};
-use crate::scorer::correction::CorrectionChoice;
+use crate::scorer::correction::{Correction, CorrectionChoice};
 use crate::scorer::{
     DecodeStats, LabelScores, LanguageModel, Method, ModelInfo, PreparedLabels, ScoreError, Scorer, TextStart,
     Tokenisation,
@@ -196,10 +196,10 @@ pub struct Pipeline<M> {
 }
 
 impl<M: LanguageModel> Pipeline<M> {
-    /// Cuts the map's labels into tokens and builds their trie, once.
+    /// Cuts the map's labels into tokens, builds their trie and learns the prior, once.
     ///
     /// # Errors
-    /// When a label has no tokens, or the model's context leaves no room for narration.
+    /// When a label has no tokens, the model's context leaves no room for narration, or the model fails at a blank one.
     pub fn new(model: M, grounding: Grounding, mut options: PipelineOptions) -> Result<Self, PipelineError> {
         let mut scorer = Scorer::new(model);
         let (prepared, tokens) = prepare(&mut scorer, &grounding, &options)?;
@@ -239,16 +239,19 @@ impl<M: LanguageModel> Pipeline<M> {
         &self.options
     }
 
-    /// Takes a changed map. As long as it brings no label that the model was not prepared for, the model is not touched: the next
-    /// [`Pipeline::score`] sums the known label scores anew. Gives how many labels are new.
+    /// Takes a changed map. As long as it brings no label that the model was not prepared for, and under a correction lets none go, the
+    /// model is not touched: the next [`Pipeline::score`] sums the known label scores anew. Gives how many labels are new.
     ///
     /// Partial answers ([`PipelineOptions::effort`]) know their labels only as far as the old map asked; they are scored again.
     ///
     /// # Errors
-    /// When the map cannot be grounded, or its labels leave no room for narration; the old map stays in use then.
+    /// When the map cannot be grounded, its labels leave no room for narration, or the model fails; the old map stays in use then.
     pub fn change_map(&mut self, map: &SemanticMap, options: &GroundingOptions) -> Result<usize, PipelineError> {
         let Regrouped { grounding, new_labels } = self.grounding.regroup(map, options)?;
-        if new_labels == 0 {
+        // Corrected scores depend on the labels that there are.
+        let others_gone = self.prepared.correction() != Correction::default() && grounding.has_idle_labels();
+        let anew = new_labels > 0 || others_gone;
+        if !anew {
             self.grounding = grounding;
         } else {
             // The list is prepared anew, so labels that nothing bears any more can leave it.
@@ -265,7 +268,7 @@ impl<M: LanguageModel> Pipeline<M> {
         for person in self.persons.iter_mut().chain([&mut self.nobody]) {
             // It holds the old map's weights.
             person.certified = None;
-            person.stale |= new_labels > 0 || !exact;
+            person.stale |= anew || !exact;
         }
         Ok(new_labels)
     }
@@ -290,7 +293,7 @@ impl<M: LanguageModel> Pipeline<M> {
         self.scorer.model().token_text(token)
     }
 
-    /// Per token of a label ln p(token | prompt and the tokens before it), in nats, of the last step; none where several
+    /// Per token of a label ln p(token | prompt and the tokens before it), corrected, in nats, of the last step; none where several
     /// persons were scored or the method keeps no such numbers.
     #[must_use]
     pub fn token_log_prob_nats(&self, label: usize) -> Option<Vec<f64>> {
@@ -455,7 +458,7 @@ fn prepare<M: LanguageModel>(
     options: &PipelineOptions,
 ) -> Result<(PreparedLabels, usize), PipelineError> {
     let correction = options.correction.or(scorer.info().correction);
-    let prepared = scorer.prepare(&grounding.label_texts(), &options.binding, options.tokenisation, correction)?;
+    let mut prepared = scorer.cut(&grounding.label_texts(), &options.binding, options.tokenisation, correction)?;
     let mut binding = Vec::new();
     scorer.model().tokenise(options.binding.text(), TextStart::Sequence, &mut binding).map_err(ScoreError::from)?;
     let context = scorer.info().context_tokens;
@@ -463,6 +466,7 @@ fn prepare<M: LanguageModel>(
     if needed >= context {
         return Err(PipelineError::ContextTooSmall { context, needed });
     }
+    scorer.learn_prior(&mut prepared)?;
     Ok((prepared, context - needed))
 }
 
@@ -507,8 +511,95 @@ fn bounds(persons: &[Person], scores: &mut Scores) {
         scores.lower_log_score_nats.push(mean(|b| &b.lower));
         scores.upper_log_score_nats.push(mean(|b| &b.upper));
     }
+    if persons.len() > 1 {
+        // What is certain of each person is not of their mean: only the intervals tell.
+        let (lower, upper) = (&scores.lower_log_score_nats, &scores.upper_log_score_nats);
+        let mut order: Vec<usize> = (0..exact.len()).collect();
+        order.sort_by(|&a, &b| exact[b].total_cmp(&exact[a]));
+        let ahead = |first: usize, second: usize| lower[first] > upper[second];
+        let ranking = order.windows(2).all(|pair| ahead(pair[0], pair[1]));
+        let top = order.split_first().is_some_and(|(&first, rest)| rest.iter().all(|&other| ahead(first, other)));
+        scores.reached = if ranking {
+            Effort::Ranking
+        } else if top {
+            Effort::Top
+        } else {
+            Effort::Deadline
+        };
+    }
 }
 
 fn nanoseconds(since: Instant) -> u64 {
     u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::narration::Sentence;
+    use crate::scorer::correction::Continuation;
+    use crate::scorer::table::TableModel;
+    use crate::semantic_map::delta::MapChange;
+
+    const TWO_ROOMS: &str = include_str!("../tests/data/two_rooms.json");
+    const CORRECTED: CorrectionChoice = CorrectionChoice { continuation: Some(Continuation::Labels), prior: Some(0.4) };
+
+    fn pipeline(map: &SemanticMap, effort: Effort, correction: CorrectionChoice) -> Pipeline<TableModel> {
+        let grounding = Grounding::new(map, &GroundingOptions::default()).unwrap();
+        let options = PipelineOptions { effort, correction, ..PipelineOptions::default() };
+        Pipeline::new(TableModel::new(7), grounding, options).unwrap()
+    }
+
+    fn observation(sequence: u64, person: u32) -> Observation {
+        let sentence = Sentence::new(&format!("They touch thing {sequence}.")).unwrap();
+        Observation { person, ..Observation::of(sequence, sentence) }
+    }
+
+    /// A pipeline whose map lost an item scores as one that never had it: what is gone competes with nothing.
+    #[test]
+    fn a_changed_map_is_scored_as_a_fresh_one() {
+        let before = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        for correction in [CorrectionChoice::EQUATION_1, CORRECTED] {
+            for item in &before.items {
+                let gone = MapChange::RemoveItem { id: item.id.clone() };
+                let after = before.changed(vec![gone]).unwrap();
+                let mut changed = pipeline(&before, Effort::Exact, correction);
+                changed.step([observation(1, 0)]).unwrap();
+                changed.change_map(&after, &GroundingOptions::default()).unwrap();
+                changed.score().unwrap();
+                let mut fresh = pipeline(&after, Effort::Exact, correction);
+                fresh.step([observation(1, 0)]).unwrap();
+                let scores = |of: &Pipeline<TableModel>| of.scores().grounded.partition_log_score_nats.clone();
+                for (a, b) in scores(&changed).iter().zip(scores(&fresh)) {
+                    assert!((a - b).abs() < 1e-9, "without {}: {a} {b}", item.id);
+                }
+            }
+        }
+    }
+
+    /// The bounds of two persons' mean hold under a prior, whose scale each person has for themselves.
+    #[test]
+    fn partial_answers_of_several_persons_are_true() {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        for effort in [Effort::Ranking, Effort::Top, Effort::Deadline] {
+            for correction in [CorrectionChoice::EQUATION_1, CORRECTED] {
+                let (mut partial, mut exact) =
+                    (pipeline(&map, effort, correction), pipeline(&map, Effort::Exact, correction));
+                for sequence in 0..20 {
+                    let next = observation(sequence, (sequence % 2) as u32);
+                    partial.step([next.clone()]).unwrap();
+                    exact.step([next]).unwrap();
+                    let (partial, exact) = (partial.scores(), &exact.scores().grounded.partition_log_score_nats);
+                    let bounds = partial.lower_log_score_nats.iter().zip(&partial.upper_log_score_nats);
+                    for ((lower, upper), exact) in bounds.zip(exact) {
+                        assert!(lower - 1e-9 <= *exact && *exact <= upper + 1e-9, "{lower} {exact} {upper}");
+                    }
+                    let order = |scores: &[f64]| scores[0] > scores[1];
+                    if matches!(partial.reached, Effort::Ranking | Effort::Top) {
+                        assert_eq!(order(&partial.grounded.partition_log_score_nats), order(exact));
+                    }
+                }
+            }
+        }
+    }
 }

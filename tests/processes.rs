@@ -545,6 +545,7 @@ fn a_running_systems_scores_are_explained_down_to_the_tokens() {
         for label in partition["labels"].as_array().unwrap() {
             let sum: f64 =
                 label["tokens"].as_array().unwrap().iter().map(|token| token["log_prob_nats"].as_f64().unwrap()).sum();
+            let sum = sum + label["prior_nats"].as_f64().unwrap();
             assert!((sum - label["log_prob_nats"].as_f64().unwrap()).abs() < 1e-9, "{label}");
             labels += 1;
         }
@@ -715,13 +716,17 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
     let recording = ["explain", "--recording", "day.mcap"];
     let table2 = ["experiment", "table2"];
     let pareto = ["experiment", "pareto"];
-    let cases: [(&[&str], &[&str]); 28] = [
+    let cases: [(&[&str], &[&str]); 32] = [
         (&score, &["--threads", "100000"]),
         (&score, &["--steps", "3"]),
         (&score, &["--effort", "ranking", "--method", "independent"]),
         (&score, &["--deadline-ms", "3"]),
         (&score, &["--effort", "deadline", "--deadline-ms", "0"]),
         (&score, &["--history", "0"]),
+        (&score, &["--prior", "1.5"]),
+        (&score, &["--prior", "nan"]),
+        (&["explain", "--live"], &["--prior", "0.5"]),
+        (&recording, &["--continuation", "free"]),
         (&score, &["--history", "99999999999"]),
         (&explain, &["--threads", "257"]),
         (&explain, &["--at", "3"]),

@@ -184,11 +184,11 @@ fn methods_agree(weights: Weights) {
     let mut compared = Compared::with(weights);
     for map in maps() {
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
-        for round in 0..4 {
+        for round in 0..5 {
             let binding = bindings.choose(&mut rng).unwrap();
-            let tokenisation = if round == 3 { Tokenisation::Paper } else { Tokenisation::Joint };
+            let tokenisation = if round >= 3 { Tokenisation::Paper } else { Tokenisation::Joint };
             let corrected = Correction { continuation: Continuation::Labels, prior: 0.4 };
-            let correction = if round % 2 == 1 { corrected } else { Correction::default() };
+            let correction = if round == 1 || round == 4 { corrected } else { Correction::default() };
             let prepared = scorer.prepare(&grounding.label_texts(), binding, tokenisation, correction).unwrap();
             let mut prompt = String::new();
             let mut window: Vec<&str> = Vec::new();
@@ -205,7 +205,7 @@ fn methods_agree(weights: Weights) {
                 compared.add(apart(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats), &what);
                 scorer.score(&prepared, &prompt, Method::SharedPrefix, &mut other).unwrap();
                 compared.add(apart(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats), &what);
-                if event == 4 && round == 0 {
+                if event == 4 && round <= 1 {
                     fresh.score(&prepared, &prompt, Method::Independent, &mut other).unwrap();
                     compared.add(apart(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats), &what);
                 }

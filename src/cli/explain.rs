@@ -16,14 +16,25 @@ use crate::narration::history::HistoryLimits;
 use crate::pipeline::{Pipeline, PipelineOptions};
 use crate::recording::{self, RecordedMoment};
 use crate::scorer::LanguageModel;
+use crate::scorer::correction::CorrectionChoice;
 use crate::semantic_map::SemanticMap;
 use crate::semantic_map::drawing::{self, Heat};
 use crate::{exit_code, setup};
 
 /// What only scores of a given narration depend on: recorded and running ones are as they are. They exclude `--recording`, which
 /// `--at` and `--sequence` require; clap lets a requirement drop where something excludes it, so those two name them as well.
-const OF_A_NARRATION: [&str; 8] =
-    ["narration", "program", "steps", "method", "effort", "deadline_ms", "tokenisation", "history"];
+const OF_A_NARRATION: [&str; 10] = [
+    "narration",
+    "program",
+    "steps",
+    "method",
+    "effort",
+    "deadline_ms",
+    "tokenisation",
+    "continuation",
+    "prior",
+    "history",
+];
 /// What a running daemon has of its own.
 const OF_A_MODEL: [&str; 7] = ["scene", "model", "binding", "level", "no_room_labels", "threads", "cache"];
 
@@ -146,7 +157,9 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
     let grounded = Grounding::new(&map, &grounding).map_err(|error| input(error.to_string()))?;
     // What is given is the window: nothing of it is to be cut.
     let history = HistoryLimits { observations: narration.len().max(1), slack: 0, tokens: usize::MAX };
-    let options = PipelineOptions { binding, history, ..PipelineOptions::default() };
+    let correction = base.map_or_else(CorrectionChoice::default, |moment| CorrectionChoice::exactly(moment.correction));
+    let tokenisation = base.map_or_else(Default::default, |moment| moment.tokenisation);
+    let options = PipelineOptions { binding, history, correction, tokenisation, ..PipelineOptions::default() };
     let failed = |error| Failure::new(exit_code::MODEL, error);
     let mut pipeline = Pipeline::new(model, grounded, options).map_err(failed)?;
     let observations = (1..).zip(narration).map(|(sequence, (person, sentence))| Observation {

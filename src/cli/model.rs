@@ -14,7 +14,7 @@ use crate::hub::{self, Hub, HubError};
 use crate::prompt::{BindingSequence, write_prompt};
 use crate::scorer::correction::{Continuation, Correction};
 use crate::scorer::llama::{LlamaModel, LlamaOptions};
-use crate::scorer::{LabelScores, LanguageModel, Method, ScoreError, Scorer, Token, Tokenisation};
+use crate::scorer::{LabelScores, LanguageModel, Method, Scorer, Token, Tokenisation};
 
 /// Arguments of `roomcast model`.
 #[derive(Debug, clap::Args)]
@@ -98,7 +98,7 @@ fn describe(path: &Path, header: &Header, sha256: &str) -> serde_json::Value {
         "quantisation": header.quantisation().iter().map(|(kind, share)| json!({"type": kind, "share": share})).collect::<Vec<_>>(),
         "vocabulary": header.vocabulary_size(),
         "tokeniser": header.text("tokenizer.ggml.model"),
-        "correction": recommended(header).ok(),
+        "correction": recommended(header).map_or_else(|fault| json!({"fault": fault}), |correction| json!(correction)),
         "context_tokens": header.architecture_number("context_length"),
         "layers": header.architecture_number("block_count"),
         "width": header.architecture_number("embedding_length"),
@@ -113,7 +113,7 @@ fn recommended(header: &Header) -> Result<Correction, String> {
     Correction::recommended(|key| header.written(key))
 }
 
-/// The same for people: one line per property, those that the file does not state left out.
+/// The same for people: one line per property; of what it is, those that the file does not state are left out.
 fn table(path: &Path, header: &Header, sha256: &str) -> String {
     let number = |name| header.architecture_number(name).map(|number| number.to_string());
     let text = |key| header.text(key).map(str::to_owned);
@@ -122,10 +122,10 @@ fn table(path: &Path, header: &Header, sha256: &str) -> String {
     let scoring = match recommended(header) {
         Ok(Correction { continuation, prior }) => {
             let competitors = match continuation {
-                Continuation::Free => "every word",
-                Continuation::Labels => "other labels' words",
+                Continuation::Free => "every token",
+                Continuation::Labels => "other labels'",
             };
-            format!("a label's further words compete with {competitors}; prior weight {prior}")
+            format!("a label's tokens after the first compete with {competitors}; prior weight {prior}")
         }
         Err(fault) => format!("WRONG: {fault}"),
     };
@@ -276,36 +276,38 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
     let labels: Vec<_> = case.labels.iter().map(|known| known.label.clone()).collect();
     let binding: BindingSequence =
         case.binding.parse().map_err(|error| Failure::new(exit_code::INPUT, format!("binding: {error}")))?;
-    let prepared = scorer
-        .prepare(&labels, &binding, Tokenisation::Joint, Correction::default())
-        .map_err(|error| model_failure(&error))?;
-    checked.push(tokenises(&scorer, &labels, prepared.tokens()));
-
     let mut prompt = String::new();
     write_prompt(case.narration.iter().map(String::as_str), &binding, false, &mut prompt);
-    let mut score = |method| -> Result<LabelScores, ScoreError> {
-        let mut scores = LabelScores::default();
-        scorer.forget();
-        scorer.score(&prepared, &prompt, method, &mut scores)?;
-        Ok(scores)
-    };
+    // Equation 1, which is what the known scores are, and what the file recommends.
     let mut scores = Vec::new();
-    for method in [Method::Trie, Method::SharedPrefix, Method::Independent] {
-        scores.push(score(method).map_err(|error| model_failure(&error))?.log_prob_nats);
+    let mut worst: f64 = 0.0;
+    let recommended = Some(about.correction).filter(|&recommended| recommended != Correction::default());
+    for correction in std::iter::once(Correction::default()).chain(recommended) {
+        let prepared = scorer.prepare(&labels, &binding, Tokenisation::Joint, correction);
+        let prepared = prepared.map_err(|error| model_failure(&error))?;
+        if scores.is_empty() {
+            checked.push(tokenises(&scorer, &labels, prepared.tokens()));
+        }
+        let first = scores.len();
+        for method in [Method::Trie, Method::SharedPrefix, Method::Independent] {
+            let mut out = LabelScores::default();
+            scorer.forget();
+            scorer.score(&prepared, &prompt, method, &mut out).map_err(|error| model_failure(&error))?;
+            scores.push(out.log_prob_nats);
+        }
+        for other in &scores[first + 1..] {
+            for ((a, b), tokens) in scores[first].iter().zip(other).zip(prepared.tokens()) {
+                worst = worst.max((a - b).abs() / tokens.len() as f64);
+            }
+        }
     }
     let mass: f64 = scores[0].iter().map(|log_prob_nats| log_prob_nats.exp()).sum();
     checked.push(Checked {
         check: "scores are probabilities",
         // No label of the case begins another, so their scores add up to at most 1.
-        ok: scores.iter().flatten().all(|score| score.is_finite() && *score <= 0.0) && mass <= 1.0 + 1e-6,
+        ok: scores.iter().flatten().all(|score| score.is_finite() && *score <= 1e-6) && mass <= 1.0 + 1e-6,
         found: format!("{} labels, together {:.1} %", labels.len(), 100.0 * mass),
     });
-    let mut worst: f64 = 0.0;
-    for other in &scores[1..] {
-        for ((a, b), tokens) in scores[0].iter().zip(other).zip(prepared.tokens()) {
-            worst = worst.max((a - b).abs() / tokens.len() as f64);
-        }
-    }
     checked.push(Checked {
         check: "methods agree",
         ok: worst <= METHODS_TOLERANCE_NATS_PER_TOKEN,

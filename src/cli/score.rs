@@ -282,11 +282,12 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
     let timing = scores.timing;
     let _ = writeln!(
         text,
-        "{} and {} of {} by {}; the labels cover {:.1} % of what could come next.",
+        "{} and {} of {} by {}, {}; the labels cover {:.1} % of what could come next.",
         count(grounding.scored_labels.len(), "label"),
         count(map.items.len(), "item"),
         map.name,
         pipeline.model().name,
+        pipeline.prepared().correction(),
         100.0 * grounded.label_mass
     );
     let _ = writeln!(

@@ -19,6 +19,7 @@ use crate::narration::history::HistoryLimits;
 use crate::narration::{Program, Sentence};
 use crate::prompt::BindingSequence;
 use crate::scorer::LanguageModel;
+use crate::scorer::correction::Correction;
 use crate::semantic_map::SemanticMap;
 use crate::simulation::binding::{Binder, ItemChoice};
 
@@ -72,6 +73,8 @@ pub struct Report {
     pub bound_share: f64,
     /// Scores that the model computed and the cache did not have.
     pub computed: usize,
+    /// How scores were corrected.
+    pub correction: Correction,
     /// The table.
     pub rows: Vec<Row>,
 }
@@ -276,6 +279,7 @@ pub fn run<M: LanguageModel>(
         unbound: Vec::new(),
         bound_share: 0.0,
         computed: 0,
+        correction: Correction::default(),
         rows: Vec::new(),
     };
     let mut unbound = BTreeMap::new();
@@ -287,6 +291,7 @@ pub fn run<M: LanguageModel>(
         }
         report.cases += cases;
         report.computed += source.computed();
+        report.correction = source.correction();
         report.rows.extend(rows);
     }
     let missing: usize = unbound.values().sum();

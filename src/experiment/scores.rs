@@ -161,6 +161,12 @@ impl<M: LanguageModel> ScoreSource<M> {
         self.scorer.info()
     }
 
+    /// How scores are corrected.
+    #[must_use]
+    pub fn correction(&self) -> Correction {
+        self.correction
+    }
+
     /// How many scores came from the model and not from the cache.
     #[must_use]
     pub fn computed(&self) -> usize {

@@ -13,7 +13,8 @@
 //!
 //! Under [`Continuation::Labels`] only the `p_m` are others. They sum to exactly 1 then, which makes the differences below tighter
 //! still. A prior multiplies label `c`'s score by its gain, which goes into `w(c, r)`, and all scores by one scale `k`, the labels'
-//! sum without the gains over that with them: both sums are bounded as two more partitions are, and so `k` is. No order depends on it.
+//! sum without the gains over that with them: both sums are bounded as two more partitions are, and so `k` is. No order of one person's
+//! partitions depends on it.
 //!
 //! Chains of labels ("coffee", "coffee maker") are covered: `own` adds up along a path. The same argument on
 //! `w(c, a) - w(c, b)`, with 0 among the choices because mass may go to no label at all, bounds the *difference* of two
@@ -52,8 +53,10 @@ pub struct BoundTable {
     partitions: usize,
     /// The partitions, and the sums over all labels without and with their gains.
     columns: usize,
-    /// Least and greatest gain of a label.
-    gains: (f64, f64),
+    /// Least and greatest gain of a label; none without a prior.
+    gains: Option<(f64, f64)>,
+    /// Whether the labels below a node share out exactly its probability.
+    complete: bool,
     /// Per trie node and column.
     own: Vec<f64>,
     /// Per trie node and column: `B(n, r)`.
@@ -116,8 +119,15 @@ impl BoundTable {
                 }
             }
         }
-        let gains = (gains().fold(f64::INFINITY, f64::min), gains().fold(0.0, f64::max));
-        Self { partitions, columns, gains, own, below, pairs }
+        let correction = prepared.correction();
+        let gains =
+            (correction.prior > 0.0).then(|| (gains().fold(f64::INFINITY, f64::min), gains().fold(0.0, f64::max)));
+        let complete = correction.continuation == Continuation::Labels && {
+            let mut ends = trie.label_end().to_vec();
+            ends.sort_unstable();
+            ends.windows(2).all(|pair| pair[0] != pair[1])
+        };
+        Self { partitions, columns, gains, complete, own, below, pairs }
     }
 
     /// Number of partitions.
@@ -205,11 +215,8 @@ impl Bounds {
             }
             index += 1;
         }
-        // The scale k, between its bounds: the sums' own, and those of a mean of one over the gains.
+        let (least_scale, greatest_scale) = self.scale(table);
         let most = |column: usize| self.decided[column] + self.undecided[column];
-        let (least_gain, greatest_gain) = table.gains;
-        let least_scale = (self.decided[partitions] / most(partitions + 1)).max(1.0 / greatest_gain);
-        let greatest_scale = (most(partitions) / self.decided[partitions + 1]).min(1.0 / least_gain);
         self.lower.clear();
         self.lower.extend((0..partitions).map(|r| least_scale * self.decided[r]));
         self.upper.clear();
@@ -221,6 +228,20 @@ impl Bounds {
         self.margin = (self.order.windows(2))
             .map(|pair| self.estimate[pair[0]] - self.estimate[pair[1]])
             .fold(f64::INFINITY, f64::min);
+    }
+
+    /// Between what `k` lies: the quotients of the two sums' bounds, and those of a mean of one over the gains.
+    fn scale(&self, table: &BoundTable) -> (f64, f64) {
+        let Some((least_gain, greatest_gain)) = table.gains else { return (1.0, 1.0) };
+        let least = |column: usize| self.decided[column];
+        let most = |column: usize| self.decided[column] + self.undecided[column];
+        let (plain, gained) = (table.partitions, table.partitions + 1);
+        let (least_sum, greatest_sum) = (if table.complete { most(plain) } else { least(plain) }, most(plain));
+        // The sum that is shared out is at most 1, which the mean of the gains knows nothing of.
+        let by_gains = if greatest_sum <= 1.0 { 1.0 / greatest_gain } else { 0.0 };
+        let least_scale = (least_sum.min(1.0) / most(gained)).max(by_gains);
+        let greatest_scale = (greatest_sum.min(1.0) / least(gained)).min(1.0 / least_gain);
+        (least_scale, greatest_scale)
     }
 
     /// Whether the bounds answer the question, and which one they answer.
@@ -450,9 +471,14 @@ mod tests {
             effort in proptest::sample::select(vec![Effort::Exact, Effort::Ranking, Effort::Top, Effort::Deadline]),
             partitions in 1..5usize,
             continuation in proptest::sample::select(vec![Continuation::Free, Continuation::Labels]),
-            prior in proptest::sample::select(vec![0.0, 0.4]),
+            prior in proptest::sample::select(vec![0.0, 0.4, 1.0]),
+            twice: bool,
         ) {
-            let labels: Vec<String> = labels.into_iter().collect();
+            let mut labels: Vec<String> = labels.into_iter().collect();
+            if twice {
+                // Nothing tells these two apart.
+                labels[1] = labels[0].clone();
+            }
             let mut weights = DMatrix::from_fn(labels.len(), partitions, |c, r| shares[c * 4 + r].powi(3));
             for mut row in weights.row_iter_mut() {
                 let sum = row.sum().max(1.0);

@@ -3,16 +3,20 @@
 //! A language model spreads its probability over all texts, of which a map's labels are a few. Two things follow that have nothing
 //! to do with what the person is about to do, and each has its correction:
 //!
-//! **Unusual words cost.** Every token of `defibrillator` that the model finds surprising takes from its score, though
-//! nothing else in the map begins as it does. [`Continuation::Labels`] lets a label's tokens after the first compete only with
-//! what other labels of the map go on with, `p(t | n) / sum over children t' of n of p(t' | n)`; where a label ends although
-//! another goes on ("coffee", "coffee maker"), it gets what the others leave. A node's children then share out exactly the node's
-//! probability, a path without a fork costs nothing, and its tokens need not be decoded.
+//! **Unusual words cost.** A word that is not in the vocabulary is several tokens ("def" "ib" "rill" "ator"), and each that the model
+//! finds surprising takes from its score, though nothing else in the map begins as it does. [`Continuation::Labels`] lets a
+//! label's tokens after the first compete only with what other labels of the map go on with, `p(t | n) / sum over children t' of
+//! n of p(t' | n)`; where a label ends although another goes on ("coffee", "coffee maker"), it gets what the others leave. A node's
+//! children then share out exactly the node's probability, and what follows behind the last token that another label shares
+//! is certain and not decoded. What the first token costs remains, and a label gets all of what begins as it does, other words
+//! included.
 //!
 //! **Common words win.** What people go to often scores high whatever was narrated. A *prior weight* `a` divides a label's score by
 //! its score under a blank narration, to the power of `a`: `s'_c = k s_c g_c` with the gain `g_c = s_c(blank)^-a`. 0 leaves Equation 1 as it
 //! is; 1 is the pointwise mutual information of Holtzman et al., "Surface Form Competition" (2021). The scale
-//! `k = sum s_c / sum s_c g_c` lets the labels share out anew what they had together.
+//! `k = min(1, sum s_c) / sum s_c g_c` lets the labels share out anew what they had together. (A sum can exceed 1 only where labels that
+//! begin others are scored by Equation 1 as it stands.) `s_c(blank)` counts as at least e^-20 of the largest, so that no word gains without
+//! bound for never being said.
 //!
 //! Neither is in the paper, and both are off unless the configuration asks for them or the model file recommends them
 //! (GGUF keys [`CONTINUATION_KEY`] and [`PRIOR_KEY`]), as the embedded one does.
@@ -20,6 +24,7 @@
 use std::str::FromStr;
 
 use super::Token;
+use super::softmax::log_sum_exp_of as log_sum_exp;
 use crate::label_trie::LabelTrie;
 
 /// GGUF key of the recommended [`Continuation`], a string: `free` or `labels`.
@@ -48,12 +53,24 @@ impl Continuation {
 }
 
 /// How label scores are corrected. The default is Equation 1 as it stands.
-#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Correction {
     /// What a label's tokens after the first compete with.
     pub continuation: Continuation,
     /// The prior weight `a`, from 0 to 1.
     pub prior: f64,
+}
+
+impl std::fmt::Display for Correction {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { continuation, prior } = self;
+        match (continuation, *prior == 0.0) {
+            (Continuation::Free, true) => write!(f, "scores by Equation 1"),
+            (Continuation::Free, false) => write!(f, "scores with a prior of {prior}"),
+            (Continuation::Labels, true) => write!(f, "scores with labels' continuations"),
+            (Continuation::Labels, false) => write!(f, "scores with labels' continuations and a prior of {prior}"),
+        }
+    }
 }
 
 impl Correction {
@@ -62,14 +79,15 @@ impl Correction {
     /// # Errors
     /// What is wrong with a value that is there.
     pub fn recommended(value: impl Fn(&str) -> Option<String>) -> Result<Self, String> {
+        let start = |text: &str| text.chars().take(40).collect::<String>();
         let continuation = match value(CONTINUATION_KEY) {
             None => Continuation::default(),
             Some(text) => <Continuation as clap::ValueEnum>::from_str(&text, false)
-                .map_err(|_| format!("{CONTINUATION_KEY} is {text:?}, not \"free\" or \"labels\""))?,
+                .map_err(|_| format!("{CONTINUATION_KEY} is {:?}, not \"free\" or \"labels\"", start(&text)))?,
         };
         let prior = match value(PRIOR_KEY) {
             None => 0.0,
-            Some(text) => prior_weight(&text).map_err(|fault| format!("{PRIOR_KEY} is {text:?}: {fault}"))?,
+            Some(text) => prior_weight(&text).map_err(|fault| format!("{PRIOR_KEY} is {:?}: {fault}", start(&text)))?,
         };
         Ok(Self { continuation, prior })
     }
@@ -89,7 +107,7 @@ pub fn prior_weight(text: &str) -> Result<f64, String> {
 /// What a user says of the correction; what is not said is as the model file recommends.
 #[derive(Debug, Clone, Copy, Default, PartialEq, clap::Args)]
 pub struct CorrectionChoice {
-    /// What a label's words after the first compete with; as the model file recommends when left out.
+    /// What a label's tokens after the first compete with; as the model file recommends when left out.
     #[arg(long, value_enum)]
     pub continuation: Option<Continuation>,
     /// Weight from 0 to 1 with which scores are divided by those of a blank narration; as the model file recommends when left out.
@@ -101,6 +119,12 @@ impl CorrectionChoice {
     /// Equation 1 whatever the model file recommends.
     pub const EQUATION_1: Self = Self { continuation: Some(Continuation::Free), prior: Some(0.0) };
 
+    /// This correction, whatever the model file recommends.
+    #[must_use]
+    pub fn exactly(Correction { continuation, prior }: Correction) -> Self {
+        Self { continuation: Some(continuation), prior: Some(prior) }
+    }
+
     /// The choice, with what a model recommends where nothing was said.
     #[must_use]
     pub fn or(self, recommended: Correction) -> Correction {
@@ -111,27 +135,26 @@ impl CorrectionChoice {
     }
 }
 
-/// Per label `ln g_c` in nats, for its ln score under a blank narration.
+/// How far below the largest a score under a blank narration counts, in nats.
+const DEEPEST_NATS: f64 = 20.0;
+
+/// Per label `ln g_c` in nats, for its ln score under a blank narration, times a constant that makes the greatest gain 1.
 pub(super) fn gains(blank_log_prob_nats: &[f64], prior: f64) -> Vec<f64> {
-    // A word that the model never says would otherwise get all.
-    blank_log_prob_nats.iter().map(|&log_prob_nats| -prior * log_prob_nats.max(-300.0)).collect()
+    let largest = blank_log_prob_nats.iter().copied().fold(f64::MIN, f64::max);
+    let raised = || blank_log_prob_nats.iter().map(|&blank| blank.max(largest - DEEPEST_NATS));
+    let least = raised().fold(f64::INFINITY, f64::min);
+    raised().map(|blank| prior * (least - blank)).collect()
 }
 
 /// Adds the gains to the scores, in nats, and gives `ln k`, which is added too.
 pub(super) fn share_out(log_prob_nats: &mut [f64], gain_nats: &[f64]) -> f64 {
-    let before = log_sum_exp(log_prob_nats.iter().copied());
+    let before = log_sum_exp(log_prob_nats.iter().copied()).min(0.0);
     log_prob_nats.iter_mut().zip(gain_nats).for_each(|(score, gain)| *score += gain);
     let scale_nats = before - log_sum_exp(log_prob_nats.iter().copied());
     // Scores that are all nothing stay so.
     let scale_nats = if scale_nats.is_finite() { scale_nats } else { 0.0 };
     log_prob_nats.iter_mut().for_each(|score| *score += scale_nats);
     scale_nats
-}
-
-/// `ln(sum(exp(values)))` of a few finite values.
-pub(super) fn log_sum_exp(values: impl Iterator<Item = f64> + Clone) -> f64 {
-    let highest = values.clone().fold(f64::NEG_INFINITY, f64::max);
-    if highest.is_finite() { highest + values.map(|value| (value - highest).exp()).sum::<f64>().ln() } else { highest }
 }
 
 #[cfg(test)]
@@ -149,6 +172,26 @@ mod tests {
             let ratio = (corrected[0] / corrected[2]).ln();
             assert!((ratio - (1.0 - prior) * 600_f64.ln()).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn what_is_never_said_does_not_get_all() {
+        let gains = gains(&[-1.0, -2.0, -90.0, f64::NEG_INFINITY], 1.0);
+        assert_eq!(gains, [-20.0, -19.0, 0.0, 0.0]);
+        let mut scores = [-1.0, -2.0, -90.0, -30.0];
+        share_out(&mut scores, &gains);
+        assert!(scores[0] > -1.4 && scores[1] > -1.4 && scores[3] < -9.0, "{scores:?}");
+    }
+
+    /// "coffee" and "coffee maker" as Equation 1 scores them may sum to more than 1.
+    #[test]
+    fn no_score_comes_to_more_than_one() {
+        let mut scores = [0.70_f64.ln(), 0.63_f64.ln()];
+        share_out(&mut scores, &gains(&[0.02_f64.ln(), 0.002_f64.ln()], 1.0));
+        assert!(scores.iter().all(|score| *score <= 0.0) && (log_sum_exp(scores.into_iter())).abs() < 1e-12);
+        let mut nothing = [f64::NEG_INFINITY; 2];
+        assert_eq!(share_out(&mut nothing, &[0.0, -1.0]), 0.0);
+        assert_eq!(nothing, [f64::NEG_INFINITY; 2]);
     }
 
     #[test]

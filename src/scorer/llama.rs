@@ -250,7 +250,7 @@ impl LlamaModel {
     pub fn load(path: &Path, options: &LlamaOptions) -> Result<Self, ModelError> {
         let fail = |reason: String| ModelError::Load { path: path.display().to_string(), reason };
         // llama.cpp may abort on a damaged file, and take the service with it.
-        Header::read_language_model(path)?;
+        let header = Header::read_language_model(path)?;
         let fingerprint = file_fingerprint(path).map_err(|e| fail(e.to_string()))?;
         let backend = backend().map_err(fail)?;
         let parameters = LlamaModelParams::default().with_use_mmap(true).with_use_mlock(options.lock_memory);
@@ -278,7 +278,7 @@ impl LlamaModel {
             vocabulary: usize::try_from(vocabulary.n_tokens()).unwrap_or(0),
             context_tokens: context_tokens as usize,
             shares_prefix: !weights.is_recurrent() && !weights.is_hybrid(),
-            correction: Correction::recommended(text).map_err(fail)?,
+            correction: Correction::recommended(|key| header.written(key)).map_err(fail)?,
             fingerprint,
         };
         let sentences_apart = text("tokenizer.ggml.model").as_deref() == Some("llama") && sentences_apart(&vocabulary);

@@ -88,7 +88,7 @@ pub enum ModelError {
     },
     /// Prompt and labels do not fit in the context.
     #[error(
-        "the prompt has {prompt} tokens and its labels need {tree} more, but the model's context holds {context}: shorten the history or raise scoring.context_tokens"
+        "the prompt has {prompt} tokens and its labels need {tree} more, but the model's context holds {context}: shorten the history or raise model.context_tokens"
     )]
     TooLong {
         /// Tokens of the prompt.
@@ -308,7 +308,7 @@ impl PreparedLabels {
         self.correction
     }
 
-    /// Per label `ln g_c` of the prior, in nats; zeros without one.
+    /// Per label `ln g_c` of the prior, in nats, the greatest 0; zeros without one.
     #[must_use]
     pub fn gain_nats(&self) -> &[f64] {
         &self.gain_nats
@@ -347,17 +347,20 @@ pub struct LabelScores {
 #[derive(Debug)]
 pub struct Scorer<M> {
     model: M,
+    /// A row of logits without a node's children, where a label ends at the node.
+    others: Vec<f32>,
     /// The last prompt's tokens, without those that labels replace.
     prompt: Vec<Token>,
     cutter: Cutter,
-    /// Per trie node `ln p(token | path to its parent)`, then `ln q(n)`.
+    /// Per trie node `ln p(token | path to its parent)`, then `ln q(n)`, of the last [`Scorer::score`] by [`Method::Trie`].
     node_log_prob_nats: Vec<f64>,
 }
 
 impl<M: LanguageModel> Scorer<M> {
     /// A scorer over a model.
     pub fn new(model: M) -> Self {
-        Self { model, prompt: Vec::new(), cutter: Cutter::default(), node_log_prob_nats: Vec::new() }
+        let (others, prompt, node_log_prob_nats) = (Vec::new(), Vec::new(), Vec::new());
+        Self { model, others, prompt, cutter: Cutter::default(), node_log_prob_nats }
     }
 
     /// What the model says of itself.
@@ -386,12 +389,12 @@ impl<M: LanguageModel> Scorer<M> {
     /// binding sequence by itself. Where a merge crosses the boundary for any label, the crossing tokens of the binding
     /// sequence are scored with every label, so that all remain comparable.
     ///
-    /// A prior is computed here, once, from a blank narration; the kept prefix is lost.
+    /// Every label gains alike: [`Scorer::prepare`] also learns the prior.
     ///
     /// # Errors
-    /// When there is no label, a label has no tokens, the tokeniser fails, or the model does at a prior.
-    pub fn prepare<L: AsRef<str>>(
-        &mut self,
+    /// When there is no label, a label has no tokens, or the tokeniser fails.
+    pub fn cut<L: AsRef<str>>(
+        &self,
         labels: &[L],
         binding: &BindingSequence,
         tokenisation: Tokenisation,
@@ -446,7 +449,7 @@ impl<M: LanguageModel> Scorer<M> {
             paths.push(chain_nodes[first..].iter().map(|&node| trie.nodes()[node].token).collect());
         }
         let chains = LabelTrie::chains(&paths);
-        let mut prepared = PreparedLabels {
+        Ok(PreparedLabels {
             labels: labels.iter().map(|l| l.as_ref().to_owned()).collect(),
             inner_tree: TokenTree::of_inner_nodes(&trie),
             chain_tree: TokenTree::of_inner_nodes(&chains),
@@ -459,14 +462,40 @@ impl<M: LanguageModel> Scorer<M> {
             binding: binding.clone(),
             tokenisation,
             correction,
-        };
-        if correction.prior > 0.0 {
+        })
+    }
+
+    /// Learns the labels' gains from a blank narration, where there is a prior; the kept prefix is lost then.
+    ///
+    /// # Errors
+    /// When the model fails.
+    pub fn learn_prior(&mut self, prepared: &mut PreparedLabels) -> Result<(), ScoreError> {
+        let Correction { prior, .. } = prepared.correction;
+        if prior > 0.0 {
             let mut blank = String::new();
-            write_prompt([], binding, tokenisation == Tokenisation::Paper, &mut blank);
+            write_prompt([], &prepared.binding, prepared.tokenisation == Tokenisation::Paper, &mut blank);
             let mut scores = LabelScores::default();
-            self.score(&prepared, &blank, Method::Trie, &mut scores)?;
-            prepared.gain_nats = correction::gains(&scores.log_prob_nats, correction.prior);
+            prepared.gain_nats.fill(0.0);
+            self.score(prepared, &blank, Method::Trie, &mut scores)?;
+            prepared.gain_nats = correction::gains(&scores.log_prob_nats, prior);
+            self.node_log_prob_nats.clear();
         }
+        Ok(())
+    }
+
+    /// [`Scorer::cut`], then [`Scorer::learn_prior`]: all that is done once for a map, a binding sequence and a model.
+    ///
+    /// # Errors
+    /// As those two.
+    pub fn prepare<L: AsRef<str>>(
+        &mut self,
+        labels: &[L],
+        binding: &BindingSequence,
+        tokenisation: Tokenisation,
+        correction: Correction,
+    ) -> Result<PreparedLabels, ScoreError> {
+        let mut prepared = self.cut(labels, binding, tokenisation, correction)?;
+        self.learn_prior(&mut prepared)?;
         Ok(prepared)
     }
 
@@ -495,6 +524,9 @@ impl<M: LanguageModel> Scorer<M> {
             }
             Method::Independent => self.score_independent(prepared, out),
         }?;
+        if out.method != Method::Trie {
+            self.node_log_prob_nats.clear();
+        }
         prepared.share_out(out);
         Ok(())
     }
@@ -531,6 +563,7 @@ impl<M: LanguageModel> Scorer<M> {
         out.prefix_ns = 0;
         out.trie_ns = 0;
         out.log_prob_nats.clear();
+        self.node_log_prob_nats.clear();
         Ok(())
     }
 
@@ -574,8 +607,8 @@ impl<M: LanguageModel> Scorer<M> {
     /// matter go in one call, the rest follows only while `state.bounds` do not answer `effort`'s question, and, under
     /// [`Effort::Deadline`], while the next call would end before `deadline` (as the last ones suggest).
     ///
-    /// `out.log_prob_nats` is exact for decided labels and an estimate within the bounds for the others. A model that
-    /// cannot share a prefix is scored exactly.
+    /// `out.log_prob_nats` is exact for decided labels, but for the scale of a prior, which is common to all, and an estimate within the
+    /// bounds for the others. A model that cannot share a prefix is scored exactly.
     ///
     /// # Errors
     /// As [`Scorer::score`].
@@ -606,6 +639,7 @@ impl<M: LanguageModel> Scorer<M> {
             let mut softmax_ns = 0;
             let mut bad_row = None;
             let Certified { conditional, decoded, sent, tree, .. } = &mut *state;
+            let without_children = &mut self.others;
             let stats = self.model.decode(&self.prompt, tree, first, &mut |row, logits| {
                 let start = Instant::now();
                 let parent = match row {
@@ -619,7 +653,7 @@ impl<M: LanguageModel> Scorer<M> {
                     }
                 };
                 let rivals = prepared.correction.continuation.rivals(trie, parent);
-                if !read_row(trie, parent, rivals, logits, |child, log_prob_nats| {
+                if !read_row(trie, parent, rivals, logits, without_children, |child, log_prob_nats| {
                     conditional[child] = log_prob_nats.exp();
                 }) {
                     bad_row = Some(row);
@@ -681,7 +715,7 @@ impl<M: LanguageModel> Scorer<M> {
         let nodes = trie.nodes();
         self.node_log_prob_nats.clear();
         self.node_log_prob_nats.resize(nodes.len(), f64::NEG_INFINITY);
-        let log_prob = &mut self.node_log_prob_nats;
+        let (log_prob, without_children) = (&mut self.node_log_prob_nats, &mut self.others);
         let mut bad_row = None;
         let mut softmax_ns = 0;
         let stats = self.model.decode(&self.prompt, tree, true, &mut |row, logits| {
@@ -689,7 +723,9 @@ impl<M: LanguageModel> Scorer<M> {
             let parent = row.checked_sub(1).map(|place| trie.inner()[place] as usize);
             let place = parent.map(|node| places.map_or(node, |places| places[node]));
             let rivals = prepared.correction.continuation.rivals(&prepared.trie, place);
-            if !read_row(trie, parent, rivals, logits, |child, log_prob_nats| log_prob[child] = log_prob_nats) {
+            if !read_row(trie, parent, rivals, logits, without_children, |child, log_prob_nats| {
+                log_prob[child] = log_prob_nats;
+            }) {
                 bad_row = Some(row);
             }
             softmax_ns += nanoseconds(start);
@@ -715,34 +751,43 @@ impl<M: LanguageModel> Scorer<M> {
 }
 
 /// Gives `ln p(child | path)` of every child of `parent` (the trie's roots for `None`) from the row of logits that follows
-/// it; false when the row is not finite. With `rivals`, the node's children in the trie of all labels, only they share the
-/// probability out.
+/// it. With `rivals`, the node's children in the trie of all labels, only they share the probability out, and, where a label ends at
+/// the node, all that is none of them: `without_children` holds the row without them then. False when what was needed of the row is not
+/// finite; minus infinity is a probability of zero.
 fn read_row(
     trie: &LabelTrie,
     parent: Option<usize>,
     rivals: Option<impl Iterator<Item = Token> + Clone>,
     logits: &[f32],
+    without_children: &mut Vec<f32>,
     mut give: impl FnMut(usize, f64),
 ) -> bool {
-    let logit = |token: Token| usize::try_from(token.0).ok().and_then(|token| logits.get(token)).copied();
-    let others = rivals.clone().map(|rivals| rivals.filter(|&token| token != END).filter_map(logit).map(f64::from));
-    let ends = rivals.is_some_and(|mut rivals| rivals.any(|token| token == END));
-    let denominator = match &others {
-        Some(others) if !ends => correction::log_sum_exp(others.clone()),
-        _ => softmax::log_sum_exp(logits),
+    let place = |token: Token| usize::try_from(token.0).ok().filter(|&place| place < logits.len());
+    let mut end = f64::NEG_INFINITY;
+    let denominator = match rivals {
+        None => softmax::log_sum_exp(logits),
+        Some(mut rivals) => {
+            let children = rivals.clone().filter_map(place);
+            let shared = softmax::log_sum_exp_of(children.clone().map(|place| f64::from(logits[place])));
+            if rivals.any(|token| token == END) {
+                without_children.clear();
+                without_children.extend_from_slice(logits);
+                children.for_each(|place| without_children[place] = f32::NEG_INFINITY);
+                end = softmax::log_sum_exp(without_children);
+                softmax::log_sum_exp_of([shared, end].into_iter())
+            } else if shared == f64::NEG_INFINITY {
+                // No label is possible here, and nothing has no shares.
+                0.0
+            } else {
+                shared
+            }
+        }
     };
+    end -= denominator;
     for child in trie.children(parent) {
-        give(
-            child,
-            match trie.nodes()[child].token {
-                END => {
-                    let others = others.iter().flat_map(Clone::clone);
-                    let taken: f64 = others.map(|logit| (logit - denominator).exp()).sum();
-                    (1.0 - taken).max(f64::MIN_POSITIVE).ln()
-                }
-                token => logit(token).map_or(f64::NEG_INFINITY, |logit| f64::from(logit) - denominator),
-            },
-        );
+        let token = trie.nodes()[child].token;
+        let logit = place(token).map_or(f64::NEG_INFINITY, |place| f64::from(logits[place]));
+        give(child, if token == END { end } else { logit - denominator });
     }
     denominator.is_finite()
 }

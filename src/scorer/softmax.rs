@@ -1,4 +1,4 @@
-//! The logarithm of a softmax's denominator over one row of logits.
+//! The logarithm of a softmax's denominator, over one row of logits or a few values.
 
 /// Values per block: small enough to stay in the first-level cache between the maximum and the sum.
 const BLOCK: usize = 1024;
@@ -30,6 +30,16 @@ pub fn log_sum_exp(row: &[f32]) -> f64 {
         }
     }
     f64::from(highest) + sum.ln()
+}
+
+/// `ln(sum(exp(values)))` of a few values in nats, in double precision; minus infinity for none.
+#[must_use]
+pub fn log_sum_exp_of(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let largest = values.clone().fold(f64::NEG_INFINITY, f64::max);
+    if largest.is_infinite() {
+        return largest;
+    }
+    largest + values.map(|value| (value - largest).exp()).sum::<f64>().ln()
 }
 
 /// The largest value that is a number; those that are not show in the sum.

@@ -235,7 +235,9 @@ mod tests {
             write_prompt(narration.iter().map(String::as_str), &binding, false, &mut prompt);
             let narrated = by_hand(&prompt);
             let sum = |values: &[f64]| values.iter().map(|value| value.exp()).sum::<f64>().ln();
-            let gained: Vec<f64> = narrated.iter().zip(&blank).map(|(score, blank)| score - prior * blank).collect();
+            let floor = blank.iter().copied().fold(f64::MIN, f64::max) - 20.0;
+            let gain = |blank: f64| -prior * blank.max(floor);
+            let gained: Vec<f64> = narrated.iter().zip(&blank).map(|(score, &blank)| score + gain(blank)).collect();
             // Sharing out loses nothing: behind the first byte the labels' scores sum to its probability.
             let first = sum(&narrated);
             let mut head = Vec::new();
@@ -261,6 +263,26 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// What a label's end gets is no difference of two nearly equal numbers.
+    #[test]
+    fn a_very_unlikely_end_is_as_exact() {
+        let trie = crate::label_trie::LabelTrie::telling_apart(&[vec![Token(1)], vec![Token(1), Token(2)]]);
+        let mut logits = [0.0_f32; TableModel::VOCABULARY];
+        logits[2] = 30.0;
+        let mut given = Vec::new();
+        let rivals = Continuation::Labels.rivals(&trie, Some(0));
+        let mut row = Vec::new();
+        assert!(super::super::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, log| given.push(log)));
+        let others = (TableModel::VOCABULARY as f64 - 1.0).ln();
+        assert!((given[0] - (others - 30.0)).abs() < 1e-5 && given[1].abs() < 1e-9, "{given:?}");
+        // Where no label is possible, nothing is damaged.
+        let trie = crate::label_trie::LabelTrie::telling_apart(&[vec![Token(1), Token(2)], vec![Token(1), Token(3)]]);
+        logits[2..4].fill(f32::NEG_INFINITY);
+        let rivals = Continuation::Labels.rivals(&trie, Some(0));
+        assert!(super::super::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, log| given.push(log)));
+        assert_eq!(given[2..], [f64::NEG_INFINITY; 2]);
     }
 
     #[test]

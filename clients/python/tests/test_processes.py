@@ -132,4 +132,5 @@ def test_the_map_is_changed_and_the_moment_told(daemon: Domain) -> None:
     assert [read["text"] for read in told["narration"]] == ["They open the fridge.", "They close the fridge."]
     assert told["map_fingerprint"] == after.map
     for label in told["labels"]:
-        assert sum(token["log_prob_nats"] for token in label["tokens"]) == pytest.approx(label["log_prob_nats"])
+        tokens = sum(token["log_prob_nats"] for token in label["tokens"])
+        assert tokens + label["prior_nats"] == pytest.approx(label["log_prob_nats"])

@@ -316,8 +316,9 @@ impl Setup<'_> {
         let computed: usize = sources.iter().map(ScoreSource::computed).sum();
         let model = sources.first().map(|source| source.model().name.clone()).unwrap_or_default();
         let horizon_s = homes.iter().map(|home| home.cost().steps()).sum::<usize>() as f64 / homes.len().max(1) as f64;
+        let scores = sources.first().map(|source| source.correction().to_string()).unwrap_or_default();
         format!(
-            "Model {model}, {bindings}, {} of home and activity, T {horizon_s:.0} s on average, seed {}; {computed} scores computed, the \
+            "Model {model}, {scores}, {bindings}, {} of home and activity, T {horizon_s:.0} s on average, seed {}; {computed} scores computed, the \
              others from the cache",
             count(homes.len(), "pair"),
             self.options.seed,
@@ -448,19 +449,24 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
     let (mut rows, mut notes) = (Vec::new(), Vec::new());
     for model in models {
         let given = args.study.model.correction;
-        let ways = [
-            ("joint", Tokenisation::Joint, given),
-            ("paper", Tokenisation::Paper, given),
-            ("joint, Equation 1", Tokenisation::Joint, CorrectionChoice::EQUATION_1),
-        ];
-        for (way, tokenisation, correction) in ways {
+        let mut corrected = true;
+        for (tokenisation, correction) in [
+            (Tokenisation::Joint, given),
+            (Tokenisation::Paper, given),
+            (Tokenisation::Joint, CorrectionChoice::EQUATION_1),
+            (Tokenisation::Paper, CorrectionChoice::EQUATION_1),
+        ] {
+            if !corrected && correction == CorrectionChoice::EQUATION_1 {
+                // The first two are Equation 1 already.
+                break;
+            }
             let model_args = ModelArgs { model: model.clone(), tokenisation, correction, ..args.study.model.clone() };
             let mut sources = setup.sources(&model_args)?;
-            let Some(info) = sources.first().map(|source| source.model().clone()) else { continue };
-            if correction != given && given.or(info.correction) == Correction::default() {
-                continue;
-            }
-            let name = info.name;
+            let Some(source) = sources.first() else { continue };
+            let (name, correction) = (source.model().name.clone(), source.correction());
+            corrected &= correction != Correction::default();
+            let way = format!("{tokenisation:?}").to_lowercase();
+            let way = if correction == Correction::default() { way } else { format!("{way}, corrected") };
             for binding in &prompts {
                 for window in &args.window {
                     let options = Options { history: HistoryLimits::exact(*window), ..setup.options.clone() };
@@ -475,7 +481,7 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
                         table.rows.push(vec![
                             name.clone(),
                             binding.name().to_owned(),
-                            way.to_owned(),
+                            way.clone(),
                             window.to_string(),
                             figures.policy.clone(),
                             format!("{:.1}", figures.disturbance_mean),
@@ -485,7 +491,7 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
                             figures.regret_s.map_or_else(|| "-".into(), |r| format!("{r:.1}")),
                         ]);
                         rows.push(json!({
-                            "model": name, "prompt": binding.name(), "tokenisation": tokenisation, "correction": correction.or(info.correction), "window": window, "figures": figures,
+                            "model": name, "prompt": binding.name(), "tokenisation": tokenisation, "correction": correction, "window": window, "figures": figures,
                         }));
                     }
                     if !binding.uses_narration() {

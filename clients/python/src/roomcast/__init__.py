@@ -264,7 +264,8 @@ def change_map(changes: list[dict[str, Any]], domain: Domain | None = None, time
 
 
 def moment(domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any]:
-    """All that is behind the newest scores: the map in use, the narration that the model read, every label's tokens."""
+    """All that is behind the newest scores: the map in use, the narration that the model read, every label's tokens, and what the prior
+    adds to their sum (`prior_nats`)."""
     node = (domain or Domain.default_for_user()).open("python-moment")
     answer: dict[str, Any] = json.loads(ports.ask(node, ports.MOMENT, "{}", timeout_s))
     return answer
