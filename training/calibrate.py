@@ -1,4 +1,5 @@
-"""One number fitted after training: a temperature, so that the model is as sure as it is right on activities it has not seen."""
+"""Two numbers fitted after training, on activities that the model has not seen: a temperature, so that it is as sure as it is right, and
+how far its scores are divided by those of a blank narration (the prior weight of `src/scorer/correction.rs`)."""
 
 from __future__ import annotations
 
@@ -13,22 +14,26 @@ from model import Household
 from narration import DEFAULT_BINDING
 
 TEMPERATURES = np.arange(0.8, 2.51, 0.05)
+PRIORS = np.arange(0.0, 1.01, 0.05)
 
 
-def fit(model: Household, encoder: Encoder, programs: list[Program], graphs: list[Path]) -> float:
-    """The temperature with the lowest mean negative log-likelihood of the next object over the labels of the given scenes."""
-    total = np.zeros(len(TEMPERATURES))
+def fit(model: Household, encoder: Encoder, programs: list[Program], graphs: list[Path]) -> tuple[float, float]:
+    """The temperature and the prior weight with the lowest mean negative log-likelihood of the next object over the labels of the given scenes."""
+    total = np.zeros((len(TEMPERATURES), len(PRIORS)))
     for path in graphs:
         scene = Scene(path)
         cases = list(cases_of(programs, scene))
         cue, bos = encoder.ids(DEFAULT_BINDING), encoder.tokenizer.bos_id()
         prompts = [[bos] + [t for text in told for t in encoder.ids(text)] + cue for _, told, *_ in cases]
-        scores = label_log_probs(model, encoder, prompts, [encoder.ids(label) for label in scene.labels])
-        truth = np.array([scene.index[case[3]] for case in cases])
-        for k, temperature in enumerate(TEMPERATURES):
-            scaled = scores / temperature
-            total[k] += (np.logaddexp.reduce(scaled, axis=1) - scaled[np.arange(len(cases)), truth]).sum()
-    return float(TEMPERATURES[total.argmin()])
+        # These labels are one token each, so that they go on as labels only whatever the continuation.
+        *scores, blank = label_log_probs(model, encoder, [*prompts, [bos] + cue], [encoder.ids(label) for label in scene.labels])
+        scores, truth = np.array(scores), np.array([scene.index[case[3]] for case in cases])
+        for i, temperature in enumerate(TEMPERATURES):
+            for k, prior in enumerate(PRIORS):
+                scaled = (scores - prior * blank) / temperature
+                total[i, k] += (np.logaddexp.reduce(scaled, axis=1) - scaled[np.arange(len(cases)), truth]).sum()
+    i, k = np.unravel_index(total.argmin(), total.shape)
+    return float(TEMPERATURES[i]), float(PRIORS[k])
 
 
 def apply(model: Household, temperature: float) -> None:

@@ -147,7 +147,7 @@ def cases_of_descriptions(programs: list[data.Program], scene: Scene, reader: Re
                 yield number, told[max(0, k + 1 - WINDOW) : k + 1], list(visited), label, room, scene.room(label, 0, program.source)
 
 
-def evaluate(model, encoder, train_programs, cases: list, scene: Scene, binding: str = DEFAULT_BINDING, narrated: bool = True, bootstrap: int = 300) -> dict:
+def evaluate(model, encoder, train_programs, cases: list, scene: Scene, binding: str = DEFAULT_BINDING, narrated: bool = True, bootstrap: int = 300, prior: float = 0.0) -> dict:
     """Rows by (target, predictor): the mean of each measure and its 95 % interval, programs being the unit that is resampled."""
     label_tokens = [encoder.ids(l) for l in scene.labels]
     cue = encoder.ids(binding)
@@ -156,16 +156,15 @@ def evaluate(model, encoder, train_programs, cases: list, scene: Scene, binding:
     order = np.argsort([len(p) for p in prompts])
     scores = np.zeros((len(cases), len(scene.labels)))
     scores[order] = label_log_probs(model, encoder, [prompts[i] for i in order], label_tokens)
-    probability = np.exp(scores - scores.max(1, keepdims=True))
-    probability /= probability.sum(1, keepdims=True)
-    blank = label_log_probs(model, encoder, [[bos] + cue], label_tokens)[0]
-    blank = np.exp(blank - blank.max())
+    blank = label_log_probs(model, encoder, [[bos] + cue], label_tokens)
+    normal = lambda log: np.exp(log - np.logaddexp.reduce(log, axis=1)[:, None])
+    probability, nothing = normal(scores - prior * blank), normal((1 - prior) * blank)
     baselines = Baselines(train_programs, scene)
     stay = fitted_stay(train_programs, scene)
     truth = np.array([scene.index[c[3]] for c in cases])
     rooms = np.array([scene.rooms.index(c[5]) for c in cases])
     now = np.array([scene.rooms.index(c[4]) if c[4] else -1 for c in cases])
-    predicted = {"model": probability, "no-narration": np.tile(blank / blank.sum(), (len(cases), 1))}
+    predicted = {"model": probability, "no-narration": np.tile(nothing, (len(cases), 1))}
     rows_of = [baselines.predict(c[2]) for c in cases]
     for name in ("uniform", "frequency", "markov1", "markov2"):
         predicted[name] = np.stack([row[name] for row in rows_of])
@@ -196,10 +195,10 @@ PROMPTS = {  # the paper's, by name: binding sequence, and whether the narration
 }
 
 
-def compare_prompts(model, encoder, train_programs, cases: list, scene: Scene) -> None:
+def compare_prompts(model, encoder, train_programs, cases: list, scene: Scene, prior: float) -> None:
     """One line per prompt of the paper; chance at ranking rooms is one in the number of rooms."""
     for name, (binding, narrated) in PROMPTS.items():
-        rows = evaluate(model, encoder, train_programs, cases, scene, binding, narrated)["rows"]
+        rows = evaluate(model, encoder, train_programs, cases, scene, binding, narrated, prior=prior)["rows"]
         shown = {"object": rows["object model"], "room": rows["room model"]}
         print(f"  {name:8}", "  ".join(f"{t} {m} {v[0]:.3f} [{v[1]:.3f} {v[2]:.3f}]" for t, ms in shown.items() for m, v in ms.items()), flush=True)
 
@@ -236,7 +235,9 @@ def main() -> None:
     arguments.add_argument("--quantised", action="store_true", help="round the matrices as the shipped file does")
     given = arguments.parse_args()
     torch.set_num_threads(1)
-    model, encoder = restore(given.work / "checkpoint.pt"), Encoder(vocabulary.load(given.work / "vocabulary.model"))
+    checkpoint = given.work / "checkpoint.pt"
+    prior = torch.load(checkpoint, weights_only=True, map_location="cpu").get("prior", 0.0)
+    model, encoder = restore(checkpoint), Encoder(vocabulary.load(given.work / "vocabulary.model"))
     if given.quantised:
         model.load_state_dict(export.quantised(model, "q8_0"))
     programs = data.virtualhome(given.shared)
@@ -249,9 +250,9 @@ def main() -> None:
         cases = list(cases_of_descriptions(held, scene, Reader.of(fit, scene.labels)) if given.descriptions else cases_of(held, scene))
         if given.prompts:
             print(name)
-            compare_prompts(model, encoder, fit, cases, scene)
+            compare_prompts(model, encoder, fit, cases, scene, prior)
             continue
-        result = evaluate(model, encoder, fit, cases, scene)
+        result = evaluate(model, encoder, fit, cases, scene, prior=prior)
         print(f"{name}: {result['cases']} cases, label mass {result['mass']:.2f}")
         for row, measures in result["rows"].items():
             print(f"  {row:28}", "  ".join(f"{m} {v[0]:.3f} [{v[1]:.3f} {v[2]:.3f}]" for m, v in measures.items()), flush=True)

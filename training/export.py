@@ -49,13 +49,17 @@ def quantised(model: Household, kind: str) -> dict[str, torch.Tensor]:
     return {name: round_trip(value) for name, value in model.state_dict().items()}
 
 
-def write(model: Household, tokenizer: sentencepiece.SentencePieceProcessor, path: Path, kind: str, description: str) -> None:
+def write(model: Household, tokenizer: sentencepiece.SentencePieceProcessor, path: Path, kind: str, description: str, prior: float) -> None:
+    """Writes a GGUF file. `prior` is the prior weight that it recommends, beside letting labels go on only as labels do."""
     shape = model.shape
     writer = gguf.GGUFWriter(path, "llama")
     writer.add_name("Roomcast household")
     writer.add_description(description)
     writer.add_license("Apache-2.0 OR MIT")
     writer.add_languages(["en"])
+    # The keys of src/scorer/correction.rs.
+    writer.add_string("roomcast.continuation", "labels")
+    writer.add_float32("roomcast.prior", prior)
     writer.add_context_length(shape.context)
     writer.add_embedding_length(shape.width)
     writer.add_block_count(shape.layers)

@@ -19,6 +19,7 @@ np = pytest.importorskip("numpy", reason="training/requirements.txt is not insta
 HERE = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(HERE))
 
+import calibrate
 import corpus as corpora
 import data
 import descriptions
@@ -164,13 +165,32 @@ def test_a_branch_is_the_prompt_that_the_product_sends(tiny):
         assert torch.allclose(packed[last], alone, atol=1e-4)
 
 
+def test_calibration_finds_what_was_put_in(monkeypatch):
+    """Scores, faked, that are 1.5 times too sure and hold 0.6 of the blank narration's: both are found again."""
+    rng = np.random.default_rng(1)
+    labels = [f"label {i}" for i in range(30)]
+    blank, told = rng.normal(0, 1.5, 30), rng.normal(0, 1.5, (3000, 30))
+    truth = (told + rng.gumbel(size=told.shape)).argmax(1)
+    scores = 1.5 * told + 0.6 * 1.5 * blank
+    pieces = type("Pieces", (), {"bos_id": lambda self: 1})()
+    encoder = type("Encoder", (), {"tokenizer": pieces, "ids": lambda self, text: [0]})()
+    scene = type("Scene", (), {"labels": labels, "index": {label: i for i, label in enumerate(labels)}})()
+    monkeypatch.setattr(calibrate, "Scene", lambda path: scene)
+    monkeypatch.setattr(calibrate, "cases_of", lambda programs, scene: [(0, ["They sit."], [], labels[t], None, None) for t in truth])
+    monkeypatch.setattr(calibrate, "label_log_probs", lambda *_: np.vstack([scores, 1.5 * blank]))
+    temperature, prior = calibrate.fit(None, encoder, [], [Path("scene.json")])
+    assert abs(temperature - 1.5) <= 0.1 and abs(prior - 0.6) <= 0.1
+
+
 def test_export_keeps_every_weight(tmp_path):
     pieces = type("Pieces", (), dict(
         vocab_size=lambda s: 32, id_to_piece=lambda s, i: f"p{i}", get_score=lambda s, i: -float(i), is_unknown=lambda s, i: i == 0,
         is_control=lambda s, i: i in (1, 2), is_byte=lambda s, i: False, bos_id=lambda s: 1, eos_id=lambda s: 2, unk_id=lambda s: 0))()
     model = Household(Shape(vocab=64, width=64, layers=2, heads=2, feed_forward=96)).eval()
-    export.write(model, pieces, tmp_path / "m.gguf", "q8_0", "test")
-    read = {t.name: t for t in gguf.GGUFReader(tmp_path / "m.gguf").tensors}
+    export.write(model, pieces, tmp_path / "m.gguf", "q8_0", "test", 0.25)
+    reader = gguf.GGUFReader(tmp_path / "m.gguf")
+    assert [reader.fields[f"roomcast.{key}"].contents() for key in ("continuation", "prior")] == ["labels", 0.25]
+    read = {t.name: t for t in reader.tensors}
     for name, value in export.tensors(model).items():
         held = gguf.quants.dequantize(read[name].data, read[name].tensor_type).reshape(value.shape)
         assert np.abs(held - value).max() <= np.abs(value).max() / 127 + 1e-6, name
