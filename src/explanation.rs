@@ -150,7 +150,7 @@ impl Display for Explanation {
             writeln!(f, "    {sentence}")?;
         }
         writeln!(f, "    {} ...", self.binding.trim_end())?;
-        writeln!(f, "and gives {:.1} % to the labels of this map.", 100.0 * self.label_mass)?;
+        writeln!(f, "and gives the labels of this map {:.1} % together.", 100.0 * self.label_mass)?;
         for partition in &self.partitions {
             write!(f, "\n{partition}")?;
         }

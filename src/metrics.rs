@@ -191,7 +191,7 @@ impl Metrics {
         );
         r.register(
             "label_mass",
-            "Probability that what comes next is a word of the map at all",
+            "Probability that what comes next is, or begins as, a label of the map",
             self.label_mass.clone(),
         );
         r.register_with_unit("scores_age", "Since the newest scores were computed", s.clone(), self.scores_age.clone());

@@ -87,6 +87,15 @@ pub struct Included {
     pub observed_ns: u64,
 }
 
+/// What a changed map asked of the model.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Prepared {
+    /// Whether it was prepared for the map's labels anew.
+    pub anew: bool,
+    /// How many of them are new.
+    pub new_labels: usize,
+}
+
 /// Where a step's time went, in nanoseconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Timing {
@@ -118,7 +127,7 @@ pub struct Scores {
     pub included: Vec<Included>,
     /// When the newest of it was observed, monotonic nanoseconds; 0 before the first.
     pub newest_observed_ns: u64,
-    /// How the scores were reached: the least far of the persons scored.
+    /// How the scores were reached; of several persons, what the intervals of their mean show.
     pub reached: Effort,
     /// Per partition a certified lower bound of `ln S_j` in nats; the score itself when exact.
     pub lower_log_score_nats: Vec<f64>,
@@ -240,26 +249,27 @@ impl<M: LanguageModel> Pipeline<M> {
     }
 
     /// Takes a changed map. As long as it brings no label that the model was not prepared for, and under a correction lets none go, the
-    /// model is not touched: the next [`Pipeline::score`] sums the known label scores anew. Gives how many labels are new.
+    /// model is not touched: the next [`Pipeline::score`] sums the known label scores anew.
     ///
     /// Partial answers ([`PipelineOptions::effort`]) know their labels only as far as the old map asked; they are scored again.
     ///
     /// # Errors
     /// When the map cannot be grounded, its labels leave no room for narration, or the model fails; the old map stays in use then.
-    pub fn change_map(&mut self, map: &SemanticMap, options: &GroundingOptions) -> Result<usize, PipelineError> {
+    pub fn change_map(&mut self, map: &SemanticMap, options: &GroundingOptions) -> Result<Prepared, PipelineError> {
         let Regrouped { grounding, new_labels } = self.grounding.regroup(map, options)?;
         // Corrected scores depend on the labels that there are.
         let others_gone = self.prepared.correction() != Correction::default() && grounding.has_idle_labels();
         let anew = new_labels > 0 || others_gone;
+        let prepared = Prepared { anew, new_labels };
         if !anew {
             self.grounding = grounding;
         } else {
             // The list is prepared anew, so labels that nothing bears any more can leave it.
             let grounding = Grounding::new(map, options)?;
-            let (prepared, tokens) = prepare(&mut self.scorer, &grounding, &self.options)?;
+            let (labels, tokens) = prepare(&mut self.scorer, &grounding, &self.options)?;
             self.options.history.tokens = self.options.history.tokens.min(tokens);
             self.histories.limit_tokens(self.options.history.tokens);
-            self.prepared = prepared;
+            self.prepared = labels;
             self.grounding = grounding;
             // Scores of the old list, in the old order.
             self.scores.label_log_prob_nats.clear();
@@ -270,7 +280,7 @@ impl<M: LanguageModel> Pipeline<M> {
             person.certified = None;
             person.stale |= anew || !exact;
         }
-        Ok(new_labels)
+        Ok(prepared)
     }
 
     /// The sentences that the model read for the newest scores, with their person, oldest first.

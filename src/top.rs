@@ -242,11 +242,11 @@ impl View {
                 reached::EXACT => "exact",
                 reached::RANKING => "ranking certain",
                 reached::TOP => "top certain",
-                _ => "deadline",
+                _ => "order not certain",
             };
             let step_ns = scores.tokenise_ns + scores.prefix_ns + scores.trie_ns + scores.ground_ns;
             first.push(Span::from(format!(
-                "step {:.1} ms ({reached}), labels cover {:.0} %",
+                "step {:.1} ms ({reached}), labels together {:.0} %",
                 step_ns as f64 / 1e6,
                 100.0 * scores.label_mass
             )));

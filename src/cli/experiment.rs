@@ -280,7 +280,7 @@ fn print_forecast(report: &Report) -> CommandResult {
         format!("{table}\n\nOn the same cases, resampled together, the model less each of them:\n{differences}\n");
     let _ = writeln!(
         text,
-        "{} in {}; {:.1} % of the next objects are in the maps; {}; {}; {} computed, the others from the cache",
+        "{} in {}; {:.1} % of the next objects are in the maps; scored by {}; {}; {} computed, the others from the cache",
         count(report.cases, "case"),
         count(report.programs, "program"),
         100.0 * report.bound_share,

@@ -291,7 +291,9 @@ fn apply(args: &Apply) -> CommandResult {
     if args.json {
         super::print_json(&answer)?;
     }
-    let MapAnswer { outcome, reason, map, rooms, items, outside, new_labels, regrouped_in_ns, kept, .. } = &answer;
+    let MapAnswer {
+        outcome, reason, map, rooms, items, outside, new_labels, prepared_anew, regrouped_in_ns, kept, ..
+    } = &answer;
     if *outcome != Outcome::Applied {
         let reason = reason.as_deref().unwrap_or("no reason given");
         return Err(input(format!("the daemon did not change its map: {reason}")));
@@ -300,6 +302,7 @@ fn apply(args: &Apply) -> CommandResult {
         return Ok(());
     }
     let model = match new_labels {
+        0 if *prepared_anew => "the model was prepared for fewer labels".to_owned(),
         0 => "the model was not touched".to_owned(),
         labels => format!("the model was prepared for {}", count(*labels, "new label")),
     };

@@ -13,7 +13,7 @@ use crate::narration::{Observation, Observed, Sentence};
 use crate::pipeline::{Pipeline, PipelineOptions};
 use crate::prompt::BindingSequence;
 use crate::scorer::certified::Effort;
-use crate::scorer::correction::CorrectionChoice;
+use crate::scorer::correction::{Continuation, CorrectionChoice};
 use crate::scorer::llama::{CacheType, LlamaModel, LlamaOptions};
 use crate::scorer::{LanguageModel, Method, Tokenisation, hex_string};
 use crate::semantic_map::{PartitionId, SemanticMap};
@@ -282,13 +282,17 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
     let timing = scores.timing;
     let _ = writeln!(
         text,
-        "{} and {} of {} by {}, {}; the labels cover {:.1} % of what could come next.",
+        "{} and {} of {} by {}; {:.1} % of what could come next {}.\nScored by {}.",
         count(grounding.scored_labels.len(), "label"),
         count(map.items.len(), "item"),
         map.name,
         pipeline.model().name,
+        100.0 * grounded.label_mass,
+        match pipeline.prepared().correction().continuation {
+            Continuation::Free => "is a label",
+            Continuation::Labels => "begins as a label does",
+        },
         pipeline.prepared().correction(),
-        100.0 * grounded.label_mass
     );
     let _ = writeln!(
         text,

@@ -12,7 +12,7 @@ use crate::forecast::{ForecastOptions, Forecaster, Mentions};
 use crate::grounding::{GroundingOptions, Partition, partitions};
 use crate::moment::Moment;
 use crate::narration::Observation;
-use crate::pipeline::{Included, Pipeline, PipelineError};
+use crate::pipeline::{Included, Pipeline, PipelineError, Prepared};
 use crate::scorer::LanguageModel;
 use crate::scorer::certified::Effort;
 use crate::semantic_map::SemanticMap;
@@ -132,18 +132,17 @@ impl<M: LanguageModel> Board<M> {
         })
     }
 
-    /// Takes a changed map in place of the one in use; the next step's scores are of it. Gives how many labels the model had to be
-    /// prepared for.
+    /// Takes a changed map in place of the one in use; the next step's scores are of it. Gives what it asked of the model.
     ///
     /// # Errors
     ///
     /// [`MapError`] when the map does not fit into a message, or cannot be grounded; the old one stays in use then.
-    pub fn change_map(&mut self, map: SemanticMap) -> Result<usize, MapError> {
+    pub fn change_map(&mut self, map: SemanticMap) -> Result<Prepared, MapError> {
         // What was seen on the old map is understood by it.
         self.watch();
         let partitions = partitions(&map, self.grounding.level);
         let (room, room_count) = named_rooms(&partitions)?;
-        let new_labels = self.pipeline.change_map(&map, &self.grounding)?;
+        let prepared = self.pipeline.change_map(&map, &self.grounding)?;
         let same_rooms =
             self.snapshot.rooms().iter().map(|room| room.id).eq(room.iter().map(|room| room.id).take(partitions.len()));
         if !same_rooms {
@@ -154,7 +153,7 @@ impl<M: LanguageModel> Board<M> {
         (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
         self.mentions = Mentions::new(&map, self.pipeline.grounding());
         self.map = map;
-        Ok(new_labels)
+        Ok(prepared)
     }
 
     /// All that is behind the newest scores.

@@ -61,9 +61,11 @@ pub struct MapAnswer {
     pub items: usize,
     /// Items of it that lie in no room.
     pub outside: usize,
-    /// Labels that the model had to be prepared for; 0 when it was not touched.
+    /// Labels that the model did not know before.
     pub new_labels: usize,
-    /// How long it took to change, check and regroup the map, in nanoseconds.
+    /// Whether the model was prepared for the map's labels anew: where some are new, and, where scores are corrected, where some are gone.
+    pub prepared_anew: bool,
+    /// How long it took to change, check and regroup the map, and to prepare the model, in nanoseconds.
     pub regrouped_in_ns: u64,
     /// Whether a restarted daemon will have the changed map: only with a state directory.
     pub kept: bool,
@@ -192,6 +194,7 @@ mod tests {
             items: 1,
             outside: 0,
             new_labels: 0,
+            prepared_anew: false,
             regrouped_in_ns: 1,
             kept: false,
         };

@@ -30,6 +30,7 @@ use crate::affinity::{self, AffinityError};
 use crate::config::Config;
 use crate::hub::hex;
 use crate::logging::Limiter;
+use crate::pipeline::Prepared;
 use crate::scorer::LanguageModel;
 use crate::setup::{self, SetupError};
 use crate::stop::Stop;
@@ -705,9 +706,9 @@ fn answer_change<M: LanguageModel>(
                 .inspect_err(|error| tracing::error!(%error, "the changed map cannot be kept for a restart"))
                 .is_ok()
         });
-    let (outcome, reason, new_labels) = match result {
-        Ok(new_labels) => (Outcome::Applied, None, new_labels),
-        Err((outcome, reason)) => (outcome, Some(reason), 0),
+    let (outcome, reason, prepared) = match result {
+        Ok(prepared) => (Outcome::Applied, None, prepared),
+        Err((outcome, reason)) => (outcome, Some(reason), Prepared::default()),
     };
     MapAnswer {
         outcome,
@@ -718,7 +719,8 @@ fn answer_change<M: LanguageModel>(
         rooms: board.map().rooms.len(),
         items: board.map().items.len(),
         outside: board.pipeline().grounding().unassigned.len(),
-        new_labels,
+        new_labels: prepared.new_labels,
+        prepared_anew: prepared.anew,
         regrouped_in_ns,
         kept,
     }

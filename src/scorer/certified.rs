@@ -315,7 +315,9 @@ impl Bounds {
         // q(n) and the spread both shrink on the way down, so a threshold always keeps a node's ancestors with it.
         let inner = trie.inner();
         let mut threshold = 0.25 * self.margin.max(0.0) / inner.len().max(1) as f64;
-        threshold = threshold.max(1e-9);
+        // What is negligible is so as a score, not before the scale.
+        let per_score = self.estimate[table.partitions + 1] / self.estimate[table.partitions];
+        threshold = threshold.max(1e-9 * if per_score.is_finite() { per_score } else { 1.0 });
         for (place, &node) in inner.iter().enumerate() {
             wanted[place] = q[node as usize] * spread(table, node as usize) > threshold;
         }

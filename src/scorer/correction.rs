@@ -14,8 +14,8 @@
 //! **Common words win.** What people go to often scores high whatever was narrated. A *prior weight* `a` divides a label's score by
 //! its score under a blank narration, to the power of `a`: `s'_c = k s_c g_c` with the gain `g_c = s_c(blank)^-a`. 0 leaves Equation 1 as it
 //! is; 1 is the pointwise mutual information of Holtzman et al., "Surface Form Competition" (2021). The scale
-//! `k = min(1, sum s_c) / sum s_c g_c` lets the labels share out anew what they had together. (A sum can exceed 1 only where labels that
-//! begin others are scored by Equation 1 as it stands.) `s_c(blank)` counts as at least e^-20 of the largest, so that no word gains without
+//! `k = min(1, sum s_c) / sum s_c g_c` lets the labels share out anew what they had together. (A sum can exceed 1 where labels that
+//! begin others are scored by Equation 1 as it stands, and where labels have the same tokens.) `s_c(blank)` counts as at least e^-20 of the largest, so that no word gains without
 //! bound for never being said.
 //!
 //! Neither is in the paper, and both are off unless the configuration asks for them or the model file recommends them
@@ -64,11 +64,12 @@ pub struct Correction {
 impl std::fmt::Display for Correction {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { continuation, prior } = self;
+        write!(f, "Equation 1")?;
         match (continuation, *prior == 0.0) {
-            (Continuation::Free, true) => write!(f, "scores by Equation 1"),
-            (Continuation::Free, false) => write!(f, "scores with a prior of {prior}"),
-            (Continuation::Labels, true) => write!(f, "scores with labels' continuations"),
-            (Continuation::Labels, false) => write!(f, "scores with labels' continuations and a prior of {prior}"),
+            (Continuation::Free, true) => Ok(()),
+            (Continuation::Free, false) => write!(f, " with a prior of {prior}"),
+            (Continuation::Labels, true) => write!(f, " with labels' continuations"),
+            (Continuation::Labels, false) => write!(f, " with labels' continuations and a prior of {prior}"),
         }
     }
 }

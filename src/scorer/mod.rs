@@ -764,6 +764,7 @@ fn read_row(
 ) -> bool {
     let place = |token: Token| usize::try_from(token.0).ok().filter(|&place| place < logits.len());
     let mut end = f64::NEG_INFINITY;
+    let mut impossible = None;
     let denominator = match rivals {
         None => softmax::log_sum_exp(logits),
         Some(mut rivals) => {
@@ -776,7 +777,8 @@ fn read_row(
                 end = softmax::log_sum_exp(without_children);
                 softmax::log_sum_exp_of([shared, end].into_iter())
             } else if shared == f64::NEG_INFINITY {
-                // No label is possible here, and nothing has no shares.
+                // No label is possible here: none is likelier than another.
+                impossible = Some(-(children.count() as f64).ln());
                 0.0
             } else {
                 shared
@@ -787,7 +789,7 @@ fn read_row(
     for child in trie.children(parent) {
         let token = trie.nodes()[child].token;
         let logit = place(token).map_or(f64::NEG_INFINITY, |place| f64::from(logits[place]));
-        give(child, if token == END { end } else { logit - denominator });
+        give(child, if token == END { end } else { impossible.unwrap_or(logit - denominator) });
     }
     denominator.is_finite()
 }

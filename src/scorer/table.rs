@@ -282,7 +282,11 @@ mod tests {
         logits[2..4].fill(f32::NEG_INFINITY);
         let rivals = Continuation::Labels.rivals(&trie, Some(0));
         assert!(super::super::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, log| given.push(log)));
-        assert_eq!(given[2..], [f64::NEG_INFINITY; 2]);
+        assert_eq!(given[2..], [-2_f64.ln(); 2]);
+        // Where the file is, it shows.
+        logits[2..4].fill(f32::NAN);
+        let rivals = Continuation::Labels.rivals(&trie, Some(0));
+        assert!(!super::super::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, _| ()));
     }
 
     #[test]

@@ -318,7 +318,7 @@ impl Setup<'_> {
         let horizon_s = homes.iter().map(|home| home.cost().steps()).sum::<usize>() as f64 / homes.len().max(1) as f64;
         let scores = sources.first().map(|source| source.correction().to_string()).unwrap_or_default();
         format!(
-            "Model {model}, {scores}, {bindings}, {} of home and activity, T {horizon_s:.0} s on average, seed {}; {computed} scores computed, the \
+            "Model {model}, scored by {scores}, {bindings}, {} of home and activity, T {horizon_s:.0} s on average, seed {}; {computed} scores computed, the \
              others from the cache",
             count(homes.len(), "pair"),
             self.options.seed,
@@ -450,14 +450,12 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
     for model in models {
         let given = args.study.model.correction;
         let mut corrected = true;
-        for (tokenisation, correction) in [
-            (Tokenisation::Joint, given),
-            (Tokenisation::Paper, given),
-            (Tokenisation::Joint, CorrectionChoice::EQUATION_1),
-            (Tokenisation::Paper, CorrectionChoice::EQUATION_1),
-        ] {
-            if !corrected && correction == CorrectionChoice::EQUATION_1 {
-                // The first two are Equation 1 already.
+        let tokenisations = [Tokenisation::Joint, Tokenisation::Paper];
+        let as_given = tokenisations.map(|tokenisation| (tokenisation, given, false));
+        let plain = tokenisations.map(|tokenisation| (tokenisation, CorrectionChoice::EQUATION_1, true));
+        for (tokenisation, correction, again) in as_given.into_iter().chain(plain) {
+            if again && !corrected {
+                // The first two were Equation 1 already.
                 break;
             }
             let model_args = ModelArgs { model: model.clone(), tokenisation, correction, ..args.study.model.clone() };
