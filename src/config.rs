@@ -14,7 +14,7 @@ use crate::narrator::NarratorConfig;
 use crate::planner::PlannerConfig;
 use crate::prompt::BindingSequence;
 use crate::scorer::certified::Effort;
-use crate::scorer::correction::Continuation;
+use crate::scorer::correction::{Continuation, PRIOR_WEIGHTS};
 use crate::scorer::llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
 use crate::scorer::{Method, Tokenisation};
 
@@ -292,7 +292,7 @@ impl Config {
         )?;
         let scoring = &self.scoring;
         limit(
-            scoring.prior.is_none_or(|prior| (0.0..=1.0).contains(&prior)),
+            scoring.prior.is_none_or(|prior| PRIOR_WEIGHTS.contains(&prior)),
             "scoring.prior",
             &scoring.prior.unwrap_or_default(),
             "give 0 to 1",

@@ -1,9 +1,8 @@
 //! The labels' tokens as a trie, flat and in preorder, built once per map, model and binding sequence.
 //!
-//! Of all tokens ([`LabelTrie::new`]) or of those that tell labels apart ([`LabelTrie::telling_apart`]).
-//!
-//! A label that ends at node `n` has the score `q(n)`, Equation 1's in the first case, the product of the token probabilities from the prompt
-//! to `n`. Children's probabilities come from the logits of their parent, so only *inner* nodes (those with children)
+//! A label that ends at node `n` has the score `q(n)`, the product of the token probabilities from the prompt to `n`: Equation 1's in
+//! a trie of all tokens ([`LabelTrie::new`]), a corrected one in that of the tokens that tell labels apart
+//! ([`LabelTrie::telling_apart`]). Children's probabilities come from the logits of their parent, so only *inner* nodes (those with children)
 //! are ever decoded; a label's last token never is, and a label of one token costs nothing beyond the prompt.
 
 use crate::scorer::Token;

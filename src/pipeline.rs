@@ -524,14 +524,13 @@ fn bounds(persons: &[Person], scores: &mut Scores) {
     if persons.len() > 1 {
         // What is certain of each person is not of their mean: only the intervals tell.
         let (lower, upper) = (&scores.lower_log_score_nats, &scores.upper_log_score_nats);
-        let mut order: Vec<usize> = (0..exact.len()).collect();
-        order.sort_by(|&a, &b| exact[b].total_cmp(&exact[a]));
+        let all = 0..exact.len();
         let ahead = |first: usize, second: usize| lower[first] > upper[second];
-        let ranking = order.windows(2).all(|pair| ahead(pair[0], pair[1]));
-        let top = order.split_first().is_some_and(|(&first, rest)| rest.iter().all(|&other| ahead(first, other)));
-        scores.reached = if ranking {
+        let told_apart = |a: usize| (0..a).all(|b| ahead(a, b) || ahead(b, a));
+        let first = |a: usize| all.clone().all(|b| a == b || ahead(a, b));
+        scores.reached = if all.clone().all(told_apart) {
             Effort::Ranking
-        } else if top {
+        } else if all.clone().any(first) {
             Effort::Top
         } else {
             Effort::Deadline

@@ -247,7 +247,7 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
     let (scores, grounding) = (pipeline.scores(), pipeline.grounding());
     let grounded = &scores.grounded;
     let mut table = super::table(&["partition", "probability", "", "ln score", "because of"]);
-    let mut names = grounding.partition_names();
+    let names = grounding.partition_names();
     let mut order: Vec<usize> = (0..names.len()).collect();
     order.sort_by(|&a, &b| grounded.partition_probability[b].total_cmp(&grounded.partition_probability[a]));
     for index in order {
@@ -255,7 +255,7 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
         let behind: Vec<_> = behind.iter().map(|&(l, _)| grounding.scored_labels[l].text.as_str()).collect();
         let probability = grounded.partition_probability[index];
         table.add_row([
-            std::mem::take(&mut names[index]),
+            names[index].clone(),
             format!("{:5.1} %", 100.0 * probability),
             super::bar(probability, 24),
             format!("{:.3}", grounded.partition_log_score_nats[index]),

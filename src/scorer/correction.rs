@@ -15,8 +15,8 @@
 //! its score under a blank narration, to the power of `a`: `s'_c = k s_c g_c` with the gain `g_c = s_c(blank)^-a`. 0 leaves Equation 1 as it
 //! is; 1 is the pointwise mutual information of Holtzman et al., "Surface Form Competition" (2021). The scale
 //! `k = min(1, sum s_c) / sum s_c g_c` lets the labels share out anew what they had together. (A sum can exceed 1 where labels that
-//! begin others are scored by Equation 1 as it stands, and where labels have the same tokens.) `s_c(blank)` counts as at least e^-20 of the largest, so that no word gains without
-//! bound for never being said.
+//! begin others are scored by Equation 1 as it stands, and where labels have the same tokens.) `s_c(blank)` counts as at least e^-20
+//! of the largest, so that no word gains without bound for never being said.
 //!
 //! Neither is in the paper, and both are off unless the configuration asks for them or the model file recommends them
 //! (GGUF keys [`CONTINUATION_KEY`] and [`PRIOR_KEY`]), as the embedded one does.
@@ -57,8 +57,21 @@ impl Continuation {
 pub struct Correction {
     /// What a label's tokens after the first compete with.
     pub continuation: Continuation,
-    /// The prior weight `a`, from 0 to 1.
+    /// The prior weight `a`, one of [`PRIOR_WEIGHTS`].
+    #[serde(deserialize_with = "checked_weight")]
     pub prior: f64,
+}
+
+/// What a prior weight may be.
+pub const PRIOR_WEIGHTS: std::ops::RangeInclusive<f64> = 0.0..=1.0;
+
+/// Recordings may come from anywhere.
+fn checked_weight<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let weight: f64 = serde::Deserialize::deserialize(deserializer)?;
+    match PRIOR_WEIGHTS.contains(&weight) {
+        true => Ok(weight),
+        false => Err(serde::de::Error::custom(format!("the prior weight is {weight}, not a number from 0 to 1"))),
+    }
 }
 
 impl std::fmt::Display for Correction {
@@ -100,7 +113,7 @@ impl Correction {
 /// When it is not a number from 0 to 1.
 pub fn prior_weight(text: &str) -> Result<f64, String> {
     match f64::from_str(text) {
-        Ok(weight) if (0.0..=1.0).contains(&weight) => Ok(weight),
+        Ok(weight) if PRIOR_WEIGHTS.contains(&weight) => Ok(weight),
         _ => Err("give a number from 0 to 1".into()),
     }
 }
@@ -208,6 +221,9 @@ mod tests {
         {
             assert!(read(continuation, prior).unwrap_err().contains("roomcast."));
         }
+        let written = serde_json::to_string(&embedded).unwrap();
+        assert_eq!(serde_json::from_str::<Correction>(&written).unwrap(), embedded);
+        assert!(serde_json::from_str::<Correction>(&written.replace("0.3", "3e9")).is_err());
         assert_eq!(CorrectionChoice::EQUATION_1.or(embedded), Correction::default());
         assert_eq!(CorrectionChoice::default().or(embedded), embedded);
     }

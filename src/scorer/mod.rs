@@ -348,7 +348,7 @@ pub struct LabelScores {
 pub struct Scorer<M> {
     model: M,
     /// A row of logits without a node's children, where a label ends at the node.
-    others: Vec<f32>,
+    without_children: Vec<f32>,
     /// The last prompt's tokens, without those that labels replace.
     prompt: Vec<Token>,
     cutter: Cutter,
@@ -359,8 +359,13 @@ pub struct Scorer<M> {
 impl<M: LanguageModel> Scorer<M> {
     /// A scorer over a model.
     pub fn new(model: M) -> Self {
-        let (others, prompt, node_log_prob_nats) = (Vec::new(), Vec::new(), Vec::new());
-        Self { model, others, prompt, cutter: Cutter::default(), node_log_prob_nats }
+        Self {
+            model,
+            without_children: Vec::new(),
+            prompt: Vec::new(),
+            cutter: Cutter::default(),
+            node_log_prob_nats: Vec::new(),
+        }
     }
 
     /// What the model says of itself.
@@ -639,7 +644,7 @@ impl<M: LanguageModel> Scorer<M> {
             let mut softmax_ns = 0;
             let mut bad_row = None;
             let Certified { conditional, decoded, sent, tree, .. } = &mut *state;
-            let without_children = &mut self.others;
+            let without_children = &mut self.without_children;
             let stats = self.model.decode(&self.prompt, tree, first, &mut |row, logits| {
                 let start = Instant::now();
                 let parent = match row {
@@ -715,7 +720,7 @@ impl<M: LanguageModel> Scorer<M> {
         let nodes = trie.nodes();
         self.node_log_prob_nats.clear();
         self.node_log_prob_nats.resize(nodes.len(), f64::NEG_INFINITY);
-        let (log_prob, without_children) = (&mut self.node_log_prob_nats, &mut self.others);
+        let (log_prob, without_children) = (&mut self.node_log_prob_nats, &mut self.without_children);
         let mut bad_row = None;
         let mut softmax_ns = 0;
         let stats = self.model.decode(&self.prompt, tree, true, &mut |row, logits| {
