@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 
-use iceoryx2::port::listener::Listener;
+use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::ServiceName;
 
@@ -90,7 +90,11 @@ impl<M: Message> BareReceiver<M> {
             if left.is_zero() {
                 return Ok(None);
             }
-            self.listener.timed_wait(|_| (), left).map_err(|error| port(self.service, "wait", &error))?;
+            match self.listener.timed_wait(|_| (), left) {
+                // A signal, after which there is still time.
+                Ok(_) | Err(ListenerWaitError::InterruptSignal) => {}
+                Err(error) => return Err(port(self.service, "wait", &error)),
+            }
         }
     }
 }
