@@ -3,7 +3,8 @@
 //! A case is a step of a program: after action k, the *next object* is that of the next action which names an object other
 //! than the last one named (its first object, by its words), so that "walk to the cup, find the cup" earns nothing. Cases
 //! whose object the map lacks are left out. The *next room* is that of the item which the object is bound to
-//! ([`ItemChoice`]); *room-change* cases are those in which it is not the room of the last object that was bound.
+//! ([`ItemChoice`]); *room-change* cases are those in which it is not the room of the last object that was bound. In these,
+//! *room-if-changed* asks every forecast where to, given that the person leaves: the current room is taken out of it.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -42,6 +43,8 @@ pub enum Target {
     Room,
     /// The next room, over the cases in which the room changes.
     RoomChange,
+    /// The next room among the others than the current one, over the cases in which the room changes.
+    RoomIfChanged,
 }
 
 /// One line of the table.
@@ -93,7 +96,7 @@ pub struct Options {
 }
 
 const PREDICTORS: [&str; 7] = ["model", "uniform", "frequency", "markov1", "markov2", "stay", "no-narration"];
-const TARGETS: [Target; 3] = [Target::Object, Target::Room, Target::RoomChange];
+const TARGETS: [Target; 4] = [Target::Object, Target::Room, Target::RoomChange, Target::RoomIfChanged];
 
 /// Reads every program below `folder` in the order of their paths; `folder` may be a single file. A household's day is read as one
 /// program. Files that are none are given back with their faults.
@@ -203,6 +206,7 @@ fn evaluate<M: LanguageModel>(
     let frequency_rooms = rooms_of(&frequency, grounding, &mut grounded)?;
     let mut sums = vec![vec![Sums::default(); programs.len()]; PREDICTORS.len() * TARGETS.len()];
     let mut count = 0;
+    let mut others = Vec::new();
 
     for (index, NamedProgram { path, program }) in programs.iter().enumerate() {
         binder.begin(options.seed, &path.file_stem().unwrap_or_default().to_string_lossy());
@@ -236,8 +240,10 @@ fn evaluate<M: LanguageModel>(
                 sums[row][index].add(of_labels, case.object);
                 if let Some(room) = case.room {
                     sums[row + 1][index].add(of_rooms, room);
-                    if case.here.is_some_and(|here| here != room) {
+                    if let Some(here) = case.here.filter(|here| *here != room) {
                         sums[row + 2][index].add(of_rooms, room);
+                        without(of_rooms, here, &mut others);
+                        sums[row + 3][index].add(&others, room);
                     }
                 }
             }
@@ -321,6 +327,15 @@ fn both(
     let total: f64 = labels.iter().sum();
     labels.iter_mut().for_each(|p| *p /= total);
     Ok((labels, grounded.partition_probability.clone()))
+}
+
+/// Probabilities given that it is not `room`.
+fn without(rooms: &[f64], room: usize, out: &mut Vec<f64>) {
+    out.clear();
+    out.extend_from_slice(rooms);
+    out[room] = 0.0;
+    let total: f64 = out.iter().sum();
+    out.iter_mut().for_each(|p| *p /= total.max(f64::MIN_POSITIVE));
 }
 
 fn rooms_of(labels: &[f64], grounding: &Grounding, grounded: &mut GroundedScores) -> Result<Vec<f64>, ExperimentError> {
@@ -419,13 +434,17 @@ mod tests {
             .unwrap()
         };
         let report = run();
-        assert_eq!(report.rows.len(), 21);
+        assert_eq!(report.rows.len(), 28);
         assert!(report.cases > 40 && report.rows.iter().all(|row| row.summary.nll_nats.is_finite()));
         let find =
             |predictor, target| report.rows.iter().find(|r| r.predictor == predictor && r.target == target).unwrap();
         assert_eq!(find("stay", Target::RoomChange).summary.top1, 0.0);
         let uniform = find("uniform", Target::Room).summary;
         assert!((uniform.nll_nats - 3f64.ln()).abs() < 1e-9 && (uniform.top1 - 1.0 / 3.0).abs() < 1e-9);
+        // Of three rooms two are left to somebody who leaves one of them.
+        let chance = find("uniform", Target::RoomIfChanged).summary;
+        assert!((chance.nll_nats - 2f64.ln()).abs() < 1e-9 && (chance.top1 - 0.5).abs() < 1e-9);
+        assert!(find("model", Target::RoomIfChanged).summary.top1 >= find("model", Target::RoomChange).summary.top1);
         // Fitted on the very programs, a chain of second order is better than one of first, and that than frequencies.
         let nll = |predictor| find(predictor, Target::Object).summary.nll_nats;
         assert!(nll("markov2") <= nll("markov1") && nll("markov1") < nll("frequency"));
