@@ -259,7 +259,7 @@ fn tell(
     program: &[String],
     map: &SemanticMap,
     load: &dyn Fn() -> LlamaModel,
-    weights: &Weights,
+    read: &dyn Fn() -> Weights,
     options: &LlamaOptions,
     rounds: usize,
 ) -> Vec<Sample> {
@@ -270,14 +270,16 @@ fn tell(
     };
     let domains = [domain("exact"), domain("ranking")];
     let mut samples = Vec::new();
+    // llama.cpp may arrange weights anew for the processor: each has its own, or those that two share would be warmer.
+    let (weights, others) = (read(), read());
     {
         let mut exact = Ours::new(load(), map, Effort::Exact, &domains[0]);
         let mut ranking = Ours::new(load(), map, Effort::Ranking, &domains[1]);
         let prepared = exact.cycle.board().pipeline().prepared().clone();
         let tree = TokenTree::of_inner_nodes(prepared.trie());
         assert!(tree.path_count() <= options.sequences, "the whole trie fits into one call");
-        let mut bare_exact = Bare::new(weights, options, tree.path_count());
-        let mut bare_new = Bare::new(weights, options, 1);
+        let mut bare_exact = Bare::new(&weights, options, tree.path_count());
+        let mut bare_new = Bare::new(&others, options, 1);
         let none = TokenTree::default();
         let mut kept: Vec<Token> = Vec::new();
         let mut prompt_text = String::new();
@@ -286,7 +288,7 @@ fn tell(
             let history = pipeline.histories().get(0);
             let sentences = history.into_iter().flat_map(|history| history.sentences()).chain([sentence.as_str()]);
             write_prompt(sentences, prepared.binding(), false, &mut prompt_text);
-            let prompt = tokens(weights, &prompt_text);
+            let prompt = tokens(&weights, &prompt_text);
             let keep = kept.iter().zip(&prompt).take_while(|(a, b)| a == b).count().min(prompt.len() - 1);
             let left = exact.left();
             let mut sample = Sample {
@@ -317,7 +319,7 @@ fn tell(
             assert!(worst < TOLERANCE_NATS, "the scores are {worst} nats apart");
             exact.cycle.tidy();
             ranking.cycle.tidy();
-            kept = exact.kept(weights, &prompt, left);
+            kept = exact.kept(&weights, &prompt, left);
             if number >= WARM_UP {
                 samples.push(sample);
             }
@@ -370,8 +372,10 @@ fn main() {
     let mut options = LlamaOptions::default();
     options.threads = args.threads.unwrap_or(options.threads);
     let load = || LlamaModel::load(&path, &options).expect("the model can be loaded");
-    let weights = Weights::load_from_file(backend().expect("llama.cpp is set up"), &path, &LlamaModelParams::default());
-    let weights = weights.expect("the model can be loaded");
+    let read = || {
+        let backend = backend().expect("llama.cpp is set up");
+        Weights::load_from_file(backend, &path, &LlamaModelParams::default()).expect("the model can be loaded")
+    };
 
     let mut told = Vec::new();
     for program in embedded::PROGRAMS {
@@ -379,7 +383,7 @@ fn main() {
             Program::parse(program.text).expect("it ships").steps.iter().map(Action::sentence).collect();
         for scene in embedded::SCENES.iter().filter(|scene| scene.name.starts_with("apartment")) {
             let map = SemanticMap::from_json(scene.text).expect("it ships");
-            let samples = tell(&sentences, &map, &load, &weights, &options, args.rounds);
+            let samples = tell(&sentences, &map, &load, &read, &options, args.rounds);
             told.push((program.name, scene.name, samples));
         }
     }
