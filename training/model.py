@@ -72,8 +72,10 @@ class Block(nn.Module):
             part.view(batch, time, self.heads, self.head_width).transpose(1, 2)
             for part in self.query_key_value(self.attention_norm(x)).split(width, dim=-1)
         )
-        mixed = F.scaled_dot_product_attention(rotate(q, cos, sin), rotate(k, cos, sin), v, attn_mask=mask)
-        mixed = self.attention_out(mixed.transpose(1, 2).reshape(batch, time, width))
+        # Written out, since on processors the fused attention of torch takes longer in bfloat16, and as long in single precision.
+        attention = rotate(q, cos, sin) * self.head_width**-0.5 @ rotate(k, cos, sin).transpose(-1, -2)
+        attention = attention.masked_fill(~mask, -math.inf).softmax(-1).to(v.dtype)
+        mixed = self.attention_out((attention @ v).transpose(1, 2).reshape(batch, time, width))
         x = x + F.dropout(mixed, self.dropout, self.training)
         gate, up = self.gate_up(self.feed_norm(x)).chunk(2, dim=-1)
         return x + F.dropout(self.down(F.silu(gate) * up), self.dropout, self.training)

@@ -1,8 +1,8 @@
 """Muon: momentum whose matrices are made orthogonal before they are applied (Jordan et al., 2024).
 
 Every direction of a weight matrix is changed alike, however rarely the data point there. At the size trained here it reaches the loss of Adam in less
-than half the steps. Embedding, output and norms stay with Adam. `torch.optim.Muon` computes in bfloat16, which many processors
-imitate, dozens of times slower than single precision; and it computes every matrix in every worker.
+than half the steps. Embedding, output and norms stay with Adam. `torch.optim.Muon` computes in bfloat16 even on processors that
+imitate it, dozens of times slower than single precision; and it computes every matrix in every worker.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ COEFFICIENTS = (3.4445, -4.7750, 2.0315)
 STEPS = 5
 
 
-def orthogonalised(matrix: torch.Tensor) -> torch.Tensor:
-    """The matrix with its singular values replaced by about 1, without computing them."""
+def orthogonalised(matrix: torch.Tensor, half: bool = False) -> torch.Tensor:
+    """The matrix with its singular values replaced by about 1, without computing them; in bfloat16 if `half`, which is exact enough."""
     a, b, c = COEFFICIENTS
     x = matrix.T if matrix.size(0) > matrix.size(1) else matrix
     x = x / x.norm().clamp(min=1e-7)
+    x = x.bfloat16() if half else x
     for _ in range(STEPS):
         gram = x @ x.T
         x = torch.addmm(x, torch.addmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
-    return x.T if matrix.size(0) > matrix.size(1) else x
+    return (x.T if matrix.size(0) > matrix.size(1) else x).to(matrix.dtype)
 
 
 class Muon(torch.optim.Optimizer):
@@ -33,9 +34,9 @@ class Muon(torch.optim.Optimizer):
     `parts` says of how many matrices, one above the other, a parameter is made; each is orthogonal by itself.
     """
 
-    def __init__(self, parameters, parts: list[int], rate: float, weight_decay: float, momentum: float = 0.95, rank: int = 0, workers: int = 1):
+    def __init__(self, parameters, parts: list[int], rate: float, weight_decay: float, momentum: float = 0.95, rank: int = 0, workers: int = 1, half: bool = False):
         super().__init__(parameters, {"lr": rate, "weight_decay": weight_decay})
-        self.parts, self.momentum, self.rank, self.workers = parts, momentum, rank, workers
+        self.parts, self.momentum, self.rank, self.workers, self.half = parts, momentum, rank, workers, half
 
     @torch.no_grad()
     def step(self, closure=None) -> None:
@@ -57,5 +58,5 @@ class Muon(torch.optim.Optimizer):
         mean.lerp_(parameter.grad, 1 - self.momentum)
         ahead = parameter.grad.lerp(mean, self.momentum)
         # The factor gives the update the size that one of Adam's has, so that rate and weight decay mean the same in both.
-        blocks = (orthogonalised(block) * 0.2 * math.sqrt(max(block.shape)) for block in ahead.chunk(parts))
+        blocks = (orthogonalised(block, self.half) * 0.2 * math.sqrt(max(block.shape)) for block in ahead.chunk(parts))
         return torch.cat(list(blocks))

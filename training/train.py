@@ -24,10 +24,10 @@ from muon import Muon
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long and how fast. Training is broken off while the rate is still high: what is kept is the moving average of the weights."""
+    """How long and how fast. Training is broken off while the rate is still high: what is kept is the mean of moving averages of the weights."""
 
-    steps: int = 9000  # over which the rate falls
-    until: int = 5400  # and after which training stops
+    steps: int = 18000  # over which the rate falls
+    until: int = 7200  # and after which training stops
     workers: int = 2  # processes, on CPUs
     rows: int = 4  # per worker
     length: int = 192
@@ -35,7 +35,9 @@ class Schedule:
     warm_up: int = 150
     weight_decay: float = 0.1
     dropout: float = 0.2
-    average: float = 0.998  # decay of the moving average of the weights that is shipped
+    average: float = 0.999  # decay of the moving average of the weights
+    averages: int = 3  # of which so many are taken, the last at the end, and their mean is kept
+    apart: int = 900  # steps between two of them
 
 
 def rate_at(step: int, schedule: Schedule) -> float:
@@ -70,7 +72,7 @@ def batches(encoder: Encoder, corpus: Corpus, seed: str, schedule: Schedule, dev
 
 
 def train(shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path) -> Household:
-    """Trains, and returns the averaged weights, which are also left in `checkpoint`.
+    """Trains, and returns the mean of the averaged weights, which is also left in `checkpoint`.
 
     On CPUs every worker is a process with one thread and a part of the batch: they meet once per step, whereas threads meet
     in every operation and lose most of their time when something else runs beside them.
@@ -94,9 +96,10 @@ def work(rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Enc
     model = Household(shape, schedule.dropout).to(device)
     torch.manual_seed(seed * workers + rank)
     averaged = {name: value.detach().clone() for name, value in model.state_dict().items()}
-    optimisers = optimisers_of(model, schedule, rank, workers)
+    kept = []
     # Processors without bfloat16 arithmetic imitate it, dozens of times slower than single precision.
     half = device != "cpu" or torch.cpu.get_capabilities().get("avx512_bf16", False)
+    optimisers = optimisers_of(model, schedule, rank, workers, half)
     model.train()
     began, running = time.monotonic(), 0.0
     for step, batch in enumerate(batches(encoder, corpus, f"{seed} {rank}", schedule, device), 1):
@@ -123,20 +126,25 @@ def work(rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Enc
             speed = step * workers * schedule.rows * schedule.length / seconds
             print(f"step {step}/{schedule.until}  loss {running / 50:.4f}  {speed:.0f} tokens/s  {seconds:.0f} s", flush=True)
             running = 0.0
-        if step % 200 == 0 or step == schedule.until:
+        to_go = schedule.until - step
+        if to_go % schedule.apart == 0 and to_go < schedule.averages * schedule.apart:
+            kept.append({name: value.clone() for name, value in averaged.items()})
+        if to_go == 0:
+            averaged = {name: sum(one[name] for one in kept) / len(kept) for name in averaged}
+        if step % 200 == 0 or to_go == 0:
             torch.save({"shape": shape.to_dict(), "model": averaged, "step": step}, checkpoint)
     if workers > 1:
         torch.distributed.destroy_process_group()
 
 
-def optimisers_of(model: Household, schedule: Schedule, rank: int, workers: int) -> list[torch.optim.Optimizer]:
+def optimisers_of(model: Household, schedule: Schedule, rank: int, workers: int, half: bool) -> list[torch.optim.Optimizer]:
     """Muon for the matrices of the blocks, Adam for the rest."""
     blocks = [(module.weight, parts) for block in model.blocks for module, parts in block.matrices()]
     inside = {id(weight) for weight, _ in blocks}
     rest = [p for p in model.parameters() if id(p) not in inside]
     groups = [{"params": [p for p in rest if p.dim() == 2], "weight_decay": schedule.weight_decay}, {"params": [p for p in rest if p.dim() != 2], "weight_decay": 0.0}]
     return [
-        Muon([weight for weight, _ in blocks], [parts for _, parts in blocks], schedule.rate, schedule.weight_decay, rank=rank, workers=workers),
+        Muon([weight for weight, _ in blocks], [parts for _, parts in blocks], schedule.rate, schedule.weight_decay, rank=rank, workers=workers, half=half),
         torch.optim.AdamW(groups, lr=schedule.rate, betas=(0.9, 0.98), fused=True),
     ]
 
