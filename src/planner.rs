@@ -9,12 +9,14 @@ use std::time::Duration;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, RoomScoresV1, action, clock, decision_flags, score_flags, sequence, text,
+    DecisionV1, Domain, ForecastV1, IpcError, Publisher, RoomScoresV1, action, clock, decision_flags, score_flags,
+    sequence, text,
 };
 use sd_notify::NotifyState;
 
 use crate::config::Config;
 use crate::daemon::notify;
+use crate::logging::Limiter;
 use crate::policy::{Policy, PolicyError, PolicyName, RobotState};
 use crate::semantic_map::PartitionId;
 use crate::stop::Stop;
@@ -318,7 +320,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let forecasts = node.subscriber::<ForecastV1>()?;
     let decisions = node.publisher::<DecisionV1>()?;
     let mut planner = Planner::new(config, sequence::random_epoch());
-    let mut log = crate::logging::Limiter::new(5_000_000_000);
+    let mut log = Limiter::new(5_000_000_000);
     // At the start the scores need a moment to arrive; saying that there are none is worth something only after the deadline.
     let patience_ns = clock::monotonic_ns() + config.deadline_ms.saturating_mul(1_000_000);
     notify(&[NotifyState::Ready]);
@@ -345,37 +347,48 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
                 }
             }
         }
+        let now_ns = clock::monotonic_ns();
+        if planner.stale(now_ns) != decision_flags::NO_SCORES || now_ns >= patience_ns {
+            decide(&mut planner, now_ns, &decisions, &mut log)?;
+        }
+        // What comes after may wait for the decision.
         decisions.tick()?;
         notify(&[NotifyState::Watchdog]);
-        let now_ns = clock::monotonic_ns();
-        if planner.stale(now_ns) == decision_flags::NO_SCORES && now_ns < patience_ns {
-            continue;
-        }
-        match planner.decide(now_ns, clock::unix_ns()) {
-            Ok(None) => {}
-            Ok(Some(decision)) => {
-                decisions.send(&decision)?;
-                tracing::info!(
-                    sequence = decision.sequence,
-                    from = decision.from(),
-                    to = decision.to(),
-                    probability = decision.probability,
-                    fallback = decision.has(decision_flags::FALLBACK),
-                    scores = decision.scores_sequence,
-                    age_us = decision.scores_age_ns / 1000,
-                    why = decision.reason(),
-                    "decision"
-                );
-            }
-            Err(error) => {
-                if let Some(held_back) = log.pass(now_ns) {
-                    tracing::error!(%error, held_back, "the policy cannot decide; the robot stays");
-                }
-            }
-        }
     }
     notify(&[NotifyState::Stopping]);
     tracing::info!("stopped");
+    Ok(())
+}
+
+/// Decides, if there is something to decide, sends it and logs it.
+fn decide(
+    planner: &mut Planner,
+    now_ns: u64,
+    decisions: &Publisher<DecisionV1>,
+    log: &mut Limiter,
+) -> Result<(), IpcError> {
+    match planner.decide(now_ns, clock::unix_ns()) {
+        Ok(None) => {}
+        Ok(Some(decision)) => {
+            decisions.send(&decision)?;
+            tracing::info!(
+                sequence = decision.sequence,
+                from = decision.from(),
+                to = decision.to(),
+                probability = decision.probability,
+                fallback = decision.has(decision_flags::FALLBACK),
+                scores = decision.scores_sequence,
+                age_us = decision.scores_age_ns / 1000,
+                why = decision.reason(),
+                "decision"
+            );
+        }
+        Err(error) => {
+            if let Some(held_back) = log.pass(now_ns) {
+                tracing::error!(%error, held_back, "the policy cannot decide; the robot stays");
+            }
+        }
+    }
     Ok(())
 }
 
