@@ -187,16 +187,16 @@ impl Ours {
         let now_ns = clock::monotonic_ns();
         let message = NarrationV1 { source: 1, epoch: 1, sequence: self.sequence, observed_ns: now_ns, ..message };
         let start = Instant::now();
-        let taken = self.intake.receive(Ok(message), now_ns);
+        let taken = self.intake.receive(Ok(&message), now_ns);
         if let Taken::Accepted { observation, .. } = taken {
             self.cycle.enter(Entry { observation, received_ns: now_ns, after_gap: false }, 0);
         }
         let intake = nanoseconds(start);
         self.cycle.step(now_ns, now_ns).expect("the model scores");
         let publishing = Instant::now();
-        self.forecasts.send(&self.cycle.board_mut().forecast(now_ns)).expect("the forecast is sent");
+        self.forecasts.send(self.cycle.board_mut().forecast(now_ns)).expect("the forecast is sent");
         let scores = self.cycle.message(now_ns, u64::MAX, false).expect("there are new scores");
-        self.scores.send(&scores).expect("the scores are sent");
+        self.scores.send(scores).expect("the scores are sent");
         let publish = nanoseconds(publishing);
         let total = nanoseconds(start);
         assert!(self.received.newest().expect("the port works").is_some(), "the scores arrive");

@@ -237,9 +237,10 @@ fn wait_for<M: roomcast_ipc::Message>(
     is_it: impl Fn(&M) -> bool,
 ) -> Result<(), LatencyError> {
     let end = Instant::now() + PATIENCE;
+    let mut message = M::default();
     loop {
-        while let Some(received) = port.receive()? {
-            if received.is_ok_and(|message| is_it(&message)) {
+        while let Some(checked) = port.receive_into(&mut message)? {
+            if checked.is_ok() && is_it(&message) {
                 return Ok(());
             }
         }

@@ -323,13 +323,14 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let mut log = Limiter::new(5_000_000_000);
     // At the start the scores need a moment to arrive; saying that there are none is worth something only after the deadline.
     let patience_ns = clock::monotonic_ns() + config.deadline_ms.saturating_mul(1_000_000);
+    let (mut snapshot, mut forecast) = (Box::<RoomScoresV1>::default(), Box::<ForecastV1>::default());
     notify(&[NotifyState::Ready]);
     while !stop.requested() {
         let now_ns = clock::monotonic_ns();
         scores.wait(planner.idle(now_ns))?;
-        while let Some(received) = scores.receive()? {
-            match received {
-                Ok(snapshot) => planner.take(&snapshot),
+        while let Some(checked) = scores.receive_into(&mut snapshot)? {
+            match checked {
+                Ok(()) => planner.take(&snapshot),
                 Err(error) => {
                     if let Some(held_back) = log.pass(now_ns) {
                         tracing::warn!(%error, held_back, "malformed scores");
@@ -337,9 +338,9 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
                 }
             }
         }
-        while let Some(received) = forecasts.receive()? {
-            match received {
-                Ok(forecast) => planner.take_forecast(&forecast),
+        while let Some(checked) = forecasts.receive_into(&mut forecast)? {
+            match checked {
+                Ok(()) => planner.take_forecast(&forecast),
                 Err(error) => {
                     if let Some(held_back) = log.pass(now_ns) {
                         tracing::warn!(%error, held_back, "malformed forecast");

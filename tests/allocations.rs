@@ -50,8 +50,8 @@ fn allocations(effort: Effort) -> Vec<[u64; 4]> {
             });
             let (mut forecast, mut message) = (None, None);
             let written = allocation_counter::measure(|| {
-                forecast = Some(cycle.board_mut().forecast(now_ns));
-                message = cycle.message(now_ns, u64::MAX, false);
+                forecast = Some(*cycle.board_mut().forecast(now_ns));
+                message = cycle.message(now_ns, u64::MAX, false).copied();
             });
             let sent = allocation_counter::measure(|| {
                 forecasts.send(&forecast.unwrap()).unwrap();

@@ -348,7 +348,7 @@ impl World {
         if self.planted == Planted::NoDeduplication {
             daemon.intake = Intake::new(IntakeLimits::default());
         }
-        let checked = roomcast_ipc::Message::check(&message).map(|()| message);
+        let checked = roomcast_ipc::Message::check(&message).map(|()| &message);
         let taken = daemon.intake.receive(checked, now_ns);
         let counted = daemon.intake.counters();
         ensure(
@@ -423,7 +423,7 @@ impl World {
             }
         }
         let written = if self.planted == Planted::ClaimsBeforeJournal { u64::MAX } else { daemon.written };
-        let message = daemon.cycle.message(now_ns, written, self.rng.random_bool(0.1));
+        let message = daemon.cycle.message(now_ns, written, self.rng.random_bool(0.1)).copied();
         self.tally.held_back += u64::from(message.is_some() && written < daemon.cycle.scored_record());
         if self.rng.random_bool(0.3) {
             daemon.cycle.tidy();

@@ -81,7 +81,7 @@ fn memory_and_descriptors_stay_flat() {
         narration_in.wait(Duration::from_secs(1)).unwrap();
         while let Some(received) = narration_in.receive().unwrap() {
             let now_ns = clock::monotonic_ns();
-            let Taken::Accepted { observation, missed: 0 } = intake.receive(received, now_ns) else {
+            let Taken::Accepted { observation, missed: 0 } = intake.take(&received.unwrap(), now_ns) else {
                 panic!("{event}")
             };
             let record = journal.append(&observation);
@@ -90,7 +90,7 @@ fn memory_and_descriptors_stay_flat() {
         cycle.step(clock::monotonic_ns(), clock::unix_ns()).unwrap();
         assert!(handle.wait_for(cycle.scored_record(), Duration::from_secs(60)), "the journal stands still");
         let scores = cycle.message(clock::monotonic_ns(), handle.written(), false).unwrap();
-        scores_out.send(&scores).unwrap();
+        scores_out.send(scores).unwrap();
         let scores = scores_in.newest().unwrap().unwrap();
         account.confirm(&scores);
         planner.take(&scores);

@@ -79,6 +79,8 @@ pub struct Board<M> {
     grounding: GroundingOptions,
     mentions: Mentions,
     snapshot: RoomScoresV1,
+    /// The newest forecast; what is beyond the rooms and horizons stays zero.
+    forecast: Box<ForecastV1>,
     accepted: std::collections::BTreeMap<u64, u64>,
     /// What the forecasts do not know yet are the first `unwatched` of them; the others are memory to be used again.
     seen: Vec<Seen>,
@@ -124,6 +126,7 @@ impl<M: LanguageModel> Board<M> {
             map,
             grounding,
             snapshot,
+            forecast: Box::default(),
             accepted: std::collections::BTreeMap::new(),
             seen: Vec::new(),
             unwatched: 0,
@@ -151,6 +154,7 @@ impl<M: LanguageModel> Board<M> {
         }
         self.snapshot.map_fingerprint = map.fingerprint;
         (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
+        self.forecast = Box::default();
         self.mentions = Mentions::new(&map, self.pipeline.grounding());
         self.map = map;
         Ok(prepared)
@@ -186,21 +190,13 @@ impl<M: LanguageModel> Board<M> {
 
     /// Where persons will be from `now_ns` on, for the horizons of `HORIZONS_S`: of several persons, the probability that any of them is in
     /// a room. Without an observation every room is as likely.
-    #[must_use]
-    pub fn forecast(&mut self, now_ns: u64) -> ForecastV1 {
+    pub fn forecast(&mut self, now_ns: u64) -> &ForecastV1 {
         self.watch();
-        let mut message = ForecastV1 {
-            epoch: self.snapshot.epoch,
-            sequence: self.snapshot.sequence,
-            computed_ns: now_ns,
-            published_ns: now_ns,
-            room_count: self.snapshot.room_count,
-            horizon_count: HORIZONS_S.len() as u32,
-            person: self.snapshot.person,
-            horizon_s: HORIZONS_S,
-            ..Default::default()
-        };
-        let rooms = self.snapshot.rooms();
+        let (message, rooms) = (&mut *self.forecast, self.snapshot.rooms());
+        (message.epoch, message.sequence) = (self.snapshot.epoch, self.snapshot.sequence);
+        (message.computed_ns, message.published_ns) = (now_ns, now_ns);
+        (message.room_count, message.person) = (self.snapshot.room_count, self.snapshot.person);
+        (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
         for (id, room) in message.id.iter_mut().zip(rooms) {
             *id = room.id;
         }
@@ -211,9 +207,9 @@ impl<M: LanguageModel> Board<M> {
                 let probability = forecaster.at(now_s, f64::from(*horizon_s));
                 free.iter_mut().zip(probability).for_each(|(free, p)| *free *= 1.0 - p);
             }
-            for (room, free) in free.into_iter().take(rooms.len()).enumerate() {
+            for (row, free) in message.probability.iter_mut().zip(free).take(rooms.len()) {
                 let occupied = if self.forecasters.is_empty() { 1.0 / rooms.len() as f64 } else { 1.0 - free };
-                message.probability[room][place] = occupied.clamp(0.0, 1.0) as f32;
+                row[place] = occupied.clamp(0.0, 1.0) as f32;
             }
         }
         message
@@ -265,16 +261,16 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// The scores of the last good step as a message, to be sent at `now_ns`: again unchanged when `heartbeat`.
-    #[must_use]
-    pub fn message(&self, now_ns: u64, heartbeat: bool, behind: bool) -> RoomScoresV1 {
-        let mut message = self.snapshot;
+    pub fn message(&mut self, now_ns: u64, heartbeat: bool, behind: bool) -> &RoomScoresV1 {
+        let message = &mut self.snapshot;
         message.published_ns = now_ns;
+        message.flags &= !(score_flags::HEARTBEAT | score_flags::BEHIND);
         message.flags |= if heartbeat { score_flags::HEARTBEAT } else { 0 };
         message.flags |= if behind { score_flags::BEHIND } else { 0 };
         message
     }
 
-    /// The current snapshot.
+    /// The current snapshot, as it was sent last.
     #[must_use]
     pub fn snapshot(&self) -> &RoomScoresV1 {
         &self.snapshot

@@ -33,6 +33,8 @@ pub struct Cycle<M> {
     claims: (u32, [IncludedV1; MAX_SOURCES]),
     /// The last message claimed less than its scores contain.
     held_back: bool,
+    /// That message.
+    less: Box<RoomScoresV1>,
 }
 
 impl<M: LanguageModel> Cycle<M> {
@@ -52,6 +54,7 @@ impl<M: LanguageModel> Cycle<M> {
             sent_ns: 0,
             claims: Default::default(),
             held_back: false,
+            less: Box::default(),
         }
     }
 
@@ -105,26 +108,39 @@ impl<M: LanguageModel> Cycle<M> {
         self.scored_record
     }
 
-    /// The message that is to be sent now, if any: new scores, a heartbeat, or claims that had to wait for the journal.
+    /// Whether there is something to send: new scores, a heartbeat, or claims that had to wait for the journal. `written` is how far the
+    /// journal is.
+    #[must_use]
+    pub fn message_due(&self, now_ns: u64, written: u64) -> bool {
+        let confirmation =
+            now_ns.saturating_sub(self.sent_ns) >= self.heartbeat_ns || (self.held_back && self.durable(written));
+        self.board.snapshot().sequence > 0 && (self.fresh || confirmation)
+    }
+
+    fn durable(&self, written: u64) -> bool {
+        written >= self.scored_record
+    }
+
+    /// The message that is to be sent now, if [one is due](Self::message_due).
     ///
-    /// `written` is how far the journal is. Scores that contain narration beyond it are sent all the same, but do not claim it:
-    /// a claim is what lets a narrator forget, and must survive a killed daemon.
-    pub fn message(&mut self, now_ns: u64, written: u64, behind: bool) -> Option<RoomScoresV1> {
-        let durable = written >= self.scored_record;
-        let confirmation = now_ns.saturating_sub(self.sent_ns) >= self.heartbeat_ns || (self.held_back && durable);
-        if self.board.snapshot().sequence == 0 || !(self.fresh || confirmation) {
+    /// Scores that contain narration beyond `written` are sent all the same, but do not claim it: a claim is what lets a narrator forget,
+    /// and must survive a killed daemon.
+    pub fn message(&mut self, now_ns: u64, written: u64, behind: bool) -> Option<&RoomScoresV1> {
+        if !self.message_due(now_ns, written) {
             return None;
         }
-        let mut message = self.board.message(now_ns, !self.fresh, behind);
-        if durable {
-            self.claims = (message.source_count, message.included);
-        } else {
-            (message.source_count, message.included) = self.claims;
-        }
+        let durable = self.durable(written);
+        let message = self.board.message(now_ns, !self.fresh, behind);
         self.held_back = !durable;
         self.fresh = false;
         self.sent_ns = now_ns;
-        Some(message)
+        if durable {
+            self.claims = (message.source_count, message.included);
+            return Some(message);
+        }
+        *self.less = *message;
+        (self.less.source_count, self.less.included) = self.claims;
+        Some(&self.less)
     }
 
     /// Makes a step due at once: the map has changed.

@@ -98,9 +98,9 @@ impl Intake {
     }
 
     /// Judges what a port gave: a message that has passed [`roomcast_ipc::Message::check`], or why it has not.
-    pub fn receive(&mut self, received: Result<NarrationV1, MessageError>, now_ns: u64) -> Taken {
+    pub fn receive(&mut self, received: Result<&NarrationV1, MessageError>, now_ns: u64) -> Taken {
         match received {
-            Ok(message) => self.take(&message, now_ns),
+            Ok(message) => self.take(message, now_ns),
             Err(error) => {
                 self.counters.received += 1;
                 self.counters.malformed += 1;

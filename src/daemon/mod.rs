@@ -212,6 +212,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
     let limiter = || Limiter::new(LOG_INTERVAL_NS);
     let ear = Ear {
         narration,
+        heard: Box::default(),
         intake,
         journal,
         counters: Arc::clone(&counters),
@@ -349,6 +350,8 @@ type Counters = Arc<Mutex<(IntakeCounters, usize)>>;
 /// Hears narrators, for whoever has it.
 struct Ear {
     narration: Subscriber<NarrationV1>,
+    /// What the port gave last.
+    heard: Box<NarrationV1>,
     intake: Intake,
     journal: Option<Journal>,
     counters: Counters,
@@ -376,10 +379,11 @@ impl Ear {
     fn drain(&mut self, mut hear: impl FnMut(Entry, u64)) -> Result<(), IpcError> {
         let mut messages = 0;
         while messages < AT_ONCE
-            && let Some(received) = self.narration.receive()?
+            && let Some(checked) = self.narration.receive_into(&mut self.heard)?
         {
             messages += 1;
             let now_ns = clock::monotonic_ns();
+            let received = checked.map(|()| &*self.heard);
             let source = received.as_ref().map_or(0, |message| message.source);
             let refused = match self.intake.receive(received, now_ns) {
                 Taken::Accepted { observation, missed } => {
@@ -536,7 +540,7 @@ impl<M: LanguageModel> Scoring<M> {
             self.send_items()?;
         }
         if self.forecasts.tick()? && self.cycle.board().snapshot().sequence > 0 {
-            self.forecasts.send(&self.cycle.board_mut().forecast(clock::monotonic_ns()))?;
+            self.forecasts.send(self.cycle.board_mut().forecast(clock::monotonic_ns()))?;
         }
         Ok(())
     }
@@ -571,20 +575,24 @@ impl<M: LanguageModel> Scoring<M> {
     fn send(&mut self, events: u64) -> Result<(), IpcError> {
         let before_ns = clock::monotonic_ns();
         let written = self.journal.as_ref().map_or(u64::MAX, JournalHandle::written);
-        let behind = !self.queue.is_empty() || self.ear.as_ref().is_some_and(|ear| ear.more);
-        let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
+        if !self.cycle.message_due(before_ns, written) {
+            return Ok(());
+        }
         // First, so that a planner that the scores wake finds the forecast that belongs to them. Time alone changes where a person
         // may be, so a heartbeat has a new one too. Nobody else waits for it: who joins later gets one of that moment.
         if self.forecasts.subscribers() > 0 {
-            self.forecasts.send(&self.cycle.board_mut().forecast(before_ns))?;
+            self.forecasts.send(self.cycle.board_mut().forecast(before_ns))?;
         }
-        self.scores.send(&message)?;
+        let behind = !self.queue.is_empty() || self.ear.as_ref().is_some_and(|ear| ear.more);
+        let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
+        self.scores.send(message)?;
         if message.has(score_flags::HEARTBEAT) {
             self.tally.heartbeats += 1;
             return Ok(());
         }
         let after_ns = clock::monotonic_ns();
         self.tally.published += 1;
+        let message = self.cycle.board().snapshot();
         self.tally.sequence = message.sequence;
         if events > 0
             && let Some(latency_ns) = &mut self.latency_ns

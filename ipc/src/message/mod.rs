@@ -77,7 +77,7 @@ pub struct ServiceQuality {
 }
 
 /// A message of a publish-subscribe service.
-pub trait Message: Layout + Copy + std::fmt::Debug + ZeroCopySend + 'static {
+pub trait Message: Layout + Copy + Default + std::fmt::Debug + ZeroCopySend + 'static {
     /// Its service.
     const SERVICE: ServiceQuality;
 
