@@ -3,23 +3,26 @@
 use std::cell::Cell;
 use std::fmt::Debug;
 use std::hint::black_box;
+use std::os::fd::BorrowedFd;
 use std::time::{Duration, Instant};
 
 use iceoryx2::identifiers::UniqueNodeId;
 use iceoryx2::node::NodeView;
 use iceoryx2::port::client::Client;
-use iceoryx2::port::listener::Listener;
+use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::server::Server;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::{
-    AllocationStrategy, CallbackProgression, EventId, IceoryxSend, MessagingPattern, NodeState, PortFactory, Service,
+    AllocationStrategy, CallbackProgression, EventId, FileDescriptorBased, IceoryxSend, MessagingPattern, NodeState, PortFactory, Service,
     ServiceName, ZeroCopySend,
 };
 use iceoryx2::service::builder::event::EventOpenOrCreateError;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
 use iceoryx2::service::builder::request_response::{RequestResponseOpenError, RequestResponseOpenOrCreateError};
 use iceoryx2::service::port_factory::publish_subscribe;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
 
 use crate::domain::{Flavour, Node, OpenFailure, shown};
 use crate::message::{ItemScoreV1, ItemScoresHeaderV1, Layout, Message, StatusRequestV1, StatusResponseV1};
@@ -36,6 +39,9 @@ pub(crate) const MAX_NODES: usize = 32;
 /// was killed at one unlucky moment; without spare places the next publisher could never join. Who may publish is limited by the
 /// publishers, not by this.
 const LEFT_BEHIND: usize = 64;
+/// The longest sleep without a look at the listener. iceoryx2 leaves out wake-ups of a listener that it believes awake; a notifier that
+/// stands still between two of its steps could make it believe so of one that sleeps.
+const SLICE: Duration = Duration::from_millis(100);
 
 const ITEM_SCORES: &str = "roomcast/v1/item-scores";
 const STATUS: &str = "roomcast/v1/status";
@@ -129,6 +135,8 @@ pub struct Subscriber<M: Message> {
     subscriber: iceoryx2::port::subscriber::Subscriber<Flavour, M, ()>,
     factory: Factory<M, ()>,
     listener: Listener<Flavour>,
+    /// The last wait ended with news that the listener still holds.
+    woken: Cell<bool>,
 }
 
 /// What a [`Subscriber`] took: a good message, or why it was dropped.
@@ -144,7 +152,7 @@ impl<M: Message> Subscriber<M> {
         let subscriber = factory.subscriber_builder().buffer_size(quality.buffer).create();
         let subscriber = subscriber
             .map_err(|_| occupied(&factory, &subscribers(&factory), quality.name, "subscriber", quality.subscribers))?;
-        Ok(Self { subscriber, factory, listener })
+        Ok(Self { subscriber, factory, listener, woken: Cell::new(false) })
     }
 
     /// Sleeps until there is news (a message, a publisher that comes, goes or dies) or `timeout` is over, whichever is first;
@@ -154,15 +162,54 @@ impl<M: Message> Subscriber<M> {
     ///
     /// [`IpcError::Port`].
     pub fn wait(&self, timeout: Duration) -> Result<bool, IpcError> {
-        use iceoryx2::port::listener::ListenerWaitError;
-        // iceoryx2 hands the time to the socket, where none stands for no end.
-        let waited =
-            if timeout.is_zero() { self.listener.try_wait(|_| ()) } else { self.listener.timed_wait(|_| (), timeout) };
-        match waited {
-            Ok(news) => Ok(news > 0),
-            Err(ListenerWaitError::InterruptSignal) => Ok(false),
+        let end = Instant::now() + timeout;
+        loop {
+            // What woke the last wait is taken off the listener only now, so that whoever was woken had its message sooner, by some
+            // system calls.
+            let woken = self.woken.take();
+            let (news, others) = self.told()?;
+            if others || (news && (!woken || self.has_messages()?)) {
+                return Ok(true);
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(false);
+            }
+            match self.sleep(left.min(SLICE)) {
+                Ok(true) => {
+                    self.woken.set(true);
+                    return Ok(true);
+                }
+                Ok(false) => {}
+                Err(Errno::INTR) => return Ok(false),
+                Err(error) => return Err(port(M::SERVICE.name, "wait", &error)),
+            }
+        }
+    }
+
+    /// Takes what the listener was told: whether there was anything, and whether anything but messages.
+    fn told(&self) -> Result<(bool, bool), IpcError> {
+        let mut others = false;
+        let told = self.listener.try_wait(|event| others |= event.id != EventId::new(DATA));
+        match told {
+            Ok(news) => Ok((news > 0, others)),
+            Err(ListenerWaitError::InterruptSignal) => Ok((false, others)),
             Err(error) => Err(port(M::SERVICE.name, "wait", &error)),
         }
+    }
+
+    fn has_messages(&self) -> Result<bool, IpcError> {
+        self.subscriber.has_samples().map_err(|error| port(M::SERVICE.name, "wait", &error))
+    }
+
+    /// Sleeps until the listener is told something; whether it was.
+    fn sleep(&self, timeout: Duration) -> Result<bool, Errno> {
+        let timeout = Timespec::try_from(timeout).map_err(|_| Errno::INVAL)?;
+        #[expect(unsafe_code, reason = "iceoryx2 gives the number of its descriptor and no safe form of it")]
+        // SAFETY: the descriptor is the listener's, which is borrowed for longer than this and closes it when it is dropped; its number is
+        // not kept.
+        let descriptor = unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) };
+        Ok(poll(&mut [PollFd::new(&descriptor, PollFlags::IN)], Some(&timeout))? > 0)
     }
 
     /// Takes the oldest message that waits, if any: a good one, or why it was dropped.

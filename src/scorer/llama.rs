@@ -40,12 +40,12 @@ pub const THREADS_MAX: usize = 256;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum CacheType {
-    /// Half precision: half the memory, and differences of up to 1e-2 nats per token between scoring methods, because
-    /// llama.cpp multiplies by half precision differently at other batch sizes.
+    /// Half precision: half the memory.
     F16,
-    /// Single precision: methods differ by the order of their sums alone. Quantised weights can make hundredths of a nat of
-    /// that, once in some hundred prompts.
+    /// Keys in half precision, values in single.
     #[default]
+    Mixed,
+    /// Single precision.
     F32,
 }
 
@@ -89,9 +89,10 @@ impl LlamaOptions {
     pub fn context_parameters(&self, trained_tokens: u32) -> LlamaContextParams {
         let positions = self.positions(trained_tokens);
         let threads = i32::try_from(self.threads.clamp(1, THREADS_MAX)).unwrap_or(1);
-        let cache = match self.cache {
-            CacheType::F16 => KvCacheType::F16,
-            CacheType::F32 => KvCacheType::F32,
+        let (keys, values) = match self.cache {
+            CacheType::F16 => (KvCacheType::F16, KvCacheType::F16),
+            CacheType::Mixed => (KvCacheType::F16, KvCacheType::F32),
+            CacheType::F32 => (KvCacheType::F32, KvCacheType::F32),
         };
         let batch_tokens = positions.min(512);
         LlamaContextParams::default()
@@ -101,8 +102,8 @@ impl LlamaOptions {
             .with_n_seq_max(self.sequences.clamp(1, SEQUENCES_MAX))
             .with_n_threads(threads)
             .with_n_threads_batch(threads)
-            .with_type_k(cache)
-            .with_type_v(cache)
+            .with_type_k(keys)
+            .with_type_v(values)
             // One canonical arithmetic: the fused kernels sum in half precision.
             .with_flash_attention_policy(llama_cpp_sys_2::LLAMA_FLASH_ATTN_TYPE_DISABLED)
             .with_kv_unified(true)
