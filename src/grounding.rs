@@ -200,6 +200,8 @@ pub struct Grounding {
     /// Item i's terms are `item_terms[term_start[i]..term_start[i + 1]]`.
     item_terms: Vec<Term>,
     term_start: Vec<usize>,
+    /// The list holds labels that nothing bears any more. Known once, so that an event need not look at every label for it.
+    idle_labels: bool,
 }
 
 /// A changed map, grounded with the places of the labels kept.
@@ -317,9 +319,11 @@ impl Grounding {
                 within().for_each(|partition| weights[(label, partition)] += 1.0 / (scored.count * parts));
             }
         }
+        let idle_labels = scored_labels.iter().any(|label| label.count <= 0.0);
         Ok(Self {
             partitions,
             scored_labels,
+            idle_labels,
             item_partition,
             item_placement,
             unassigned,
@@ -332,7 +336,7 @@ impl Grounding {
     /// Whether the list holds labels that nothing bears any more.
     #[must_use]
     pub fn has_idle_labels(&self) -> bool {
-        self.scored_labels.iter().any(|label| label.items.is_empty() && label.rooms.is_empty())
+        self.idle_labels
     }
 
     /// The labels to score, in the order in which [`Grounding::ground`] expects their scores.
@@ -359,10 +363,13 @@ impl Grounding {
         // Relative to the likeliest label nothing overflows, and what underflows is summed again below.
         let largest = label_log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let reference = if largest.is_finite() { largest } else { 0.0 };
-        let labels = self.scored_labels.iter().zip(label_log_prob_nats);
-        for (relative, (label, log_prob_nats)) in out.relative.iter_mut().zip(labels) {
+        for (relative, log_prob_nats) in out.relative.iter_mut().zip(label_log_prob_nats) {
+            *relative = (log_prob_nats - reference).exp();
+        }
+        if self.idle_labels {
             // A label that nothing bears any more is none of the map's.
-            *relative = if label.count > 0.0 { (log_prob_nats - reference).exp() } else { 0.0 };
+            let idle = out.relative.iter_mut().zip(&self.scored_labels).filter(|(_, label)| label.count <= 0.0);
+            idle.for_each(|(relative, _)| *relative = 0.0);
         }
         out.label_mass = reference.exp() * out.relative.sum();
         out.sums.gemv_tr(1.0, &self.weights, &out.relative, 0.0);
