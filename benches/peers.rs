@@ -1,6 +1,6 @@
 //! Roomcast's side of the comparison with its peers (`benches/peers/run`): one running narration, an event for every line read.
 //!
-//! Arguments: method, model file or `-` for the embedded one, scene, threads, observations in the window, program files.
+//! Arguments: method, model file or `-` for the embedded one, cache, scene, threads, observations in the window, program files.
 //! The first line written holds the labels and their tokens; every line read runs one event, and answers with its prompt, its
 //! log-probabilities in nats and its time, from the sentence to the scores of the rooms.
 
@@ -18,21 +18,22 @@ use roomcast::narration::{Observation, Sentence};
 use roomcast::pipeline::{Pipeline, PipelineOptions};
 use roomcast::scorer::Method;
 use roomcast::scorer::correction::CorrectionChoice;
-use roomcast::scorer::llama::LlamaOptions;
+use roomcast::scorer::llama::{CacheType, LlamaOptions};
 use roomcast::setup;
 use serde_json::json;
 
 fn main() {
     // Cargo adds `--bench`.
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
-    let [method, model, scene, threads, observations, programs @ ..] = arguments.as_slice() else {
+    let [method, model, cache, scene, threads, observations, programs @ ..] = arguments.as_slice() else {
         println!("peers: run by benches/peers/run");
         return;
     };
     let map = setup::load_map(Some(Path::new(scene))).expect("a scene");
     let grounding = Grounding::new(&map, &GroundingOptions::default()).expect("a scene that can be grounded");
     let threads = threads.parse().expect("a number of threads");
-    let options = LlamaOptions { threads, ..LlamaOptions::default() };
+    let cache = CacheType::from_str(cache, true).expect("a cache type");
+    let options = LlamaOptions { threads, cache, ..LlamaOptions::default() };
     let model = setup::load_model((model != "-").then_some(Path::new(model)), &options).expect("a model");
     let observations = observations.parse().expect("a number of observations");
     let options = PipelineOptions {

@@ -53,18 +53,20 @@ class Worker:
         self.process.wait()
 
 
-def measure(model: Path, embedded: bool, peers: list[str], events: int, warm: int, arguments: argparse.Namespace) -> list[Worker]:
-    """Runs `events` events of every peer, each in turn; the first worker is Roomcast itself."""
+def measure(
+    model: Path, cache: str, embedded: bool, peers: list[str], events: int, warm: int, arguments: argparse.Namespace
+) -> list[Worker]:
+    """Runs `events` events of every peer, each in turn; the first worker is Roomcast itself. All that run llama.cpp have the same `cache`."""
     def roomcast(method: str) -> Worker:
         observations = arguments.observations or (44 if embedded else 21)
-        settings = [method, str(model), arguments.scene, str(arguments.threads), str(observations)]
+        settings = [method, str(model), cache, arguments.scene, str(arguments.threads), str(observations)]
         return Worker(method, [arguments.bench, *settings, *map(str, PROGRAMS)])
 
     workers = []
     try:
         for name in ["trie", *peers]:
             ours = name in ("trie", "shared-prefix", "independent")
-            command = [sys.executable, str(HERE / "worker.py"), name, str(model), str(arguments.threads)]
+            command = [sys.executable, str(HERE / "worker.py"), name, str(model), cache, str(arguments.threads)]
             workers.append(roomcast(name) if ours else Worker(name, command))
             if ours:
                 labels = workers[-1].read()
@@ -107,6 +109,7 @@ def main() -> int:
     parser.add_argument("--events", type=int, default=10)
     parser.add_argument("--observations", type=int, default=0, help="in the window; by default as many as make about 150 tokens")
     parser.add_argument("--threads", type=int, default=max(2, (os.cpu_count() or 2) - 1))
+    parser.add_argument("--cache", choices=["mixed", "f32"], default="mixed", help="the key-value cache of all that run llama.cpp (mixed)")
     parser.add_argument("--peers", nargs="*", default=PEERS, choices=PEERS)
     parser.add_argument("--checked", type=int, default=CHECKED, help=f"events whose scores are compared with f32 weights ({CHECKED})")
     parser.add_argument("--no-check", action="store_true", help="leave out the comparison of scores with f32 weights")
@@ -125,9 +128,10 @@ def main() -> int:
             if not arguments.no_check:
                 wide = Path(folder) / "f32.gguf"
                 shapes.widened(path, wide)
-                checked = {w.name: w.difference_nats for w in measure(wide, name == "embedded", arguments.peers, arguments.checked, 0, arguments)}
+                check = measure(wide, "f32", name == "embedded", arguments.peers, arguments.checked, 0, arguments)
+                checked = {worker.name: worker.difference_nats for worker in check}
                 failed |= any(not difference <= TOLERANCE_NATS for difference in checked.values())
-            workers = measure(path, name == "embedded", arguments.peers, arguments.events, 1, arguments)
+            workers = measure(path, arguments.cache, name == "embedded", arguments.peers, arguments.events, 1, arguments)
             ours = workers[0]
             print(f"\n{name}: {ours.labels} labels, {ours.inner} inner nodes, {ours.prompt_tokens} prompt tokens, {arguments.threads} threads, "
                   f"{arguments.events} events")

@@ -1,6 +1,6 @@
 """One peer in a process of its own: reads prompts as JSON lines, answers with log-probabilities in nats and nanoseconds.
 
-    python worker.py PEER MODEL THREADS
+    python worker.py PEER MODEL CACHE THREADS
 
 The first line read holds the labels and their tokens.
 """
@@ -22,16 +22,21 @@ CONTEXT = 1024
 SEQUENCES_MAX = 256
 
 
-def cappr(model: str, threads: int, labels: list[str], _: list[list[int]]) -> Score:
+def key_type(c, cache: str) -> int:
+    """How llama.cpp stores keys in a cache that Roomcast calls `cache`; values are in f32 in both."""
+    return {"mixed": c.GGML_TYPE_F16, "f32": c.GGML_TYPE_F32}[cache]
+
+
+def cappr(model: str, cache: str, threads: int, labels: list[str], _: list[list[int]]) -> Score:
     """CAPPr at its best: the narration stays in the model from event to event (`cache_model`), the binding sequence is read once, and
     the labels follow one by one, or all at once where each is a single token."""
     # CAPPr imports its other back end wherever transformers is installed, and does not know its newest versions.
     sys.modules["transformers"] = None
     from cappr.llama_cpp.classify import cache_model, log_probs_conditional
-    from llama_cpp import GGML_TYPE_F32, Llama
+    import llama_cpp as c
 
-    llama = Llama(model, n_ctx=CONTEXT, n_threads=threads, n_threads_batch=threads, logits_all=True, verbose=False,
-                  type_k=GGML_TYPE_F32, type_v=GGML_TYPE_F32)
+    llama = c.Llama(model, n_ctx=CONTEXT, n_threads=threads, n_threads_batch=threads, logits_all=True, verbose=False,
+                    type_k=key_type(c, cache), type_v=c.GGML_TYPE_F32)
     kept = ""
 
     def score(prompt: str) -> list[float]:
@@ -48,7 +53,7 @@ def cappr(model: str, threads: int, labels: list[str], _: list[list[int]]) -> Sc
     return score
 
 
-def llama_cpp_layout(model: str, threads: int, labels: list[str], tokens: list[list[int]]) -> Score:
+def llama_cpp_layout(model: str, cache: str, threads: int, labels: list[str], tokens: list[list[int]]) -> Score:
     """The layout of llama.cpp's HellaSwag scoring: the common prompt on all sequences, then every label on one of its own, anew for every
     task. llama-perplexity itself reads four endings a task and no more, so its calls are made here through llama-cpp-python."""
     import ctypes
@@ -65,7 +70,7 @@ def llama_cpp_layout(model: str, threads: int, labels: list[str], tokens: list[l
     parameters.n_ctx = parameters.n_batch = parameters.n_ubatch = CONTEXT
     parameters.n_seq_max = len(labels)
     parameters.n_threads = parameters.n_threads_batch = threads
-    parameters.type_k = parameters.type_v = c.GGML_TYPE_F32
+    parameters.type_k, parameters.type_v = key_type(c, cache), c.GGML_TYPE_F32
     parameters.flash_attn_type = 0
     parameters.kv_unified = True
     context = c.llama_init_from_model(weights, parameters)
@@ -119,7 +124,7 @@ def llama_cpp_layout(model: str, threads: int, labels: list[str], tokens: list[l
     return score
 
 
-def transformers(model: str, threads: int, labels: list[str], tokens: list[list[int]]) -> Score:
+def transformers(model: str, _: str, threads: int, labels: list[str], tokens: list[list[int]]) -> Score:
     """Hugging Face transformers with a prefix kept from event to event, and the labels of several tokens as one batch behind it.
     Text is cut into tokens by llama.cpp's vocabulary, which costs next to nothing."""
     import copy
@@ -164,10 +169,10 @@ def transformers(model: str, threads: int, labels: list[str], tokens: list[list[
 
 
 def main() -> None:
-    peer, model, threads = sys.argv[1:]
+    peer, model, cache, threads = sys.argv[1:]
     given = json.loads(sys.stdin.readline())
     makers = {"cappr": cappr, "llama.cpp-layout": llama_cpp_layout, "transformers": transformers}
-    score = makers[peer](model, int(threads), given["labels"], given["tokens"])
+    score = makers[peer](model, cache, int(threads), given["labels"], given["tokens"])
     for line in sys.stdin:
         prompt = json.loads(line)["prompt"]
         start = time.perf_counter_ns()

@@ -15,7 +15,7 @@ use crate::grounding::{Grounding, GroundingOptions};
 use crate::narration::history::HistoryLimits;
 use crate::prompt::BindingSequence;
 use crate::scorer::correction::CorrectionChoice;
-use crate::scorer::llama::{LlamaModel, LlamaOptions};
+use crate::scorer::llama::{CacheType, LlamaModel, LlamaOptions};
 use crate::scorer::{Method, Tokenisation};
 use crate::semantic_map::SemanticMap;
 use crate::setup;
@@ -66,6 +66,9 @@ struct ModelArgs {
     /// Threads of one decoder call, at most 256; 0 chooses all cores but one, or both of two.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = ranges::threads())]
     threads: usize,
+    /// How the key-value cache is stored. In single precision, unlike in the running system, results depend less on the processor.
+    #[arg(long, value_enum, default_value_t = CacheType::F32)]
+    kv_cache: CacheType,
     /// Where scores are kept for the next run; below the user's cache folder when left out.
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
@@ -97,11 +100,17 @@ impl ModelArgs {
     /// The product's scorer for a map's labels.
     fn source(&self, grounding: &Grounding) -> Result<ScoreSource<LlamaModel>, ExperimentError> {
         let default = LlamaOptions::default();
-        let options =
-            LlamaOptions { threads: if self.threads == 0 { default.threads } else { self.threads }, ..default };
-        let model = setup::load_model(self.model.as_deref(), &options)?;
+        let threads = if self.threads == 0 { default.threads } else { self.threads };
+        let model =
+            setup::load_model(self.model.as_deref(), &LlamaOptions { threads, cache: self.kv_cache, ..default })?;
         let labels = grounding.label_texts();
-        Ok(ScoreSource::new(model, &labels, self.method, self.tokenisation, self.correction, self.cache().as_deref())?)
+        // Scores of another arithmetic are others.
+        let folder = self.cache().map(|folder| match self.kv_cache {
+            CacheType::F32 => folder,
+            CacheType::Mixed => folder.join("mixed"),
+            CacheType::F16 => folder.join("f16"),
+        });
+        Ok(ScoreSource::new(model, &labels, self.method, self.tokenisation, self.correction, folder.as_deref())?)
     }
 }
 

@@ -13,7 +13,7 @@ use crate::gguf::Header;
 use crate::hub::{self, Hub, HubError};
 use crate::prompt::{BindingSequence, write_prompt};
 use crate::scorer::correction::{Continuation, Correction};
-use crate::scorer::llama::{LlamaModel, LlamaOptions};
+use crate::scorer::llama::{CacheType, LlamaModel, LlamaOptions};
 use crate::scorer::{LabelScores, LanguageModel, Method, Scorer, Token, Tokenisation};
 
 /// Arguments of `roomcast model`.
@@ -263,7 +263,9 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
         _ => None,
     };
     let mut case = known.clone().unwrap_or_else(KnownCase::unscored);
-    let model = LlamaModel::load(&path, &LlamaOptions::default()).map_err(|error| model_failure(&error))?;
+    // What it is compared with was computed in single precision.
+    let options = LlamaOptions { cache: CacheType::F32, ..LlamaOptions::default() };
+    let model = LlamaModel::load(&path, &options).map_err(|error| model_failure(&error))?;
     let about = model.info().clone();
     let sha256 = hub::hex(&about.fingerprint);
     let mut checked = vec![Checked {

@@ -40,12 +40,15 @@ pub const THREADS_MAX: usize = 256;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum CacheType {
-    /// Half precision: half the memory.
+    /// Half precision: half the memory, and differences of up to 1e-2 nats per token between scoring methods, because
+    /// llama.cpp multiplies values by half precision differently at other batch sizes.
     F16,
-    /// Keys in half precision, values in single.
+    /// Keys in half precision, values in single. llama.cpp multiplies half-precision keys in tiles, but takes single-precision ones one by
+    /// one, which can be half of an event; scores of unquantised weights move by less than 1e-3 nats (docs/performance.md).
     #[default]
     Mixed,
-    /// Single precision.
+    /// Single precision: methods differ by the order of their sums alone. Quantised weights can make hundredths of a nat of
+    /// that, once in some hundred prompts.
     F32,
 }
 
