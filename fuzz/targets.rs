@@ -110,7 +110,7 @@ pub fn message(bytes: &[u8]) {
             let mut intake = Intake::new(IntakeLimits::default());
             let checked = message.check();
             let passed = checked.is_ok();
-            match intake.receive(checked.map(|()| message), 5) {
+            match intake.receive(checked.map(|()| &message), 5) {
                 Taken::Accepted { observation, .. } => {
                     assert!(passed && observation.observed_ns <= 5);
                     assert!(!observation.sentence.as_str().contains(char::is_control));

@@ -263,7 +263,7 @@ fn a_hostile_narrator_is_counted_and_the_daemon_goes_on() {
 }
 
 /// The scores of a later version under the old service's name.
-#[derive(Debug, Clone, Copy, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, ZeroCopySend)]
 #[repr(C)]
 #[type_name("roomcast.RoomScoresV2")]
 struct RoomScoresV2 {

@@ -46,14 +46,15 @@ impl Weights {
     fn load(self, options: &LlamaOptions) -> LlamaModel {
         match self {
             Self::Shipped => load_model(None, options).unwrap(),
-            Self::SinglePrecision => {
-                let file = tempfile::Builder::new().suffix(".gguf").tempfile().unwrap();
-                std::fs::write(file.path(), single_precision(embedded::MODEL)).unwrap();
-                let options = LlamaOptions { cache: CacheType::F32, ..options.clone() };
-                load_model(Some(file.path()), &options).unwrap()
-            }
+            Self::SinglePrecision => single_precision_model(&LlamaOptions { cache: CacheType::F32, ..options.clone() }),
         }
     }
+}
+
+fn single_precision_model(options: &LlamaOptions) -> LlamaModel {
+    let file = tempfile::Builder::new().suffix(".gguf").tempfile().unwrap();
+    std::fs::write(file.path(), single_precision(embedded::MODEL)).unwrap();
+    load_model(Some(file.path()), options).unwrap()
 }
 
 const SINGLE_PRECISION_NATS_PER_TOKEN: f64 = 1e-5;
@@ -178,6 +179,28 @@ fn methods_agree_on_every_scene_for_random_narrations_windows_and_bindings() {
 #[test]
 fn methods_agree_in_single_precision_to_the_last_digits() {
     methods_agree(Weights::SinglePrecision);
+}
+
+/// What the cache's default costs, with weights that add no rounding of their own.
+#[test]
+fn half_precision_keys_move_scores_by_less_than_a_hundredth_of_a_nat() {
+    let [mut mixed, mut single] = [CacheType::Mixed, CacheType::F32]
+        .map(|cache| Scorer::new(single_precision_model(&LlamaOptions { cache, ..options(64) })));
+    let grounding = Grounding::new(&maps()[0], &GroundingOptions::default()).unwrap();
+    let binding = BindingSequence::default();
+    let labels = grounding.label_texts();
+    let prepared = mixed.prepare(&labels, &binding, Tokenisation::Joint, Correction::default()).unwrap();
+    let (mut scores, mut other) = (LabelScores::default(), LabelScores::default());
+    let (sentences, mut prompt, mut worst) = (sentences(), String::new(), 0.0_f64);
+    for window in sentences.windows(12) {
+        write_prompt(window.iter().map(String::as_str), &binding, false, &mut prompt);
+        mixed.score(&prepared, &prompt, Method::Trie, &mut scores).unwrap();
+        single.score(&prepared, &prompt, Method::Trie, &mut other).unwrap();
+        worst = worst.max(apart(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats));
+    }
+    println!("{worst} nats per token");
+    assert!(worst > 0.0, "the caches are the same");
+    assert!(worst < 1e-2, "{worst} nats per token");
 }
 
 fn methods_agree(weights: Weights) {

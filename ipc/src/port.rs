@@ -14,8 +14,8 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::server::Server;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::{
-    AllocationStrategy, CallbackProgression, EventId, FileDescriptorBased, IceoryxSend, MessagingPattern, NodeState, PortFactory, Service,
-    ServiceName, ZeroCopySend,
+    AllocationStrategy, CallbackProgression, EventId, FileDescriptorBased, IceoryxSend, MessagingPattern, NodeState,
+    PortFactory, Service, ServiceName, ZeroCopySend,
 };
 use iceoryx2::service::builder::event::EventOpenOrCreateError;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};

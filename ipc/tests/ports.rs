@@ -139,7 +139,7 @@ fn a_second_daemon_is_refused_by_name_of_the_service() {
 }
 
 /// A later version of the scores that somebody published under the old service name.
-#[derive(Debug, Clone, Copy, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, ZeroCopySend)]
 #[repr(C)]
 #[type_name("roomcast.RoomScoresV2")]
 struct RoomScoresV2 {
