@@ -154,7 +154,7 @@ impl<M: LanguageModel> Board<M> {
         }
         self.snapshot.map_fingerprint = map.fingerprint;
         (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
-        self.forecast = Box::default();
+        *self.forecast = ForecastV1::default();
         self.mentions = Mentions::new(&map, self.pipeline.grounding());
         self.map = map;
         Ok(prepared)
