@@ -31,7 +31,7 @@ use roomcast::pipeline::{Pipeline, PipelineOptions};
 use roomcast::prompt::write_prompt;
 use roomcast::scorer::certified::Effort;
 use roomcast::scorer::correction::CorrectionChoice;
-use roomcast::scorer::llama::{LlamaModel, LlamaOptions, backend};
+use roomcast::scorer::llama::{CacheType, LlamaModel, LlamaOptions, backend};
 use roomcast::scorer::{LanguageModel, Token};
 use roomcast::semantic_map::SemanticMap;
 use roomcast_ipc::{Domain, ForecastV1, NarrationV1, Publisher, RoomScoresV1, Subscriber, clock, narration_kind};
@@ -52,6 +52,9 @@ struct Args {
     /// Threads of one decoder call; the product's default when left out.
     #[arg(long)]
     threads: Option<usize>,
+    /// How the key-value cache is stored, for all alike.
+    #[arg(long, value_enum, default_value_t)]
+    cache: CacheType,
     /// What cargo says to every bench.
     #[arg(long, hide = true)]
     bench: bool,
@@ -371,6 +374,7 @@ fn main() {
     let path = args.model.clone().unwrap_or_else(|| file.path());
     let mut options = LlamaOptions::default();
     options.threads = args.threads.unwrap_or(options.threads);
+    options.cache = args.cache;
     let load = || LlamaModel::load(&path, &options).expect("the model can be loaded");
     let read = || {
         let backend = backend().expect("llama.cpp is set up");

@@ -156,13 +156,14 @@ impl<M: Message> Subscriber<M> {
     }
 
     /// Sleeps until there is news (a message, a publisher that comes, goes or dies) or `timeout` is over, whichever is first;
-    /// returns whether there was news. A signal ends the sleep too.
+    /// returns whether there was news: seldom, that was looked after before. A signal ends the sleep too.
     ///
     /// # Errors
     ///
     /// [`IpcError::Port`].
     pub fn wait(&self, timeout: Duration) -> Result<bool, IpcError> {
-        let end = Instant::now() + timeout;
+        // Without an end where it lies beyond what a clock can say.
+        let end = Instant::now().checked_add(timeout);
         loop {
             // What woke the last wait is taken off the listener only now, so that whoever was woken had its message sooner, by some
             // system calls.
@@ -171,7 +172,7 @@ impl<M: Message> Subscriber<M> {
             if others || (news && (!woken || self.has_messages()?)) {
                 return Ok(true);
             }
-            let left = end.saturating_duration_since(Instant::now());
+            let left = end.map_or(SLICE, |end| end.saturating_duration_since(Instant::now()));
             if left.is_zero() {
                 return Ok(false);
             }

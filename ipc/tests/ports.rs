@@ -84,6 +84,43 @@ fn a_narration_arrives_and_wakes() {
     thread.join().unwrap();
 }
 
+/// Every message is answered by one, so each of the two sleeps before nearly every one of its own: a wake-up that goes missing stops both
+/// until a wait is over.
+#[test]
+fn of_many_messages_each_wakes_whoever_waits_for_it() {
+    const MESSAGES: u64 = 20_000;
+    let private = Private::new("ping");
+    let (here, there) = (private.domain.open("here").unwrap(), private.domain.clone());
+    let (narrator, answers) = (here.publisher::<NarrationV1>().unwrap(), here.subscriber::<RoomScoresV1>().unwrap());
+    let (ready, is_ready) = std::sync::mpsc::channel::<()>();
+    let thread = std::thread::spawn(move || {
+        let node = there.open("there").unwrap();
+        let (heard, answer) = (node.subscriber::<NarrationV1>().unwrap(), node.publisher::<RoomScoresV1>().unwrap());
+        ready.send(()).unwrap();
+        // The last answer was read when the message after it is here: then its publisher may go.
+        let mut next = 1;
+        while next <= MESSAGES + 1 {
+            assert!(heard.wait(Duration::MAX).unwrap(), "nothing ends a wait without an end");
+            while let Some(message) = heard.receive().unwrap() {
+                assert_eq!(message.unwrap().sequence, next);
+                answer.send(&scores(next)).unwrap();
+                next += 1;
+            }
+        }
+    });
+    is_ready.recv().unwrap();
+    for sequence in 1..=MESSAGES {
+        narrator.send(&narration(sequence, "They grab the mug.")).unwrap();
+        let answered = std::iter::repeat_with(|| {
+            assert!(answers.wait(Duration::from_secs(60)).unwrap(), "woken for {sequence}");
+            answers.newest().unwrap()
+        });
+        assert!(answered.flatten().any(|scores| scores.sequence == sequence));
+    }
+    narrator.send(&narration(MESSAGES + 1, "They leave.")).unwrap();
+    thread.join().unwrap();
+}
+
 #[test]
 fn a_late_joiner_gets_the_newest_snapshot_from_a_tick_alone() {
     let private = Private::new("late");
