@@ -91,7 +91,8 @@ impl<'a> Bare<'a> {
         if self.batch.n_tokens() > 0 {
             self.context.decode(&mut self.batch).expect("the prefix is decoded");
         }
-        self.kept = prefix.to_vec();
+        self.kept.clear();
+        self.kept.extend_from_slice(prefix);
     }
 
     /// One call with what of `prompt` is not held and `tree` behind it; gives its nanoseconds.
@@ -110,7 +111,10 @@ impl<'a> Bare<'a> {
         }
         let start = Instant::now();
         self.context.decode(&mut self.batch).expect("the batch is decoded");
-        nanoseconds(start)
+        let time = nanoseconds(start);
+        self.kept.clear();
+        self.kept.extend_from_slice(prompt);
+        time
     }
 
     /// Per label its log-probability in nats, of the last call, by hand.

@@ -15,7 +15,6 @@ import argparse
 import dataclasses
 import io
 import json
-import re
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -68,14 +67,13 @@ FILE_TYPES = {
 }
 UNKNOWN, BEGIN, END = 0, 1, 2
 # With so many pieces a narration has about as many tokens a word, and the labels of a flat about as many inner nodes, as with general
-# vocabularies: 27 of 139 nodes, where one that knows these words has about 28 of 137 (`benches/peers/run` prints them).
+# vocabularies: 29 of 141 nodes, where one that knows these words has about 28 of 137 (`benches/peers/run` prints them).
 LEARNT_PIECES = 2000
 
 
 def texts() -> Iterator[str]:
-    """Roomcast's own words, more often those that a general vocabulary would hold whole: documents, narrations, labels."""
-    for path in sorted([ROOT / "README.md", ROOT / "ARCHITECTURE.md", *ROOT.glob("docs/*.md"), *ROOT.glob("scenes/*.md")]):
-        yield from (word for word in re.findall(r"[A-Za-z]+", path.read_text()))
+    """Narrations and labels of what Roomcast ships: words that a general vocabulary would hold whole. No documents, whose other words
+    would take the labels' place, so that every new page made another trie."""
     labels = sorted({item["label"] for path in ROOT.glob("scenes/*.json") for item in json.loads(path.read_text())["items"]})
     actions = tomllib.loads((ROOT / "src/narration/actions.toml").read_text())
     for action in actions.values():
