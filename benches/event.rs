@@ -158,14 +158,17 @@ struct Parts {
     cache: u64,
     trie: u64,
     ground: u64,
-    publish: u64,
+    forecast: u64,
+    publish_forecast: u64,
+    publish_scores: u64,
 }
 
 impl Parts {
     /// Mentions, history, the new sentence's tokens (in the first round; later it is known), forecasts' update, snapshot.
     fn rest(&self) -> u64 {
-        let known = self.intake + self.decoder + self.prompt + self.cache + self.trie + self.ground + self.publish;
-        self.total.saturating_sub(known)
+        let scored = self.decoder + self.prompt + self.cache + self.trie + self.ground;
+        let sent = self.forecast + self.publish_forecast + self.publish_scores;
+        self.total.saturating_sub(self.intake + scored + sent)
     }
 }
 
@@ -200,11 +203,16 @@ impl Ours {
         }
         let intake = nanoseconds(start);
         self.cycle.step(now_ns, now_ns).expect("the model scores");
+        let forecasting = Instant::now();
+        let forecast = self.cycle.board_mut().forecast(now_ns);
+        let forecast_ns = nanoseconds(forecasting);
         let publishing = Instant::now();
-        self.forecasts.send(self.cycle.board_mut().forecast(now_ns)).expect("the forecast is sent");
+        self.forecasts.send(forecast).expect("the forecast is sent");
+        let publish_forecast = nanoseconds(publishing);
+        let publishing = Instant::now();
         let scores = self.cycle.message(now_ns, u64::MAX, false).expect("there are new scores");
         self.scores.send(scores).expect("the scores are sent");
-        let publish = nanoseconds(publishing);
+        let publish_scores = nanoseconds(publishing);
         let total = nanoseconds(start);
         assert!(self.received.newest().expect("the port works").is_some(), "the scores arrive");
         let scores = self.cycle.board().pipeline().scores();
@@ -224,7 +232,9 @@ impl Ours {
             cache,
             trie,
             ground: scores.timing.ground_ns,
-            publish,
+            forecast: forecast_ns,
+            publish_forecast,
+            publish_scores,
         }
     }
 
@@ -418,14 +428,16 @@ fn main() {
 
     let mut parts = table(&["part", "exact (us)", "of the event", "ranking (us)", "of the event"]);
     type Part = fn(&Parts) -> u64;
-    let named: [(&str, Part); 9] = [
+    let named: [(&str, Part); 11] = [
         ("checks", |p| p.intake),
         ("decoder", |p| p.decoder),
         ("prompt: text and tokens", |p| p.prompt),
         ("cache and batch", |p| p.cache),
         ("softmax and trie", |p| p.trie),
         ("grounding", |p| p.ground),
-        ("forecast and publishing", |p| p.publish),
+        ("forecast", |p| p.forecast),
+        ("publishing the forecast", |p| p.publish_forecast),
+        ("publishing the scores", |p| p.publish_scores),
         ("history, new tokens, snapshot", Parts::rest),
         ("all", |p| p.total),
     ];

@@ -110,7 +110,7 @@ impl LanguageModel for WholePrompt {
         TableModel::new(seed).decode(prompt, tree, want_prompt_row, visit)
     }
 
-    fn tidy(&mut self) {}
+    fn tidy(&mut self, _keep: usize) {}
 }
 
 /// Where the daemon's pieces are between two steps.

@@ -109,6 +109,7 @@ impl ModelArgs {
             CacheType::F32 => folder,
             CacheType::Mixed => folder.join("mixed"),
             CacheType::F16 => folder.join("f16"),
+            CacheType::Q8 => folder.join("q8"),
         });
         Ok(ScoreSource::new(model, &labels, self.method, self.tokenisation, self.correction, folder.as_deref())?)
     }

@@ -44,6 +44,11 @@ impl Prompt {
 }
 
 impl Cutter {
+    /// How many tokens the last prompt has before its last sentence, the binding sequence; none where that is not known.
+    pub(super) fn narration_tokens(&self) -> Option<usize> {
+        self.before.ends.last().map(|&(_, tokens)| tokens)
+    }
+
     /// Gives the tokens of a prompt into `out`: exactly those that [`LanguageModel::tokenise`] gives.
     ///
     /// # Errors

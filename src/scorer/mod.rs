@@ -165,8 +165,9 @@ pub trait LanguageModel {
         visit: &mut dyn FnMut(usize, &[f32]),
     ) -> Result<DecodeStats, ModelError>;
 
-    /// Drops what the last call left behind beyond its prompt; called while idle.
-    fn tidy(&mut self);
+    /// Drops what the last call left behind beyond the first `keep` tokens of its prompt, all that the next prompt will have of them;
+    /// called while idle.
+    fn tidy(&mut self, keep: usize);
 }
 
 /// What a call of [`LanguageModel::decode`] cost.
@@ -351,6 +352,8 @@ pub struct Scorer<M> {
     without_children: Vec<f32>,
     /// The last prompt's tokens, without those that labels replace.
     prompt: Vec<Token>,
+    /// How many of the last prompt's tokens the next one will begin with, as far as is known: all but the binding sequence.
+    lasting: usize,
     cutter: Cutter,
     /// Per trie node `ln p(token | path to its parent)`, then `ln q(n)`, of the last [`Scorer::score`] by [`Method::Trie`].
     node_log_prob_nats: Vec<f64>,
@@ -363,6 +366,7 @@ impl<M: LanguageModel> Scorer<M> {
             model,
             without_children: Vec::new(),
             prompt: Vec::new(),
+            lasting: 0,
             cutter: Cutter::default(),
             node_log_prob_nats: Vec::new(),
         }
@@ -385,7 +389,7 @@ impl<M: LanguageModel> Scorer<M> {
 
     /// Work that can wait until no event does.
     pub fn tidy(&mut self) {
-        self.model.tidy();
+        self.model.tidy(self.lasting);
     }
 
     /// Cuts labels into tokens behind a binding sequence, and builds their trie.
@@ -559,6 +563,7 @@ impl<M: LanguageModel> Scorer<M> {
     ) -> Result<(), ScoreError> {
         self.cut_prompt(prompt)?;
         out.prompt_tokens = self.prompt.len();
+        self.lasting = self.cutter.narration_tokens().unwrap_or(out.prompt_tokens);
         self.prompt.truncate(self.prompt.len().saturating_sub(prepared.replaced));
         if self.prompt.is_empty() {
             return Err(ModelError::EmptyPrompt.into());
@@ -700,6 +705,7 @@ impl<M: LanguageModel> Scorer<M> {
     /// When it does not fit or the model fails.
     pub fn read_ahead(&mut self, prompt: &str) -> Result<(), ScoreError> {
         self.cut_prompt(prompt)?;
+        self.lasting = self.prompt.len();
         if !self.prompt.is_empty() && self.model.info().shares_prefix {
             self.model.decode(&self.prompt, &TokenTree::default(), false, &mut |_, _| {})?;
         }

@@ -56,7 +56,7 @@ impl LanguageModel for NoModel {
 
     fn forget(&mut self) {}
 
-    fn tidy(&mut self) {}
+    fn tidy(&mut self, _keep: usize) {}
 
     fn decode(
         &mut self,

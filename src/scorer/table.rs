@@ -100,7 +100,7 @@ impl LanguageModel for TableModel {
         self.kept.clear();
     }
 
-    fn tidy(&mut self) {}
+    fn tidy(&mut self, _keep: usize) {}
 
     fn decode(
         &mut self,
