@@ -1,6 +1,7 @@
 //! Roomcast's side of the comparison with its peers (`benches/peers/run`): one running narration, an event for every line read.
 //!
-//! Arguments: method, model file or `-` for the embedded one, cache, scene, threads, observations in the window, program files.
+//! Arguments: method or `ranking` (the trie until the order of the rooms is certain), model file or `-` for the embedded one, cache, scene,
+//! threads, observations in the window, program files.
 //! The first line written holds the labels and their tokens; every line read runs one event, and answers with its prompt, its
 //! log-probabilities in nats and its time, from the sentence to the scores of the rooms.
 
@@ -17,6 +18,7 @@ use roomcast::narration::program::Program;
 use roomcast::narration::{Observation, Sentence};
 use roomcast::pipeline::{Pipeline, PipelineOptions};
 use roomcast::scorer::Method;
+use roomcast::scorer::certified::Effort;
 use roomcast::scorer::correction::CorrectionChoice;
 use roomcast::scorer::llama::{CacheType, LlamaOptions};
 use roomcast::setup;
@@ -36,8 +38,10 @@ fn main() {
     let options = LlamaOptions { threads, cache, ..LlamaOptions::default() };
     let model = setup::load_model((model != "-").then_some(Path::new(model)), &options).expect("a model");
     let observations = observations.parse().expect("a number of observations");
+    let ranking = method == "ranking";
     let options = PipelineOptions {
-        method: Method::from_str(method, true).expect("a method"),
+        method: if ranking { Method::Trie } else { Method::from_str(method, true).expect("a method") },
+        effort: if ranking { Effort::Ranking } else { Effort::Exact },
         history: HistoryLimits { observations, ..HistoryLimits::default() },
         // Peers give Equation 1.
         correction: CorrectionChoice::EQUATION_1,

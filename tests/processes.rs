@@ -773,7 +773,7 @@ fn errors_name_the_file_and_the_remedy_once() {
     let json = file("model.json", "{\n \"a\": 1}");
     let out = folder.path().join("out.json").to_str().unwrap().to_owned();
     let shipped = "studio, apartment-e0";
-    let cases: [(&[&str], &[&str]); 10] = [
+    let cases: [(&[&str], &[&str]); 11] = [
         (&["scene", "change", "studio", &empty, "--out", &out], &["changes /", "empty.json: EOF", "a JSON list"]),
         (&["scene", "change", "studio", "nope", "--out", &out], &["changes nope: cannot be read"]),
         (&["scene", "apply", &empty], &["changes /", "empty.json: EOF"]),
@@ -782,6 +782,7 @@ fn errors_name_the_file_and_the_remedy_once() {
         (&["score", "--program", "nowhere"], &["program nowhere", "p0-breakfast-and-television"]),
         (&["score", "--program", &day], &["day.txt: line 5", "HOMER+", "`roomcast experiment`"]),
         (&["score", "--narration", "[Teleport] <mug> (1)"], &["unknown action `Teleport`", "`walk`"]),
+        (&["experiment", "table2", "--scene", "studio", "--scene", "studio"], &["another of the scenes has its name"]),
         (&["model", "check", "nope"], &["model file nope", "check the path"]),
         (&["model", "info", &json], &[r#"starts with "{\n \"", not with"#]),
     ];

@@ -190,8 +190,7 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
         }
         None => Statistics::from_json(HOUSEHOLD_STATISTICS).map_err(|e| Failure::new(exit_code::FAILURE, e))?,
     };
-    let maps: Vec<(SemanticMap, Grounding)> =
-        args.scene.iter().map(|path| map(path)).collect::<Result<_, Failure>>()?;
+    let maps = maps(&args.scene)?;
     let options = forecast::Options {
         history: args.model.limits(),
         binding: args.binding.clone(),
@@ -208,11 +207,24 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
     print_forecast(&report)
 }
 
-fn map(path: &Path) -> Result<(SemanticMap, Grounding), Failure> {
-    let map = setup::load_map(Some(path))?;
-    let grounding =
-        Grounding::new(&map, &GroundingOptions::default()).map_err(|e| Failure::new(exit_code::INPUT, e))?;
-    Ok((map, grounding))
+/// Results go by the names of scenes, so no two may have the same.
+fn maps(paths: &[PathBuf]) -> Result<Vec<(SemanticMap, Grounding)>, Failure> {
+    let mut maps: Vec<(SemanticMap, Grounding)> = Vec::with_capacity(paths.len());
+    for path in paths {
+        let map = setup::load_map(Some(path))?;
+        if maps.iter().any(|(other, _)| other.name == map.name) {
+            let fault = format!(
+                "{}: another of the scenes has its name, {:?}, too, and results go by it: change one's \"name\", or give it once",
+                path.display(),
+                map.name
+            );
+            return Err(Failure::new(exit_code::INPUT, fault));
+        }
+        let grounding =
+            Grounding::new(&map, &GroundingOptions::default()).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+        maps.push((map, grounding));
+    }
+    Ok(maps)
 }
 
 /// Files that cannot be read are no reason to throw the others away, but are never passed over in silence.

@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use serde_json::json;
 
-use super::{ModelArgs, map, report_faults};
+use super::{ModelArgs, maps, report_faults};
 use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
 use crate::exit_code;
 use crate::experiment::report::{Report, Table};
@@ -191,7 +191,7 @@ impl StudyArgs {
         let or = |given: &[PathBuf], default: &[&str]| -> Vec<PathBuf> {
             if given.is_empty() { default.iter().map(PathBuf::from).collect() } else { given.to_vec() }
         };
-        let scenes = or(&self.scene, scenes).iter().map(|path| map(path)).collect::<Result<_, _>>()?;
+        let scenes = maps(&or(&self.scene, scenes))?;
         let (mut activities, mut strict) = (Vec::new(), true);
         for path in or(&self.program, programs) {
             strict &= !path.is_dir();
