@@ -141,7 +141,7 @@ pub struct ModelConfig {
     pub path: Option<PathBuf>,
     /// The SHA-256 that the file must have, in hexadecimal; any when empty.
     pub sha256: Option<String>,
-    /// Threads of one decoder call; 0 chooses one per core of `cores`, or without these all cores but one, or both of two.
+    /// Threads of one decoder call; 0 chooses one per core of `cores`, or without these all cores but one.
     pub threads: usize,
     /// Cores that the scorer runs on, by number; any when empty.
     pub cores: Vec<usize>,

@@ -175,6 +175,25 @@ fn a_late_planner_has_the_scores_at_once_and_two_planners_do_not_disturb_each_ot
     world.assert_alive();
 }
 
+/// Threads that the set-up left behind would make OpenMP put the scoring thread's to sleep wherever they wait for one another.
+#[test]
+fn only_the_scoring_thread_has_threads_of_the_decoder() {
+    let mut world = World::new("threads");
+    let config = world.directory.path().join("roomcast.toml");
+    std::fs::write(&config, "[model]\nthreads = 2\n").unwrap();
+    let state = world.state();
+    let daemon = world.start(&["daemon", "--config", config.to_str().unwrap(), "--state", state.to_str().unwrap()]);
+    assert_eq!(world.narrate("camera", "They walk to the kitchen.\n").0, 0);
+    let process = PathBuf::from(format!("/proc/{}", world.children[daemon].child.id()));
+    let name = |thread: PathBuf| std::fs::read_to_string(thread.join("comm")).unwrap_or_default();
+    let threads = std::fs::read_dir(process.join("task")).unwrap().map(|thread| name(thread.unwrap().path()));
+    let threads: Vec<String> = threads.collect();
+    let count = |wanted: &str| threads.iter().filter(|thread| thread.trim_end() == wanted).count();
+    // A thread is born with the name of the one that makes it.
+    assert_eq!((count("scoring"), count("setup")), (2, 0), "{threads:?}");
+    assert_eq!(count(name(process).trim_end()), 1, "{threads:?}");
+}
+
 #[test]
 fn the_history_survives_a_killed_daemon_and_nothing_is_taken_twice() {
     let mut world = World::new("killed");

@@ -63,7 +63,7 @@ struct ModelArgs {
     tokenisation: Tokenisation,
     #[command(flatten)]
     correction: CorrectionChoice,
-    /// Threads of one decoder call, at most 256; 0 chooses all cores but one, or both of two.
+    /// Threads of one decoder call, at most 256; 0 chooses all cores but one.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = ranges::threads())]
     threads: usize,
     /// How the key-value cache is stored. In single precision, unlike in the running system, results depend less on the processor.

@@ -66,7 +66,7 @@ pub struct Args {
     /// Observations in the history window, the paper's n_h, 1 to 1000.
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = ranges::observations())]
     history: usize,
-    /// Threads of one decoder call, at most 256; 0 chooses all cores but one, or both of two.
+    /// Threads of one decoder call, at most 256; 0 chooses all cores but one.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = ranges::threads())]
     threads: usize,
     /// How the key-value cache is stored.

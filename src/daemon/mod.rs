@@ -173,7 +173,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
     config: &Config,
     domain: &Domain,
     stop: &Stop,
-    model: impl FnOnce(&Config) -> Result<M, SetupError>,
+    model: impl FnOnce(&Config) -> Result<M, SetupError> + Send,
 ) -> Result<(), DaemonError> {
     let node = domain.open("roomcast-daemon")?;
     // First the place that only one daemon can hold, then the ear, then the model, which takes longest: narration that comes
@@ -187,7 +187,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
     let configured = setup::load_map(config.scene.path.as_deref())?;
     let kept_map = config.daemon.state_directory().map(|directory| KeptMap::new(&directory, &configured));
     let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
-    let pipeline = setup::open_with(config, &map, model)?;
+    let pipeline = set_up(|| setup::open_with(config, &map, model))??;
     let model_name = pipeline.model().name.clone();
     let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?;
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
@@ -312,6 +312,19 @@ fn spawn<T: Send + 'static>(
     run: impl FnOnce() -> T + Send + 'static,
 ) -> Result<std::thread::JoinHandle<T>, DaemonError> {
     std::thread::Builder::new().name(name.to_owned()).spawn(run).map_err(|source| DaemonError::Thread { name, source })
+}
+
+/// Runs what uses the model before the scoring thread does, on a thread that ends with it.
+///
+/// The threads of a decoder call belong to the thread that makes it, and stay as long as that one. Beside the scoring thread's they would be
+/// more than there are cores, and of so many OpenMP puts to sleep whoever waits for the others, a hundred times in a call: an event
+/// took twice the time.
+fn set_up<T: Send>(run: impl FnOnce() -> T + Send) -> Result<T, DaemonError> {
+    std::thread::scope(|scope| {
+        let thread = std::thread::Builder::new().name("setup".to_owned()).spawn_scoped(scope, run);
+        let thread = thread.map_err(|source| DaemonError::Thread { name: "setup", source })?;
+        thread.join().map_err(|_| DaemonError::Ended { name: "setup" })
+    })
 }
 
 /// Tells systemd; without it (no `$NOTIFY_SOCKET`) this does nothing.

@@ -88,10 +88,11 @@ pub struct LlamaOptions {
 
 impl Default for LlamaOptions {
     fn default() -> Self {
-        // A core is left for the rest of the robot; on two cores both are used, since one would halve the speed.
+        // A core is left for the rest of the robot, also of two: the threads of a call wait for one another a hundred times, so whatever
+        // takes one core away holds up all.
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
-            threads: if cores > 2 { cores - 1 } else { cores },
+            threads: cores.saturating_sub(1).max(1),
             context_tokens: 2048,
             sequences: 64,
             cache: CacheType::default(),
