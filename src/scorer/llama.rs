@@ -52,7 +52,7 @@ pub enum CacheType {
     F32,
     /// Blocks of 32 eight-bit numbers, as Q8_0 weights are, read by llama.cpp's fused attention: a third of the memory of [`Self::Mixed`],
     /// and no work for positions that nobody sees. Faster behind short narrations, slower behind long ones and with larger models. Scores of
-    /// unquantised weights move by less than 5e-2 nats, those of Q8_0 weights no further than these weights move them by themselves.
+    /// unquantised weights move by less than 5e-2 nats, those of Q8_0 weights hardly further than these weights do by themselves.
     Q8,
 }
 
