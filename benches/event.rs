@@ -91,8 +91,7 @@ impl<'a> Bare<'a> {
         if self.batch.n_tokens() > 0 {
             self.context.decode(&mut self.batch).expect("the prefix is decoded");
         }
-        self.kept.clear();
-        self.kept.extend_from_slice(prefix);
+        prefix.clone_into(&mut self.kept);
     }
 
     /// One call with what of `prompt` is not held and `tree` behind it; gives its nanoseconds.
@@ -112,8 +111,7 @@ impl<'a> Bare<'a> {
         let start = Instant::now();
         self.context.decode(&mut self.batch).expect("the batch is decoded");
         let time = nanoseconds(start);
-        self.kept.clear();
-        self.kept.extend_from_slice(prompt);
+        prompt.clone_into(&mut self.kept);
         time
     }
 

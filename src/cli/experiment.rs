@@ -107,9 +107,7 @@ impl ModelArgs {
         // Scores of another arithmetic are others.
         let folder = self.cache().map(|folder| match self.kv_cache {
             CacheType::F32 => folder,
-            CacheType::Mixed => folder.join("mixed"),
-            CacheType::F16 => folder.join("f16"),
-            CacheType::Q8 => folder.join("q8"),
+            other => folder.join(format!("{other:?}").to_lowercase()),
         });
         Ok(ScoreSource::new(model, &labels, self.method, self.tokenisation, self.correction, folder.as_deref())?)
     }
