@@ -22,19 +22,20 @@ use llama_cpp_2::llama_batch::LlamaBatch;
 use llama_cpp_2::model::LlamaModel as Weights;
 use llama_cpp_2::model::params::LlamaModelParams;
 use llama_cpp_2::token::LlamaToken;
-use roomcast::daemon::{Board, Cycle, Entry, Intake, IntakeLimits, Taken};
-use roomcast::embedded::{self, ModelFile};
-use roomcast::grounding::{Grounding, GroundingOptions};
-use roomcast::label_trie::{LabelTrie, PROMPT, TokenTree};
-use roomcast::narration::{Action, Program};
-use roomcast::pipeline::{Pipeline, PipelineOptions};
-use roomcast::prompt::write_prompt;
-use roomcast::scorer::certified::Effort;
-use roomcast::scorer::correction::CorrectionChoice;
-use roomcast::scorer::llama::{CacheType, LlamaModel, LlamaOptions, backend};
-use roomcast::scorer::{LanguageModel, Token};
-use roomcast::semantic_map::SemanticMap;
+use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::label_trie::{LabelTrie, PROMPT, TokenTree};
+use roomcast_core::narration::{Action, Program};
+use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::prompt::write_prompt;
+use roomcast_core::scorer::certified::Effort;
+use roomcast_core::scorer::correction::CorrectionChoice;
+use roomcast_core::scorer::{LanguageModel, Token};
+use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::{Domain, ForecastV1, NarrationV1, Publisher, RoomScoresV1, Subscriber, clock, narration_kind};
+use roomcast_llama::{CacheType, LlamaModel, LlamaOptions, backend};
+use roomcast_services::config::IntakeLimits;
+use roomcast_services::daemon::{Board, Cycle, Entry, Intake, Taken};
+use roomcast_services::embedded::{self, ModelFile};
 
 /// Events at the beginning of each program that are told but not counted.
 const WARM_UP: usize = 3;
@@ -53,7 +54,7 @@ struct Args {
     #[arg(long)]
     threads: Option<usize>,
     /// How the key-value cache is stored, for all alike.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, default_value_t)]
     cache: CacheType,
     /// What cargo says to every bench.
     #[arg(long, hide = true)]

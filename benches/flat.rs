@@ -9,15 +9,15 @@
 use std::time::Instant;
 
 use clap::Parser;
-use roomcast::daemon::{Board, Cycle, Entry};
-use roomcast::embedded;
-use roomcast::grounding::{Grounding, GroundingOptions};
-use roomcast::narration::{Observation, Program, Sentence};
-use roomcast::pipeline::{Pipeline, PipelineOptions};
-use roomcast::scorer::llama::{LlamaModel, LlamaOptions};
-use roomcast::semantic_map::SemanticMap;
-use roomcast::setup::load_model;
+use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::narration::{Observation, Program, Sentence};
+use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::clock;
+use roomcast_llama::{LlamaModel, LlamaOptions};
+use roomcast_services::daemon::{Board, Cycle, Entry};
+use roomcast_services::embedded;
+use roomcast_services::setup::load_model;
 
 /// Events that a young pipeline is measured for. Before them it hears every sentence once, as the old one has.
 const YOUNG: u64 = 100;

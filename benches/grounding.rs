@@ -7,8 +7,8 @@
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use roomcast::grounding::{GroundedScores, Grounding, GroundingOptions};
-use roomcast::semantic_map::SemanticMap;
+use roomcast_core::grounding::{GroundedScores, Grounding, GroundingOptions};
+use roomcast_core::semantic_map::SemanticMap;
 
 /// A building of `rooms` rooms in a grid with `items` items spread over them, five hundred labels at most.
 fn building(rooms: usize, items: usize) -> SemanticMap {

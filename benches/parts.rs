@@ -8,18 +8,18 @@ use std::hint::black_box;
 use std::path::PathBuf;
 
 use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use roomcast::embedded;
-use roomcast::grounding::{Grounding, GroundingOptions};
-use roomcast::label_trie::LabelTrie;
-use roomcast::narration::history::HistoryLimits;
-use roomcast::narration::{Observation, Program, Sentence};
-use roomcast::pipeline::{Pipeline, PipelineOptions};
-use roomcast::prompt::{BindingSequence, write_prompt};
-use roomcast::scorer::correction::Correction;
-use roomcast::scorer::llama::{LlamaModel, LlamaOptions};
-use roomcast::scorer::{LabelScores, LanguageModel, Method, Scorer, TextStart, Tokenisation, softmax};
-use roomcast::semantic_map::SemanticMap;
-use roomcast::setup::load_model;
+use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::label_trie::LabelTrie;
+use roomcast_core::narration::history::HistoryLimits;
+use roomcast_core::narration::{Observation, Program, Sentence};
+use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::prompt::{BindingSequence, write_prompt};
+use roomcast_core::scorer::correction::Correction;
+use roomcast_core::scorer::{LabelScores, LanguageModel, Method, Scorer, TextStart, Tokenisation, softmax};
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_llama::{LlamaModel, LlamaOptions};
+use roomcast_services::embedded;
+use roomcast_services::setup::load_model;
 
 fn sentences() -> Vec<String> {
     let programs = embedded::PROGRAMS.iter().flat_map(|p| Program::parse(p.text).expect("it ships").steps);

@@ -11,18 +11,18 @@ use std::io::{BufRead, Write};
 use std::path::Path;
 use std::time::Instant;
 
-use clap::ValueEnum;
-use roomcast::grounding::{Grounding, GroundingOptions};
-use roomcast::narration::history::HistoryLimits;
-use roomcast::narration::program::Program;
-use roomcast::narration::{Observation, Sentence};
-use roomcast::pipeline::{Pipeline, PipelineOptions};
-use roomcast::scorer::Method;
-use roomcast::scorer::certified::Effort;
-use roomcast::scorer::correction::CorrectionChoice;
-use roomcast::scorer::llama::{CacheType, LlamaOptions};
-use roomcast::setup;
+use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::narration::history::HistoryLimits;
+use roomcast_core::narration::program::Program;
+use roomcast_core::narration::{Observation, Sentence};
+use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::scorer::Method;
+use roomcast_core::scorer::certified::Effort;
+use roomcast_core::scorer::correction::CorrectionChoice;
+use roomcast_llama::{CacheType, LlamaOptions};
+use roomcast_services::setup;
 use serde_json::json;
+use std::str::FromStr;
 
 fn main() {
     // Cargo adds `--bench`.
@@ -34,13 +34,13 @@ fn main() {
     let map = setup::load_map(Some(Path::new(scene))).expect("a scene");
     let grounding = Grounding::new(&map, &GroundingOptions::default()).expect("a scene that can be grounded");
     let threads = threads.parse().expect("a number of threads");
-    let cache = CacheType::from_str(cache, true).expect("a cache type");
+    let cache = CacheType::from_str(cache).expect("a cache type");
     let options = LlamaOptions { threads, cache, ..LlamaOptions::default() };
     let model = setup::load_model((model != "-").then_some(Path::new(model)), &options).expect("a model");
     let observations = observations.parse().expect("a number of observations");
     let ranking = method == "ranking";
     let options = PipelineOptions {
-        method: if ranking { Method::Trie } else { Method::from_str(method, true).expect("a method") },
+        method: if ranking { Method::Trie } else { Method::from_str(method).expect("a method") },
         effort: if ranking { Effort::Ranking } else { Effort::Exact },
         history: HistoryLimits { observations, ..HistoryLimits::default() },
         // Peers give Equation 1.

@@ -10,17 +10,18 @@
 
 use std::io::Write;
 
-use roomcast::config::Config;
-use roomcast::daemon::{Intake, IntakeLimits, Recovered, Taken, journal};
-use roomcast::gguf::Header;
-use roomcast::grounding::{Grounding, GroundingOptions};
-use roomcast::label_trie::{LabelTrie, PROMPT, TokenTree};
-use roomcast::narration::Program;
-use roomcast::narrator::line_item;
-use roomcast::planner::{Planner, PlannerConfig};
-use roomcast::scorer::Token;
-use roomcast::semantic_map::SemanticMap;
+use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::label_trie::{LabelTrie, PROMPT, TokenTree};
+use roomcast_core::narration::Program;
+use roomcast_core::scorer::Token;
+use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::{ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, RoomScoresV1};
+use roomcast_llama::gguf::Header;
+use roomcast_services::config::Config;
+use roomcast_services::config::{IntakeLimits, PlannerConfig};
+use roomcast_services::daemon::{Intake, Recovered, Taken, journal};
+use roomcast_services::narrator::line_item;
+use roomcast_services::planner::Planner;
 
 /// What a target does with bytes: nothing that can be seen, unless it panics.
 pub type Target = fn(&[u8]);

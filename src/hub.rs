@@ -1,26 +1,40 @@
-//! Fetches GGUF models from a model hub (Hugging Face, or a server that speaks its protocol) into the user's cache.
+//! Fetches GGUF models from a model hub (Hugging Face, or a server that speaks its protocol) into a folder of the user's.
 //!
-//! The client crate `hf-hub` does the protocol, the cache layout that other tools share, and resuming; here the answer is checked
-//! before it is believed: names before they become paths, the SHA-256 that the hub states, and the header of the model.
+//! The server is not trusted. It is asked once, and what it answers is used as checked. No name on this machine comes from it: the
+//! file's name is what the user asked for. Its bytes go into a private file that only a matching SHA-256 gives its final name.
 
-use std::fs::File;
-use std::io::Read;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Component, Path, PathBuf};
+use std::time::Duration;
 
-use hf_hub::api::Progress;
-use hf_hub::api::sync::{ApiBuilder, ApiError};
-use hf_hub::{Cache, Repo, RepoType};
 use sha2::{Digest, Sha256};
+use ureq::http::{HeaderMap, Response, StatusCode, Uri};
 
-use crate::gguf::{GgufError, Header};
+use roomcast_llama::file_sha256;
+use roomcast_llama::gguf::{GgufError, Header};
 
 /// The hub that is asked when no other is named.
 pub const ENDPOINT_DEFAULT: &str = "https://huggingface.co";
 
+/// The largest file that is fetched, in bytes.
+pub const SIZE_MAX_BYTES: u64 = 64 << 30;
+
+/// How often a hub may send the request elsewhere.
+const REDIRECTS_MAX: usize = 5;
+
+/// How long a hub may take to connect, and how long to begin its answer.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// A transfer that is slower than this on the whole has failed; what arrived stays for the next try.
+const BYTES_PER_SECOND_MIN: u64 = 32 << 10;
+
 /// Why a model could not be fetched.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum HubError {
-    /// A repository or file name that is none.
+    /// A repository, file name, checksum or address that is none.
     #[error(
         "{given:?} is no {expected}; for example: roomcast model pull HuggingFaceTB/SmolLM2-135M-Instruct-GGUF smollm2-135m-instruct-q8_0.gguf"
     )]
@@ -30,7 +44,7 @@ pub enum HubError {
         /// What was expected in its place.
         expected: &'static str,
     },
-    /// The hub cannot be reached.
+    /// The hub cannot be reached, or the connection ended early.
     #[error(
         "failed to reach {endpoint}: {reason}; without a network use the embedded household model, which every command does when no --model is given"
     )]
@@ -54,7 +68,7 @@ pub enum HubError {
         /// What to do about it.
         remedy: &'static str,
     },
-    /// The hub's answer makes no sense.
+    /// The hub's answer makes no sense, or is not allowed.
     #[error(
         "{endpoint} does not answer as a model hub does: {reason}; check the address given by --endpoint or HF_ENDPOINT"
     )]
@@ -64,38 +78,71 @@ pub enum HubError {
         /// What is wrong with the answer.
         reason: String,
     },
-    /// The file that arrived is not the file that the hub described; it has been deleted.
+    /// The hub states no SHA-256 and the user gave none.
     #[error(
-        "{path} arrived damaged: its SHA-256 is {found}, the hub states {stated}; it has been deleted, run the command again"
+        "{endpoint} states no SHA-256 for {file}, so what arrives cannot be checked: give the one that its publisher states by --sha256"
     )]
+    NoChecksum {
+        /// The hub's address.
+        endpoint: String,
+        /// The file asked for.
+        file: String,
+    },
+    /// What the hub has is not what was asked for. Nothing of it is kept.
+    #[error("{file} has the SHA-256 {found}, asked for was {wanted}: {remedy}")]
     Checksum {
-        /// Where the file was.
-        path: PathBuf,
-        /// The checksum of what arrived.
+        /// The file asked for.
+        file: String,
+        /// The checksum of what arrived, or what the hub states in advance.
         found: String,
-        /// The checksum that the hub stated.
-        stated: String,
+        /// The checksum that was asked for.
+        wanted: String,
+        /// What to do about it.
+        remedy: &'static str,
     },
     /// Another process downloads the same file.
-    #[error("another process is downloading this file (lock {0}); wait for it, or delete the lock if there is none")]
+    #[error("another process is downloading this file to {0}: wait for it")]
     Locked(PathBuf),
+    /// The folder belongs to somebody else, or others may write to it.
+    #[error(
+        "{0} belongs to another user or may be written by others: choose another folder by --cache, or make it private (chmod 700)"
+    )]
+    Shared(PathBuf),
     /// The cache cannot be written, or a file in it cannot be read.
     #[error(
-        "failed to use the cache: {0}; check that there is room and that it may be written, or choose another by --cache"
+        "failed to use {path}: {error}; check that there is room and that it may be written, or choose another folder by --cache"
     )]
-    Cache(#[from] std::io::Error),
-    /// The file arrived whole, but it is no model that can be used.
+    Cache {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        error: std::io::Error,
+    },
+    /// The file arrived whole, but it is no model that can be used. Nothing of it is kept.
     #[error(transparent)]
     Model(#[from] GgufError),
 }
 
-/// Which hub, and which cache.
+/// Which hub, and where to.
 #[derive(Debug, Clone, Default)]
 pub struct Hub {
-    /// The hub's address, without a slash at the end; [`ENDPOINT_DEFAULT`] where none is given.
+    /// The hub's address; [`ENDPOINT_DEFAULT`] where none is given. It starts with `https://`, or is a loopback address.
     pub endpoint: Option<String>,
-    /// The cache's folder; the one that other tools of the hub share (`~/.cache/huggingface/hub`) where none is given.
+    /// The folder that models are kept in; `roomcast/models` in the user's cache where none is given.
     pub cache: Option<PathBuf>,
+    /// A token that the endpoint asks for. It is sent to the endpoint alone, never where the endpoint redirects to.
+    pub token: Option<String>,
+}
+
+/// What is asked for.
+#[derive(Debug, Clone, Copy)]
+pub struct Request<'a> {
+    /// `owner/name` on the hub.
+    pub repository: &'a str,
+    /// The file in the repository.
+    pub file: &'a str,
+    /// The SHA-256 that it must have, 64 hexadecimal digits; the one that the hub states where none is given.
+    pub sha256: Option<&'a str>,
 }
 
 /// A model that is in the cache.
@@ -105,33 +152,10 @@ pub struct Pulled {
     pub path: PathBuf,
     /// Its checksum in hexadecimal.
     pub sha256: String,
-    /// Whether the hub stated a SHA-256 to compare with (it does for every file in large-file storage); it was equal.
-    pub verified: bool,
+    /// Whether the checksum was given by the user, and not by the hub.
+    pub pinned: bool,
     /// The model's header, checked.
     pub header: Header,
-}
-
-/// The SHA-256 of a file, in hexadecimal.
-///
-/// # Errors
-///
-/// The system's, where the file cannot be read.
-pub fn sha256_of(path: &Path) -> std::io::Result<String> {
-    let mut file = File::open(path)?;
-    let mut hasher = Sha256::new();
-    let mut buffer = vec![0; 1 << 16];
-    loop {
-        match file.read(&mut buffer)? {
-            0 => return Ok(hex(&hasher.finalize())),
-            length => hasher.update(&buffer[..length]),
-        }
-    }
-}
-
-/// Bytes in lower-case hexadecimal.
-#[must_use]
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn is_name(name: &str) -> bool {
@@ -141,151 +165,415 @@ fn is_name(name: &str) -> bool {
         && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"._-".contains(&byte))
 }
 
-impl Hub {
-    /// Downloads `file` of `repository` (`owner/name`), or takes up an interrupted download, and checks what arrived.
-    ///
-    /// # Errors
-    ///
-    /// [`HubError`]; an interrupted download stays in the cache and is taken up by the next call.
-    pub fn pull(&self, repository: &str, file: &str, progress: impl Progress) -> Result<Pulled, HubError> {
-        if !repository.split_once('/').is_some_and(|(owner, name)| is_name(owner) && is_name(name)) {
-            return Err(HubError::Name { given: repository.into(), expected: "repository (owner/name)" });
-        }
-        let plain = Path::new(file).components().all(|part| matches!(part, Component::Normal(_)));
-        if !plain || !file.split('/').all(is_name) {
-            return Err(HubError::Name { given: file.into(), expected: "file in a repository" });
-        }
-        let endpoint = self.endpoint.as_deref().unwrap_or(ENDPOINT_DEFAULT).trim_end_matches('/').to_owned();
-        let cache = self.cache.clone().map_or_else(Cache::from_env, Cache::new);
-        let fail = |error| explain(error, &endpoint, repository, file);
+/// 64 hexadecimal digits, in lower case.
+fn checksum(text: &str) -> Option<String> {
+    (text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit())).then(|| text.to_ascii_lowercase())
+}
 
-        let api = ApiBuilder::from_cache(cache).with_endpoint(endpoint.clone()).build().map_err(fail)?;
-        let model = api.repo(Repo::new(repository.into(), RepoType::Model));
-        // Both become file names in the cache, so they are checked before the client uses them.
-        let about = api.metadata(&model.url(file)).map_err(fail)?;
-        if !is_name(about.etag()) || !is_name(about.commit_hash()) {
-            let reason = format!("the tag {:?} or the commit {:?} is no plain name", about.etag(), about.commit_hash());
-            return Err(HubError::Protocol { endpoint, reason });
-        }
-        let path = model.download_with_progress(file, progress).map_err(fail)?;
-        let sha256 = sha256_of(&path)?;
-        let verified = about.etag().len() == 64 && about.etag().bytes().all(|byte| byte.is_ascii_hexdigit());
-        if verified && !about.etag().eq_ignore_ascii_case(&sha256) {
-            // The name in the snapshot is a link to the content; both go, so that the next call starts afresh.
-            let content = path.canonicalize()?;
-            std::fs::remove_file(&path)?;
-            std::fs::remove_file(content)?;
-            return Err(HubError::Checksum { path, found: sha256, stated: about.etag().into() });
-        }
-        let header = Header::read_language_model(&path)?;
-        Ok(Pulled { path, sha256, verified, header })
+/// Whether bytes may be asked of this address: TLS, or a server on this machine.
+fn is_private(address: &Uri) -> bool {
+    let is_loopback = |host: &str| {
+        let host = host.trim_start_matches('[').trim_end_matches(']');
+        host == "localhost" || host.parse::<std::net::IpAddr>().is_ok_and(|address| address.is_loopback())
+    };
+    match address.scheme_str() {
+        Some("https") => address.host().is_some(),
+        Some("http") => address.host().is_some_and(is_loopback),
+        _ => false,
     }
 }
 
-fn explain(error: ApiError, endpoint: &str, repository: &str, file: &str) -> HubError {
-    let endpoint = endpoint.to_owned();
-    match error {
-        ApiError::RequestError(request) => match *request {
-            ureq::Error::StatusCode(status) => {
-                let remedy = match status {
-                    401 | 403 => {
-                        "the repository is private, gated, or does not exist; accept its terms on the hub and store a token with its own tool"
-                    }
-                    404 => "there is no such repository or file; file names are case-sensitive",
-                    416 => "the interrupted download in the cache is longer than the file; delete the .part file there",
-                    429 => "too many requests; wait a while",
-                    _ => "try again later",
-                };
-                HubError::Refused { endpoint, status, repository: repository.into(), file: file.into(), remedy }
+/// What the answer to the one request says about the file, and the bytes themselves.
+struct Answer {
+    /// The SHA-256 that the endpoint states.
+    stated: Option<String>,
+    /// The file's whole size.
+    size_bytes: u64,
+    /// Where in the file the bytes begin.
+    from: u64,
+    body: Box<dyn Read>,
+}
+
+impl Hub {
+    /// Downloads a file, or continues an interrupted download, and checks what arrived. Draws on `progress`, which may be hidden.
+    ///
+    /// # Errors
+    ///
+    /// [`HubError`]; what an interrupted download left is continued by the next call.
+    pub fn pull(&self, request: &Request<'_>, progress: &indicatif::ProgressBar) -> Result<Pulled, HubError> {
+        let &Request { repository, file, sha256 } = request;
+        let name = |given: &str, expected| HubError::Name { given: given.into(), expected };
+        if !repository.split_once('/').is_some_and(|(owner, name)| is_name(owner) && is_name(name)) {
+            return Err(name(repository, "repository (owner/name)"));
+        }
+        let plain = Path::new(file).components().all(|part| matches!(part, Component::Normal(_)));
+        if !plain || !file.split('/').all(is_name) {
+            return Err(name(file, "file in a repository"));
+        }
+        let pinned = match sha256 {
+            Some(text) => Some(checksum(text).ok_or_else(|| name(text, "SHA-256 (64 hexadecimal digits)"))?),
+            None => None,
+        };
+        let endpoint = self.endpoint.as_deref().unwrap_or(ENDPOINT_DEFAULT).trim_end_matches('/');
+        let url = format!("{endpoint}/{repository}/resolve/main/{file}").parse::<Uri>();
+        let url = url.ok().filter(is_private);
+        let url = url.ok_or_else(|| name(endpoint, "address of a hub (https://...; http only on this machine)"))?;
+
+        let cache = self.cache.clone().or_else(cache_default);
+        let cache = cache.ok_or_else(|| HubError::Cache {
+            path: PathBuf::from("~/.cache"),
+            error: std::io::Error::new(std::io::ErrorKind::NotFound, "there is no home folder"),
+        })?;
+        let path = cache.join(repository).join(file);
+        let folder = path.parent().unwrap_or(&cache);
+        private_folder(folder)?;
+
+        if let Some(wanted) = &pinned
+            && file_sha256(&path).is_ok_and(|found| hex::encode(found) == *wanted)
+        {
+            let header = Header::read_language_model(&path)?;
+            return Ok(Pulled { path, sha256: wanted.clone(), pinned: true, header });
+        }
+
+        let failed = |path: &Path| {
+            let path = path.to_owned();
+            move |error| HubError::Cache { path, error }
+        };
+        // The name is ours alone: what the server says decides neither the name nor the folder.
+        let part = folder.join(format!(".{}.part", hex::encode(Sha256::digest(format!("{url}\n{sha256:?}")))));
+        let mut content = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .mode(0o600)
+            .custom_flags(rustix::fs::OFlags::NOFOLLOW.bits().cast_signed())
+            .open(&part)
+            .map_err(failed(&part))?;
+        match content.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(HubError::Locked(part)),
+            Err(TryLockError::Error(error)) => return Err(HubError::Cache { path: part, error }),
+        }
+        let mut hasher = Sha256::new();
+        let mut buffer = vec![0; 1 << 16];
+        let mut kept = 0;
+        loop {
+            let length = content.read(&mut buffer).map_err(failed(&part))?;
+            if length == 0 {
+                break;
             }
-            other => HubError::Unreachable { endpoint, reason: other.to_string() },
-        },
-        // The body's bytes come through the same kind of error as the cache's: an early end is the connection's.
-        ApiError::IoError(error) => match error.kind() {
-            std::io::ErrorKind::PermissionDenied
-            | std::io::ErrorKind::StorageFull
-            | std::io::ErrorKind::NotFound
-            | std::io::ErrorKind::ReadOnlyFilesystem => HubError::Cache(error),
-            _ => HubError::Unreachable { endpoint, reason: error.to_string() },
-        },
-        ApiError::LockAcquisition(lock) => HubError::Locked(lock),
-        other => HubError::Protocol { endpoint, reason: other.to_string() },
+            hasher.update(&buffer[..length]);
+            kept += length as u64;
+        }
+
+        let answer = self.ask(endpoint, &url, kept, request).inspect_err(|error| {
+            // What is kept is at least as long as the file: it cannot be continued.
+            if matches!(error, HubError::Refused { status: 416, .. }) {
+                let _ = std::fs::remove_file(&part);
+            }
+        })?;
+        let wanted = match (&pinned, &answer.stated) {
+            (Some(pinned), Some(stated)) if pinned != stated => {
+                let remedy = "the hub has another file by this name";
+                std::fs::remove_file(&part).map_err(failed(&part))?;
+                return Err(HubError::Checksum {
+                    file: file.into(),
+                    found: stated.clone(),
+                    wanted: pinned.clone(),
+                    remedy,
+                });
+            }
+            (Some(sum), _) | (None, Some(sum)) => sum.clone(),
+            (None, None) => return Err(HubError::NoChecksum { endpoint: endpoint.into(), file: file.into() }),
+        };
+        if answer.from == 0 {
+            hasher = Sha256::new();
+            content.set_len(0).map_err(failed(&part))?;
+        }
+        content.seek(SeekFrom::Start(answer.from)).map_err(failed(&part))?;
+        progress.set_length(answer.size_bytes);
+        progress.set_position(answer.from);
+        let missing = answer.size_bytes - answer.from;
+        let mut body = answer.body.take(missing);
+        let mut arrived = 0;
+        loop {
+            let lost =
+                |error: std::io::Error| HubError::Unreachable { endpoint: endpoint.into(), reason: error.to_string() };
+            let length = body.read(&mut buffer).map_err(lost)?;
+            if length == 0 {
+                break;
+            }
+            content.write_all(&buffer[..length]).map_err(failed(&part))?;
+            hasher.update(&buffer[..length]);
+            arrived += length as u64;
+            progress.inc(length as u64);
+        }
+        if arrived < missing {
+            let reason = format!(
+                "the connection ended after {} of {} bytes; run the command again to continue",
+                answer.from + arrived,
+                answer.size_bytes
+            );
+            return Err(HubError::Unreachable { endpoint: endpoint.into(), reason });
+        }
+        progress.finish_and_clear();
+
+        let found = hex::encode(hasher.finalize());
+        let checked = if found == wanted {
+            Header::read_language_model(&part).map_err(HubError::Model)
+        } else {
+            let remedy = "it arrived damaged or was exchanged on the way; nothing of it is kept, run the command again";
+            Err(HubError::Checksum { file: file.into(), found: found.clone(), wanted, remedy })
+        };
+        let header = match checked {
+            Ok(header) => header,
+            Err(error) => {
+                std::fs::remove_file(&part).map_err(failed(&part))?;
+                return Err(error);
+            }
+        };
+        content.sync_all().map_err(failed(&part))?;
+        // A rename replaces a link instead of following it.
+        std::fs::rename(&part, &path).map_err(failed(&path))?;
+        File::open(folder).and_then(|folder| folder.sync_all()).map_err(failed(folder))?;
+        Ok(Pulled { path, sha256: found, pinned: pinned.is_some(), header })
     }
+
+    /// Asks for the file's bytes from `kept` on, once: redirects are followed, and the endpoint's own answers say what the file is.
+    fn ask(&self, endpoint: &str, url: &Uri, kept: u64, request: &Request<'_>) -> Result<Answer, HubError> {
+        let protocol = |reason: String| HubError::Protocol { endpoint: endpoint.into(), reason };
+        let unreachable =
+            |error: ureq::Error| HubError::Unreachable { endpoint: endpoint.into(), reason: error.to_string() };
+        // A whole file at the slowest rate allowed; the connection, not the caller, decides how much of it is used.
+        let patience = PATIENCE + Duration::from_secs(SIZE_MAX_BYTES / BYTES_PER_SECOND_MIN);
+        let agent: ureq::Agent = ureq::Agent::config_builder()
+            .max_redirects(0)
+            .max_redirects_will_error(false)
+            .http_status_as_error(false)
+            .timeout_resolve(Some(PATIENCE))
+            .timeout_connect(Some(PATIENCE))
+            .timeout_recv_response(Some(PATIENCE))
+            .timeout_recv_body(Some(patience))
+            .build()
+            .into();
+        let mut address = url.clone();
+        let mut stated = None;
+        let mut linked_size = None;
+        for _ in 0..=REDIRECTS_MAX {
+            let is_endpoint = address.authority() == url.authority() && address.scheme() == url.scheme();
+            let mut call =
+                agent.get(address.clone()).header("User-Agent", concat!("roomcast/", env!("CARGO_PKG_VERSION")));
+            if kept > 0 {
+                call = call.header("Range", format!("bytes={kept}-"));
+            }
+            if let Some(token) = self.token.as_ref().filter(|_| is_endpoint) {
+                call = call.header("Authorization", format!("Bearer {token}"));
+            }
+            let answer = call.call().map_err(unreachable)?;
+            let header = |name: &str| text(answer.headers(), name);
+            if is_endpoint {
+                let tag = header("x-linked-etag").or_else(|| header("etag"));
+                stated = tag.and_then(|tag| checksum(tag.trim_start_matches("W/").trim_matches('"'))).or(stated);
+                linked_size = header("x-linked-size").and_then(|size| size.parse().ok()).or(linked_size);
+            }
+            let status = answer.status();
+            if status.is_redirection() {
+                let target = header("location").ok_or_else(|| protocol("a redirect to nowhere".into()))?;
+                address = redirect(&address, target)
+                    .ok_or_else(|| protocol(format!("a redirect to {target:?}, which is not allowed")))?;
+                continue;
+            }
+            if !status.is_success() {
+                return Err(refused(endpoint, status, request));
+            }
+            return body(answer, kept, stated, linked_size).map_err(protocol);
+        }
+        Err(protocol(format!("more than {REDIRECTS_MAX} redirects")))
+    }
+}
+
+fn text<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
+    headers.get(name).and_then(|value| value.to_str().ok())
+}
+
+/// Where a redirect leads: an absolute address or an absolute path, never from TLS to plain text.
+fn redirect(from: &Uri, target: &str) -> Option<Uri> {
+    let absolute = match target.strip_prefix('/') {
+        Some(path) if !path.starts_with('/') => format!("{}://{}/{path}", from.scheme_str()?, from.authority()?),
+        _ => target.to_owned(),
+    };
+    let target: Uri = absolute.parse().ok()?;
+    let weaker = from.scheme_str() == Some("https") && target.scheme_str() != Some("https");
+    (is_private(&target) && !weaker).then_some(target)
+}
+
+fn body(
+    answer: Response<ureq::Body>,
+    kept: u64,
+    stated: Option<String>,
+    linked_size: Option<u64>,
+) -> Result<Answer, String> {
+    let number = |name: &str| text(answer.headers(), name).and_then(|number| number.parse::<u64>().ok());
+    let (from, size_bytes) = if answer.status() == StatusCode::PARTIAL_CONTENT {
+        let range = text(answer.headers(), "content-range").and_then(|range| range.strip_prefix("bytes "));
+        let range = range.and_then(|range| range.split_once('/'));
+        let size = range.and_then(|(_, size)| size.parse().ok());
+        let from = range.and_then(|(range, _)| range.split_once('-')).and_then(|(from, _)| from.parse::<u64>().ok());
+        match (from, size) {
+            (Some(from), Some(size)) if from == kept => (from, size),
+            _ => return Err("a part of the file that was not asked for".into()),
+        }
+    } else {
+        (0, number("content-length").or(linked_size).ok_or("the file's size is not stated")?)
+    };
+    if linked_size.is_some_and(|linked| linked != size_bytes) {
+        return Err("two sizes of one file".into());
+    }
+    if size_bytes > SIZE_MAX_BYTES || from > size_bytes {
+        return Err(format!("a file of {size_bytes} bytes, at most {SIZE_MAX_BYTES} are fetched"));
+    }
+    // The default limit is 10 MB; how much is read is bounded by the size above.
+    let body = answer.into_body().into_with_config().limit(SIZE_MAX_BYTES).reader();
+    Ok(Answer { stated, size_bytes, from, body: Box::new(body) })
+}
+
+fn refused(endpoint: &str, status: StatusCode, request: &Request<'_>) -> HubError {
+    let remedy = match status.as_u16() {
+        401 | 403 => {
+            "the repository is private, gated, or does not exist; accept its terms on the hub and give a token by --token-file"
+        }
+        404 => "there is no such repository or file; file names are case-sensitive",
+        416 => "what an interrupted download left is no beginning of this file and is gone; run the command again",
+        429 => "too many requests; wait a while",
+        _ => "try again later",
+    };
+    let (endpoint, repository, file) = (endpoint.to_owned(), request.repository.into(), request.file.into());
+    HubError::Refused { endpoint, status: status.as_u16(), repository, file, remedy }
+}
+
+/// `roomcast/models` in the user's cache.
+fn cache_default() -> Option<PathBuf> {
+    let base = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from).filter(|path| path.is_absolute());
+    let base = base.or_else(|| std::env::home_dir().map(|home| home.join(".cache")))?;
+    Some(base.join("roomcast/models"))
+}
+
+/// Makes the folder if there is none, and sees to it that nobody else may put files there.
+fn private_folder(folder: &Path) -> Result<(), HubError> {
+    let failed = |error| HubError::Cache { path: folder.into(), error };
+    std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder).map_err(failed)?;
+    let about = folder.metadata().map_err(failed)?;
+    if about.uid() != rustix::process::geteuid().as_raw() || about.mode() & 0o022 != 0 {
+        return Err(HubError::Shared(folder.into()));
+    }
+    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io::{BufRead, BufReader, Write};
+    use std::io::{BufRead, BufReader};
     use std::net::TcpListener;
     use std::sync::{Arc, Mutex};
 
-    const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";
+    use indicatif::ProgressBar;
+    use rand::seq::IndexedRandom;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
 
-    /// A hub on loopback that holds one file, and answers as the real one does: a redirect that carries tag and commit, then the
-    /// content by ranges.
+    /// A hub on loopback. `answer` gets the request's path and where the asked range begins, and gives head and body.
     struct Server {
         address: String,
         ranges: Arc<Mutex<Vec<u64>>>,
     }
 
     impl Server {
-        /// Serves `content`, states `tag` as its checksum, and cuts the first transfer of the content after `cut` bytes.
-        fn start(content: Vec<u8>, tag: String, cut: Option<usize>) -> Self {
+        fn answering(mut answer: impl FnMut(&str, u64, &str) -> (String, Vec<u8>) + Send + 'static) -> Self {
             let listener = TcpListener::bind("127.0.0.1:0").unwrap();
             let address = format!("http://{}", listener.local_addr().unwrap());
             let ranges = Arc::new(Mutex::new(Vec::new()));
             let (seen, base) = (Arc::clone(&ranges), address.clone());
             std::thread::spawn(move || {
-                let mut cut = cut;
                 for stream in listener.incoming() {
                     let mut stream = stream.unwrap();
                     let mut lines = BufReader::new(stream.try_clone().unwrap()).lines();
-                    let request = lines.next().unwrap().unwrap();
+                    let Some(Ok(request)) = lines.next() else { continue };
                     let headers: Vec<_> = lines.map_while(Result::ok).take_while(|line| !line.is_empty()).collect();
-                    let range = headers
-                        .iter()
-                        .find_map(|line| line.to_lowercase().strip_prefix("range: bytes=").map(String::from));
-                    let head = match request.split(' ').nth(1).unwrap() {
-                        "/someone/models/resolve/main/tiny.gguf" => format!(
-                            "HTTP/1.1 302 Found\r\nLocation: {base}/content\r\nX-Linked-ETag: \"{tag}\"\r\nX-Repo-Commit: {COMMIT}\r\nContent-Length: 0"
-                        ),
-                        "/content" => {
-                            let (from, to) = range.as_ref().unwrap().split_once('-').unwrap();
-                            let from: usize = from.parse().unwrap();
-                            let end = to.parse::<usize>().map_or(content.len(), |to| to + 1);
-                            let mut body = &content[from..end];
-                            let head = format!(
-                                "HTTP/1.1 206 Partial Content\r\nContent-Range: bytes {from}-{}/{}\r\nContent-Length: {}",
-                                end - 1,
-                                content.len(),
-                                body.len()
-                            );
-                            if to.is_empty() {
-                                seen.lock().unwrap().push(from as u64);
-                                body = &body[..cut.take().unwrap_or(body.len())];
-                            }
-                            stream.write_all(format!("{head}\r\nConnection: close\r\n\r\n").as_bytes()).unwrap();
-                            stream.write_all(body).unwrap();
-                            continue;
-                        }
-                        _ => "HTTP/1.1 404 Not Found\r\nContent-Length: 0".into(),
-                    };
-                    stream.write_all(format!("{head}\r\nConnection: close\r\n\r\n").as_bytes()).unwrap();
+                    let range = headers.iter().find_map(|line| {
+                        line.to_lowercase()
+                            .strip_prefix("range: bytes=")
+                            .map(|range| range.trim_end_matches('-').parse().unwrap())
+                    });
+                    let path = request.split(' ').nth(1).unwrap();
+                    let from = range.unwrap_or(0);
+                    if path == "/content" {
+                        seen.lock().unwrap().push(from);
+                    }
+                    let (head, body) = answer(path, from, &base);
+                    // A client that refuses the answer closes early.
+                    let _ = stream.write_all(format!("{head}\r\nConnection: close\r\n\r\n").as_bytes());
+                    let _ = stream.write_all(&body);
                 }
             });
             Self { address, ranges }
         }
 
+        /// Answers as a real hub does: a redirect that carries the checksum, then the content. States `tag` as the checksum and
+        /// cuts the first transfer after `cut` bytes.
+        fn start(content: Vec<u8>, tag: String, mut cut: Option<usize>) -> Self {
+            Self::answering(move |path, from, base| match path {
+                "/someone/models/resolve/main/tiny.gguf" => (
+                    format!(
+                        "HTTP/1.1 302 Found\r\nLocation: {base}/content\r\nX-Linked-ETag: \"{tag}\"\r\nContent-Length: 0"
+                    ),
+                    Vec::new(),
+                ),
+                "/content" => {
+                    let body = &content[from as usize..];
+                    let head = match from {
+                        0 => "HTTP/1.1 200 OK".to_owned(),
+                        _ => format!(
+                            "HTTP/1.1 206 Partial Content\r\nContent-Range: bytes {from}-{}/{}",
+                            content.len() - 1,
+                            content.len()
+                        ),
+                    };
+                    let head = format!("{head}\r\nContent-Length: {}", body.len());
+                    (head, body[..cut.take().unwrap_or(body.len())].to_vec())
+                }
+                _ => ("HTTP/1.1 404 Not Found\r\nContent-Length: 0".into(), Vec::new()),
+            })
+        }
+
         fn hub(&self, cache: &Path) -> Hub {
-            Hub { endpoint: Some(self.address.clone()), cache: Some(cache.to_owned()) }
+            Hub { endpoint: Some(self.address.clone()), cache: Some(cache.to_owned()), token: None }
         }
     }
 
+    const TINY: Request<'static> = Request { repository: "someone/models", file: "tiny.gguf", sha256: None };
+
+    fn pull(hub: &Hub, request: &Request<'_>) -> Result<Pulled, HubError> {
+        hub.pull(request, &ProgressBar::hidden())
+    }
+
     fn content() -> (Vec<u8>, String) {
-        let content = crate::gguf::tests::tiny(&["a", "b", "c"]);
-        let sum = hex(&Sha256::digest(&content));
+        let content = include_bytes!("../tests/data/tiny.gguf").to_vec();
+        let sum = hex::encode(Sha256::digest(&content));
         (content, sum)
+    }
+
+    /// Every file below a folder.
+    fn files(folder: &Path) -> Vec<PathBuf> {
+        let mut files = Vec::new();
+        for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
+            if entry.file_type().unwrap().is_dir() {
+                files.extend(self::files(&entry.path()))
+            } else {
+                files.push(entry.path())
+            }
+        }
+        files
     }
 
     #[test]
@@ -293,39 +581,52 @@ mod tests {
         let (content, sum) = content();
         let server = Server::start(content.clone(), sum.clone(), None);
         let cache = tempfile::tempdir().unwrap();
-        let pulled = server.hub(cache.path()).pull("someone/models", "tiny.gguf", ()).unwrap();
+        let pulled = pull(&server.hub(cache.path()), &TINY).unwrap();
         assert_eq!(std::fs::read(&pulled.path).unwrap(), content);
-        assert_eq!((pulled.sha256, pulled.verified), (sum, true));
-        assert!(pulled.path.starts_with(cache.path()));
+        assert_eq!((pulled.sha256, pulled.pinned), (sum, false));
+        assert_eq!(files(cache.path()), [cache.path().join("someone/models/tiny.gguf")]);
     }
 
     #[test]
-    fn an_interrupted_download_is_taken_up() {
+    fn a_pinned_model_is_fetched_once() {
+        let (content, sum) = content();
+        let server = Server::start(content, sum.clone(), None);
+        let cache = tempfile::tempdir().unwrap();
+        let request = Request { sha256: Some(&sum), ..TINY };
+        for _ in 0..2 {
+            assert!(pull(&server.hub(cache.path()), &request).unwrap().pinned);
+        }
+        assert_eq!(*server.ranges.lock().unwrap(), [0]);
+        let other = "0".repeat(64);
+        let error = pull(&server.hub(cache.path()), &Request { sha256: Some(&other), ..TINY }).unwrap_err();
+        assert!(matches!(error, HubError::Checksum { .. }), "{error}");
+    }
+
+    #[test]
+    fn an_interrupted_download_is_continued() {
         let (content, sum) = content();
         let server = Server::start(content.clone(), sum, Some(100));
         let cache = tempfile::tempdir().unwrap();
         let hub = server.hub(cache.path());
-        let error = hub.pull("someone/models", "tiny.gguf", ()).unwrap_err();
+        let error = pull(&hub, &TINY).unwrap_err();
         assert!(matches!(error, HubError::Unreachable { .. }), "{error}");
-        let pulled = hub.pull("someone/models", "tiny.gguf", ()).unwrap();
+        let pulled = pull(&hub, &TINY).unwrap();
         assert_eq!(std::fs::read(&pulled.path).unwrap(), content);
         assert_eq!(*server.ranges.lock().unwrap(), [0, 100]);
     }
 
     #[test]
-    fn a_damaged_file_is_deleted() {
+    fn nothing_is_kept_of_a_damaged_file() {
         let (mut content, sum) = content();
         let last = content.len() - 1;
         content[last] ^= 1;
         let server = Server::start(content, sum.clone(), None);
         let cache = tempfile::tempdir().unwrap();
-        let Err(HubError::Checksum { path, stated, .. }) =
-            server.hub(cache.path()).pull("someone/models", "tiny.gguf", ())
-        else {
+        let Err(HubError::Checksum { wanted, .. }) = pull(&server.hub(cache.path()), &TINY) else {
             panic!("a damaged file must be refused");
         };
-        assert_eq!(stated, sum);
-        assert!(!path.exists() && std::fs::symlink_metadata(path).is_err());
+        assert_eq!(wanted, sum);
+        assert!(files(cache.path()).is_empty());
     }
 
     #[test]
@@ -333,7 +634,7 @@ mod tests {
         let (content, sum) = content();
         let server = Server::start(content, sum, None);
         let cache = tempfile::tempdir().unwrap();
-        let error = server.hub(cache.path()).pull("someone/models", "Tiny.gguf", ()).unwrap_err().to_string();
+        let error = pull(&server.hub(cache.path()), &Request { file: "Tiny.gguf", ..TINY }).unwrap_err().to_string();
         assert!(error.contains("404 for Tiny.gguf of someone/models"), "{error}");
     }
 
@@ -342,8 +643,8 @@ mod tests {
         // Bound and dropped: a port on which nobody listens.
         let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let cache = tempfile::tempdir().unwrap();
-        let hub = Hub { endpoint: Some(format!("http://{address}")), cache: Some(cache.path().into()) };
-        let error = hub.pull("someone/models", "tiny.gguf", ()).unwrap_err().to_string();
+        let hub = Hub { endpoint: Some(format!("http://{address}")), cache: Some(cache.path().into()), token: None };
+        let error = pull(&hub, &TINY).unwrap_err().to_string();
         assert!(error.contains("embedded household model"), "{error}");
     }
 
@@ -358,11 +659,156 @@ mod tests {
             ("a/b", "/etc/passwd"),
             ("a/b", ""),
         ] {
-            assert!(matches!(hub.pull(repository, file, ()), Err(HubError::Name { .. })), "{repository} {file}");
+            let error = pull(&hub, &Request { repository, file, sha256: None });
+            assert!(matches!(error, Err(HubError::Name { .. })), "{repository} {file}");
         }
-        let server = Server::start(content().0, "../../../../escape".into(), None);
+    }
+
+    #[test]
+    fn only_tls_leaves_this_machine() {
+        for endpoint in ["http://example.com", "http://10.0.0.1", "ftp://example.com", "file:///etc", "example.com", ""]
+        {
+            let hub = Hub { endpoint: Some(endpoint.into()), cache: None, token: None };
+            assert!(matches!(pull(&hub, &TINY), Err(HubError::Name { .. })), "{endpoint}");
+        }
+        let from = "https://hub.example/a".parse().unwrap();
+        assert!(redirect(&from, "https://other.example/b").is_some());
+        assert_eq!(redirect(&from, "/b").unwrap(), "https://hub.example/b");
+        for target in ["http://hub.example/b", "http://127.0.0.1/b", "//other.example/b", "file:///etc/passwd", "b", ""]
+        {
+            assert!(redirect(&from, target).is_none(), "{target}");
+        }
+    }
+
+    #[test]
+    fn a_folder_that_others_may_write_to_is_refused() {
+        use std::os::unix::fs::PermissionsExt;
         let cache = tempfile::tempdir().unwrap();
-        let error = server.hub(cache.path()).pull("someone/models", "tiny.gguf", ()).unwrap_err();
-        assert!(matches!(error, HubError::Protocol { .. }), "{error}");
+        let folder = cache.path().join("someone/models");
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::set_permissions(&folder, PermissionsExt::from_mode(0o777)).unwrap();
+        let hub = Hub { endpoint: Some("http://127.0.0.1:9".into()), cache: Some(cache.path().into()), token: None };
+        assert!(matches!(pull(&hub, &TINY), Err(HubError::Shared(_))));
+    }
+
+    /// The first release checked one answer and used the next, whose tag was a path: any file of the user's could be written.
+    #[test]
+    fn a_second_answer_cannot_choose_the_path() {
+        let outside = tempfile::tempdir().unwrap();
+        let victim = outside.path().join("victim");
+        std::fs::write(&victim, "precious").unwrap();
+        let (content, sum) = content();
+        let (tag, mut asked) = (victim.display().to_string(), 0);
+        let server = Server::answering(move |path, _, base| {
+            if path == "/content" {
+                return (
+                    format!("HTTP/1.1 200 OK\r\nETag: \"{tag}\"\r\nContent-Length: {}", content.len()),
+                    content.clone(),
+                );
+            }
+            asked += 1;
+            let tag = if asked == 1 { &sum } else { &tag };
+            (
+                format!(
+                    "HTTP/1.1 302 Found\r\nLocation: {base}/content\r\nX-Linked-ETag: \"{tag}\"\r\nX-Repo-Commit: {tag}\r\nContent-Length: 0"
+                ),
+                Vec::new(),
+            )
+        });
+        let cache = tempfile::tempdir().unwrap();
+        for _ in 0..2 {
+            let _ = pull(&server.hub(cache.path()), &TINY);
+            assert_eq!(std::fs::read_to_string(&victim).unwrap(), "precious");
+        }
+        assert_eq!(files(cache.path()).iter().filter(|path| path.extension().is_some_and(|e| e == "gguf")).count(), 1);
+    }
+
+    /// Hubs that lie in every header, by seed. Whatever they say: no file outside the cache changes, and a file under its own name
+    /// has the checksum that was asked for.
+    #[test]
+    fn hostile_hubs_write_nothing_but_what_was_asked_for() {
+        let outside = tempfile::tempdir().unwrap();
+        let victim = outside.path().join("victim");
+        std::fs::write(&victim, "precious").unwrap();
+        let (good, sum) = content();
+        let mut arrived = 0;
+        for seed in 0..300 {
+            let mut random = ChaCha8Rng::seed_from_u64(seed);
+            let (good, sum, path) = (good.clone(), sum.clone(), victim.display().to_string());
+            let wanted = sum.clone();
+            let server = Server::answering(move |_, from, base| {
+                let one = |random: &mut ChaCha8Rng, texts: &[&str]| (*texts.choose(random).unwrap()).to_owned();
+                let status = one(
+                    &mut random,
+                    &[
+                        "200 OK",
+                        "200 OK",
+                        "206 Partial Content",
+                        "302 Found",
+                        "307 Moved",
+                        "304 Same",
+                        "404 No",
+                        "416 No",
+                        "500 No",
+                        "999 ?",
+                    ],
+                );
+                let mut head = format!("HTTP/1.1 {status}");
+                let names = ["../../victim", &path, &sum, &sum, &sum, "", "/", "\"", &"a".repeat(70_000)];
+                for header in ["ETag", "X-Linked-ETag", "X-Repo-Commit"] {
+                    if random.random_bool(0.8) {
+                        head += &format!("\r\n{header}: \"{}\"", one(&mut random, &names));
+                    }
+                }
+                let here = format!("{base}/content");
+                head += &format!(
+                    "\r\nLocation: {}",
+                    one(
+                        &mut random,
+                        &[&here, &here, "file:///etc/passwd", &path, "http://example.invalid/", "//x", "\u{1}"]
+                    )
+                );
+                let whole = good.len().to_string();
+                head += &format!(
+                    "\r\nX-Linked-Size: {}",
+                    one(&mut random, &[&whole, &whole, "18446744073709551615", "-1", "0"])
+                );
+                let range = format!("{from}-/{whole}");
+                head += &format!(
+                    "\r\nContent-Range: bytes {}",
+                    one(&mut random, &[&range, "0-0/1", "5-4/9", "18446744073709551615-/18446744073709551615", "x"])
+                );
+                let mut body = good[(from as usize).min(good.len())..].to_vec();
+                if random.random_bool(0.2) && !body.is_empty() {
+                    let at = random.random_range(0..body.len());
+                    body[at] ^= 1;
+                }
+                if random.random_bool(0.2) {
+                    body.truncate(body.len() / 2);
+                }
+                head += &format!("\r\nContent-Length: {}", body.len());
+                (head, body)
+            });
+            let cache = tempfile::tempdir().unwrap();
+            for pin in [None, Some(wanted.as_str())] {
+                let request = Request { sha256: pin, ..TINY };
+                if let Ok(pulled) = pull(&server.hub(cache.path()), &request) {
+                    arrived += 1;
+                    assert_eq!(hex::encode(file_sha256(&pulled.path).unwrap()), wanted, "seed {seed}");
+                }
+                assert_eq!(std::fs::read_to_string(&victim).unwrap(), "precious", "seed {seed}");
+                for path in files(cache.path()) {
+                    let name = path.file_name().unwrap().to_str().unwrap();
+                    assert!(
+                        name == "tiny.gguf" || name.starts_with('.') && name.ends_with(".part"),
+                        "seed {seed}: {path:?}"
+                    );
+                    assert!(name != "tiny.gguf" || hex::encode(file_sha256(&path).unwrap()) == wanted, "seed {seed}");
+                }
+            }
+        }
+        assert_eq!(files(outside.path()), [victim]);
+        // The generator is worth something only while some of its hubs are believed.
+        assert!(arrived > 10, "{arrived}");
     }
 }

@@ -25,7 +25,7 @@ use rustix::io::Errno;
 use rustix::net::{AddressFamily, RecvFlags, SendFlags, SocketFlags, SocketType, recv, send, socketpair};
 use serde::Serialize;
 
-use crate::stop::Stop;
+use roomcast_services::stop::Stop;
 
 /// An answer that has not come after so long never will.
 const PATIENCE: Duration = Duration::from_secs(30);

@@ -1,7 +1,19 @@
-//! The `roomcast` binary: parse, run, exit code.
+//! The `roomcast` binary: the command line, and what only people at a terminal need.
 
 use std::process::ExitCode;
 
+mod bar;
+mod cli;
+mod exit_code;
+#[cfg(feature = "pull")]
+mod hub;
+#[cfg(feature = "latency")]
+mod latency;
+#[cfg(feature = "metrics")]
+mod metrics;
+#[cfg(feature = "top")]
+mod top;
+
 fn main() -> ExitCode {
-    roomcast::cli::main()
+    cli::main()
 }

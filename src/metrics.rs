@@ -20,8 +20,7 @@ use roomcast_ipc::{
 };
 use tiny_http::{Header, Method, Response, Server};
 
-use crate::hub::hex;
-use crate::stop::Stop;
+use roomcast_services::stop::Stop;
 
 /// Bounds of latency buckets in seconds: half a millisecond to ten seconds.
 const BUCKETS_S: [f64; 14] = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0];
@@ -30,14 +29,6 @@ const PATIENCE: Duration = Duration::from_millis(500);
 const TICK: Duration = Duration::from_millis(100);
 /// What OpenMetrics wants to be called.
 const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-
-/// The section `[metrics]`.
-#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct MetricsConfig {
-    /// Where to serve them: a loopback address with a port. None: not at all.
-    pub listen: Option<SocketAddr>,
-}
 
 /// Why metrics cannot be served.
 #[derive(Debug, thiserror::Error)]
@@ -304,9 +295,9 @@ impl Metrics {
         let versions = Versions {
             version: status.version().to_owned(),
             model: status.model().to_owned(),
-            model_fingerprint: hex(&status.model_fingerprint),
+            model_fingerprint: hex::encode(&status.model_fingerprint),
             map: status.map().to_owned(),
-            map_fingerprint: hex(&status.map_fingerprint),
+            map_fingerprint: hex::encode(&status.map_fingerprint),
         };
         self.versions.get_or_create(&versions).set(1);
     }

@@ -12,7 +12,8 @@ use roomcast_ipc::{
     DecisionV1, ItemScores, NarrationV1, RoomScoresV1, StatusResponseV1, decision_flags, reached, score_flags,
 };
 
-use crate::narration::Observed;
+use crate::bar::bar;
+use roomcast_core::narration::Observed;
 
 /// Points of a room's line over time that are kept; the widest terminal shows them all.
 const HISTORY_POINTS: usize = 512;
@@ -181,10 +182,7 @@ impl View {
                 Line::from(vec![
                     Span::from(format!("{:<name_width$} ", cut(&room.id, name_width))),
                     Span::from(format!("{:5.1} % ", 100.0 * room.probability)).bold(),
-                    Span::styled(
-                        format!("{:<bar_width$} ", crate::cli::bar(room.probability, bar_width)),
-                        Style::new().fg(color),
-                    ),
+                    Span::styled(format!("{:<bar_width$} ", bar(room.probability, bar_width)), Style::new().fg(color)),
                     Span::styled(sparkline(&room.points, line_width), Style::new().fg(color).dim()),
                 ])
             })

@@ -3,16 +3,16 @@
 
 #![expect(clippy::unwrap_used, reason = "a panic is a test's report")]
 
-use roomcast::daemon::{Board, Cycle, Entry};
-use roomcast::embedded;
-use roomcast::grounding::{Grounding, GroundingOptions};
-use roomcast::narration::{Observation, Program, Sentence};
-use roomcast::pipeline::{Pipeline, PipelineOptions};
-use roomcast::scorer::certified::Effort;
-use roomcast::scorer::llama::LlamaOptions;
-use roomcast::semantic_map::SemanticMap;
-use roomcast::setup::load_model;
+use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::narration::{Observation, Program, Sentence};
+use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::scorer::certified::Effort;
+use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::{Domain, ForecastV1, RoomScoresV1, clock};
+use roomcast_llama::LlamaOptions;
+use roomcast_services::daemon::{Board, Cycle, Entry};
+use roomcast_services::embedded;
+use roomcast_services::setup::load_model;
 
 /// iceoryx2 itself allocates once for each message sent: in `send_copy`, an `Arc` around the mutex of the sample that it lends.
 const SENDS: u64 = 2;

@@ -18,15 +18,15 @@ use std::time::{Duration, Instant};
 use hdrhistogram::Histogram;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast::config::Config;
-use roomcast::daemon::{Recovered, journal};
-use roomcast::narration::Observation;
-use roomcast::pipeline::Pipeline;
-use roomcast::scorer::llama::LlamaModel;
-use roomcast::setup;
+use roomcast_core::narration::Observation;
+use roomcast_core::pipeline::Pipeline;
 use roomcast_ipc::{
     DecisionV1, Domain, IncludedV1, Node, RoomScoresV1, Subscriber, clock, decision_flags, score_flags,
 };
+use roomcast_llama::LlamaModel;
+use roomcast_services::config::Config;
+use roomcast_services::daemon::{Recovered, journal};
+use roomcast_services::setup;
 use rustix::process::{Pid, Signal, kill_process};
 
 const DEFAULT_TIME: Duration = Duration::from_secs(8);

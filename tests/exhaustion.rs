@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use roomcast::daemon::{Recovered, journal};
 use roomcast_ipc::{Domain, StatusResponseV1};
+use roomcast_services::daemon::{Recovered, journal};
 use rustix::process::{Pid, Signal, geteuid, kill_process};
 
 const PATIENCE: Duration = Duration::from_secs(120);

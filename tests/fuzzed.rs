@@ -12,13 +12,17 @@ use std::process::Command;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast::daemon::journal;
-use roomcast::embedded;
-use roomcast::narration::{Observation, Sentence};
+use roomcast_core::narration::{Observation, Sentence};
 use roomcast_ipc::{ByteImage, NarrationV1, RoomScoresV1, text};
+use roomcast_services::daemon::journal;
+use roomcast_services::embedded;
 
 #[path = "../fuzz/targets.rs"]
 mod targets;
+
+#[expect(dead_code, reason = "a test needs some of them")]
+#[path = "../src/exit_code.rs"]
+mod exit_code;
 
 /// Mutations of each target by default; those that write files get fewer.
 const RUNS: u64 = 20_000;
@@ -39,7 +43,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
     let mut seeds: Vec<_> = files.iter().map(|file| std::fs::read(file).unwrap()).collect();
     assert!(!seeds.is_empty(), "{} is empty", corpus.display());
     match target {
-        "configuration" => seeds.push(roomcast::config::DEFAULT_TOML.as_bytes().to_vec()),
+        "configuration" => seeds.push(roomcast_services::config::DEFAULT_TOML.as_bytes().to_vec()),
         "program" => seeds.extend(embedded::PROGRAMS.iter().map(|program| program.text.as_bytes().to_vec())),
         "scene" => seeds.push(embedded::SCENES[0].text.as_bytes().to_vec()),
         "journal" => seeds.push((1..6).flat_map(|number| journal::encode(&observation(number), &[7; 16])).collect()),
@@ -186,7 +190,7 @@ fn a_broken_model_file_ends_in_an_error() {
         }
         let code = load(&model, directory.path()).unwrap_or_else(|died| panic!("run {run}, at {at}: {died}"));
         if run % 3 == 0 {
-            assert_eq!(code, i32::from(roomcast::exit_code::MODEL), "a truncated file is refused");
+            assert_eq!(code, i32::from(exit_code::MODEL), "a truncated file is refused");
         }
         *codes.entry(code).or_insert(0) += 1;
     }

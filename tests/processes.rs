@@ -9,12 +9,15 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use iceoryx2::prelude::ZeroCopySend;
-use roomcast::exit_code;
 use roomcast_ipc::{
     DecisionV1, Domain, Field, Layout, Message, MessageError, NarrationV1, Node, RoomScoresV1, ServiceQuality,
     StatusResponseV1, Subscriber, action, narration_kind, sequence,
 };
 use rustix::process::{Pid, Signal, kill_process};
+
+#[expect(dead_code, reason = "a test needs some of them")]
+#[path = "../src/exit_code.rs"]
+mod exit_code;
 
 /// Far longer than anything here takes, also on a loaded machine.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -839,12 +842,13 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     let (status, log) = world.wait(recorder);
     assert!(status.success(), "{log}");
 
-    let recording = roomcast::recording::read(&file).unwrap();
-    let narration = |recording: &roomcast::recording::Recording| -> Vec<Vec<u8>> {
+    let recording = roomcast_services::recording::read(&file).unwrap();
+    let narration = |recording: &roomcast_services::recording::Recording| -> Vec<Vec<u8>> {
         let messages = recording.messages.iter().map(|(_, message)| message);
         messages.filter(|m| m.topic() == NarrationV1::SERVICE.name).map(|m| m.to_bytes()).collect()
     };
-    let last_scores = |recording: &roomcast::recording::Recording| recording.moment(None, None).unwrap().scores;
+    let last_scores =
+        |recording: &roomcast_services::recording::Recording| recording.moment(None, None).unwrap().scores;
     let recorded = last_scores(&recording);
     assert_eq!(narration(&recording).len(), 4, "{log}");
     assert_eq!(recorded.window, 6);
@@ -880,7 +884,7 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     let last = scores_with(&other_scores, "all of it", |scores| includes(scores, "camera-3", 1));
     other.signal(recorder, Signal::TERM);
     assert!(other.wait(recorder).0.success());
-    let again = roomcast::recording::read(&second).unwrap();
+    let again = roomcast_services::recording::read(&second).unwrap();
     assert_eq!(narration(&again), narration(&recording), "bit for bit");
     assert_eq!(last.window, recorded.window);
     for (a, b) in recorded.rooms().iter().zip(last.rooms()) {

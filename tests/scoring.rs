@@ -9,20 +9,20 @@ use std::path::Path;
 
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
-use roomcast::embedded;
-use roomcast::gguf::Header;
-use roomcast::grounding::{Grounding, GroundingOptions};
-use roomcast::narration::history::HistoryLimits;
-use roomcast::narration::program::Program;
-use roomcast::narration::{Observation, Sentence};
-use roomcast::pipeline::{Pipeline, PipelineOptions};
-use roomcast::prompt::{BindingSequence, write_prompt};
-use roomcast::scorer::certified::Effort;
-use roomcast::scorer::correction::{Continuation, Correction};
-use roomcast::scorer::llama::{CacheType, LlamaModel, LlamaOptions};
-use roomcast::scorer::{LabelScores, Method, Scorer, Tokenisation};
-use roomcast::semantic_map::{SemanticMap, import};
-use roomcast::setup::load_model;
+use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::narration::history::HistoryLimits;
+use roomcast_core::narration::program::Program;
+use roomcast_core::narration::{Observation, Sentence};
+use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::prompt::{BindingSequence, write_prompt};
+use roomcast_core::scorer::certified::Effort;
+use roomcast_core::scorer::correction::{Continuation, Correction};
+use roomcast_core::scorer::{LabelScores, Method, Scorer, Tokenisation};
+use roomcast_core::semantic_map::{SemanticMap, import};
+use roomcast_llama::gguf::Header;
+use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
+use roomcast_services::embedded;
+use roomcast_services::setup::load_model;
 
 /// The model that ships, or the same weights in single precision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -171,7 +171,7 @@ fn bindings() -> Vec<BindingSequence> {
 }
 
 /// The largest difference, in nats per token of a label.
-fn apart(prepared_tokens: &[Vec<roomcast::scorer::Token>], a: &[f64], b: &[f64]) -> f64 {
+fn apart(prepared_tokens: &[Vec<roomcast_core::scorer::Token>], a: &[f64], b: &[f64]) -> f64 {
     let labels = prepared_tokens.iter().zip(a).zip(b);
     labels.map(|((tokens, a), b)| (a - b).abs() / tokens.len() as f64).fold(0.0, f64::max)
 }
@@ -276,7 +276,7 @@ fn methods_agree(weights: Weights) {
 /// Every joint cut of prompt and label is the prompt's cut followed by the label's: the trie scores what the text says.
 #[test]
 fn labels_are_cut_as_the_joint_text_is() {
-    use roomcast::scorer::{LanguageModel, TextStart};
+    use roomcast_core::scorer::{LanguageModel, TextStart};
     let mut scorer = Scorer::new(model(1));
     for map in maps() {
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
@@ -300,7 +300,7 @@ fn labels_are_cut_as_the_joint_text_is() {
 /// Control tokens that a narrator writes are text: they cost many tokens and end nothing.
 #[test]
 fn control_tokens_in_text_are_inert() {
-    use roomcast::scorer::{LanguageModel, TextStart};
+    use roomcast_core::scorer::{LanguageModel, TextStart};
     let scorer = Scorer::new(model(1));
     for text in ["<s>", "</s>", "<unk>", "<|endoftext|>"] {
         let mut tokens = Vec::new();
@@ -312,7 +312,7 @@ fn control_tokens_in_text_are_inert() {
 /// llama.cpp cuts text, hostile text too, exactly as the tokenizer that the model was trained with.
 #[test]
 fn the_tokenizer_is_the_one_of_the_training() {
-    use roomcast::scorer::{LanguageModel, TextStart};
+    use roomcast_core::scorer::{LanguageModel, TextStart};
     let expected: Vec<(String, Vec<i32>)> =
         serde_json::from_str(include_str!("../models/household-tokens.json")).unwrap();
     assert!(expected.len() > 100);

@@ -9,14 +9,15 @@
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
-use roomcast::daemon::{Board, Cycle, Entry, Intake, IntakeLimits, Journal, JournalOptions, Taken};
-use roomcast::grounding::{Grounding, GroundingOptions};
-use roomcast::narrator::{Account, Item};
-use roomcast::pipeline::{Pipeline, PipelineOptions};
-use roomcast::planner::{Planner, PlannerConfig};
-use roomcast::scorer::none::NoModel;
-use roomcast::setup;
+use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_ipc::{DecisionV1, Domain, NarrationV1, RoomScoresV1, clock, narration_kind, sequence};
+use roomcast_services::config::{IntakeLimits, PlannerConfig};
+use roomcast_services::daemon::{Board, Cycle, Entry, Intake, Journal, JournalOptions, Taken};
+use roomcast_services::narrator::{Account, Item};
+use roomcast_services::no_model::NoModel;
+use roomcast_services::planner::Planner;
+use roomcast_services::setup;
 
 const EVENTS: u64 = 20_000;
 /// Memory may still grow by this after the first tenth: caches of the allocator, pages of shared memory touched for the first time.

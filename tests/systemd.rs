@@ -57,7 +57,7 @@ fn the_units_exposure_is_2_or_better() {
 #[test]
 fn the_shipped_configuration_is_one() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd/roomcast.toml");
-    roomcast::config::Config::load(&path).unwrap();
+    roomcast_services::config::Config::load(&path).unwrap();
 }
 
 /// The values of a key in a unit.

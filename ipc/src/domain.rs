@@ -17,9 +17,6 @@ use iceoryx2::service::ipc_threadsafe;
 use rustix::process::geteuid;
 
 use crate::IpcError;
-use crate::message::Message;
-use crate::port::{ItemScoresPublisher, ItemScoresSubscriber, Publisher, StatusClient, StatusServer, Subscriber};
-use crate::question::{AnswerPort, QuestionPort};
 
 /// The flavour of iceoryx2 used throughout: shared memory, and ports that may move between threads.
 pub(crate) type Flavour = ipc_threadsafe::Service;
@@ -493,78 +490,6 @@ impl Node {
         })
     }
 
-    /// A publisher of `M`. Fails with [`IpcError::Occupied`] when its places are taken.
-    ///
-    /// # Errors
-    ///
-    /// [`IpcError`], with both sides named where versions or types differ.
-    pub fn publisher<M: Message>(&self) -> Result<Publisher<M>, IpcError> {
-        self.retry(|| Publisher::open(self))
-    }
-
-    /// A subscriber of `M`; it gets the service's history.
-    ///
-    /// # Errors
-    ///
-    /// As [`Node::publisher`].
-    pub fn subscriber<M: Message>(&self) -> Result<Subscriber<M>, IpcError> {
-        self.retry(|| Subscriber::open(self))
-    }
-
-    /// The publisher of item scores.
-    ///
-    /// # Errors
-    ///
-    /// As [`Node::publisher`].
-    pub fn item_scores_publisher(&self) -> Result<ItemScoresPublisher, IpcError> {
-        self.retry(|| ItemScoresPublisher::open(self))
-    }
-
-    /// A subscriber of item scores; as long as it lives, the daemon sends them.
-    ///
-    /// # Errors
-    ///
-    /// As [`Node::publisher`].
-    pub fn item_scores_subscriber(&self) -> Result<ItemScoresSubscriber, IpcError> {
-        self.retry(|| ItemScoresSubscriber::open(self))
-    }
-
-    /// The place that answers status requests.
-    ///
-    /// # Errors
-    ///
-    /// As [`Node::publisher`].
-    pub fn status_server(&self) -> Result<StatusServer, IpcError> {
-        self.retry(|| StatusServer::open(self))
-    }
-
-    /// Asks for status.
-    ///
-    /// # Errors
-    ///
-    /// As [`Node::publisher`].
-    pub fn status_client(&self) -> Result<StatusClient, IpcError> {
-        self.retry(|| StatusClient::open(self))
-    }
-
-    /// The place that answers questions of a service of [`crate::question`].
-    ///
-    /// # Errors
-    ///
-    /// As [`Node::publisher`].
-    pub fn answer_port(&self, service: &'static str) -> Result<AnswerPort, IpcError> {
-        self.retry(|| AnswerPort::open(self, service))
-    }
-
-    /// Asks questions of a service of [`crate::question`].
-    ///
-    /// # Errors
-    ///
-    /// As [`Node::publisher`].
-    pub fn question_port(&self, service: &'static str) -> Result<QuestionPort, IpcError> {
-        self.retry(|| QuestionPort::open(self, service))
-    }
-
     /// Removes what participants that died left behind; iceoryx2 does it when something is opened, a long-running process also
     /// by itself now and then.
     pub fn clean_up_dead(&self) {
@@ -593,7 +518,7 @@ impl Node {
     }
 
     /// Repeats while the failure may pass: a peer is starting, stopping, or has died a moment ago.
-    fn retry<T>(&self, mut open: impl FnMut() -> Result<T, OpenFailure>) -> Result<T, IpcError> {
+    pub(crate) fn retry<T>(&self, mut open: impl FnMut() -> Result<T, OpenFailure>) -> Result<T, IpcError> {
         refuse_full_shared_memory()?;
         let start = Instant::now();
         let mut pause = Duration::from_millis(2);

@@ -677,3 +677,60 @@ pub(crate) fn passing(service: &'static str, error: &impl Debug) -> OpenFailure 
 pub(crate) fn port(service: &'static str, operation: &'static str, error: &impl Debug) -> IpcError {
     IpcError::Port { service, operation, cause: format!("{error:?}") }
 }
+
+/// Opens them.
+impl Node {
+    /// A publisher of `M`. Fails with [`IpcError::Occupied`] when its places are taken.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError`], with both sides named where versions or types differ.
+    pub fn publisher<M: Message>(&self) -> Result<Publisher<M>, IpcError> {
+        self.retry(|| Publisher::open(self))
+    }
+
+    /// A subscriber of `M`; it gets the service's history.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn subscriber<M: Message>(&self) -> Result<Subscriber<M>, IpcError> {
+        self.retry(|| Subscriber::open(self))
+    }
+
+    /// The publisher of item scores.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn item_scores_publisher(&self) -> Result<ItemScoresPublisher, IpcError> {
+        self.retry(|| ItemScoresPublisher::open(self))
+    }
+
+    /// A subscriber of item scores; as long as it lives, the daemon sends them.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn item_scores_subscriber(&self) -> Result<ItemScoresSubscriber, IpcError> {
+        self.retry(|| ItemScoresSubscriber::open(self))
+    }
+
+    /// The place that answers status requests.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn status_server(&self) -> Result<StatusServer, IpcError> {
+        self.retry(|| StatusServer::open(self))
+    }
+
+    /// Asks for status.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn status_client(&self) -> Result<StatusClient, IpcError> {
+        self.retry(|| StatusClient::open(self))
+    }
+}

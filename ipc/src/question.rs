@@ -160,3 +160,24 @@ fn open(node: &Node, service: &'static str) -> Result<Factory, OpenFailure> {
         .open_or_create();
     opened.map_err(|error| request_response_failure(node, service, &described("[u8]", 1), &error))
 }
+
+/// Opens them.
+impl Node {
+    /// The place that answers questions of a service of this module.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn answer_port(&self, service: &'static str) -> Result<AnswerPort, IpcError> {
+        self.retry(|| AnswerPort::open(self, service))
+    }
+
+    /// Asks questions of a service of this module.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn question_port(&self, service: &'static str) -> Result<QuestionPort, IpcError> {
+        self.retry(|| QuestionPort::open(self, service))
+    }
+}

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use super::{CommandResult, Failure};
-use crate::config::{Config, DEFAULT_TOML};
 use crate::exit_code;
+use roomcast_services::config::{Config, DEFAULT_TOML};
 
 /// Arguments of `roomcast config`.
 #[derive(Debug, clap::Args)]

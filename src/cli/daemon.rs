@@ -3,8 +3,10 @@
 use std::path::PathBuf;
 
 use super::{CommandResult, Failure, model, service};
-use crate::scorer::none::NoModel;
-use crate::{daemon, exit_code, logging, setup};
+use roomcast_services::no_model::NoModel;
+use roomcast_services::{daemon, logging, setup};
+
+use crate::exit_code;
 
 /// Arguments of `roomcast daemon`.
 #[derive(Debug, clap::Args)]
@@ -53,5 +55,5 @@ pub fn run(args: &Args) -> CommandResult {
     } else {
         daemon::run(&config, &domain, &stop, setup::configured_model)
     };
-    ended.map_err(|error| Failure::new(error.exit_code(), error))
+    Ok(ended?)
 }

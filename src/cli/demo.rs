@@ -12,14 +12,15 @@ use roomcast_ipc::{
 };
 
 use super::stage::Stage;
-use super::{CommandResult, Failure, bar, count, ranges, service};
+use super::{CommandResult, Failure, count, ranges, service};
+use crate::bar::bar;
 use crate::exit_code;
-use crate::grounding::{Grounding, GroundingOptions};
-use crate::narration::{Action, ObjectRef};
-use crate::policy::PolicyName;
-use crate::semantic_map::SemanticMap;
-use crate::setup;
-use crate::stop::Stop;
+use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::narration::{Action, ObjectRef};
+use roomcast_core::policy::PolicyName;
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_services::setup;
+use roomcast_services::stop::Stop;
 
 /// Loading the model is the slow part of the start.
 const START_WITHIN: Duration = Duration::from_secs(120);

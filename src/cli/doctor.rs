@@ -9,16 +9,16 @@ use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
 
 use super::{CommandResult, Failure, service};
-use crate::config::Config;
-use crate::embedded;
 use crate::exit_code;
-use crate::grounding::Grounding;
-use crate::logging::chain;
-use crate::narration::{Observation, Program, Sentence};
-use crate::scorer::LanguageModel;
-use crate::scorer::llama::{self, LlamaModel};
-use crate::semantic_map::SemanticMap;
-use crate::setup;
+use roomcast_core::grounding::Grounding;
+use roomcast_core::narration::{Observation, Program, Sentence};
+use roomcast_core::scorer::LanguageModel;
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_llama::LlamaModel;
+use roomcast_services::config::Config;
+use roomcast_services::embedded;
+use roomcast_services::logging::chain;
+use roomcast_services::setup;
 
 /// Arguments of `roomcast doctor`.
 #[derive(Debug, clap::Args)]
@@ -110,7 +110,7 @@ fn processor() -> Finding {
 
 fn llama_build() -> Finding {
     let check = "llama.cpp";
-    let built = match llama::build_features() {
+    let built = match roomcast_llama::build_features() {
         Ok(built) => built,
         Err(error) => return Finding::wrong(check, chain(&error), "build Roomcast again"),
     };

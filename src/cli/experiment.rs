@@ -5,21 +5,21 @@ use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 
+use super::choice::{CorrectionArgs, choice};
 use super::{CommandResult, Failure, count, ranges};
 use crate::exit_code;
-use crate::experiment::baselines::{HOUSEHOLD_STATISTICS, Statistics};
-use crate::experiment::forecast::{self, NamedProgram, Report};
-use crate::experiment::metrics::Summary;
-use crate::experiment::{ExperimentError, Progress, ScoreSource, ScoresError};
-use crate::grounding::{Grounding, GroundingOptions};
-use crate::narration::history::HistoryLimits;
-use crate::prompt::BindingSequence;
-use crate::scorer::correction::CorrectionChoice;
-use crate::scorer::llama::{CacheType, LlamaModel, LlamaOptions};
-use crate::scorer::{Method, Tokenisation};
-use crate::semantic_map::SemanticMap;
-use crate::setup;
-use crate::simulation::binding::ItemChoice;
+use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::narration::history::HistoryLimits;
+use roomcast_core::prompt::BindingSequence;
+use roomcast_core::scorer::{Method, Tokenisation};
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_lab::experiment::baselines::Statistics;
+use roomcast_lab::experiment::forecast::{self, NamedProgram, Report};
+use roomcast_lab::experiment::metrics::Summary;
+use roomcast_lab::experiment::{ExperimentError, Progress, ScoreSource, ScoresError};
+use roomcast_lab::simulation::binding::ItemChoice;
+use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
+use roomcast_services::setup;
 
 mod study;
 
@@ -56,18 +56,18 @@ struct ModelArgs {
     #[arg(long, value_name = "N", value_parser = ranges::observations())]
     history: Option<usize>,
     /// How labels are scored; all methods agree up to rounding.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = choice::<Method>(), default_value_t)]
     method: Method,
     /// How prompt and labels are cut into tokens.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = choice::<Tokenisation>(), default_value_t)]
     tokenisation: Tokenisation,
     #[command(flatten)]
-    correction: CorrectionChoice,
+    correction: CorrectionArgs,
     /// Threads of one decoder call, at most 256; 0 chooses all cores but one.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = ranges::threads())]
     threads: usize,
     /// How the key-value cache is stored. In single precision, unlike in the running system, results depend less on the processor.
-    #[arg(long, value_enum, default_value_t = CacheType::F32)]
+    #[arg(long, value_parser = choice::<CacheType>(), default_value_t = CacheType::F32)]
     kv_cache: CacheType,
     /// Where scores are kept for the next run; below the user's cache folder when left out.
     #[arg(long, value_name = "DIR")]
@@ -102,14 +102,15 @@ impl ModelArgs {
         let default = LlamaOptions::default();
         let threads = if self.threads == 0 { default.threads } else { self.threads };
         let model =
-            setup::load_model(self.model.as_deref(), &LlamaOptions { threads, cache: self.kv_cache, ..default })?;
+            setup::load_model(self.model.as_deref(), &LlamaOptions { threads, cache: self.kv_cache, ..default })
+                .map_err(|error| ExperimentError::Model(Box::new(error)))?;
         let labels = grounding.label_texts();
         // Scores of another arithmetic are others.
         let folder = self.cache().map(|folder| match self.kv_cache {
             CacheType::F32 => folder,
             other => folder.join(format!("{other:?}").to_lowercase()),
         });
-        Ok(ScoreSource::new(model, &labels, self.method, self.tokenisation, self.correction, folder.as_deref())?)
+        Ok(ScoreSource::new(model, &labels, self.method, self.tokenisation, self.correction.into(), folder.as_deref())?)
     }
 }
 
@@ -132,7 +133,7 @@ struct ForecastArgs {
     #[arg(long, value_name = "NAME", default_value = "test", requires = "manifest")]
     split: String,
     /// Which of a label's items an object of a program means.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = choice::<ItemChoice>(), default_value_t)]
     items: ItemChoice,
     /// The binding sequence: default, p0 to p5, or a text of your own.
     #[arg(long, value_name = "TEXT", default_value = "default")]
@@ -147,12 +148,12 @@ struct ForecastArgs {
 impl From<ExperimentError> for Failure {
     fn from(error: ExperimentError) -> Self {
         let code = match &error {
-            ExperimentError::Scores(ScoresError::Score(_)) => exit_code::MODEL,
-            ExperimentError::Setup(error) => error.exit_code(),
-            ExperimentError::Scores(ScoresError::Cache { .. })
-            | ExperimentError::Clairvoyant(_)
-            | ExperimentError::BelowBound { .. }
-            | ExperimentError::SolversDisagree { .. } => exit_code::FAILURE,
+            ExperimentError::Scores(ScoresError::Score(_)) | ExperimentError::Model(_) => exit_code::MODEL,
+            ExperimentError::Scores(ScoresError::Cache { .. }) | ExperimentError::BelowBound { .. } => {
+                exit_code::FAILURE
+            }
+            #[cfg(feature = "optimum")]
+            ExperimentError::Solver(_) | ExperimentError::SolversDisagree { .. } => exit_code::FAILURE,
             _ => exit_code::INPUT,
         };
         Self::new(code, error)
@@ -186,7 +187,8 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
             report_faults(&faults);
             Statistics::fit(fitted.iter().map(|named| &named.program))
         }
-        None => Statistics::from_json(HOUSEHOLD_STATISTICS).map_err(|e| Failure::new(exit_code::FAILURE, e))?,
+        None => Statistics::from_json(roomcast_services::embedded::STATISTICS)
+            .map_err(|e| Failure::new(exit_code::FAILURE, e))?,
     };
     let maps = maps(&args.scene)?;
     let options = forecast::Options {

@@ -7,19 +7,19 @@ use std::time::Duration;
 
 use roomcast_ipc::question;
 
-use super::{CommandResult, Failure, count, ranges, scene, score, service};
-use crate::grounding::Grounding;
-use crate::hub::hex;
-use crate::moment::{Explained, Moment};
-use crate::narration::Observation;
-use crate::narration::history::HistoryLimits;
-use crate::pipeline::{Pipeline, PipelineOptions};
-use crate::recording::{self, RecordedMoment};
-use crate::scorer::LanguageModel;
-use crate::scorer::correction::CorrectionChoice;
-use crate::semantic_map::SemanticMap;
-use crate::semantic_map::drawing::{self, Heat};
-use crate::{exit_code, setup};
+use super::{CommandResult, Failure, count, draw, ranges, score, service};
+use crate::exit_code;
+use roomcast_core::grounding::Grounding;
+use roomcast_core::narration::Observation;
+use roomcast_core::narration::history::HistoryLimits;
+use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::scorer::LanguageModel;
+use roomcast_core::scorer::correction::CorrectionChoice;
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_lab::drawing::{self, Heat};
+use roomcast_services::moment::{Explained, Moment};
+use roomcast_services::recording::{self, RecordedMoment};
+use roomcast_services::setup;
 
 /// What only scores of a given narration depend on: recorded and running ones are as they are. They exclude `--recording`, which
 /// `--at` and `--sequence` require; clap lets a requirement drop where something excludes it, so those two name them as well.
@@ -92,7 +92,7 @@ pub fn run(args: &Args) -> CommandResult {
     };
     let explained = moment.explain(args.score.top()).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
     if let Some(path) = &args.plan {
-        draw(&explained, path)?;
+        draw_plan(&explained, path)?;
     }
     if args.score.json() {
         return super::print_json(&explained.explanation);
@@ -101,12 +101,12 @@ pub fn run(args: &Args) -> CommandResult {
     super::print(&format!("{note}{}", explained.explanation))
 }
 
-fn draw(explained: &Explained, path: &Path) -> CommandResult {
+fn draw_plan(explained: &Explained, path: &Path) -> CommandResult {
     let Explained { explanation, map, grounding, scores, item_log_score_nats } = explained;
     let caption = explanation.narration.last().map_or("", String::as_str);
     let heat = Heat::new(&scores.partition_probability, item_log_score_nats, caption);
     let svg = drawing::svg(map, grounding, Some(&heat)).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
-    scene::write_drawing(path, svg, 2.0)
+    draw::write_drawing(path, svg, 2.0)
 }
 
 /// Computes the scores of a recorded moment once more, and says how they compare with the recorded ones.
@@ -134,15 +134,15 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
         }
         (scene, _) => setup::load_map(scene)?,
     };
-    let wanted = (hex(&scores.map_fingerprint), hex(&scores.model_fingerprint));
-    if hex(&map.fingerprint) != wanted.0 {
+    let wanted = (hex::encode(&scores.map_fingerprint), hex::encode(&scores.model_fingerprint));
+    if hex::encode(&map.fingerprint) != wanted.0 {
         let (name, wanted) = (&map.name, &wanted.0);
         return Err(input(format!(
             "the recorded scores are of a map with the fingerprint {wanted}, {name} is another one; give --scene FILE"
         )));
     }
     let model = setup::load_model(model, &options)?;
-    if hex(&model.info().fingerprint) != wanted.1 {
+    if hex::encode(&model.info().fingerprint) != wanted.1 {
         let (name, wanted) = (&model.info().name, &wanted.1);
         return Err(Failure::new(
             exit_code::MODEL,

@@ -13,8 +13,8 @@ use super::stage::Stage;
 use super::{CommandResult, Failure, print_json, service};
 use crate::exit_code;
 use crate::latency::{self, LatencyError, Narrator, Path, Probe, Row};
-use crate::narration::Program;
-use crate::stop::Stop;
+use roomcast_core::narration::Program;
+use roomcast_services::stop::Stop;
 
 /// Loading the model is the slow part of the start.
 const START_WITHIN: Duration = Duration::from_secs(120);
@@ -245,9 +245,9 @@ fn wait_for(stage: &mut Stage, stop: &Stop, mut there: impl FnMut() -> Result<bo
 /// What a person does in the shipped programs.
 fn sentences() -> Result<Vec<String>, Failure> {
     let mut sentences = Vec::new();
-    for shipped in crate::embedded::PROGRAMS {
+    for shipped in roomcast_services::embedded::PROGRAMS {
         let program = Program::parse(shipped.text).map_err(|error| Failure::new(exit_code::INPUT, error))?;
-        sentences.extend(program.steps.iter().map(crate::narration::Action::sentence));
+        sentences.extend(program.steps.iter().map(roomcast_core::narration::Action::sentence));
     }
     Ok(sentences)
 }

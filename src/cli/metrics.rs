@@ -4,7 +4,9 @@ use std::net::SocketAddr;
 
 use super::{CommandResult, Failure, service};
 use crate::metrics::{self, MetricsError};
-use crate::{daemon, exit_code, logging};
+use roomcast_services::{logging, notify};
+
+use crate::exit_code;
 
 /// Arguments of `roomcast metrics`.
 #[derive(Debug, clap::Args)]
@@ -33,7 +35,7 @@ pub fn run(args: &Args) -> CommandResult {
     };
     let served = metrics::run(address, &domain, &stop, |address| {
         eprintln!("metrics at http://{address}/metrics");
-        daemon::notify(&[sd_notify::NotifyState::Ready]);
+        notify::notify(&[sd_notify::NotifyState::Ready]);
     });
     served.map_err(|error| {
         let code = match error {

@@ -9,28 +9,44 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use roomcast_services::daemon::DaemonError;
+use roomcast_services::setup::SetupError;
+
 use crate::exit_code;
 
+mod choice;
 mod completions;
 mod config;
 mod daemon;
+#[cfg(feature = "demo")]
 mod demo;
 mod doctor;
+#[cfg(feature = "lab")]
+mod draw;
+#[cfg(feature = "lab")]
 mod experiment;
+#[cfg(all(feature = "lab", feature = "recordings"))]
 mod explain;
+#[cfg(feature = "latency")]
 mod latency;
 mod man;
+#[cfg(feature = "metrics")]
 mod metrics;
 mod model;
 mod narrate;
+#[cfg(feature = "mqtt")]
+mod narrate_mqtt;
 mod planner;
 mod ranges;
+#[cfg(feature = "recordings")]
 mod record;
+#[cfg(feature = "recordings")]
 mod replay;
 mod scene;
 mod score;
 mod service;
 mod stage;
+#[cfg(feature = "top")]
 mod top;
 
 /// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
@@ -51,26 +67,36 @@ impl Failure {
 
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&crate::logging::chain(&*self.error))
+        f.write_str(&roomcast_services::logging::chain(&*self.error))
     }
 }
 
-impl From<crate::setup::SetupError> for Failure {
-    fn from(error: crate::setup::SetupError) -> Self {
-        Self::new(error.exit_code(), error)
+impl From<SetupError> for Failure {
+    fn from(error: SetupError) -> Self {
+        let code = match &error {
+            SetupError::Config(_) => exit_code::CONFIG,
+            SetupError::Scene(_) | SetupError::NoScene { .. } | SetupError::Grounding(_) => exit_code::INPUT,
+            _ => exit_code::MODEL,
+        };
+        Self::new(code, error)
+    }
+}
+
+impl From<DaemonError> for Failure {
+    fn from(error: DaemonError) -> Self {
+        let code = match error {
+            DaemonError::Setup(error) => return error.into(),
+            DaemonError::Board(_) => exit_code::INPUT,
+            DaemonError::Ipc(_) => exit_code::IPC,
+            DaemonError::Affinity(_) => exit_code::CONFIG,
+            _ => exit_code::FAILURE,
+        };
+        Self::new(code, error)
     }
 }
 
 /// What every subcommand returns.
 pub type CommandResult = Result<(), Failure>;
-
-/// A bar of `share` (0 to 1) in at most `width` cells, in eighths of a cell.
-#[must_use]
-pub fn bar(share: f64, width: usize) -> String {
-    const EIGHTHS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
-    let eighths = (share.clamp(0.0, 1.0) * width as f64 * 8.0).round() as usize;
-    format!("{}{}", "█".repeat(eighths / 8), EIGHTHS[eighths % 8])
-}
 
 /// So many of something whose plural ends in s: "1 room", "2 rooms".
 #[must_use]
@@ -133,21 +159,27 @@ enum Command {
     /// Score the rooms: the service between narrators and planners.
     Daemon(daemon::Args),
     /// Show the whole system at work on this machine.
+    #[cfg(feature = "demo")]
     Demo(demo::Args),
     /// Say whether this machine can run Roomcast, and how well.
     Doctor(doctor::Args),
     /// Reproduce the paper's tables and figures, and ours.
+    #[cfg(feature = "lab")]
     Experiment(experiment::Args),
     /// Explain the scores of one moment: rooms, labels, tokens, items and the narration behind them.
+    #[cfg(all(feature = "lab", feature = "recordings"))]
     Explain(explain::Args),
     /// Measure how long events take to become scores and decisions, between real processes.
+    #[cfg(feature = "latency")]
     Latency(latency::Args),
     /// The other end of a measurement of `latency`, which starts it.
     #[command(hide = true)]
+    #[cfg(feature = "latency")]
     LatencyEnd(latency::EndArgs),
     /// Write the manual pages of all commands.
     Man(man::Args),
     /// Serve metrics of a running system for Prometheus, on a loopback address.
+    #[cfg(feature = "metrics")]
     Metrics(metrics::Args),
     /// Inspect, check and fetch language models.
     Model(model::Args),
@@ -156,14 +188,17 @@ enum Command {
     /// Decide where the robot goes: the service that applies a policy to the scores.
     Planner(planner::Args),
     /// Record everything on the services into an MCAP file.
+    #[cfg(feature = "recordings")]
     Record(record::Args),
     /// Replay a recording, bit for bit, at any speed.
+    #[cfg(feature = "recordings")]
     Replay(replay::Args),
     /// Import, check, show and draw semantic maps.
     Scene(scene::Args),
     /// Score every label, item and partition of a scene once.
     Score(score::Args),
     /// Watch a running system: rooms over time, narration, likely objects, decisions, health.
+    #[cfg(feature = "top")]
     Top(top::Args),
 }
 
@@ -171,16 +206,13 @@ impl Command {
     /// Whether a reader that leaves may end the command at once: it holds no place in a domain, and no processes.
     fn only_prints(&self) -> bool {
         match self {
-            Self::Daemon(_)
-            | Self::Demo(_)
-            | Self::Latency(_)
-            | Self::LatencyEnd(_)
-            | Self::Metrics(_)
-            | Self::Narrate(_)
-            | Self::Planner(_) => false,
-            Self::Record(_) | Self::Replay(_) | Self::Top(_) => false,
-            Self::Completions(_) | Self::Config(_) | Self::Doctor(_) | Self::Experiment(_) | Self::Explain(_) => true,
-            Self::Man(_) | Self::Model(_) | Self::Scene(_) | Self::Score(_) => true,
+            Self::Completions(_) | Self::Config(_) | Self::Doctor(_) | Self::Man(_) | Self::Model(_) => true,
+            Self::Scene(_) | Self::Score(_) => true,
+            #[cfg(feature = "lab")]
+            Self::Experiment(_) => true,
+            #[cfg(all(feature = "lab", feature = "recordings"))]
+            Self::Explain(_) => true,
+            _ => false,
         }
     }
 }
@@ -197,21 +229,30 @@ pub fn main() -> ExitCode {
         Command::Completions(args) => completions::run(&args),
         Command::Config(args) => config::run(&args),
         Command::Daemon(args) => daemon::run(&args),
+        #[cfg(feature = "demo")]
         Command::Demo(args) => demo::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        #[cfg(feature = "lab")]
         Command::Experiment(args) => experiment::run(&args),
+        #[cfg(all(feature = "lab", feature = "recordings"))]
         Command::Explain(args) => explain::run(&args),
+        #[cfg(feature = "latency")]
         Command::Latency(args) => latency::run(&args),
+        #[cfg(feature = "latency")]
         Command::LatencyEnd(args) => latency::run_end(&args),
         Command::Man(args) => man::run(&args),
+        #[cfg(feature = "metrics")]
         Command::Metrics(args) => metrics::run(&args),
         Command::Model(args) => model::run(&args),
         Command::Narrate(args) => narrate::run(&args),
         Command::Planner(args) => planner::run(&args),
+        #[cfg(feature = "recordings")]
         Command::Record(args) => record::run(&args),
+        #[cfg(feature = "recordings")]
         Command::Replay(args) => replay::run(&args),
         Command::Scene(args) => scene::run(&args),
         Command::Score(args) => score::run(&args),
+        #[cfg(feature = "top")]
         Command::Top(args) => top::run(&args),
     };
     match result {

@@ -7,14 +7,15 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::{CommandResult, Failure, print};
-use crate::embedded::{self, ModelFile};
 use crate::exit_code;
-use crate::gguf::Header;
-use crate::hub::{self, Hub, HubError};
-use crate::prompt::{BindingSequence, write_prompt};
-use crate::scorer::correction::{Continuation, Correction};
-use crate::scorer::llama::{CacheType, LlamaModel, LlamaOptions};
-use crate::scorer::{LabelScores, LanguageModel, Method, Scorer, Token, Tokenisation};
+#[cfg(feature = "pull")]
+use crate::hub::{self, Hub, HubError, Request};
+use roomcast_core::prompt::{BindingSequence, write_prompt};
+use roomcast_core::scorer::correction::{Continuation, Correction};
+use roomcast_core::scorer::{LabelScores, LanguageModel, Method, Scorer, Token, Tokenisation};
+use roomcast_llama::gguf::Header;
+use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
+use roomcast_services::embedded::{self, ModelFile};
 
 /// Arguments of `roomcast model`.
 #[derive(Debug, clap::Args)]
@@ -53,7 +54,8 @@ enum Command {
         /// A GGUF file.
         file: PathBuf,
     },
-    /// Download a GGUF file from a model hub into the user's cache; an interrupted download is taken up.
+    #[cfg(feature = "pull")]
+    /// Download a GGUF file from a model hub into the user's cache; an interrupted download is continued.
     Pull {
         /// The repository on the hub: owner/name.
         repository: String,
@@ -62,9 +64,15 @@ enum Command {
         /// The hub's address.
         #[arg(long, env = "HF_ENDPOINT", default_value = hub::ENDPOINT_DEFAULT)]
         endpoint: String,
-        /// The cache's folder [default: the one that other tools of the hub share, ~/.cache/huggingface/hub].
+        /// The SHA-256 that the file must have, 64 hexadecimal digits [default: the one that the hub states].
+        #[arg(long, value_name = "DIGITS")]
+        sha256: Option<String>,
+        /// The folder that models are kept in [default: ~/.cache/roomcast/models].
         #[arg(long)]
         cache: Option<PathBuf>,
+        /// A file with the token that the hub asks for; it is sent to the hub alone.
+        #[arg(long, env = "HF_TOKEN_PATH", value_name = "FILE")]
+        token_file: Option<PathBuf>,
         /// Print JSON.
         #[arg(long)]
         json: bool,
@@ -79,9 +87,11 @@ pub fn run(args: &Args) -> CommandResult {
             check(file.as_deref(), case.as_deref(), record.as_deref(), *json)
         }
         Command::Rehearse { file } => rehearse(file),
-        Command::Pull { repository, file, endpoint, cache, json } => {
-            let hub = Hub { endpoint: Some(endpoint.clone()), cache: cache.clone() };
-            pull(&hub, repository, file, *json)
+        #[cfg(feature = "pull")]
+        Command::Pull { repository, file, endpoint, sha256, cache, token_file, json } => {
+            let token = token_file.as_deref().map(read_token).transpose()?;
+            let hub = Hub { endpoint: Some(endpoint.clone()), cache: cache.clone(), token };
+            pull(&hub, &Request { repository, file, sha256: sha256.as_deref() }, *json)
         }
     }
 }
@@ -168,7 +178,8 @@ fn open(file: Option<&Path>) -> Result<(PathBuf, Option<ModelFile>), Failure> {
 fn info(file: Option<&Path>, as_json: bool) -> CommandResult {
     let (path, _embedded) = open(file)?;
     let header = Header::read_language_model(&path).map_err(|error| Failure::new(exit_code::MODEL, error))?;
-    let sha256 = hub::sha256_of(&path).map_err(|error| Failure::new(exit_code::MODEL, error))?;
+    let sha256 =
+        roomcast_llama::file_sha256(&path).map(hex::encode).map_err(|error| Failure::new(exit_code::MODEL, error))?;
     let shown = file.unwrap_or(Path::new(embedded::MODEL_NAME));
     print(&if as_json { format!("{:#}\n", describe(shown, &header, &sha256)) } else { table(shown, &header, &sha256) })
 }
@@ -267,7 +278,7 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
     let options = LlamaOptions { cache: CacheType::F32, ..LlamaOptions::default() };
     let model = LlamaModel::load(&path, &options).map_err(|error| model_failure(&error))?;
     let about = model.info().clone();
-    let sha256 = hub::hex(&about.fingerprint);
+    let sha256 = hex::encode(&about.fingerprint);
     let mut checked = vec![Checked {
         check: "loads",
         ok: true,
@@ -416,10 +427,25 @@ fn compare(case: &KnownCase, sha256: &str, scores: &[f64]) -> Checked {
     }
 }
 
-fn pull(hub: &Hub, repository: &str, file: &str, as_json: bool) -> CommandResult {
+#[cfg(feature = "pull")]
+fn read_token(path: &Path) -> Result<String, Failure> {
+    let token = std::fs::read_to_string(path).map_err(|error| error.to_string());
+    let token = token.map(|token| token.trim().to_owned()).and_then(|token| {
+        let plain = !token.is_empty() && token.bytes().all(|byte| byte.is_ascii_graphic());
+        plain.then_some(token).ok_or_else(|| "it holds no token on one line".into())
+    });
+    token.map_err(|error| {
+        Failure::new(exit_code::INPUT, format!("failed to read the token file {}: {error}", path.display()))
+    })
+}
+
+#[cfg(feature = "pull")]
+fn pull(hub: &Hub, request: &Request<'_>, as_json: bool) -> CommandResult {
     // Drawn on standard error, and only where that is a terminal.
+    let style = indicatif::ProgressStyle::with_template("{wide_bar} {decimal_bytes}/{decimal_total_bytes} {eta}");
     let progress = indicatif::ProgressBar::new(0);
-    let pulled = hub.pull(repository, file, progress).map_err(|error| {
+    let progress = style.map_or(progress.clone(), |style| progress.with_style(style));
+    let pulled = hub.pull(request, &progress).map_err(|error| {
         let code = match error {
             HubError::Name { .. } => exit_code::USAGE,
             HubError::Checksum { .. } | HubError::Model(_) => exit_code::MODEL,
@@ -429,12 +455,17 @@ fn pull(hub: &Hub, repository: &str, file: &str, as_json: bool) -> CommandResult
     })?;
     if as_json {
         let mut description = describe(&pulled.path, &pulled.header, &pulled.sha256);
-        description["verified"] = pulled.verified.into();
+        description["verified"] = true.into();
+        description["pinned"] = pulled.pinned.into();
         return print(&format!("{description:#}\n"));
     }
-    let verified = if pulled.verified { "the hub's checksum was compared" } else { "the hub states no checksum" };
+    let checked = if pulled.pinned {
+        "the checksum is the one that you gave"
+    } else {
+        "the checksum is the one that the hub states; give it by --sha256 to be sure of the same file next time"
+    };
     print(&format!(
-        "{}\n{verified}; use it by --model, or as model.path in the configuration\n",
+        "{}\n{checked}; use the file by --model, or as model.path in the configuration\n",
         table(&pulled.path, &pulled.header, &pulled.sha256)
     ))
 }

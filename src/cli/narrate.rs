@@ -1,14 +1,20 @@
 //! `roomcast narrate`: publishes observations.
 
 use std::path::{Path, PathBuf};
-use std::thread::JoinHandle;
 
+#[cfg(feature = "mqtt")]
+use super::narrate_mqtt;
 use super::{CommandResult, Failure, print_json, ranges, service};
-use crate::mqtt::{self, Broker, Heard, MqttError, Rules};
-use crate::narrator::{self, Input, Pace};
-use crate::sensor_log::SensorRules;
-use crate::stop::Stop;
-use crate::{exit_code, logging};
+use roomcast_ipc::Domain;
+use roomcast_services::config::Config;
+use roomcast_services::logging;
+#[cfg(feature = "mqtt")]
+use roomcast_services::mqtt::Broker;
+use roomcast_services::narrator::{self, Input, Outcome, Pace};
+use roomcast_services::sensor_log::SensorRules;
+use roomcast_services::stop::Stop;
+
+use crate::exit_code;
 
 /// Arguments of `roomcast narrate`.
 #[derive(Debug, clap::Args)]
@@ -22,18 +28,21 @@ pub struct Args {
     #[arg(long, value_name = "PATH")]
     fifo: Option<PathBuf>,
     /// Publish what an MQTT broker's devices say: mqtt://HOST[:PORT], or mqtts://HOST[:PORT] with --mqtt-ca.
-    #[arg(long, value_name = "URL", conflicts_with_all = ["input", "fifo"], requires = "rules")]
+    #[cfg(feature = "mqtt")]
+    #[arg(long, value_name = "URL", conflicts_with_all = ["input", "fifo", "sensors"], requires = "rules")]
     mqtt: Option<String>,
     /// Publish a sensor log: intervals with sensor, kind and place, as public smart-home data sets have them.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["input", "fifo", "mqtt"], requires = "rules")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["input", "fifo"], requires = "rules")]
     sensors: Option<PathBuf>,
     /// The rules by which MQTT messages or sensors' intervals become sentences; see docs/mqtt.md and docs/sensors.md.
     #[arg(long, value_name = "FILE")]
     rules: Option<PathBuf>,
     /// A file with the broker's user name and password, a line each.
+    #[cfg(feature = "mqtt")]
     #[arg(long, value_name = "FILE", requires = "mqtt")]
     mqtt_credentials: Option<PathBuf>,
     /// A PEM file with the certificates that the broker's is signed by.
+    #[cfg(feature = "mqtt")]
     #[arg(long, value_name = "FILE", requires = "mqtt")]
     mqtt_ca: Option<PathBuf>,
     /// This source's name, in place of the configuration's; it must differ between narrators.
@@ -76,27 +85,41 @@ pub fn run(args: &Args) -> CommandResult {
     if let Some(fifo) = &args.fifo {
         narrator::make_fifo(fifo).map_err(input)?;
     }
-    let mut listener = None;
-    let source = match (&args.mqtt, &args.sensors) {
-        (Some(address), _) => {
-            let (lines, thread) = listen(args, address, &config.narrator.name, &stop)?;
-            listener = Some(thread);
-            lines
+    #[cfg(feature = "mqtt")]
+    if let Some(address) = &args.mqtt {
+        let broker = Broker {
+            address: address.clone(),
+            client: format!("roomcast-{}", config.narrator.name),
+            credentials: args.mqtt_credentials.clone(),
+            authority: args.mqtt_ca.clone(),
+        };
+        let rules = args.rules.as_deref().unwrap_or(Path::new("rules.toml"));
+        let (lines, listener) = narrate_mqtt::listen(&broker, rules, args.person, &stop)?;
+        let outcome = publish(&config, &domain, lines, pace, &stop)?;
+        // On a wish to stop the connection may take its time to close, and nothing is left to be said.
+        if !stop.requested() {
+            narrate_mqtt::join(listener)?;
         }
-        (None, Some(log)) => read_sensors(log, args.rules.as_deref().unwrap_or(Path::new("rules.toml")))?,
-        (None, None) if args.rules.is_some() => {
+        return report(args, &outcome, &domain);
+    }
+    let source = match &args.sensors {
+        Some(log) => read_sensors(log, args.rules.as_deref().unwrap_or(Path::new("rules.toml")))?,
+        None if args.rules.is_some() => {
             return Err(Failure::new(exit_code::USAGE, "--rules are for --mqtt or --sensors; give one of them"));
         }
-        (None, None) => Input::open(args.fifo.as_ref().unwrap_or(&args.input), args.person).map_err(input)?,
+        None => Input::open(args.fifo.as_ref().unwrap_or(&args.input), args.person).map_err(input)?,
     };
-    let outcome = narrator::run(&config.narrator, config.daemon.intake, &domain, source, pace, &stop)
-        .map_err(|error| Failure::new(exit_code::IPC, error))?;
-    // On a wish to stop the connection may take its time to close, and nothing is left to be said.
-    if let Some(listener) = listener.filter(|_| !stop.requested()) {
-        join(listener)?;
-    }
+    report(args, &publish(&config, &domain, source, pace, &stop)?, &domain)
+}
+
+fn publish(config: &Config, domain: &Domain, source: Input, pace: Pace, stop: &Stop) -> Result<Outcome, Failure> {
+    narrator::run(&config.narrator, config.daemon.intake, domain, source, pace, stop)
+        .map_err(|error| Failure::new(exit_code::IPC, error))
+}
+
+fn report(args: &Args, outcome: &Outcome, domain: &Domain) -> CommandResult {
     if args.json {
-        print_json(&outcome)?;
+        print_json(outcome)?;
     }
     let unconfirmed = outcome.sent - outcome.confirmed;
     if outcome.refused > 0 {
@@ -109,7 +132,7 @@ pub fn run(args: &Args) -> CommandResult {
             exit_code::IPC,
             format!(
                 "{unconfirmed} of {sent} narrations were not confirmed; is a daemon running in {}?",
-                service::shown(&domain)
+                service::shown(domain)
             ),
         ));
     }
@@ -123,45 +146,4 @@ fn read_sensors(log: &Path, rules: &Path) -> Result<Input, Failure> {
     let (lines, unfit, silent) = (narrated.items.len(), narrated.unfit, narrated.silent);
     tracing::info!(lines, unfit, silent, log = %log.display(), "sensor log read");
     Ok(Input::Log(narrated.items))
-}
-
-/// Listens to the broker in a thread of its own; its lines come through a pipe, whose small buffer holds it back while the daemon is
-/// behind: what is in it is acknowledged, and goes with this process.
-fn listen(args: &Args, address: &str, name: &str, stop: &Stop) -> Result<(Input, Listener), Failure> {
-    let rules = Rules::load(args.rules.as_deref().unwrap_or(Path::new("rules.toml"))).map_err(mqtt_failure)?;
-    let broker = Broker {
-        address: address.to_owned(),
-        client: format!("roomcast-{name}"),
-        credentials: args.mqtt_credentials.clone(),
-        authority: args.mqtt_ca.clone(),
-    };
-    let options = broker.options().map_err(mqtt_failure)?;
-    let (reader, writer) = std::io::pipe().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
-    // The least there is, a page; a system that refuses leaves it larger.
-    let _resized = rustix::pipe::fcntl_setpipe_size(&writer, 4096);
-    let stop = stop.clone();
-    let listener = std::thread::Builder::new().name("mqtt".to_owned());
-    let listener = listener
-        .spawn(move || mqtt::listen(options, rules, writer, &stop))
-        .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot start the mqtt thread: {error}")))?;
-    Ok((Input::Lines { name: address.to_owned(), stream: Box::new(reader), person: args.person }, listener))
-}
-
-type Listener = JoinHandle<Result<Heard, MqttError>>;
-
-/// How listening ended, which it does by itself only when the client cannot go on.
-fn join(listener: Listener) -> CommandResult {
-    let heard = listener.join().map_err(|_| Failure::new(exit_code::FAILURE, "the mqtt thread ended unexpectedly"))?;
-    let heard = heard.map_err(mqtt_failure)?;
-    tracing::info!(said = heard.said, unfit = heard.unfit, silent = heard.silent, "left the broker");
-    Ok(())
-}
-
-fn mqtt_failure(error: MqttError) -> Failure {
-    let code = match error {
-        MqttError::Address { .. } | MqttError::Scheme { .. } => exit_code::USAGE,
-        MqttError::Read { .. } | MqttError::Rules { .. } | MqttError::Authority { .. } => exit_code::INPUT,
-        MqttError::Client { .. } => exit_code::FAILURE,
-    };
-    Failure::new(code, error)
 }

@@ -1,8 +1,10 @@
 //! `roomcast planner`: the service that decides where the robot goes.
 
 use super::{CommandResult, Failure, service};
-use crate::policy::PolicyName;
-use crate::{exit_code, logging, planner};
+use roomcast_core::policy::PolicyName;
+use roomcast_services::{logging, planner};
+
+use crate::exit_code;
 
 /// Arguments of `roomcast planner`.
 #[derive(Debug, clap::Args)]

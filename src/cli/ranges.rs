@@ -2,9 +2,9 @@
 
 use clap::builder::RangedU64ValueParser;
 
-use crate::config::DEADLINE_MS_MAX;
-use crate::narration::history::OBSERVATIONS_MAX;
-use crate::scorer::llama::THREADS_MAX;
+use roomcast_core::narration::history::OBSERVATIONS_MAX;
+use roomcast_llama::THREADS_MAX;
+use roomcast_services::config::DEADLINE_MS_MAX;
 
 /// Longest time that can be asked for, in seconds: some 30 years.
 const TIME_S_MAX: f64 = 1e9;

@@ -9,9 +9,11 @@ use roomcast_ipc::{
 };
 
 use super::{CommandResult, Failure, service};
-use crate::moment::Moment;
-use crate::recording::{Recorded, Recorder};
-use crate::{exit_code, logging};
+use roomcast_services::logging;
+use roomcast_services::moment::Moment;
+use roomcast_services::recording::{Recorded, Recorder};
+
+use crate::exit_code;
 
 /// Arguments of `roomcast record`.
 #[derive(Debug, clap::Args)]

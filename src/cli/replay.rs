@@ -7,8 +7,8 @@ use roomcast_ipc::{DecisionV1, ForecastV1, Message, NarrationV1, Node, Publisher
 
 use super::{CommandResult, Failure, service};
 use crate::exit_code;
-use crate::recording::{self, Recorded};
-use crate::stop::Stop;
+use roomcast_services::recording::{self, Recorded};
+use roomcast_services::stop::Stop;
 
 /// Arguments of `roomcast replay`.
 #[derive(Debug, clap::Args)]

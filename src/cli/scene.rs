@@ -9,18 +9,19 @@ use std::time::Duration;
 use clap::{Subcommand, ValueEnum};
 use comfy_table::{CellAlignment, Table, presets};
 use roomcast_ipc::{question, sequence};
-use serde::Deserialize;
 use serde_json::{Value, json};
 
+use super::choice::choice;
+#[cfg(feature = "lab")]
+use super::draw;
 use super::{CommandResult, Failure, count, print, service};
-use crate::daemon::{MapAnswer, MapQuestion, Outcome};
 use crate::exit_code;
-use crate::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
-use crate::semantic_map::delta;
-use crate::semantic_map::drawing::{self, Heat};
-use crate::semantic_map::import::{self, Imported, Up};
-use crate::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap, read_limited};
-use crate::{logging, setup};
+use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
+use roomcast_core::semantic_map::delta;
+use roomcast_core::semantic_map::import::{self, Imported, Up};
+use roomcast_core::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap, read_limited};
+use roomcast_services::daemon::{MapAnswer, MapQuestion, Outcome};
+use roomcast_services::{logging, setup};
 
 /// Arguments of `roomcast scene`.
 #[derive(Debug, clap::Args)]
@@ -42,7 +43,8 @@ enum Command {
     /// Print what a scene holds and what was assigned where, by which rule, and what was not.
     Show(Show),
     /// Draw a scene from above, with scores as heat, as SVG or PNG.
-    Draw(Draw),
+    #[cfg(feature = "lab")]
+    Draw(draw::Args),
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -71,7 +73,7 @@ struct Import {
     #[arg(long, value_name = "FILE")]
     equivalence: Option<PathBuf>,
     /// Which axis of an open-vocabulary map points up, where the map does not say.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = choice::<Up>(), default_value_t)]
     up: Up,
     /// Keep labels of an open-vocabulary map that differ in spelling or number only ("mugs", "coffeemaker").
     #[arg(long)]
@@ -124,37 +126,11 @@ struct Show {
     /// The scene file, or the name of a shipped one.
     scene: PathBuf,
     /// What a partition is.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = choice::<PartitionLevel>(), default_value_t)]
     level: PartitionLevel,
     /// Print JSON: every item with its partition and the rule that put it there.
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Debug, clap::Args)]
-struct Draw {
-    /// The scene file, or the name of a shipped one.
-    scene: PathBuf,
-    /// The drawing; its ending, `.svg` or `.png`, decides the format. By default the scene's name with `.svg`, here.
-    #[arg(long)]
-    out: Option<PathBuf>,
-    /// What a partition is.
-    #[arg(long, value_enum, default_value_t)]
-    level: PartitionLevel,
-    /// What `roomcast score --json` printed for this scene and level.
-    #[arg(long, value_name = "FILE")]
-    scores: Option<PathBuf>,
-    /// A line under the title of scores; by default the map's figures.
-    #[arg(long, requires = "scores")]
-    caption: Option<String>,
-    /// Pixels of the PNG per pixel of the SVG.
-    #[arg(long, default_value_t = 2.0, value_parser = parse_scale)]
-    scale: f32,
-}
-
-fn parse_scale(text: &str) -> Result<f32, String> {
-    let scale = text.parse().map_err(|error| format!("{error}"))?;
-    if (0.1..=8.0).contains(&scale) { Ok(scale) } else { Err("give a number from 0.1 to 8".to_owned()) }
 }
 
 /// Runs the subcommand and prints on standard output.
@@ -168,11 +144,12 @@ pub fn run(args: &Args) -> CommandResult {
         Command::Change(args) => change(args),
         Command::Apply(args) => apply(args),
         Command::Show(args) => show(args),
-        Command::Draw(args) => draw(args),
+        #[cfg(feature = "lab")]
+        Command::Draw(args) => draw::run(args),
     }
 }
 
-fn input(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Failure {
+pub(super) fn input(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Failure {
     Failure::new(exit_code::INPUT, error)
 }
 
@@ -180,12 +157,12 @@ fn in_file(what: &str, path: &Path, error: &dyn std::error::Error) -> Failure {
     input(format!("{what} {}: {}", path.display(), logging::chain(error)))
 }
 
-fn read(what: &str, path: &Path) -> Result<String, Failure> {
+pub(super) fn read(what: &str, path: &Path) -> Result<String, Failure> {
     read_limited(path).map_err(|error| in_file(what, path, &error))
 }
 
 /// Writes beside the target and renames, so that no reader sees half a file.
-fn write(path: &Path, bytes: &[u8]) -> CommandResult {
+pub(super) fn write(path: &Path, bytes: &[u8]) -> CommandResult {
     let fail = |error: std::io::Error| {
         let path = path.display();
         Failure::new(exit_code::FAILURE, format!("cannot write {path}: {error}; check the folder and its permissions"))
@@ -203,7 +180,7 @@ fn permissions() -> std::fs::Permissions {
     std::fs::Permissions::from_mode(0o666)
 }
 
-fn load(path: &Path, level: PartitionLevel) -> Result<(SemanticMap, Grounding), Failure> {
+pub(super) fn load(path: &Path, level: PartitionLevel) -> Result<(SemanticMap, Grounding), Failure> {
     let map = setup::load_map(Some(path))?;
     let grounding = Grounding::new(&map, &GroundingOptions { level, room_labels: true }).map_err(input)?;
     Ok((map, grounding))
@@ -396,7 +373,7 @@ fn check(args: &Check) -> CommandResult {
                     let _ = writeln!(text, "warning  {shown}: {warning}");
                 }
                 reports.push(json!({
-                    "scene": path, "name": map.name, "fingerprint": hex(&map.fingerprint), "rooms": map.rooms.len(),
+                    "scene": path, "name": map.name, "fingerprint": hex::encode(&map.fingerprint), "rooms": map.rooms.len(),
                     "items": map.items.len(), "labels": map.labels.len(), "ties": ties,
                     "outside": grounding.unassigned.len(), "warnings": warnings,
                 }));
@@ -412,10 +389,6 @@ fn check(args: &Check) -> CommandResult {
             format!("{} with errors, {}", count(errors, "scene"), count(warned, "warning")),
         )),
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn placement_name(placement: Placement) -> &'static str {
@@ -468,7 +441,7 @@ fn as_json(map: &SemanticMap, grounding: &Grounding, level: PartitionLevel) -> V
         .map(|label| json!({"label": label.text, "items": label.items.len(), "rooms": label.rooms.len()}))
         .collect();
     json!({
-        "name": map.name, "description": map.description, "source": map.source, "fingerprint": hex(&map.fingerprint),
+        "name": map.name, "description": map.description, "source": map.source, "fingerprint": hex::encode(&map.fingerprint),
         "level": level, "partitions": partitions, "placements": placements, "labels": labels, "items": items,
         "unassigned": unassigned, "warnings": warnings(map, grounding),
     })
@@ -556,69 +529,4 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
         let _ = writeln!(text, "warning  {warning}");
     }
     text
-}
-
-/// The part of `roomcast score --json` that a drawing needs.
-#[derive(Deserialize)]
-struct Scores {
-    partitions: Vec<PartitionScore>,
-    items: Vec<ItemScore>,
-}
-
-#[derive(Deserialize)]
-struct PartitionScore {
-    id: String,
-    probability: f64,
-}
-
-#[derive(Deserialize)]
-struct ItemScore {
-    id: String,
-    /// JSON has no minus infinity: null.
-    log_score_nats: Option<f64>,
-}
-
-fn read_heat(path: &Path, map: &SemanticMap, grounding: &Grounding, caption: &str) -> Result<Heat, Failure> {
-    let shown = path.display();
-    let wrong = |problem: String| {
-        input(format!("scores {shown}: {problem}; give what `roomcast score --json` printed for this scene and level"))
-    };
-    let json = read("scores", path)?;
-    let scores: Scores = serde_json::from_str(&json).map_err(|error| wrong(error.to_string()))?;
-    let partitions: HashMap<&str, f64> =
-        scores.partitions.iter().map(|score| (score.id.as_str(), score.probability)).collect();
-    let items: HashMap<&str, f64> = (scores.items.iter())
-        .map(|score| (score.id.as_str(), score.log_score_nats.unwrap_or(f64::NEG_INFINITY)))
-        .collect();
-    let partition =
-        |id: &String| partitions.get(id.as_str()).copied().ok_or_else(|| wrong(format!("no partition {id:?}")));
-    let item = |id: &String| items.get(id.as_str()).copied().ok_or_else(|| wrong(format!("no item {id:?}")));
-    let probabilities: Vec<f64> =
-        grounding.partitions.iter().map(|own| partition(&own.id)).collect::<Result<_, _>>()?;
-    let log_scores: Vec<f64> = map.items.iter().map(|own| item(&own.id)).collect::<Result<_, _>>()?;
-    Ok(Heat::new(&probabilities, &log_scores, caption))
-}
-
-fn draw(args: &Draw) -> CommandResult {
-    let (map, grounding) = load(&args.scene, args.level)?;
-    let caption = args.caption.as_deref().unwrap_or_default();
-    let heat = args.scores.as_deref().map(|path| read_heat(path, &map, &grounding, caption)).transpose()?;
-    let stem = args.scene.file_stem().map(PathBuf::from).unwrap_or_else(|| PathBuf::from("scene"));
-    let out = args.out.clone().unwrap_or_else(|| stem.with_extension("svg"));
-    let svg = drawing::svg(&map, &grounding, heat.as_ref()).map_err(input)?;
-    write_drawing(&out, svg, args.scale)?;
-    print(&format!("{}\n", out.display()))
-}
-
-/// Writes a drawing as its file's ending says.
-pub(super) fn write_drawing(path: &Path, svg: String, scale: f32) -> CommandResult {
-    let bytes = match path.extension().and_then(|ending| ending.to_str()) {
-        Some("svg") => svg.into_bytes(),
-        Some("png") => drawing::png(&svg, scale).map_err(|error| Failure::new(exit_code::FAILURE, error))?,
-        _ => {
-            let shown = path.display();
-            return Err(Failure::new(exit_code::USAGE, format!("{shown} ends neither in .svg nor in .png; rename it")));
-        }
-    };
-    write(path, &bytes)
 }

@@ -5,19 +5,21 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
+use super::choice::{CorrectionArgs, choice};
 use super::{CommandResult, Failure, count, ranges};
+use crate::bar::bar;
 use crate::exit_code;
-use crate::grounding::{Grounding, GroundingOptions, PartitionLevel};
-use crate::narration::history::HistoryLimits;
-use crate::narration::{Observation, Observed, Sentence};
-use crate::pipeline::{Pipeline, PipelineOptions};
-use crate::prompt::BindingSequence;
-use crate::scorer::certified::Effort;
-use crate::scorer::correction::{Continuation, CorrectionChoice};
-use crate::scorer::llama::{CacheType, LlamaModel, LlamaOptions};
-use crate::scorer::{LanguageModel, Method, Tokenisation, hex_string};
-use crate::semantic_map::{PartitionId, SemanticMap};
-use crate::setup;
+use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
+use roomcast_core::narration::history::HistoryLimits;
+use roomcast_core::narration::{Observation, Observed, Sentence};
+use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::prompt::BindingSequence;
+use roomcast_core::scorer::certified::Effort;
+use roomcast_core::scorer::correction::Continuation;
+use roomcast_core::scorer::{LanguageModel, Method, Tokenisation};
+use roomcast_core::semantic_map::{PartitionId, SemanticMap};
+use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
+use roomcast_services::setup;
 
 /// As in the configuration.
 const DEADLINE_MS_DEFAULT: u64 = 5;
@@ -44,21 +46,21 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// How labels are scored; all methods agree up to rounding.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = choice::<Method>(), default_value_t)]
     method: Method,
     /// How far the answer goes: exact, or until the ranking, the top partition, or the time is certain.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = choice::<Effort>(), default_value_t)]
     effort: Effort,
     /// The time for the answer under --effort deadline, in milliseconds, 1 to 60000; 5 when left out.
     #[arg(long, value_name = "MS", value_parser = ranges::deadline_ms())]
     deadline_ms: Option<u64>,
     /// How prompt and labels are cut into tokens.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = choice::<Tokenisation>(), default_value_t)]
     tokenisation: Tokenisation,
     #[command(flatten)]
-    correction: CorrectionChoice,
+    correction: CorrectionArgs,
     /// What a partition is; a room when left out.
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = choice::<PartitionLevel>())]
     level: Option<PartitionLevel>,
     /// Do not score the rooms' names as labels.
     #[arg(long)]
@@ -70,7 +72,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = ranges::threads())]
     threads: usize,
     /// How the key-value cache is stored.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = choice::<CacheType>(), default_value_t)]
     cache: CacheType,
     /// How many labels and items the tables show.
     #[arg(long, value_name = "N", default_value_t = 10)]
@@ -150,7 +152,7 @@ pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap),
     let options = PipelineOptions {
         binding: args.binding(),
         tokenisation: args.tokenisation,
-        correction: args.correction,
+        correction: args.correction.into(),
         method: args.method,
         effort: args.effort,
         deadline_ns: args.deadline_ms.unwrap_or(DEADLINE_MS_DEFAULT) * 1_000_000,
@@ -224,7 +226,7 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
     json!({
         "model": pipeline.model(),
         "scene": {
-            "name": map.name, "fingerprint": hex_string(&map.fingerprint),
+            "name": map.name, "fingerprint": hex::encode(map.fingerprint),
             "items": map.items.len(), "labels": map.labels.len(), "rooms": map.rooms.len(),
             "unassigned": grounding.unassigned.iter().map(|(item, _)| &map.items[item.0 as usize].id).collect::<Vec<_>>(),
         },
@@ -257,7 +259,7 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
         table.add_row([
             names[index].clone(),
             format!("{:5.1} %", 100.0 * probability),
-            super::bar(probability, 24),
+            bar(probability, 24),
             format!("{:.3}", grounded.partition_log_score_nats[index]),
             behind.join(", "),
         ]);

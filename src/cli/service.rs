@@ -6,9 +6,9 @@ use std::path::PathBuf;
 use roomcast_ipc::Domain;
 
 use super::{Failure, stage};
-use crate::config::Config;
 use crate::exit_code;
-use crate::stop::Stop;
+use roomcast_services::config::Config;
+use roomcast_services::stop::Stop;
 
 /// Arguments of every command that joins a domain.
 #[derive(Debug, clap::Args)]

@@ -9,9 +9,8 @@ use serde_json::json;
 
 use super::{CommandResult, Failure, service};
 use crate::exit_code;
-use crate::scorer::hex_string;
-use crate::stop::Stop;
 use crate::top::{POINT_NS, View};
+use roomcast_services::stop::Stop;
 
 /// Arguments of `roomcast top`.
 #[derive(Debug, clap::Args)]
@@ -151,7 +150,7 @@ fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>) -> CommandResult {
         let line = json!({
             "epoch": snapshot.epoch, "sequence": snapshot.sequence, "age_ns": snapshot.age_ns(clock::monotonic_ns()),
             "rooms": rooms, "label_mass": snapshot.label_mass, "flags": snapshot.flags,
-            "model": hex_string(&snapshot.model_fingerprint), "map": hex_string(&snapshot.map_fingerprint),
+            "model": hex::encode(snapshot.model_fingerprint), "map": hex::encode(snapshot.map_fingerprint),
             "timing_ns": {"wait": snapshot.wait_ns, "tokenise": snapshot.tokenise_ns, "prefix": snapshot.prefix_ns,
                 "trie": snapshot.trie_ns, "ground": snapshot.ground_ns},
         });

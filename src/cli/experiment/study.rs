@@ -7,27 +7,29 @@ use std::str::FromStr;
 use serde_json::json;
 
 use super::{ModelArgs, maps, report_faults};
+use crate::cli::choice::choice;
 use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
 use crate::exit_code;
-use crate::experiment::report::{Report, Table};
-use crate::experiment::study::{self, Activity, Decider, Figures, Home, Options};
-use crate::experiment::tables::{self, DIFFERENCES, PAPER_TABLE1};
-use crate::experiment::{ExperimentError, Progress, ScoreSource};
-use crate::forecast::ForecastOptions;
-use crate::grounding::{GroundedScores, Grounding};
-use crate::narration::Sentence;
-use crate::narration::history::HistoryLimits;
-use crate::policy::{PolicyName, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS};
-use crate::prompt::BindingSequence;
-use crate::scorer::Tokenisation;
-use crate::scorer::correction::{Correction, CorrectionChoice};
-use crate::scorer::llama::LlamaModel;
-use crate::semantic_map::{SemanticMap, drawing};
-use crate::setup;
-use crate::simulation::binding::ItemChoice;
-use crate::simulation::homer::Day;
-use crate::simulation::timeline::PersonOptions;
-use crate::simulation::world::Disturbance;
+use roomcast_core::forecast::ForecastOptions;
+use roomcast_core::grounding::{GroundedScores, Grounding};
+use roomcast_core::narration::Sentence;
+use roomcast_core::narration::history::HistoryLimits;
+use roomcast_core::policy::{PolicyName, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS};
+use roomcast_core::prompt::BindingSequence;
+use roomcast_core::scorer::Tokenisation;
+use roomcast_core::scorer::correction::{Correction, CorrectionChoice};
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_lab::drawing;
+use roomcast_lab::experiment::report::{Report, Table};
+use roomcast_lab::experiment::study::{self, Activity, Decider, Figures, Home, Options};
+use roomcast_lab::experiment::tables::{self, DIFFERENCES, PAPER_TABLE1};
+use roomcast_lab::experiment::{ExperimentError, Progress, ScoreSource};
+use roomcast_lab::simulation::binding::ItemChoice;
+use roomcast_lab::simulation::homer::Day;
+use roomcast_lab::simulation::timeline::PersonOptions;
+use roomcast_lab::simulation::world::Disturbance;
+use roomcast_llama::LlamaModel;
+use roomcast_services::setup;
 
 /// What all simulations share.
 #[derive(Debug, clap::Args)]
@@ -49,7 +51,7 @@ pub(super) struct StudyArgs {
     #[arg(long, value_name = "TEXT", default_value = "default")]
     binding: BindingSequence,
     /// Which of a label's items the person goes to for an object of a program.
-    #[arg(long, value_enum, default_value_t = ItemChoice::Nearest)]
+    #[arg(long, value_parser = choice::<ItemChoice>(), default_value_t = ItemChoice::Nearest)]
     items: ItemChoice,
     /// When the robot disturbs: same-room, in-sight, or near:METRES.
     #[arg(long, value_name = "KIND", default_value = "same-room")]
@@ -156,7 +158,7 @@ struct Setup<'a> {
 impl StudyArgs {
     /// The activities of a file, of a folder, or of the binary.
     fn load(&self, path: &Path) -> Result<Vec<(String, Activity)>, Failure> {
-        let input = |error: crate::narration::ProgramError| Failure::new(exit_code::INPUT, error);
+        let input = |error: roomcast_core::narration::ProgramError| Failure::new(exit_code::INPUT, error);
         if let Some(shipped) = setup::shipped_program(path) {
             return Ok(vec![(path.display().to_string(), Activity::Program(shipped.map_err(input)?))]);
         }
@@ -300,11 +302,16 @@ impl Setup<'_> {
         } else {
             String::new()
         };
+        let checked = if cfg!(feature = "optimum") {
+            format!(", equal to HiGHS's of the mixed-integer program in every cell{bound}")
+        } else {
+            String::new()
+        };
         let closed_s =
             homes.iter().map(|home| home.cost().naive_disturbance()).sum::<f64>() / homes.len().max(1) as f64;
         vec![format!(
-            "{}, T_r {:?} s, {}. In closed form the naive policy disturbs {closed_s:.1} s. The clairvoyant bound is HiGHS's optimum of the \
-             mixed-integer program, equal to that of the dynamic program in every cell{bound}.",
+            "{}, T_r {:?} s, {}. In closed form the naive policy disturbs {closed_s:.1} s. The clairvoyant bound is the \
+             optimum by dynamic programming{checked}.",
             self.origin(sources, homes, bindings),
             self.room_times_s,
             count(self.options.restarts as usize, "restart"),
@@ -448,7 +455,7 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
     let mut table = Table::new("ablation", "Models, prompts, ways of scoring and windows", &columns);
     let (mut rows, mut notes) = (Vec::new(), Vec::new());
     for model in models {
-        let given = args.study.model.correction;
+        let given: CorrectionChoice = args.study.model.correction.into();
         let mut corrected = true;
         let tokenisations = [Tokenisation::Joint, Tokenisation::Paper];
         let as_given = tokenisations.map(|tokenisation| (tokenisation, given, false));
@@ -458,7 +465,12 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
                 // The first two were Equation 1 already.
                 break;
             }
-            let model_args = ModelArgs { model: model.clone(), tokenisation, correction, ..args.study.model.clone() };
+            let model_args = ModelArgs {
+                model: model.clone(),
+                tokenisation,
+                correction: correction.into(),
+                ..args.study.model.clone()
+            };
             let mut sources = setup.sources(&model_args)?;
             let Some(source) = sources.first() else { continue };
             let (name, correction) = (source.model().name.clone(), source.correction());

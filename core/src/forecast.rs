@@ -1,0 +1,372 @@
+//! Where a person will be at now + t: room scores, the present room and how long people stay, joined.
+//!
+//! The room scores S say where the *next object* is, not when the person goes there. For a planner the question is the
+//! probability p_r(t) that room r is occupied a time t from now. Three things are known, and each is right for a while:
+//!
+//! ```text
+//! p(t) = A(t) b + (1 - A(t)) (B(t) S + (1 - B(t)) q)
+//!
+//! b     where the person is: filtered from what the narration mentions and where that is
+//! S     where the next object is (the partitions' probabilities)
+//! q     where the person is in the long run: time spent so far, over an even prior
+//! A(t)  probability that the next object has not been turned to by then
+//! B(t)  probability that the stay that follows has not ended by then
+//! ```
+//!
+//! A and B are survival functions of stays that are not memoryless (a semi-Markov prior): whoever has sat for long will
+//! probably go on sitting. Both are Lomax, `((m + age) / (m + age + t))^2` with mean `m` at age 0, the shape of an
+//! exponential whose rate is uncertain; `m` is learned from the intervals watched so far, over a prior worth a few of them. Silence ages what
+//! is known as much as narration does, but for the length of one action, which is observed only when complete.
+//!
+//! Pure: time comes in with the calls.
+
+use std::collections::HashMap;
+
+use crate::grounding::Grounding;
+use crate::semantic_map::{Names, SemanticMap, plain_words};
+
+/// What the forecast assumes before it has watched the home.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ForecastOptions {
+    /// Mean time from one object to the next, in seconds.
+    pub object_s: f64,
+    /// Mean stay in a room, in seconds.
+    pub stay_s: f64,
+    /// How many watched intervals the two means are worth.
+    pub strength: f64,
+    /// Probability that an observation was made in a room where the map has nothing of what it mentions.
+    pub misplaced: f64,
+}
+
+impl Default for ForecastOptions {
+    fn default() -> Self {
+        Self { object_s: 40.0, stay_s: 120.0, strength: 3.0, misplaced: 0.02 }
+    }
+}
+
+/// A mean that is learned over a prior.
+#[derive(Debug, Clone, Copy)]
+struct Learned {
+    total_s: f64,
+    count: f64,
+}
+
+impl Learned {
+    fn mean_s(self) -> f64 {
+        (self.total_s / self.count).max(1e-3)
+    }
+
+    fn add(&mut self, interval_s: f64) {
+        self.total_s += interval_s;
+        self.count += 1.0;
+    }
+
+    fn survival(self, age_s: f64, horizon_s: f64) -> f64 {
+        let scale_s = self.mean_s() + age_s;
+        (scale_s / (scale_s + horizon_s)).powi(2)
+    }
+}
+
+/// The forecast of one person. Keep one per person and sum their probabilities for the expected number of people.
+#[derive(Debug, Clone)]
+pub struct Forecaster {
+    options: ForecastOptions,
+    belief: Vec<f64>,
+    /// Working memory of an observation: the belief just after it.
+    predicted: Vec<f64>,
+    scores: Vec<f64>,
+    spent_s: Vec<f64>,
+    to_object: Learned,
+    stay: Learned,
+    /// When the object in hand was turned to, and which it is.
+    object_since_s: f64,
+    object: Option<usize>,
+    /// When the room now believed in was entered.
+    room_since_s: f64,
+    updated_s: f64,
+}
+
+impl Forecaster {
+    /// Knows nothing yet: every one of `rooms` is as likely, from `now_s` on.
+    #[must_use]
+    pub fn new(rooms: usize, options: ForecastOptions, now_s: f64) -> Self {
+        let even = vec![1.0 / rooms.max(1) as f64; rooms];
+        let prior = |mean_s: f64| Learned { total_s: mean_s * options.strength, count: options.strength };
+        Self {
+            options,
+            spent_s: even.iter().map(|p| p * options.stay_s).collect(),
+            belief: even.clone(),
+            predicted: even.clone(),
+            scores: even,
+            to_object: prior(options.object_s),
+            stay: prior(options.stay_s),
+            object_since_s: now_s,
+            object: None,
+            room_since_s: now_s,
+            updated_s: now_s,
+        }
+    }
+
+    /// Where the person is believed to be now.
+    #[must_use]
+    pub fn belief(&self) -> &[f64] {
+        &self.belief
+    }
+
+    /// Takes in a completed observation at `at_s`: which label it mentions, if any, and the room probabilities that the
+    /// model then gives. Times before the last observation count as that one's; scores of another length are ignored.
+    pub fn observe(&mut self, at_s: f64, mention: Option<usize>, grounding: &Grounding, scores: &[f64]) {
+        let rooms = self.belief.len();
+        let at_s = at_s.max(self.updated_s);
+        let elapsed_s = at_s - self.updated_s;
+        let before = likeliest(&self.belief);
+        for (spent, p) in self.spent_s.iter_mut().zip(&self.belief) {
+            *spent += p * elapsed_s;
+        }
+        let mut predicted = std::mem::take(&mut self.predicted);
+        predicted.clear();
+        predicted.extend(self.at(at_s, 0.0));
+        let mentioned =
+            mention.filter(|label| *label < grounding.weights.nrows() && grounding.weights.ncols() == rooms);
+        if let Some(label) = mentioned {
+            // P(label | room) is in proportion to the share of the label's items there.
+            let misplaced = self.options.misplaced;
+            for (room, p) in predicted.iter_mut().enumerate() {
+                *p *= misplaced / rooms as f64 + (1.0 - misplaced) * grounding.weights[(label, room)];
+            }
+            let total: f64 = predicted.iter().sum();
+            if total > 0.0 {
+                predicted.iter_mut().for_each(|p| *p /= total);
+                std::mem::swap(&mut self.belief, &mut predicted);
+            }
+            if self.object != mentioned {
+                self.to_object.add(at_s - self.object_since_s);
+                self.object_since_s = at_s;
+                self.object = mentioned;
+            }
+        }
+        self.predicted = predicted;
+        if likeliest(&self.belief) != before {
+            self.stay.add(at_s - self.room_since_s);
+            self.room_since_s = at_s;
+        }
+        if scores.len() == rooms {
+            self.scores.copy_from_slice(scores);
+        }
+        self.updated_s = at_s;
+    }
+
+    /// Per room the probability that the person is in it at `now_s + horizon_s`; sums to one.
+    pub fn at(&self, now_s: f64, horizon_s: f64) -> impl ExactSizeIterator<Item = f64> {
+        // Silence is evidence that nothing else was done, except for its last part, which an action still in progress may
+        // fill: that part belongs to the horizon of what was known before it.
+        let silence_s = (now_s - self.updated_s).max(0.0);
+        let hidden_s = silence_s.min(self.to_object.mean_s());
+        let horizon_s = horizon_s.max(0.0) + hidden_s;
+        let object_age_s = self.updated_s + silence_s - hidden_s - self.object_since_s;
+        let same_object = self.to_object.survival(object_age_s, horizon_s);
+        let same_stay = self.stay.survival(0.0, horizon_s);
+        let spent_s: f64 = self.spent_s.iter().sum();
+        (0..self.belief.len()).map(move |room| {
+            let long_run = self.spent_s[room] / spent_s;
+            let after = same_stay * self.scores[room] + (1.0 - same_stay) * long_run;
+            same_object * self.belief[room] + (1.0 - same_object) * after
+        })
+    }
+
+    /// Per room the expected time the person spends in it between `from_s` and `to_s` after `now_s`, in seconds.
+    #[must_use]
+    pub fn expected_s(&self, now_s: f64, from_s: f64, to_s: f64) -> Vec<f64> {
+        /// Probabilities change over many seconds; more samples change nothing.
+        const SAMPLES: usize = 8;
+        let width_s = (to_s - from_s).max(0.0) / SAMPLES as f64;
+        let mut expected = vec![0.0; self.belief.len()];
+        for sample in 0..SAMPLES {
+            let at = self.at(now_s, from_s + (sample as f64 + 0.5) * width_s);
+            expected.iter_mut().zip(at).for_each(|(sum, p)| *sum += p * width_s);
+        }
+        expected
+    }
+}
+
+fn likeliest(p: &[f64]) -> Option<usize> {
+    (0..p.len()).max_by(|a, b| p[*a].total_cmp(&p[*b]))
+}
+
+/// Finds which label of a map a sentence mentions; built once per map, nothing is allocated per sentence once warm.
+#[derive(Debug, Clone)]
+pub struct Mentions {
+    /// Every name by which a label or a room can be mentioned, as it is and in plain words, to an index of
+    /// [`Grounding::scored_labels`].
+    label_of_name: HashMap<String, usize>,
+    /// Working memory: the sentence's words in lower case, the same with spaces for hyphens, and where in both each word begins and ends.
+    lower: String,
+    plain: String,
+    words: Vec<(usize, usize)>,
+}
+
+impl Mentions {
+    /// The names that `map` knows ([`SemanticMap::find_label`], [`SemanticMap::find_room`]); `grounding` must be of the same map.
+    #[must_use]
+    pub fn new(map: &SemanticMap, grounding: &Grounding) -> Self {
+        let label_of_text: HashMap<&str, usize> =
+            grounding.scored_labels.iter().enumerate().map(|(index, label)| (label.text.as_str(), index)).collect();
+        let meant = |name: &str| {
+            let item = map.find_label(name).map(|label| map.labels[label.0 as usize].as_str());
+            let text = item.or_else(|| map.find_room(name).map(|room| map.rooms[room.0 as usize].label.as_str()));
+            label_of_text.get(text?).copied()
+        };
+        let aliases = map.aliases.values().flatten().map(String::as_str);
+        let rooms = map.rooms.iter().map(|room| room.id.as_str());
+        let names = Names::built_in().names().chain(aliases).chain(rooms);
+        let forms = names.flat_map(|name| [name.to_owned(), plain_words(name)]);
+        let known = forms.filter_map(|name| meant(&name).map(|label| (name, label)));
+        // What the labels themselves say comes last and counts.
+        let labels = label_of_text.iter().map(|(text, label)| ((*text).to_owned(), *label));
+        Self {
+            label_of_name: known.chain(labels).collect(),
+            lower: String::new(),
+            plain: String::new(),
+            words: Vec::new(),
+        }
+    }
+
+    /// The last thing mentioned ("They put the plate on the *table*"), as an index of
+    /// [`Grounding::scored_labels`]: the longest run of up to four words after an article that names a label or a room.
+    #[must_use]
+    pub fn last(&mut self, sentence: &str) -> Option<usize> {
+        const WORDS_MAX: usize = 4;
+        self.lower.clear();
+        self.words.clear();
+        for word in sentence.split(|c: char| !(c.is_alphanumeric() || c == '\'' || c == '-')).filter(|w| !w.is_empty())
+        {
+            if !self.lower.is_empty() {
+                self.lower.push(' ');
+            }
+            let start = self.lower.len();
+            self.lower.extend(word.chars().flat_map(char::to_lowercase));
+            self.words.push((start, self.lower.len()));
+        }
+        self.plain.clear();
+        self.plain.extend(self.lower.chars().map(|c| if c == '-' { ' ' } else { c }));
+        let words = &self.words;
+        let article =
+            |&(start, end): &(usize, usize)| matches!(&self.lower[start..end], "the" | "a" | "an" | "their" | "some");
+        let label = |start: usize, end: usize| {
+            let plain = || self.label_of_name.get(self.plain[start..end].trim());
+            self.label_of_name.get(&self.lower[start..end]).or_else(plain).copied()
+        };
+        (1..words.len()).rev().filter(|at| article(&words[at - 1])).find_map(|at| {
+            (1..=WORDS_MAX.min(words.len() - at)).rev().find_map(|length| label(words[at].0, words[at + length - 1].1))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grounding::GroundingOptions;
+    use proptest::prelude::*;
+
+    fn studio() -> (SemanticMap, Grounding) {
+        let map = SemanticMap::from_json(include_str!("../../scenes/studio.json")).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        (map, grounding)
+    }
+
+    #[test]
+    fn it_moves_from_the_present_room_over_the_scores_to_the_long_run() {
+        let (map, grounding) = studio();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let room = |id: &str| grounding.partitions.iter().position(|p| p.id == id).unwrap();
+        let (kitchen, main) = (room("kitchen"), room("main-room"));
+        let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
+        let mut scores = [0.05; 3];
+        scores[main] = 0.9;
+        forecaster.observe(10.0, mentions.last("They open the fridge."), &grounding, &scores);
+        let at = |t: f64| forecaster.at(10.0, t).collect::<Vec<_>>();
+        assert!(at(0.0)[kitchen] > 0.9, "{:?}", at(0.0));
+        assert!(at(100.0)[main] > at(0.0)[main] && at(100.0)[main] > at(100.0)[kitchen], "{:?}", at(100.0));
+        assert!(at(1e5).iter().all(|p| (0.1..0.8).contains(p)), "{:?}", at(1e5));
+        let spent = forecaster.expected_s(10.0, 20.0, 60.0);
+        assert!((spent.iter().sum::<f64>() - 40.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn who_has_stayed_long_stays_on() {
+        let (map, grounding) = studio();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let bed = mentions.last("They lie on the bed.");
+        let mut short = Forecaster::new(3, ForecastOptions::default(), 0.0);
+        short.observe(5.0, bed, &grounding, &[1.0 / 3.0; 3]);
+        let mut long = short.clone();
+        long.observe(3000.0, bed, &grounding, &[1.0 / 3.0; 3]);
+        let here = likeliest(short.belief()).unwrap();
+        assert!(long.at(3000.0, 60.0).nth(here) > short.at(5.0, 60.0).nth(here));
+    }
+
+    #[test]
+    fn mentions_are_found_through_aliases_and_the_last_one_counts() {
+        let (map, grounding) = studio();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let mut text =
+            |sentence: &str| mentions.last(sentence).map(|label| grounding.scored_labels[label].text.as_str());
+        assert_eq!(text("They walk to the couch."), Some("sofa"));
+        assert_eq!(text("They put the shirt into the washing machine."), Some("washing machine"));
+        assert_eq!(text("They walk to the kitchen."), Some("kitchen"));
+        assert_eq!(text("They stand up."), None);
+        assert_eq!(text(""), None);
+    }
+
+    /// The table that is built once must say what asking the map says.
+    #[test]
+    fn every_name_means_what_the_map_says() {
+        let scenes = [
+            include_str!("../../scenes/studio.json"),
+            include_str!("../../scenes/apartment-e0.json"),
+            include_str!("../../scenes/ward.json"),
+            include_str!("../../scenes/warehouse.json"),
+        ];
+        for scene in scenes {
+            let map = SemanticMap::from_json(scene).unwrap();
+            let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+            let mut mentions = Mentions::new(&map, &grounding);
+            let asked = |name: &str| {
+                let item = map.find_label(name).map(|label| &map.labels[label.0 as usize]);
+                let text = item.or_else(|| map.find_room(name).map(|room| &map.rooms[room.0 as usize].label))?;
+                grounding.scored_labels.iter().position(|label| label.text == *text)
+            };
+            let own = map.aliases.values().flatten().chain(&map.labels).map(String::as_str);
+            let rooms = map.rooms.iter().flat_map(|room| [room.id.as_str(), room.label.as_str()]);
+            let mut found = 0;
+            for name in Names::built_in().names().chain(own).chain(rooms) {
+                for name in [name.replace('_', " "), plain_words(name), plain_words(name).replace(' ', "-")] {
+                    let words: Vec<&str> = name.split(' ').collect();
+                    let expected = (1..=words.len().min(4)).rev().find_map(|length| asked(&words[..length].join(" ")));
+                    assert_eq!(mentions.last(&format!("They see the {name}.")), expected, "{}: {name}", map.name);
+                    found += usize::from(expected.is_some());
+                }
+            }
+            assert!(found > map.labels.len(), "{}: {found}", map.name);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn probabilities_stay_probabilities(
+            events in prop::collection::vec((-5.0..50.0f64, prop::option::of(0usize..60), 0.0..1.0f64), 0..30),
+            horizon_s in 0.0..1e6f64,
+        ) {
+            let (_, grounding) = studio();
+            let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
+            let mut now_s = 0.0;
+            for (wait_s, label, share) in events {
+                now_s += wait_s;
+                forecaster.observe(now_s, label, &grounding, &[share, 1.0 - share, 0.0]);
+                let p: Vec<f64> = forecaster.at(now_s, horizon_s).collect();
+                prop_assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+                prop_assert!(p.iter().all(|p| *p >= 0.0));
+            }
+        }
+    }
+}

@@ -1,0 +1,849 @@
+//! From label scores to partition scores: which item lies in which partition, and the sums of Equation 2.
+//!
+//! A partition is a part of a room, a room, or a group of rooms ([`PartitionLevel`]). Geometry is done once per map, in
+//! [`Grounding::new`]; [`Grounding::ground`] is a matrix product per event.
+//!
+//! # Where an item belongs
+//!
+//! 1. To the partition with which its box overlaps most, by volume (the paper's argmax of V_o). The overlap with a group is
+//!    the sum over its rooms.
+//! 2. Several partitions with the same largest overlap: the one that stands last in the scene file. So what lies in a nook
+//!    is the nook's when the nook is written after the room around it. Volumes that differ by less than one part in 10^9
+//!    are the same, lest rounding decide.
+//! 3. No overlap with any partition, because the box is flat or empty or lies outside: the last partition that contains the
+//!    item's position.
+//! 4. At the level of parts: else the nearest part of the room that rules 1 to 3 give at the level of rooms.
+//! 5. Else to none: the item is listed in [`Grounding::unassigned`]. It still counts in n_l, so the score of its label is
+//!    not moved into rooms where the other items of that label are.
+
+use std::collections::HashMap;
+
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+use crate::scorer::softmax::log_sum_exp_of;
+use crate::semantic_map::{Box3, ItemId, PartitionId, RoomId, SemanticMap};
+
+/// Most entries of the matrix of labels by partitions: 256 MiB.
+pub const MAX_WEIGHTS: usize = 1 << 25;
+
+/// Largest relative difference of volumes that is taken for a tie.
+const TIE: f64 = 1e-9;
+
+/// What a partition is.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Default,
+    Serialize,
+    Deserialize,
+    strum::Display,
+    strum::EnumMessage,
+    strum::EnumString,
+    strum::IntoStaticStr,
+    strum::VariantArray,
+)]
+#[strum(serialize_all = "lowercase")]
+#[serde(rename_all = "lowercase")]
+pub enum PartitionLevel {
+    /// The parts of rooms; a room without parts is one partition.
+    Part,
+    /// Rooms.
+    #[default]
+    Room,
+    /// Groups of rooms; a room in no group is one partition.
+    Group,
+}
+
+/// How a map is grounded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GroundingOptions {
+    /// What a partition is.
+    pub level: PartitionLevel,
+    /// Whether the rooms' names are labels too, each grounded in its own room.
+    pub room_labels: bool,
+}
+
+impl Default for GroundingOptions {
+    fn default() -> Self {
+        Self { level: PartitionLevel::Room, room_labels: true }
+    }
+}
+
+/// Why a map or its scores cannot be grounded.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum GroundingError {
+    /// Nothing to score.
+    #[error(
+        "the map `{map}` has no items and room names are switched off as labels, so there is nothing to score; add items or allow room labels"
+    )]
+    NoLabels {
+        /// The map's name.
+        map: String,
+    },
+    /// More than [`MAX_WEIGHTS`] entries.
+    #[error(
+        "the map `{map}` has {labels} labels and {partitions} partitions, a matrix of more than {MAX_WEIGHTS} entries; \
+         merge labels or split the building into several maps"
+    )]
+    TooLarge {
+        /// The map's name.
+        map: String,
+        /// Distinct labels.
+        labels: usize,
+        /// Partitions.
+        partitions: usize,
+    },
+    /// Scores for another list of labels.
+    #[error(
+        "{given} label scores were given for {expected} labels; score exactly the list of `label_texts`, in its order"
+    )]
+    WrongLength {
+        /// How many were given.
+        given: usize,
+        /// How many labels there are.
+        expected: usize,
+    },
+    /// A score that is no log-probability.
+    #[error("the log-probability of `{label}` is {log_prob_nats}; it must be at most 0 and a number")]
+    NotALogProbability {
+        /// The label.
+        label: String,
+        /// Its score.
+        log_prob_nats: f64,
+    },
+}
+
+/// A place that gets a score.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Partition {
+    /// The id of the part, room or group.
+    pub id: String,
+    /// Its words.
+    pub label: String,
+    /// The rooms it lies in or consists of.
+    pub rooms: Vec<RoomId>,
+    /// The boxes it consists of: one, or one per room of a group.
+    pub boxes: Vec<Box3>,
+}
+
+impl Partition {
+    /// V_o with the box, in cubic metres.
+    #[must_use]
+    pub fn overlap_m3(&self, bounds: &Box3) -> f64 {
+        self.boxes.iter().map(|own| own.overlap_m3(bounds)).sum()
+    }
+
+    fn contains(&self, point_m: &[f64; 3]) -> bool {
+        self.boxes.iter().any(|own| own.contains(point_m))
+    }
+
+    fn distance_m(&self, point_m: &[f64; 3]) -> f64 {
+        self.boxes.iter().map(|own| own.distance_m(point_m)).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// A label of the list that the scorer scores.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScoredLabel {
+    /// Its words.
+    pub text: String,
+    /// The items that bear it, by their label or a caption.
+    pub items: Vec<ItemId>,
+    /// The rooms whose name it is; each counts as one item in its own room.
+    pub rooms: Vec<RoomId>,
+    /// n_l: the items that bear it, with their caption weights, and its rooms.
+    pub count: f64,
+}
+
+/// How an item's partition was found; the rules are numbered in the [module's documentation](self).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Placement {
+    /// Rule 1: the largest overlap.
+    Overlap,
+    /// Rule 2: the last of several with the same largest overlap.
+    Tie,
+    /// Rule 3: no overlap, but its position.
+    Position,
+    /// Rule 4: the nearest part of its room.
+    NearestPart,
+    /// Rule 5: none.
+    Outside,
+}
+
+/// Why an item belongs to no partition.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Reason {
+    /// Neither its box nor its position lies in any.
+    Outside {
+        /// The partition nearest to its position.
+        nearest: PartitionId,
+        /// How far that is, in metres.
+        distance_m: f64,
+    },
+}
+
+/// A share of an item's score: label and ln(weight / n_l).
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Term {
+    label: usize,
+    ln_share: f64,
+}
+
+/// A map made ready for sums. Immutable; one per map and level.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Grounding {
+    /// The partitions, in the scene file's order (groups before the rooms in no group).
+    pub partitions: Vec<Partition>,
+    /// The labels to score: the items' labels, sorted; then names of rooms that no item bears, in the rooms' order.
+    /// After [`Grounding::regroup`] the labels of before come first.
+    pub scored_labels: Vec<ScoredLabel>,
+    /// Per item its partition.
+    pub item_partition: Vec<Option<PartitionId>>,
+    /// Per item how its partition was found.
+    pub item_placement: Vec<Placement>,
+    /// The items in no partition.
+    pub unassigned: Vec<(ItemId, Reason)>,
+    /// Labels by partitions: `weights[(c, r)]` is the share of label c's items that lie in partition r. A row sums to one
+    /// less the share of the label's items that lie in no partition.
+    pub weights: DMatrix<f64>,
+    /// Item i's terms are `item_terms[term_start[i]..term_start[i + 1]]`.
+    item_terms: Vec<Term>,
+    term_start: Vec<usize>,
+    /// The list holds labels that nothing bears any more. Known once, so that an event need not look at every label for it.
+    idle_labels: bool,
+}
+
+/// A changed map, grounded with the places of the labels kept.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Regrouped {
+    /// The new map's grounding.
+    pub grounding: Grounding,
+    /// How many labels stand after those that the model was prepared for; 0 when the model need not be touched.
+    pub new_labels: usize,
+}
+
+/// The scores of one event. Keep one and pass it to every call: nothing is allocated once it has its size.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GroundedScores {
+    /// Per partition ln S_j (Equation 2); minus infinity where no item with a score lies.
+    pub partition_log_score_nats: Vec<f64>,
+    /// Per partition S_j / sum of all S; uniform when all S are zero.
+    pub partition_probability: Vec<f64>,
+    /// Sum of s_c over the labels: the probability that the continuation is a label of the map at all, or, where labels' further tokens
+    /// compete with one another only, that it begins as a label does. By Equation 1 it can exceed one where labels begin with other
+    /// labels ("coffee", "coffee maker").
+    pub label_mass: f64,
+    /// s_c over the largest s_c.
+    relative: DVector<f64>,
+    sums: DVector<f64>,
+}
+
+impl Default for GroundedScores {
+    fn default() -> Self {
+        Self {
+            partition_log_score_nats: Vec::new(),
+            partition_probability: Vec::new(),
+            label_mass: 0.0,
+            relative: DVector::zeros(0),
+            sums: DVector::zeros(0),
+        }
+    }
+}
+
+impl Grounding {
+    /// Assigns every item and adds up the shares. Takes time in proportion to items times partitions, once per map.
+    ///
+    /// # Errors
+    /// [`GroundingError::NoLabels`] and [`GroundingError::TooLarge`].
+    pub fn new(map: &SemanticMap, options: &GroundingOptions) -> Result<Self, GroundingError> {
+        Self::with_labels(map, options, &[])
+    }
+
+    /// The same for a changed map, whose labels keep their places in the list, so that a model prepared for the old list
+    /// still serves. Labels of the new map come after the old ones; labels that nothing bears any more stay, without
+    /// weight. When [`Regrouped::new_labels`] is 0, scores of the old list by Equation 1 are scores of the new one; corrected ones
+    /// ([`crate::scorer::correction`]) also depend on which labels there are ([`Grounding::has_idle_labels`]).
+    ///
+    /// # Errors
+    /// As [`Grounding::new`].
+    pub fn regroup(&self, map: &SemanticMap, options: &GroundingOptions) -> Result<Regrouped, GroundingError> {
+        let grounding = Self::with_labels(map, options, &self.label_texts())?;
+        let new_labels = grounding.scored_labels.len() - self.scored_labels.len();
+        Ok(Regrouped { grounding, new_labels })
+    }
+
+    fn with_labels(map: &SemanticMap, options: &GroundingOptions, known: &[&str]) -> Result<Self, GroundingError> {
+        let partitions = partitions(map, options.level);
+        let (scored_labels, place_of) = scored_labels(map, options.room_labels, known);
+        if scored_labels.is_empty() {
+            return Err(GroundingError::NoLabels { map: map.name.clone() });
+        }
+        if scored_labels.len().saturating_mul(partitions.len()) > MAX_WEIGHTS {
+            let (labels, partitions) = (scored_labels.len(), partitions.len());
+            return Err(GroundingError::TooLarge { map: map.name.clone(), labels, partitions });
+        }
+
+        let rooms = if options.level == PartitionLevel::Part { rooms_as_partitions(map) } else { Vec::new() };
+        let mut item_partition = Vec::with_capacity(map.items.len());
+        let mut item_placement = Vec::with_capacity(map.items.len());
+        let mut unassigned = Vec::new();
+        for (index, item) in (0u32..).zip(&map.items) {
+            let (partition, placement) = place(&item.bounds, &item.position_m, &partitions)
+                .or_else(|| {
+                    let (room, _) = place(&item.bounds, &item.position_m, &rooms)?;
+                    let nearest = nearest(&item.position_m, &partitions, Some(RoomId(room.0)))?;
+                    Some((nearest.0, Placement::NearestPart))
+                })
+                .map_or((None, Placement::Outside), |(partition, placement)| (Some(partition), placement));
+            if partition.is_none() {
+                unassigned.extend(
+                    nearest(&item.position_m, &partitions, None)
+                        .map(|(nearest, distance_m)| (ItemId(index), Reason::Outside { nearest, distance_m })),
+                );
+            }
+            item_partition.push(partition);
+            item_placement.push(placement);
+        }
+
+        let mut weights = DMatrix::zeros(scored_labels.len(), partitions.len());
+        let mut item_terms = Vec::with_capacity(map.items.len());
+        let mut term_start = Vec::with_capacity(map.items.len() + 1);
+        for (item, partition) in map.items.iter().zip(&item_partition) {
+            term_start.push(item_terms.len());
+            for (label, weight) in words_of(item) {
+                let label = place_of[label];
+                let share = weight / scored_labels[label].count;
+                item_terms.push(Term { label, ln_share: share.ln() });
+                if let Some(PartitionId(partition)) = partition {
+                    weights[(label, *partition as usize)] += share;
+                }
+            }
+        }
+        term_start.push(item_terms.len());
+        for (label, scored) in scored_labels.iter().enumerate() {
+            for room in &scored.rooms {
+                // A room that is divided into parts gives each part the same share of its name.
+                let within = || (0..partitions.len()).filter(|&index| partitions[index].rooms.contains(room));
+                let parts = within().count() as f64;
+                within().for_each(|partition| weights[(label, partition)] += 1.0 / (scored.count * parts));
+            }
+        }
+        let idle_labels = scored_labels.iter().any(|label| label.count <= 0.0);
+        Ok(Self {
+            partitions,
+            scored_labels,
+            idle_labels,
+            item_partition,
+            item_placement,
+            unassigned,
+            weights,
+            item_terms,
+            term_start,
+        })
+    }
+
+    /// Whether the list holds labels that nothing bears any more.
+    #[must_use]
+    pub fn has_idle_labels(&self) -> bool {
+        self.idle_labels
+    }
+
+    /// The labels to score, in the order in which [`Grounding::ground`] expects their scores.
+    #[must_use]
+    pub fn label_texts(&self) -> Vec<&str> {
+        self.scored_labels.iter().map(|label| label.text.as_str()).collect()
+    }
+
+    /// Scores every partition: S_j = sum of s_i over the items i of partition j (Equation 2), from ln s_c per label in nats. Linear in
+    /// labels times partitions, however many items bear the labels; allocates nothing once `out` has its size.
+    ///
+    /// # Errors
+    /// When the scores are not one log-probability per label; minus infinity is one.
+    pub fn ground(&self, label_log_prob_nats: &[f64], out: &mut GroundedScores) -> Result<(), GroundingError> {
+        self.check(label_log_prob_nats)?;
+        let (labels, partitions) = self.weights.shape();
+        if out.relative.len() != labels {
+            out.relative = DVector::zeros(labels);
+        }
+        if out.sums.len() != partitions {
+            out.sums = DVector::zeros(partitions);
+        }
+
+        // Relative to the likeliest label nothing overflows, and what underflows is summed again below.
+        let largest = label_log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let reference = if largest.is_finite() { largest } else { 0.0 };
+        for (relative, log_prob_nats) in out.relative.iter_mut().zip(label_log_prob_nats) {
+            *relative = (log_prob_nats - reference).exp();
+        }
+        if self.idle_labels {
+            // A label that nothing bears any more is none of the map's.
+            let idle = out.relative.iter_mut().zip(&self.scored_labels).filter(|(_, label)| label.count <= 0.0);
+            idle.for_each(|(relative, _)| *relative = 0.0);
+        }
+        out.label_mass = reference.exp() * out.relative.sum();
+        out.sums.gemv_tr(1.0, &self.weights, &out.relative, 0.0);
+
+        out.partition_log_score_nats.clear();
+        for (partition, &sum) in out.sums.iter().enumerate() {
+            const EXACT_ABOVE: f64 = 1e-280;
+            let log_score_nats = if sum > EXACT_ABOVE {
+                reference + sum.ln()
+            } else {
+                self.log_score_nats(partition, label_log_prob_nats)
+            };
+            out.partition_log_score_nats.push(log_score_nats);
+        }
+        normalise(&out.partition_log_score_nats, &mut out.partition_probability);
+        Ok(())
+    }
+
+    /// Per item ln s_i, with s_i = s_c,i / n_l,i, from ln s_c per label in nats: for those who look at items. A label without a score is
+    /// impossible.
+    pub fn item_log_score_nats<'a>(&'a self, label_log_prob_nats: &'a [f64]) -> impl ExactSizeIterator<Item = f64> {
+        let log_score_nats =
+            |term: &Term| label_log_prob_nats.get(term.label).copied().unwrap_or(f64::NEG_INFINITY) + term.ln_share;
+        self.term_start.windows(2).map(move |bounds| match &self.item_terms[bounds[0]..bounds[1]] {
+            [term] => log_score_nats(term),
+            terms => log_sum_exp_of(terms.iter().map(log_score_nats)),
+        })
+    }
+
+    /// What to call the partitions in front of people, in their order: by their labels, or by their ids where several bear one label, as
+    /// the rooms of a ward do.
+    #[must_use]
+    pub fn partition_names(&self) -> Vec<String> {
+        let mut bearers = HashMap::<&str, usize>::new();
+        self.partitions.iter().for_each(|partition| *bearers.entry(&partition.label).or_default() += 1);
+        let name = |partition: &Partition| {
+            if bearers[partition.label.as_str()] > 1 { partition.id.clone() } else { partition.label.clone() }
+        };
+        self.partitions.iter().map(name).collect()
+    }
+
+    /// The labels that contribute most to a partition's score, at most `count`: index in [`Grounding::scored_labels`] and
+    /// ln(s_c w\[c, r\]) in nats, the largest first; equal ones in the labels' order.
+    #[must_use]
+    pub fn top_labels(&self, partition: PartitionId, label_log_prob_nats: &[f64], count: usize) -> Vec<(usize, f64)> {
+        let column = self.weights.column(partition.0 as usize);
+        let mut contributions: Vec<(usize, f64)> = (column.iter().zip(label_log_prob_nats).enumerate())
+            .filter(|(_, (weight, log_prob_nats))| **weight > 0.0 && **log_prob_nats > f64::NEG_INFINITY)
+            .map(|(label, (weight, log_prob_nats))| (label, log_prob_nats + weight.ln()))
+            .collect();
+        contributions.sort_by(|a, b| b.1.total_cmp(&a.1));
+        contributions.truncate(count);
+        contributions
+    }
+
+    /// How many items were placed by the given rule.
+    #[must_use]
+    pub fn placed_by(&self, placement: Placement) -> usize {
+        self.item_placement.iter().filter(|&&own| own == placement).count()
+    }
+
+    fn check(&self, label_log_prob_nats: &[f64]) -> Result<(), GroundingError> {
+        if label_log_prob_nats.len() != self.scored_labels.len() {
+            let (given, expected) = (label_log_prob_nats.len(), self.scored_labels.len());
+            return Err(GroundingError::WrongLength { given, expected });
+        }
+        // The tolerance is for probabilities of one that rounding made a little larger.
+        let wrong =
+            label_log_prob_nats.iter().position(|log_prob_nats| log_prob_nats.is_nan() || *log_prob_nats > 1e-3);
+        wrong.map_or(Ok(()), |label| {
+            let log_prob_nats = label_log_prob_nats[label];
+            Err(GroundingError::NotALogProbability { label: self.scored_labels[label].text.clone(), log_prob_nats })
+        })
+    }
+
+    /// ln S_j with a reference of its own, for partitions whose labels are all far less likely than the likeliest.
+    fn log_score_nats(&self, partition: usize, label_log_prob_nats: &[f64]) -> f64 {
+        let column = self.weights.column(partition);
+        let shares = column.iter().zip(label_log_prob_nats).filter(|(weight, _)| **weight > 0.0);
+        log_sum_exp_of(shares.map(|(weight, log_prob_nats)| log_prob_nats + weight.ln()))
+    }
+}
+
+fn normalise(log_scores_nats: &[f64], probabilities: &mut Vec<f64>) {
+    probabilities.clear();
+    let total_nats = log_sum_exp_of(log_scores_nats.iter().copied());
+    if total_nats == f64::NEG_INFINITY {
+        probabilities.resize(log_scores_nats.len(), 1.0 / log_scores_nats.len() as f64);
+    } else {
+        probabilities.extend(log_scores_nats.iter().map(|log_score_nats| (log_score_nats - total_nats).exp()));
+    }
+}
+
+fn rooms_as_partitions(map: &SemanticMap) -> Vec<Partition> {
+    (0u32..)
+        .zip(&map.rooms)
+        .map(|(index, room)| Partition {
+            id: room.id.clone(),
+            label: room.label.clone(),
+            rooms: vec![RoomId(index)],
+            boxes: vec![room.bounds],
+        })
+        .collect()
+}
+
+/// The partitions of a map at a level, in their order in a [`Grounding`].
+#[must_use]
+pub fn partitions(map: &SemanticMap, level: PartitionLevel) -> Vec<Partition> {
+    let rooms = rooms_as_partitions(map);
+    match level {
+        PartitionLevel::Room => rooms,
+        PartitionLevel::Part => {
+            let parts = |room: RoomId| map.parts.iter().filter(move |part| part.room == room);
+            let divide = |room: Partition| {
+                let id = room.rooms[0];
+                let mut within: Vec<Partition> = parts(id)
+                    .map(|part| Partition {
+                        id: part.id.clone(),
+                        label: part.label.clone(),
+                        rooms: vec![id],
+                        boxes: vec![part.bounds],
+                    })
+                    .collect();
+                if within.is_empty() {
+                    within.push(room);
+                }
+                within
+            };
+            rooms.into_iter().flat_map(divide).collect()
+        }
+        PartitionLevel::Group => {
+            let grouped = |room: &Partition| map.groups.iter().any(|group| group.rooms.contains(&room.rooms[0]));
+            let groups = map.groups.iter().map(|group| Partition {
+                id: group.id.clone(),
+                label: group.label.clone(),
+                rooms: group.rooms.clone(),
+                boxes: group.rooms.iter().map(|room| map.rooms[room.0 as usize].bounds).collect(),
+            });
+            groups.chain(rooms.iter().filter(|room| !grouped(room)).cloned()).collect()
+        }
+    }
+}
+
+/// The labels of an item with their weights: its captions, or its label alone.
+fn words_of(item: &crate::semantic_map::Item) -> impl Iterator<Item = (usize, f64)> {
+    let only = item.captions.is_empty().then_some((item.label.0 as usize, 1.0));
+    only.into_iter().chain(item.captions.iter().map(|caption| (caption.label.0 as usize, caption.weight)))
+}
+
+/// The labels to score, first the known ones; and per label of the map its place among them.
+fn scored_labels(map: &SemanticMap, room_labels: bool, known: &[&str]) -> (Vec<ScoredLabel>, Vec<usize>) {
+    fn place<'a>(text: &'a str, labels: &mut Vec<ScoredLabel>, places: &mut HashMap<&'a str, usize>) -> usize {
+        *places.entry(text).or_insert_with(|| {
+            labels.push(ScoredLabel { text: text.to_owned(), items: Vec::new(), rooms: Vec::new(), count: 0.0 });
+            labels.len() - 1
+        })
+    }
+    let mut labels = Vec::new();
+    let mut places = HashMap::new();
+    for text in known {
+        place(text, &mut labels, &mut places);
+    }
+    let place_of: Vec<usize> = map.labels.iter().map(|text| place(text, &mut labels, &mut places)).collect();
+    for (index, item) in (0u32..).zip(&map.items) {
+        for (label, weight) in words_of(item) {
+            labels[place_of[label]].items.push(ItemId(index));
+            labels[place_of[label]].count += weight;
+        }
+    }
+    if room_labels {
+        for (index, room) in (0u32..).zip(&map.rooms) {
+            let own = place(&room.label, &mut labels, &mut places);
+            labels[own].rooms.push(RoomId(index));
+            labels[own].count += 1.0;
+        }
+    }
+    (labels, place_of)
+}
+
+/// Rules 1 to 3.
+fn place(bounds: &Box3, position_m: &[f64; 3], partitions: &[Partition]) -> Option<(PartitionId, Placement)> {
+    let overlaps_m3 = || (0u32..).zip(partitions.iter().map(|partition| partition.overlap_m3(bounds)));
+    let largest_m3 = overlaps_m3().map(|(_, overlap_m3)| overlap_m3).fold(0.0, f64::max);
+    if largest_m3 > 0.0 {
+        let mut largest = overlaps_m3().filter(|(_, overlap_m3)| *overlap_m3 >= largest_m3 * (1.0 - TIE));
+        let first = largest.next()?.0;
+        return Some(match largest.last() {
+            Some((last, _)) => (PartitionId(last), Placement::Tie),
+            None => (PartitionId(first), Placement::Overlap),
+        });
+    }
+    let last = (0u32..).zip(partitions).filter(|(_, partition)| partition.contains(position_m)).last()?;
+    Some((PartitionId(last.0), Placement::Position))
+}
+
+/// The first of the nearest partitions, of one room or of all, and its distance in metres.
+fn nearest(position_m: &[f64; 3], partitions: &[Partition], room: Option<RoomId>) -> Option<(PartitionId, f64)> {
+    (0u32..)
+        .zip(partitions)
+        .filter(|(_, partition)| room.is_none_or(|room| partition.rooms.contains(&room)))
+        .map(|(index, partition)| (PartitionId(index), partition.distance_m(position_m)))
+        .min_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const TWO_ROOMS: &str = include_str!("../../tests/data/two_rooms.json");
+
+    fn map() -> SemanticMap {
+        SemanticMap::from_json(TWO_ROOMS).unwrap()
+    }
+
+    fn grounding(level: PartitionLevel) -> (SemanticMap, Grounding) {
+        let map = map();
+        let grounding = Grounding::new(&map, &GroundingOptions { level, room_labels: true }).unwrap();
+        (map, grounding)
+    }
+
+    fn of(map: &SemanticMap, grounding: &Grounding, id: &str) -> (Option<String>, Placement) {
+        let index = map.items.iter().position(|item| item.id == id).unwrap();
+        let partition = grounding.item_partition[index].map(|id| grounding.partitions[id.0 as usize].id.clone());
+        (partition, grounding.item_placement[index])
+    }
+
+    #[test]
+    fn rooms_of_one_label_are_called_by_their_ids() {
+        let map = SemanticMap::from_json(include_str!("../../scenes/ward.json")).unwrap();
+        let names = Grounding::new(&map, &GroundingOptions::default()).unwrap().partition_names();
+        assert_eq!(
+            (&names[1], &names[5], &names[6]),
+            (&"nurse station".into(), &"patient-room-1".into(), &"patient-room-2".into())
+        );
+        assert_eq!(names.iter().collect::<std::collections::BTreeSet<_>>().len(), names.len());
+    }
+
+    #[test]
+    fn every_rule_of_placement_is_followed() {
+        let (map, rooms) = grounding(PartitionLevel::Room);
+        assert_eq!(of(&map, &rooms, "mug-1"), (Some("kitchen".into()), Placement::Overlap));
+        assert_eq!(of(&map, &rooms, "wall-1"), (Some("living-room".into()), Placement::Tie), "the last in the file");
+        assert_eq!(of(&map, &rooms, "poster-1"), (Some("living-room".into()), Placement::Position), "a flat box");
+        assert_eq!(of(&map, &rooms, "bicycle-1"), (None, Placement::Outside));
+        assert_eq!(rooms.unassigned, [(ItemId(8), Reason::Outside { nearest: PartitionId(1), distance_m: 3.0 })]);
+
+        let (map, parts) = grounding(PartitionLevel::Part);
+        assert_eq!(of(&map, &parts, "table-1"), (Some("kitchen/dining".into()), Placement::Overlap));
+        assert_eq!(of(&map, &parts, "mug-3"), (Some("kitchen/dining".into()), Placement::NearestPart));
+        assert_eq!(
+            of(&map, &parts, "sofa-1"),
+            (Some("living-room".into()), Placement::Overlap),
+            "a room without parts"
+        );
+
+        let (map, groups) = grounding(PartitionLevel::Group);
+        assert_eq!(groups.partitions.len(), 1);
+        assert_eq!(of(&map, &groups, "wall-1"), (Some("all".into()), Placement::Overlap));
+    }
+
+    #[test]
+    fn shares_count_items_outside_and_rooms() {
+        let (map, grounding) = grounding(PartitionLevel::Room);
+        let label = |text: &str| grounding.label_texts().iter().position(|label| *label == text).unwrap();
+        let share = |text: &str, room: usize| grounding.weights[(label(text), room)];
+        assert_eq!([share("mug", 0), share("mug", 1)], [2.0 / 3.0, 1.0 / 3.0]);
+        assert_eq!([share("bicycle", 0), share("bicycle", 1)], [0.0, 0.0]);
+        assert_eq!([share("kitchen", 0), share("kitchen", 1)], [1.0, 0.0]);
+        assert_eq!(grounding.scored_labels[label("mug")].count, 3.0);
+        assert_eq!(grounding.scored_labels.len(), map.labels.len() + 2);
+    }
+
+    #[test]
+    fn a_rooms_name_is_shared_by_its_parts() {
+        let (_, grounding) = grounding(PartitionLevel::Part);
+        let kitchen = grounding.label_texts().iter().position(|label| *label == "kitchen").unwrap();
+        let row: Vec<f64> = grounding.weights.row(kitchen).iter().copied().collect();
+        assert_eq!(row, [0.5, 0.5, 0.0]);
+    }
+
+    #[test]
+    fn a_room_name_that_items_bear_is_one_label() {
+        let text = TWO_ROOMS.replace("\"label\": \"poster\"", "\"label\": \"kitchen\"");
+        let map = SemanticMap::from_json(&text).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let kitchen = grounding.label_texts().iter().position(|label| *label == "kitchen").unwrap();
+        assert_eq!(grounding.scored_labels[kitchen].count, 2.0);
+        assert_eq!([grounding.weights[(kitchen, 0)], grounding.weights[(kitchen, 1)]], [0.5, 0.5]);
+    }
+
+    #[test]
+    fn captions_share_an_item() {
+        let captions = "\"label\": \"poster\", \"captions\": [{\"label\": \"poster\", \"weight\": 3}, {\"label\": \"mug\", \"weight\": 1}]";
+        let map = SemanticMap::from_json(&TWO_ROOMS.replace("\"label\": \"poster\"", captions)).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let mug = map.find_label("mug").unwrap().0 as usize;
+        assert_eq!(grounding.scored_labels[mug].count, 3.25);
+        assert!((grounding.weights[(mug, 1)] - 1.25 / 3.25).abs() < 1e-15);
+        let log_prob_nats: Vec<f64> = (0..grounding.scored_labels.len()).map(|label| -1.0 - label as f64).collect();
+        let scores: Vec<f64> = grounding.item_log_score_nats(&log_prob_nats).collect();
+        let poster = map.find_label("poster").unwrap().0 as usize;
+        let expected = log_prob_nats[poster].exp() * (0.75 / 0.75) + log_prob_nats[mug].exp() * (0.25 / 3.25);
+        assert!((scores[7] - expected.ln()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn labels_may_be_impossible_and_partitions_empty() {
+        let (_, grounding) = grounding(PartitionLevel::Room);
+        let mut scores = GroundedScores::default();
+        let never = vec![f64::NEG_INFINITY; grounding.scored_labels.len()];
+        grounding.ground(&never, &mut scores).unwrap();
+        assert_eq!(scores.partition_log_score_nats, [f64::NEG_INFINITY; 2]);
+        assert_eq!(scores.partition_probability, [0.5; 2]);
+        assert_eq!(scores.label_mass, 0.0);
+    }
+
+    #[test]
+    fn what_underflows_keeps_its_logarithm() {
+        let (_, grounding) = grounding(PartitionLevel::Room);
+        let sofa = grounding.label_texts().iter().position(|label| *label == "sofa").unwrap();
+        let maker = grounding.label_texts().iter().position(|label| *label == "coffee maker").unwrap();
+        let mut log_prob_nats = vec![f64::NEG_INFINITY; grounding.scored_labels.len()];
+        log_prob_nats[maker] = -3.0;
+        log_prob_nats[sofa] = -2000.0;
+        let mut scores = GroundedScores::default();
+        grounding.ground(&log_prob_nats, &mut scores).unwrap();
+        assert_eq!(scores.partition_log_score_nats, [-3.0, -2000.0]);
+    }
+
+    #[test]
+    fn scores_that_are_none_are_refused() {
+        let (_, grounding) = grounding(PartitionLevel::Room);
+        let mut scores = GroundedScores::default();
+        let count = grounding.scored_labels.len();
+        let given = |value: f64| vec![value; count];
+        assert!(matches!(grounding.ground(&[-1.0], &mut scores), Err(GroundingError::WrongLength { given: 1, .. })));
+        for value in [f64::NAN, f64::INFINITY, 1.0] {
+            assert!(matches!(
+                grounding.ground(&given(value), &mut scores),
+                Err(GroundingError::NotALogProbability { .. })
+            ));
+        }
+    }
+
+    #[test]
+    fn a_map_without_labels_is_refused() {
+        let mut map = map();
+        map.items.clear();
+        map.labels.clear();
+        let options = GroundingOptions { room_labels: false, ..GroundingOptions::default() };
+        assert!(matches!(Grounding::new(&map, &options), Err(GroundingError::NoLabels { .. })));
+        assert_eq!(
+            Grounding::new(&map, &GroundingOptions::default()).unwrap().label_texts(),
+            ["kitchen", "living room"]
+        );
+    }
+
+    #[test]
+    fn warm_buffers_stay_where_they_are() {
+        let (_, grounding) = grounding(PartitionLevel::Room);
+        let mut scores = GroundedScores::default();
+        let log_prob_nats = vec![-2.0; grounding.scored_labels.len()];
+        grounding.ground(&log_prob_nats, &mut scores).unwrap();
+        let place = |scores: &GroundedScores| {
+            [
+                scores.partition_log_score_nats.as_ptr(),
+                scores.partition_probability.as_ptr(),
+                scores.relative.as_ptr(),
+                scores.sums.as_ptr(),
+            ]
+        };
+        let before = place(&scores);
+        grounding.ground(&log_prob_nats, &mut scores).unwrap();
+        assert_eq!(before, place(&scores));
+    }
+
+    #[test]
+    fn the_top_labels_are_those_that_give_most() {
+        let (_, grounding) = grounding(PartitionLevel::Room);
+        let log_prob_nats = vec![-1.0; grounding.scored_labels.len()];
+        let top = grounding.top_labels(PartitionId(1), &log_prob_nats, 3);
+        let texts: Vec<&str> = top.iter().map(|(label, _)| grounding.scored_labels[*label].text.as_str()).collect();
+        assert_eq!(texts, ["poster", "sofa", "wall"]);
+        assert_eq!(top[0].1, -1.0);
+    }
+
+    /// A map of boxes on a coarse grid, so that ties, touching faces and flat boxes are frequent.
+    fn any_map() -> impl Strategy<Value = SemanticMap> {
+        let bounds = |least: i32| {
+            (prop::array::uniform3(0..8i32), prop::array::uniform3(least..5i32)).prop_map(|(min, size)| {
+                let min_m = min.map(f64::from);
+                (min_m, std::array::from_fn::<f64, 3, _>(|axis| min_m[axis] + f64::from(size[axis])))
+            })
+        };
+        let rooms = prop::collection::vec(bounds(1), 1..6);
+        let items = prop::collection::vec((bounds(0), 0..6usize), 0..30);
+        (rooms, items).prop_map(|(rooms, items)| {
+            let entry = |(min_m, max_m): &([f64; 3], [f64; 3])| serde_json::json!({"min_m": min_m, "max_m": max_m});
+            let rooms: Vec<_> = (rooms.iter().enumerate())
+                .map(|(index, bounds)| serde_json::json!({"id": format!("r{index}"), "label": format!("room {}", index % 3), "box": entry(bounds)}))
+                .collect();
+            let items: Vec<_> = (items.iter().enumerate())
+                .map(|(index, (bounds, label))| serde_json::json!({"id": format!("i{index}"), "label": format!("thing {label}"),
+                    "position_m": bounds.0, "box": entry(bounds)}))
+                .collect();
+            let scene = serde_json::json!({"format": "roomcast-scene", "version": 1, "name": "any", "rooms": rooms, "items": items});
+            SemanticMap::from_json(&scene.to_string()).unwrap()
+        })
+    }
+
+    proptest! {
+        /// Equation 2 by its own words: for every partition, add up s_i of the items whose largest overlap it is.
+        #[test]
+        fn sums_agree_with_brute_force(map in any_map(), seeds in prop::collection::vec(-40.0..0.0f64, 9)) {
+            let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+            let log_prob_nats: Vec<f64> = (0..grounding.scored_labels.len()).map(|label| seeds[label % 9]).collect();
+            let mut scores = GroundedScores::default();
+            grounding.ground(&log_prob_nats, &mut scores).unwrap();
+            let items: Vec<f64> = grounding.item_log_score_nats(&log_prob_nats).collect();
+
+            let texts = grounding.label_texts();
+            let mut sums = vec![0.0; map.rooms.len()];
+            for (index, item) in map.items.iter().enumerate() {
+                let label = texts.iter().position(|text| *text == map.labels[item.label.0 as usize]).unwrap();
+                let count = map.items.iter().filter(|other| other.label == item.label).count() as f64;
+                let score = log_prob_nats[label].exp() / count;
+                prop_assert!((items[index] - score.ln()).abs() < 1e-9);
+                let overlaps: Vec<f64> = (map.rooms.iter())
+                    .map(|room| (0..3).map(|axis| {
+                        let upper = item.bounds.max_m[axis].min(room.bounds.max_m[axis]);
+                        (upper - item.bounds.min_m[axis].max(room.bounds.min_m[axis])).max(0.0)
+                    }).product())
+                    .collect();
+                let largest = overlaps.iter().copied().fold(0.0, f64::max);
+                let room = if largest > 0.0 {
+                    overlaps.iter().rposition(|overlap| *overlap >= largest * (1.0 - TIE))
+                } else {
+                    map.rooms_at(item.position_m).last().map(|room| room.0 as usize)
+                };
+                prop_assert_eq!(grounding.item_partition[index].map(|partition| partition.0 as usize), room);
+                if let Some(room) = room {
+                    sums[room] += score;
+                }
+            }
+            for (index, room) in map.rooms.iter().enumerate() {
+                let label = texts.iter().position(|text| *text == room.label).unwrap();
+                let count = map.rooms.iter().filter(|other| other.label == room.label).count() as f64;
+                sums[index] += log_prob_nats[label].exp() / count;
+            }
+            let total: f64 = sums.iter().sum();
+            for (index, sum) in sums.iter().enumerate() {
+                prop_assert!((scores.partition_log_score_nats[index].exp() - sum).abs() <= 1e-12 * total);
+                prop_assert!((scores.partition_probability[index] - sum / total).abs() < 1e-9);
+            }
+            let mass: f64 = log_prob_nats.iter().map(|nats| nats.exp()).sum();
+            prop_assert!((scores.label_mass - mass).abs() <= 1e-12 * mass);
+            let unassigned = grounding.item_partition.iter().filter(|partition| partition.is_none()).count();
+            prop_assert_eq!(unassigned, grounding.unassigned.len());
+        }
+    }
+}

@@ -1,0 +1,239 @@
+//! Narration: what a person has just done, as one sentence per observation, and the window of it that a prompt holds.
+//!
+//! Three kinds of observation become sentences: atomic actions in VirtualHome's notation ([`Action`]), device states
+//! ([`DeviceState`]) and plain sentences of any captioning source ([`Sentence`]). An action is observed when it is complete.
+
+use std::fmt;
+
+pub mod action;
+pub mod history;
+pub mod program;
+
+pub use action::{
+    Action, ActionEntry, ActionError, LINE_BYTES_MAX, NAME_BYTES_MAX, OBJECTS_MAX, ObjectRef, table as action_table,
+};
+pub use history::{Histories, History, HistoryLimits, PERSONS_MAX};
+pub use program::{PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
+
+/// Longest sentence of one observation, in bytes of UTF-8; the narration message holds as many.
+pub const SENTENCE_BYTES_MAX: usize = 1024;
+
+/// Why a text is no sentence.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum SentenceError {
+    /// Nothing but space and punctuation.
+    #[error("the sentence holds no letter or digit: say what was observed, such as `They open the fridge.`")]
+    Empty,
+    /// Longer than [`SENTENCE_BYTES_MAX`].
+    #[error(
+        "the sentence has {bytes} bytes, more than {SENTENCE_BYTES_MAX}: shorten it or send it as several observations"
+    )]
+    TooLong {
+        /// Its length.
+        bytes: usize,
+    },
+    /// A control character.
+    #[error("the sentence holds the control character U+{code:04X}: remove it")]
+    Control {
+        /// Its code point.
+        code: u32,
+    },
+}
+
+/// A plain sentence in the form the prompt wants: single spaces, a capital first letter, closing punctuation.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Sentence(String);
+
+impl Sentence {
+    /// Normalises `text`. Line breaks and tabs count as space.
+    ///
+    /// # Errors
+    /// Empty, overlong texts and control characters are refused.
+    pub fn new(text: &str) -> Result<Self, SentenceError> {
+        if text.len() > SENTENCE_BYTES_MAX {
+            return Err(SentenceError::TooLong { bytes: text.len() });
+        }
+        if let Some(c) = text.chars().find(|c| c.is_control() && !c.is_whitespace()) {
+            return Err(SentenceError::Control { code: c.into() });
+        }
+        if !text.contains(char::is_alphanumeric) {
+            return Err(SentenceError::Empty);
+        }
+        let mut sentence = String::with_capacity(text.len() + 1);
+        for word in text.split_whitespace() {
+            if sentence.is_empty() {
+                let mut letters = word.chars();
+                sentence.extend(letters.next().into_iter().flat_map(char::to_uppercase));
+                sentence.push_str(letters.as_str());
+            } else {
+                sentence.push(' ');
+                sentence.push_str(word);
+            }
+        }
+        if !sentence.ends_with(['.', '!', '?']) {
+            while sentence.ends_with([',', ';', ':', ' ']) {
+                sentence.pop();
+            }
+            sentence.push('.');
+        }
+        match sentence.len() {
+            0..=SENTENCE_BYTES_MAX => Ok(Self(sentence)),
+            bytes => Err(SentenceError::TooLong { bytes }),
+        }
+    }
+
+    /// The text.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for Sentence {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// The state of a device, "the oven is on".
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct DeviceState {
+    /// The device, without article ("oven").
+    pub device: String,
+    /// What it is ("on", "open", "at 20 degrees").
+    pub state: String,
+}
+
+impl DeviceState {
+    /// Reads "the oven is on"; `None` if the text has another form, in which case it is a plain sentence.
+    #[must_use]
+    pub fn parse(text: &str) -> Option<Self> {
+        let text = text.trim().trim_end_matches('.');
+        let rest = text.strip_prefix("the ").or_else(|| text.strip_prefix("The "))?;
+        let (device, state) = rest.split_once(" is ")?;
+        let (device, state) = (device.trim(), state.trim());
+        (!device.is_empty() && !state.is_empty()).then(|| Self { device: device.to_owned(), state: state.to_owned() })
+    }
+
+    /// "The oven is on."
+    ///
+    /// # Errors
+    /// As [`Sentence::new`].
+    pub fn sentence(&self) -> Result<Sentence, SentenceError> {
+        Sentence::new(&format!("The {} is {}", self.device, self.state))
+    }
+}
+
+/// What was observed, before it becomes a sentence.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub enum Observed {
+    /// An atomic action, complete.
+    Action(Action),
+    /// A device changed its state.
+    Device(DeviceState),
+    /// Any other sentence.
+    Sentence(Sentence),
+}
+
+/// Why a text is no observation.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ObservedError {
+    /// It opens with `[` and so claims to be an action.
+    #[error(transparent)]
+    Action(#[from] ActionError),
+    /// It is no sentence either.
+    #[error(transparent)]
+    Sentence(#[from] SentenceError),
+}
+
+impl Observed {
+    /// Reads one line of any kind: an action if it opens with `[`, a device state if it reads "the ... is ...", else a sentence.
+    ///
+    /// # Errors
+    /// The line's own fault, as an action or as a sentence.
+    pub fn parse(line: &str) -> Result<Self, ObservedError> {
+        if line.trim_start().starts_with('[') {
+            return Ok(Self::Action(Action::parse(line)?));
+        }
+        let sentence = Sentence::new(line)?;
+        Ok(DeviceState::parse(sentence.as_str()).map_or(Self::Sentence(sentence), Self::Device))
+    }
+
+    /// Its sentence in the narration.
+    ///
+    /// # Errors
+    /// A device state made by hand may hold what no sentence may.
+    pub fn sentence(&self) -> Result<Sentence, SentenceError> {
+        match self {
+            Self::Action(action) => Sentence::new(&action.sentence()),
+            Self::Device(device) => device.sentence(),
+            Self::Sentence(sentence) => Ok(sentence.clone()),
+        }
+    }
+}
+
+/// One observation: who, from where, when, and the sentence it became.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Observation {
+    /// The person observed; each has a history of their own.
+    pub person: u32,
+    /// The narrator that sent it.
+    pub source: u64,
+    /// Random number of the narrator's process start: a new one begins a new count of sequences.
+    pub epoch: u64,
+    /// Counts the narrator's observations within an epoch.
+    pub sequence: u64,
+    /// Monotonic time of the observation, in nanoseconds.
+    pub observed_ns: u64,
+    /// Wall clock, in nanoseconds since 1970, for people.
+    pub observed_unix_ns: u64,
+    /// What enters the prompt.
+    pub sentence: Sentence,
+}
+
+impl Observation {
+    /// What a text says rather than a port: of person 0, by source 0 in its epoch 0, at no known time.
+    #[must_use]
+    pub fn of(sequence: u64, sentence: Sentence) -> Self {
+        Self { person: 0, source: 0, epoch: 0, sequence, observed_ns: 0, observed_unix_ns: 0, sentence }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn sentences_are_normalised_or_refused() {
+        let normal = |text: &str| Sentence::new(text).map(|s| s.to_string());
+        assert_eq!(normal("  she opens\n the  fridge ").as_deref(), Ok("She opens the fridge."));
+        assert_eq!(normal("Is it on?").as_deref(), Ok("Is it on?"));
+        assert_eq!(normal("then,").as_deref(), Ok("Then."));
+        assert_eq!(normal("éteint la lampe").as_deref(), Ok("Éteint la lampe."));
+        assert_eq!(normal(" ... "), Err(SentenceError::Empty));
+        assert_eq!(normal("a\u{0}b"), Err(SentenceError::Control { code: 0 }));
+        assert_eq!(normal(&"a".repeat(1025)), Err(SentenceError::TooLong { bytes: 1025 }));
+        assert_eq!(normal(&"a".repeat(1024)), Err(SentenceError::TooLong { bytes: 1025 }));
+    }
+
+    #[test]
+    fn every_kind_of_line_becomes_a_sentence() {
+        let sentence = |line: &str| Observed::parse(line).unwrap().sentence().unwrap().to_string();
+        assert_eq!(sentence("[Walk] <washing_machine> (1)"), "They walk to the washing machine.");
+        assert_eq!(sentence("the oven is on"), "The oven is on.");
+        assert_eq!(sentence("Somebody sings"), "Somebody sings.");
+        assert!(matches!(Observed::parse("the oven is on").unwrap(), Observed::Device(_)));
+        assert!(matches!(Observed::parse("[Fly] <mug> (1)"), Err(ObservedError::Action(_))));
+    }
+
+    proptest! {
+        #[test]
+        fn normalising_twice_changes_nothing(text in "\\PC{0,200}") {
+            if let Ok(sentence) = Sentence::new(&text) {
+                prop_assert_eq!(Sentence::new(sentence.as_str()), Ok(sentence.clone()));
+                prop_assert!(!sentence.as_str().contains("  "));
+            }
+        }
+    }
+}

@@ -1,0 +1,215 @@
+//! Activity programs: VirtualHome's text format of title, description and steps.
+
+use std::path::{Path, PathBuf};
+
+use super::action::{Action, ActionError};
+
+/// Largest program file that is read, in bytes. The longest of VirtualHome's has 7 KiB.
+pub const PROGRAM_BYTES_MAX: usize = 1 << 20;
+/// Most steps of one program.
+pub const STEPS_MAX: usize = 10_000;
+
+/// Why a text is no program.
+#[derive(Debug, thiserror::Error)]
+pub enum ProgramError {
+    /// The file cannot be read.
+    #[error("failed to read the activity program {path}: {source}")]
+    Read {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// More than [`PROGRAM_BYTES_MAX`].
+    #[error("the program has {bytes} bytes, more than {PROGRAM_BYTES_MAX}: split it")]
+    TooLarge {
+        /// Its length.
+        bytes: u64,
+    },
+    /// More than [`STEPS_MAX`] steps.
+    #[error("line {line}: more than {STEPS_MAX} steps: split the program")]
+    TooManySteps {
+        /// The first line too many.
+        line: usize,
+    },
+    /// The title is missing or is itself a step.
+    #[error(
+        "line 1: expected the activity's title, found {found}: a program opens with a title, a description and an empty line"
+    )]
+    NoTitle {
+        /// What stands there.
+        found: &'static str,
+    },
+    /// A step cannot be read.
+    #[error("line {line}: {source}")]
+    Step {
+        /// From 1.
+        line: usize,
+        /// What is wrong with it.
+        source: ActionError,
+    },
+    /// A day of a household, where one activity is expected.
+    #[error(
+        "line {line} is none of a program's, and the file looks like a day in HOMER+'s format, with activities and times: `roomcast experiment` \
+         reads days, other commands programs in VirtualHome's format"
+    )]
+    Day {
+        /// The first line that no program has.
+        line: usize,
+    },
+    /// There is no step at all.
+    #[error("the program `{title}` has no step: add lines such as `[Walk] <kitchen> (1)`")]
+    Empty {
+        /// Its title.
+        title: String,
+    },
+    /// An error of a file, with its path.
+    #[error("{path}: {source}")]
+    In {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong in it.
+        source: Box<ProgramError>,
+    },
+}
+
+/// Whether the text has the headings of HOMER+'s days, which no program has before its steps.
+#[must_use]
+pub fn looks_like_a_day(text: &str) -> bool {
+    text.lines().any(|line| line.starts_with("### "))
+}
+
+/// An activity as a sequence of atomic actions.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Program {
+    /// First line: "Make coffee".
+    pub title: String,
+    /// The lines after the title, joined by spaces; may be empty.
+    pub description: String,
+    /// In order; never empty.
+    pub steps: Vec<Action>,
+}
+
+impl Program {
+    /// Reads a program: the title, the description, then one action per line. Empty lines and, after the first step,
+    /// lines that open with `#` are skipped.
+    ///
+    /// # Errors
+    /// [`ProgramError`] names the line.
+    pub fn parse(text: &str) -> Result<Self, ProgramError> {
+        if text.len() > PROGRAM_BYTES_MAX {
+            return Err(ProgramError::TooLarge { bytes: text.len() as u64 });
+        }
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let mut lines = text.lines().enumerate().map(|(index, line)| (index + 1, line.trim()));
+        let title = match lines.next() {
+            Some((_, "")) | None => return Err(ProgramError::NoTitle { found: "nothing" }),
+            Some((_, line)) if line.starts_with('[') => return Err(ProgramError::NoTitle { found: "a step" }),
+            Some((_, line)) => line.to_owned(),
+        };
+        let is_day = looks_like_a_day(text);
+        let mut description = String::new();
+        let mut steps = Vec::new();
+        for (line, text) in lines {
+            if text.is_empty() || (text.starts_with('#') && !steps.is_empty()) {
+                continue;
+            }
+            if steps.is_empty() && !text.starts_with('[') {
+                if !description.is_empty() {
+                    description.push(' ');
+                }
+                description.push_str(text);
+                continue;
+            }
+            if steps.len() == STEPS_MAX {
+                return Err(ProgramError::TooManySteps { line });
+            }
+            let step = Action::parse(text).map_err(|source| {
+                if is_day { ProgramError::Day { line } } else { ProgramError::Step { line, source } }
+            });
+            steps.push(step?);
+        }
+        if steps.is_empty() {
+            return Err(ProgramError::Empty { title });
+        }
+        Ok(Self { title, description, steps })
+    }
+
+    /// Reads a program from a file.
+    ///
+    /// # Errors
+    /// As [`Program::parse`], with the path, and what reading the file gives.
+    pub fn load(path: &Path) -> Result<Self, ProgramError> {
+        let within = |source| ProgramError::In { path: path.to_owned(), source: Box::new(source) };
+        let unread = |source| ProgramError::Read { path: path.to_owned(), source };
+        let bytes = std::fs::metadata(path).map_err(unread)?.len();
+        if bytes > PROGRAM_BYTES_MAX as u64 {
+            return Err(within(ProgramError::TooLarge { bytes }));
+        }
+        let text = std::fs::read_to_string(path).map_err(unread)?;
+        Self::parse(&text).map_err(within)
+    }
+}
+
+impl std::fmt::Display for Program {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(f, "{}\n{}\n\n", self.title, self.description)?;
+        self.steps.iter().try_for_each(|step| writeln!(f, "{step}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const COFFEE: &str = "Make coffee\nI make coffee.\nSlowly.\n\n\n[Walk] <kitchen> (1)\n\n[Grab] <mug> (1)\n";
+
+    #[test]
+    fn reads_and_prints_a_program() {
+        let program = Program::parse(COFFEE).unwrap();
+        assert_eq!(program.title, "Make coffee");
+        assert_eq!(program.description, "I make coffee. Slowly.");
+        assert_eq!(program.steps.len(), 2);
+        assert_eq!(Program::parse(&program.to_string()).unwrap(), program);
+        assert_eq!(Program::parse(&COFFEE.replace('\n', "\r\n")).unwrap(), program);
+    }
+
+    #[test]
+    fn names_the_line_of_a_fault() {
+        let error = |text: &str| Program::parse(text).unwrap_err().to_string();
+        assert!(error("Title\ndescription\n\n[Walk] <kitchen>\n").starts_with("line 4: expected `(number)`"));
+        assert!(error("Title\n\n[Walk] <a> (1)\nnot a step\n").starts_with("line 4: expected `[`"));
+        let day = "wake_up (06:00 - 06:10)\n\n### wake_up-00.txt\n\n[WALK] <bedroom> (162) [1]\n370.0\n";
+        assert!(error(day).starts_with("line 5") && error(day).contains("HOMER+"), "{}", error(day));
+        assert!(error("[Walk] <kitchen> (1)").contains("found a step"));
+        assert!(error("").contains("found nothing"));
+        assert!(error("Title only").contains("no step"));
+        assert!(error(&" ".repeat(PROGRAM_BYTES_MAX + 1)).contains("split it"));
+        assert!(error(&format!("T\n{}", "[sleep]\n".repeat(STEPS_MAX + 1))).contains("more than 10000 steps"));
+        assert!(Program::load(Path::new("/nowhere")).unwrap_err().to_string().contains("/nowhere"));
+    }
+
+    #[test]
+    fn reads_every_program_of_the_shared_collection() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/virtualhome/programs");
+        if !folder.exists() {
+            eprintln!("SKIPPED: {} is missing", folder.display());
+            return;
+        }
+        let mut folders = vec![folder];
+        let (mut read, mut failed) = (0, Vec::new());
+        while let Some(folder) = folders.pop() {
+            for entry in std::fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.is_dir() {
+                    folders.push(path);
+                } else if path.extension().is_some_and(|e| e == "txt") {
+                    read += 1;
+                    failed.extend(Program::load(&path).err());
+                }
+            }
+        }
+        assert!(read > 2000);
+        assert!(failed.is_empty(), "{} of {read}: {:?}", failed.len(), &failed[..failed.len().min(5)]);
+    }
+}

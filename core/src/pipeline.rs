@@ -1,0 +1,609 @@
+//! One step of the flow: observations in, scores of labels, items and partitions out.
+//!
+//! The pipeline owns every buffer and does no I/O; the daemon, `roomcast score`, the experiments and the replay all run
+//! this one.
+
+use crate::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions, Regrouped};
+use crate::narration::Observation;
+use crate::narration::history::{Histories, History, HistoryLimits};
+use crate::prompt::{BindingSequence, write_prompt};
+use crate::scorer::certified::{Bounds, Certified, Effort};
+use crate::scorer::correction::{Correction, CorrectionChoice};
+use crate::scorer::{
+    DecodeStats, LabelScores, LanguageModel, Method, ModelInfo, PreparedLabels, ScoreError, Scorer, TextStart,
+    Tokenisation,
+};
+use crate::semantic_map::SemanticMap;
+
+/// Most narration sources that scores name; the one heard longest ago makes room for a new one.
+pub const SOURCES_MAX: usize = 64;
+
+/// A pipeline that cannot be set up, or a step that failed. Histories are complete all the same.
+#[derive(Debug, thiserror::Error)]
+pub enum PipelineError {
+    /// The scorer failed.
+    #[error(transparent)]
+    Score(#[from] ScoreError),
+    /// The scores cannot be grounded.
+    #[error(transparent)]
+    Grounding(#[from] GroundingError),
+    /// The model's context is too small for a history at all.
+    #[error(
+        "the context of {context} tokens leaves none for narration: the labels and the binding sequence need {needed}; raise model.context_tokens or use another model"
+    )]
+    ContextTooSmall {
+        /// Tokens of the context.
+        context: usize,
+        /// Tokens needed beside the narration.
+        needed: usize,
+    },
+}
+
+/// How a pipeline scores.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PipelineOptions {
+    /// The binding sequence.
+    pub binding: BindingSequence,
+    /// How prompt and labels are cut into tokens.
+    pub tokenisation: Tokenisation,
+    /// How scores are corrected; what it does not say, the model file does.
+    pub correction: CorrectionChoice,
+    /// How labels are scored.
+    pub method: Method,
+    /// How far an answer goes, under [`Method::Trie`]; the other methods are always exact.
+    pub effort: Effort,
+    /// The time that a step may take under [`Effort::Deadline`], from its start, in nanoseconds.
+    pub deadline_ns: u64,
+    /// The window of each person.
+    pub history: HistoryLimits,
+}
+
+impl Default for PipelineOptions {
+    fn default() -> Self {
+        Self {
+            binding: BindingSequence::default(),
+            tokenisation: Tokenisation::default(),
+            correction: CorrectionChoice::default(),
+            method: Method::default(),
+            effort: Effort::default(),
+            deadline_ns: 5_000_000,
+            history: HistoryLimits::default(),
+        }
+    }
+}
+
+/// The last narration of one source that scores include.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+pub struct Included {
+    /// The source.
+    pub source: u64,
+    /// Its epoch.
+    pub epoch: u64,
+    /// Its sequence number in that epoch.
+    pub sequence: u64,
+    /// When it was observed, monotonic nanoseconds.
+    pub observed_ns: u64,
+}
+
+/// What a changed map asked of the model.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Prepared {
+    /// Whether it was prepared for the map's labels anew.
+    pub anew: bool,
+    /// How many of them are new.
+    pub new_labels: usize,
+}
+
+/// Where a step's time went, in nanoseconds.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Timing {
+    /// Writing the prompt and cutting it into tokens.
+    #[serde(rename = "tokenise")]
+    pub tokenise_ns: u64,
+    /// Decoder calls that held the prompt; the trie's nodes ride in the same call.
+    #[serde(rename = "prefix")]
+    pub prefix_ns: u64,
+    /// The softmax and the walk over the trie.
+    #[serde(rename = "trie")]
+    pub trie_ns: u64,
+    /// Items and partitions.
+    #[serde(rename = "ground")]
+    pub ground_ns: u64,
+    /// All of the step.
+    #[serde(rename = "total")]
+    pub total_ns: u64,
+}
+
+/// The scores after a step.
+#[derive(Debug, Clone, Default)]
+pub struct Scores {
+    /// Per label `ln s_c` in nats, corrected: of one person, or the mean of `s_c` over several.
+    pub label_log_prob_nats: Vec<f64>,
+    /// Per item and partition.
+    pub grounded: GroundedScores,
+    /// Per source, the last narration that these scores include.
+    pub included: Vec<Included>,
+    /// When the newest of it was observed, monotonic nanoseconds; 0 before the first.
+    pub newest_observed_ns: u64,
+    /// How the scores were reached; of several persons, what the intervals of their mean show.
+    pub reached: Effort,
+    /// Per partition a certified lower bound of `ln S_j` in nats; the score itself when exact.
+    pub lower_log_score_nats: Vec<f64>,
+    /// Per partition a certified upper bound of `ln S_j` in nats; the score itself when exact.
+    pub upper_log_score_nats: Vec<f64>,
+    /// Tokens of the prompts scored in this step.
+    pub prompt_tokens: usize,
+    /// What was decoded in this step.
+    pub stats: DecodeStats,
+    /// Where the time of this step went.
+    pub timing: Timing,
+}
+
+#[derive(Debug)]
+struct Person {
+    id: u32,
+    scores: LabelScores,
+    /// Kept only where partial answers are asked for.
+    certified: Option<Certified>,
+    stale: bool,
+    /// What the model read for these scores, and where in it each sentence ends: the history may have been cut since.
+    prompt: String,
+    sentence_ends: Vec<usize>,
+}
+
+impl Person {
+    fn new(id: u32) -> Self {
+        Self {
+            id,
+            scores: LabelScores::default(),
+            certified: None,
+            stale: true,
+            prompt: String::new(),
+            sentence_ends: Vec::new(),
+        }
+    }
+
+    /// Writes the prompt for what is known of the person.
+    fn write_prompt(&mut self, history: Option<&History>, options: &PipelineOptions) {
+        let trailing_space = options.tokenisation == Tokenisation::Paper;
+        let sentences = || history.into_iter().flat_map(History::sentences);
+        write_prompt(sentences(), &options.binding, trailing_space, &mut self.prompt);
+        self.sentence_ends.clear();
+        if options.binding.uses_narration() {
+            let mut end = 0;
+            for sentence in sentences() {
+                end += sentence.len();
+                self.sentence_ends.push(end);
+                end += 1;
+            }
+        }
+    }
+
+    fn sentences(&self) -> impl Iterator<Item = &str> {
+        let starts = std::iter::once(0).chain(self.sentence_ends.iter().map(|end| end + 1));
+        starts.zip(&self.sentence_ends).map(|(start, &end)| &self.prompt[start..end])
+    }
+}
+
+/// The flow from observations to scores. See the [module's documentation](self).
+#[derive(Debug)]
+pub struct Pipeline<M> {
+    scorer: Scorer<M>,
+    prepared: PreparedLabels,
+    grounding: Grounding,
+    options: PipelineOptions,
+    histories: Histories,
+    persons: Vec<Person>,
+    /// Stands in before anybody was observed.
+    nobody: Person,
+    prompt: String,
+    /// The person whose prompt the model has read last.
+    read: Option<u32>,
+    scores: Scores,
+}
+
+impl<M: LanguageModel> Pipeline<M> {
+    /// Cuts the map's labels into tokens, builds their trie and learns the prior, once.
+    ///
+    /// # Errors
+    /// When a label has no tokens, the model's context leaves no room for narration, or the model fails at a blank one.
+    pub fn new(model: M, grounding: Grounding, mut options: PipelineOptions) -> Result<Self, PipelineError> {
+        let mut scorer = Scorer::new(model);
+        let (prepared, tokens) = prepare(&mut scorer, &grounding, &options)?;
+        options.history.tokens = options.history.tokens.min(tokens);
+        let histories = Histories::new(options.history);
+        Ok(Self {
+            scorer,
+            prepared,
+            grounding,
+            options,
+            histories,
+            persons: Vec::new(),
+            nobody: Person::new(0),
+            prompt: String::new(),
+            read: None,
+            scores: Scores::default(),
+        })
+    }
+
+    /// What the model says of itself.
+    pub fn model(&self) -> &ModelInfo {
+        self.scorer.info()
+    }
+
+    /// The map's labels and partitions.
+    pub fn grounding(&self) -> &Grounding {
+        &self.grounding
+    }
+
+    /// The labels' tokens and trie.
+    pub fn prepared(&self) -> &PreparedLabels {
+        &self.prepared
+    }
+
+    /// How this pipeline scores.
+    pub fn options(&self) -> &PipelineOptions {
+        &self.options
+    }
+
+    /// Takes a changed map. As long as it brings no label that the model was not prepared for, and under a correction lets none go, the
+    /// model is not touched: the next [`Pipeline::score`] sums the known label scores anew.
+    ///
+    /// Partial answers ([`PipelineOptions::effort`]) know their labels only as far as the old map asked; they are scored again.
+    ///
+    /// # Errors
+    /// When the map cannot be grounded, its labels leave no room for narration, or the model fails; the old map stays in use then.
+    pub fn change_map(&mut self, map: &SemanticMap, options: &GroundingOptions) -> Result<Prepared, PipelineError> {
+        let Regrouped { grounding, new_labels } = self.grounding.regroup(map, options)?;
+        // Corrected scores depend on the labels that there are.
+        let others_gone = self.prepared.correction() != Correction::default() && grounding.has_idle_labels();
+        let anew = new_labels > 0 || others_gone;
+        let prepared = Prepared { anew, new_labels };
+        if !anew {
+            self.grounding = grounding;
+        } else {
+            // The list is prepared anew, so labels that nothing bears any more can leave it.
+            let grounding = Grounding::new(map, options)?;
+            let (labels, tokens) = prepare(&mut self.scorer, &grounding, &self.options)?;
+            self.options.history.tokens = self.options.history.tokens.min(tokens);
+            self.histories.limit_tokens(self.options.history.tokens);
+            self.prepared = labels;
+            self.grounding = grounding;
+            // Scores of the old list, in the old order.
+            self.scores.label_log_prob_nats.clear();
+        }
+        let exact = self.options.method != Method::Trie || self.options.effort == Effort::Exact;
+        for person in self.persons.iter_mut().chain([&mut self.nobody]) {
+            // It holds the old map's weights.
+            person.certified = None;
+            person.stale |= anew || !exact;
+        }
+        Ok(prepared)
+    }
+
+    /// The sentences that the model read for the newest scores, with their person, oldest first.
+    pub fn read_sentences(&self) -> impl Iterator<Item = (u32, &str)> {
+        self.persons.iter().flat_map(|person| person.sentences().map(|sentence| (person.id, sentence)))
+    }
+
+    /// The histories of all persons.
+    pub fn histories(&self) -> &Histories {
+        &self.histories
+    }
+
+    /// The scores of the last step.
+    pub fn scores(&self) -> &Scores {
+        &self.scores
+    }
+
+    /// A token's text, for people.
+    pub fn token_text(&self, token: crate::scorer::Token) -> String {
+        self.scorer.model().token_text(token)
+    }
+
+    /// Per token of a label ln p(token | prompt and the tokens before it), corrected, in nats, of the last step; none where several
+    /// persons were scored or the method keeps no such numbers.
+    #[must_use]
+    pub fn token_log_prob_nats(&self, label: usize) -> Option<Vec<f64>> {
+        let exact_trie = self.options.method == Method::Trie && self.options.effort == Effort::Exact;
+        if exact_trie && self.persons.len() <= 1 {
+            self.scorer.token_log_prob_nats(&self.prepared, label)
+        } else {
+            None
+        }
+    }
+
+    /// What the prior added to the sum over a label's tokens, in nats, in the last step; 0 without one, and where several persons were
+    /// scored.
+    #[must_use]
+    pub fn prior_nats(&self, label: usize) -> f64 {
+        match self.persons.as_slice() {
+            [] => self.prior_nats_of(&self.nobody, label),
+            [person] => self.prior_nats_of(person, label),
+            _ => 0.0,
+        }
+    }
+
+    fn prior_nats_of(&self, person: &Person, label: usize) -> f64 {
+        self.prepared.gain_nats().get(label).map_or(0.0, |gain_nats| gain_nats + person.scores.scale_nats)
+    }
+
+    /// Enters observations into the histories without scoring: nothing can fail here, and nothing is lost when the
+    /// scoring after it does.
+    pub fn observe(&mut self, observations: impl IntoIterator<Item = Observation>) {
+        for observation in observations {
+            let included = Included {
+                source: observation.source,
+                epoch: observation.epoch,
+                sequence: observation.sequence,
+                observed_ns: observation.observed_ns,
+            };
+            let person = observation.person;
+            self.scores.newest_observed_ns = self.scores.newest_observed_ns.max(observation.observed_ns);
+            let text = observation.sentence.as_str();
+            let tokens = match self.scorer.sentence_tokens(text) {
+                Ok(tokens) => tokens + 1,
+                // A safe bound; scoring will name the failure.
+                Err(_) => text.len(),
+            };
+            self.histories.push(observation, tokens);
+            match self.persons.iter_mut().find(|p| p.id == person) {
+                Some(known) => known.stale = true,
+                None => self.persons.push(Person::new(person)),
+            }
+            self.include(included);
+        }
+        self.persons.retain(|p| self.histories.get(p.id).is_some());
+    }
+
+    fn include(&mut self, included: Included) {
+        let sources = &mut self.scores.included;
+        if let Some(known) = sources.iter_mut().find(|i| i.source == included.source) {
+            *known = included;
+            return;
+        }
+        if sources.len() >= SOURCES_MAX
+            && let Some(oldest) = (0..sources.len()).min_by_key(|&i| sources[i].observed_ns)
+        {
+            sources.swap_remove(oldest);
+        }
+        sources.push(included);
+    }
+
+    /// Forgets a person, for instance one who has left the map.
+    pub fn forget_person(&mut self, person: u32) {
+        self.histories.remove(person);
+        self.persons.retain(|p| p.id != person);
+    }
+
+    /// Scores the persons whose history changed since the last step, and grounds the result. Before anything was
+    /// observed, the binding sequence alone is scored.
+    ///
+    /// # Errors
+    /// When the model fails. The histories stay, and the next step scores what this one could not.
+    pub fn score(&mut self) -> Result<&Scores, PipelineError> {
+        let now = self.scorer.model().clock();
+        let start = now();
+        let mut timing = Timing::default();
+        self.scores.stats = DecodeStats::default();
+        self.scores.prompt_tokens = 0;
+        let persons = match self.persons.as_mut_slice() {
+            [] => std::slice::from_mut(&mut self.nobody),
+            persons => persons,
+        };
+        for person in persons.iter_mut().filter(|p| p.stale) {
+            let writing = now();
+            person.write_prompt(self.histories.get(person.id), &self.options);
+            timing.tokenise_ns += now().saturating_sub(writing);
+            if self.options.method == Method::Trie && self.options.effort != Effort::Exact {
+                let state =
+                    (person.certified).get_or_insert_with(|| Certified::new(&self.prepared, &self.grounding.weights));
+                let deadline_ns = start.saturating_add(self.options.deadline_ns);
+                self.scorer.score_certified(
+                    &self.prepared,
+                    state,
+                    &person.prompt,
+                    self.options.effort,
+                    Some(deadline_ns),
+                    &mut person.scores,
+                )?;
+            } else {
+                self.scorer.score(&self.prepared, &person.prompt, self.options.method, &mut person.scores)?;
+            }
+            person.stale = false;
+            self.read = Some(person.id);
+            timing.tokenise_ns += person.scores.tokenise_ns;
+            timing.prefix_ns += person.scores.prefix_ns;
+            timing.trie_ns += person.scores.trie_ns;
+            self.scores.prompt_tokens += person.scores.prompt_tokens;
+            self.scores.stats += person.scores.stats;
+        }
+        let grounding = now();
+        mean(persons, &mut self.scores.label_log_prob_nats);
+        self.grounding.ground(&self.scores.label_log_prob_nats, &mut self.scores.grounded)?;
+        bounds(persons, &mut self.scores);
+        timing.ground_ns = now().saturating_sub(grounding);
+        timing.total_ns = now().saturating_sub(start);
+        self.scores.timing = timing;
+        Ok(&self.scores)
+    }
+
+    /// Observes, then scores.
+    ///
+    /// # Errors
+    /// As [`Pipeline::score`]; the observations are in the histories all the same.
+    pub fn step(&mut self, observations: impl IntoIterator<Item = Observation>) -> Result<&Scores, PipelineError> {
+        self.observe(observations);
+        self.score()
+    }
+
+    /// Work that can wait until no event does: clears the model's cache of what the next event cannot use, and cuts the
+    /// history windows that are full, reading the remaining narration again, so that no event waits for it.
+    pub fn tidy(&mut self) {
+        self.scorer.tidy();
+        let Some(person) = self.read else { return };
+        let Some(history) = self.histories.get_mut(person) else { return };
+        if history.compact() == 0 || !self.options.binding.uses_narration() {
+            return;
+        }
+        self.prompt.clear();
+        for sentence in history.sentences() {
+            if !self.prompt.is_empty() {
+                self.prompt.push(' ');
+            }
+            self.prompt.push_str(sentence);
+        }
+        // A failure costs the next event time, and shows there if it lasts.
+        if let Err(error) = self.scorer.read_ahead(&self.prompt) {
+            tracing::debug!(%error, "failed to read the compacted history ahead");
+        }
+    }
+}
+
+/// The map's labels ready to be scored, and how many tokens they and the binding sequence leave for narration.
+fn prepare<M: LanguageModel>(
+    scorer: &mut Scorer<M>,
+    grounding: &Grounding,
+    options: &PipelineOptions,
+) -> Result<(PreparedLabels, usize), PipelineError> {
+    let correction = options.correction.or(scorer.info().correction);
+    let mut prepared = scorer.cut(&grounding.label_texts(), &options.binding, options.tokenisation, correction)?;
+    let mut binding = Vec::new();
+    scorer.model().tokenise(options.binding.text(), TextStart::Sequence, &mut binding).map_err(ScoreError::from)?;
+    let context = scorer.info().context_tokens;
+    let needed = binding.len() + prepared.trie().inner().len() + prepared.longest_label() + 1;
+    if needed >= context {
+        return Err(PipelineError::ContextTooSmall { context, needed });
+    }
+    scorer.learn_prior(&mut prepared)?;
+    Ok((prepared, context - needed))
+}
+
+/// `ln` of the mean over persons of `s_c`, per label. Grounding is linear, so this is the mean of their partition scores too.
+fn mean(persons: &[Person], out: &mut Vec<f64>) {
+    out.clear();
+    let Some((first, others)) = persons.split_first() else { return };
+    out.extend_from_slice(&first.scores.log_prob_nats);
+    if others.is_empty() {
+        return;
+    }
+    for other in others {
+        for (sum, &more) in out.iter_mut().zip(&other.scores.log_prob_nats) {
+            let (low, high) = if *sum < more { (*sum, more) } else { (more, *sum) };
+            *sum = if low == f64::NEG_INFINITY { high } else { high + (low - high).exp().ln_1p() };
+        }
+    }
+    let ln_count = (persons.len() as f64).ln();
+    out.iter_mut().for_each(|sum| *sum -= ln_count);
+}
+
+/// Combines the persons' bounds: those of a mean lie between the means of the bounds.
+fn bounds(persons: &[Person], scores: &mut Scores) {
+    let partial =
+        |p: &Person| p.certified.as_ref().filter(|c| c.bounds.reached != Effort::Exact).map(|c| c.bounds.reached);
+    scores.reached = persons.iter().filter_map(partial).max_by_key(|&effort| effort as u8).unwrap_or_default();
+    let exact = &scores.grounded.partition_log_score_nats;
+    scores.lower_log_score_nats.clear();
+    scores.upper_log_score_nats.clear();
+    if scores.reached == Effort::Exact {
+        scores.lower_log_score_nats.extend_from_slice(exact);
+        scores.upper_log_score_nats.extend_from_slice(exact);
+        return;
+    }
+    let count = persons.len() as f64;
+    for partition in 0..exact.len() {
+        let mean = |side: fn(&Bounds) -> &[f64]| {
+            let sum: f64 =
+                persons.iter().filter_map(|p| p.certified.as_ref()).map(|c| side(&c.bounds)[partition]).sum();
+            (sum / count).ln()
+        };
+        scores.lower_log_score_nats.push(mean(|b| &b.lower));
+        scores.upper_log_score_nats.push(mean(|b| &b.upper));
+    }
+    if persons.len() > 1 {
+        // What is certain of each person is not of their mean: only the intervals tell.
+        let (lower, upper) = (&scores.lower_log_score_nats, &scores.upper_log_score_nats);
+        let all = 0..exact.len();
+        let ahead = |first: usize, second: usize| lower[first] > upper[second];
+        let told_apart = |a: usize| (0..a).all(|b| ahead(a, b) || ahead(b, a));
+        let first = |a: usize| all.clone().all(|b| a == b || ahead(a, b));
+        scores.reached = if all.clone().all(told_apart) {
+            Effort::Ranking
+        } else if all.clone().any(first) {
+            Effort::Top
+        } else {
+            Effort::Deadline
+        };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::narration::Sentence;
+    use crate::scorer::correction::Continuation;
+    use crate::scorer::table::TableModel;
+    use crate::semantic_map::delta::MapChange;
+
+    const TWO_ROOMS: &str = include_str!("../../tests/data/two_rooms.json");
+    const CORRECTED: CorrectionChoice = CorrectionChoice { continuation: Some(Continuation::Labels), prior: Some(0.4) };
+
+    fn pipeline(map: &SemanticMap, effort: Effort, correction: CorrectionChoice) -> Pipeline<TableModel> {
+        let grounding = Grounding::new(map, &GroundingOptions::default()).unwrap();
+        let options = PipelineOptions { effort, correction, ..PipelineOptions::default() };
+        Pipeline::new(TableModel::new(7), grounding, options).unwrap()
+    }
+
+    fn observation(sequence: u64, person: u32) -> Observation {
+        let sentence = Sentence::new(&format!("They touch thing {sequence}.")).unwrap();
+        Observation { person, ..Observation::of(sequence, sentence) }
+    }
+
+    /// A pipeline whose map lost an item scores as one that never had it: what is gone competes with nothing.
+    #[test]
+    fn a_changed_map_is_scored_as_a_fresh_one() {
+        let before = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        for correction in [CorrectionChoice::EQUATION_1, CORRECTED] {
+            for item in &before.items {
+                let gone = MapChange::RemoveItem { id: item.id.clone() };
+                let after = before.changed(vec![gone]).unwrap();
+                let mut changed = pipeline(&before, Effort::Exact, correction);
+                changed.step([observation(1, 0)]).unwrap();
+                changed.change_map(&after, &GroundingOptions::default()).unwrap();
+                changed.score().unwrap();
+                let mut fresh = pipeline(&after, Effort::Exact, correction);
+                fresh.step([observation(1, 0)]).unwrap();
+                let scores = |of: &Pipeline<TableModel>| of.scores().grounded.partition_log_score_nats.clone();
+                for (a, b) in scores(&changed).iter().zip(scores(&fresh)) {
+                    assert!((a - b).abs() < 1e-9, "without {}: {a} {b}", item.id);
+                }
+            }
+        }
+    }
+
+    /// The bounds of two persons' mean hold under a prior, whose scale each person has for themselves.
+    #[test]
+    fn partial_answers_of_several_persons_are_true() {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        for effort in [Effort::Ranking, Effort::Top, Effort::Deadline] {
+            for correction in [CorrectionChoice::EQUATION_1, CORRECTED] {
+                let (mut partial, mut exact) =
+                    (pipeline(&map, effort, correction), pipeline(&map, Effort::Exact, correction));
+                for sequence in 0..20 {
+                    let next = observation(sequence, (sequence % 2) as u32);
+                    partial.step([next.clone()]).unwrap();
+                    exact.step([next]).unwrap();
+                    let (partial, exact) = (partial.scores(), &exact.scores().grounded.partition_log_score_nats);
+                    let bounds = partial.lower_log_score_nats.iter().zip(&partial.upper_log_score_nats);
+                    for ((lower, upper), exact) in bounds.zip(exact) {
+                        assert!(lower - 1e-9 <= *exact && *exact <= upper + 1e-9, "{lower} {exact} {upper}");
+                    }
+                    let order = |scores: &[f64]| scores[0] > scores[1];
+                    if matches!(partial.reached, Effort::Ranking | Effort::Top) {
+                        assert_eq!(order(&partial.grounded.partition_log_score_nats), order(exact));
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,243 @@
+//! What is done to Equation 1 so that its numbers say which object comes next, and not which words are common.
+//!
+//! A language model spreads its probability over all texts, of which a map's labels are a few. Two things follow that have nothing
+//! to do with what the person is about to do, and each has its correction:
+//!
+//! **Unusual words cost.** A word that is not in the vocabulary is several tokens ("def" "ib" "rill" "ator"), and each that the model
+//! finds surprising takes from its score, though nothing else in the map begins as it does. [`Continuation::Labels`] lets a
+//! label's tokens after the first compete only with what other labels of the map go on with, `p(t | n) / sum over children t' of
+//! n of p(t' | n)`; where a label ends although another goes on ("coffee", "coffee maker"), it gets what the others leave. A node's
+//! children then share out exactly the node's probability, and what follows behind the last token that another label shares
+//! is certain and not decoded. What the first token costs remains, and a label gets all of what begins as it does, other words
+//! included.
+//!
+//! **Common words win.** What people go to often scores high whatever was narrated. A *prior weight* `a` divides a label's score by
+//! its score under a blank narration, to the power of `a`: `s'_c = k s_c g_c` with the gain `g_c = s_c(blank)^-a`. 0 leaves Equation 1 as it
+//! is; 1 is the pointwise mutual information of Holtzman et al., "Surface Form Competition" (2021). The scale
+//! `k = min(1, sum s_c) / sum s_c g_c` lets the labels share out anew what they had together. (A sum can exceed 1 where labels that
+//! begin others are scored by Equation 1 as it stands, and where labels have the same tokens.) `s_c(blank)` counts as at least e^-20
+//! of the largest, so that no word gains without bound for never being said.
+//!
+//! Neither is in the paper, and both are off unless the configuration asks for them or the model file recommends them
+//! (GGUF keys [`CONTINUATION_KEY`] and [`PRIOR_KEY`]), as the embedded one does.
+
+use std::str::FromStr;
+
+use super::softmax::log_sum_exp_of as log_sum_exp;
+use crate::label_trie::{LabelTrie, Token};
+
+/// GGUF key of the recommended [`Continuation`], a string: `free` or `labels`.
+pub const CONTINUATION_KEY: &str = "roomcast.continuation";
+/// GGUF key of the recommended prior weight, a number from 0 to 1.
+pub const PRIOR_KEY: &str = "roomcast.prior";
+
+/// What a label's tokens after the first compete with.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    Eq,
+    Hash,
+    strum::Display,
+    strum::EnumMessage,
+    strum::EnumString,
+    strum::IntoStaticStr,
+    strum::VariantArray,
+    serde::Serialize,
+    serde::Deserialize,
+)]
+#[strum(serialize_all = "kebab-case")]
+#[serde(rename_all = "kebab-case")]
+pub enum Continuation {
+    /// Every token of the vocabulary: Equation 1.
+    #[default]
+    Free,
+    /// What other labels of the map go on with.
+    Labels,
+}
+
+impl Continuation {
+    /// The tokens that share out the probability of `node`, where they are not all of the vocabulary. The first tokens behind a
+    /// prompt always compete with all.
+    pub(super) fn rivals(self, trie: &LabelTrie, node: Option<usize>) -> Option<impl Iterator<Item = Token> + Clone> {
+        let node = node.filter(|_| self == Self::Labels)?;
+        Some(trie.children(Some(node)).map(|child| trie.nodes()[child].token))
+    }
+}
+
+/// How label scores are corrected. The default is Equation 1 as it stands.
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Correction {
+    /// What a label's tokens after the first compete with.
+    pub continuation: Continuation,
+    /// The prior weight `a`, one of [`PRIOR_WEIGHTS`].
+    #[serde(deserialize_with = "checked_weight")]
+    pub prior: f64,
+}
+
+/// What a prior weight may be.
+pub const PRIOR_WEIGHTS: std::ops::RangeInclusive<f64> = 0.0..=1.0;
+
+/// Recordings may come from anywhere.
+fn checked_weight<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let weight: f64 = serde::Deserialize::deserialize(deserializer)?;
+    match PRIOR_WEIGHTS.contains(&weight) {
+        true => Ok(weight),
+        false => Err(serde::de::Error::custom(format!("the prior weight is {weight}, not a number from 0 to 1"))),
+    }
+}
+
+impl std::fmt::Display for Correction {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { continuation, prior } = self;
+        write!(f, "Equation 1")?;
+        match (continuation, *prior == 0.0) {
+            (Continuation::Free, true) => Ok(()),
+            (Continuation::Free, false) => write!(f, " with a prior of {prior}"),
+            (Continuation::Labels, true) => write!(f, " with labels' continuations"),
+            (Continuation::Labels, false) => write!(f, " with labels' continuations and a prior of {prior}"),
+        }
+    }
+}
+
+impl Correction {
+    /// What a model file recommends: `value` gives the text of a metadata key.
+    ///
+    /// # Errors
+    /// What is wrong with a value that is there.
+    pub fn recommended(value: impl Fn(&str) -> Option<String>) -> Result<Self, String> {
+        let start = |text: &str| text.chars().take(40).collect::<String>();
+        let continuation = match value(CONTINUATION_KEY) {
+            None => Continuation::default(),
+            Some(text) => Continuation::from_str(&text)
+                .map_err(|_| format!("{CONTINUATION_KEY} is {:?}, not \"free\" or \"labels\"", start(&text)))?,
+        };
+        let prior = match value(PRIOR_KEY) {
+            None => 0.0,
+            Some(text) => prior_weight(&text).map_err(|fault| format!("{PRIOR_KEY} is {:?}: {fault}", start(&text)))?,
+        };
+        Ok(Self { continuation, prior })
+    }
+}
+
+/// Reads a prior weight.
+///
+/// # Errors
+/// When it is not a number from 0 to 1.
+pub fn prior_weight(text: &str) -> Result<f64, String> {
+    match f64::from_str(text) {
+        Ok(weight) if PRIOR_WEIGHTS.contains(&weight) => Ok(weight),
+        _ => Err("give a number from 0 to 1".into()),
+    }
+}
+
+/// What a user says of the correction; what is not said is as the model file recommends.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct CorrectionChoice {
+    /// What a label's tokens after the first compete with; as the model file recommends when left out.
+    pub continuation: Option<Continuation>,
+    /// Weight from 0 to 1 with which scores are divided by those of a blank narration; as the model file recommends when left out.
+    pub prior: Option<f64>,
+}
+
+impl CorrectionChoice {
+    /// Equation 1 whatever the model file recommends.
+    pub const EQUATION_1: Self = Self { continuation: Some(Continuation::Free), prior: Some(0.0) };
+
+    /// This correction, whatever the model file recommends.
+    #[must_use]
+    pub fn exactly(Correction { continuation, prior }: Correction) -> Self {
+        Self { continuation: Some(continuation), prior: Some(prior) }
+    }
+
+    /// The choice, with what a model recommends where nothing was said.
+    #[must_use]
+    pub fn or(self, recommended: Correction) -> Correction {
+        Correction {
+            continuation: self.continuation.unwrap_or(recommended.continuation),
+            prior: self.prior.unwrap_or(recommended.prior),
+        }
+    }
+}
+
+/// How far below the largest a score under a blank narration counts, in nats.
+const DEEPEST_NATS: f64 = 20.0;
+
+/// Per label `ln g_c` in nats, for its ln score under a blank narration, times a constant that makes the greatest gain 1.
+pub(super) fn gains(blank_log_prob_nats: &[f64], prior: f64) -> Vec<f64> {
+    let largest = blank_log_prob_nats.iter().copied().fold(f64::MIN, f64::max);
+    let raised = || blank_log_prob_nats.iter().map(|&blank| blank.max(largest - DEEPEST_NATS));
+    let least = raised().fold(f64::INFINITY, f64::min);
+    raised().map(|blank| prior * (least - blank)).collect()
+}
+
+/// Adds the gains to the scores, in nats, and gives `ln k`, which is added too.
+pub(super) fn share_out(log_prob_nats: &mut [f64], gain_nats: &[f64]) -> f64 {
+    let before = log_sum_exp(log_prob_nats.iter().copied()).min(0.0);
+    log_prob_nats.iter_mut().zip(gain_nats).for_each(|(score, gain)| *score += gain);
+    let scale_nats = before - log_sum_exp(log_prob_nats.iter().copied());
+    // Scores that are all nothing stay so.
+    let scale_nats = if scale_nats.is_finite() { scale_nats } else { 0.0 };
+    log_prob_nats.iter_mut().for_each(|score| *score += scale_nats);
+    scale_nats
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_blank_narration_keeps_its_sum_and_is_flattened() {
+        let blank = [0.6_f64.ln(), 0.1_f64.ln(), 0.001_f64.ln()];
+        for prior in [0.0, 0.3, 1.0] {
+            let mut corrected = blank;
+            share_out(&mut corrected, &gains(&blank, prior));
+            let corrected = corrected.map(f64::exp);
+            assert!((corrected.iter().sum::<f64>() - 0.701).abs() < 1e-12);
+            let ratio = (corrected[0] / corrected[2]).ln();
+            assert!((ratio - (1.0 - prior) * 600_f64.ln()).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn what_is_never_said_does_not_get_all() {
+        let gains = gains(&[-1.0, -2.0, -90.0, f64::NEG_INFINITY], 1.0);
+        assert_eq!(gains, [-20.0, -19.0, 0.0, 0.0]);
+        let mut scores = [-1.0, -2.0, -90.0, -30.0];
+        share_out(&mut scores, &gains);
+        assert!(scores[0] > -1.4 && scores[1] > -1.4 && scores[3] < -9.0, "{scores:?}");
+    }
+
+    /// "coffee" and "coffee maker" as Equation 1 scores them may sum to more than 1.
+    #[test]
+    fn no_score_comes_to_more_than_one() {
+        let mut scores = [0.70_f64.ln(), 0.63_f64.ln()];
+        share_out(&mut scores, &gains(&[0.02_f64.ln(), 0.002_f64.ln()], 1.0));
+        assert!(scores.iter().all(|score| *score <= 0.0) && (log_sum_exp(scores.into_iter())).abs() < 1e-12);
+        let mut nothing = [f64::NEG_INFINITY; 2];
+        assert_eq!(share_out(&mut nothing, &[0.0, -1.0]), 0.0);
+        assert_eq!(nothing, [f64::NEG_INFINITY; 2]);
+    }
+
+    #[test]
+    fn what_a_file_recommends_is_read_or_refused() {
+        let read = |continuation: Option<&str>, prior: Option<&str>| {
+            Correction::recommended(|key| if key == PRIOR_KEY { prior } else { continuation }.map(ToOwned::to_owned))
+        };
+        assert_eq!(read(None, None), Ok(Correction::default()));
+        let embedded = Correction { continuation: Continuation::Labels, prior: 0.3 };
+        assert_eq!(read(Some("labels"), Some("0.300000")), Ok(embedded));
+        for (continuation, prior) in
+            [(Some("Labels"), None), (None, Some("nan")), (None, Some("1.5")), (None, Some(""))]
+        {
+            assert!(read(continuation, prior).unwrap_err().contains("roomcast."));
+        }
+        let written = serde_json::to_string(&embedded).unwrap();
+        assert_eq!(serde_json::from_str::<Correction>(&written).unwrap(), embedded);
+        assert!(serde_json::from_str::<Correction>(&written.replace("0.3", "3e9")).is_err());
+        assert_eq!(CorrectionChoice::EQUATION_1.or(embedded), Correction::default());
+        assert_eq!(CorrectionChoice::default().or(embedded), embedded);
+    }
+}

@@ -1,0 +1,252 @@
+//! Changes to a map while it is in use: items come, move and go, rooms are added.
+//!
+//! A change is data (one JSON object per change), applying it a pure function from map to map. Whoever holds a prepared
+//! model asks [`crate::grounding::Grounding::regroup`] whether the new map needs it at all.
+
+use std::collections::HashMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::schema::{DoorEntry, ItemEntry, RoomEntry, place};
+use super::{Box3, SceneError, SemanticMap};
+
+/// One change. In JSON the key `change` names it: `{"change": "move-item", "id": "mug-1", "position_m": [..], "box": {..}}`.
+///
+/// The other keys are those of the scene file, documented in `scenes/README.md`.
+#[derive(Serialize, Deserialize)]
+#[serde(tag = "change", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum MapChange {
+    /// A new item: `item` is an entry of the scene file's `items`.
+    AddItem {
+        /// The entry.
+        item: NewItem,
+    },
+    /// An item stands elsewhere now.
+    MoveItem {
+        /// Which item.
+        id: String,
+        /// Where it is now.
+        position_m: [f64; 3],
+        /// Its extent there.
+        r#box: Box3,
+    },
+    /// An item is gone.
+    RemoveItem {
+        /// Which item.
+        id: String,
+    },
+    /// A new room with the doors that lead there: entries of the scene file's `rooms` and `doors`.
+    AddRoom {
+        /// The room's entry.
+        room: NewRoom,
+        /// The doors' entries.
+        #[serde(default)]
+        doors: Vec<NewDoor>,
+    },
+}
+
+/// An entry of a scene file's `items`, checked when it is applied.
+#[derive(Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct NewItem(ItemEntry);
+
+/// An entry of a scene file's `rooms`, checked when it is applied.
+#[derive(Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct NewRoom(RoomEntry);
+
+/// An entry of a scene file's `doors`, checked when it is applied.
+#[derive(Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct NewDoor(DoorEntry);
+
+/// Why changes cannot be applied.
+#[derive(Debug, thiserror::Error)]
+pub enum DeltaError {
+    /// Not a list of changes.
+    #[error(
+        "{}{message}; expected a JSON list of changes such as {{\"change\": \"remove-item\", \"id\": \"mug-1\"}}",
+        place(.element)
+    )]
+    Json {
+        /// Path to the element, as `[3].item.box`; `.` for the whole text.
+        element: String,
+        /// What the parser says.
+        message: String,
+    },
+    /// The item that should move or go is not there.
+    #[error("changes[{index}]: there is no item {id:?}; name one that `roomcast scene show --json` lists")]
+    NoSuchItem {
+        /// Which change.
+        index: usize,
+        /// The id that it names.
+        id: String,
+    },
+    /// The map that came out breaks a rule of scenes.
+    #[error("the changed map is malformed")]
+    Scene(#[from] SceneError),
+}
+
+/// Reads a JSON list of changes.
+///
+/// # Errors
+/// [`DeltaError::Json`].
+pub fn parse_changes(json: &str) -> Result<Vec<MapChange>, DeltaError> {
+    let fail = |element: String, message: String| DeltaError::Json { element, message };
+    let mut parser = serde_json::Deserializer::from_str(json);
+    let changes = serde_path_to_error::deserialize(&mut parser)
+        .map_err(|error| fail(error.path().to_string(), error.inner().to_string()))?;
+    parser.end().map_err(|error| fail("end".to_owned(), error.to_string()))?;
+    Ok(changes)
+}
+
+impl SemanticMap {
+    /// The map after the changes, applied in order, all or none. Takes time in proportion to the map and the changes.
+    ///
+    /// # Errors
+    /// When a change names an item that is not there, or the result breaks a rule of scenes.
+    pub fn changed(&self, changes: Vec<MapChange>) -> Result<Self, DeltaError> {
+        let mut file = self.to_file();
+        let mut items: Vec<Option<ItemEntry>> = std::mem::take(&mut file.items).into_iter().map(Some).collect();
+        let ids = items.iter().enumerate().filter_map(|(index, item)| Some((item.as_ref()?.id.clone(), index)));
+        let mut place_of: HashMap<String, usize> = ids.collect();
+        for (index, change) in changes.into_iter().enumerate() {
+            match change {
+                MapChange::AddItem { item: NewItem(item) } => {
+                    // A second use of an id stays in the list, where the check names it.
+                    place_of.insert(item.id.clone(), items.len());
+                    items.push(Some(item));
+                }
+                MapChange::MoveItem { id, position_m, r#box } => {
+                    let place = place_of.get(&id).copied();
+                    let Some(item) = place.and_then(|place| items[place].as_mut()) else {
+                        return Err(DeltaError::NoSuchItem { index, id });
+                    };
+                    item.position_m = position_m;
+                    item.r#box = r#box;
+                }
+                MapChange::RemoveItem { id } => match place_of.remove(&id) {
+                    Some(place) => items[place] = None,
+                    None => return Err(DeltaError::NoSuchItem { index, id }),
+                },
+                MapChange::AddRoom { room: NewRoom(room), doors } => {
+                    file.rooms.push(room);
+                    file.doors.extend(doors.into_iter().map(|NewDoor(door)| door));
+                }
+            }
+        }
+        file.items = items.into_iter().flatten().collect();
+        Ok(Self::check(file)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grounding::{GroundedScores, Grounding, GroundingOptions};
+    use crate::semantic_map::RoomId;
+    use proptest::prelude::*;
+
+    const TWO_ROOMS: &str = include_str!("../../../tests/data/two_rooms.json");
+
+    fn map() -> SemanticMap {
+        SemanticMap::from_json(TWO_ROOMS).unwrap()
+    }
+
+    fn changed(json: &str) -> Result<SemanticMap, DeltaError> {
+        map().changed(parse_changes(json)?)
+    }
+
+    const ADD: &str = r#"[{"change": "add-item", "item": {"id": "mug-9", "label": "mug", "position_m": [1, 1, 1],
+        "box": {"min_m": [1, 1, 1], "max_m": [1.1, 1.1, 1.1]}}}]"#;
+    const MOVE: &str = r#"[{"change": "move-item", "id": "sofa-1", "position_m": [1, 1, 0.4], "box": {"min_m": [0, 0, 0], "max_m": [2, 0.9, 0.8]}}]"#;
+    const REMOVE: &str = r#"[{"change": "remove-item", "id": "sofa-1"}]"#;
+    const ROOM: &str = r#"[{"change": "add-room", "room": {"id": "garage", "label": "garage", "box": {"min_m": [10, 0, 0], "max_m": [14, 3, 2.5]}},
+        "doors": [{"id": "living-room--garage", "rooms": ["living-room", "garage"], "position_m": [9, 1, 1]}]}]"#;
+
+    #[test]
+    fn items_come_move_and_go() {
+        assert_eq!(changed(ADD).unwrap().items.len(), map().items.len() + 1);
+        let moved = changed(MOVE).unwrap();
+        let grounding = Grounding::new(&moved, &GroundingOptions::default()).unwrap();
+        assert_eq!(grounding.item_partition[5].map(|room| room.0), Some(0));
+        assert_eq!(changed(REMOVE).unwrap().find_label("sofa"), None);
+        assert_ne!(moved.fingerprint, map().fingerprint);
+    }
+
+    #[test]
+    fn a_new_room_gathers_what_was_outside() {
+        let map = changed(ROOM).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        assert!(grounding.unassigned.is_empty());
+        assert_eq!(map.path(RoomId(0), RoomId(2)).map(|path| path.len()), Some(3));
+    }
+
+    #[test]
+    fn changes_that_cannot_be_are_refused() {
+        let message = |json: &str| changed(json).unwrap_err().to_string();
+        assert!(message("{}").contains("expected a JSON list"));
+        assert!(message(&REMOVE.replace("sofa-1", "sofa-2")).contains("changes[0]: there is no item \"sofa-2\""));
+        assert!(message(&REMOVE.replace("remove", "paint")).contains("unknown variant"));
+        let twice = ADD.replace("mug-9", "mug-1");
+        let error = changed(&twice).unwrap_err();
+        assert!(std::error::Error::source(&error).unwrap().to_string().contains("is used twice"));
+    }
+
+    #[test]
+    fn a_change_without_new_labels_leaves_the_models_list_alone() {
+        let options = GroundingOptions::default();
+        let before = Grounding::new(&map(), &options).unwrap();
+        for json in [ADD, MOVE, REMOVE] {
+            let after = before.regroup(&changed(json).unwrap(), &options).unwrap();
+            assert_eq!(after.new_labels, 0, "{json}");
+            assert_eq!(after.grounding.label_texts(), before.label_texts());
+        }
+        let after = before.regroup(&changed(ROOM).unwrap(), &options).unwrap();
+        assert_eq!(after.new_labels, 1, "the room's name");
+        assert_eq!(after.grounding.label_texts().last(), Some(&"garage"));
+    }
+
+    #[test]
+    fn a_label_without_items_has_no_weight() {
+        let options = GroundingOptions::default();
+        let before = Grounding::new(&map(), &options).unwrap();
+        let sofa = before.label_texts().iter().position(|text| *text == "sofa").unwrap();
+        let after = before.regroup(&changed(REMOVE).unwrap(), &options).unwrap().grounding;
+        let mut log_prob_nats = vec![f64::NEG_INFINITY; after.scored_labels.len()];
+        log_prob_nats[sofa] = -0.1;
+        let mut scores = GroundedScores::default();
+        after.ground(&log_prob_nats, &mut scores).unwrap();
+        assert_eq!(scores.partition_log_score_nats, [f64::NEG_INFINITY; 2]);
+        assert_eq!(scores.label_mass, 0.0, "what the map no longer holds covers nothing");
+    }
+
+    proptest! {
+        /// Whatever changed, the regrouped scores are those of the new map grounded afresh.
+        #[test]
+        fn regrouping_agrees_with_grounding_afresh(moves in prop::collection::vec((0..9usize, 0.0..9.0f64, 0.0..3.0f64), 0..12), gone in 0..9usize) {
+            let before = map();
+            let mut changes: Vec<MapChange> = moves.iter().map(|&(index, x, y)| MapChange::MoveItem {
+                id: before.items[index].id.clone(), position_m: [x, y, 1.0], r#box: Box3 { min_m: [x - 0.5, y - 0.5, 0.5], max_m: [x + 0.5, y + 0.5, 1.5] },
+            }).collect();
+            changes.push(MapChange::RemoveItem { id: before.items[gone].id.clone() });
+            let after = before.changed(changes).unwrap();
+            let options = GroundingOptions::default();
+            let regrouped = Grounding::new(&before, &options).unwrap().regroup(&after, &options).unwrap().grounding;
+            let fresh = Grounding::new(&after, &options).unwrap();
+            let score = |text: &str| -1.0 - text.len() as f64;
+            let scores = |grounding: &Grounding| {
+                let log_prob_nats: Vec<f64> = grounding.label_texts().into_iter().map(score).collect();
+                let mut scores = GroundedScores::default();
+                grounding.ground(&log_prob_nats, &mut scores).unwrap();
+                (scores, grounding.item_log_score_nats(&log_prob_nats).collect::<Vec<_>>())
+            };
+            let ((a, a_items), (b, b_items)) = (scores(&regrouped), scores(&fresh));
+            for (a, b) in a.partition_probability.iter().zip(&b.partition_probability) {
+                prop_assert!((a - b).abs() < 1e-12);
+            }
+            prop_assert!((a.label_mass - b.label_mass).abs() < 1e-12);
+            prop_assert_eq!(a_items, b_items);
+        }
+    }
+}

@@ -1,0 +1,379 @@
+//! Open-vocabulary maps, as perception pipelines export them: objects with caption candidates and boxes, rooms with boxes or
+//! polygons.
+//!
+//! Three shapes are read, alone or together:
+//!
+//! - ConceptGraphs' object file: `{"object_1": {"id", "object_tag", "bbox_center", "bbox_extent"}, ...}`, which has no rooms;
+//! - HOV-SG's room and object files: `room_id`, `name`, `vertices` (a polygon), `room_zero_level`, `room_height`, and
+//!   `object_id`, `name`, `vertices` (corners); y is up there;
+//! - one object with `rooms` and `objects`, lists of either kind of entry, and `up`, `"y"` or `"z"`.
+//!
+//! An object's `captions` are its candidates: texts, or objects with `text` and `weight`. They become soft labels.
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+use serde_json::{Map, Value};
+
+use super::{Ids, ImportError, Imported, parse, words};
+use crate::semantic_map::schema::{
+    CaptionEntry, FORMAT, ItemEntry, MAX_CAPTIONS, RoomEntry, SHARE_MIN, SceneFile, VERSION,
+};
+use crate::semantic_map::{Box3, MAX_TEXT_BYTES, SemanticMap};
+
+const EXPECTED: &str = "an open-vocabulary map: `objects` and `rooms`, or ConceptGraphs' object file";
+/// Height of a room whose polygon comes without one, in metres.
+const ROOM_HEIGHT_M: f64 = 2.5;
+/// What captioners say when they see nothing.
+const NOTHING: [&str; 6] = ["invalid", "unknown", "none", "object", "item", "n/a"];
+
+/// The axis that points up in the map.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Default,
+    Deserialize,
+    strum::Display,
+    strum::EnumMessage,
+    strum::EnumString,
+    strum::IntoStaticStr,
+    strum::VariantArray,
+)]
+#[strum(serialize_all = "lowercase")]
+#[serde(rename_all = "lowercase")]
+pub enum Up {
+    /// Right-handed, y up: HOV-SG and Habitat.
+    Y,
+    /// Right-handed, z up: most others.
+    #[default]
+    Z,
+}
+
+impl Up {
+    /// Turns a point so that z is up; a rotation, so the frame stays right-handed.
+    fn turn(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        match self {
+            Self::Y => [x, -z, y],
+            Self::Z => [x, y, z],
+        }
+    }
+}
+
+#[derive(Deserialize)]
+struct File {
+    up: Option<Up>,
+    #[serde(default)]
+    rooms: Vec<Room>,
+    #[serde(default)]
+    objects: Vec<Object>,
+}
+
+#[derive(Deserialize)]
+struct Room {
+    #[serde(alias = "id")]
+    room_id: Option<Value>,
+    #[serde(alias = "label")]
+    name: Option<String>,
+    r#box: Option<Box3>,
+    /// Corners on the floor, `[x, y]` (the two level axes), or `[x, y, z]`.
+    #[serde(default)]
+    vertices: Vec<Vec<f64>>,
+    #[serde(alias = "height")]
+    room_height: Option<f64>,
+    #[serde(alias = "floor")]
+    room_zero_level: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct Object {
+    #[serde(alias = "id")]
+    object_id: Option<Value>,
+    #[serde(alias = "object_tag", alias = "label", alias = "class_name")]
+    name: Option<String>,
+    #[serde(default)]
+    captions: Vec<Candidate>,
+    r#box: Option<Box3>,
+    bbox_center: Option<[f64; 3]>,
+    bbox_extent: Option<[f64; 3]>,
+    #[serde(default)]
+    vertices: Vec<[f64; 3]>,
+}
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Candidate {
+    Text(String),
+    Weighted {
+        #[serde(alias = "label", alias = "caption")]
+        text: String,
+        #[serde(alias = "score", alias = "probability")]
+        weight: f64,
+    },
+}
+
+/// The smallest box around points; none for no point.
+fn around(points_m: impl Iterator<Item = [f64; 3]>) -> Option<Box3> {
+    points_m.map(|point_m| Box3 { min_m: point_m, max_m: point_m }).reduce(|a, b| Box3 {
+        min_m: std::array::from_fn(|axis| a.min_m[axis].min(b.min_m[axis])),
+        max_m: std::array::from_fn(|axis| a.max_m[axis].max(b.max_m[axis])),
+    })
+}
+
+fn turned(bounds: &Box3, up: Up) -> Option<Box3> {
+    around([up.turn(bounds.min_m), up.turn(bounds.max_m)].into_iter())
+}
+
+impl Room {
+    fn bounds(&self, up: Up) -> Option<Box3> {
+        if let Some(bounds) = &self.r#box {
+            return turned(bounds, up);
+        }
+        let floor = |vertex: &Vec<f64>| match (vertex[..].try_into().ok(), up) {
+            (Some(point), _) => Some(up.turn(point)),
+            (None, Up::Z) => Some([*vertex.first()?, *vertex.get(1)?, 0.0]),
+            (None, Up::Y) => Some([*vertex.first()?, -*vertex.get(1)?, 0.0]),
+        };
+        let mut bounds = around(self.vertices.iter().map(floor).collect::<Option<Vec<_>>>()?.into_iter())?;
+        if self.room_zero_level.is_some() || bounds.size_m()[2] <= 0.0 {
+            bounds.min_m[2] = self.room_zero_level.unwrap_or(bounds.min_m[2]);
+            bounds.max_m[2] = bounds.min_m[2] + self.room_height.unwrap_or(ROOM_HEIGHT_M);
+        }
+        Some(bounds)
+    }
+}
+
+impl Object {
+    fn bounds(&self, up: Up) -> Option<Box3> {
+        if let Some(bounds) = &self.r#box {
+            return turned(bounds, up);
+        }
+        if let (Some(center), Some(extent)) = (self.bbox_center, self.bbox_extent) {
+            let corner = |sign: f64| up.turn(std::array::from_fn(|axis| center[axis] + 0.5 * sign * extent[axis]));
+            return around([corner(-1.0), corner(1.0)].into_iter());
+        }
+        around(self.vertices.iter().map(|&vertex| up.turn(vertex)))
+    }
+
+    /// The labels that its name and captions come to, with summed weights, the heaviest first.
+    fn labels(&self) -> Vec<(String, f64)> {
+        let mut weights: BTreeMap<String, f64> = BTreeMap::new();
+        for candidate in &self.captions {
+            let (text, weight) = match candidate {
+                Candidate::Text(text) => (text, 1.0),
+                Candidate::Weighted { text, weight } => (text, *weight),
+            };
+            if let Some(label) = label_of(text) {
+                *weights.entry(label).or_default() += weight;
+            }
+        }
+        if weights.is_empty() {
+            weights.extend(self.name.as_deref().and_then(label_of).map(|label| (label, 1.0)));
+        }
+        let least = SHARE_MIN * weights.values().sum::<f64>();
+        let likely = |(_, weight): &(String, f64)| *weight > 0.0 && *weight > least;
+        let mut labels: Vec<(String, f64)> = weights.into_iter().filter(likely).collect();
+        labels.sort_by(|a, b| b.1.total_cmp(&a.1));
+        labels.truncate(MAX_CAPTIONS);
+        labels
+    }
+}
+
+/// The label that a caption comes to: "A white coffee_maker." is "white coffee maker"; none where it says nothing.
+fn label_of(caption: &str) -> Option<String> {
+    let bare = caption.trim().trim_end_matches(['.', '!', ',', ';']);
+    let label = words(bare);
+    let label = ["a ", "an ", "the "].iter().find_map(|article| label.strip_prefix(article)).unwrap_or(&label);
+    let says_something = !label.is_empty() && label.len() <= MAX_TEXT_BYTES && !NOTHING.contains(&label);
+    says_something.then(|| label.to_owned())
+}
+
+/// A name or number, as an id.
+fn id_text(id: Option<&Value>) -> Option<String> {
+    match id? {
+        Value::String(text) => Some(text.clone()),
+        Value::Number(number) => Some(number.to_string()),
+        _ => None,
+    }
+}
+
+/// Puts the files of a folder, as HOV-SG writes them, into one map: each file is a room, an object, or a whole map.
+///
+/// # Errors
+/// When a text is not JSON.
+pub fn combine<'a>(files: impl IntoIterator<Item = &'a str>) -> Result<String, ImportError> {
+    let (mut rooms, mut objects, mut up) = (Vec::new(), Vec::new(), Value::Null);
+    for json in files {
+        let entry: Map<String, Value> = parse(json, EXPECTED)?;
+        if entry.contains_key("object_id") {
+            up = Value::from("y");
+            objects.push(Value::Object(entry));
+        } else if entry.contains_key("room_id") {
+            up = Value::from("y");
+            rooms.push(Value::Object(entry));
+        } else {
+            let mut whole = whole(entry);
+            if let Some(Value::Array(list)) = whole.remove("rooms") {
+                rooms.extend(list);
+            }
+            if let Some(Value::Array(list)) = whole.remove("objects") {
+                objects.extend(list);
+            }
+            if let Some(own) = whole.remove("up") {
+                up = own;
+            }
+        }
+    }
+    let all = [("up", up), ("rooms", rooms.into()), ("objects", objects.into())];
+    Ok(Value::Object(all.map(|(key, value)| (key.to_owned(), value)).into_iter().collect()).to_string())
+}
+
+/// A map with `objects`: ConceptGraphs' file is an object of objects.
+fn whole(entry: Map<String, Value>) -> Map<String, Value> {
+    if entry.contains_key("objects") || entry.contains_key("rooms") {
+        return entry;
+    }
+    // `object_10` stands before `object_2` in the order of letters; the order of items is for people, so sort by number.
+    let number = |key: &str| key.rsplit('_').next().and_then(|digits| digits.parse::<u64>().ok());
+    let mut objects: Vec<(String, Value)> = entry.into_iter().collect();
+    objects.sort_by_key(|(key, _)| (number(key), key.clone()));
+    let objects: Vec<Value> = objects.into_iter().map(|(_, object)| object).collect();
+    Map::from_iter([("objects".to_owned(), objects.into())])
+}
+
+/// Turns an open-vocabulary map into a scene.
+///
+/// Captions become labels: lower-case words without article and full stop, machine names turned into words. An object with
+/// several captions becomes an item with soft labels. Oriented boxes are taken as if along the axes, polygons of rooms
+/// as the boxes around them. `up` decides where the file does not. Left out, with a note: objects without box or caption, rooms without outline.
+///
+/// # Errors
+/// When the text is no such map, has no room, or breaks a rule of scenes.
+pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, ImportError> {
+    let entry: Map<String, Value> = parse(json, EXPECTED)?;
+    let File { up: own_up, rooms: room_list, objects } = parse(&Value::Object(whole(entry)).to_string(), EXPECTED)?;
+    let up = own_up.unwrap_or(up);
+    let mut notes = Vec::new();
+
+    let mut room_ids = Ids::default();
+    let mut rooms = Vec::new();
+    for (index, room) in room_list.iter().enumerate() {
+        let Some(bounds) = room.bounds(up) else {
+            notes.push(format!("Left out rooms[{index}]: it has neither a box nor vertices."));
+            continue;
+        };
+        let label = room.name.as_deref().map(words).filter(|label| !label.is_empty());
+        let label = label.or_else(|| id_text(room.room_id.as_ref()).map(|id| words(&format!("room {id}"))));
+        let label = label.unwrap_or_else(|| "room".to_owned());
+        rooms.push(RoomEntry { id: room_ids.take(&label), label, r#box: bounds });
+    }
+    if rooms.is_empty() {
+        let remedy = "add `rooms` with a `name` and a `box` or `vertices`; ConceptGraphs' object files have none, so give a file of rooms, too";
+        return Err(ImportError::NoRooms { remedy });
+    }
+
+    let mut item_ids = Ids::default();
+    let mut items = Vec::new();
+    for (index, object) in objects.iter().enumerate() {
+        let labels = object.labels();
+        let (Some(bounds), Some((label, _))) = (object.bounds(up), labels.first()) else {
+            notes.push(format!("Left out objects[{index}]: it has no box or no caption that says anything."));
+            continue;
+        };
+        let number = id_text(object.object_id.as_ref()).unwrap_or_else(|| index.to_string());
+        let captions = if labels.len() > 1 { &labels[..] } else { &[] };
+        items.push(ItemEntry {
+            id: item_ids.take(&format!("{label} {number}")),
+            label: label.clone(),
+            captions: captions
+                .iter()
+                .map(|(label, weight)| CaptionEntry { label: label.clone(), weight: *weight })
+                .collect(),
+            position_m: bounds.centre_m(),
+            r#box: bounds,
+        });
+    }
+    let file = SceneFile {
+        format: FORMAT.to_owned(),
+        version: VERSION,
+        name: name.to_owned(),
+        description: String::new(),
+        source: "open-vocabulary map, imported".to_owned(),
+        rooms,
+        parts: Vec::new(),
+        groups: Vec::new(),
+        doors: Vec::new(),
+        aliases: BTreeMap::new(),
+        items,
+    };
+    Ok(Imported { map: SemanticMap::check(file)?, notes })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grounding::{Grounding, GroundingOptions};
+    use proptest::prelude::*;
+
+    const MAP: &str = r#"{"up": "z",
+        "rooms": [{"id": 1, "name": "Kitchen", "box": {"min_m": [0, 0, 0], "max_m": [4, 4, 2.5]}},
+                  {"id": 2, "name": "living_room", "vertices": [[4, 0], [9, 0], [9, 3], [6, 4], [4, 4]], "floor": 0.1, "height": 2.4},
+                  {"id": 3, "name": "attic"}],
+        "objects": [{"id": 7, "captions": [{"text": "A mug.", "weight": 2}, {"text": "the Cup", "weight": 1}, {"text": "mug", "weight": 1}],
+                     "bbox_center": [1, 1, 1], "bbox_extent": [0.1, 0.1, 0.1]},
+                    {"id": 8, "captions": ["sofa"], "box": {"min_m": [5, 1, 0], "max_m": [7, 2, 0.8]}},
+                    {"id": 9, "captions": ["unknown"], "bbox_center": [1, 1, 1], "bbox_extent": [1, 1, 1]}]}"#;
+
+    #[test]
+    fn captions_become_soft_labels() {
+        let imported = open_vocabulary(MAP, "home", Up::Z).unwrap();
+        let map = &imported.map;
+        assert_eq!(map.labels, ["cup", "mug", "sofa"]);
+        assert_eq!(map.items[0].id, "mug-7");
+        let weights: Vec<f64> = map.items[0].captions.iter().map(|caption| caption.weight).collect();
+        assert_eq!(weights, [0.75, 0.25]);
+        assert!(map.items[1].captions.is_empty(), "one caption is a plain label");
+        assert_eq!(map.rooms[1].bounds, Box3 { min_m: [4.0, 0.0, 0.1], max_m: [9.0, 4.0, 2.5] });
+        assert_eq!(imported.notes.len(), 2);
+        assert!(Grounding::new(map, &GroundingOptions::default()).unwrap().unassigned.is_empty());
+    }
+
+    #[test]
+    fn files_of_concept_graphs_and_hov_sg_are_read() {
+        let objects = r#"{"object_10": {"id": 10, "object_tag": "office chair", "object_caption": "a chair", "bbox_extent": [1, 1, 1], "bbox_center": [1, 1, 0.5], "bbox_volume": 1},
+                          "object_2": {"id": 2, "object_tag": "washingmachine", "bbox_extent": [1, 1, 1], "bbox_center": [2, 1, 0.5], "bbox_volume": 1}}"#;
+        let error = open_vocabulary(objects, "office", Up::Z).unwrap_err();
+        assert!(error.to_string().contains("give a file of rooms"), "{error}");
+        let rooms = r#"{"rooms": [{"name": "office", "box": {"min_m": [0, 0, 0], "max_m": [4, 4, 3]}}]}"#;
+        let map = open_vocabulary(&combine([objects, rooms]).unwrap(), "office", Up::Z).unwrap().map;
+        assert_eq!(map.labels, ["office chair", "washing machine"]);
+        assert_eq!(map.items[0].id, "washing-machine-2");
+
+        let room = r#"{"room_id": "0_1", "name": "bedroom", "floor_id": "0", "objects": ["0_1_3"], "vertices": [[0, 1], [4, 1], [4, 5]], "room_height": 3.2, "room_zero_level": 0.0, "embeddings": []}"#;
+        let object = r#"{"object_id": "0_1_3", "room_id": "0_1", "name": "bed", "vertices": [[1, 0, 2], [3, 0.6, 4]]}"#;
+        let map = open_vocabulary(&combine([room, object]).unwrap(), "home", Up::Z).unwrap().map;
+        assert_eq!(map.rooms[0].bounds, Box3 { min_m: [0.0, -5.0, 0.0], max_m: [4.0, -1.0, 3.2] });
+        assert_eq!(map.items[0].bounds, Box3 { min_m: [1.0, -4.0, 0.0], max_m: [3.0, -2.0, 0.6] });
+        assert!(Grounding::new(&map, &GroundingOptions::default()).unwrap().unassigned.is_empty());
+    }
+
+    #[test]
+    fn what_is_no_map_is_refused() {
+        let message = |json: &str| open_vocabulary(json, "x", Up::Z).unwrap_err().to_string();
+        assert!(message("[]").contains("open-vocabulary map"));
+        assert!(message("{\"rooms\": 3}").contains("rooms: invalid type"));
+        assert!(message(&MAP.replace("[1, 1, 1], \"bbox", "[1, 1, 1e9], \"bbox")).contains("farther than 10 km"));
+        assert!(message(&MAP.replace("\"weight\": ", "\"weight\": 1e10")).contains("between 1e-9 and 1e9"));
+    }
+
+    proptest! {
+        #[test]
+        fn hostile_text_never_panics(cut in 0..MAP.len(), noise in "\\PC{0,8}") {
+            let text = format!("{}{noise}{}", &MAP[..cut], &MAP[cut..]);
+            let _ = open_vocabulary(&text, "x", Up::Y);
+            let _ = combine([text.as_str(), noise.as_str()]);
+        }
+    }
+}

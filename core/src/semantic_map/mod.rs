@@ -1,0 +1,323 @@
+//! The semantic map: labelled items with boxes, rooms, parts and groups of rooms; its file format, checks, import and drawing.
+
+use std::collections::{BTreeMap, VecDeque};
+
+pub mod delta;
+pub mod import;
+mod names;
+mod schema;
+
+pub use names::Names;
+pub(crate) use names::plain_words;
+pub use schema::{MAX_FILE_BYTES, MAX_ITEMS, MAX_ROOMS, MAX_TEXT_BYTES, SceneError, read_limited};
+
+/// Index of an item in [`SemanticMap::items`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct ItemId(pub u32);
+
+/// Index of a label in [`SemanticMap::labels`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct LabelId(pub u32);
+
+/// Index of a room in [`SemanticMap::rooms`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct RoomId(pub u32);
+
+/// Index of a partition in [`crate::grounding::Grounding::partitions`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct PartitionId(pub u32);
+
+/// An axis-aligned box in metres; x east, y north, z up.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Box3 {
+    /// The corner with the least coordinates.
+    pub min_m: [f64; 3],
+    /// The corner with the greatest coordinates.
+    pub max_m: [f64; 3],
+}
+
+impl Box3 {
+    /// Length along each axis.
+    #[must_use]
+    pub fn size_m(&self) -> [f64; 3] {
+        std::array::from_fn(|axis| self.max_m[axis] - self.min_m[axis])
+    }
+
+    /// The middle of the box.
+    #[must_use]
+    pub fn centre_m(&self) -> [f64; 3] {
+        std::array::from_fn(|axis| 0.5 * (self.min_m[axis] + self.max_m[axis]))
+    }
+
+    /// Volume in cubic metres; zero for a flat box.
+    #[must_use]
+    pub fn volume_m3(&self) -> f64 {
+        self.size_m().iter().product()
+    }
+
+    /// V_o of the paper: the volume in cubic metres that both boxes share; zero where they only touch.
+    #[must_use]
+    pub fn overlap_m3(&self, other: &Self) -> f64 {
+        let mut volume_m3 = 1.0;
+        for axis in 0..3 {
+            let length_m = self.max_m[axis].min(other.max_m[axis]) - self.min_m[axis].max(other.min_m[axis]);
+            if length_m <= 0.0 {
+                return 0.0;
+            }
+            volume_m3 *= length_m;
+        }
+        volume_m3
+    }
+
+    /// Whether the point lies in the box, its faces included.
+    #[must_use]
+    pub fn contains(&self, point_m: &[f64; 3]) -> bool {
+        (0..3).all(|axis| self.min_m[axis] <= point_m[axis] && point_m[axis] <= self.max_m[axis])
+    }
+
+    /// Distance in metres from the point to the nearest point of the box; zero inside.
+    #[must_use]
+    pub fn distance_m(&self, point_m: &[f64; 3]) -> f64 {
+        let away = |axis: usize| (self.min_m[axis] - point_m[axis]).max(point_m[axis] - self.max_m[axis]).max(0.0);
+        (0..3).map(|axis| away(axis).powi(2)).sum::<f64>().sqrt()
+    }
+}
+
+/// One of several words for one item, as a captioner gave them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Caption {
+    /// The words.
+    pub label: LabelId,
+    /// How much of the item this caption speaks for; the weights of an item sum to one.
+    pub weight: f64,
+}
+
+/// One thing in the map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Item {
+    /// Unique name within the map.
+    pub id: String,
+    /// Its label.
+    pub label: LabelId,
+    /// Soft labels; empty for an item that is surely what its label says.
+    pub captions: Vec<Caption>,
+    /// Where it is.
+    pub position_m: [f64; 3],
+    /// Its extent.
+    pub bounds: Box3,
+}
+
+/// A room.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Room {
+    /// Unique name within the map.
+    pub id: String,
+    /// Its words for a language model ("living room").
+    pub label: String,
+    /// Its extent.
+    pub bounds: Box3,
+}
+
+/// A part of one room.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Part {
+    /// Unique name within the map.
+    pub id: String,
+    /// Its words.
+    pub label: String,
+    /// The room it lies in.
+    pub room: RoomId,
+    /// Its extent.
+    pub bounds: Box3,
+}
+
+/// Several rooms taken as one partition.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Group {
+    /// Unique name within the map.
+    pub id: String,
+    /// Its words.
+    pub label: String,
+    /// Its rooms; groups are disjoint.
+    pub rooms: Vec<RoomId>,
+}
+
+/// A passage between two rooms.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Door {
+    /// Unique name within the map.
+    pub id: String,
+    /// The rooms it joins.
+    pub rooms: [RoomId; 2],
+    /// Where it is.
+    pub position_m: [f64; 3],
+}
+
+/// A checked map: every reference resolves, every number is finite, every id is unique.
+///
+/// It comes from [`SemanticMap::load`] or [`SemanticMap::from_json`]; the format is documented in `scenes/README.md`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SemanticMap {
+    /// The map's name.
+    pub name: String,
+    /// What it shows, for people.
+    pub description: String,
+    /// How it was made, for people.
+    pub source: String,
+    /// Rooms, in file order.
+    pub rooms: Vec<Room>,
+    /// Parts of rooms, in file order.
+    pub parts: Vec<Part>,
+    /// Groups of rooms, in file order.
+    pub groups: Vec<Group>,
+    /// Doors, in file order.
+    pub doors: Vec<Door>,
+    /// Distinct item labels, captions included, sorted.
+    pub labels: Vec<String>,
+    /// Items, in file order.
+    pub items: Vec<Item>,
+    /// Label to other words that mean the same, to bind activity programs.
+    pub aliases: BTreeMap<String, Vec<String>>,
+    /// SHA-256 of [`SemanticMap::to_json`]: which map a score belongs to.
+    pub fingerprint: [u8; 32],
+}
+
+impl SemanticMap {
+    /// The label that a name means: the name's words themselves, else a label of which they are an alias in the map, else
+    /// the first of their aliases in the built-in table that is a label. Names may be written as programs write them ("coffe_maker").
+    #[must_use]
+    pub fn find_label(&self, name: &str) -> Option<LabelId> {
+        self.find(name, |words| {
+            let found = self.labels.binary_search_by(|label| label.as_str().cmp(words)).ok()?;
+            u32::try_from(found).ok().map(LabelId)
+        })
+    }
+
+    /// The first room whose id or words the name means; looked up as [`SemanticMap::find_label`] does.
+    #[must_use]
+    pub fn find_room(&self, name: &str) -> Option<RoomId> {
+        let by_id = self.rooms.iter().position(|room| room.id == name);
+        if let Some(index) = by_id {
+            return u32::try_from(index).ok().map(RoomId);
+        }
+        self.find(name, |words| {
+            let found = self.rooms.iter().position(|room| room.label == words)?;
+            u32::try_from(found).ok().map(RoomId)
+        })
+    }
+
+    fn find<T>(&self, name: &str, known: impl Fn(&str) -> Option<T>) -> Option<T> {
+        let plain = plain_words(name);
+        let words = Names::built_in().words(name);
+        let own_aliases = || {
+            let means = |others: &[String]| others.iter().any(|other| *other == plain || *other == words);
+            self.aliases.iter().filter(move |(_, others)| means(others)).find_map(|(label, _)| known(label))
+        };
+        known(&plain)
+            .or_else(|| known(&words))
+            .or_else(own_aliases)
+            .or_else(|| Names::built_in().aliases(&words).find_map(&known))
+    }
+
+    /// The items that bear the label, by their own label or by a caption, in file order.
+    pub fn items_of(&self, label: LabelId) -> impl Iterator<Item = ItemId> {
+        (0u32..).zip(&self.items).filter_map(move |(index, item)| {
+            let bears = item.label == label || item.captions.iter().any(|caption| caption.label == label);
+            bears.then_some(ItemId(index))
+        })
+    }
+
+    /// The rooms whose boxes hold the point, in file order: none outside, several where boxes overlap.
+    pub fn rooms_at(&self, position_m: [f64; 3]) -> impl Iterator<Item = RoomId> {
+        (0u32..)
+            .zip(&self.rooms)
+            .filter(move |(_, room)| room.bounds.contains(&position_m))
+            .map(|(index, _)| RoomId(index))
+    }
+
+    /// The rooms that one door joins to `room`, in the doors' order.
+    pub fn neighbours(&self, room: RoomId) -> impl Iterator<Item = RoomId> {
+        self.doors.iter().filter_map(move |door| match door.rooms {
+            [here, there] | [there, here] if here == room => Some(there),
+            _ => None,
+        })
+    }
+
+    /// The rooms on a shortest way through doors, both ends included; none when no way exists.
+    #[must_use]
+    pub fn path(&self, from: RoomId, to: RoomId) -> Option<Vec<RoomId>> {
+        let mut reached_from = BTreeMap::from([(from, from)]);
+        let mut waiting = VecDeque::from([from]);
+        while let Some(room) = waiting.pop_front() {
+            if room == to {
+                let mut path = vec![to];
+                let mut here = to;
+                while here != from {
+                    here = *reached_from.get(&here)?;
+                    path.push(here);
+                }
+                path.reverse();
+                return Some(path);
+            }
+            for next in self.neighbours(room) {
+                reached_from.entry(next).or_insert_with(|| {
+                    waiting.push_back(next);
+                    room
+                });
+            }
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn map() -> SemanticMap {
+        SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap()
+    }
+
+    #[test]
+    fn labels_are_found_by_words_names_and_aliases() {
+        let map = map();
+        let label = |name: &str| map.find_label(name).map(|LabelId(index)| map.labels[index as usize].as_str());
+        assert_eq!(label("coffee maker"), Some("coffee maker"));
+        assert_eq!(label("coffe_maker"), Some("coffee maker"));
+        assert_eq!(label("Sofa"), Some("sofa"));
+        assert_eq!(label("settee"), Some("sofa"), "the map's own alias");
+        assert_eq!(label("couch"), Some("sofa"), "the built-in alias");
+        assert_eq!(label("elephant"), None);
+    }
+
+    #[test]
+    fn rooms_are_found_by_place_and_name() {
+        let map = map();
+        assert_eq!(map.rooms_at([1.0, 1.0, 1.0]).collect::<Vec<_>>(), [RoomId(0)]);
+        assert_eq!(map.rooms_at([4.0, 1.0, 1.0]).collect::<Vec<_>>(), [RoomId(0), RoomId(1)], "the shared face");
+        assert_eq!(map.rooms_at([4.0, 1.0, 9.0]).count(), 0);
+        assert_eq!(map.find_room("living_room"), Some(RoomId(1)));
+        assert_eq!(map.find_room("livingroom"), Some(RoomId(1)));
+    }
+
+    #[test]
+    fn ways_lead_through_doors() {
+        let mut map = map();
+        assert_eq!(map.path(RoomId(0), RoomId(1)), Some(vec![RoomId(0), RoomId(1)]));
+        assert_eq!(map.path(RoomId(1), RoomId(1)), Some(vec![RoomId(1)]));
+        map.doors.clear();
+        assert_eq!(map.path(RoomId(0), RoomId(1)), None);
+    }
+
+    #[test]
+    fn boxes_measure_themselves_and_each_other() {
+        let unit = Box3 { min_m: [0.0; 3], max_m: [1.0; 3] };
+        let half = Box3 { min_m: [0.5, 0.0, 0.0], max_m: [1.5, 1.0, 1.0] };
+        let touching = Box3 { min_m: [1.0, 0.0, 0.0], max_m: [2.0, 1.0, 1.0] };
+        assert_eq!(unit.overlap_m3(&half), 0.5);
+        assert_eq!(unit.overlap_m3(&touching), 0.0);
+        assert_eq!(unit.distance_m(&[4.0, 5.0, 0.5]), 5.0);
+        assert_eq!(unit.distance_m(&[0.5; 3]), 0.0);
+    }
+}

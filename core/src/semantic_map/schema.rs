@@ -1,0 +1,760 @@
+//! The scene file, version 1: reading, checking, writing. `scenes/README.md` documents it field by field.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::{Box3, Caption, Door, Group, Item, LabelId, Part, Room, RoomId, SemanticMap};
+
+/// Largest scene file that is read, in bytes.
+pub const MAX_FILE_BYTES: u64 = 64 << 20;
+/// Most items in a map.
+pub const MAX_ITEMS: usize = 100_000;
+/// Most rooms in a map; of parts, groups and doors there may be ten times as many.
+pub const MAX_ROOMS: usize = 1_000;
+/// Longest id, label, name or alias, in bytes of UTF-8.
+pub const MAX_TEXT_BYTES: usize = 128;
+
+pub(super) const FORMAT: &str = "roomcast-scene";
+pub(super) const VERSION: u32 = 1;
+const MAX_PROSE_BYTES: usize = 4_096;
+pub(super) const MAX_CAPTIONS: usize = 64;
+pub(super) const MAX_ALIASES: usize = 1_000;
+const FARTHEST_M: f64 = 10_000.0;
+
+/// Why a scene cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// The error lies in this file.
+    #[error("scene {}", path.display())]
+    InFile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: Box<SceneError>,
+    },
+    /// The file cannot be read.
+    #[error("cannot be read; check that it exists and that you may read it")]
+    Read(#[from] io::Error),
+    /// The file is larger than [`MAX_FILE_BYTES`].
+    #[error("is larger than {} MiB; split the building into several maps", MAX_FILE_BYTES >> 20)]
+    FileTooLarge,
+    /// Not JSON, or not of the scene format: a missing or unknown key, a wrong type.
+    #[error(
+        "{}{message}; see scenes/README.md for the format; `roomcast scene import` turns maps of other formats into scenes",
+        place(.element)
+    )]
+    Json {
+        /// Path to the element, as `items[3].box`; `.` for the whole file.
+        element: String,
+        /// What the parser says, with line and column.
+        message: String,
+    },
+    /// Another format or another version.
+    #[error(
+        "is `{format}` version {version}, but this program reads `{FORMAT}` version {VERSION}; \
+         import other maps with `roomcast scene import`"
+    )]
+    Format {
+        /// The file's `format`.
+        format: String,
+        /// The file's `version`.
+        version: u32,
+    },
+    /// One element breaks a rule.
+    #[error("{element}, `{field}`: {problem}; {remedy}")]
+    Element {
+        /// Kind, index and id, as `items[3] ("mug-1")`.
+        element: String,
+        /// The key in question.
+        field: &'static str,
+        /// What is wrong.
+        problem: String,
+        /// What to do.
+        remedy: &'static str,
+    },
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SceneFile {
+    pub(super) format: String,
+    pub(super) version: u32,
+    pub(super) name: String,
+    #[serde(default)]
+    pub(super) description: String,
+    #[serde(default)]
+    pub(super) source: String,
+    pub(super) rooms: Vec<RoomEntry>,
+    #[serde(default)]
+    pub(super) parts: Vec<PartEntry>,
+    #[serde(default)]
+    pub(super) groups: Vec<GroupEntry>,
+    #[serde(default)]
+    pub(super) doors: Vec<DoorEntry>,
+    #[serde(default)]
+    pub(super) aliases: BTreeMap<String, Vec<String>>,
+    pub(super) items: Vec<ItemEntry>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RoomEntry {
+    pub(super) id: String,
+    pub(super) label: String,
+    pub(super) r#box: Box3,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PartEntry {
+    pub(super) id: String,
+    pub(super) label: String,
+    pub(super) room: String,
+    pub(super) r#box: Box3,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct GroupEntry {
+    pub(super) id: String,
+    pub(super) label: String,
+    pub(super) rooms: Vec<String>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DoorEntry {
+    pub(super) id: String,
+    pub(super) rooms: [String; 2],
+    pub(super) position_m: [f64; 3],
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ItemEntry {
+    pub(super) id: String,
+    pub(super) label: String,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) captions: Vec<CaptionEntry>,
+    pub(super) position_m: [f64; 3],
+    pub(super) r#box: Box3,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CaptionEntry {
+    pub(super) label: String,
+    pub(super) weight: f64,
+}
+
+/// The beginning of a message about an element of a JSON file; empty where it is about the whole file.
+pub(super) fn place(element: &str) -> String {
+    if element == "." { String::new() } else { format!("{element}: ") }
+}
+
+/// Where an element stands, for errors.
+#[derive(Clone, Copy)]
+struct Place<'a> {
+    list: &'static str,
+    index: usize,
+    id: &'a str,
+}
+
+impl Place<'_> {
+    fn error(self, field: &'static str, problem: impl Into<String>, remedy: &'static str) -> SceneError {
+        let id: String = self.id.chars().take(MAX_TEXT_BYTES).collect();
+        SceneError::Element {
+            element: format!("{}[{}] ({id:?})", self.list, self.index),
+            field,
+            problem: problem.into(),
+            remedy,
+        }
+    }
+
+    fn id(self) -> Result<(), SceneError> {
+        check_text(self.id, MAX_TEXT_BYTES)
+            .map_err(|problem| self.error("id", problem, "give every element a short id"))
+    }
+
+    fn label(self, label: &str) -> Result<(), SceneError> {
+        let remedy = "write lower-case words separated by single spaces, as \"washing machine\"";
+        check_label(label).map_err(|problem| self.error("label", problem, remedy))
+    }
+
+    fn point(self, field: &'static str, point_m: &[f64; 3]) -> Result<(), SceneError> {
+        // Written so that NaN fails, too.
+        if point_m.iter().all(|metres| metres.abs() <= FARTHEST_M) {
+            return Ok(());
+        }
+        Err(self.error(
+            field,
+            format!("{point_m:?} lies farther than 10 km from the origin"),
+            "give metres and move the origin into the building",
+        ))
+    }
+
+    fn bounds(self, bounds: &Box3) -> Result<(), SceneError> {
+        self.point("box", &bounds.min_m)?;
+        self.point("box", &bounds.max_m)?;
+        if (0..3).all(|axis| bounds.min_m[axis] <= bounds.max_m[axis]) {
+            return Ok(());
+        }
+        Err(self.error(
+            "box",
+            format!("min_m {:?} exceeds max_m {:?}", bounds.min_m, bounds.max_m),
+            "give the least corner as min_m and the greatest as max_m",
+        ))
+    }
+
+    fn space(self, bounds: &Box3) -> Result<(), SceneError> {
+        self.bounds(bounds)?;
+        if bounds.volume_m3() > 0.0 {
+            return Ok(());
+        }
+        Err(self.error("box", "has no volume, so nothing can lie in it", "give it a length, a width and a height"))
+    }
+}
+
+fn check_text(text: &str, longest_bytes: usize) -> Result<(), String> {
+    if text.is_empty() {
+        return Err("is empty".to_owned());
+    }
+    check_prose(text, longest_bytes)
+}
+
+fn check_prose(text: &str, longest_bytes: usize) -> Result<(), String> {
+    if text.len() > longest_bytes {
+        return Err(format!("is {} bytes long, more than {longest_bytes}", text.len()));
+    }
+    match text.chars().find(|character| character.is_control()) {
+        Some(character) => Err(format!("has the control character {character:?}")),
+        None => Ok(()),
+    }
+}
+
+fn check_label(label: &str) -> Result<(), String> {
+    check_text(label, MAX_TEXT_BYTES)?;
+    if label.split(' ').any(|word| word.is_empty() || word.contains(char::is_whitespace)) {
+        return Err(format!("{label:?} has spaces at an end or side by side"));
+    }
+    if label.to_lowercase() != label {
+        return Err(format!("{label:?} has capital letters"));
+    }
+    Ok(())
+}
+
+fn check_count(list: &'static str, count: usize, most: usize) -> Result<(), SceneError> {
+    if count <= most {
+        return Ok(());
+    }
+    Err(SceneError::Element {
+        element: "scene".to_owned(),
+        field: list,
+        problem: format!("{count} entries, more than {most}"),
+        remedy: "split the building into several maps",
+    })
+}
+
+/// Ids of one kind of element, to resolve references; refuses a second use of an id.
+struct Ids<'a>(HashMap<&'a str, usize>);
+
+impl<'a> Ids<'a> {
+    fn new() -> Self {
+        Self(HashMap::new())
+    }
+
+    fn insert(&mut self, place: Place<'a>) -> Result<(), SceneError> {
+        place.id()?;
+        match self.0.insert(place.id, place.index) {
+            None => Ok(()),
+            Some(_) => Err(place.error("id", "is used twice", "give every element an id of its own")),
+        }
+    }
+}
+
+fn index_u32(index: usize) -> u32 {
+    u32::try_from(index).unwrap_or(u32::MAX)
+}
+
+impl SemanticMap {
+    /// Reads and checks a scene file.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or as [`SemanticMap::from_json`]; the error names the file.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, SceneError> {
+        let path = path.as_ref();
+        read_limited(path)
+            .and_then(|text| Self::from_json(&text))
+            .map_err(|error| SceneError::InFile { path: path.to_owned(), source: Box::new(error) })
+    }
+
+    /// Reads and checks a scene from its JSON text.
+    ///
+    /// # Errors
+    /// Names the first element that is malformed, beyond a limit, doubled, or refers to something that is not there.
+    pub fn from_json(text: &str) -> Result<Self, SceneError> {
+        if text.len() as u64 > MAX_FILE_BYTES {
+            return Err(SceneError::FileTooLarge);
+        }
+        let mut parser = serde_json::Deserializer::from_str(text);
+        let json_error = |element: String, message: String| SceneError::Json { element, message };
+        let file: SceneFile = serde_path_to_error::deserialize(&mut parser)
+            .map_err(|error| json_error(error.path().to_string(), error.inner().to_string()))?;
+        parser.end().map_err(|error| json_error("end".to_owned(), error.to_string()))?;
+        Self::check(file)
+    }
+
+    /// The scene as JSON text, one element per line; [`SemanticMap::from_json`] reads it back as the same map.
+    #[must_use]
+    pub fn to_json(&self) -> String {
+        #[expect(clippy::expect_used, reason = "the file's types hold nothing that JSON cannot say: keys are strings")]
+        to_json_lines(&self.to_file()).expect("a scene is always JSON")
+    }
+
+    /// The first 16 hexadecimal digits of the fingerprint, for people.
+    #[must_use]
+    pub fn short_fingerprint(&self) -> String {
+        self.fingerprint[..8].iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    pub(super) fn check(file: SceneFile) -> Result<Self, SceneError> {
+        if file.format != FORMAT || file.version != VERSION {
+            let format = file.format.chars().take(MAX_TEXT_BYTES).collect();
+            return Err(SceneError::Format { format, version: file.version });
+        }
+        let scene = Place { list: "scene", index: 0, id: &file.name };
+        check_text(&file.name, MAX_TEXT_BYTES).map_err(|problem| scene.error("name", problem, "give a short name"))?;
+        for (field, prose) in [("description", &file.description), ("source", &file.source)] {
+            check_prose(prose, MAX_PROSE_BYTES)
+                .map_err(|problem| scene.error(field, problem, "shorten it to one line"))?;
+        }
+        check_count("rooms", file.rooms.len(), MAX_ROOMS)?;
+        check_count("parts", file.parts.len(), 10 * MAX_ROOMS)?;
+        check_count("groups", file.groups.len(), 10 * MAX_ROOMS)?;
+        check_count("doors", file.doors.len(), 10 * MAX_ROOMS)?;
+        check_count("items", file.items.len(), MAX_ITEMS)?;
+        check_count("aliases", file.aliases.values().map(Vec::len).sum(), MAX_ALIASES)?;
+        if file.rooms.is_empty() {
+            return Err(scene.error("rooms", "has no entry", "give at least one room"));
+        }
+
+        // Rooms, parts and groups can all be partitions, so they share one space of ids.
+        let mut partition_ids = Ids::new();
+        let mut room_ids = Ids::new();
+        let rooms = check_rooms(&file.rooms, &mut partition_ids, &mut room_ids)?;
+        let parts = check_parts(&file.parts, &mut partition_ids, &room_ids, &rooms)?;
+        let groups = check_groups(&file.groups, &mut partition_ids, &room_ids)?;
+        let doors = check_doors(&file.doors, &room_ids)?;
+        for (index, (label, others)) in file.aliases.iter().enumerate() {
+            let place = Place { list: "aliases", index, id: label };
+            [label].into_iter().chain(others).try_for_each(|words| place.label(words))?;
+        }
+        let (labels, items) = check_items(&file.items)?;
+
+        let mut map = Self {
+            name: file.name,
+            description: file.description,
+            source: file.source,
+            rooms,
+            parts,
+            groups,
+            doors,
+            labels,
+            items,
+            aliases: file.aliases,
+            fingerprint: [0; 32],
+        };
+        map.fingerprint = Sha256::digest(map.to_json()).into();
+        Ok(map)
+    }
+
+    pub(super) fn to_file(&self) -> SceneFile {
+        let label = |LabelId(index): LabelId| self.labels[index as usize].clone();
+        let room = |RoomId(index): RoomId| self.rooms[index as usize].id.clone();
+        SceneFile {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            name: self.name.clone(),
+            description: self.description.clone(),
+            source: self.source.clone(),
+            rooms: (self.rooms.iter())
+                .map(|room| RoomEntry { id: room.id.clone(), label: room.label.clone(), r#box: room.bounds })
+                .collect(),
+            parts: (self.parts.iter())
+                .map(|part| PartEntry {
+                    id: part.id.clone(),
+                    label: part.label.clone(),
+                    room: room(part.room),
+                    r#box: part.bounds,
+                })
+                .collect(),
+            groups: (self.groups.iter())
+                .map(|group| GroupEntry {
+                    id: group.id.clone(),
+                    label: group.label.clone(),
+                    rooms: group.rooms.iter().map(|&id| room(id)).collect(),
+                })
+                .collect(),
+            doors: (self.doors.iter())
+                .map(|door| DoorEntry { id: door.id.clone(), rooms: door.rooms.map(room), position_m: door.position_m })
+                .collect(),
+            aliases: self.aliases.clone(),
+            items: (self.items.iter())
+                .map(|item| ItemEntry {
+                    id: item.id.clone(),
+                    label: label(item.label),
+                    captions: (item.captions.iter())
+                        .map(|caption| CaptionEntry { label: label(caption.label), weight: caption.weight })
+                        .collect(),
+                    position_m: item.position_m,
+                    r#box: item.bounds,
+                })
+                .collect(),
+        }
+    }
+}
+
+/// The text of a file of at most [`MAX_FILE_BYTES`].
+/// Reads a text file of at most [`MAX_FILE_BYTES`] and one more, so that what reads the text sees that it is too long.
+///
+/// # Errors
+/// When the file cannot be read, or is no UTF-8 text; the error does not name the file.
+pub fn read_limited(path: &Path) -> Result<String, SceneError> {
+    let mut text = String::new();
+    // A limit on what is read, not on what the directory says: a device or a pipe has no size.
+    File::open(path)?.take(MAX_FILE_BYTES + 1).read_to_string(&mut text)?;
+    Ok(text)
+}
+
+fn to_json_lines(file: &SceneFile) -> serde_json::Result<String> {
+    fn list<T: Serialize>(text: &mut String, key: &str, entries: &[T]) -> serde_json::Result<()> {
+        text.push_str(&format!(",\n  \"{key}\": ["));
+        for (index, entry) in entries.iter().enumerate() {
+            text.push_str(if index == 0 { "\n    " } else { ",\n    " });
+            text.push_str(&serde_json::to_string(entry)?);
+        }
+        text.push_str(if entries.is_empty() { "]" } else { "\n  ]" });
+        Ok(())
+    }
+    let mut text = format!(
+        "{{\n  \"format\": {}, \"version\": {},\n  \"name\": {},\n  \"description\": {},\n  \"source\": {}",
+        serde_json::to_string(&file.format)?,
+        file.version,
+        serde_json::to_string(&file.name)?,
+        serde_json::to_string(&file.description)?,
+        serde_json::to_string(&file.source)?,
+    );
+    list(&mut text, "rooms", &file.rooms)?;
+    list(&mut text, "parts", &file.parts)?;
+    list(&mut text, "groups", &file.groups)?;
+    list(&mut text, "doors", &file.doors)?;
+    text.push_str(&format!(",\n  \"aliases\": {}", serde_json::to_string(&file.aliases)?));
+    list(&mut text, "items", &file.items)?;
+    text.push_str("\n}\n");
+    Ok(text)
+}
+
+fn check_rooms<'a>(
+    entries: &'a [RoomEntry],
+    partition_ids: &mut Ids<'a>,
+    room_ids: &mut Ids<'a>,
+) -> Result<Vec<Room>, SceneError> {
+    let mut rooms = Vec::with_capacity(entries.len());
+    for (index, entry) in entries.iter().enumerate() {
+        let place = Place { list: "rooms", index, id: &entry.id };
+        partition_ids.insert(place)?;
+        room_ids.insert(place)?;
+        place.label(&entry.label)?;
+        place.space(&entry.r#box)?;
+        rooms.push(Room { id: entry.id.clone(), label: entry.label.clone(), bounds: entry.r#box });
+    }
+    Ok(rooms)
+}
+
+fn find_room(place: Place, field: &'static str, id: &str, room_ids: &Ids) -> Result<RoomId, SceneError> {
+    let found = room_ids.0.get(id).map(|&index| RoomId(index_u32(index)));
+    found.ok_or_else(|| {
+        let id: String = id.chars().take(MAX_TEXT_BYTES).collect();
+        place.error(field, format!("there is no room {id:?}"), "use the id of an entry of `rooms`")
+    })
+}
+
+fn check_parts<'a>(
+    entries: &'a [PartEntry],
+    partition_ids: &mut Ids<'a>,
+    room_ids: &Ids,
+    rooms: &[Room],
+) -> Result<Vec<Part>, SceneError> {
+    let mut parts = Vec::with_capacity(entries.len());
+    for (index, entry) in entries.iter().enumerate() {
+        let place = Place { list: "parts", index, id: &entry.id };
+        partition_ids.insert(place)?;
+        place.label(&entry.label)?;
+        place.space(&entry.r#box)?;
+        let room = find_room(place, "room", &entry.room, room_ids)?;
+        if rooms[room.0 as usize].bounds.overlap_m3(&entry.r#box) <= 0.0 {
+            return Err(place.error("box", "lies outside its room's box", "give a box inside the room"));
+        }
+        parts.push(Part { id: entry.id.clone(), label: entry.label.clone(), room, bounds: entry.r#box });
+    }
+    Ok(parts)
+}
+
+fn check_groups<'a>(
+    entries: &'a [GroupEntry],
+    partition_ids: &mut Ids<'a>,
+    room_ids: &Ids,
+) -> Result<Vec<Group>, SceneError> {
+    let mut groups = Vec::with_capacity(entries.len());
+    let mut taken = BTreeSet::new();
+    for (index, entry) in entries.iter().enumerate() {
+        let place = Place { list: "groups", index, id: &entry.id };
+        partition_ids.insert(place)?;
+        place.label(&entry.label)?;
+        if entry.rooms.is_empty() {
+            return Err(place.error("rooms", "has no entry", "name at least one room or remove the group"));
+        }
+        let mut rooms = Vec::with_capacity(entry.rooms.len());
+        for id in &entry.rooms {
+            let room = find_room(place, "rooms", id, room_ids)?;
+            if !taken.insert(room) {
+                let problem = format!("the room {id:?} is already in a group");
+                return Err(place.error("rooms", problem, "put every room into at most one group, once"));
+            }
+            rooms.push(room);
+        }
+        groups.push(Group { id: entry.id.clone(), label: entry.label.clone(), rooms });
+    }
+    Ok(groups)
+}
+
+fn check_doors(entries: &[DoorEntry], room_ids: &Ids) -> Result<Vec<Door>, SceneError> {
+    let mut ids = Ids::new();
+    let mut doors = Vec::with_capacity(entries.len());
+    for (index, entry) in entries.iter().enumerate() {
+        let place = Place { list: "doors", index, id: &entry.id };
+        ids.insert(place)?;
+        place.point("position_m", &entry.position_m)?;
+        let [a, b] = &entry.rooms;
+        let rooms = [find_room(place, "rooms", a, room_ids)?, find_room(place, "rooms", b, room_ids)?];
+        if rooms[0] == rooms[1] {
+            return Err(place.error("rooms", "joins a room to itself", "name two different rooms"));
+        }
+        doors.push(Door { id: entry.id.clone(), rooms, position_m: entry.position_m });
+    }
+    Ok(doors)
+}
+
+fn check_items(entries: &[ItemEntry]) -> Result<(Vec<String>, Vec<Item>), SceneError> {
+    let mut ids = Ids::new();
+    let mut words = BTreeSet::new();
+    for (index, entry) in entries.iter().enumerate() {
+        let place = Place { list: "items", index, id: &entry.id };
+        ids.insert(place)?;
+        place.label(&entry.label)?;
+        place.point("position_m", &entry.position_m)?;
+        place.bounds(&entry.r#box)?;
+        check_captions(place, entry)?;
+        words.insert(entry.label.as_str());
+        words.extend(entry.captions.iter().map(|caption| caption.label.as_str()));
+    }
+    let labels: Vec<&str> = words.into_iter().collect();
+    let label_id = |label: &str| LabelId(index_u32(labels.partition_point(|known| *known < label)));
+    let items = (entries.iter())
+        .map(|entry| {
+            let total: f64 = entry.captions.iter().map(|caption| caption.weight).sum();
+            // Shares stay as they are, lest a map that was written change by being read.
+            let total = if (total - 1.0).abs() < 1e-9 { 1.0 } else { total };
+            let caption =
+                |entry: &CaptionEntry| Caption { label: label_id(&entry.label), weight: entry.weight / total };
+            Item {
+                id: entry.id.clone(),
+                label: label_id(&entry.label),
+                captions: entry.captions.iter().map(caption).collect(),
+                position_m: entry.position_m,
+                bounds: entry.r#box,
+            }
+        })
+        .collect();
+    Ok((labels.iter().map(|&label| label.to_owned()).collect(), items))
+}
+
+/// Least share of a caption.
+pub(crate) const SHARE_MIN: f64 = 1e-9;
+
+fn check_captions(place: Place, entry: &ItemEntry) -> Result<(), SceneError> {
+    let captions = &entry.captions;
+    if captions.is_empty() {
+        return Ok(());
+    }
+    if captions.len() > MAX_CAPTIONS {
+        let problem = format!("{} entries, more than {MAX_CAPTIONS}", captions.len());
+        return Err(place.error("captions", problem, "keep the heaviest"));
+    }
+    let total: f64 = captions.iter().map(|caption| caption.weight).sum();
+    for (index, caption) in captions.iter().enumerate() {
+        place.label(&caption.label)?;
+        // Between these bounds neither a sum nor a share leaves the range of f64; NaN fails, too.
+        if !(1e-9..=1e9).contains(&caption.weight) {
+            let problem = format!("the weight {} is not between 1e-9 and 1e9", caption.weight);
+            return Err(place.error("captions", problem, "give a positive weight or remove the caption"));
+        }
+        // Shares are what is written back.
+        if caption.weight / total.max(1.0) < SHARE_MIN {
+            let problem = format!("the weight {} is less than {SHARE_MIN} of all", caption.weight);
+            return Err(place.error("captions", problem, "remove the caption"));
+        }
+        if captions[..index].iter().any(|earlier| earlier.label == caption.label) {
+            let problem = format!("has {:?} twice", caption.label);
+            return Err(place.error("captions", problem, "add the weights up in one entry"));
+        }
+    }
+    if captions.iter().all(|caption| caption.label != entry.label) {
+        let problem = format!("{:?} is not among its captions", entry.label);
+        return Err(place.error("label", problem, "make it the heaviest caption"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use serde_json::{Value, json};
+
+    const TWO_ROOMS: &str = include_str!("../../../tests/data/two_rooms.json");
+
+    fn message(error: &SceneError) -> String {
+        let mut text = error.to_string();
+        let mut cause = std::error::Error::source(error);
+        while let Some(error) = cause {
+            text.push_str(&format!(": {error}"));
+            cause = error.source();
+        }
+        text
+    }
+
+    /// The message for the two rooms with the value at `pointer` replaced (or added).
+    fn refused(pointer: &str, value: Value) -> String {
+        let mut scene: Value = serde_json::from_str(TWO_ROOMS).unwrap();
+        let (parent, key) = pointer.rsplit_once('/').unwrap();
+        match scene.pointer_mut(parent).unwrap() {
+            Value::Object(object) => drop(object.insert(key.to_owned(), value)),
+            Value::Array(array) => array[key.parse::<usize>().unwrap()] = value,
+            _ => panic!("{parent} holds nothing"),
+        }
+        message(&SemanticMap::from_json(&scene.to_string()).unwrap_err())
+    }
+
+    #[test]
+    fn a_scene_survives_writing_and_reading() {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let again = SemanticMap::from_json(&map.to_json()).unwrap();
+        assert_eq!(map, again);
+        assert_eq!(map.short_fingerprint().len(), 16);
+    }
+
+    #[test]
+    fn soft_labels_survive_writing_and_reading() {
+        let with = |weights: &[f64]| {
+            let mut scene: Value = serde_json::from_str(TWO_ROOMS).unwrap();
+            let label = |index: usize| if index == 0 { "mug".to_owned() } else { format!("thing {index}") };
+            let caption = |(index, weight): (usize, &f64)| json!({"label": label(index), "weight": weight});
+            scene["items"][0]["captions"] = weights.iter().enumerate().map(caption).collect();
+            SemanticMap::from_json(&scene.to_string())
+        };
+        for weights in [&[0.11, 0.06, 0.85, 0.3, 0.27][..], &[2.0, 1.0], &[100.0, 1e-6], &[1e9, 3.0], &[1e-9, 1e-9]] {
+            let map = with(weights).unwrap();
+            let again = SemanticMap::from_json(&map.to_json()).unwrap();
+            assert_eq!((map.fingerprint, &map), (again.fingerprint, &again));
+        }
+        assert!(message(&with(&[100.0, 5e-9]).unwrap_err()).contains("of all"));
+    }
+
+    #[test]
+    fn the_fingerprint_follows_the_content_and_not_the_layout() {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let compact = serde_json::from_str::<Value>(TWO_ROOMS).unwrap().to_string();
+        assert_eq!(map.fingerprint, SemanticMap::from_json(&compact).unwrap().fingerprint);
+        let moved = TWO_ROOMS.replacen("\"mug-1\"", "\"mug-one\"", 1);
+        assert_ne!(map.fingerprint, SemanticMap::from_json(&moved).unwrap().fingerprint);
+    }
+
+    #[test]
+    fn every_refusal_names_the_element_and_the_remedy() {
+        let cases = [
+            ("/format", json!("map"), "is `map` version 1"),
+            ("/version", json!(2), "version 2"),
+            ("/color", json!(1), "unknown field `color`"),
+            ("/name", json!(""), "scene[0] (\"\"), `name`: is empty; give a short name"),
+            ("/rooms", json!([]), "`rooms`: has no entry"),
+            ("/rooms/1/id", json!("kitchen"), "rooms[1] (\"kitchen\"), `id`: is used twice"),
+            ("/rooms/0/label", json!("Kitchen"), "capital letters; write lower-case words"),
+            ("/rooms/0/box/max_m", json!([0, 0, 0]), "rooms[0] (\"kitchen\"), `box`: has no volume"),
+            ("/items/0/label", json!("  mug"), "items[0] (\"mug-1\"), `label`"),
+            ("/items/0/label", json!("mug\u{7}"), "control character"),
+            ("/items/0/label", json!("m".repeat(129)), "is 129 bytes long, more than 128"),
+            ("/items/0/box/min_m", json!([9, 9, 9]), "exceeds max_m"),
+            ("/items/0/box/min_m", json!([0, 0]), "items[0].box.min_m: invalid length 2"),
+            ("/items/0/position_m", json!([0, 2e4, 0]), "farther than 10 km"),
+            ("/items/0/position_m", json!([0, null, 0]), "items[0].position_m[1]: invalid type: null"),
+            ("/items/1/id", json!("mug-1"), "items[1] (\"mug-1\"), `id`: is used twice"),
+            ("/items/0/captions", json!([{"label": "cup", "weight": 1}]), "not among its captions"),
+            ("/items/0/captions", json!([{"label": "mug", "weight": 0}]), "positive weight"),
+            ("/parts/0/room", json!("attic"), "there is no room \"attic\""),
+            ("/parts/0/box", json!({"min_m": [50, 50, 0], "max_m": [51, 51, 1]}), "outside its room"),
+            ("/groups/0/rooms", json!(["kitchen", "kitchen"]), "already in a group"),
+            ("/groups/0/rooms", json!([]), "groups[0] (\"all\"), `rooms`: has no entry"),
+            ("/doors/0/rooms", json!(["kitchen", "kitchen"]), "joins a room to itself"),
+            ("/aliases/sofa", json!([""]), "aliases[0] (\"sofa\"), `label`: is empty"),
+        ];
+        for (pointer, value, expected) in cases {
+            let text = refused(pointer, value.clone());
+            assert!(text.contains(expected), "{pointer} = {value}: {text}");
+        }
+    }
+
+    #[test]
+    fn limits_on_counts_hold() {
+        let item = |index: usize| {
+            json!({"id": format!("i{index}"), "label": "mug", "position_m": [1, 1, 1],
+                   "box": {"min_m": [1, 1, 1], "max_m": [1, 1, 1]}})
+        };
+        let items: Vec<Value> = (0..=MAX_ITEMS).map(item).collect();
+        assert!(refused("/items", json!(items)).contains("100001 entries, more than 100000"));
+    }
+
+    #[test]
+    fn files_name_themselves() {
+        let error = SemanticMap::load("no/such/scene.json").unwrap_err();
+        assert!(message(&error).starts_with("scene no/such/scene.json: cannot be read"), "{}", message(&error));
+        if Path::new("/dev/zero").exists() {
+            assert!(matches!(
+                SemanticMap::load("/dev/zero"),
+                Err(SceneError::InFile { source, .. }) if matches!(*source, SceneError::FileTooLarge)
+            ));
+        }
+    }
+
+    #[test]
+    fn text_after_the_scene_is_refused() {
+        let error = SemanticMap::from_json(&format!("{TWO_ROOMS} true")).unwrap_err();
+        assert!(message(&error).starts_with("end: trailing characters"), "{}", message(&error));
+    }
+
+    proptest! {
+        #[test]
+        fn hostile_text_never_panics(cut in 0..TWO_ROOMS.len(), noise in "\\PC{0,8}") {
+            if TWO_ROOMS.is_char_boundary(cut) {
+                let text = format!("{}{noise}{}", &TWO_ROOMS[..cut], &TWO_ROOMS[cut..]);
+                let _ = SemanticMap::from_json(&text);
+                let _ = SemanticMap::from_json(&TWO_ROOMS[..cut]);
+            }
+        }
+    }
+}

@@ -1,0 +1,918 @@
+//! The map from above, as SVG and PNG: rooms, doors, furniture and small things; with scores, the heat of each.
+//!
+//! Drawing is a pure function of map, grounding and scores; the same input gives the same bytes on every machine, because
+//! the PNG's letters come from a font that is compiled in.
+
+use std::sync::Arc;
+
+use resvg::{tiny_skia, usvg};
+use svg::Document;
+use svg::node::element::{Circle, Definitions, Group, Line, LinearGradient, Path, Rectangle, Stop, Text};
+
+use roomcast_core::grounding::Grounding;
+use roomcast_core::semantic_map::{Box3, PartitionId, SemanticMap};
+
+const FONT: &str = "DejaVu Sans";
+/// How much wider bold letters are.
+const BOLDER: f64 = 1.17;
+/// Largest size of the plan itself, in pixels.
+const PLAN_PX: [f64; 2] = [1_120.0, 860.0];
+const MARGIN_PX: f64 = 36.0;
+const TITLE_PX: f64 = 76.0;
+const PANEL_PX: f64 = 300.0;
+const FOOT_PX: f64 = 56.0;
+
+const INK: &str = "#20242b";
+const QUIET: &str = "#6d7480";
+const PAPER: &str = "#ffffff";
+const FLOOR: &str = "#f6f2ea";
+const WALL: &str = "#3b414b";
+const FURNITURE: &str = "#fffdf8";
+const RUG: &str = "#e6dcc6";
+const EDGE: &str = "#a9a292";
+const DOT: &str = "#8b8574";
+/// From no heat to all heat.
+const HEAT: [[f64; 3]; 6] = [
+    [253.0, 248.0, 238.0],
+    [254.0, 226.0, 172.0],
+    [253.0, 187.0, 112.0],
+    [244.0, 127.0, 72.0],
+    [212.0, 56.0, 38.0],
+    [139.0, 10.0, 26.0],
+];
+
+/// Items that shape the building; they are drawn as what they are part of and not as things in it.
+const STRUCTURE: [&str; 6] = ["wall", "floor", "ceiling", "door jamb", "doorjamb", "door"];
+/// Things whose longest side on the floor is at least this are drawn as boxes, others as dots; metres.
+const FURNITURE_FROM_M: f64 = 0.42;
+/// Width of a door; metres.
+const DOOR_M: f64 = 0.84;
+/// What begins above this height hangs from the ceiling; drawn as a dot, lest a lamp or a cupboard hide the floor; metres.
+const OVERHEAD_M: f64 = 1.85;
+
+/// What a drawing shows besides the map.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Heat {
+    /// Per partition its probability.
+    pub partition_probability: Vec<f64>,
+    /// Per item its share of all items' scores.
+    pub item_share: Vec<f64>,
+    /// A line under the title, such as the last sentence of the narration; may be empty.
+    pub caption: String,
+}
+
+impl Heat {
+    /// Heat from log scores: per item ln s_i in nats, relative to one another.
+    #[must_use]
+    pub fn new(partition_probability: &[f64], item_log_score_nats: &[f64], caption: &str) -> Self {
+        let largest = item_log_score_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let relative = |log_score: &f64| if largest.is_finite() { (log_score - largest).exp() } else { 0.0 };
+        let total: f64 = item_log_score_nats.iter().map(relative).sum();
+        let share = |log_score: &f64| if total > 0.0 { relative(log_score) / total } else { 0.0 };
+        Self {
+            partition_probability: partition_probability.to_vec(),
+            item_share: item_log_score_nats.iter().map(share).collect(),
+            caption: caption.to_owned(),
+        }
+    }
+}
+
+/// Why a drawing failed.
+#[derive(Debug, thiserror::Error)]
+pub enum DrawingError {
+    /// The heat is of another map or another level.
+    #[error(
+        "the scores are of {partitions} partitions and {items} items, the map has {expected_partitions} and \
+         {expected_items}; draw the scene and the level that were scored"
+    )]
+    OtherMap {
+        /// Partitions of the scores.
+        partitions: usize,
+        /// Items of the scores.
+        items: usize,
+        /// Partitions of the map.
+        expected_partitions: usize,
+        /// Items of the map.
+        expected_items: usize,
+    },
+    /// The SVG could not be parsed for the PNG.
+    #[error("the plan cannot be rendered as PNG; draw it as SVG instead")]
+    Render(#[from] usvg::Error),
+    /// The PNG could not be encoded.
+    #[error("the PNG cannot be encoded: {0}; draw the plan as SVG instead")]
+    Encode(String),
+}
+
+/// The plan as SVG text.
+///
+/// # Errors
+/// [`DrawingError::OtherMap`].
+pub fn svg(map: &SemanticMap, grounding: &Grounding, heat: Option<&Heat>) -> Result<String, DrawingError> {
+    if let Some(heat) = heat {
+        let (partitions, items) = (heat.partition_probability.len(), heat.item_share.len());
+        let (expected_partitions, expected_items) = (grounding.partitions.len(), map.items.len());
+        if (partitions, items) != (expected_partitions, expected_items) {
+            return Err(DrawingError::OtherMap { partitions, items, expected_partitions, expected_items });
+        }
+    }
+    Ok(Plan::new(map, grounding, heat).draw().to_string())
+}
+
+/// The SVG of [`svg()`] as PNG bytes, `scale` pixels per SVG pixel.
+///
+/// # Errors
+/// [`DrawingError::Render`] and [`DrawingError::Encode`].
+pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, DrawingError> {
+    let mut fonts = usvg::fontdb::Database::new();
+    for font in [dejavu::sans::regular(), dejavu::sans::bold()] {
+        fonts.load_font_data(font.to_vec());
+    }
+    fonts.set_sans_serif_family(FONT);
+    let options = usvg::Options { fontdb: Arc::new(fonts), font_family: FONT.to_owned(), ..usvg::Options::default() };
+    let tree = usvg::Tree::from_str(svg, &options)?;
+    let size = tree.size().to_int_size();
+    let pixels = |length: u32| (f64::from(length) * f64::from(scale)).round() as u32;
+    let mut image = tiny_skia::Pixmap::new(pixels(size.width()), pixels(size.height()))
+        .ok_or_else(|| DrawingError::Encode(format!("no image of scale {scale} can be made")))?;
+    resvg::render(&tree, tiny_skia::Transform::from_scale(scale, scale), &mut image.as_mut());
+    image.encode_png().map_err(|error| DrawingError::Encode(error.to_string()))
+}
+
+/// A rectangle in pixels, to keep labels apart.
+#[derive(Clone, Copy)]
+struct Area {
+    left: f64,
+    top: f64,
+    right: f64,
+    bottom: f64,
+}
+
+impl Area {
+    fn around(x: f64, y: f64, width: f64, height: f64) -> Self {
+        Self { left: x - width / 2.0, right: x + width / 2.0, top: y - height / 2.0, bottom: y + height / 2.0 }
+    }
+
+    fn meets(&self, other: &Self) -> bool {
+        self.left < other.right && other.left < self.right && self.top < other.bottom && other.top < self.bottom
+    }
+
+    fn within(&self, other: &Self) -> bool {
+        self.left >= other.left && self.right <= other.right && self.top >= other.top && self.bottom <= other.bottom
+    }
+}
+
+/// Width in pixels of a text in DejaVu Sans, near enough to keep labels apart.
+fn width_px(text: &str, size_px: f64) -> f64 {
+    let em = |character: char| match character {
+        'i' | 'j' | 'l' | '.' | ',' | '\'' | '|' | ':' => 0.31,
+        ' ' | 't' | 'f' | 'r' | '(' | ')' | '-' => 0.41,
+        'm' | 'w' | 'M' | 'W' | '%' => 0.92,
+        'A'..='Z' => 0.70,
+        _ => 0.61,
+    };
+    size_px * text.chars().map(em).sum::<f64>()
+}
+
+fn shortened(text: &str, size_px: f64, most_px: f64) -> String {
+    if width_px(text, size_px) <= most_px {
+        return text.to_owned();
+    }
+    let mut short = String::new();
+    for character in text.chars() {
+        if width_px(&short, size_px) + 2.0 * size_px > most_px {
+            break;
+        }
+        short.push(character);
+    }
+    format!("{}\u{2026}", short.trim_end())
+}
+
+fn colour(heat: f64) -> String {
+    let place = heat.clamp(0.0, 1.0) * (HEAT.len() - 1) as f64;
+    let lower = (place as usize).min(HEAT.len() - 2);
+    let part = place - lower as f64;
+    let channel = |index: usize| (HEAT[lower][index] * (1.0 - part) + HEAT[lower + 1][index] * part).round() as u8;
+    format!("#{:02x}{:02x}{:02x}", channel(0), channel(1), channel(2))
+}
+
+fn percent(probability: f64) -> String {
+    let percent = 100.0 * probability;
+    if percent >= 9.95 || percent == 0.0 {
+        format!("{percent:.0} %")
+    } else if percent >= 0.1 {
+        format!("{percent:.1} %")
+    } else {
+        "< 0.1 %".to_owned()
+    }
+}
+
+struct Label<'a> {
+    text: &'a str,
+    size_px: f64,
+    colour: &'a str,
+    bold: bool,
+    anchor: &'a str,
+    halo: bool,
+}
+
+impl<'a> Label<'a> {
+    fn new(text: &'a str, size_px: f64) -> Self {
+        Self { text, size_px, colour: INK, bold: false, anchor: "start", halo: false }
+    }
+
+    /// The text with its baseline so that it is centred on `y`.
+    fn at(&self, x: f64, y: f64) -> Text {
+        let text = Text::new(self.text)
+            .set("x", rounded(x))
+            .set("y", rounded(y + 0.36 * self.size_px))
+            .set("font-size", self.size_px)
+            .set("text-anchor", self.anchor)
+            .set("fill", self.colour);
+        let text = if self.bold { text.set("font-weight", "bold") } else { text };
+        if self.halo {
+            text.set("stroke", PAPER)
+                .set("stroke-width", 3.5)
+                .set("stroke-linejoin", "round")
+                .set("paint-order", "stroke")
+        } else {
+            text
+        }
+    }
+}
+
+fn rounded(pixels: f64) -> f64 {
+    (pixels * 10.0).round() / 10.0
+}
+
+struct Plan<'a> {
+    map: &'a SemanticMap,
+    grounding: &'a Grounding,
+    heat: Option<&'a Heat>,
+    largest_share: f64,
+    /// Pixels per metre.
+    scale: f64,
+    /// West and north end of the map, in metres.
+    origin_m: [f64; 2],
+    /// Pixels that the plan takes.
+    size_px: [f64; 2],
+    taken: Vec<Area>,
+}
+
+impl<'a> Plan<'a> {
+    fn new(map: &'a SemanticMap, grounding: &'a Grounding, heat: Option<&'a Heat>) -> Self {
+        // The rooms set the frame; an item far outside would shrink them to nothing.
+        let rooms = map.rooms.iter().map(|room| room.bounds);
+        let (mut min_m, mut max_m) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+        for bounds in rooms {
+            for axis in 0..2 {
+                min_m[axis] = min_m[axis].min(bounds.min_m[axis]);
+                max_m[axis] = max_m[axis].max(bounds.max_m[axis]);
+            }
+        }
+        let size_m = [max_m[0] - min_m[0], max_m[1] - min_m[1]];
+        let scale = (PLAN_PX[0] / size_m[0]).min(PLAN_PX[1] / size_m[1]);
+        Self {
+            map,
+            grounding,
+            heat,
+            largest_share: heat.map_or(0.0, |heat| heat.item_share.iter().copied().fold(0.0, f64::max)),
+            scale,
+            origin_m: [min_m[0], max_m[1]],
+            size_px: size_m.map(|metres| metres * scale),
+            taken: Vec::new(),
+        }
+    }
+
+    fn x(&self, east_m: f64) -> f64 {
+        MARGIN_PX + (east_m - self.origin_m[0]) * self.scale
+    }
+
+    fn y(&self, north_m: f64) -> f64 {
+        TITLE_PX + (self.origin_m[1] - north_m) * self.scale
+    }
+
+    fn area(&self, bounds: &Box3) -> Area {
+        Area {
+            left: self.x(bounds.min_m[0]),
+            right: self.x(bounds.max_m[0]),
+            top: self.y(bounds.max_m[1]),
+            bottom: self.y(bounds.min_m[1]),
+        }
+    }
+
+    fn frame(&self) -> Area {
+        Area { left: MARGIN_PX, right: MARGIN_PX + self.size_px[0], top: TITLE_PX, bottom: TITLE_PX + self.size_px[1] }
+    }
+
+    fn rectangle(&self, bounds: &Box3) -> Rectangle {
+        let area = self.area(bounds);
+        Rectangle::new()
+            .set("x", rounded(area.left))
+            .set("y", rounded(area.top))
+            .set("width", rounded(area.right - area.left))
+            .set("height", rounded(area.bottom - area.top))
+    }
+
+    fn draw(mut self) -> Document {
+        let panel_left = MARGIN_PX + self.size_px[0] + MARGIN_PX;
+        let width = panel_left + PANEL_PX + MARGIN_PX;
+        let panel = self.panel(panel_left);
+        let height = (TITLE_PX + self.size_px[1] + FOOT_PX).max(panel.1 + 24.0);
+        let names = self.partition_names();
+        let furniture_names = self.furniture_names();
+        let marked = self.marked_items();
+        Document::new()
+            .set("viewBox", (0, 0, rounded(width), rounded(height)))
+            .set("width", rounded(width))
+            .set("height", rounded(height))
+            .set("font-family", format!("'{FONT}', Verdana, sans-serif"))
+            .add(Rectangle::new().set("width", "100%").set("height", "100%").set("fill", PAPER))
+            .add(self.title(width))
+            .add(self.floors())
+            .add(self.furniture())
+            .add(self.walls())
+            .add(self.dots())
+            .add(furniture_names)
+            .add(names)
+            .add(marked)
+            .add(self.scale_bar())
+            .add(panel.0)
+    }
+
+    fn title(&self, width: f64) -> Group {
+        let map = self.map;
+        let facts = format!(
+            "{} items, {} labels, {} rooms \u{b7} map {}",
+            map.items.len(),
+            map.labels.len(),
+            map.rooms.len(),
+            map.short_fingerprint()
+        );
+        let caption = self.heat.map(|heat| heat.caption.as_str()).filter(|caption| !caption.is_empty());
+        let line = caption.unwrap_or(&facts);
+        let name = shortened(&map.name, 24.0, width - 2.0 * MARGIN_PX);
+        let line = shortened(line, 13.0, width - 2.0 * MARGIN_PX);
+        Group::new()
+            .add(Label { bold: true, ..Label::new(&name, 24.0) }.at(MARGIN_PX, 30.0))
+            .add(Label { colour: QUIET, ..Label::new(&line, 13.0) }.at(MARGIN_PX, 54.0))
+    }
+
+    /// The partitions' floors, warm where a person is expected.
+    fn floors(&self) -> Group {
+        let mut floors = Group::new();
+        for room in &self.map.rooms {
+            floors = floors.add(self.rectangle(&room.bounds).set("fill", FLOOR));
+        }
+        for (index, partition) in self.grounding.partitions.iter().enumerate() {
+            for bounds in &partition.boxes {
+                let floor = self.rectangle(bounds);
+                floors = floors.add(match self.heat {
+                    Some(heat) => floor.set("fill", colour(heat.partition_probability[index])).set("fill-opacity", 0.8),
+                    None => floor.set("fill", FLOOR),
+                });
+            }
+        }
+        floors
+    }
+
+    fn walls(&self) -> Group {
+        let mut walls = Group::new();
+        for part in &self.map.parts {
+            let outline = self.rectangle(&part.bounds);
+            walls = walls.add(outline.set("fill", "none").set("stroke", QUIET).set("stroke-dasharray", "3 5"));
+        }
+        for room in &self.map.rooms {
+            let outline = self.rectangle(&room.bounds);
+            walls = walls.add(
+                outline.set("fill", "none").set("stroke", WALL).set("stroke-width", 5).set("stroke-linejoin", "round"),
+            );
+        }
+        for door in &self.map.doors {
+            let rooms = door.rooms.map(|room| &self.map.rooms[room.0 as usize].bounds);
+            walls = walls.add(self.door(&door.position_m, rooms));
+        }
+        walls
+    }
+
+    /// A gap in the nearest wall of the rooms, with the leaf and its swing.
+    fn door(&self, position_m: &[f64; 3], rooms: [&Box3; 2]) -> Group {
+        let (x, y) = (self.x(position_m[0]), self.y(position_m[1]));
+        let half = 0.5 * DOOR_M * self.scale;
+        let to_wall = |axis: usize| {
+            let walls_m = rooms.iter().flat_map(|room| [room.min_m[axis], room.max_m[axis]]);
+            walls_m.map(|wall_m| (position_m[axis] - wall_m).abs()).fold(f64::INFINITY, f64::min)
+        };
+        let across = to_wall(0) < to_wall(1);
+        let (dx, dy) = if across { (0.0, half) } else { (half, 0.0) };
+        let gap = Line::new().set("x1", rounded(x - dx)).set("y1", rounded(y - dy));
+        let gap = gap.set("x2", rounded(x + dx)).set("y2", rounded(y + dy));
+        let (tip_x, tip_y) = if across { (x + 2.0 * half, y - half) } else { (x - half, y - 2.0 * half) };
+        let swing = format!(
+            "M {} {} L {} {} A {r} {r} 0 0 {} {} {}",
+            rounded(x - dx),
+            rounded(y - dy),
+            rounded(tip_x),
+            rounded(tip_y),
+            1,
+            rounded(x + dx),
+            rounded(y + dy),
+            r = rounded(2.0 * half),
+        );
+        Group::new()
+            .add(gap.set("stroke", PAPER).set("stroke-width", 7))
+            .add(Path::new().set("d", swing).set("fill", "none").set("stroke", WALL).set("stroke-width", 1.2))
+    }
+
+    fn is_structure(&self, index: usize) -> bool {
+        let label = self.map.items[index].label;
+        STRUCTURE.contains(&self.map.labels[label.0 as usize].as_str())
+    }
+
+    fn is_furniture(&self, index: usize) -> bool {
+        let bounds = &self.map.items[index].bounds;
+        let size_m = bounds.size_m();
+        let large = size_m[0].max(size_m[1]) >= FURNITURE_FROM_M && size_m[0].min(size_m[1]) > 0.05;
+        large && bounds.min_m[2] < OVERHEAD_M && !self.is_structure(index)
+    }
+
+    fn heat_of(&self, index: usize) -> Option<f64> {
+        let share = self.heat?.item_share[index];
+        // A square root, because a few items hold nearly all of the score and the others should still be told apart.
+        Some(if self.largest_share > 0.0 { (share / self.largest_share).sqrt() } else { 0.0 })
+    }
+
+    /// Indices of large things, what stands or lies higher after what bears it.
+    fn furniture_order(&self) -> Vec<usize> {
+        let items = &self.map.items;
+        let mut order: Vec<usize> = (0..items.len()).filter(|&index| self.is_furniture(index)).collect();
+        // A headboard is higher than the blanket on its bed, so where a thing begins counts first, in steps that forgive a
+        // millimetre.
+        let key = |index: usize| ((items[index].bounds.min_m[2] * 20.0).round(), items[index].bounds.max_m[2]);
+        let compare = |(a0, a1): (f64, f64), (b0, b1): (f64, f64)| a0.total_cmp(&b0).then(a1.total_cmp(&b1));
+        order.sort_by(|&a, &b| compare(key(a), key(b)));
+        order
+    }
+
+    /// Boxes of large things, the lower under the higher.
+    fn furniture(&self) -> Group {
+        let mut furniture = Group::new().set("stroke-width", 1);
+        for index in self.furniture_order() {
+            let bounds = &self.map.items[index].bounds;
+            // A rug lies under everything and hides nothing.
+            let flat = bounds.max_m[2] < 0.1;
+            let cold = if flat { RUG } else { FURNITURE };
+            furniture = furniture.add(
+                self.rectangle(bounds)
+                    .set("rx", 3)
+                    .set("fill", self.heat_of(index).map_or_else(|| cold.to_owned(), colour))
+                    .set("fill-opacity", if flat { 0.6 } else { 0.9 })
+                    .set("stroke", EDGE),
+            );
+        }
+        furniture
+    }
+
+    /// Small things, the warm ones larger and above the others.
+    fn dots(&self) -> Group {
+        let small = |index: &usize| !self.is_furniture(*index) && !self.is_structure(*index);
+        let mut order: Vec<usize> = (0..self.map.items.len()).filter(small).collect();
+        order.sort_by(|&a, &b| self.heat_of(a).unwrap_or(0.0).total_cmp(&self.heat_of(b).unwrap_or(0.0)));
+        let frame = self.frame();
+        let mut dots = Group::new();
+        for index in order {
+            let [east_m, north_m, _] = self.map.items[index].position_m;
+            let (x, y) = (self.x(east_m), self.y(north_m));
+            if !Area::around(x, y, 0.0, 0.0).within(&frame) {
+                continue;
+            }
+            let dot = Circle::new().set("cx", rounded(x)).set("cy", rounded(y));
+            dots = dots.add(match self.heat_of(index) {
+                Some(heat) => {
+                    let dot = dot.set("r", rounded(2.2 + 4.0 * heat)).set("fill", colour(0.12 + 0.88 * heat));
+                    dot.set("stroke", INK).set("stroke-width", 0.5).set("stroke-opacity", 0.25 + 0.6 * heat)
+                }
+                None => dot.set("r", 2.2).set("fill", DOT).set("fill-opacity", 0.7),
+            });
+        }
+        dots
+    }
+
+    /// Names of rooms or other partitions, each where it covers least, with its probability.
+    fn partition_names(&mut self) -> Group {
+        let mut names = Group::new();
+        for (index, partition) in self.grounding.partitions.iter().enumerate() {
+            let largest = |a: &&Box3, b: &&Box3| floor_m2(a).total_cmp(&floor_m2(b));
+            let Some(bounds) = partition.boxes.iter().max_by(largest) else { continue };
+            let area = self.area(bounds);
+            let probability = self.heat.map(|heat| percent(heat.partition_probability[index]));
+            let size_px = if self.grounding.partitions.len() <= 8 { 17.0 } else { 12.0 };
+            let name = shortened(&partition.label, size_px, (area.right - area.left - 24.0).max(40.0));
+            let width = width_px(&name, size_px) * BOLDER
+                + probability.as_ref().map_or(0.0, |text| width_px(text, size_px) + 12.0);
+            let (width, height) = (width + 20.0, size_px + 13.0);
+            let place = self.quietest(&area, width, height);
+            self.taken.push(place);
+            let middle = (place.top + place.bottom) / 2.0;
+            names = names.add(
+                Rectangle::new()
+                    .set("x", rounded(place.left))
+                    .set("y", rounded(place.top))
+                    .set("width", rounded(width))
+                    .set("height", rounded(height))
+                    .set("rx", rounded(height / 2.0))
+                    .set("fill", WALL),
+            );
+            names = names
+                .add(Label { bold: true, colour: PAPER, ..Label::new(&name, size_px) }.at(place.left + 10.0, middle));
+            if let Some(text) = probability {
+                let label = Label { colour: "#ffd9a0", anchor: "end", ..Label::new(&text, size_px) };
+                names = names.add(label.at(place.right - 10.0, middle));
+            }
+        }
+        names
+    }
+
+    /// The place of the given size in the area that covers the fewest things, nearest to the top left corner.
+    fn quietest(&self, area: &Area, width: f64, height: f64) -> Area {
+        let room_x = (area.right - area.left - width - 16.0).max(0.0);
+        let room_y = (area.bottom - area.top - height - 16.0).max(0.0);
+        let things: Vec<Area> = (0..self.map.items.len())
+            .filter(|&index| !self.is_structure(index))
+            .map(|index| {
+                let item = &self.map.items[index];
+                if self.is_furniture(index) {
+                    self.area(&item.bounds)
+                } else {
+                    Area::around(self.x(item.position_m[0]), self.y(item.position_m[1]), 5.0, 5.0)
+                }
+            })
+            .chain(self.map.doors.iter().map(|door| {
+                let size_px = 2.0 * DOOR_M * self.scale;
+                Area::around(self.x(door.position_m[0]), self.y(door.position_m[1]), size_px, size_px)
+            }))
+            .filter(|thing| thing.meets(area))
+            .collect();
+        const STEPS: usize = 24;
+        let mut best = (usize::MAX, Area::around(0.0, 0.0, 0.0, 0.0));
+        for step in 0..STEPS * STEPS {
+            let (down, right) = (step / STEPS, step % STEPS);
+            let left = area.left + 8.0 + room_x * right as f64 / (STEPS - 1) as f64;
+            let top = area.top + 8.0 + room_y * down as f64 / (STEPS - 1) as f64;
+            let place = Area { left, top, right: left + width, bottom: top + height };
+            let covered = things.iter().filter(|thing| thing.meets(&place)).count()
+                + 100 * self.taken.iter().filter(|taken| taken.meets(&place)).count();
+            if covered < best.0 {
+                best = (covered, place);
+            }
+        }
+        best.1
+    }
+
+    /// Names on the furniture that is large enough for them, from the top down, each where it hides least.
+    fn furniture_names(&mut self) -> Group {
+        let items = &self.map.items;
+        let order = self.furniture_order();
+        let dots: Vec<Area> = (0..items.len())
+            .filter(|&index| !self.is_furniture(index) && !self.is_structure(index))
+            .map(|index| Area::around(self.x(items[index].position_m[0]), self.y(items[index].position_m[1]), 4.0, 4.0))
+            .collect();
+        let mut above: Vec<Area> = Vec::new();
+        let mut names = Group::new();
+        for &index in order.iter().rev() {
+            let area = self.area(&items[index].bounds);
+            let text = &self.map.labels[items[index].label.0 as usize];
+            let (width, height) = (area.right - area.left - 6.0, area.bottom - area.top - 4.0);
+            if let Some(block) = TextBlock::fit(text, width, height) {
+                let dots: Vec<&Area> = dots.iter().filter(|dot| dot.meets(&area)).collect();
+                let cost = |place: &Area| {
+                    let hides = above.iter().chain(&self.taken).filter(|other| other.meets(place)).count();
+                    100 * hides + dots.iter().filter(|dot| dot.meets(place)).count()
+                };
+                let (place, cost) = block.best_place(&area, cost);
+                if cost < 100 {
+                    let hot = self.heat_of(index).is_some_and(|heat| heat > 0.7);
+                    names = names.add(block.draw(&place, hot));
+                    self.taken.push(place);
+                }
+            }
+            above.push(area);
+        }
+        names
+    }
+
+    /// With heat: names beside the small things that hold most of it.
+    fn marked_items(&mut self) -> Group {
+        let mut marks = Group::new();
+        let Some(heat) = self.heat else { return marks };
+        const MOST: usize = 14;
+        for index in warmest(&heat.item_share, MOST) {
+            let warm = self.heat_of(index).is_some_and(|heat| heat > 0.2);
+            if !warm || self.is_structure(index) || self.is_furniture(index) {
+                continue;
+            }
+            let [east_m, north_m, _] = self.map.items[index].position_m;
+            let (x, y) = (self.x(east_m), self.y(north_m));
+            let text = &self.map.labels[self.map.items[index].label.0 as usize];
+            let (size_px, width) = (11.5, width_px(text, 11.5) + 4.0);
+            let places = [
+                (0.0, -13.0),
+                (0.0, 14.0),
+                (width / 2.0 + 9.0, 0.0),
+                (-width / 2.0 - 9.0, 0.0),
+                (0.0, -26.0),
+                (0.0, 27.0),
+            ];
+            let frame = self.frame();
+            let free = places
+                .iter()
+                .map(|(dx, dy)| Area::around(x + dx, y + dy, width, size_px + 2.0))
+                .find(|place| place.within(&frame) && !self.taken.iter().any(|taken| taken.meets(place)));
+            if let Some(place) = free {
+                let label = Label { bold: true, anchor: "middle", halo: true, ..Label::new(text, size_px) };
+                marks = marks.add(label.at((place.left + place.right) / 2.0, (place.top + place.bottom) / 2.0));
+                self.taken.push(place);
+            }
+        }
+        marks
+    }
+
+    fn scale_bar(&self) -> Group {
+        let most_m = 160.0 / self.scale;
+        let length_m = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1_000.0, 5_000.0];
+        let length_m = length_m.into_iter().rfind(|length_m| *length_m <= most_m).unwrap_or(0.1);
+        let (left, y) = (MARGIN_PX, TITLE_PX + self.size_px[1] + 26.0);
+        let right = left + length_m * self.scale;
+        let line = format!("M {left} {} V {y} H {} V {}", y - 6.0, rounded(right), y - 6.0);
+        let text = format!("{length_m} m");
+        let north = MARGIN_PX + self.size_px[0] - 10.0;
+        Group::new()
+            .add(Path::new().set("d", line).set("fill", "none").set("stroke", INK).set("stroke-width", 1.5))
+            .add(Label { colour: QUIET, ..Label::new(&text, 12.0) }.at(right + 8.0, y - 3.0))
+            .add(Path::new().set("d", format!("M {north} {} l 6 16 l -6 -4 l -6 4 z", y - 14.0)).set("fill", INK))
+            .add(Label { colour: QUIET, anchor: "end", ..Label::new("north", 12.0) }.at(north - 12.0, y - 5.0))
+    }
+
+    /// The panel at the right and the pixel where it ends.
+    fn panel(&self, left: f64) -> (Group, f64) {
+        let mut panel = Group::new();
+        let mut y = TITLE_PX + 8.0;
+        let heading = |text: &'static str| Label { bold: true, ..Label::new(text, 14.0) };
+        const ROWS: usize = 12;
+        const BAR_PX: f64 = 92.0;
+
+        panel = panel.add(heading(if self.heat.is_some() { "Where next" } else { "What is where" }).at(left, y));
+        y += 26.0;
+        let partitions = &self.grounding.partitions;
+        let order = match self.heat {
+            Some(heat) => warmest(&heat.partition_probability, ROWS),
+            None => (0..partitions.len().min(ROWS)).collect(),
+        };
+        for &index in &order {
+            let name = shortened(&partitions[index].label, 13.0, PANEL_PX - BAR_PX - 70.0);
+            panel = panel.add(Label::new(&name, 13.0).at(left, y));
+            let value = if let Some(heat) = self.heat {
+                let probability = heat.partition_probability[index];
+                panel = panel.add(bar(
+                    left + PANEL_PX - BAR_PX - 58.0,
+                    y,
+                    BAR_PX,
+                    probability,
+                    &colour(probability.max(0.4)),
+                ));
+                percent(probability)
+            } else {
+                let own = PartitionId(u32::try_from(index).unwrap_or(u32::MAX));
+                let items = self.grounding.item_partition.iter().filter(|partition| **partition == Some(own)).count();
+                format!("{items} items")
+            };
+            panel =
+                panel.add(Label { anchor: "end", colour: QUIET, ..Label::new(&value, 13.0) }.at(left + PANEL_PX, y));
+            y += 22.0;
+        }
+        let hidden = partitions.len() - order.len();
+        if hidden > 0 {
+            let text = format!("and {hidden} more");
+            panel = panel.add(Label { colour: QUIET, ..Label::new(&text, 12.0) }.at(left, y));
+            y += 22.0;
+        }
+        let outside = self.grounding.unassigned.len();
+        if outside > 0 {
+            let text = format!("{outside} outside every partition");
+            panel = panel.add(Label { colour: "#b3261e", ..Label::new(&text, 12.0) }.at(left, y));
+            y += 22.0;
+        }
+
+        if let Some(heat) = self.heat {
+            y += 16.0;
+            panel = panel.add(heading("Warmest things").at(left, y));
+            y += 26.0;
+            for (label, share) in self.warmest_labels(heat, ROWS) {
+                let name = shortened(label, 13.0, PANEL_PX - BAR_PX - 70.0);
+                panel = panel.add(Label::new(&name, 13.0).at(left, y));
+                panel = panel.add(bar(left + PANEL_PX - BAR_PX - 58.0, y, BAR_PX, share, "#d4682f"));
+                let value = percent(share);
+                panel = panel
+                    .add(Label { anchor: "end", colour: QUIET, ..Label::new(&value, 13.0) }.at(left + PANEL_PX, y));
+                y += 22.0;
+            }
+            y += 18.0;
+            panel = panel.add(heat_scale(left, y));
+            y += 48.0;
+        }
+
+        y += 16.0;
+        panel = panel.add(heading("Legend").at(left, y));
+        y += 26.0;
+        let swatch = Rectangle::new().set("x", left).set("y", y - 8.0).set("width", 24).set("height", 16);
+        panel = panel
+            .add(swatch.set("rx", 3).set("fill", FURNITURE).set("stroke", EDGE))
+            .add(Label { colour: QUIET, ..Label::new("furniture, seen from above", 12.0) }.at(left + 36.0, y));
+        y += 24.0;
+        panel = panel
+            .add(Circle::new().set("cx", left + 12.0).set("cy", y).set("r", 3).set("fill", DOT))
+            .add(Label { colour: QUIET, ..Label::new("small or hanging thing", 12.0) }.at(left + 36.0, y));
+        y += 24.0;
+        let door = Line::new().set("x1", left).set("x2", left + 24.0).set("y1", y).set("y2", y);
+        panel = panel
+            .add(door.clone().set("stroke", WALL).set("stroke-width", 5))
+            .add(door.set("x1", left + 6.0).set("x2", left + 18.0).set("stroke", PAPER).set("stroke-width", 7))
+            .add(Label { colour: QUIET, ..Label::new("wall with a door", 12.0) }.at(left + 36.0, y));
+        y += 24.0;
+        if !self.map.parts.is_empty() {
+            let line = Line::new().set("x1", left).set("x2", left + 24.0).set("y1", y).set("y2", y);
+            panel = panel
+                .add(line.set("stroke", QUIET).set("stroke-dasharray", "3 5"))
+                .add(Label { colour: QUIET, ..Label::new("part of a room", 12.0) }.at(left + 36.0, y));
+            y += 24.0;
+        }
+        (panel, y)
+    }
+
+    /// Labels by the summed share of their items.
+    fn warmest_labels(&self, heat: &Heat, count: usize) -> Vec<(&'a str, f64)> {
+        let mut shares = vec![0.0; self.map.labels.len()];
+        for (item, share) in self.map.items.iter().zip(&heat.item_share) {
+            shares[item.label.0 as usize] += share;
+        }
+        warmest(&shares, count).into_iter().map(|label| (self.map.labels[label].as_str(), shares[label])).collect()
+    }
+}
+
+fn floor_m2(bounds: &Box3) -> f64 {
+    let size_m = bounds.size_m();
+    size_m[0] * size_m[1]
+}
+
+/// Indices of the largest values above zero, the largest first.
+fn warmest(values: &[f64], count: usize) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..values.len()).filter(|&index| values[index] > 0.0).collect();
+    order.sort_by(|&a, &b| values[b].total_cmp(&values[a]));
+    order.truncate(count);
+    order
+}
+
+fn bar(left: f64, y: f64, width: f64, share: f64, fill: &str) -> Group {
+    let track = Rectangle::new().set("x", rounded(left)).set("y", rounded(y - 5.0)).set("height", 10).set("rx", 3);
+    let filled = track.clone().set("width", rounded((width * share.clamp(0.0, 1.0)).max(1.5))).set("fill", fill);
+    Group::new().add(track.set("width", rounded(width)).set("fill", "#eeebe4")).add(filled)
+}
+
+fn heat_scale(left: f64, y: f64) -> Group {
+    let mut gradient = LinearGradient::new().set("id", "heat");
+    for step in 0..HEAT.len() {
+        let place = step as f64 / (HEAT.len() - 1) as f64;
+        gradient = gradient.add(Stop::new().set("offset", place).set("stop-color", colour(place)));
+    }
+    let strip = Rectangle::new().set("x", rounded(left)).set("y", rounded(y)).set("width", PANEL_PX).set("height", 10);
+    let end = |text: &'static str, anchor: &'static str| Label { colour: QUIET, anchor, ..Label::new(text, 12.0) };
+    Group::new()
+        .add(Definitions::new().add(gradient))
+        .add(strip.set("rx", 3).set("fill", "url(#heat)").set("stroke", "#e2ddd2").set("stroke-width", 0.5))
+        .add(end("unlikely", "start").at(left, y + 22.0))
+        .add(end("certain", "end").at(left + PANEL_PX, y + 22.0))
+}
+
+/// A text broken into lines, and turned where its place is narrow.
+struct TextBlock {
+    lines: Vec<String>,
+    size_px: f64,
+    upright: bool,
+    /// Pixels that it takes across and down the page.
+    extent_px: [f64; 2],
+}
+
+impl TextBlock {
+    /// The largest way to write the text into the given width and height; none when it could not be read there.
+    fn fit(text: &str, width: f64, height: f64) -> Option<Self> {
+        let by_word: Vec<String> = text.split(' ').map(str::to_owned).collect();
+        let layouts = [vec![text.to_owned()], by_word];
+        for upright in [false, true] {
+            for size_px in [13.0, 11.0, 9.5] {
+                for lines in &layouts {
+                    let along = lines.iter().map(|line| width_px(line, size_px)).fold(0.0, f64::max);
+                    let across = size_px * 1.15 * lines.len() as f64;
+                    let extent_px = if upright { [across, along] } else { [along, across] };
+                    if extent_px[0] <= width && extent_px[1] <= height {
+                        return Some(Self { lines: lines.clone(), size_px, upright, extent_px });
+                    }
+                }
+            }
+        }
+        None
+    }
+
+    /// The cheapest place in the area, among equal ones the nearest to its centre.
+    fn best_place(&self, area: &Area, cost: impl Fn(&Area) -> usize) -> (Area, usize) {
+        let [width, height] = self.extent_px;
+        let (x, y) = ((area.left + area.right) / 2.0, (area.top + area.bottom) / 2.0);
+        let room_x = ((area.right - area.left - width) / 2.0 - 3.0).max(0.0);
+        let room_y = ((area.bottom - area.top - height) / 2.0 - 2.0).max(0.0);
+        const STEPS: i32 = 4;
+        let step = |index: i32| f64::from(index) / f64::from(STEPS);
+        let steps = (-STEPS..=STEPS).flat_map(|down| (-STEPS..=STEPS).map(move |right| (right, down)));
+        let mut steps: Vec<(i32, i32)> = steps.collect();
+        steps.sort_by_key(|(right, down)| right * right + down * down);
+        let place = |(right, down): (i32, i32)| {
+            let place = Area::around(x + room_x * step(right), y + room_y * step(down), width, height);
+            (place, cost(&place))
+        };
+        let centre = place((0, 0));
+        steps.into_iter().skip(1).map(place).fold(centre, |best, next| if next.1 < best.1 { next } else { best })
+    }
+
+    fn draw(&self, place: &Area, hot: bool) -> Group {
+        let (x, y) = ((place.left + place.right) / 2.0, (place.top + place.bottom) / 2.0);
+        let mut group = Group::new();
+        for (line, text) in self.lines.iter().enumerate() {
+            let offset = (line as f64 - (self.lines.len() - 1) as f64 / 2.0) * self.size_px * 1.15;
+            let colour = if hot { PAPER } else { INK };
+            let label = Label { anchor: "middle", colour, halo: !hot, ..Label::new(text, self.size_px) };
+            group = group.add(label.at(x, y + offset));
+        }
+        if self.upright { group.set("transform", format!("rotate(-90 {} {})", rounded(x), rounded(y))) } else { group }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use roomcast_core::grounding::{GroundingOptions, PartitionLevel};
+
+    const TWO_ROOMS: &str = include_str!("../../tests/data/two_rooms.json");
+
+    fn drawn(text: &str, level: PartitionLevel, warm: bool) -> String {
+        let map = SemanticMap::from_json(text).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions { level, room_labels: true }).unwrap();
+        let partitions = grounding.partitions.len();
+        let scores: Vec<f64> = (0..map.items.len()).map(|index| -(index as f64)).collect();
+        let heat = Heat::new(&vec![1.0 / partitions as f64; partitions], &scores, "They grab the mug.");
+        svg(&map, &grounding, warm.then_some(&heat)).unwrap()
+    }
+
+    #[test]
+    fn every_level_is_drawn_with_and_without_heat() {
+        for level in [PartitionLevel::Part, PartitionLevel::Room, PartitionLevel::Group] {
+            for warm in [false, true] {
+                let text = drawn(TWO_ROOMS, level, warm);
+                assert_eq!(text.contains("They grab the mug."), warm);
+                usvg::Tree::from_str(&text, &usvg::Options::default()).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn a_picture_has_letters_without_fonts_of_the_machine() {
+        let with = png(&drawn(TWO_ROOMS, PartitionLevel::Room, true), 1.0).unwrap();
+        assert_eq!(with[..4], *b"\x89PNG");
+        let letters = r#"<svg xmlns="http://www.w3.org/2000/svg" width="60" height="30"><text y="20" font-family="DejaVu Sans">room</text></svg>"#;
+        let blank = r#"<svg xmlns="http://www.w3.org/2000/svg" width="60" height="30"/>"#;
+        assert_ne!(png(letters, 1.0).unwrap(), png(blank, 1.0).unwrap());
+    }
+
+    #[test]
+    fn names_cannot_break_the_drawing() {
+        let hostile = TWO_ROOMS.replace("\"label\": \"sofa\"", "\"label\": \"</text><script>&\"");
+        let text = drawn(&hostile, PartitionLevel::Room, true);
+        assert!(!text.contains("<script>"));
+        usvg::Tree::from_str(&text, &usvg::Options::default()).unwrap();
+    }
+
+    #[test]
+    fn heat_of_another_map_is_refused() {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        assert!(matches!(svg(&map, &grounding, Some(&Heat::default())), Err(DrawingError::OtherMap { .. })));
+    }
+
+    #[test]
+    fn shares_of_heat_sum_to_one() {
+        let heat = Heat::new(&[1.0], &[-1_000.0, -1_001.0, f64::NEG_INFINITY], "");
+        assert!((heat.item_share.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+        assert_eq!(Heat::new(&[1.0], &[f64::NEG_INFINITY], "").item_share, [0.0]);
+    }
+
+    #[test]
+    fn the_plan_is_the_same_each_time() {
+        assert_eq!(drawn(TWO_ROOMS, PartitionLevel::Room, true), drawn(TWO_ROOMS, PartitionLevel::Room, true));
+    }
+}

@@ -1,0 +1,258 @@
+//! Forecasts that need no language model: what the model must beat.
+
+use std::collections::{BTreeMap, HashMap};
+
+use serde::Deserialize;
+
+use crate::simulation::binding::Binder;
+use roomcast_core::grounding::Grounding;
+use roomcast_core::narration::Program;
+use roomcast_core::semantic_map::Names;
+
+/// How often objects follow one another in activity programs, in words and bound to no map. Immediate repeats of an object
+/// are not counted, as they are no targets either.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Statistics {
+    /// What the numbers are and where they come from.
+    pub about: String,
+    /// Number of programs counted.
+    pub programs: usize,
+    /// How often each object is turned to.
+    pub frequency: BTreeMap<String, f64>,
+    /// How often each object is next after another.
+    pub markov1: BTreeMap<String, BTreeMap<String, f64>>,
+    /// How often each object is next after two others, written `before>last`.
+    pub markov2: BTreeMap<String, BTreeMap<String, f64>>,
+}
+
+impl Statistics {
+    /// Reads the format of `models/household-statistics.json`.
+    ///
+    /// # Errors
+    /// When the text has another format.
+    pub fn from_json(text: &str) -> Result<Self, serde_json::Error> {
+        serde_json::from_str(text)
+    }
+
+    /// Counts over programs.
+    #[must_use]
+    pub fn fit<'a>(programs: impl IntoIterator<Item = &'a Program>) -> Self {
+        let mut counts = Self { about: "counted from the programs given".into(), ..Self::default() };
+        for program in programs {
+            counts.programs += 1;
+            let mut visited: Vec<String> = Vec::new();
+            for object in program.steps.iter().filter_map(|step| step.objects().first()) {
+                let words = object.words();
+                if visited.last() != Some(&words) {
+                    visited.push(words);
+                }
+            }
+            for words in &visited {
+                *counts.frequency.entry(words.clone()).or_default() += 1.0;
+            }
+            for pair in visited.windows(2) {
+                *counts.markov1.entry(pair[0].clone()).or_default().entry(pair[1].clone()).or_default() += 1.0;
+            }
+            for three in visited.windows(3) {
+                let context = format!("{}>{}", three[0], three[1]);
+                *counts.markov2.entry(context).or_default().entry(three[2].clone()).or_default() += 1.0;
+            }
+        }
+        counts
+    }
+}
+
+/// Counts of labels after one context.
+#[derive(Debug, Clone, Default)]
+struct Counts {
+    total: f64,
+    of_label: BTreeMap<usize, f64>,
+}
+
+impl Counts {
+    fn add(&mut self, label: usize, count: f64) {
+        self.total += count;
+        *self.of_label.entry(label).or_default() += count;
+    }
+
+    /// The mean of the counts and `strength` imagined ones that follow `prior`.
+    fn smoothed(counts: Option<&Self>, prior: &[f64], strength: f64) -> Vec<f64> {
+        let Some(counts) = counts else { return prior.to_vec() };
+        let mut smoothed: Vec<f64> = prior.iter().map(|p| strength * p / (strength + counts.total)).collect();
+        for (label, count) in &counts.of_label {
+            smoothed[*label] += count / (strength + counts.total);
+        }
+        smoothed
+    }
+}
+
+/// Strengths of a prior that are tried; leave-one-out likelihood chooses.
+const STRENGTHS: [f64; 8] = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0];
+
+/// Pseudo-count of each label in the frequencies: a label that was never seen is possible.
+const UNSEEN: f64 = 0.5;
+
+/// The baselines, bound to one map's labels. All give a probability per scored label.
+#[derive(Debug, Clone)]
+pub struct Baselines {
+    frequency: Vec<f64>,
+    first: HashMap<String, Counts>,
+    first_strength: f64,
+    second: HashMap<String, Counts>,
+    second_strength: f64,
+    /// Probability that the next object is in the room of the last.
+    stay: f64,
+}
+
+impl Baselines {
+    /// Binds the statistics to the labels of a map. Objects that the map lacks are left out as targets and kept as context.
+    #[must_use]
+    pub fn new(statistics: &Statistics, binder: &mut Binder<'_>, grounding: &Grounding) -> Self {
+        let labels = grounding.scored_labels.len();
+        let mut frequency = vec![UNSEEN; labels];
+        for (words, count) in &statistics.frequency {
+            if let Some(label) = binder.label(words) {
+                frequency[label] += count;
+            }
+        }
+        let total: f64 = frequency.iter().sum();
+        frequency.iter_mut().for_each(|p| *p /= total);
+
+        let mut bound = |table: &BTreeMap<String, BTreeMap<String, f64>>| {
+            let mut contexts: HashMap<String, Counts> = HashMap::new();
+            for (context, next) in table {
+                let key = context.split('>').map(|words| key(words, binder, grounding)).collect::<Vec<_>>().join(">");
+                let counts = contexts.entry(key).or_default();
+                for (words, count) in next {
+                    if let Some(label) = binder.label(words) {
+                        counts.add(label, *count);
+                    }
+                }
+            }
+            contexts
+        };
+        let (first, second) = (bound(&statistics.markov1), bound(&statistics.markov2));
+        let first_strength = best_strength(&first, |_| frequency.clone());
+        let prior = |context: &str| {
+            let last = context.rsplit('>').next().unwrap_or(context);
+            Counts::smoothed(first.get(last), &frequency, first_strength)
+        };
+        let second_strength = best_strength(&second, prior);
+        let stay = stay(statistics, binder, grounding);
+        Self { frequency, first, first_strength, second, second_strength, stay }
+    }
+
+    /// How often each label is turned to at all.
+    #[must_use]
+    pub fn frequency(&self) -> &[f64] {
+        &self.frequency
+    }
+
+    /// After the last object, given as a [`key`]; frequencies where it was never seen.
+    #[must_use]
+    pub fn markov1(&self, last: Option<&str>) -> Vec<f64> {
+        Counts::smoothed(last.and_then(|last| self.first.get(last)), &self.frequency, self.first_strength)
+    }
+
+    /// After the last two objects; as [`Baselines::markov1`] where the pair was never seen.
+    #[must_use]
+    pub fn markov2(&self, before: Option<&str>, last: Option<&str>) -> Vec<f64> {
+        let prior = self.markov1(last);
+        let context = before.zip(last).map(|(before, last)| format!("{before}>{last}"));
+        Counts::smoothed(context.and_then(|context| self.second.get(&context)), &prior, self.second_strength)
+    }
+
+    /// Per partition: the present one with the fitted probability of staying, the others alike. Uniform when the present
+    /// one is unknown.
+    #[must_use]
+    pub fn stay(&self, partition: Option<usize>, partitions: usize) -> Vec<f64> {
+        match partition {
+            Some(here) if partitions > 1 => {
+                let other = (1.0 - self.stay) / (partitions - 1) as f64;
+                (0..partitions).map(|p| if p == here { self.stay } else { other }).collect()
+            }
+            _ => vec![1.0 / partitions as f64; partitions],
+        }
+    }
+}
+
+/// The name under which an object is a context: its label in the map, so that synonyms count together, else its words.
+#[must_use]
+pub fn key(name: &str, binder: &mut Binder<'_>, grounding: &Grounding) -> String {
+    let label = binder.label(name);
+    label.map_or_else(|| Names::built_in().words(name), |label| grounding.scored_labels[label].text.clone())
+}
+
+/// The strength under which every count is likeliest when it is left out.
+fn best_strength(contexts: &HashMap<String, Counts>, prior: impl Fn(&str) -> Vec<f64>) -> f64 {
+    let mut likelihood = [0.0; STRENGTHS.len()];
+    for (context, counts) in contexts {
+        let prior = prior(context);
+        for (label, count) in &counts.of_label {
+            for (sum, strength) in likelihood.iter_mut().zip(STRENGTHS) {
+                let p = (count - 1.0 + strength * prior[*label]) / (counts.total - 1.0 + strength);
+                *sum += count * p.max(f64::MIN_POSITIVE).ln();
+            }
+        }
+    }
+    let best = likelihood.iter().zip(STRENGTHS).max_by(|a, b| a.0.total_cmp(b.0));
+    best.map_or(STRENGTHS[0], |(_, strength)| strength)
+}
+
+/// Probability that two objects that follow one another are in the same partition, their items drawn independently.
+fn stay(statistics: &Statistics, binder: &mut Binder<'_>, grounding: &Grounding) -> f64 {
+    let (mut same, mut all) = (1.0, 2.0);
+    for (last, next) in &statistics.markov1 {
+        let Some(from) = binder.label(last) else { continue };
+        for (words, count) in next {
+            if let Some(to) = binder.label(words) {
+                let (from, to) = (grounding.weights.row(from), grounding.weights.row(to));
+                same += count * from.dot(&to);
+                all += count * from.sum() * to.sum();
+            }
+        }
+    }
+    same / all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulation::binding::ItemChoice;
+    use roomcast_core::grounding::GroundingOptions;
+    use roomcast_core::semantic_map::SemanticMap;
+
+    #[test]
+    fn counts_follow_the_programs_and_sum_to_one() {
+        let text = "T\nd\n\n[Walk] <sofa> (1)\n[Find] <sofa> (1)\n[Walk] <fridge> (1)\n[StandUp]\n[Walk] <sofa> (1)\n";
+        let program = Program::parse(text).unwrap();
+        let statistics = Statistics::fit([&program, &program]);
+        assert_eq!(statistics.frequency["sofa"], 4.0);
+        assert_eq!(statistics.markov1["sofa"]["fridge"], 2.0);
+        assert_eq!(statistics.markov2["sofa>fridge"]["sofa"], 2.0);
+
+        let map = SemanticMap::from_json(include_str!("../../../scenes/studio.json")).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let mut binder = Binder::new(&map, &grounding, ItemChoice::Uniform);
+        let baselines = Baselines::new(&statistics, &mut binder, &grounding);
+        let fridge = binder.label("fridge").unwrap();
+        let likeliest = |p: &[f64]| (0..p.len()).max_by(|a, b| p[*a].total_cmp(&p[*b])).unwrap();
+        let key = key("couch", &mut binder, &grounding);
+        assert_eq!(likeliest(&baselines.markov1(Some(&key))), fridge);
+        for p in [
+            baselines.frequency().to_vec(),
+            baselines.markov1(Some("x")),
+            baselines.markov2(Some("fridge"), Some("sofa")),
+        ] {
+            assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+        }
+        assert!((baselines.stay(Some(1), 3).iter().sum::<f64>() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_shipped_statistics_can_be_read() {
+        let statistics = Statistics::from_json(include_str!("../../../models/household-statistics.json")).unwrap();
+        assert!(statistics.programs > 1000 && statistics.frequency.len() > 100);
+    }
+}

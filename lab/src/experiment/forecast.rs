@@ -1,0 +1,453 @@
+//! How well the next object and the next room are forecast, next to baselines on the same cases.
+//!
+//! A case is a step of a program: after action k, the *next object* is that of the next action which names an object other
+//! than the last one named (its first object, by its words), so that "walk to the cup, find the cup" earns nothing. Cases
+//! whose object the map lacks are left out. The *next room* is that of the item which the object is bound to
+//! ([`ItemChoice`]); *room-change* cases are those in which it is not the room of the last object that was bound. In these,
+//! *room-if-changed* asks every forecast where to, given that the person leaves: the current room is taken out of it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::baselines::{self, Baselines, Statistics};
+use super::metrics::{Summary, Sums, difference, summarise};
+use super::scores::{ScoreSource, ScoresError};
+use super::{ExperimentError, Progress};
+use crate::simulation::binding::{Binder, ItemChoice};
+use roomcast_core::grounding::{GroundedScores, Grounding};
+use roomcast_core::narration::history::HistoryLimits;
+use roomcast_core::narration::{Program, Sentence};
+use roomcast_core::prompt::BindingSequence;
+use roomcast_core::scorer::LanguageModel;
+use roomcast_core::scorer::correction::Correction;
+use roomcast_core::semantic_map::SemanticMap;
+
+/// A program and where it was read.
+#[derive(Debug, Clone)]
+pub struct NamedProgram {
+    /// Its file; a day of a household counts as one program.
+    pub path: PathBuf,
+    /// The program.
+    pub program: Program,
+}
+
+/// What a forecast is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Target {
+    /// The next object, among the map's labels.
+    Object,
+    /// The next room, over all cases.
+    Room,
+    /// The next room, over the cases in which the room changes.
+    RoomChange,
+    /// The next room among the others than the current one, over the cases in which the room changes.
+    RoomIfChanged,
+}
+
+/// One line of the table.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// Who forecasts.
+    pub predictor: &'static str,
+    /// What.
+    pub target: Target,
+    /// In which map.
+    pub scene: String,
+    /// How well.
+    #[serde(flatten)]
+    pub summary: Summary,
+    /// The model's figures less these, on the same cases resampled together; none for the model itself.
+    pub model_less_this: Option<Summary>,
+}
+
+/// The table, and what was left out of it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Report {
+    /// Cases of the target `object`, over all scenes.
+    pub cases: usize,
+    /// Programs evaluated.
+    pub programs: usize,
+    /// Next objects that the maps lack, the most frequent first, over all scenes.
+    pub unbound: Vec<(String, usize)>,
+    /// Share of next objects that the maps have.
+    pub bound_share: f64,
+    /// Scores that the model computed and the cache did not have.
+    pub computed: usize,
+    /// How scores were corrected.
+    pub correction: Correction,
+    /// The table.
+    pub rows: Vec<Row>,
+}
+
+/// How the evaluation is done.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// The window of narration.
+    pub history: HistoryLimits,
+    /// The binding sequence.
+    pub binding: BindingSequence,
+    /// Which of a label's items an object means.
+    pub items: ItemChoice,
+    /// Of the draws of items and of the bootstrap.
+    pub seed: u64,
+}
+
+const PREDICTORS: [&str; 7] = ["model", "uniform", "frequency", "markov1", "markov2", "stay", "no-narration"];
+const TARGETS: [Target; 4] = [Target::Object, Target::Room, Target::RoomChange, Target::RoomIfChanged];
+
+/// Reads every program below `folder` in the order of their paths; `folder` may be a single file. A household's day is read as one
+/// program. Files that are none are given back with their faults.
+///
+/// # Errors
+/// When the folder cannot be read or holds no program at all.
+pub fn load_programs(folder: &Path) -> Result<(Vec<NamedProgram>, Vec<String>), ExperimentError> {
+    let mut files = Vec::new();
+    let mut waiting = vec![folder.to_owned()];
+    while let Some(path) = waiting.pop() {
+        let failed = |source| ExperimentError::Read { path: path.clone(), source };
+        if std::fs::metadata(&path).map_err(failed)?.is_dir() {
+            for entry in std::fs::read_dir(&path).map_err(failed)? {
+                waiting.push(entry.map_err(failed)?.path());
+            }
+        } else if path.extension().is_some_and(|extension| extension == "txt") || path == folder {
+            files.push(path);
+        }
+    }
+    files.sort();
+    let (mut programs, mut faults) = (Vec::new(), Vec::new());
+    for path in files {
+        match crate::simulation::homer::load_any(&path) {
+            Ok(program) => programs.push(NamedProgram { path, program }),
+            Err(fault) => faults.push(fault.to_string()),
+        }
+    }
+    if programs.is_empty() {
+        return Err(ExperimentError::NoPrograms { path: folder.to_owned(), fault: faults.into_iter().next() });
+    }
+    Ok((programs, faults))
+}
+
+/// The cases of one program, after binding.
+struct Case {
+    /// The number of actions done.
+    done: usize,
+    object: usize,
+    room: Option<usize>,
+    here: Option<usize>,
+    before: Option<String>,
+    last: Option<String>,
+}
+
+fn cases(
+    program: &Program,
+    binder: &mut Binder<'_>,
+    grounding: &Grounding,
+    unbound: &mut BTreeMap<String, usize>,
+) -> Vec<Case> {
+    let steps = &program.steps;
+    let words: Vec<Option<String>> = steps.iter().map(|step| step.objects().first().map(|o| o.words())).collect();
+    let mut cases = Vec::new();
+    let (mut before, mut last): (Option<String>, Option<String>) = (None, None);
+    let (mut last_words, mut here) = (None, None);
+    let mut at_m = [0.0; 3];
+    for done in 1..=steps.len() {
+        let step = &steps[done - 1];
+        if let Some(object) = step.objects().first() {
+            if last_words != words[done - 1] {
+                before = last.replace(baselines::key(&object.name, binder, grounding));
+                last_words.clone_from(&words[done - 1]);
+            }
+            if let Some(place) = binder.bind(object, at_m) {
+                at_m = place.position_m;
+                here = place.partition.map(|p| p.0 as usize).or(here);
+            }
+        }
+        let next = (done..steps.len()).find(|next| words[*next].is_some() && words[*next] != last_words);
+        let Some(object) = next.and_then(|next| steps[next].objects().first()) else { continue };
+        let place = binder.bind(object, at_m);
+        let Some((place, label)) = place.and_then(|place| Some((place, place.label?))) else {
+            *unbound.entry(object.words()).or_default() += 1;
+            continue;
+        };
+        cases.push(Case {
+            done,
+            object: label,
+            room: place.partition.map(|p| p.0 as usize),
+            here,
+            before: before.clone(),
+            last: last.clone(),
+        });
+    }
+    cases
+}
+
+/// Evaluates in one map. Gives the rows, the cases, and counts what could not be bound into `unbound`.
+fn evaluate<M: LanguageModel>(
+    (map, grounding): &(SemanticMap, Grounding),
+    source: &mut ScoreSource<M>,
+    programs: &[NamedProgram],
+    statistics: &Statistics,
+    options: &Options,
+    unbound: &mut BTreeMap<String, usize>,
+    progress: &Progress,
+) -> Result<(Vec<Row>, usize), ExperimentError> {
+    let mut binder = Binder::new(map, grounding, options.items);
+    let baselines = Baselines::new(statistics, &mut binder, grounding);
+    let mut grounded = GroundedScores::default();
+    let blind = source.score([], &options.binding.clone().without_narration())?;
+    let (blind_labels, blind_rooms) = both(&blind, grounding, &mut grounded)?;
+    let (labels, rooms) = (grounding.scored_labels.len(), grounding.partitions.len());
+    let even_labels = vec![1.0 / labels as f64; labels];
+    let even_rooms = vec![1.0 / rooms as f64; rooms];
+    let frequency = baselines.frequency().to_vec();
+    let frequency_rooms = rooms_of(&frequency, grounding, &mut grounded)?;
+    let mut sums = vec![vec![Sums::default(); programs.len()]; PREDICTORS.len() * TARGETS.len()];
+    let mut count = 0;
+    let mut others = Vec::new();
+
+    for (index, NamedProgram { path, program }) in programs.iter().enumerate() {
+        binder.begin(options.seed, &path.file_stem().unwrap_or_default().to_string_lossy());
+        let cases = cases(program, &mut binder, grounding, unbound);
+        let Some(last) = cases.last() else {
+            progress.step();
+            continue;
+        };
+        let sentences = sentences(&program.steps[..last.done])?;
+        let rows = source.score_steps(&sentences, options.history, &options.binding)?;
+        for case in &cases {
+            count += 1;
+            let (model_labels, model_rooms) = both(&rows[case.done], grounding, &mut grounded)?;
+            let first = baselines.markov1(case.last.as_deref());
+            let second = baselines.markov2(case.before.as_deref(), case.last.as_deref());
+            let first_rooms = rooms_of(&first, grounding, &mut grounded)?;
+            let second_rooms = rooms_of(&second, grounding, &mut grounded)?;
+            let stay_rooms = baselines.stay(case.here, rooms);
+            let stay_labels = labels_in(&stay_rooms, grounding);
+            let forecasts: [(&[f64], &[f64]); PREDICTORS.len()] = [
+                (&model_labels, &model_rooms),
+                (&even_labels, &even_rooms),
+                (&frequency, &frequency_rooms),
+                (&first, &first_rooms),
+                (&second, &second_rooms),
+                (&stay_labels, &stay_rooms),
+                (&blind_labels, &blind_rooms),
+            ];
+            for (predictor, (of_labels, of_rooms)) in forecasts.into_iter().enumerate() {
+                let row = predictor * TARGETS.len();
+                sums[row][index].add(of_labels, case.object);
+                if let Some(room) = case.room {
+                    sums[row + 1][index].add(of_rooms, room);
+                    if let Some(here) = case.here.filter(|here| *here != room) {
+                        sums[row + 2][index].add(of_rooms, room);
+                        without(of_rooms, here, &mut others);
+                        sums[row + 3][index].add(&others, room);
+                    }
+                }
+            }
+        }
+        progress.step();
+    }
+    source.flush()?;
+    let rows = sums
+        .iter()
+        .enumerate()
+        .map(|(index, groups)| Row {
+            predictor: PREDICTORS[index / TARGETS.len()],
+            target: TARGETS[index % TARGETS.len()],
+            scene: map.name.clone(),
+            summary: summarise(groups, options.seed),
+            // The model is the first predictor.
+            model_less_this: (index >= TARGETS.len())
+                .then(|| difference(&sums[index % TARGETS.len()], groups, options.seed)),
+        })
+        .collect();
+    Ok((rows, count))
+}
+
+/// Evaluates in several maps; `open` gives the source of scores for a map's labels.
+///
+/// # Errors
+/// When a model, a map or the cache fails, or no case is left.
+pub fn run<M: LanguageModel>(
+    maps: &[(SemanticMap, Grounding)],
+    programs: &[NamedProgram],
+    statistics: &Statistics,
+    options: &Options,
+    progress: &Progress,
+    mut open: impl FnMut(&Grounding) -> Result<ScoreSource<M>, ExperimentError>,
+) -> Result<Report, ExperimentError> {
+    let mut report = Report {
+        cases: 0,
+        programs: programs.len(),
+        unbound: Vec::new(),
+        bound_share: 0.0,
+        computed: 0,
+        correction: Correction::default(),
+        rows: Vec::new(),
+    };
+    let mut unbound = BTreeMap::new();
+    for scene in maps {
+        let mut source = open(&scene.1)?;
+        let (rows, cases) = evaluate(scene, &mut source, programs, statistics, options, &mut unbound, progress)?;
+        if cases == 0 {
+            return Err(ExperimentError::NothingBound { scene: scene.0.name.clone() });
+        }
+        report.cases += cases;
+        report.computed += source.computed();
+        report.correction = source.correction();
+        report.rows.extend(rows);
+    }
+    let missing: usize = unbound.values().sum();
+    report.bound_share = report.cases as f64 / (report.cases + missing) as f64;
+    report.unbound = unbound.into_iter().collect();
+    report.unbound.sort_by(|a, b| b.1.cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
+    Ok(report)
+}
+
+/// The sentences of actions.
+///
+/// # Errors
+/// When an object's name makes no sentence.
+pub fn sentences(steps: &[roomcast_core::narration::Action]) -> Result<Vec<Sentence>, ExperimentError> {
+    steps.iter().map(|step| Ok(Sentence::new(&step.sentence())?)).collect()
+}
+
+/// Probabilities over the labels (s_c normalised) and over the partitions, from ln s_c.
+fn both(
+    log_prob_nats: &[f64],
+    grounding: &Grounding,
+    grounded: &mut GroundedScores,
+) -> Result<(Vec<f64>, Vec<f64>), ExperimentError> {
+    grounding.ground(log_prob_nats, grounded)?;
+    let greatest = log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let mut labels: Vec<f64> = log_prob_nats.iter().map(|l| (l - greatest).exp()).collect();
+    let total: f64 = labels.iter().sum();
+    labels.iter_mut().for_each(|p| *p /= total);
+    Ok((labels, grounded.partition_probability.clone()))
+}
+
+/// Probabilities given that it is not `room`.
+fn without(rooms: &[f64], room: usize, out: &mut Vec<f64>) {
+    out.clear();
+    out.extend_from_slice(rooms);
+    out[room] = 0.0;
+    let total: f64 = out.iter().sum();
+    out.iter_mut().for_each(|p| *p /= total.max(f64::MIN_POSITIVE));
+}
+
+fn rooms_of(labels: &[f64], grounding: &Grounding, grounded: &mut GroundedScores) -> Result<Vec<f64>, ExperimentError> {
+    // Rounding may leave a probability above one, which is no log-probability.
+    let log_prob_nats: Vec<f64> = labels.iter().map(|p| p.ln().min(0.0)).collect();
+    grounding.ground(&log_prob_nats, grounded)?;
+    Ok(grounded.partition_probability.clone())
+}
+
+/// A forecast of rooms as one of labels: each room's probability in equal parts to the items in it.
+fn labels_in(rooms: &[f64], grounding: &Grounding) -> Vec<f64> {
+    let items = |room: usize| -> Vec<f64> {
+        grounding
+            .scored_labels
+            .iter()
+            .enumerate()
+            .map(|(c, label)| grounding.weights[(c, room)] * label.count)
+            .collect()
+    };
+    // Labels all of whose items lie outside every room keep a little, since they can still be next.
+    let mut labels = vec![1e-6; grounding.scored_labels.len()];
+    for (room, probability) in rooms.iter().enumerate() {
+        let items = items(room);
+        let total: f64 = items.iter().sum();
+        if total > 0.0 {
+            labels.iter_mut().zip(&items).for_each(|(label, count)| *label += probability * count / total);
+        }
+    }
+    let total: f64 = labels.iter().sum();
+    labels.iter_mut().for_each(|p| *p /= total);
+    labels
+}
+
+impl From<ScoresError> for ExperimentError {
+    fn from(error: ScoresError) -> Self {
+        Self::Scores(error)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use roomcast_core::grounding::GroundingOptions;
+    use roomcast_core::scorer::correction::CorrectionChoice;
+    use roomcast_core::scorer::table::TableModel;
+    use roomcast_core::scorer::{Method, Tokenisation};
+
+    fn studio() -> (SemanticMap, Grounding) {
+        let map = SemanticMap::from_json(include_str!("../../../scenes/studio.json")).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        (map, grounding)
+    }
+
+    #[test]
+    fn a_case_is_a_step_with_another_object_ahead() {
+        let (map, grounding) = studio();
+        let mut binder = Binder::new(&map, &grounding, ItemChoice::First);
+        let text =
+            "T\nd\n\n[Walk] <fridge> (1)\n[Open] <fridge> (1)\n[Find] <spaceship> (1)\n[Sit] <couch> (1)\n[StandUp]\n";
+        let program = Program::parse(text).unwrap();
+        let mut unbound = BTreeMap::new();
+        let cases = cases(&program, &mut binder, &grounding, &mut unbound);
+        // After walk and open the spaceship is next and cannot be bound; after it, the sofa; then nothing.
+        assert_eq!(unbound, BTreeMap::from([("spaceship".to_owned(), 2)]));
+        assert_eq!(cases.len(), 1);
+        assert_eq!(
+            (cases[0].done, cases[0].last.as_deref(), cases[0].before.as_deref()),
+            (3, Some("spaceship"), Some("fridge"))
+        );
+        assert_eq!(grounding.scored_labels[cases[0].object].text, "sofa");
+        assert_ne!(cases[0].room, cases[0].here);
+    }
+
+    #[test]
+    fn the_report_has_every_predictor_and_target_for_each_scene() {
+        let programs = crate::PROGRAMS
+            .map(|(name, text)| NamedProgram { path: name.into(), program: Program::parse(text).unwrap() });
+        let statistics = Statistics::fit(programs.iter().map(|p| &p.program));
+        let options = Options {
+            history: HistoryLimits::default(),
+            binding: BindingSequence::default(),
+            items: ItemChoice::Uniform,
+            seed: 1,
+        };
+        let run = || {
+            run(&[studio()], &programs, &statistics, &options, &Progress::hidden(), |grounding| {
+                Ok(ScoreSource::new(
+                    TableModel::new(1),
+                    &grounding.label_texts(),
+                    Method::Trie,
+                    Tokenisation::Joint,
+                    CorrectionChoice::default(),
+                    None,
+                )?)
+            })
+            .unwrap()
+        };
+        let report = run();
+        assert_eq!(report.rows.len(), 28);
+        assert!(report.cases > 40 && report.rows.iter().all(|row| row.summary.nll_nats.is_finite()));
+        let find =
+            |predictor, target| report.rows.iter().find(|r| r.predictor == predictor && r.target == target).unwrap();
+        assert_eq!(find("stay", Target::RoomChange).summary.top1, 0.0);
+        let uniform = find("uniform", Target::Room).summary;
+        assert!((uniform.nll_nats - 3f64.ln()).abs() < 1e-9 && (uniform.top1 - 1.0 / 3.0).abs() < 1e-9);
+        // Of three rooms two are left to somebody who leaves one of them.
+        let chance = find("uniform", Target::RoomIfChanged).summary;
+        assert!((chance.nll_nats - 2f64.ln()).abs() < 1e-9 && (chance.top1 - 0.5).abs() < 1e-9);
+        assert!(find("model", Target::RoomIfChanged).summary.top1 >= find("model", Target::RoomChange).summary.top1);
+        // Fitted on the very programs, a chain of second order is better than one of first, and that than frequencies.
+        let nll = |predictor| find(predictor, Target::Object).summary.nll_nats;
+        assert!(nll("markov2") <= nll("markov1") && nll("markov1") < nll("frequency"));
+        assert_eq!(report, run());
+    }
+}

@@ -1,0 +1,713 @@
+//! Reads and checks the header of a GGUF model file without llama.cpp.
+//!
+//! llama.cpp trusts a model file further than a service may: some broken vocabularies end the process. So every file is read
+//! here first, in safe code with a limit on everything, and only a file whose metadata, vocabulary and tensor extents are
+//! consistent is handed on. The same header feeds `roomcast model info`.
+//!
+//! Format: GGUF versions 2 and 3, little-endian, as llama.cpp writes them: magic, version, tensor count, metadata count, metadata
+//! (key, type, value), tensor descriptions (name, shape, type, offset), padding to the alignment, tensor data.
+
+use std::collections::{BTreeMap, HashSet};
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::{Path, PathBuf};
+
+/// Metadata entries that a header may have; known models have fewer than a hundred.
+pub const METADATA_ENTRIES_MAX: u64 = 4_096;
+/// Tensors that a file may describe; models of 400 billion parameters have about two thousand.
+pub const TENSORS_MAX: u64 = 65_536;
+/// Bytes of one key or one string of the metadata; chat templates are the longest, with some tens of kilobytes.
+pub const STRING_BYTES_MAX: u64 = 1 << 20;
+/// Elements of one metadata array; the largest vocabularies have about 300 000 tokens.
+pub const ARRAY_ELEMENTS_MAX: u64 = 1 << 22;
+/// Bytes of one tensor name, the terminating zero of llama.cpp's buffer included.
+const TENSOR_NAME_BYTES_MAX: u64 = 64;
+/// Dimensions of a tensor in ggml.
+const DIMENSIONS_MAX: u32 = 4;
+/// Alignment of the tensor data where `general.alignment` does not say otherwise.
+const ALIGNMENT_BYTES_DEFAULT: u64 = 32;
+
+/// Why a file is not a usable GGUF model.
+#[derive(Debug, thiserror::Error)]
+pub enum GgufError {
+    /// The file cannot be opened or read.
+    #[error("failed to read model file {path}: {source}; check the path and its permissions")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The first four bytes are not `GGUF`.
+    #[error(
+        "{path} is no GGUF model: it starts with \"{found}\", not with \"GGUF\"; convert it with llama.cpp's convert_hf_to_gguf.py or choose a .gguf file"
+    )]
+    Magic {
+        /// The file.
+        path: PathBuf,
+        /// Its first four bytes, unprintable ones escaped.
+        found: String,
+    },
+    /// A version other than 2 and 3, or a big-endian file.
+    #[error(
+        "{path} has GGUF version {version}, and versions 2 and 3 in little-endian order can be read; convert the model again with a current llama.cpp"
+    )]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// The version that the file names.
+        version: u32,
+    },
+    /// The file ends inside the header or before its last tensor.
+    #[error(
+        "{path} is truncated: {place} needs bytes up to {needed}, and the file has {size_bytes}; copy or download it again"
+    )]
+    Truncated {
+        /// The file.
+        path: PathBuf,
+        /// What was being read.
+        place: String,
+        /// Where the file would have to end, in bytes from its start.
+        needed: u64,
+        /// The file's size, in bytes.
+        size_bytes: u64,
+    },
+    /// The header contradicts itself or passes a limit.
+    #[error(
+        "{path} is malformed at {place}: {reason}; the file is damaged or was written by a faulty tool, get it again from its source"
+    )]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// The metadata key or the tensor.
+        place: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A sound GGUF file that holds no language model that can score text.
+    #[error(
+        "{path} holds no language model that Roomcast can run: {reason}; choose a GGUF file of a causal language model with its vocabulary"
+    )]
+    NotALanguageModel {
+        /// The file.
+        path: PathBuf,
+        /// What is missing.
+        reason: String,
+    },
+}
+
+/// A metadata value. Arrays are checked and counted, and only those that a check needs are kept.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Value {
+    /// Any of the unsigned integers.
+    Unsigned(u64),
+    /// Any of the signed integers.
+    Signed(i64),
+    /// f32 or f64.
+    Float(f64),
+    /// A boolean.
+    Bool(bool),
+    /// Text; bytes that are not UTF-8 are replaced.
+    Text(String),
+    /// An array: the name of its element type, and its length.
+    Array {
+        /// Element type as GGUF names it: `u8`, `i32`, `f32`, `string`, ...
+        element: &'static str,
+        /// Number of elements.
+        length: u64,
+    },
+}
+
+/// One tensor of the file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Tensor {
+    /// Name, such as `blk.0.attn_q.weight`.
+    pub name: String,
+    /// Elements per dimension, fastest first.
+    pub shape: Vec<u64>,
+    /// Name of the ggml type, such as `Q4_0`.
+    pub kind: &'static str,
+    /// Number of elements, the product of the shape.
+    pub elements: u64,
+    /// Start in the file, in bytes.
+    pub start: u64,
+    /// Size in the file, in bytes.
+    pub size_bytes: u64,
+}
+
+/// The checked header of a GGUF file.
+#[derive(Debug, Clone)]
+pub struct Header {
+    path: PathBuf,
+    /// GGUF version, 2 or 3.
+    pub version: u32,
+    /// Size of the file, in bytes.
+    pub size_bytes: u64,
+    /// Metadata by key.
+    pub metadata: BTreeMap<String, Value>,
+    /// Tensors in the order of the file.
+    pub tensors: Vec<Tensor>,
+    vocabulary: Vec<Vec<u8>>,
+}
+
+/// Name, elements per block and bytes per block of a ggml tensor type; none for the numbers that ggml has retired or not given.
+fn tensor_type(number: u32) -> Option<(&'static str, u64, u64)> {
+    Some(match number {
+        0 => ("F32", 1, 4),
+        1 => ("F16", 1, 2),
+        2 => ("Q4_0", 32, 18),
+        3 => ("Q4_1", 32, 20),
+        6 => ("Q5_0", 32, 22),
+        7 => ("Q5_1", 32, 24),
+        8 => ("Q8_0", 32, 34),
+        9 => ("Q8_1", 32, 36),
+        10 => ("Q2_K", 256, 84),
+        11 => ("Q3_K", 256, 110),
+        12 => ("Q4_K", 256, 144),
+        13 => ("Q5_K", 256, 176),
+        14 => ("Q6_K", 256, 210),
+        15 => ("Q8_K", 256, 292),
+        16 => ("IQ2_XXS", 256, 66),
+        17 => ("IQ2_XS", 256, 74),
+        18 => ("IQ3_XXS", 256, 98),
+        19 => ("IQ1_S", 256, 50),
+        20 => ("IQ4_NL", 32, 18),
+        21 => ("IQ3_S", 256, 110),
+        22 => ("IQ2_S", 256, 82),
+        23 => ("IQ4_XS", 256, 136),
+        24 => ("I8", 1, 1),
+        25 => ("I16", 1, 2),
+        26 => ("I32", 1, 4),
+        27 => ("I64", 1, 8),
+        28 => ("F64", 1, 8),
+        29 => ("IQ1_M", 256, 56),
+        30 => ("BF16", 1, 2),
+        34 => ("TQ1_0", 256, 54),
+        35 => ("TQ2_0", 256, 66),
+        39 => ("MXFP4", 32, 17),
+        40 => ("NVFP4", 64, 36),
+        41 => ("Q1_0", 128, 18),
+        42 => ("Q2_0", 64, 18),
+        _ => return None,
+    })
+}
+
+/// Name and size in bytes of a metadata type of fixed size; strings are type 8, arrays type 9.
+fn scalar_type(number: u32) -> Option<(&'static str, u64)> {
+    Some(match number {
+        0 => ("u8", 1),
+        1 => ("i8", 1),
+        2 => ("u16", 2),
+        3 => ("i16", 2),
+        4 => ("u32", 4),
+        5 => ("i32", 4),
+        6 => ("f32", 4),
+        7 => ("bool", 1),
+        10 => ("u64", 8),
+        11 => ("i64", 8),
+        12 => ("f64", 8),
+        _ => return None,
+    })
+}
+
+const TYPE_STRING: u32 = 8;
+const TYPE_ARRAY: u32 = 9;
+const VOCABULARY_KEY: &str = "tokenizer.ggml.tokens";
+
+/// A reader that knows its place in the file, so that every error can name it and no length is believed before it is checked.
+struct Cursor<'a> {
+    input: BufReader<File>,
+    path: &'a Path,
+    position: u64,
+    size_bytes: u64,
+}
+
+impl Cursor<'_> {
+    fn malformed(&self, place: &str, reason: impl Into<String>) -> GgufError {
+        GgufError::Malformed { path: self.path.to_owned(), place: place.to_owned(), reason: reason.into() }
+    }
+
+    /// Fails where fewer than `bytes` remain, before anything of that size is allocated.
+    fn require(&self, bytes: u64, place: &str) -> Result<(), GgufError> {
+        let needed = self.position.saturating_add(bytes);
+        if needed > self.size_bytes {
+            return Err(GgufError::Truncated {
+                path: self.path.to_owned(),
+                place: place.to_owned(),
+                needed,
+                size_bytes: self.size_bytes,
+            });
+        }
+        Ok(())
+    }
+
+    fn fill(&mut self, buffer: &mut [u8], place: &str) -> Result<(), GgufError> {
+        self.require(buffer.len() as u64, place)?;
+        self.input.read_exact(buffer).map_err(|source| GgufError::Io { path: self.path.to_owned(), source })?;
+        self.position += buffer.len() as u64;
+        Ok(())
+    }
+
+    fn skip(&mut self, bytes: u64, place: &str) -> Result<(), GgufError> {
+        self.require(bytes, place)?;
+        // Relative, so that what is already buffered is not read again.
+        let step = i64::try_from(bytes).map_err(|_| self.malformed(place, "its size passes 2^63 bytes"))?;
+        self.input.seek_relative(step).map_err(|source| GgufError::Io { path: self.path.to_owned(), source })?;
+        self.position += bytes;
+        Ok(())
+    }
+
+    fn bytes<const N: usize>(&mut self, place: &str) -> Result<[u8; N], GgufError> {
+        let mut buffer = [0; N];
+        self.fill(&mut buffer, place)?;
+        Ok(buffer)
+    }
+
+    fn u32(&mut self, place: &str) -> Result<u32, GgufError> {
+        self.bytes(place).map(u32::from_le_bytes)
+    }
+
+    fn u64(&mut self, place: &str) -> Result<u64, GgufError> {
+        self.bytes(place).map(u64::from_le_bytes)
+    }
+
+    fn string(&mut self, limit_bytes: u64, place: &str) -> Result<Vec<u8>, GgufError> {
+        let length = self.u64(place)?;
+        if length > limit_bytes {
+            return Err(self.malformed(place, format!("a string of {length} bytes, the limit is {limit_bytes}")));
+        }
+        self.require(length, place)?;
+        // Checked against the limit above, which fits any usize.
+        let mut buffer = vec![0; length as usize];
+        self.fill(&mut buffer, place)?;
+        Ok(buffer)
+    }
+
+    fn value(&mut self, key: &str, vocabulary: &mut Vec<Vec<u8>>) -> Result<Value, GgufError> {
+        let number = self.u32(key)?;
+        Ok(match number {
+            0 => Value::Unsigned(u64::from(self.bytes::<1>(key)?[0])),
+            1 => Value::Signed(i64::from(i8::from_le_bytes(self.bytes(key)?))),
+            2 => Value::Unsigned(u64::from(u16::from_le_bytes(self.bytes(key)?))),
+            3 => Value::Signed(i64::from(i16::from_le_bytes(self.bytes(key)?))),
+            4 => Value::Unsigned(u64::from(self.u32(key)?)),
+            5 => Value::Signed(i64::from(i32::from_le_bytes(self.bytes(key)?))),
+            6 => Value::Float(f64::from(f32::from_le_bytes(self.bytes(key)?))),
+            7 => Value::Bool(self.bytes::<1>(key)?[0] != 0),
+            TYPE_STRING => Value::Text(String::from_utf8_lossy(&self.string(STRING_BYTES_MAX, key)?).into_owned()),
+            TYPE_ARRAY => self.array(key, vocabulary)?,
+            10 => Value::Unsigned(self.u64(key)?),
+            11 => Value::Signed(i64::from_le_bytes(self.bytes(key)?)),
+            12 => Value::Float(f64::from_le_bytes(self.bytes(key)?)),
+            _ => return Err(self.malformed(key, format!("unknown value type {number}"))),
+        })
+    }
+
+    fn array(&mut self, key: &str, vocabulary: &mut Vec<Vec<u8>>) -> Result<Value, GgufError> {
+        let number = self.u32(key)?;
+        let length = self.u64(key)?;
+        if length > ARRAY_ELEMENTS_MAX {
+            return Err(
+                self.malformed(key, format!("an array of {length} elements, the limit is {ARRAY_ELEMENTS_MAX}"))
+            );
+        }
+        if number == TYPE_STRING {
+            for _ in 0..length {
+                let text = self.string(STRING_BYTES_MAX, key)?;
+                if key == VOCABULARY_KEY {
+                    vocabulary.push(text);
+                }
+            }
+            return Ok(Value::Array { element: "string", length });
+        }
+        let Some((element, element_bytes)) = scalar_type(number) else {
+            return Err(self.malformed(key, format!("an array of the unknown or nested type {number}")));
+        };
+        self.skip(length * element_bytes, key)?;
+        Ok(Value::Array { element, length })
+    }
+
+    fn tensor(&mut self, index: u64) -> Result<(Tensor, u64), GgufError> {
+        let place = format!("tensor {index}");
+        let name = String::from_utf8_lossy(&self.string(TENSOR_NAME_BYTES_MAX - 1, &place)?).into_owned();
+        let place = format!("tensor {name:?}");
+        let dimensions = self.u32(&place)?;
+        if dimensions > DIMENSIONS_MAX {
+            return Err(self.malformed(&place, format!("{dimensions} dimensions, the limit is {DIMENSIONS_MAX}")));
+        }
+        let mut shape = Vec::with_capacity(dimensions as usize);
+        let mut elements: u64 = 1;
+        for _ in 0..dimensions {
+            let extent = self.u64(&place)?;
+            elements = elements
+                .checked_mul(extent)
+                .filter(|&elements| elements > 0 && i64::try_from(elements).is_ok())
+                .ok_or_else(|| self.malformed(&place, "an empty shape, or one with more than 2^63 elements"))?;
+            shape.push(extent);
+        }
+        let number = self.u32(&place)?;
+        let Some((kind, block_elements, block_bytes)) = tensor_type(number) else {
+            return Err(self.malformed(&place, format!("unknown tensor type {number}")));
+        };
+        if shape.first().copied().unwrap_or(1) % block_elements != 0 {
+            return Err(
+                self.malformed(&place, format!("rows that are no multiple of {kind}'s {block_elements} elements"))
+            );
+        }
+        let size_bytes = (elements / block_elements)
+            .checked_mul(block_bytes)
+            .ok_or_else(|| self.malformed(&place, "a size of more than 2^64 bytes"))?;
+        let offset = self.u64(&place)?;
+        Ok((Tensor { name, shape, kind, elements, start: 0, size_bytes }, offset))
+    }
+}
+
+impl Header {
+    /// Reads and checks the header of the file at `path`; its tensor data is not read.
+    ///
+    /// # Errors
+    ///
+    /// [`GgufError`] for a file that cannot be read, is no GGUF, is truncated anywhere (the tensor data included), passes one of
+    /// this module's limits or contradicts itself.
+    pub fn read(path: &Path) -> Result<Self, GgufError> {
+        let io = |source| GgufError::Io { path: path.to_owned(), source };
+        let file = File::open(path).map_err(io)?;
+        let about = file.metadata().map_err(io)?;
+        if about.is_dir() {
+            return Err(io(std::io::ErrorKind::IsADirectory.into()));
+        }
+        let mut cursor = Cursor { input: BufReader::new(file), path, position: 0, size_bytes: about.len() };
+
+        let magic: [u8; 4] = cursor.bytes("the magic number")?;
+        if &magic != b"GGUF" {
+            return Err(GgufError::Magic { path: path.to_owned(), found: magic.escape_ascii().to_string() });
+        }
+        let version = cursor.u32("the version")?;
+        if !(2..=3).contains(&version) {
+            return Err(GgufError::Version { path: path.to_owned(), version });
+        }
+        let tensor_count = cursor.u64("the tensor count")?;
+        let metadata_count = cursor.u64("the metadata count")?;
+        if tensor_count > TENSORS_MAX {
+            return Err(cursor.malformed("the tensor count", format!("{tensor_count}, the limit is {TENSORS_MAX}")));
+        }
+        if metadata_count > METADATA_ENTRIES_MAX {
+            let reason = format!("{metadata_count}, the limit is {METADATA_ENTRIES_MAX}");
+            return Err(cursor.malformed("the metadata count", reason));
+        }
+
+        let mut metadata = BTreeMap::new();
+        let mut vocabulary = Vec::new();
+        for index in 0..metadata_count {
+            let place = format!("metadata entry {index}");
+            let key = String::from_utf8_lossy(&cursor.string(STRING_BYTES_MAX, &place)?).into_owned();
+            let value = cursor.value(&key, &mut vocabulary)?;
+            if metadata.insert(key.clone(), value).is_some() {
+                return Err(cursor.malformed(&key, "the key occurs twice"));
+            }
+        }
+        let alignment = match metadata.get("general.alignment") {
+            None => ALIGNMENT_BYTES_DEFAULT,
+            Some(Value::Unsigned(bytes)) if bytes.is_power_of_two() && *bytes <= 1 << 20 => *bytes,
+            Some(_) => return Err(cursor.malformed("general.alignment", "not a power of two up to 2^20")),
+        };
+
+        let mut tensors = Vec::new();
+        let mut names = HashSet::new();
+        for index in 0..tensor_count {
+            let (tensor, offset) = cursor.tensor(index)?;
+            if !names.insert(tensor.name.clone()) {
+                return Err(cursor.malformed(&format!("tensor {:?}", tensor.name), "the name occurs twice"));
+            }
+            if offset % alignment != 0 {
+                let reason = format!("its offset {offset} is no multiple of the alignment {alignment}");
+                return Err(cursor.malformed(&format!("tensor {:?}", tensor.name), reason));
+            }
+            tensors.push((tensor, offset));
+        }
+        let data_start = cursor.position.next_multiple_of(alignment);
+        let mut expected_offset = 0;
+        let mut placed = Vec::with_capacity(tensors.len());
+        for (mut tensor, offset) in tensors {
+            let place = format!("tensor {:?}", tensor.name);
+            // llama.cpp wants the tensors packed in the order of their descriptions; anything else overlaps or leaves holes.
+            if offset != expected_offset {
+                return Err(
+                    cursor.malformed(&place, format!("its data starts at {offset}, expected {expected_offset}"))
+                );
+            }
+            tensor.start = data_start.saturating_add(offset);
+            let needed = tensor.start.saturating_add(tensor.size_bytes);
+            if needed > cursor.size_bytes {
+                return Err(GgufError::Truncated {
+                    path: path.to_owned(),
+                    place,
+                    needed,
+                    size_bytes: cursor.size_bytes,
+                });
+            }
+            expected_offset = (offset + tensor.size_bytes).next_multiple_of(alignment);
+            placed.push(tensor);
+        }
+        Ok(Self { path: path.to_owned(), version, size_bytes: about.len(), metadata, tensors: placed, vocabulary })
+    }
+
+    /// Reads the header and checks besides that it describes a language model whose vocabulary llama.cpp can load: what would end
+    /// the process there is an error here.
+    ///
+    /// # Errors
+    ///
+    /// As [`Header::read`], and [`GgufError::NotALanguageModel`].
+    pub fn read_language_model(path: &Path) -> Result<Self, GgufError> {
+        let header = Self::read(path)?;
+        header.check_language_model()?;
+        Ok(header)
+    }
+
+    fn check_language_model(&self) -> Result<(), GgufError> {
+        let refuse = |reason: String| Err(GgufError::NotALanguageModel { path: self.path.clone(), reason });
+        if self.architecture().is_none() {
+            return refuse("the text general.architecture is missing".into());
+        }
+        if self.tensors.is_empty() {
+            return refuse("it has no tensors, only metadata".into());
+        }
+        if self.vocabulary.is_empty() {
+            return refuse(format!("the vocabulary {VOCABULARY_KEY} is missing"));
+        }
+        let tokens = self.vocabulary.len() as u64;
+        // An empty token is renamed by its number in llama.cpp, so several of them do no harm.
+        let mut seen = HashSet::with_capacity(self.vocabulary.len());
+        for (index, token) in self.vocabulary.iter().enumerate() {
+            // llama.cpp reads up to the first zero byte.
+            let token = token.split(|byte| *byte == 0).next().unwrap_or_default();
+            if !token.is_empty() && !seen.insert(token) {
+                return refuse(format!(
+                    "token {index} of the vocabulary, {:?}, occurs twice",
+                    String::from_utf8_lossy(token)
+                ));
+            }
+        }
+        for (key, elements) in
+            [("tokenizer.ggml.scores", ["f32", "i32"]), ("tokenizer.ggml.token_type", ["i32", "i32"])]
+        {
+            match self.metadata.get(key) {
+                None => {}
+                Some(Value::Array { element, length }) if elements.contains(element) && *length >= tokens => {}
+                Some(other) => return refuse(format!("{key} is {other:?}, and the vocabulary has {tokens} tokens")),
+            }
+        }
+        if self.text("tokenizer.ggml.model") == Some("llama") {
+            // A sentencepiece tokenizer spells unknown characters by bytes, and looks them up without asking whether they exist.
+            for byte in 0..=u8::MAX {
+                if !seen.contains(format!("<0x{byte:02X}>").as_bytes()) && !seen.contains([byte].as_slice()) {
+                    return refuse(format!("its sentencepiece vocabulary has no token for the byte 0x{byte:02X}"));
+                }
+            }
+        }
+        for key in ["bos", "eos", "unknown", "padding"].map(|name| format!("tokenizer.ggml.{name}_token_id")) {
+            if let Some(id) = self.unsigned(&key).filter(|&id| id >= tokens && id != u64::from(u32::MAX)) {
+                return refuse(format!("{key} is {id}, and the vocabulary has {tokens} tokens"));
+            }
+        }
+        let Some(embedding) = self.tensors.iter().find(|tensor| tensor.name == "token_embd.weight") else {
+            return refuse("the tensor token_embd.weight is missing".into());
+        };
+        if embedding.shape.get(1) != Some(&tokens) {
+            return refuse(format!(
+                "token_embd.weight has the shape {:?}, and the vocabulary has {tokens} tokens",
+                embedding.shape
+            ));
+        }
+        Ok(())
+    }
+
+    /// A text of the metadata.
+    #[must_use]
+    pub fn text(&self, key: &str) -> Option<&str> {
+        match self.metadata.get(key) {
+            Some(Value::Text(text)) => Some(text),
+            _ => None,
+        }
+    }
+
+    /// A number of the metadata that is not negative.
+    #[must_use]
+    pub fn unsigned(&self, key: &str) -> Option<u64> {
+        match self.metadata.get(key) {
+            Some(Value::Unsigned(number)) => Some(*number),
+            Some(Value::Signed(number)) => u64::try_from(*number).ok(),
+            _ => None,
+        }
+    }
+
+    /// A value of the metadata written out, of an array its type and length.
+    #[must_use]
+    pub fn written(&self, key: &str) -> Option<String> {
+        Some(match self.metadata.get(key)? {
+            Value::Unsigned(number) => number.to_string(),
+            Value::Signed(number) => number.to_string(),
+            // Most are of single precision, and would show digits that nobody wrote.
+            Value::Float(number) => (*number as f32).to_string(),
+            Value::Bool(value) => value.to_string(),
+            Value::Text(text) => text.clone(),
+            Value::Array { element, length } => format!("an array of {length} {element}"),
+        })
+    }
+
+    /// The architecture, such as `llama`.
+    #[must_use]
+    pub fn architecture(&self) -> Option<&str> {
+        self.text("general.architecture")
+    }
+
+    /// A number of the architecture's own section, such as `context_length` for `llama.context_length`.
+    #[must_use]
+    pub fn architecture_number(&self, name: &str) -> Option<u64> {
+        self.unsigned(&format!("{}.{name}", self.architecture()?))
+    }
+
+    /// Number of tokens of the vocabulary.
+    #[must_use]
+    pub fn vocabulary_size(&self) -> usize {
+        self.vocabulary.len()
+    }
+
+    /// Number of weights over all tensors.
+    #[must_use]
+    pub fn parameters(&self) -> u64 {
+        self.tensors.iter().fold(0, |sum, tensor| sum.saturating_add(tensor.elements))
+    }
+
+    /// The tensor types with their share of all weights (0 to 1), the largest first.
+    #[must_use]
+    pub fn quantisation(&self) -> Vec<(&'static str, f64)> {
+        let mut elements = BTreeMap::new();
+        for tensor in &self.tensors {
+            *elements.entry(tensor.kind).or_insert(0.0) += tensor.elements as f64;
+        }
+        let total: f64 = elements.values().sum();
+        let mut shares: Vec<_> = elements.into_iter().map(|(kind, count)| (kind, count / total)).collect();
+        shares.sort_by(|a, b| b.1.total_cmp(&a.1));
+        shares
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn text(out: &mut Vec<u8>, text: &str) {
+        out.extend((text.len() as u64).to_le_bytes());
+        out.extend(text.as_bytes());
+    }
+
+    fn text_entry(out: &mut Vec<u8>, key: &str, value: &str) {
+        text(out, key);
+        out.extend(TYPE_STRING.to_le_bytes());
+        text(out, value);
+    }
+
+    /// A file as small as one can be and still pass: two byte-fallback-free "gpt2" tokens and their embedding of 32 values each.
+    fn tiny(tokens: &[&str]) -> Vec<u8> {
+        let mut out = b"GGUF".to_vec();
+        out.extend(3_u32.to_le_bytes());
+        out.extend(1_u64.to_le_bytes());
+        out.extend(3_u64.to_le_bytes());
+        text_entry(&mut out, "general.architecture", "llama");
+        text_entry(&mut out, "tokenizer.ggml.model", "gpt2");
+        text(&mut out, VOCABULARY_KEY);
+        out.extend(TYPE_ARRAY.to_le_bytes());
+        out.extend(TYPE_STRING.to_le_bytes());
+        out.extend((tokens.len() as u64).to_le_bytes());
+        for token in tokens {
+            text(&mut out, token);
+        }
+        text(&mut out, "token_embd.weight");
+        out.extend(2_u32.to_le_bytes());
+        out.extend(32_u64.to_le_bytes());
+        out.extend((tokens.len() as u64).to_le_bytes());
+        out.extend(8_u32.to_le_bytes());
+        out.extend(0_u64.to_le_bytes());
+        out.resize(out.len().next_multiple_of(32) + 34 * tokens.len(), 0);
+        out
+    }
+
+    fn read(bytes: &[u8]) -> Result<Header, GgufError> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), bytes).unwrap();
+        Header::read_language_model(file.path())
+    }
+
+    #[test]
+    fn the_smallest_model_is_read() {
+        assert_eq!(tiny(&["a", "b", "c"]), include_bytes!("../../tests/data/tiny.gguf"));
+        let header = read(&tiny(&["a", "b"])).unwrap();
+        assert_eq!(header.architecture(), Some("llama"));
+        assert_eq!(header.vocabulary_size(), 2);
+        assert_eq!(header.parameters(), 64);
+        assert_eq!(header.quantisation(), [("Q8_0", 1.0)]);
+        assert_eq!(header.tensors[0].start % 32, 0);
+    }
+
+    #[test]
+    fn every_truncation_is_an_error() {
+        let whole = tiny(&["a", "b"]);
+        for length in 0..whole.len() {
+            let error = read(&whole[..length]).unwrap_err();
+            assert!(matches!(error, GgufError::Truncated { .. }), "{length} bytes: {error}");
+        }
+    }
+
+    #[test]
+    fn other_files_are_named_as_such() {
+        assert!(
+            read(b"PK\x03\x04 a zip archive").unwrap_err().to_string().contains(r#""PK\x03\x04", not with "GGUF""#)
+        );
+        let mut old = tiny(&["a"]);
+        old[4] = 1;
+        assert!(matches!(read(&old).unwrap_err(), GgufError::Version { version: 1, .. }));
+        assert!(matches!(Header::read(Path::new("/")).unwrap_err(), GgufError::Io { .. }));
+    }
+
+    #[test]
+    fn a_vocabulary_that_would_end_the_process_is_refused() {
+        let error = read(&tiny(&["a", "a"])).unwrap_err().to_string();
+        assert!(error.contains("token 1 of the vocabulary, \"a\", occurs twice"), "{error}");
+        let error = read(&tiny(&["a", "a\0b"])).unwrap_err().to_string();
+        assert!(error.contains("occurs twice"), "llama.cpp reads both as \"a\": {error}");
+        // The same file as a sentencepiece model lacks the tokens of the bytes.
+        let bytes = tiny(&["a", "b"]);
+        let at = bytes.windows(4).position(|window| window == b"gpt2").unwrap();
+        let mut spm = bytes[..at - 8].to_vec();
+        text(&mut spm, "llama");
+        spm.extend(&bytes[at + 4..]);
+        // One byte longer than before: the padding before the tensor data shrinks by it.
+        let header_end =
+            spm.windows(17).position(|window| window == b"token_embd.weight").unwrap() + 17 + 4 + 16 + 4 + 8;
+        spm.remove(header_end);
+        let error = read(&spm).unwrap_err().to_string();
+        assert!(error.contains("no token for the byte 0x00"), "{error}");
+    }
+
+    #[test]
+    fn a_length_beyond_the_file_is_not_believed() {
+        let mut bytes = tiny(&["a"]);
+        bytes[24..32].copy_from_slice(&(STRING_BYTES_MAX - 1).to_le_bytes());
+        assert!(matches!(read(&bytes).unwrap_err(), GgufError::Truncated { .. }));
+        bytes[24..32].copy_from_slice(&u64::MAX.to_le_bytes());
+        assert!(matches!(read(&bytes).unwrap_err(), GgufError::Malformed { .. }));
+    }
+
+    proptest! {
+        /// Damaged bytes may be read or refused, but never end the process.
+        #[test]
+        fn damage_never_panics(at in 0_usize..400, bytes in proptest::collection::vec(any::<u8>(), 1..16)) {
+            let mut file = tiny(&["a", "b", "c"]);
+            let at = at.min(file.len() - bytes.len());
+            file[at..at + bytes.len()].copy_from_slice(&bytes);
+            drop(read(&file));
+        }
+    }
+}

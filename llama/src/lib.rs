@@ -1,0 +1,21 @@
+//! Roomcast's language model: GGUF files on llama.cpp, in this process and on its processor.
+//!
+//! [`LlamaModel`] is what `roomcast-core` asks for as a language model. A file is read and checked by safe code ([`gguf`]) before
+//! llama.cpp sees it, and one file of this crate talks to llama.cpp.
+//!
+//! ```no_run
+//! use roomcast_core::scorer::LanguageModel;
+//! use roomcast_llama::{LlamaModel, LlamaOptions};
+//!
+//! let model = LlamaModel::load("models/household.gguf".as_ref(), &LlamaOptions::default())?;
+//! println!("{} parameters", model.info().parameters);
+//! # Ok::<(), roomcast_core::scorer::ModelError>(())
+//! ```
+
+pub mod gguf;
+
+mod model;
+
+pub mod affinity;
+
+pub use model::*;

@@ -1,0 +1,568 @@
+//! llama.cpp as a [`LanguageModel`]: the one file that talks to it.
+//!
+//! **The prefix is kept.** After a call the cache holds the prompt on every sequence in use; the next call removes what
+//! differs and decodes only the rest.
+//!
+//! **One batch.** New prompt tokens and the tree behind them go to the decoder in one call: a token carries the ids of
+//! all paths through it, and a prompt token those of all paths (which needs the unified cache). Trees with more paths
+//! than sequences go in waves.
+
+use std::cell::RefCell;
+use std::io::Read;
+use std::num::NonZeroU32;
+use std::path::Path;
+use std::sync::{LazyLock, Mutex, OnceLock};
+use std::time::Instant;
+
+use llama_cpp_2::context::LlamaContext;
+use llama_cpp_2::context::params::{KvCacheType, LlamaContextParams};
+use llama_cpp_2::llama_backend::LlamaBackend;
+use llama_cpp_2::llama_batch::LlamaBatch;
+use llama_cpp_2::model::LlamaModel as Weights;
+use llama_cpp_2::model::params::LlamaModelParams;
+use llama_cpp_2::token::LlamaToken;
+use llama_cpp_2::token_type::LlamaTokenAttr;
+use llama_cpp_2::vocab::LlamaVocab;
+use llama_cpp_2::{LogOptions, send_logs_to_tracing};
+use sha2::{Digest, Sha256};
+
+use roomcast_core::label_trie::TokenTree;
+use roomcast_core::scorer::correction::Correction;
+use roomcast_core::scorer::{
+    Clock, DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token, common_prefix,
+};
+
+use crate::gguf::Header;
+
+/// llama.cpp's own limit on sequences in a context (LLAMA_MAX_SEQ).
+pub const SEQUENCES_MAX: u32 = 256;
+/// Most threads of one decoder call; llama.cpp reads and writes beyond its memory with too many.
+pub const THREADS_MAX: usize = 256;
+
+/// How the key-value cache is stored.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Default,
+    serde::Serialize,
+    serde::Deserialize,
+    strum::Display,
+    strum::EnumMessage,
+    strum::EnumString,
+    strum::IntoStaticStr,
+    strum::VariantArray,
+)]
+#[strum(serialize_all = "lowercase")]
+#[serde(rename_all = "lowercase")]
+pub enum CacheType {
+    /// Half precision: half the memory, and differences of up to 1e-2 nats per token between scoring methods, because
+    /// llama.cpp multiplies values by half precision differently at other batch sizes.
+    F16,
+    /// Keys in half precision, values in single. llama.cpp multiplies half-precision keys in tiles, but takes single-precision ones one by
+    /// one, which can be half of an event; scores of unquantised weights move by some 1e-3 nats (docs/performance.md).
+    #[default]
+    Mixed,
+    /// Single precision: methods differ by the order of their sums alone. Quantised weights can make hundredths of a nat of
+    /// that, once in some hundred prompts.
+    F32,
+    /// Blocks of 32 eight-bit numbers, as Q8_0 weights are, read by llama.cpp's fused attention: a third of the memory of [`Self::Mixed`],
+    /// and no work for positions that nobody sees. Faster behind short narrations, slower behind long ones and with larger models. Scores of
+    /// unquantised weights move by less than 5e-2 nats, those of Q8_0 weights hardly further than these weights do by themselves.
+    Q8,
+}
+
+impl CacheType {
+    /// How keys and values are stored, and whether llama.cpp's fused attention reads them.
+    fn stored(self) -> (KvCacheType, KvCacheType, bool) {
+        match self {
+            Self::F16 => (KvCacheType::F16, KvCacheType::F16, false),
+            Self::Mixed => (KvCacheType::F16, KvCacheType::F32, false),
+            Self::F32 => (KvCacheType::F32, KvCacheType::F32, false),
+            Self::Q8 => (KvCacheType::Q8_0, KvCacheType::Q8_0, true),
+        }
+    }
+}
+
+/// Numbers in a block of [`CacheType::Q8`]: a head's keys and values are whole blocks.
+const BLOCK: u64 = 32;
+
+/// How a model is run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LlamaOptions {
+    /// Threads of one decoder call, 1 to [`THREADS_MAX`].
+    pub threads: usize,
+    /// Positions in the cache: prompt and tree together. No more than the model was trained with is used.
+    pub context_tokens: u32,
+    /// Paths that are decoded in one call, 1 to [`SEQUENCES_MAX`].
+    pub sequences: u32,
+    /// How the cache is stored.
+    pub cache: CacheType,
+    /// Lock the weights in memory.
+    pub lock_memory: bool,
+}
+
+impl Default for LlamaOptions {
+    fn default() -> Self {
+        // A core is left for the rest of the robot, also of two: the threads of a call wait for one another a hundred times, so whatever
+        // takes one core away holds up all.
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Self {
+            threads: cores.saturating_sub(1).max(1),
+            context_tokens: 2048,
+            sequences: 64,
+            cache: CacheType::default(),
+            lock_memory: false,
+        }
+    }
+}
+
+impl LlamaOptions {
+    /// Positions of a context of a model that was trained on sequences of `trained_tokens`.
+    fn positions(&self, trained_tokens: u32) -> u32 {
+        self.context_tokens.min(trained_tokens).max(1)
+    }
+
+    /// llama.cpp's own parameters for a context of a model that was trained on sequences of `trained_tokens`.
+    #[must_use]
+    pub fn context_parameters(&self, trained_tokens: u32) -> LlamaContextParams {
+        let positions = self.positions(trained_tokens);
+        let threads = i32::try_from(self.threads.clamp(1, THREADS_MAX)).unwrap_or(1);
+        let (keys, values, fused) = self.cache.stored();
+        let batch_tokens = positions.min(512);
+        LlamaContextParams::default()
+            .with_n_ctx(NonZeroU32::new(positions))
+            .with_n_batch(batch_tokens)
+            .with_n_ubatch(batch_tokens)
+            .with_n_seq_max(self.sequences.clamp(1, SEQUENCES_MAX))
+            .with_n_threads(threads)
+            .with_n_threads_batch(threads)
+            .with_type_k(keys)
+            .with_type_v(values)
+            // One canonical arithmetic: of keys and values in half or single precision, the fused kernels sum in half precision.
+            .with_flash_attention_policy(if fused {
+                llama_cpp_sys_2::LLAMA_FLASH_ATTN_TYPE_ENABLED
+            } else {
+                llama_cpp_sys_2::LLAMA_FLASH_ATTN_TYPE_DISABLED
+            })
+            .with_kv_unified(true)
+            .with_swa_full(true)
+            .with_no_perf(true)
+    }
+}
+
+self_cell::self_cell!(
+    /// A context borrows its weights; both live and move together.
+    struct Loaded {
+        owner: Weights,
+        #[not_covariant]
+        dependent: LlamaContext,
+    }
+);
+
+/// A model that llama.cpp runs.
+pub struct LlamaModel {
+    loaded: Loaded,
+    batch: LlamaBatch<'static>,
+    batch_tokens: usize,
+    info: ModelInfo,
+    add_start_token: bool,
+    start_token: Token,
+    sentences_apart: bool,
+    sequences: u32,
+    /// Prompt whose keys and values are in the cache.
+    kept: Vec<Token>,
+    /// Sequences `0..kept_sequences` hold it.
+    kept_sequences: u32,
+    /// Whether the cache holds a tree beyond `kept`.
+    untidy: bool,
+    sequence_ids: Vec<i32>,
+    rows: Vec<(i32, usize)>,
+    /// Working memory of the tokeniser.
+    tokens: RefCell<Vec<LlamaToken>>,
+}
+
+impl std::fmt::Debug for LlamaModel {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("LlamaModel").field("info", &self.info).field("kept", &self.kept.len()).finish_non_exhaustive()
+    }
+}
+
+/// llama.cpp's process-wide state, set up once; its log goes to `tracing`. Public for what runs llama.cpp by itself beside the
+/// scorer, to compare: nobody else can set it up a second time.
+///
+/// # Errors
+/// Why it cannot be set up.
+pub fn backend() -> Result<&'static LlamaBackend, String> {
+    static BACKEND: OnceLock<LlamaBackend> = OnceLock::new();
+    static SETTING_UP: Mutex<()> = Mutex::new(());
+    let _guard = SETTING_UP.lock().map_err(|_| "setting up llama.cpp failed before".to_owned())?;
+    if let Some(backend) = BACKEND.get() {
+        return Ok(backend);
+    }
+    send_logs_to_tracing(LogOptions::default().with_logs_enabled(true));
+    #[cfg(feature = "portable")]
+    load_kernels()?;
+    let backend = LlamaBackend::init().map_err(|e| e.to_string())?;
+    Ok(BACKEND.get_or_init(|| backend))
+}
+
+/// Loads the kernels that fit this processor best, of those that lie beside the program: in `../lib/roomcast` as a package has
+/// them, else where this build put them.
+#[cfg(feature = "portable")]
+fn load_kernels() -> Result<(), String> {
+    use llama_cpp_2::llama_backend::load_backends_from_path;
+    let program = std::env::current_exe().map_err(|e| format!("the program's own path cannot be found: {e}"))?;
+    let packaged = program.ancestors().nth(2).map(|prefix| prefix.join("lib/roomcast"));
+    let built = llama_cpp_sys_2::BACKENDS_DIR.map(std::path::PathBuf::from);
+    let kernels = |folder: &std::path::PathBuf| {
+        let entries = folder.read_dir().into_iter().flatten().flatten();
+        folder.to_str().is_some()
+            && entries.map(|entry| entry.file_name()).any(|name| name.to_string_lossy().starts_with("libggml-cpu-"))
+    };
+    let places: Vec<_> = packaged.into_iter().chain(built).collect();
+    let Some(folder) = places.iter().find(|folder| kernels(folder)) else {
+        let places: Vec<_> = places.iter().map(|folder| folder.display().to_string()).collect();
+        return Err(format!("no kernels (libggml-cpu-*.so) in {}: install the package again", places.join(" or ")));
+    };
+    load_backends_from_path(folder);
+    Ok(())
+}
+
+/// The vector units and options that llama.cpp was compiled with, as ggml names them (`AVX2`, `FMA`, `NEON`, ...).
+///
+/// # Errors
+/// When llama.cpp cannot be set up.
+pub fn build_features() -> Result<Vec<String>, ModelError> {
+    static ASKING: Mutex<()> = Mutex::new(());
+    let fail = |reason: String| ModelError::Load { path: "(llama.cpp)".into(), reason };
+    backend().map_err(fail)?;
+    let guard = ASKING.lock().map_err(|_| fail("asking for its features failed before".into()))?;
+    #[expect(unsafe_code, reason = "llama-cpp-2 has no safe function for it")]
+    // SAFETY: the function returns a zero-terminated text in a static that the next call rewrites; the lock keeps other calls
+    // away until it is copied, and the backend is set up.
+    let text =
+        unsafe { std::ffi::CStr::from_ptr(llama_cpp_sys_2::llama_print_system_info()) }.to_string_lossy().into_owned();
+    drop(guard);
+    // "CPU : SSE3 = 1 | AVX2 = 1 | "
+    let entries = text.split(['|', ':']).filter_map(|entry| entry.trim().split_once(" = "));
+    Ok(entries.filter(|&(_, value)| value.trim() != "0").map(|(name, _)| name.to_owned()).collect())
+}
+
+/// SHA-256 of a file.
+///
+/// # Errors
+/// When it cannot be read.
+pub fn file_sha256(path: &Path) -> std::io::Result<[u8; 32]> {
+    let mut file = std::fs::File::open(path)?;
+    let mut hash = Sha256::new();
+    let mut block = vec![0; 1 << 20];
+    loop {
+        match file.read(&mut block)? {
+            0 => return Ok(hash.finalize().into()),
+            count => hash.update(&block[..count]),
+        }
+    }
+}
+
+/// The width of the model's heads where it does not fill whole blocks of [`CacheType::Q8`]. Models that do not say it in one number
+/// are left to llama.cpp, which refuses what it cannot store.
+fn broken_blocks(header: &Header) -> Option<u64> {
+    let number = |name| header.architecture_number(name);
+    let even = || number("embedding_length")?.checked_div(number("attention.head_count")?);
+    let widths = [number("attention.key_length").or_else(even), number("attention.value_length").or_else(even)];
+    widths.into_iter().flatten().find(|width| width % BLOCK != 0)
+}
+
+/// Whether texts may be cut into tokens sentence by sentence with this SentencePiece vocabulary: it merges two neighbours only to a token
+/// that it has, best score first, so nothing merges across the end of a sentence and a space when no token holds both. Tokens of the user's
+/// own are cut out by other rules, and scores that are no numbers have no order.
+fn sentences_apart(vocabulary: &LlamaVocab<'_>) -> bool {
+    let cut = |text: &str| vocabulary.tokenize(text.as_bytes(), false, false);
+    let joins = |token| {
+        let own = vocabulary.attr(token).contains(LlamaTokenAttr::UserDefined);
+        own || vocabulary.score(token).is_nan()
+            || vocabulary.text(token).is_none_or(|text| {
+                let text = text.to_string_lossy();
+                [".\u{2581}", "!\u{2581}", "?\u{2581}"].iter().any(|both| text.contains(both))
+            })
+    };
+    // Without a space put before every text, a sentence by itself is another one than behind a space.
+    [cut("a."), cut("a")].concat() == cut("a. a") && !vocabulary.tokens().any(joins)
+}
+
+impl LlamaModel {
+    /// Loads a GGUF file.
+    ///
+    /// # Errors
+    /// When the file is missing, damaged, or of a kind that llama.cpp cannot run.
+    pub fn load(path: &Path, options: &LlamaOptions) -> Result<Self, ModelError> {
+        let fail = |reason: String| ModelError::Load { path: path.display().to_string(), reason };
+        // llama.cpp may abort on a damaged file, and take the service with it.
+        let header = Header::read_language_model(path).map_err(|fault| ModelError::File(Box::new(fault)))?;
+        if options.cache == CacheType::Q8
+            && let Some(width) = broken_blocks(&header)
+        {
+            return Err(fail(format!(
+                "its heads of {width} numbers are not whole blocks of {BLOCK}, as a \"q8\" key-value cache stores them: choose \"mixed\""
+            )));
+        }
+        let fingerprint = file_sha256(path).map_err(|e| fail(e.to_string()))?;
+        let backend = backend().map_err(fail)?;
+        let parameters = LlamaModelParams::default().with_use_mmap(true).with_use_mlock(options.lock_memory);
+        let weights = Weights::load_from_file(backend, path, &parameters).map_err(|e| fail(e.to_string()))?;
+        let text = |key: &str| weights.meta_val_str(key).ok();
+        let context_tokens = options.positions(weights.n_ctx_train());
+        let sequences = options.sequences.clamp(1, SEQUENCES_MAX);
+        let vocabulary = weights.vocab();
+        let info = ModelInfo {
+            name: text("general.name")
+                .filter(|n| !n.is_empty())
+                .or_else(|| path.file_stem().map(|s| s.to_string_lossy().into_owned()))
+                .unwrap_or_default(),
+            architecture: text("general.architecture").unwrap_or_else(|| "unknown".into()),
+            description: format!(
+                "{} {:.1}M parameters, {:.1} MB",
+                text("general.size_label").unwrap_or_default(),
+                weights.n_params() as f64 / 1e6,
+                weights.size() as f64 / 1e6
+            )
+            .trim()
+            .to_owned(),
+            parameters: weights.n_params(),
+            size_bytes: weights.size(),
+            vocabulary: usize::try_from(vocabulary.n_tokens()).unwrap_or(0),
+            context_tokens: context_tokens as usize,
+            shares_prefix: !weights.is_recurrent() && !weights.is_hybrid(),
+            correction: Correction::recommended(|key| header.written(key)).map_err(fail)?,
+            fingerprint,
+        };
+        let sentences_apart = text("tokenizer.ggml.model").as_deref() == Some("llama") && sentences_apart(&vocabulary);
+        let add_start_token = vocabulary.should_add_bos();
+        let start_token = Token(vocabulary.bos().0);
+        let context = options.context_parameters(weights.n_ctx_train());
+        let batch_tokens = context.n_batch();
+        let loaded = Loaded::try_new(weights, |weights| weights.new_context(backend, context))
+            .map_err(|e| fail(e.to_string()))?;
+        Ok(Self {
+            loaded,
+            batch: LlamaBatch::new(batch_tokens as usize, sequences.cast_signed()),
+            batch_tokens: batch_tokens as usize,
+            info,
+            add_start_token,
+            start_token,
+            sentences_apart,
+            sequences,
+            kept: Vec::new(),
+            kept_sequences: 1,
+            untidy: false,
+            sequence_ids: Vec::new(),
+            rows: Vec::new(),
+            tokens: RefCell::new(Vec::with_capacity(context_tokens as usize)),
+        })
+    }
+
+    /// A metadata value of the file, as text.
+    #[must_use]
+    pub fn metadata(&self, key: &str) -> Option<String> {
+        self.loaded.borrow_owner().meta_val_str(key).ok()
+    }
+
+    fn with_context<T>(&mut self, run: impl FnOnce(&mut LlamaContext<'_>) -> T) -> T {
+        self.loaded.with_dependent_mut(|_, context| run(context))
+    }
+
+    /// Removes everything at or past `position` from every sequence.
+    fn truncate_cache(&mut self, position: usize) -> Result<(), ModelError> {
+        let from = u32::try_from(position).unwrap_or(u32::MAX);
+        let removed = self.with_context(|c| c.clear_kv_cache_seq(None, Some(from), None));
+        match removed {
+            Ok(true) => Ok(()),
+            Ok(false) | Err(_) => {
+                Err(self.decode_error(0, format!("positions from {position} on cannot be removed from its cache")))
+            }
+        }
+    }
+
+    /// A decoder error after which the cache is empty and consistent again.
+    fn decode_error(&mut self, tokens: usize, reason: String) -> ModelError {
+        self.forget();
+        ModelError::Decode { tokens, reason }
+    }
+
+    /// Sends the batch to the decoder and gives its rows to `visit`.
+    fn flush(&mut self, stats: &mut DecodeStats, visit: &mut dyn FnMut(usize, &[f32])) -> Result<(), ModelError> {
+        let tokens = self.batch.n_tokens();
+        if tokens == 0 {
+            return Ok(());
+        }
+        let (batch, rows) = (&mut self.batch, &self.rows);
+        let start = Instant::now();
+        let result = self.loaded.with_dependent_mut(|_, context| {
+            context.decode(batch)?;
+            stats.decoder_ns += u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
+            for &(position, row) in rows {
+                visit(row, context.get_logits_ith(position));
+            }
+            Ok::<(), llama_cpp_2::DecodeError>(())
+        });
+        self.batch.clear();
+        self.rows.clear();
+        stats.calls += 1;
+        result.map_err(|e| self.decode_error(usize::try_from(tokens).unwrap_or(0), e.to_string()))
+    }
+
+    /// Puts one token into the batch, sending the batch off first when it is full.
+    fn push(
+        &mut self,
+        token: Token,
+        position: usize,
+        sequences: std::ops::Range<u32>,
+        row: Option<usize>,
+        stats: &mut DecodeStats,
+        visit: &mut dyn FnMut(usize, &[f32]),
+    ) -> Result<(), ModelError> {
+        if self.batch.n_tokens() as usize >= self.batch_tokens {
+            self.flush(stats, visit)?;
+        }
+        self.sequence_ids.clear();
+        // The batch was made for `sequences` ids a token, and does not check.
+        self.sequence_ids.extend(sequences.take(self.sequences as usize).map(u32::cast_signed));
+        if let Some(row) = row {
+            self.rows.push((self.batch.n_tokens(), row));
+        }
+        let position = i32::try_from(position).unwrap_or(i32::MAX);
+        self.batch
+            .add(LlamaToken(token.0), position, &self.sequence_ids, row.is_some())
+            .map_err(|e| ModelError::Decode { tokens: 1, reason: e.to_string() })
+    }
+}
+
+impl LanguageModel for LlamaModel {
+    fn info(&self) -> &ModelInfo {
+        &self.info
+    }
+
+    fn clock(&self) -> Clock {
+        static START: LazyLock<Instant> = LazyLock::new(Instant::now);
+        || u64::try_from(START.elapsed().as_nanos()).unwrap_or(u64::MAX)
+    }
+
+    fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
+        if start == TextStart::Sequence && self.add_start_token && self.start_token.0 >= 0 {
+            out.push(self.start_token);
+        }
+        let mut tokens = self.tokens.borrow_mut();
+        tokens.clear();
+        self.loaded.borrow_owner().vocab().tokenize_into(text.as_bytes(), &mut tokens, false, false);
+        out.extend(tokens.iter().map(|t| Token(t.0)));
+        Ok(())
+    }
+
+    fn sentences_apart(&self) -> bool {
+        self.sentences_apart
+    }
+
+    fn token_text(&self, token: Token) -> String {
+        let bytes = self.loaded.borrow_owner().vocab().token_to_piece(LlamaToken(token.0), true, None);
+        String::from_utf8_lossy(&bytes).into_owned()
+    }
+
+    fn forget(&mut self) {
+        self.batch.clear();
+        self.rows.clear();
+        self.with_context(|context| context.clear_kv_cache());
+        self.kept.clear();
+        self.kept_sequences = 1;
+        self.untidy = false;
+    }
+
+    fn tidy(&mut self, keep: usize) {
+        if self.untidy || keep < self.kept.len() {
+            self.untidy = false;
+            self.kept.truncate(keep);
+            // A failure empties the cache, which costs time at the next event and nothing else.
+            let _ = self.truncate_cache(self.kept.len());
+        }
+    }
+
+    fn decode(
+        &mut self,
+        prompt: &[Token],
+        tree: &TokenTree,
+        want_prompt_row: bool,
+        visit: &mut dyn FnMut(usize, &[f32]),
+    ) -> Result<DecodeStats, ModelError> {
+        let mut stats = DecodeStats::default();
+        let context = self.info.context_tokens;
+        if prompt.is_empty() {
+            return Err(ModelError::EmptyPrompt);
+        }
+        let deepest = (0..tree.len()).map(|i| tree.depth(i)).max().unwrap_or(0) as usize;
+        if prompt.len() + deepest > context || prompt.len() >= context {
+            return Err(ModelError::TooLong { prompt: prompt.len(), tree: deepest, context });
+        }
+        if !self.info.shares_prefix {
+            self.forget();
+        }
+        // The last prompt token is decoded again when its logits are asked for.
+        let keep = common_prefix(&self.kept, prompt).min(prompt.len() - usize::from(want_prompt_row));
+        if self.untidy || keep < self.kept.len() {
+            self.truncate_cache(keep)?;
+            self.kept.truncate(keep);
+            self.untidy = false;
+        }
+        if keep == 0 {
+            self.kept_sequences = 1;
+        }
+        let wave_paths = tree.path_count().clamp(1, self.sequences);
+        if wave_paths > self.kept_sequences {
+            let (from, to) = (self.kept_sequences, wave_paths);
+            let copied =
+                self.with_context(|c| (from..to).try_for_each(|s| c.copy_kv_cache_seq(0, s.cast_signed(), None, None)));
+            if keep > 0 {
+                copied.map_err(|e| self.decode_error(0, e.to_string()))?;
+            }
+            self.kept_sequences = wave_paths;
+        }
+        let all = 0..self.kept_sequences;
+        for (position, &token) in prompt.iter().enumerate().skip(keep) {
+            let row = (want_prompt_row && position + 1 == prompt.len()).then_some(0);
+            self.push(token, position, all.clone(), row, &mut stats, visit)?;
+        }
+        stats.prompt_tokens_decoded = (prompt.len() - keep) as u32;
+        let room = context - prompt.len();
+        let mut wave = 0;
+        while wave < tree.path_count() {
+            let end = (wave + wave_paths).min(tree.path_count());
+            let mut in_wave = 0;
+            for index in 0..tree.len() {
+                let (first, last) = tree.paths(index);
+                let (first, last) = (first.max(wave), last.min(end));
+                if first >= last {
+                    continue;
+                }
+                in_wave += 1;
+                if in_wave > room {
+                    self.forget();
+                    return Err(ModelError::TooLong { prompt: prompt.len(), tree: tree.len(), context });
+                }
+                let position = prompt.len() + tree.depth(index) as usize - 1;
+                self.untidy = true;
+                self.push(tree.token(index), position, first - wave..last - wave, Some(index + 1), &mut stats, visit)?;
+                stats.tree_tokens_decoded += 1;
+            }
+            wave = end;
+            if wave < tree.path_count() {
+                self.flush(&mut stats, visit)?;
+                self.truncate_cache(prompt.len())?;
+            }
+        }
+        self.flush(&mut stats, visit)?;
+        self.kept.truncate(keep);
+        self.kept.extend_from_slice(&prompt[keep..]);
+        Ok(stats)
+    }
+}

@@ -1,0 +1,382 @@
+//! The configuration: one TOML file, the same for daemon, planner and narrator. `default.toml` beside this file is the
+//! manual: every key with its default, its limits and what it costs.
+
+use std::path::{Path, PathBuf};
+
+use roomcast_ipc::{Domain, IpcError};
+use serde::{Deserialize, Serialize};
+
+use roomcast_core::grounding::GroundingOptions;
+use roomcast_core::narration::history::{HistoryLimits, OBSERVATIONS_MAX};
+use roomcast_core::prompt::BindingSequence;
+use roomcast_core::scorer::certified::Effort;
+use roomcast_core::scorer::correction::{Continuation, PRIOR_WEIGHTS};
+use roomcast_core::scorer::{Method, Tokenisation};
+use roomcast_llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
+
+mod sections;
+
+pub use sections::{DaemonConfig, IntakeLimits, MetricsConfig, NarratorConfig, PlannerConfig};
+
+/// The commented default configuration, as a file to start from.
+pub const DEFAULT_TOML: &str = include_str!("default.toml");
+
+/// Most bytes of a configuration file.
+pub const FILE_BYTES_MAX: u64 = 1 << 20;
+/// Most milliseconds that a step may take under `effort = "deadline"`.
+pub const DEADLINE_MS_MAX: u64 = 60_000;
+
+/// Least bytes of the journal: either half holds a few of the longest sentences.
+const JOURNAL_BYTES_MIN: u64 = 8192;
+
+/// Most bytes of a name that messages carry whole.
+const NAME_BYTES_MAX: usize = 48;
+
+/// A configuration that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("failed to read the configuration {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The file is larger than [`FILE_BYTES_MAX`].
+    #[error("the configuration {path} has more than {FILE_BYTES_MAX} bytes: that is no configuration file")]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Not TOML, an unknown key, or a value of the wrong kind.
+    #[error("the configuration {path} is malformed: {source}\nsee `roomcast config` for every key with its default")]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// What, with line and column.
+        source: Box<toml::de::Error>,
+    },
+    /// A value outside its limits.
+    #[error("the configuration's {key} is {value}: {remedy}")]
+    Value {
+        /// The key, with its section.
+        key: &'static str,
+        /// What it holds.
+        value: String,
+        /// What it may hold.
+        remedy: &'static str,
+    },
+    /// The section `[ipc]` names no domain.
+    #[error("the configuration's section [ipc] cannot be used: {0}")]
+    Domain(#[from] IpcError),
+    /// One of the faults above, with the file that it is in.
+    #[error("{path}: {fault}")]
+    InFile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        fault: Box<Self>,
+    },
+}
+
+/// One row of the table of limits.
+struct Limit {
+    key: &'static str,
+    value: String,
+    holds: bool,
+    remedy: &'static str,
+}
+
+/// All of the configuration; every section and key may be left out.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// The model.
+    pub model: ModelConfig,
+    /// The semantic map.
+    pub scene: SceneConfig,
+    /// How labels are scored.
+    pub scoring: ScoringConfig,
+    /// How scores are grounded.
+    pub grounding: GroundingOptions,
+    /// The history window of each person.
+    pub history: HistoryLimits,
+    /// Where the processes meet.
+    pub ipc: IpcConfig,
+    /// The daemon.
+    pub daemon: DaemonConfig,
+    /// The planner.
+    pub planner: PlannerConfig,
+    /// The narrator.
+    pub narrator: NarratorConfig,
+    /// Metrics for Prometheus.
+    pub metrics: MetricsConfig,
+}
+
+/// The section `[ipc]`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct IpcConfig {
+    /// The domain's root path; the user's own when empty.
+    pub root: Option<PathBuf>,
+    /// The domain's name.
+    pub domain: String,
+}
+
+impl Default for IpcConfig {
+    fn default() -> Self {
+        Self { root: None, domain: Domain::default_for_user().name().to_owned() }
+    }
+}
+
+impl IpcConfig {
+    /// The domain that this section names.
+    ///
+    /// # Errors
+    /// When root path or name cannot be a domain's.
+    pub fn domain(&self) -> Result<Domain, IpcError> {
+        let root = self.root.clone().unwrap_or_else(|| Domain::default_for_user().root().to_owned());
+        Domain::new(root, &self.domain)
+    }
+}
+
+/// The section `[model]`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ModelConfig {
+    /// A GGUF file; the embedded model when empty.
+    pub path: Option<PathBuf>,
+    /// The SHA-256 that the file must have, in hexadecimal; any when empty.
+    pub sha256: Option<String>,
+    /// Threads of one decoder call; 0 chooses one per core of `cores`, or without these all cores but one.
+    pub threads: usize,
+    /// Cores that the scorer runs on, by number; any when empty.
+    pub cores: Vec<usize>,
+    /// Positions of prompt and labels together.
+    pub context_tokens: u32,
+    /// Paths of the label trie that one decoder call may hold.
+    pub sequences: u32,
+    /// How the key-value cache is stored.
+    pub cache: CacheType,
+    /// Lock the weights in memory.
+    pub lock_memory: bool,
+}
+
+impl Default for ModelConfig {
+    fn default() -> Self {
+        let LlamaOptions { context_tokens, sequences, cache, lock_memory, .. } = LlamaOptions::default();
+        Self { path: None, sha256: None, threads: 0, cores: Vec::new(), context_tokens, sequences, cache, lock_memory }
+    }
+}
+
+impl ModelConfig {
+    /// The options for loading.
+    #[must_use]
+    pub fn llama_options(&self) -> LlamaOptions {
+        let default = LlamaOptions::default();
+        LlamaOptions {
+            threads: match (self.threads, self.cores.len()) {
+                (0, 0) => default.threads,
+                (0, cores) => cores,
+                (threads, _) => threads,
+            },
+            context_tokens: self.context_tokens,
+            sequences: self.sequences,
+            cache: self.cache,
+            lock_memory: self.lock_memory,
+        }
+    }
+}
+
+/// The section `[scene]`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SceneConfig {
+    /// The scene file; the shipped studio flat when empty.
+    pub path: Option<PathBuf>,
+}
+
+/// The section `[scoring]`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ScoringConfig {
+    /// A built-in binding sequence's name, or any text.
+    pub binding: String,
+    /// How labels are scored.
+    pub method: Method,
+    /// How prompt and label are cut into tokens.
+    pub tokenisation: Tokenisation,
+    /// What a label's tokens after the first compete with; as the model file recommends when empty.
+    pub continuation: Option<Continuation>,
+    /// The prior weight, 0 to 1; as the model file recommends when empty.
+    pub prior: Option<f64>,
+    /// How far an answer goes.
+    pub effort: Effort,
+    /// The time that a step may take under `effort = "deadline"`, in milliseconds.
+    pub deadline_ms: u64,
+}
+
+impl Default for ScoringConfig {
+    fn default() -> Self {
+        Self {
+            binding: "default".into(),
+            method: Method::default(),
+            tokenisation: Tokenisation::default(),
+            continuation: None,
+            prior: None,
+            effort: Effort::default(),
+            deadline_ms: 5,
+        }
+    }
+}
+
+impl Config {
+    /// Reads and checks a configuration file.
+    ///
+    /// # Errors
+    /// When it cannot be read, has unknown keys, or a value outside its limits.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let read = |source| ConfigError::Read { path: path.to_owned(), source };
+        if std::fs::metadata(path).map_err(read)?.len() > FILE_BYTES_MAX {
+            return Err(ConfigError::TooLarge { path: path.to_owned() });
+        }
+        let text = std::fs::read_to_string(path).map_err(read)?;
+        let config: Self = toml::from_str(&text)
+            .map_err(|source| ConfigError::Parse { path: path.to_owned(), source: Box::new(source) })?;
+        config.check().map_err(|fault| ConfigError::InFile { path: path.to_owned(), fault: Box::new(fault) })?;
+        Ok(config)
+    }
+
+    /// Checks every limit that the types do not hold by themselves.
+    ///
+    /// # Errors
+    /// The first value outside its limits.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        if let Some(Limit { key, value, remedy, .. }) = self.limits().into_iter().find(|limit| !limit.holds) {
+            return Err(ConfigError::Value { key, value, remedy });
+        }
+        self.binding()?;
+        self.ipc.domain()?;
+        Ok(())
+    }
+
+    /// Every limit, and whether it holds.
+    fn limits(&self) -> Vec<Limit> {
+        let Self { model, scoring, history, daemon, planner, metrics, narrator, .. } = self;
+        let row =
+            |key, value: &dyn std::fmt::Display, holds, remedy| Limit { key, value: value.to_string(), holds, remedy };
+        let is_name =
+            |name: &str| !name.trim().is_empty() && name.len() <= NAME_BYTES_MAX && !name.contains(char::is_control);
+        let is_sum = |sum: &String| sum.len() == 64 && sum.bytes().all(|digit| digit.is_ascii_hexdigit());
+        let is_free = |directory: &PathBuf| !directory.as_os_str().is_empty();
+        let cores = format!("{:?}", model.cores);
+        let each_core_once = (1..).zip(&model.cores).all(|(next, core)| !model.cores[next..].contains(core));
+        let sum = model.sha256.clone().unwrap_or_default();
+        let effort = scoring.effort;
+        let prior = scoring.prior.unwrap_or_default();
+        let IntakeLimits { rate_per_s, burst } = daemon.intake;
+        let (robot, name) = (format!("{:?}", planner.robot), format!("{:?}", narrator.name));
+        let listen = metrics.listen.map(|address| address.to_string()).unwrap_or_default();
+        let on_loopback = metrics.listen.is_none_or(|address| address.ip().is_loopback());
+        let seconds = 0.0..=1e9;
+        const NAME: &str = "give 1 to 48 bytes of text without control characters";
+        const SECONDS: &str = "give 0 to 1000000000";
+        #[rustfmt::skip]
+        let limits = vec![
+            row("model.threads", &model.threads, model.threads <= THREADS_MAX, "give 0 (automatic) to 256"),
+            row("model.context_tokens", &model.context_tokens, (64..=1 << 20).contains(&model.context_tokens), "give 64 to 1048576"),
+            row("model.sequences", &model.sequences, (1..=SEQUENCES_MAX).contains(&model.sequences), "give 1 to 256, llama.cpp's limit"),
+            row("model.cores", &cores, each_core_once, "name each core once"),
+            row("model.sha256", &sum, model.sha256.as_ref().is_none_or(is_sum), "give 64 hexadecimal digits, as sha256sum prints them"),
+            row("history.observations", &history.observations, (1..=OBSERVATIONS_MAX).contains(&history.observations), "give 1 to 1000"),
+            row("history.slack", &history.slack, history.slack <= 1000, "give 0 to 1000"),
+            row("history.tokens", &history.tokens, history.tokens >= 16, "give 16 or more"),
+            row("scoring.deadline_ms", &scoring.deadline_ms, (1..=DEADLINE_MS_MAX).contains(&scoring.deadline_ms), "give 1 to 60000"),
+            row("scoring.prior", &prior, PRIOR_WEIGHTS.contains(&prior), "give 0 to 1"),
+            row("scoring.effort", &effort, scoring.method.allows(effort), "give \"exact\", or scoring.method = \"trie\", which alone can end early"),
+            row("daemon.state", &"empty", daemon.state.as_ref().is_none_or(is_free), "give a directory, or leave the key out for no journal"),
+            row("daemon.journal_bytes", &daemon.journal_bytes, daemon.journal_bytes >= JOURNAL_BYTES_MIN, "give 8192 or more"),
+            row("daemon.heartbeat_ms", &daemon.heartbeat_ms, (10..=60_000).contains(&daemon.heartbeat_ms), "give 10 to 60000"),
+            row("daemon.hang_s", &daemon.hang_s, daemon.hang_s >= 1, "give 1 or more"),
+            row("daemon.intake.rate_per_s", &rate_per_s, rate_per_s >= 0.0 && rate_per_s.is_finite(), "give 0 (no limit) or more"),
+            row("daemon.intake.burst", &burst, burst >= 1.0 && burst.is_finite(), "give 1 or more"),
+            row("planner.robot", &robot, is_name(&planner.robot), NAME),
+            row("narrator.name", &name, is_name(&narrator.name), NAME),
+            row("planner.room_time_s", &planner.room_time_s, seconds.contains(&planner.room_time_s), SECONDS),
+            row("planner.deadline_ms", &planner.deadline_ms, planner.deadline_ms > daemon.heartbeat_ms, "give more than daemon.heartbeat_ms, or every score is stale before it is confirmed"),
+            row("metrics.listen", &listen, on_loopback, "give a loopback address, 127.0.0.1:PORT or [::1]:PORT: whoever else wants to see metrics needs a proxy"),
+            row("narrator.linger_s", &narrator.linger_s, seconds.contains(&narrator.linger_s), SECONDS),
+        ];
+        limits
+    }
+
+    /// The binding sequence.
+    ///
+    /// # Errors
+    /// When the text cannot be one.
+    pub fn binding(&self) -> Result<BindingSequence, ConfigError> {
+        self.scoring.binding.parse().map_err(|_| ConfigError::Value {
+            key: "scoring.binding",
+            value: format!("{:?}", self.scoring.binding),
+            remedy: "give a built-in name (default, p0 to p5) or at most 1024 bytes of text without control characters",
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_manual_states_the_defaults() {
+        assert_eq!(toml::from_str::<Config>(DEFAULT_TOML).unwrap(), Config::default());
+    }
+
+    #[test]
+    fn threads_follow_the_cores_unless_they_are_given() {
+        let threads = |toml: &str| toml::from_str::<Config>(toml).unwrap().model.llama_options().threads;
+        assert_eq!(threads("[model]\ncores = [1, 2, 5]"), 3);
+        assert_eq!(threads("[model]\ncores = [1, 2, 5]\nthreads = 2"), 2);
+        assert_eq!(threads(""), LlamaOptions::default().threads);
+    }
+
+    #[test]
+    fn unknown_keys_and_values_out_of_limits_are_refused() {
+        assert!(toml::from_str::<Config>("[model]\nthread = 2").is_err());
+        let config: Config = toml::from_str("[model]\nsequences = 999").unwrap();
+        assert!(config.check().unwrap_err().to_string().contains("model.sequences is 999"));
+        let config: Config = toml::from_str("[scoring]\neffort = \"ranking\"\nmethod = \"independent\"").unwrap();
+        assert!(config.check().unwrap_err().to_string().contains("scoring.effort is ranking"));
+        let config: Config = toml::from_str("[metrics]\nlisten = \"0.0.0.0:9464\"").unwrap();
+        assert!(config.check().unwrap_err().to_string().contains("metrics.listen is 0.0.0.0:9464"));
+        for (toml, part) in [
+            ("[scoring]\nprior = 1.5", "scoring.prior is 1.5"),
+            ("[scoring]\nprior = nan", "scoring.prior is NaN"),
+            ("[ipc]\ndomain = \"ABC\"", "ABC"),
+            ("[ipc]\ndomain = \"\"", "[ipc]"),
+            ("[ipc]\nroot = \"rel\"", "rel"),
+            ("[planner]\nrobot = \"\"", "planner.robot is \"\""),
+            ("[narrator]\nname = \" \"", "narrator.name is \" \""),
+            ("[narrator]\nlinger_s = nan", "narrator.linger_s is NaN"),
+            ("[model]\ncores = [0, 1, 0]", "model.cores is [0, 1, 0]"),
+            ("[daemon]\nstate = \"\"", "daemon.state is empty"),
+            ("[daemon]\njournal_bytes = 1", "daemon.journal_bytes is 1"),
+        ] {
+            let error = toml::from_str::<Config>(toml).unwrap().check().unwrap_err().to_string();
+            assert!(error.contains(part), "{toml}: {error}");
+        }
+        let fits = "[model]\ncores = [1, 0]\n[daemon]\njournal_bytes = 8192\n[ipc]\ndomain = \"a-1\"";
+        toml::from_str::<Config>(fits).unwrap().check().unwrap();
+    }
+
+    #[test]
+    fn a_fault_names_the_file_it_is_in() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[model]\nthreads = 999").unwrap();
+        let error = Config::load(file.path()).unwrap_err();
+        let text = crate::logging::chain(&error);
+        assert!(text.starts_with(&file.path().display().to_string()), "{text}");
+        assert_eq!(text.matches("model.threads is 999").count(), 1, "{text}");
+    }
+}

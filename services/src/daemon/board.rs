@@ -1,0 +1,390 @@
+//! From observations to the snapshot that is published: the pipeline's step, with sequence numbers, ages and flags. No clock,
+//! no port: the daemon's loop, the simulation and the tests drive it alike.
+
+use std::cmp::Reverse;
+
+use roomcast_ipc::{
+    ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, MAX_HORIZONS, MAX_ROOMS, MAX_SOURCES,
+    MessageError, NAME_BYTES, NO_PARTITION, RoomScoresV1, RoomV1, reached, score_flags, text,
+};
+
+use crate::moment::Moment;
+use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
+use roomcast_core::grounding::{GroundingOptions, Partition, partitions};
+use roomcast_core::narration::Observation;
+use roomcast_core::pipeline::{Included, Pipeline, PipelineError, Prepared};
+use roomcast_core::scorer::LanguageModel;
+use roomcast_core::scorer::certified::Effort;
+use roomcast_core::semantic_map::SemanticMap;
+
+/// A map that messages cannot carry.
+#[derive(Debug, thiserror::Error)]
+pub enum BoardError {
+    /// More partitions than a message has places.
+    #[error(
+        "the map has {partitions} partitions at this level, a message carries at most {MAX_ROOMS}: choose grounding.level = \"room\" or \"group\", or a smaller map"
+    )]
+    TooManyPartitions {
+        /// How many.
+        partitions: usize,
+    },
+    /// A partition's id does not fit.
+    #[error(
+        "the partition {id:?} cannot be named in a message (at most {NAME_BYTES} bytes): shorten its id in the scene"
+    )]
+    Name {
+        /// The id.
+        id: String,
+        /// Why.
+        source: MessageError,
+    },
+}
+
+/// A map that cannot take the place of the one in use.
+#[derive(Debug, thiserror::Error)]
+pub enum MapError {
+    /// Messages cannot carry it.
+    #[error(transparent)]
+    Board(#[from] BoardError),
+    /// It cannot be grounded, or its labels do not fit the model's context.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+}
+
+/// An observation and when it was received, in monotonic nanoseconds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Entry {
+    /// What was observed.
+    pub observation: Observation,
+    /// When the daemon received it.
+    pub received_ns: u64,
+    /// Whether observations of its source were lost before it.
+    pub after_gap: bool,
+}
+
+/// An observation that the forecasts do not know yet.
+#[derive(Debug, Default)]
+struct Seen {
+    person: u32,
+    /// Monotonic.
+    observed_ns: u64,
+    sentence: String,
+}
+
+/// Owns the pipeline and the current snapshot.
+#[derive(Debug)]
+pub struct Board<M> {
+    pipeline: Pipeline<M>,
+    map: SemanticMap,
+    grounding: GroundingOptions,
+    mentions: Mentions,
+    snapshot: RoomScoresV1,
+    /// The newest forecast; what is beyond the rooms and horizons stays zero.
+    forecast: Box<ForecastV1>,
+    accepted: std::collections::BTreeMap<u64, u64>,
+    /// What the forecasts do not know yet are the first `unwatched` of them; the others are memory to be used again.
+    seen: Vec<Seen>,
+    unwatched: usize,
+    /// Working memory of a step: the sources that the scores name, newest first.
+    newest_sources: Vec<Included>,
+    /// Per person where they will be; persons unknown to the histories are forgotten.
+    forecasters: std::collections::BTreeMap<u32, Forecaster>,
+}
+
+/// Observations whose memory is used again: more come at once after a stand-still only.
+const SEEN_KEPT: usize = 256;
+
+/// The horizons that the forecast is published for, in seconds.
+pub const HORIZONS_S: [f32; MAX_HORIZONS] =
+    [0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 300.0, 450.0, 600.0, 900.0, 1800.0, 3600.0];
+
+impl<M: LanguageModel> Board<M> {
+    /// A board without scores; `epoch` is random per start of the daemon, `grounding` what the pipeline's map is grounded by.
+    ///
+    /// # Errors
+    ///
+    /// [`BoardError`] when the map does not fit into a message.
+    pub fn new(
+        pipeline: Pipeline<M>,
+        map: SemanticMap,
+        grounding: GroundingOptions,
+        epoch: u64,
+    ) -> Result<Self, BoardError> {
+        let (room, room_count) = named_rooms(&pipeline.grounding().partitions)?;
+        let snapshot = RoomScoresV1 {
+            epoch,
+            model_fingerprint: pipeline.model().fingerprint,
+            map_fingerprint: map.fingerprint,
+            room_count,
+            room,
+            reached: reached::EXACT,
+            ..Default::default()
+        };
+        Ok(Self {
+            mentions: Mentions::new(&map, pipeline.grounding()),
+            pipeline,
+            map,
+            grounding,
+            snapshot,
+            forecast: Box::default(),
+            accepted: std::collections::BTreeMap::new(),
+            seen: Vec::new(),
+            unwatched: 0,
+            newest_sources: Vec::new(),
+            forecasters: std::collections::BTreeMap::new(),
+        })
+    }
+
+    /// Takes a changed map in place of the one in use; the next step's scores are of it. Gives what it asked of the model.
+    ///
+    /// # Errors
+    ///
+    /// [`MapError`] when the map does not fit into a message, or cannot be grounded; the old one stays in use then.
+    pub fn change_map(&mut self, map: SemanticMap) -> Result<Prepared, MapError> {
+        // What was seen on the old map is understood by it.
+        self.watch();
+        let partitions = partitions(&map, self.grounding.level);
+        let (room, room_count) = named_rooms(&partitions)?;
+        let prepared = self.pipeline.change_map(&map, &self.grounding)?;
+        let same_rooms =
+            self.snapshot.rooms().iter().map(|room| room.id).eq(room.iter().map(|room| room.id).take(partitions.len()));
+        if !same_rooms {
+            // What was believed of other rooms says nothing of these; the next observation begins anew.
+            self.forecasters.clear();
+        }
+        self.snapshot.map_fingerprint = map.fingerprint;
+        (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
+        *self.forecast = ForecastV1::default();
+        self.mentions = Mentions::new(&map, self.pipeline.grounding());
+        self.map = map;
+        Ok(prepared)
+    }
+
+    /// All that is behind the newest scores.
+    #[must_use]
+    pub fn moment(&self) -> Moment {
+        Moment::of(&self.pipeline, &self.map, &self.grounding, Some(&self.snapshot))
+    }
+
+    /// Enters observations of a former run, without scoring.
+    pub fn restore(&mut self, observations: impl IntoIterator<Item = Observation>) {
+        // Nobody knows how long the daemon was away, so the forecast begins anew with the first observation after it.
+        let observations = observations.into_iter().inspect(|o| *self.accepted.entry(o.source).or_default() += 1);
+        self.pipeline.observe(observations);
+    }
+
+    /// Takes the scored observations into the forecasts of their persons.
+    fn watch(&mut self) {
+        let grounding = self.pipeline.grounding();
+        let probability = &self.pipeline.scores().grounded.partition_probability;
+        for Seen { person, observed_ns, sentence } in &self.seen[..std::mem::take(&mut self.unwatched)] {
+            let at_s = *observed_ns as f64 / 1e9;
+            let fresh = || Forecaster::new(grounding.partitions.len(), ForecastOptions::default(), at_s);
+            let forecaster = self.forecasters.entry(*person).or_insert_with(fresh);
+            forecaster.observe(at_s, self.mentions.last(sentence), grounding, probability);
+        }
+        self.seen.truncate(SEEN_KEPT);
+        let histories = self.pipeline.histories();
+        self.forecasters.retain(|person, _| histories.get(*person).is_some());
+    }
+
+    /// Where persons will be from `now_ns` on, for the horizons of `HORIZONS_S`: of several persons, the probability that any of them is in
+    /// a room. Without an observation every room is as likely.
+    pub fn forecast(&mut self, now_ns: u64) -> &ForecastV1 {
+        self.watch();
+        let (message, rooms) = (&mut *self.forecast, self.snapshot.rooms());
+        (message.epoch, message.sequence) = (self.snapshot.epoch, self.snapshot.sequence);
+        (message.computed_ns, message.published_ns) = (now_ns, now_ns);
+        (message.room_count, message.person) = (self.snapshot.room_count, self.snapshot.person);
+        (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
+        for (id, room) in message.id.iter_mut().zip(rooms) {
+            *id = room.id;
+        }
+        let now_s = now_ns as f64 / 1e9;
+        for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
+            let mut free = [1.0; MAX_ROOMS];
+            for forecaster in self.forecasters.values() {
+                let probability = forecaster.at(now_s, f64::from(*horizon_s));
+                free.iter_mut().zip(probability).for_each(|(free, p)| *free *= 1.0 - p);
+            }
+            for (row, free) in message.probability.iter_mut().zip(free).take(rooms.len()) {
+                let occupied = if self.forecasters.is_empty() { 1.0 / rooms.len() as f64 } else { 1.0 - free };
+                row[place] = occupied.clamp(0.0, 1.0) as f32;
+            }
+        }
+        message
+    }
+
+    /// Takes all entries as one step: every one goes into its history, then the rooms are scored once.
+    ///
+    /// # Errors
+    ///
+    /// When the model fails. The observations are in the histories all the same; the snapshot keeps the last good scores, says
+    /// so in its flags, and does not claim the new narration.
+    pub fn step(
+        &mut self,
+        entries: impl IntoIterator<Item = Entry>,
+        now_ns: u64,
+        now_unix_ns: u64,
+    ) -> Result<(), PipelineError> {
+        // What nobody wanted a forecast from, nor was there time for: with the scores of its own step.
+        self.watch();
+        let mut received_ns = None;
+        let mut gap = false;
+        let (accepted, seen, unwatched) = (&mut self.accepted, &mut self.seen, &mut self.unwatched);
+        self.pipeline.observe(entries.into_iter().map(|Entry { observation: o, received_ns: at_ns, after_gap }| {
+            received_ns = Some(received_ns.map_or(at_ns, |first: u64| first.min(at_ns)));
+            gap |= after_gap;
+            *accepted.entry(o.source).or_default() += 1;
+            if *unwatched == seen.len() {
+                seen.push(Seen::default());
+            }
+            let place = &mut seen[*unwatched];
+            *unwatched += 1;
+            (place.person, place.observed_ns) = (o.person, o.observed_ns);
+            place.sentence.clear();
+            place.sentence.push_str(o.sentence.as_str());
+            o
+        }));
+        if let Err(error) = self.pipeline.score() {
+            self.snapshot.flags |= score_flags::SCORER_FAILED;
+            return Err(error);
+        }
+        self.snapshot.sequence += 1;
+        self.snapshot.computed_ns = now_ns;
+        self.snapshot.computed_unix_ns = now_unix_ns;
+        self.snapshot.received_ns = received_ns.unwrap_or(self.snapshot.received_ns);
+        self.snapshot.wait_ns = received_ns.map_or(0, |received_ns| now_ns.saturating_sub(received_ns));
+        self.snapshot.flags = if gap { score_flags::GAP } else { 0 };
+        self.fill();
+        Ok(())
+    }
+
+    /// The scores of the last good step as a message, to be sent at `now_ns`: again unchanged when `heartbeat`.
+    pub fn message(&mut self, now_ns: u64, heartbeat: bool, behind: bool) -> &RoomScoresV1 {
+        let message = &mut self.snapshot;
+        message.published_ns = now_ns;
+        message.flags &= !(score_flags::HEARTBEAT | score_flags::BEHIND);
+        message.flags |= if heartbeat { score_flags::HEARTBEAT } else { 0 };
+        message.flags |= if behind { score_flags::BEHIND } else { 0 };
+        message
+    }
+
+    /// The current snapshot, as it was sent last.
+    #[must_use]
+    pub fn snapshot(&self) -> &RoomScoresV1 {
+        &self.snapshot
+    }
+
+    /// The pipeline.
+    #[must_use]
+    pub fn pipeline(&self) -> &Pipeline<M> {
+        &self.pipeline
+    }
+
+    /// The map.
+    #[must_use]
+    pub fn map(&self) -> &SemanticMap {
+        &self.map
+    }
+
+    /// Work that can wait until there is nothing else to do.
+    pub fn tidy(&mut self) {
+        self.watch();
+        self.pipeline.tidy();
+    }
+
+    /// The items' scores of the last step, with the header that ties them to the snapshot.
+    pub fn items(&self) -> (ItemScoresHeaderV1, impl ExactSizeIterator<Item = ItemScoreV1> + '_) {
+        let RoomScoresV1 { epoch, sequence, computed_ns, .. } = self.snapshot;
+        let header = ItemScoresHeaderV1 { epoch, sequence, computed_ns, ..Default::default() };
+        let mut counts = vec![0_u32; self.map.labels.len()];
+        for item in &self.map.items {
+            counts[item.label.0 as usize] += 1;
+        }
+        let grounding = self.pipeline.grounding();
+        let scores = grounding.item_log_score_nats(&self.pipeline.scores().label_log_prob_nats);
+        let placed = self.map.items.iter().zip(&grounding.item_partition).zip(scores);
+        let items = placed.map(move |((item, partition), log_score_nats)| ItemScoreV1 {
+            id: text::encode_cut(&item.id),
+            label: text::encode_cut(&self.map.labels[item.label.0 as usize]),
+            log_score_nats,
+            partition: partition.map_or(NO_PARTITION, |partition| partition.0),
+            label_items: counts[item.label.0 as usize],
+        });
+        (header, items)
+    }
+
+    /// Copies the pipeline's scores into the snapshot.
+    fn fill(&mut self) {
+        let scores = self.pipeline.scores();
+        let snapshot = &mut self.snapshot;
+        let grounded = &scores.grounded;
+        let values = grounded.partition_log_score_nats.iter().zip(&grounded.partition_probability);
+        let bounds = scores.lower_log_score_nats.iter().zip(&scores.upper_log_score_nats);
+        for ((room, (score, probability)), (lower, upper)) in snapshot.room.iter_mut().zip(values).zip(bounds) {
+            *room = RoomV1 {
+                log_score_nats: *score,
+                lower_log_score_nats: *lower,
+                upper_log_score_nats: *upper,
+                probability: *probability,
+                ..*room
+            };
+        }
+        snapshot.reached = match scores.reached {
+            Effort::Exact => reached::EXACT,
+            Effort::Ranking => reached::RANKING,
+            Effort::Top => reached::TOP,
+            Effort::Deadline => reached::DEADLINE,
+        };
+        snapshot.label_mass = grounded.label_mass;
+        snapshot.observed_ns = scores.newest_observed_ns;
+        snapshot.tokenise_ns = scores.timing.tokenise_ns;
+        snapshot.prefix_ns = scores.timing.prefix_ns;
+        snapshot.trie_ns = scores.timing.trie_ns;
+        snapshot.ground_ns = scores.timing.ground_ns;
+
+        let (mut persons, mut window, mut last) = (0, 0, ALL_PERSONS);
+        for (person, history) in self.pipeline.histories().iter() {
+            persons += 1;
+            window += history.len() as u64;
+            last = person;
+        }
+        snapshot.persons = persons;
+        snapshot.window = window;
+        snapshot.person = if persons == 1 { last } else { ALL_PERSONS };
+
+        self.newest_sources.clear();
+        self.newest_sources.extend_from_slice(&scores.included);
+        // By source where times are equal, so that the same step gives the same message.
+        self.newest_sources.sort_unstable_by_key(|included| (Reverse(included.observed_ns), included.source));
+        let cut = self.newest_sources.len() > MAX_SOURCES;
+        self.newest_sources.truncate(MAX_SOURCES);
+        snapshot.source_count = self.newest_sources.len() as u32;
+        snapshot.included = Default::default();
+        for (place, included) in snapshot.included.iter_mut().zip(&self.newest_sources) {
+            *place = IncludedV1 {
+                source: included.source,
+                epoch: included.epoch,
+                sequence: included.sequence,
+                observed_ns: included.observed_ns,
+                accepted: self.accepted.get(&included.source).copied().unwrap_or(0),
+            };
+        }
+        snapshot.flags |= if cut { score_flags::SOURCES_CUT } else { 0 };
+        snapshot.flags |= if self.newest_sources.is_empty() { score_flags::NO_NARRATION } else { 0 };
+    }
+}
+
+/// The rooms of a message for these partitions, without scores.
+fn named_rooms(partitions: &[Partition]) -> Result<([RoomV1; MAX_ROOMS], u32), BoardError> {
+    if partitions.len() > MAX_ROOMS {
+        return Err(BoardError::TooManyPartitions { partitions: partitions.len() });
+    }
+    let mut rooms = [RoomV1::default(); MAX_ROOMS];
+    for (room, partition) in rooms.iter_mut().zip(partitions) {
+        let name = |source| BoardError::Name { id: partition.id.clone(), source };
+        room.id = text::encode("room id", &partition.id).map_err(name)?;
+    }
+    Ok((rooms, partitions.len() as u32))
+}

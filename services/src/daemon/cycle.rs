@@ -1,0 +1,166 @@
+//! The scoring loop without threads, ports, clock and disk: when to score, when to try again, what to send. Time and the
+//! journal's progress come in as numbers and messages go out as values, so that the daemon's threads and the simulation of faults
+//! (`tests/simulated.rs`) drive the same code.
+
+use roomcast_ipc::{IncludedV1, MAX_SOURCES, RoomScoresV1};
+
+use super::{Board, Entry, Intake};
+use roomcast_core::narration::Observation;
+use roomcast_core::pipeline::PipelineError;
+use roomcast_core::scorer::LanguageModel;
+
+/// A failing scorer is tried again after this.
+const RETRY_NS: u64 = 1_000_000_000;
+
+/// The state of the scoring loop.
+#[derive(Debug)]
+pub struct Cycle<M> {
+    board: Board<M>,
+    /// What the next step takes into the histories.
+    waiting: Vec<Entry>,
+    /// The journal's number of the newest observation entered.
+    entered_record: u64,
+    /// The same of the newest observation that the scores contain.
+    scored_record: u64,
+    /// There is something to score: new narration, a step that failed, or nothing scored yet.
+    due: bool,
+    retry_ns: u64,
+    /// The newest scores were not sent yet.
+    fresh: bool,
+    heartbeat_ns: u64,
+    sent_ns: u64,
+    /// The claims of the last message whose narration was all in the journal.
+    claims: (u32, [IncludedV1; MAX_SOURCES]),
+    /// The last message claimed less than its scores contain.
+    held_back: bool,
+    /// That message.
+    less: Box<RoomScoresV1>,
+}
+
+impl<M: LanguageModel> Cycle<M> {
+    /// A loop that has scored nothing; `heartbeat_ns` after a message the next one confirms it.
+    #[must_use]
+    pub fn new(board: Board<M>, heartbeat_ns: u64) -> Self {
+        Self {
+            board,
+            waiting: Vec::new(),
+            entered_record: 0,
+            scored_record: 0,
+            // The first step scores what the journal gave, or the binding sequence alone.
+            due: true,
+            retry_ns: 0,
+            fresh: false,
+            heartbeat_ns,
+            sent_ns: 0,
+            claims: Default::default(),
+            held_back: false,
+            less: Box::default(),
+        }
+    }
+
+    /// Takes what the journal kept of a former run into the histories, and makes `intake` know it, so that it is not taken twice.
+    pub fn restore(&mut self, observations: Vec<Observation>, intake: &mut Intake, now_ns: u64) {
+        for observation in &observations {
+            intake.restore(observation, now_ns);
+        }
+        self.board.restore(observations);
+    }
+
+    /// Takes an accepted observation for the next step; `record` is its number in the journal, 0 without one.
+    pub fn enter(&mut self, entry: Entry, record: u64) {
+        self.waiting.push(entry);
+        self.entered_record = record;
+        self.due = true;
+    }
+
+    /// Observations that the next step will take.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        self.waiting.len()
+    }
+
+    /// Whether a step is due: new narration at once, a failed step after a second.
+    #[must_use]
+    pub fn step_due(&self, now_ns: u64) -> bool {
+        self.due && (now_ns >= self.retry_ns || !self.waiting.is_empty())
+    }
+
+    /// Scores all that waits in one step.
+    ///
+    /// # Errors
+    ///
+    /// When the model fails. The observations are in the histories all the same, and a later step scores them.
+    pub fn step(&mut self, now_ns: u64, now_unix_ns: u64) -> Result<(), PipelineError> {
+        if let Err(error) = self.board.step(self.waiting.drain(..), now_ns, now_unix_ns) {
+            self.due = true;
+            self.retry_ns = now_ns.saturating_add(RETRY_NS);
+            return Err(error);
+        }
+        self.due = false;
+        self.fresh = true;
+        self.scored_record = self.entered_record;
+        Ok(())
+    }
+
+    /// The journal's number of the newest narration that the scores contain: what [`Cycle::message`] wants written.
+    #[must_use]
+    pub fn scored_record(&self) -> u64 {
+        self.scored_record
+    }
+
+    /// Whether there is something to send: new scores, a heartbeat, or claims that had to wait for the journal. `written` is how far the
+    /// journal is.
+    #[must_use]
+    pub fn message_due(&self, now_ns: u64, written: u64) -> bool {
+        let confirmation =
+            now_ns.saturating_sub(self.sent_ns) >= self.heartbeat_ns || (self.held_back && self.durable(written));
+        self.board.snapshot().sequence > 0 && (self.fresh || confirmation)
+    }
+
+    fn durable(&self, written: u64) -> bool {
+        written >= self.scored_record
+    }
+
+    /// The message that is to be sent now, if [one is due](Self::message_due).
+    ///
+    /// Scores that contain narration beyond `written` are sent all the same, but do not claim it: a claim is what lets a narrator forget,
+    /// and must survive a killed daemon.
+    pub fn message(&mut self, now_ns: u64, written: u64, behind: bool) -> Option<&RoomScoresV1> {
+        if !self.message_due(now_ns, written) {
+            return None;
+        }
+        let durable = self.durable(written);
+        let message = self.board.message(now_ns, !self.fresh, behind);
+        self.held_back = !durable;
+        self.fresh = false;
+        self.sent_ns = now_ns;
+        if durable {
+            self.claims = (message.source_count, message.included);
+            return Some(message);
+        }
+        *self.less = *message;
+        (self.less.source_count, self.less.included) = self.claims;
+        Some(&self.less)
+    }
+
+    /// Makes a step due at once: the map has changed.
+    pub fn score_again(&mut self) {
+        (self.due, self.retry_ns) = (true, 0);
+    }
+
+    /// The board, to change its map or to forecast.
+    pub fn board_mut(&mut self) -> &mut Board<M> {
+        &mut self.board
+    }
+
+    /// The board.
+    #[must_use]
+    pub fn board(&self) -> &Board<M> {
+        &self.board
+    }
+
+    /// Work that can wait until there is nothing else to do.
+    pub fn tidy(&mut self) {
+        self.board.tidy();
+    }
+}

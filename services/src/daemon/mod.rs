@@ -1,0 +1,686 @@
+//! The daemon: receives narration, scores the rooms, publishes.
+//!
+//! ```text
+//! scoring thread: ear -> board -> room scores, item scores; heartbeat, status
+//! relief thread:  the ear while the scoring thread is busy
+//! main thread:    signals, watchdog
+//!
+//! ear: narration port -> intake -> journal
+//! ```
+//!
+//! There is one ear, and whoever has it listens. The scoring thread listens itself while it has nothing to do, so that an event wakes one
+//! thread, not two. Before a step that may take long it hands the ear to the relief thread, so that nothing that arrives meanwhile is lost;
+//! it waits in a queue, and becomes part of the next step. The relief thread gives the ear back soon after the step.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use crossbeam::select;
+use hdrhistogram::Histogram;
+use roomcast_ipc::{
+    AnswerPort, Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, Publisher, RoomScoresV1,
+    StatusResponseV1, StatusServer, Subscriber, clock, question, score_flags, sequence, text,
+};
+use sd_notify::NotifyState;
+
+use crate::config::{Config, DaemonConfig};
+use crate::logging::Limiter;
+use crate::notify::notify;
+use crate::setup::{self, SetupError};
+use crate::stop::Stop;
+use roomcast_core::pipeline::Prepared;
+use roomcast_core::scorer::LanguageModel;
+use roomcast_llama::affinity::{self, AffinityError};
+
+mod board;
+mod cycle;
+mod intake;
+pub mod journal;
+mod map_change;
+
+pub use board::{Board, BoardError, Entry, MapError};
+pub use cycle::Cycle;
+pub use intake::{Intake, IntakeCounters, SOURCES_MAX, Taken};
+pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
+pub use map_change::{Answered, KeptMap, MapAnswer, MapQuestion, Outcome};
+
+/// Observations that may wait for the scorer.
+const QUEUE: usize = 65_536;
+/// Messages taken from the port at once: a flood of them must not keep the scorer from its steps.
+const AT_ONCE: usize = 2048;
+/// How often connections are renewed: the time within which a late joiner has the scores.
+const TICK: Duration = Duration::from_millis(100);
+/// The relief thread has the ear at most so long after a step; an event that comes meanwhile wakes both threads.
+const RELIEF: Duration = Duration::from_millis(5);
+/// While a step that takes less runs, the port holds what comes: waking another thread would take longer than most of it.
+const SHORT_STEP_NS: u64 = 200_000;
+/// Scores wait at most this long for the journal; after that they are sent without claiming what it does not hold yet.
+const JOURNAL_PATIENCE: Duration = Duration::from_millis(5);
+/// How often what dead participants left is removed.
+const CLEAN_UP_NS: u64 = 1_000_000_000;
+const LOG_INTERVAL_NS: u64 = 5_000_000_000;
+
+fn journal_options(config: &DaemonConfig) -> Option<JournalOptions> {
+    let directory = config.state_directory()?;
+    Some(JournalOptions { directory, bytes_max: config.journal_bytes, sync_ms: config.journal_sync_ms })
+}
+
+/// Why the daemon ended, or did not begin.
+#[derive(Debug, thiserror::Error)]
+pub enum DaemonError {
+    /// Model, map or configuration.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+    /// The map does not fit into messages.
+    #[error(transparent)]
+    Board(#[from] BoardError),
+    /// A service.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+    /// The cores.
+    #[error(transparent)]
+    Affinity(#[from] AffinityError),
+    /// The journal.
+    #[error(transparent)]
+    Journal(#[from] JournalError),
+    /// A thread could not be started.
+    #[error("cannot start the {name} thread: {source}; is a limit on tasks set too low?")]
+    Thread {
+        /// Which.
+        name: &'static str,
+        /// The system's word.
+        source: std::io::Error,
+    },
+    /// A thread stands still.
+    #[error("the {name} thread has not moved for {seconds} s (daemon.hang_s): giving up, so that it can be restarted")]
+    Hung {
+        /// Which.
+        name: &'static str,
+        /// How long.
+        seconds: u64,
+    },
+    /// A thread ended by itself.
+    #[error("the {name} thread ended unexpectedly; the log says why")]
+    Ended {
+        /// Which.
+        name: &'static str,
+    },
+}
+
+/// Runs until asked to stop, with the model that `model` gives ([`setup::configured_model`]).
+///
+/// # Errors
+///
+/// [`DaemonError`] when it cannot begin, hangs, or a service is lost.
+pub fn run<M: LanguageModel + Send + 'static>(
+    config: &Config,
+    domain: &Domain,
+    stop: &Stop,
+    model: impl FnOnce(&Config) -> Result<M, SetupError> + Send,
+) -> Result<(), DaemonError> {
+    let node = domain.open("roomcast-daemon")?;
+    // First the place that only one daemon can hold, then the ear, then the model, which takes longest: narration that comes
+    // meanwhile waits in the port.
+    let scores = node.publisher::<RoomScoresV1>()?;
+    let items = node.item_scores_publisher()?;
+    let forecasts = node.publisher::<ForecastV1>()?;
+    let status = node.status_server()?;
+    let narration = node.subscriber::<NarrationV1>()?;
+    let (map_changes, moments) = (node.answer_port(question::MAP_CHANGE)?, node.answer_port(question::MOMENT)?);
+    let configured = setup::load_map(config.scene.path.as_deref())?;
+    let kept_map = config.daemon.state_directory().map(|directory| KeptMap::new(&directory, &configured));
+    let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
+    let pipeline = set_up(|| setup::open_with(config, &map, model))??;
+    let model_name = pipeline.model().name.clone();
+    let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?;
+    let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
+
+    let mut intake = Intake::new(config.daemon.intake);
+    let mut restored = 0;
+    let mut journal = None;
+    if let Some(options) = journal_options(&config.daemon) {
+        let (open, recovered) = Journal::open(&options)?;
+        let damaged_bytes = recovered.damaged_bytes;
+        restored = recovered.observations.len() as u64;
+        recovered.carried.iter().for_each(|observation| intake.restore(observation, clock::monotonic_ns()));
+        cycle.restore(recovered.observations, &mut intake, clock::monotonic_ns());
+        tracing::info!(restored, damaged_bytes, directory = %options.directory.display(), "journal read");
+        journal = Some(open);
+    }
+
+    let (queue_in, queue) = bounded(QUEUE);
+    let counters = Arc::new(Mutex::new((IntakeCounters::default(), 0)));
+    let progress_ns = Progress::default();
+    let journal_handle = journal.as_ref().map(Journal::handle);
+    let limiter = || Limiter::new(LOG_INTERVAL_NS);
+    let ear = Ear {
+        narration,
+        heard: Box::default(),
+        intake,
+        journal,
+        counters: Arc::clone(&counters),
+        more: false,
+        log_refused: limiter(),
+        log_port: limiter(),
+    };
+    // There is one ear: it never waits for a place.
+    let ((over, handed_over), (back, given_back)) = (bounded(1), bounded(1));
+    let busy = Arc::new(AtomicBool::new(false));
+    let relief = Relief {
+        handed_over,
+        back,
+        queue: queue_in,
+        busy: Arc::clone(&busy),
+        progress: progress_ns.clone(),
+        stop: stop.clone(),
+    };
+    let snapshot = cycle.board().snapshot();
+    let mut scoring = Scoring {
+        ready: false,
+        scores,
+        items,
+        forecasts,
+        status,
+        map_changes,
+        answered: Answered::default(),
+        kept_map,
+        moments,
+        ear: Some(Box::new(ear)),
+        deaf: false,
+        over,
+        given_back,
+        busy,
+        step_ns: u64::MAX,
+        queue,
+        journal: journal_handle,
+        counters,
+        progress: progress_ns.clone(),
+        latency_ns: Histogram::new_with_max(60_000_000_000, 3).ok(),
+        tally: StatusResponseV1 {
+            epoch: snapshot.epoch,
+            started_unix_ns: clock::unix_ns(),
+            restored,
+            model_fingerprint: snapshot.model_fingerprint,
+            map_fingerprint: snapshot.map_fingerprint,
+            process: std::process::id(),
+            version: text::encode_cut(env!("CARGO_PKG_VERSION")),
+            map: text::encode_cut(&cycle.board().map().name),
+            model: text::encode_cut(&model_name),
+            ..Default::default()
+        },
+        cycle,
+        log: limiter(),
+        stop: stop.clone(),
+    };
+    let cores = config.model.cores.clone();
+    let scoring = spawn("scoring", move || {
+        affinity::bind(&cores)?;
+        Ok::<(), DaemonError>(scoring.run()?)
+    })?;
+    let relief = spawn("relief", move || relief.run())?;
+
+    let mut cleaned_ns = 0;
+    while !stop.requested() {
+        std::thread::sleep(Duration::from_millis(50));
+        if scoring.is_finished() && !stop.requested() {
+            return Err(match scoring.join() {
+                Ok(Err(error)) => error,
+                _ => DaemonError::Ended { name: "scoring" },
+            });
+        }
+        if relief.is_finished() && !stop.requested() {
+            return Err(DaemonError::Ended { name: "relief" });
+        }
+        let now_ns = clock::monotonic_ns();
+        let (name, still_ns) = progress_ns.slowest(now_ns);
+        if still_ns > config.daemon.hang_s.saturating_mul(1_000_000_000) {
+            return Err(DaemonError::Hung { name, seconds: still_ns / 1_000_000_000 });
+        }
+        notify(&[NotifyState::Watchdog]);
+        if now_ns.saturating_sub(cleaned_ns) >= CLEAN_UP_NS {
+            node.clean_up_dead();
+            cleaned_ns = now_ns;
+        }
+    }
+    notify(&[NotifyState::Stopping]);
+    // The relief thread gives the ear back; the scoring thread finishes what it has heard.
+    relief.join().map_err(|_| DaemonError::Ended { name: "relief" })?;
+    scoring.join().map_err(|_| DaemonError::Ended { name: "scoring" })??;
+    tracing::info!("stopped");
+    Ok(())
+}
+
+fn spawn<T: Send + 'static>(
+    name: &'static str,
+    run: impl FnOnce() -> T + Send + 'static,
+) -> Result<std::thread::JoinHandle<T>, DaemonError> {
+    std::thread::Builder::new().name(name.to_owned()).spawn(run).map_err(|source| DaemonError::Thread { name, source })
+}
+
+/// Runs what uses the model before the scoring thread does, on a thread that ends with it.
+///
+/// The threads of a decoder call belong to the thread that makes it, and stay as long as that one. Beside the scoring thread's they would be
+/// more than there are cores, and of so many OpenMP puts to sleep whoever waits for the others, a hundred times in a call: an event
+/// took twice the time.
+fn set_up<T: Send>(run: impl FnOnce() -> T + Send) -> Result<T, DaemonError> {
+    std::thread::scope(|scope| {
+        let thread = std::thread::Builder::new().name("setup".to_owned()).spawn_scoped(scope, run);
+        let thread = thread.map_err(|source| DaemonError::Thread { name: "setup", source })?;
+        thread.join().map_err(|_| DaemonError::Ended { name: "setup" })
+    })
+}
+
+/// When each thread moved last, in monotonic nanoseconds: what the watchdog looks at.
+#[derive(Debug, Clone)]
+struct Progress {
+    relief_ns: Arc<AtomicU64>,
+    scoring_ns: Arc<AtomicU64>,
+}
+
+impl Default for Progress {
+    fn default() -> Self {
+        let now = || Arc::new(AtomicU64::new(clock::monotonic_ns()));
+        Self { relief_ns: now(), scoring_ns: now() }
+    }
+}
+
+impl Progress {
+    /// The thread that stood still longest, and for how long, in nanoseconds.
+    fn slowest(&self, now_ns: u64) -> (&'static str, u64) {
+        let still = |moved: &AtomicU64| now_ns.saturating_sub(moved.load(Ordering::Relaxed));
+        let (relief_ns, scoring_ns) = (still(&self.relief_ns), still(&self.scoring_ns));
+        if relief_ns > scoring_ns { ("relief", relief_ns) } else { ("scoring", scoring_ns) }
+    }
+}
+
+/// Counters of the intake, and sources known.
+type Counters = Arc<Mutex<(IntakeCounters, usize)>>;
+
+/// Hears narrators, for whoever has it.
+struct Ear {
+    narration: Subscriber<NarrationV1>,
+    /// What the port gave last.
+    heard: Box<NarrationV1>,
+    intake: Intake,
+    journal: Option<Journal>,
+    counters: Counters,
+    /// The port was not emptied the last time.
+    more: bool,
+    log_refused: Limiter,
+    log_port: Limiter,
+}
+
+impl Ear {
+    /// Sleeps until there is narration or `patience` is over; gives what is there to `hear`, with its number in the journal.
+    fn listen(&mut self, patience: Duration, hear: impl FnMut(Entry, u64)) {
+        // The port wakes once for all that came, so nothing would wake for what was left there.
+        let waited = if self.more { Ok(true) } else { self.narration.wait(patience) };
+        let received = waited.and_then(|_| self.drain(hear));
+        if let Err(error) = received {
+            // A port that fails may recover, when file descriptors become free for instance.
+            if let Some(held_back) = self.log_port.pass(clock::monotonic_ns()) {
+                tracing::error!(%error, held_back, "cannot receive narration");
+            }
+            std::thread::sleep(patience);
+        }
+    }
+
+    fn drain(&mut self, mut hear: impl FnMut(Entry, u64)) -> Result<(), IpcError> {
+        let mut messages = 0;
+        while messages < AT_ONCE
+            && let Some(checked) = self.narration.receive_into(&mut self.heard)?
+        {
+            messages += 1;
+            let now_ns = clock::monotonic_ns();
+            let received = checked.map(|()| &*self.heard);
+            let source = received.as_ref().map_or(0, |message| message.source);
+            let refused = match self.intake.receive(received, now_ns) {
+                Taken::Accepted { observation, missed } => {
+                    let number = self.journal.as_mut().map_or(0, |journal| journal.append(&observation));
+                    let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0 };
+                    hear(entry, number);
+                    (missed > 0).then(|| format!("{missed} narrations before it were lost"))
+                }
+                Taken::Duplicate => None,
+                Taken::Limited => Some("its source sends too fast, or is one too many".to_owned()),
+                Taken::Malformed(why) => Some(why),
+            };
+            if let Some(why) = refused
+                && let Some(held_back) = self.log_refused.pass(now_ns)
+            {
+                tracing::warn!(source, why, held_back, "narration");
+            }
+        }
+        self.more = messages == AT_ONCE;
+        if messages > 0 {
+            let counters = (self.intake.counters(), self.intake.sources());
+            *self.counters.lock().unwrap_or_else(PoisonError::into_inner) = counters;
+        }
+        Ok(())
+    }
+}
+
+/// Listens while the scoring thread is busy.
+struct Relief {
+    handed_over: Receiver<Box<Ear>>,
+    back: Sender<Box<Ear>>,
+    queue: Sender<(Entry, u64)>,
+    busy: Arc<AtomicBool>,
+    progress: Progress,
+    stop: Stop,
+}
+
+impl Relief {
+    fn run(self) {
+        while !self.stop.requested() {
+            let moved = || self.progress.relief_ns.store(clock::monotonic_ns(), Ordering::Relaxed);
+            moved();
+            let mut ear = match self.handed_over.recv_timeout(TICK) {
+                Ok(ear) => ear,
+                Err(RecvTimeoutError::Timeout) => continue,
+                Err(RecvTimeoutError::Disconnected) => return,
+            };
+            loop {
+                // It fails only when the scoring thread is gone, and the main thread sees that too.
+                ear.listen(RELIEF, |entry, number| drop(self.queue.send((entry, number))));
+                moved();
+                if !self.busy.load(Ordering::Acquire) || self.stop.requested() {
+                    break;
+                }
+            }
+            // It fails only when the scoring thread is gone, and the main thread sees that too.
+            let _given = self.back.send(ear);
+        }
+    }
+}
+
+struct Scoring<M> {
+    cycle: Cycle<M>,
+    ready: bool,
+    scores: Publisher<RoomScoresV1>,
+    items: ItemScoresPublisher,
+    forecasts: Publisher<ForecastV1>,
+    status: StatusServer,
+    map_changes: AnswerPort,
+    answered: Answered,
+    kept_map: Option<KeptMap>,
+    moments: AnswerPort,
+    /// The relief thread has it otherwise.
+    ear: Option<Box<Ear>>,
+    /// The relief thread has ended, and the ear with it.
+    deaf: bool,
+    over: Sender<Box<Ear>>,
+    given_back: Receiver<Box<Ear>>,
+    /// The relief thread is to keep the ear.
+    busy: Arc<AtomicBool>,
+    /// What the last step took, as a guess at the next.
+    step_ns: u64,
+    queue: Receiver<(Entry, u64)>,
+    journal: Option<JournalHandle>,
+    counters: Counters,
+    progress: Progress,
+    latency_ns: Option<Histogram<u64>>,
+    tally: StatusResponseV1,
+    log: Limiter,
+    stop: Stop,
+}
+
+impl<M: LanguageModel> Scoring<M> {
+    fn run(&mut self) -> Result<(), IpcError> {
+        loop {
+            let last = self.deaf || (self.stop.requested() && self.ear.is_some());
+            // A changed map is scored at once.
+            let wait = !last && !self.cycle.step_due(clock::monotonic_ns());
+            self.hear(if wait { TICK } else { Duration::ZERO });
+            let now_ns = clock::monotonic_ns();
+            self.progress.scoring_ns.store(now_ns, Ordering::Relaxed);
+            let events = self.cycle.waiting() as u64;
+            if self.cycle.step_due(now_ns) {
+                if !last && self.step_ns >= SHORT_STEP_NS {
+                    hand_over(&mut self.ear, &self.over, &self.busy);
+                }
+                self.step(now_ns);
+                self.step_ns = clock::monotonic_ns().saturating_sub(now_ns);
+            }
+            self.send(events)?;
+            if last {
+                return Ok(());
+            }
+            // What comes after may wait for the scores: looking for questions alone takes as long as a small step.
+            self.renew_connections()?;
+            if self.change_map()? {
+                self.cycle.score_again();
+            }
+            self.status.answer(|| self.tally())?;
+            self.moments.answer(|_| serde_json::to_string(&self.cycle.board().moment()).unwrap_or_default())?;
+            if self.queue.is_empty() {
+                self.cycle.tidy();
+            }
+            self.busy.store(false, Ordering::Release);
+        }
+    }
+
+    /// Sleeps until there is narration or `patience` is over, and takes in all that was heard.
+    fn hear(&mut self, patience: Duration) {
+        if self.ear.is_none() {
+            select! {
+                recv(self.given_back) -> ear => {
+                    self.deaf = ear.is_err();
+                    self.ear = ear.ok();
+                }
+                recv(self.queue) -> heard => if let Ok((entry, number)) = heard { self.cycle.enter(entry, number) },
+                default(patience) => {}
+            }
+        }
+        // First what the relief thread heard, while it had the ear.
+        for (entry, number) in self.queue.try_iter() {
+            self.cycle.enter(entry, number);
+        }
+        if let Some(ear) = &mut self.ear {
+            let patience = if self.cycle.waiting() > 0 { Duration::ZERO } else { patience };
+            ear.listen(patience, |entry, number| self.cycle.enter(entry, number));
+        }
+    }
+
+    /// Hands the newest messages to whoever has joined since.
+    fn renew_connections(&mut self) -> Result<(), IpcError> {
+        self.scores.tick()?;
+        if self.items.tick()? && self.cycle.board().snapshot().sequence > 0 {
+            self.send_items()?;
+        }
+        if self.forecasts.tick()? && self.cycle.board().snapshot().sequence > 0 {
+            self.forecasts.send(self.cycle.board_mut().forecast(clock::monotonic_ns()))?;
+        }
+        Ok(())
+    }
+
+    fn send_items(&self) -> Result<(), IpcError> {
+        let (header, items) = self.cycle.board().items();
+        self.items.send(header, items)
+    }
+
+    fn step(&mut self, now_ns: u64) {
+        self.tally.steps += 1;
+        self.tally.merged += (self.cycle.waiting() as u64).saturating_sub(1);
+        if let Err(error) = self.cycle.step(now_ns, clock::unix_ns()) {
+            self.tally.failed_steps += 1;
+            if let Some(held_back) = self.log.pass(now_ns) {
+                tracing::error!(%error, held_back, "scoring failed; the narration is kept and scored with the next step");
+            }
+            return;
+        }
+        if let Some(journal) = &self.journal
+            && !journal.wait_for(self.cycle.scored_record(), JOURNAL_PATIENCE)
+            && let Some(held_back) = self.log.pass(now_ns)
+        {
+            tracing::warn!(
+                held_back,
+                "the journal is slower than the scorer; narration is confirmed when it is written"
+            );
+        }
+    }
+
+    /// Sends what is to be sent now; `events` narrations came since the last time.
+    fn send(&mut self, events: u64) -> Result<(), IpcError> {
+        let before_ns = clock::monotonic_ns();
+        let written = self.journal.as_ref().map_or(u64::MAX, JournalHandle::written);
+        if !self.cycle.message_due(before_ns, written) {
+            return Ok(());
+        }
+        // First, so that a planner that the scores wake finds the forecast that belongs to them. Time alone changes where a person
+        // may be, so a heartbeat has a new one too. Nobody else waits for it: who joins later gets one of that moment.
+        if self.forecasts.subscribers() > 0 {
+            self.forecasts.send(self.cycle.board_mut().forecast(before_ns))?;
+        }
+        let behind = !self.queue.is_empty() || self.ear.as_ref().is_some_and(|ear| ear.more);
+        let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
+        self.scores.send(message)?;
+        if message.has(score_flags::HEARTBEAT) {
+            self.tally.heartbeats += 1;
+            return Ok(());
+        }
+        let after_ns = clock::monotonic_ns();
+        self.tally.published += 1;
+        let message = self.cycle.board().snapshot();
+        self.tally.sequence = message.sequence;
+        if events > 0
+            && let Some(latency_ns) = &mut self.latency_ns
+        {
+            latency_ns.saturating_record(after_ns.saturating_sub(message.received_ns));
+        }
+        if self.items.wanted() {
+            self.send_items()?;
+        }
+        // Every event has one of these: metrics and the status answer tell the same in sum.
+        tracing::debug!(
+            sequence = message.sequence,
+            events,
+            wait_us = message.wait_ns / 1000,
+            tokenise_us = message.tokenise_ns / 1000,
+            prefix_us = message.prefix_ns / 1000,
+            trie_us = message.trie_ns / 1000,
+            ground_us = message.ground_ns / 1000,
+            publish_us = (after_ns - before_ns) / 1000,
+            label_mass = message.label_mass,
+            "step"
+        );
+        if !self.ready {
+            self.ready = true;
+            let board = self.cycle.board();
+            let (model, map) = (board.pipeline().model().name.as_str(), board.map().name.as_str());
+            let (labels, rooms) = (board.pipeline().prepared().labels().len(), message.rooms().len());
+            tracing::info!(model, map, labels, rooms, "ready: the first scores are out");
+            notify(&[NotifyState::Ready]);
+        }
+        Ok(())
+    }
+
+    /// Does what was asked of the map; returns whether it changed.
+    fn change_map(&mut self) -> Result<bool, IpcError> {
+        let Self { cycle, answered, kept_map, map_changes, tally, ear, over, busy, .. } = self;
+        let board = cycle.board_mut();
+        let mut changed = false;
+        map_changes.answer(|asked| {
+            let asked = asked.map_err(|error| error.to_string()).and_then(|text| {
+                let parser = &mut serde_json::Deserializer::from_str(text);
+                serde_path_to_error::deserialize::<_, MapQuestion>(parser).map_err(|error| error.to_string())
+            });
+            let id = asked.as_ref().ok().map(|question| question.id.clone());
+            let known = id.as_ref().and_then(|id| answered.get(id)).cloned();
+            let answer = known.unwrap_or_else(|| {
+                hand_over(ear, over, busy);
+                let answer = answer_change(board, kept_map.as_ref(), asked);
+                if answer.outcome == Outcome::Applied {
+                    changed = true;
+                    tally.map_fingerprint = board.map().fingerprint;
+                }
+                let MapAnswer { outcome, reason, items, new_labels, .. } = &answer;
+                tracing::info!(?outcome, reason, items, new_labels, "map change");
+                if let Some(id) = id {
+                    answered.put(id, answer.clone());
+                }
+                answer
+            });
+            serde_json::to_string(&answer).unwrap_or_default()
+        })?;
+        Ok(changed)
+    }
+
+    fn tally(&self) -> StatusResponseV1 {
+        let (counters, sources) = *self.counters.lock().unwrap_or_else(PoisonError::into_inner);
+        let quantile = |q| self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.value_at_quantile(q));
+        StatusResponseV1 {
+            answered_ns: clock::monotonic_ns(),
+            received: counters.received,
+            accepted: counters.accepted,
+            duplicates: counters.duplicates,
+            missed: counters.missed,
+            malformed: counters.malformed,
+            limited: counters.limited,
+            sources: sources as u32,
+            persons: self.cycle.board().snapshot().persons,
+            waiting: self.queue.len() as u64,
+            latency_p50_ns: quantile(0.5),
+            latency_p99_ns: quantile(0.99),
+            latency_max_ns: self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.max()),
+            journal_bytes: self.journal.as_ref().map_or(0, JournalHandle::bytes),
+            journal_failures: self.journal.as_ref().map_or(0, JournalHandle::failures),
+            ..self.tally
+        }
+    }
+}
+
+/// Gives the ear to the relief thread, for as long as `busy` is set, if it does not have it already.
+fn hand_over(ear: &mut Option<Box<Ear>>, over: &Sender<Box<Ear>>, busy: &AtomicBool) {
+    busy.store(true, Ordering::Release);
+    if let Some(ear) = ear.take() {
+        // It fails only when the relief thread is gone, and the main thread sees that too.
+        let _handed = over.send(ear);
+    }
+}
+
+/// Applies a change to the board, if it can be, and says what became of it.
+fn answer_change<M: LanguageModel>(
+    board: &mut Board<M>,
+    kept_map: Option<&KeptMap>,
+    asked: Result<MapQuestion, String>,
+) -> MapAnswer {
+    let start_ns = clock::monotonic_ns();
+    let in_use = hex::encode(&board.map().fingerprint);
+    let result = asked.map_err(|reason| (Outcome::Refused, reason)).and_then(|question| {
+        if let Some(expected) = question.expected_map.filter(|expected| !expected.eq_ignore_ascii_case(&in_use)) {
+            return Err((Outcome::OtherMap, format!("the map in use is {in_use}, not {expected}")));
+        }
+        let refused = |error: &dyn std::error::Error| (Outcome::Refused, crate::logging::chain(error));
+        let map = board.map().changed(question.changes).map_err(|error| refused(&error))?;
+        board.change_map(map).map_err(|error| refused(&error))
+    });
+    let regrouped_in_ns = clock::monotonic_ns().saturating_sub(start_ns);
+    let kept = result.is_ok()
+        && kept_map.is_some_and(|kept_map| {
+            kept_map
+                .keep(board.map())
+                .inspect_err(|error| tracing::error!(%error, "the changed map cannot be kept for a restart"))
+                .is_ok()
+        });
+    let (outcome, reason, prepared) = match result {
+        Ok(prepared) => (Outcome::Applied, None, prepared),
+        Err((outcome, reason)) => (outcome, Some(reason), Prepared::default()),
+    };
+    MapAnswer {
+        outcome,
+        reason,
+        map: hex::encode(&board.map().fingerprint),
+        epoch: format!("{:016x}", board.snapshot().epoch),
+        sequence: board.snapshot().sequence,
+        rooms: board.map().rooms.len(),
+        items: board.map().items.len(),
+        outside: board.pipeline().grounding().unassigned.len(),
+        new_labels: prepared.new_labels,
+        prepared_anew: prepared.anew,
+        regrouped_in_ns,
+        kept,
+    }
+}

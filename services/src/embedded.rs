@@ -1,0 +1,139 @@
+//! What the binary carries with it, so that it runs without a network and without a data folder: the household model, the
+//! scenes, their activity programs and the statistics of the training split.
+
+use std::fs::File;
+use std::io::Write;
+use std::os::fd::AsRawFd;
+use std::path::PathBuf;
+
+/// The household model, a GGUF file; `models/README.md` is its card.
+pub const MODEL: &[u8] = include_bytes!("../models/household.gguf");
+/// Scores that [`MODEL`] is known to give, JSON; `roomcast model check --record` wrote them.
+pub const MODEL_CHECK: &str = include_str!("../models/household-check.json");
+/// The name by which messages and tables call [`MODEL`].
+pub const MODEL_NAME: &str = "household (embedded)";
+/// Statistics of the training split that the forecast's baselines are fitted on, JSON.
+pub const STATISTICS: &str = include_str!("../models/household-statistics.json");
+
+/// A text file in the binary.
+#[derive(Debug, Clone, Copy)]
+pub struct EmbeddedText {
+    /// Its name without folder and ending, as on the command line.
+    pub name: &'static str,
+    /// Its content.
+    pub text: &'static str,
+}
+
+/// The scenes of `scenes/`; the first is the one for a first look.
+pub const SCENES: [EmbeddedText; 6] = [
+    EmbeddedText { name: "studio", text: include_str!("../scenes/studio.json") },
+    EmbeddedText { name: "apartment-e0", text: include_str!("../scenes/apartment-e0.json") },
+    EmbeddedText { name: "apartment-e1", text: include_str!("../scenes/apartment-e1.json") },
+    EmbeddedText { name: "apartment-e2", text: include_str!("../scenes/apartment-e2.json") },
+    EmbeddedText { name: "ward", text: include_str!("../scenes/ward.json") },
+    EmbeddedText { name: "warehouse", text: include_str!("../scenes/warehouse.json") },
+];
+
+/// The activity programs of `scenes/programs/` for homes, in VirtualHome's notation; every apartment has every object that they name.
+pub const PROGRAMS: [EmbeddedText; 3] = [
+    EmbeddedText {
+        name: "p0-breakfast-and-television",
+        text: include_str!("../scenes/programs/p0-breakfast-and-television.txt"),
+    },
+    EmbeddedText { name: "p1-laundry-and-to-bed", text: include_str!("../scenes/programs/p1-laundry-and-to-bed.txt") },
+    EmbeddedText { name: "p2-long-evening", text: include_str!("../scenes/programs/p2-long-evening.txt") },
+];
+
+/// Those for the ward, then those for the warehouse.
+pub const WORK_PROGRAMS: [EmbeddedText; 6] = [
+    EmbeddedText { name: "w0-medication-round", text: include_str!("../scenes/programs/w0-medication-round.txt") },
+    EmbeddedText {
+        name: "w1-cleaning-and-fresh-beds",
+        text: include_str!("../scenes/programs/w1-cleaning-and-fresh-beds.txt"),
+    },
+    EmbeddedText { name: "w2-patients-morning", text: include_str!("../scenes/programs/w2-patients-morning.txt") },
+    EmbeddedText {
+        name: "g0-receiving-a-delivery",
+        text: include_str!("../scenes/programs/g0-receiving-a-delivery.txt"),
+    },
+    EmbeddedText {
+        name: "g1-picking-and-packing",
+        text: include_str!("../scenes/programs/g1-picking-and-packing.txt"),
+    },
+    EmbeddedText { name: "g2-end-of-shift", text: include_str!("../scenes/programs/g2-end-of-shift.txt") },
+];
+
+/// The names of the embedded scenes, for messages.
+#[must_use]
+pub fn scene_names() -> String {
+    SCENES.map(|scene| scene.name).join(", ")
+}
+
+/// The names of the embedded activity programs, for messages.
+#[must_use]
+pub fn program_names() -> String {
+    let names: Vec<_> = PROGRAMS.iter().chain(&WORK_PROGRAMS).map(|program| program.name).collect();
+    names.join(", ")
+}
+
+/// The embedded scene of that name.
+#[must_use]
+pub fn scene(name: &str) -> Option<EmbeddedText> {
+    SCENES.into_iter().find(|scene| scene.name == name)
+}
+
+/// The embedded activity program of that name.
+#[must_use]
+pub fn program(name: &str) -> Option<EmbeddedText> {
+    PROGRAMS.into_iter().chain(WORK_PROGRAMS).find(|program| program.name == name)
+}
+
+/// The embedded model as a file, which is what llama.cpp loads: an anonymous one in memory, so that nothing is left behind, nothing
+/// can be out of date, and a service without a writable folder works too.
+#[derive(Debug)]
+pub struct ModelFile {
+    file: File,
+}
+
+impl ModelFile {
+    /// Copies [`MODEL`] into an anonymous file.
+    ///
+    /// # Errors
+    ///
+    /// The system's, where memory or file descriptors are exhausted.
+    pub fn create() -> std::io::Result<Self> {
+        let mut file = File::from(rustix::fs::memfd_create("roomcast-model", rustix::fs::MemfdFlags::CLOEXEC)?);
+        file.write_all(MODEL)?;
+        Ok(Self { file })
+    }
+
+    /// A path that opens the file, in this process and as long as this value lives.
+    #[must_use]
+    pub fn path(&self) -> PathBuf {
+        format!("/proc/self/fd/{}", self.file.as_raw_fd()).into()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use roomcast_llama::gguf::Header;
+
+    #[test]
+    fn the_embedded_model_is_a_sound_language_model_of_at_most_12_megabytes() {
+        let file = ModelFile::create().unwrap();
+        let header = Header::read_language_model(&file.path()).unwrap();
+        assert_eq!(header.architecture(), Some("llama"));
+        assert_eq!(header.size_bytes, MODEL.len() as u64);
+        assert!(MODEL.len() <= 12_000_000);
+    }
+
+    #[test]
+    fn scenes_and_programs_are_found_by_name() {
+        assert!(scene("studio").unwrap().text.contains("roomcast-scene"));
+        for program in PROGRAMS.into_iter().chain(WORK_PROGRAMS) {
+            assert!(super::program(program.name).unwrap().text.contains("[Walk]"));
+        }
+        assert!(scene("castle").is_none());
+    }
+}

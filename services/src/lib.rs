@@ -1,0 +1,46 @@
+//! Roomcast's processes: the daemon that scores rooms, the planner that sends the robot elsewhere, and narrators.
+//!
+//! Data flows one way: a narrator publishes what it sees, the daemon publishes room scores, the planner publishes decisions. What decides
+//! ([`daemon::Intake`], [`daemon::Board`], [`planner::Planner`]) is apart from threads, ports and clocks, so that faults can be simulated.
+//!
+//! ```
+//! use roomcast_services::config::Config;
+//!
+//! let config: Config = toml::from_str("[planner]\nroom_time_s = 60.0")?;
+//! config.check()?;
+//! assert_eq!(config.planner.room_time_s, 60.0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+// In the order in which one may use another; the empty lines keep rustfmt from sorting them.
+pub mod logging;
+
+pub mod stop;
+
+pub mod notify;
+
+pub mod config;
+
+pub mod embedded;
+
+pub mod no_model;
+
+pub mod setup;
+
+pub mod message_text;
+
+pub mod moment;
+
+pub mod daemon;
+
+pub mod narrator;
+
+pub mod sensor_log;
+
+#[cfg(feature = "mqtt")]
+pub mod mqtt;
+
+pub mod planner;
+
+#[cfg(feature = "recording")]
+pub mod recording;

@@ -1,0 +1,236 @@
+//! One moment of a running system: all that is behind its scores, as the daemon tells it and as a recording keeps it.
+//!
+//! A moment is data, and JSON between processes (`roomcast/v1/moment`): the map in use, the narration that the model read, and
+//! per label its tokens with their log-probabilities. Everything else (items, rooms) follows from these by the pure functions
+//! of [`roomcast_core::grounding`] and [`roomcast_core::explanation`], so whoever has a moment can recompute every number of it.
+
+use roomcast_ipc::RoomScoresV1;
+use serde::{Deserialize, Serialize};
+
+use roomcast_core::explanation::{self, Evidence, Explanation, TokenReason};
+use roomcast_core::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions};
+use roomcast_core::pipeline::Pipeline;
+use roomcast_core::prompt::{BindingError, BindingSequence};
+use roomcast_core::scorer::correction::Correction;
+use roomcast_core::scorer::{LanguageModel, Tokenisation};
+use roomcast_core::semantic_map::{SceneError, SemanticMap};
+
+/// Version of the JSON form. Further keys may be added without a new one.
+pub const VERSION: u32 = 1;
+
+/// Why a moment cannot be explained.
+#[derive(Debug, thiserror::Error)]
+pub enum MomentError {
+    /// Not a moment's JSON.
+    #[error("the moment is malformed: {0}; do both sides have the same version of Roomcast?")]
+    Json(#[from] serde_json::Error),
+    /// A version that this program does not know.
+    #[error("the moment has version {0}, this program knows {VERSION}; use the same version of Roomcast on both sides")]
+    Version(u32),
+    /// The map in it is malformed.
+    #[error("the moment's map is malformed")]
+    Scene(#[from] SceneError),
+    /// Its scores are not those of its map.
+    #[error("the moment's scores do not fit its map")]
+    Grounding(#[from] GroundingError),
+    /// A label of the map has no score.
+    #[error(
+        "the moment has no score for the label {0:?} of its map; its scoring failed, ask again after the next event"
+    )]
+    NoScore(String),
+}
+
+/// A sentence that the model read.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ReadSentence {
+    /// Of whom.
+    pub person: u32,
+    /// The sentence.
+    pub text: String,
+}
+
+/// The newest narration of a source that scores contain.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IncludedSource {
+    /// The source, hexadecimal.
+    pub source: String,
+    /// Its epoch, hexadecimal.
+    pub epoch: String,
+    /// Its sequence number in that epoch.
+    pub sequence: u64,
+}
+
+/// What the model said about a label.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LabelScore {
+    /// Its words.
+    pub label: String,
+    /// ln s_c in nats; none for a probability of zero, which JSON cannot say as a logarithm.
+    pub log_prob_nats: Option<f64>,
+    /// Its tokens; empty where the scorer does not know their probabilities one by one (several persons, other methods than the
+    /// exact trie).
+    pub tokens: Vec<TokenReason>,
+    /// What the prior adds to them, in nats.
+    #[serde(default)]
+    pub prior_nats: f64,
+}
+
+/// All that is behind the scores of one moment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Moment {
+    /// [`VERSION`].
+    pub version: u32,
+    /// Epoch of the daemon's scores, hexadecimal; empty for scores of no daemon.
+    pub epoch: String,
+    /// Sequence of those scores.
+    pub sequence: u64,
+    /// When they were computed: Unix nanoseconds, 0 when not known.
+    pub computed_unix_ns: u64,
+    /// The model's name.
+    pub model: String,
+    /// SHA-256 of the model file, hexadecimal.
+    pub model_fingerprint: String,
+    /// SHA-256 of the map, hexadecimal.
+    pub map_fingerprint: String,
+    /// How scores are grounded.
+    pub grounding: GroundingOptions,
+    /// The binding sequence's name: a built-in one's, or `custom`.
+    pub binding_name: String,
+    /// Its text.
+    pub binding: String,
+    /// How prompt and labels were cut into tokens.
+    #[serde(default)]
+    pub tokenisation: Tokenisation,
+    /// How scores were corrected; Equation 1 as it stands in recordings that do not say.
+    #[serde(default)]
+    pub correction: Correction,
+    /// What the model read before it, oldest first.
+    pub narration: Vec<ReadSentence>,
+    /// Per source the newest narration in it.
+    pub included: Vec<IncludedSource>,
+    /// What it said.
+    pub labels: Vec<LabelScore>,
+    /// The map, as its scene file.
+    pub scene: serde_json::Value,
+}
+
+/// A moment explained, with what a drawing of it needs.
+#[derive(Debug)]
+pub struct Explained {
+    /// The chain behind every score.
+    pub explanation: Explanation,
+    /// The map.
+    pub map: SemanticMap,
+    /// Its grounding.
+    pub grounding: Grounding,
+    /// The scores, recomputed from the labels'.
+    pub scores: GroundedScores,
+    /// Per item ln s_i.
+    pub item_log_score_nats: Vec<f64>,
+}
+
+impl Moment {
+    /// The moment after a pipeline's last step. Epoch, sequence and time are those of `snapshot`, where the scores went into
+    /// one.
+    #[must_use]
+    pub fn of<M: LanguageModel>(
+        pipeline: &Pipeline<M>,
+        map: &SemanticMap,
+        grounding: &GroundingOptions,
+        snapshot: Option<&RoomScoresV1>,
+    ) -> Self {
+        let texts = pipeline.grounding().label_texts();
+        let log_probs_nats = &pipeline.scores().label_log_prob_nats;
+        let labels = texts.iter().zip(log_probs_nats).enumerate().map(|(index, (text, &log_prob_nats))| {
+            let pieces = pipeline.prepared().tokens()[index].iter().map(|&token| pipeline.token_text(token));
+            let own = pipeline.token_log_prob_nats(index).unwrap_or_default();
+            let tokens = pieces.zip(own).map(|(piece, log_prob_nats)| TokenReason { piece, log_prob_nats });
+            LabelScore {
+                label: (*text).to_owned(),
+                log_prob_nats: log_prob_nats.is_finite().then_some(log_prob_nats),
+                tokens: tokens.collect(),
+                prior_nats: pipeline.prior_nats(index),
+            }
+        });
+        let narration = pipeline.read_sentences();
+        Self {
+            version: VERSION,
+            epoch: snapshot.map_or_else(String::new, |snapshot| format!("{:016x}", snapshot.epoch)),
+            sequence: snapshot.map_or(0, |snapshot| snapshot.sequence),
+            computed_unix_ns: snapshot.map_or(0, |snapshot| snapshot.computed_unix_ns),
+            model: pipeline.model().name.clone(),
+            model_fingerprint: hex::encode(&pipeline.model().fingerprint),
+            map_fingerprint: hex::encode(&map.fingerprint),
+            grounding: *grounding,
+            binding_name: pipeline.options().binding.name().to_owned(),
+            binding: pipeline.options().binding.text().to_owned(),
+            tokenisation: pipeline.prepared().tokenisation(),
+            correction: pipeline.prepared().correction(),
+            narration: narration.map(|(person, text)| ReadSentence { person, text: text.to_owned() }).collect(),
+            included: (pipeline.scores().included.iter())
+                .map(|included| IncludedSource {
+                    source: format!("{:016x}", included.source),
+                    epoch: format!("{:016x}", included.epoch),
+                    sequence: included.sequence,
+                })
+                .collect(),
+            labels: labels.collect(),
+            scene: serde_json::from_str(&map.to_json()).unwrap_or_default(),
+        }
+    }
+
+    /// Reads a moment's JSON.
+    ///
+    /// # Errors
+    /// When it is none, or of another version.
+    pub fn from_json(text: &str) -> Result<Self, MomentError> {
+        let moment: Self = serde_json::from_str(text)?;
+        if moment.version == VERSION { Ok(moment) } else { Err(MomentError::Version(moment.version)) }
+    }
+
+    /// The binding sequence.
+    ///
+    /// # Errors
+    /// When its text cannot be one.
+    pub fn binding(&self) -> Result<BindingSequence, BindingError> {
+        BindingSequence::built_in(&self.binding_name).map_or_else(|| BindingSequence::custom(&self.binding), Ok)
+    }
+
+    /// Grounds the labels' scores in the map once more, and explains every room by its `most_labels` largest contributions.
+    ///
+    /// # Errors
+    /// When the map is malformed, or the scores are not of its labels.
+    pub fn explain(&self, most_labels: usize) -> Result<Explained, MomentError> {
+        let map = SemanticMap::from_json(&self.scene.to_string())?;
+        let grounding = Grounding::new(&map, &self.grounding)?;
+        let known: std::collections::HashMap<&str, &LabelScore> =
+            self.labels.iter().map(|score| (score.label.as_str(), score)).collect();
+        let labels: Vec<&LabelScore> = (grounding.label_texts().into_iter())
+            .map(|text| known.get(text).copied().ok_or_else(|| MomentError::NoScore(text.to_owned())))
+            .collect::<Result<_, _>>()?;
+        let label_log_prob_nats: Vec<f64> =
+            labels.iter().map(|score| score.log_prob_nats.unwrap_or(f64::NEG_INFINITY)).collect();
+        let mut scores = GroundedScores::default();
+        grounding.ground(&label_log_prob_nats, &mut scores)?;
+        let several = self.narration.iter().any(|sentence| sentence.person != self.narration[0].person);
+        let narration: Vec<String> = (self.narration.iter())
+            .map(|sentence| match several {
+                true => format!("(person {}) {}", sentence.person, sentence.text),
+                false => sentence.text.clone(),
+            })
+            .collect();
+        let evidence = Evidence {
+            map: &map,
+            grounding: &grounding,
+            label_log_prob_nats: &label_log_prob_nats,
+            scores: &scores,
+            narration: &narration,
+            binding: &self.binding,
+        };
+        let explanation = explanation::explain(&evidence, most_labels, |label| {
+            (labels[label].tokens.clone(), labels[label].prior_nats)
+        });
+        let item_log_score_nats = grounding.item_log_score_nats(&label_log_prob_nats).collect();
+        Ok(Explained { explanation, map, grounding, scores, item_log_score_nats })
+    }
+}

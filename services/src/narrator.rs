@@ -1,0 +1,636 @@
+//! The narrator: publishes observations from activity programs, JSON lines or plain lines.
+//!
+//! Nothing it sends is lost as long as it lives: it has at most as many narrations under way as the service keeps in its history
+//! (32), so a daemon that restarts gets all that it has not confirmed yet. Room scores confirm: they name the newest
+//! narration of each source that they contain.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
+use std::os::unix::fs::FileTypeExt;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use roomcast_ipc::{
+    Domain, IpcError, Message, MessageError, NarrationV1, Node, Publisher, RoomScoresV1, Subscriber, clock,
+    narration_kind, sequence, text,
+};
+use sd_notify::NotifyState;
+
+use crate::config::{IntakeLimits, NarratorConfig};
+use crate::message_text::sentence_of;
+use crate::notify::notify;
+use crate::setup;
+use crate::stop::Stop;
+use roomcast_core::narration::{Observed, ObservedError, Program, ProgramError};
+
+/// Narrations that may be under way unconfirmed: what the service's history holds for a daemon that restarts.
+const UNDER_WAY: u64 = NarrationV1::SERVICE.history as u64;
+const TICK: Duration = Duration::from_millis(100);
+/// Longest line of input, in bytes.
+const LINE_BYTES_MAX: u64 = 8192;
+
+/// One narration to be.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Item {
+    /// One of [`narration_kind`].
+    pub kind: u32,
+    /// The text, in the notation of its kind.
+    pub text: String,
+    /// The person observed.
+    pub person: u32,
+    /// How long it takes in reality: time that passes before it is observed.
+    pub duration_s: f64,
+}
+
+/// A line or file that is no narration.
+#[derive(Debug, thiserror::Error)]
+pub enum InputError {
+    /// It cannot be read.
+    #[error("cannot read {name}: {source}")]
+    Read {
+        /// The file, or "standard input".
+        name: String,
+        /// The system's word.
+        source: io::Error,
+    },
+    /// What is to be a FIFO is something else.
+    #[error("{path} is there and is no named pipe: remove it, give another path, or leave out --fifo to read it once")]
+    NoFifo {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The program is malformed.
+    #[error(transparent)]
+    Program(#[from] ProgramError),
+    /// A line is no observation.
+    #[error("line {line}: {source}")]
+    Line {
+        /// From 1.
+        line: u64,
+        /// Why.
+        source: ObservedError,
+    },
+    /// A line cannot be a message.
+    #[error("line {line}: {source}")]
+    Message {
+        /// From 1.
+        line: u64,
+        /// Why.
+        source: MessageError,
+    },
+    /// A line of JSON is malformed.
+    #[error(
+        "line {line}: {reason}; expected {{\"text\": \"...\"}}, with \"person\": number and \"kind\": \"sentence\", \"action\" or \"device\" if you like"
+    )]
+    Json {
+        /// From 1.
+        line: u64,
+        /// Why, and in which column.
+        reason: String,
+    },
+    /// A line of a sensor log is malformed.
+    #[error("line {line}: {reason}")]
+    Sensor {
+        /// From 1.
+        line: u64,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A line is too long, or not UTF-8.
+    #[error("line {line}: not a line of UTF-8 with at most {LINE_BYTES_MAX} bytes")]
+    NoLine {
+        /// From 1.
+        line: u64,
+    },
+}
+
+/// A line of JSON.
+#[derive(Debug, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct JsonLine {
+    text: String,
+    person: Option<u32>,
+    kind: Option<JsonKind>,
+}
+
+#[derive(Debug, Clone, Copy, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum JsonKind {
+    Sentence,
+    Action,
+    Device,
+}
+
+/// The items of a program, each with the duration that its action takes.
+#[must_use]
+pub fn program_items(program: &Program, person: u32) -> Vec<Item> {
+    let items = program.steps.iter().map(|action| Item {
+        kind: narration_kind::ACTION,
+        text: action.to_string(),
+        person,
+        duration_s: action.entry().duration_s,
+    });
+    items.collect()
+}
+
+/// One line as an item: JSON if it opens with `{`, an action if with `[`, a device state or a sentence otherwise.
+///
+/// # Errors
+///
+/// [`InputError`] names the line.
+pub fn line_item(text: &str, line: u64, person: u32) -> Result<Item, InputError> {
+    let text = text.trim();
+    let item = if text.starts_with('{') {
+        let json: JsonLine = serde_json::from_str(text).map_err(|error| json_error(line, &error))?;
+        let kind = match json.kind {
+            Some(JsonKind::Sentence) => narration_kind::SENTENCE,
+            Some(JsonKind::Action) => narration_kind::ACTION,
+            Some(JsonKind::Device) => narration_kind::DEVICE,
+            None => kind_of(&json.text, line)?,
+        };
+        Item { kind, text: json.text.trim().to_owned(), person: json.person.unwrap_or(person), duration_s: 0.0 }
+    } else {
+        Item { kind: kind_of(text, line)?, text: text.to_owned(), person, duration_s: 0.0 }
+    };
+    // What the daemon would refuse is refused here, where somebody sees it.
+    NarrationV1::new(item.kind, &item.text).map_err(|source| InputError::Message { line, source })?;
+    sentence_of(item.kind, &item.text).map_err(|source| InputError::Line { line, source })?;
+    Ok(item)
+}
+
+/// The parser saw one line only, and calls it the first.
+fn json_error(line: u64, error: &serde_json::Error) -> InputError {
+    let said = error.to_string();
+    let position = format!(" at line {} column {}", error.line(), error.column());
+    let reason = match said.strip_suffix(&position) {
+        Some(reason) => format!("{reason} at column {}", error.column()),
+        None => said,
+    };
+    InputError::Json { line, reason }
+}
+
+fn kind_of(text: &str, line: u64) -> Result<u32, InputError> {
+    Ok(match Observed::parse(text).map_err(|source| InputError::Line { line, source })? {
+        Observed::Action(_) => narration_kind::ACTION,
+        Observed::Device(_) => narration_kind::DEVICE,
+        Observed::Sentence(_) => narration_kind::SENTENCE,
+    })
+}
+
+/// Where narration comes from.
+pub enum Input {
+    /// Everything is there.
+    Items(Vec<Item>),
+    /// Everything is there, among lines that are malformed.
+    Log(Vec<Result<Item, InputError>>),
+    /// Lines, as they come.
+    Lines {
+        /// "standard input" or the file's name.
+        name: String,
+        /// The stream.
+        stream: Box<dyn Read + Send>,
+        /// The person when a line names none.
+        person: u32,
+    },
+}
+
+impl Input {
+    /// `-` is standard input, line by line; a FIFO is read for ever; a file that begins with a title and holds actions is a
+    /// program, any other file is read line by line; a shipped program goes by its bare name.
+    ///
+    /// # Errors
+    ///
+    /// [`InputError`] when it cannot be read.
+    pub fn open(path: &Path, person: u32) -> Result<Self, InputError> {
+        let name = path.display().to_string();
+        if name == "-" {
+            return Ok(Self::Lines { name: "standard input".to_owned(), stream: Box::new(io::stdin()), person });
+        }
+        if let Some(shipped) = setup::shipped_program(path) {
+            return Ok(Self::Items(program_items(&shipped?, person)));
+        }
+        let read = |source| InputError::Read { name: name.clone(), source };
+        if std::fs::metadata(path).map_err(read)?.file_type().is_fifo() {
+            // With a writer of its own the stream does not end when the last other writer leaves.
+            let stream = File::options().read(true).write(true).open(path).map_err(read)?;
+            return Ok(Self::Lines { name: name.clone(), stream: Box::new(stream), person });
+        }
+        let mut stream = File::open(path).map_err(read)?;
+        if Self::is_program(&mut stream).map_err(read)? {
+            return Ok(Self::Items(program_items(&Program::load(path)?, person)));
+        }
+        let stream = File::open(path).map_err(read)?;
+        Ok(Self::Lines { name: name.clone(), stream: Box::new(stream), person })
+    }
+
+    /// A program has a title: its first line is no action, no JSON and no sentence, and some later line is an action.
+    fn is_program(stream: &mut File) -> io::Result<bool> {
+        let mut start = Vec::new();
+        stream.take(64 * 1024).read_to_end(&mut start)?;
+        let text = String::from_utf8_lossy(&start);
+        let mut lines = text.lines().map(str::trim_start).filter(|line| !line.is_empty());
+        let titled = lines
+            .next()
+            .is_some_and(|line| !line.starts_with(['[', '{']) && !line.trim_end().ends_with(['.', '!', '?']));
+        Ok(titled && lines.any(|line| line.starts_with('[')))
+    }
+}
+
+/// How fast.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Pace {
+    /// So many seconds before each narration; 0 is as fast as the daemon takes and confirms it.
+    Seconds(f64),
+    /// So many times faster than the actions' real durations.
+    Speed(f64),
+}
+
+impl Pace {
+    fn before(self, item: &Item) -> Duration {
+        let seconds = match self {
+            Self::Seconds(seconds) => seconds,
+            Self::Speed(speed) => item.duration_s / speed,
+        };
+        Duration::try_from_secs_f64(seconds).unwrap_or(Duration::ZERO)
+    }
+}
+
+/// What became of the narrations.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Outcome {
+    /// Narrations sent.
+    pub sent: u64,
+    /// Of these, contained in the daemon's scores.
+    pub confirmed: u64,
+    /// Lines that were no narration.
+    pub refused: u64,
+}
+
+/// Numbers narrations and keeps account of which are confirmed. Pure: time comes in as a number.
+#[derive(Debug, Clone)]
+pub struct Account {
+    source: u64,
+    source_name: [u8; 48],
+    epoch: u64,
+    outcome: Outcome,
+}
+
+impl Account {
+    /// Nothing sent yet, by the narrator of this name; `epoch` is random per start.
+    #[must_use]
+    pub fn new(name: &str, epoch: u64) -> Self {
+        Self {
+            source: sequence::source_of_name(name),
+            source_name: text::encode_cut(name),
+            epoch,
+            outcome: Outcome::default(),
+        }
+    }
+
+    /// The next message, to be sent now.
+    ///
+    /// # Errors
+    ///
+    /// [`MessageError`] when the text cannot be a message; no number is used up then.
+    pub fn next(&mut self, item: &Item, now_ns: u64, now_unix_ns: u64) -> Result<NarrationV1, MessageError> {
+        let message = NarrationV1::new(item.kind, &item.text)?;
+        self.outcome.sent += 1;
+        Ok(NarrationV1 {
+            source: self.source,
+            epoch: self.epoch,
+            sequence: self.outcome.sent,
+            observed_ns: now_ns,
+            observed_unix_ns: now_unix_ns,
+            person: item.person,
+            source_name: self.source_name,
+            ..message
+        })
+    }
+
+    /// Takes note of what checked scores contain.
+    pub fn confirm(&mut self, scores: &RoomScoresV1) {
+        for included in scores.included() {
+            if (included.source, included.epoch) == (self.source, self.epoch) {
+                let confirmed = included.sequence.min(self.outcome.sent);
+                self.outcome.confirmed = self.outcome.confirmed.max(confirmed);
+            }
+        }
+    }
+
+    /// Narrations sent and not confirmed.
+    #[must_use]
+    pub fn under_way(&self) -> u64 {
+        self.outcome.sent - self.outcome.confirmed
+    }
+
+    /// Whether one more may be under way without being lost when the daemon restarts.
+    #[must_use]
+    pub fn may_send(&self) -> bool {
+        self.under_way() < UNDER_WAY
+    }
+}
+
+/// Keeps a narrator below what the daemon takes from one source, since what is above it is dropped there. Pure: time comes in as a number.
+///
+/// It allows half of the daemon's burst and nine tenths of its rate: messages need not arrive as evenly as they are sent.
+#[derive(Debug, Clone)]
+pub struct Throttle {
+    rate_per_s: f64,
+    burst: f64,
+    allowance: f64,
+    refilled_ns: u64,
+}
+
+impl Throttle {
+    /// For a daemon with these limits, as full as it gets.
+    #[must_use]
+    pub fn new(limits: IntakeLimits, now_ns: u64) -> Self {
+        let burst = (0.5 * limits.burst).max(1.0);
+        Self { rate_per_s: 0.9 * limits.rate_per_s, burst, allowance: burst, refilled_ns: now_ns }
+    }
+
+    /// How long to wait until one more may be sent; zero is now. A rate of 0 is none.
+    pub fn wait(&mut self, now_ns: u64) -> Duration {
+        if self.rate_per_s <= 0.0 {
+            return Duration::ZERO;
+        }
+        let since_s = now_ns.saturating_sub(self.refilled_ns) as f64 / 1e9;
+        self.allowance = (self.allowance + since_s * self.rate_per_s).min(self.burst);
+        self.refilled_ns = now_ns;
+        Duration::try_from_secs_f64((1.0 - self.allowance).max(0.0) / self.rate_per_s).unwrap_or(TICK)
+    }
+
+    /// Takes note that one was sent.
+    pub fn sent(&mut self) {
+        self.allowance -= 1.0;
+    }
+}
+
+/// The narrator's ports.
+#[derive(Debug)]
+struct Narrator {
+    narration: Publisher<NarrationV1>,
+    scores: Subscriber<RoomScoresV1>,
+    account: Account,
+    throttle: Throttle,
+}
+
+impl Narrator {
+    fn new(node: &Node, config: &NarratorConfig, limits: IntakeLimits) -> Result<Self, IpcError> {
+        let account = Account::new(&config.name, sequence::random_epoch());
+        let throttle = Throttle::new(limits, clock::monotonic_ns());
+        Ok(Self { narration: node.publisher()?, scores: node.subscriber()?, account, throttle })
+    }
+
+    fn send(&mut self, item: &Item) -> Result<(), IpcError> {
+        let message = self.account.next(item, clock::monotonic_ns(), clock::unix_ns());
+        let message = message.map_err(|source| IpcError::Refused { service: NarrationV1::SERVICE.name, source })?;
+        self.throttle.sent();
+        self.narration.send(&message)
+    }
+
+    /// Sleeps up to `timeout` for a confirmation.
+    fn confirm(&mut self, timeout: Duration) -> Result<(), IpcError> {
+        self.narration.tick()?;
+        notify(&[NotifyState::Watchdog]);
+        self.scores.wait(timeout.min(TICK))?;
+        while let Some(received) = self.scores.receive()? {
+            if let Ok(scores) = received {
+                self.account.confirm(&scores);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Publishes all of `input`, no faster than a daemon with these limits takes it, and stays until it is confirmed or `linger_s` is over.
+///
+/// # Errors
+///
+/// [`IpcError`] when a service cannot be opened or is lost. Lines that are no narration are logged, counted, and skipped.
+pub fn run(
+    config: &NarratorConfig,
+    limits: IntakeLimits,
+    domain: &Domain,
+    input: Input,
+    pace: Pace,
+    stop: &Stop,
+) -> Result<Outcome, IpcError> {
+    let node = domain.open(&format!("roomcast-narrator-{}", config.name))?;
+    let mut sender = Narrator::new(&node, config, limits)?;
+    let (items_in, items) = bounded(1);
+    // Reading may block for ever; the thread ends with its stream, or with the process.
+    let reader = move || match input {
+        Input::Items(list) => list.into_iter().map(Ok).try_for_each(|item| items_in.send(item)).is_ok(),
+        Input::Log(list) => list.into_iter().try_for_each(|item| items_in.send(item)).is_ok(),
+        Input::Lines { name, stream, person } => read_lines(&name, stream, person, &items_in),
+    };
+    let reader = std::thread::Builder::new().name("reader".to_owned()).spawn(reader);
+    if let Err(error) = reader {
+        return Err(IpcError::Port { service: NarrationV1::SERVICE.name, operation: "read", cause: error.to_string() });
+    }
+    notify(&[NotifyState::Ready]);
+    let mut warned = false;
+    while let Some(item) = next(&items, &mut sender, stop)? {
+        let item = match item {
+            Ok(item) => item,
+            Err(error) => {
+                sender.account.outcome.refused += 1;
+                tracing::warn!(%error, "skipped");
+                continue;
+            }
+        };
+        let due = Instant::now() + pace.before(&item);
+        while !stop.requested() && Instant::now() < due {
+            sender.confirm(due.saturating_duration_since(Instant::now()))?;
+        }
+        loop {
+            let wait = sender.throttle.wait(clock::monotonic_ns());
+            if wait.is_zero() || stop.requested() {
+                break;
+            }
+            sender.confirm(wait)?;
+        }
+        let waiting = Instant::now();
+        while !stop.requested() && !sender.account.may_send() {
+            sender.confirm(TICK)?;
+            if !warned && waiting.elapsed() > Duration::from_secs(5) {
+                warned = true;
+                tracing::warn!(
+                    under_way = sender.account.under_way(),
+                    "no daemon confirms; waiting for one in this domain, with nothing lost"
+                );
+            }
+        }
+        if stop.requested() {
+            break;
+        }
+        sender.send(&item)?;
+    }
+    let linger = Instant::now() + Duration::try_from_secs_f64(config.linger_s).unwrap_or(Duration::ZERO);
+    while !stop.requested() && sender.account.under_way() > 0 && Instant::now() < linger {
+        sender.confirm(TICK)?;
+    }
+    // The daemon has it all; a recorder that looks now and then gets its chance before what was sent goes with its publisher.
+    if sender.account.outcome.sent > 0 && !stop.requested() {
+        sender.confirm(Duration::ZERO)?;
+        std::thread::sleep(TICK);
+    }
+    notify(&[NotifyState::Stopping]);
+    Ok(sender.account.outcome)
+}
+
+/// The next item; none at the end. Meanwhile the ports are kept up.
+fn next(
+    items: &Receiver<Result<Item, InputError>>,
+    sender: &mut Narrator,
+    stop: &Stop,
+) -> Result<Option<Result<Item, InputError>>, IpcError> {
+    while !stop.requested() {
+        match items.recv_timeout(TICK) {
+            Ok(item) => return Ok(Some(item)),
+            Err(RecvTimeoutError::Timeout) => sender.confirm(Duration::ZERO)?,
+            Err(RecvTimeoutError::Disconnected) => return Ok(None),
+        }
+    }
+    Ok(None)
+}
+
+/// Returns whether the whole stream was read.
+fn read_lines(name: &str, stream: Box<dyn Read + Send>, person: u32, items: &Sender<Result<Item, InputError>>) -> bool {
+    let mut stream = BufReader::new(stream);
+    let mut bytes = Vec::new();
+    for line in 1.. {
+        bytes.clear();
+        let read = stream.by_ref().take(LINE_BYTES_MAX).read_until(b'\n', &mut bytes);
+        let item = match read {
+            Ok(0) => return true,
+            Ok(_) if bytes.len() as u64 == LINE_BYTES_MAX && bytes.last() != Some(&b'\n') => {
+                if let Err(source) = stream.skip_until(b'\n') {
+                    let _gone = items.send(Err(InputError::Read { name: name.to_owned(), source }));
+                    return false;
+                }
+                Err(InputError::NoLine { line })
+            }
+            Ok(_) => match std::str::from_utf8(&bytes) {
+                Ok(text) if text.trim().is_empty() => continue,
+                Ok(text) => line_item(text, line, person),
+                Err(_) => Err(InputError::NoLine { line }),
+            },
+            Err(source) => {
+                let _gone = items.send(Err(InputError::Read { name: name.to_owned(), source }));
+                return false;
+            }
+        };
+        if items.send(item).is_err() {
+            return false;
+        }
+    }
+    true
+}
+
+/// Makes a FIFO that only this user can write to; one that is there stays.
+///
+/// # Errors
+///
+/// [`InputError::Read`] when it cannot be made, [`InputError::NoFifo`] when something else is there.
+pub fn make_fifo(path: &PathBuf) -> Result<(), InputError> {
+    use rustix::fs::{CWD, FileType, Mode, mknodat};
+    let read = |source| InputError::Read { name: path.display().to_string(), source };
+    match mknodat(CWD, path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0) {
+        Ok(()) => Ok(()),
+        Err(rustix::io::Errno::EXIST) if std::fs::metadata(path).is_ok_and(|found| found.file_type().is_fifo()) => {
+            Ok(())
+        }
+        Err(rustix::io::Errno::EXIST) => Err(InputError::NoFifo { path: path.clone() }),
+        Err(error) => Err(read(error.into())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_throttled_narrator_loses_nothing_at_the_intake() {
+        use crate::daemon::{Intake, Taken};
+        let limits = IntakeLimits::default();
+        let (mut throttle, mut intake) = (Throttle::new(limits, 0), Intake::new(limits));
+        let mut account = Account::new("test", 1);
+        let item = Item { kind: narration_kind::SENTENCE, text: "They sit.".to_owned(), person: 0, duration_s: 0.0 };
+        let (mut now_ns, mut arrived_ns) = (0, 0);
+        for number in 0..20_000_u64 {
+            loop {
+                let wait = throttle.wait(now_ns);
+                if wait.is_zero() {
+                    break;
+                }
+                now_ns += u64::try_from(wait.as_nanos()).unwrap().max(1);
+            }
+            throttle.sent();
+            let message = account.next(&item, now_ns, 0).unwrap();
+            // The daemon gets them up to a second late and 32 at once.
+            arrived_ns =
+                u64::max(arrived_ns, now_ns + if number < 64 { 1_000_000_000 } else { (31 - number % 32) * 900_000 });
+            assert!(matches!(intake.take(&message, arrived_ns), Taken::Accepted { missed: 0, .. }), "{number}");
+        }
+        assert!(now_ns > 15_000_000_000, "20 000 take 20 s, less the burst: {now_ns} ns");
+        assert_eq!(Throttle::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 }, 0).wait(0), Duration::ZERO);
+    }
+
+    #[test]
+    fn every_form_of_line_becomes_an_item() {
+        let item = |text| line_item(text, 1, 3).map(|item| (item.kind, item.text, item.person));
+        let sentence = |text: &str| (narration_kind::SENTENCE, text.to_owned(), 3);
+        assert_eq!(item("They sit down.").unwrap(), sentence("They sit down."));
+        assert_eq!(item("[Grab] <mug> (1)").unwrap(), (narration_kind::ACTION, "[Grab] <mug> (1)".to_owned(), 3));
+        assert_eq!(item("the oven is on").unwrap(), (narration_kind::DEVICE, "the oven is on".to_owned(), 3));
+        let json = item(r#"{"text": "They sit down.", "person": 9}"#).unwrap();
+        assert_eq!(json, (narration_kind::SENTENCE, "They sit down.".to_owned(), 9));
+        let kinds = [r#"{"text": ".", "kind": "sentence"}"#, r#"{"text": "They sit.", "kind": "action"}"#];
+        for bad in ["{\"text\": 3}", "{\"txt\": \"a\"}", "[Fly] <mug> (1)", "...", "a\u{7}b"].into_iter().chain(kinds) {
+            assert!(item(bad).unwrap_err().to_string().starts_with("line 1: "), "{bad}");
+        }
+        let error = line_item("{\"txt\": \"a\"}", 8, 0).unwrap_err().to_string();
+        assert!(error.starts_with("line 8: unknown field") && !error.contains("line 1"), "{error}");
+    }
+
+    #[test]
+    fn a_stream_is_read_to_its_end_over_bad_lines() {
+        let long = "a".repeat(20_000);
+        let text = format!("They sit.\n\n{long}\nThey stand up.\n[Fly] <mug> (1)\nThey leave.");
+        let (items_in, items) = bounded(100);
+        assert!(read_lines("test", Box::new(io::Cursor::new(text)), 0, &items_in));
+        drop(items_in);
+        let read: Vec<_> =
+            items.iter().map(|item| item.map(|item| item.text).map_err(|error| error.to_string())).collect();
+        assert_eq!(read.len(), 5);
+        assert!(read[1].as_ref().unwrap_err().starts_with("line 3: "));
+        assert!(read[3].as_ref().unwrap_err().starts_with("line 5: "));
+        assert_eq!(read[4].as_deref(), Ok("They leave."));
+    }
+
+    #[test]
+    fn shipped_programs_go_by_name_and_programs_by_content() {
+        let Input::Items(items) = Input::open(Path::new("p0-breakfast-and-television"), 2).unwrap() else { panic!() };
+        assert!(items.iter().all(|item| item.person == 2 && item.duration_s > 0.0));
+        let directory = tempfile::tempdir().unwrap();
+        let file = directory.path().join("a.txt");
+        std::fs::write(&file, "Make coffee\n\n[Walk] <kitchen> (1)\n").unwrap();
+        assert!(matches!(Input::open(&file, 0).unwrap(), Input::Items(items) if items.len() == 1));
+        std::fs::write(&file, "They walk to the kitchen.\nThey sit.\n").unwrap();
+        assert!(matches!(Input::open(&file, 0).unwrap(), Input::Lines { .. }));
+    }
+
+    #[test]
+    fn a_fifo_is_made_once_and_nothing_else_is_taken_for_one() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("narration");
+        make_fifo(&path).unwrap();
+        make_fifo(&path).unwrap();
+        let file = directory.path().join("file");
+        std::fs::write(&file, "").unwrap();
+        assert!(matches!(make_fifo(&file), Err(InputError::NoFifo { .. })));
+    }
+}

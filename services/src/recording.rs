@@ -1,0 +1,542 @@
+//! Recordings: what goes over the services, as an MCAP file, and back.
+//!
+//! Every message is a JSON object under a JSON schema, so that Foxglove and other tools of robotics read it; its field `bytes` holds the
+//! message as it lay in shared memory, in hexadecimal, so that what is replayed is what was recorded, bit for bit. Numbers that
+//! JavaScript cannot hold (epochs, sources) are hexadecimal texts. Attachments hold what the daemon told of itself: the map in use,
+//! and the narration that came before the recording ([`roomcast_services::moment`]).
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use mcap::records::MessageHeader;
+use mcap::{Attachment, McapError, MessageStream, Summary, WriteOptions, Writer};
+use roomcast_ipc::{ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, RoomScoresV1};
+use serde_json::{Value, json};
+
+use crate::config::IntakeLimits;
+use crate::daemon::{Intake, Taken};
+use crate::moment::Moment;
+use roomcast_core::narration::Sentence;
+
+/// Largest recording that is read back: it is held in memory.
+pub const FILE_BYTES_MAX: u64 = 4 << 30;
+
+/// Attachments that hold a moment have names that begin so.
+const MOMENT_FILES: &str = "moment-";
+
+/// Why a recording cannot be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// The file cannot be opened, read or written.
+    #[error("failed to use the recording {path}: {source}; check the path, its permissions and the room on the disk")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's word.
+        source: std::io::Error,
+    },
+    /// A recording overwrites nothing.
+    #[error("the recording {path} exists already; choose another name, or move it away")]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file is larger than [`FILE_BYTES_MAX`].
+    #[error("the recording {path} has more than {FILE_BYTES_MAX} bytes; split it by `mcap filter`")]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file is no sound MCAP file.
+    #[error("the recording {path} is damaged or no MCAP file: {source}; `mcap recover` saves what can be saved")]
+    Mcap {
+        /// The file.
+        path: PathBuf,
+        /// What the reader said.
+        source: Box<McapError>,
+    },
+    /// A message in it is none of Roomcast's.
+    #[error(
+        "message {index} of the recording {path}, on {topic}: {reason}; it was written by another program or damaged"
+    )]
+    Message {
+        /// The file.
+        path: PathBuf,
+        /// From 0.
+        index: usize,
+        /// The service.
+        topic: String,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// A message of any publish-subscribe service.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Recorded {
+    /// Narration.
+    Narration(Box<NarrationV1>),
+    /// Room scores.
+    RoomScores(Box<RoomScoresV1>),
+    /// Forecast.
+    Forecast(Box<ForecastV1>),
+    /// Decision.
+    Decision(Box<DecisionV1>),
+}
+
+impl Recorded {
+    /// The service.
+    #[must_use]
+    pub fn topic(&self) -> &'static str {
+        match self {
+            Self::Narration(_) => NarrationV1::SERVICE.name,
+            Self::RoomScores(_) => RoomScoresV1::SERVICE.name,
+            Self::Forecast(_) => ForecastV1::SERVICE.name,
+            Self::Decision(_) => DecisionV1::SERVICE.name,
+        }
+    }
+
+    /// The message's bytes as they lie in shared memory.
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        match self {
+            Self::Narration(message) => message.to_bytes(),
+            Self::RoomScores(message) => message.to_bytes(),
+            Self::Forecast(message) => message.to_bytes(),
+            Self::Decision(message) => message.to_bytes(),
+        }
+    }
+
+    /// What a person or another program reads.
+    fn readable(&self) -> Value {
+        match self {
+            Self::Narration(message) => json!({
+                "source": message.source_name(), "person": message.person, "kind": message.kind, "text": message.text(),
+                "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence,
+                "observed": time(message.observed_unix_ns),
+            }),
+            Self::RoomScores(message) => json!({
+                "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence,
+                "computed": time(message.computed_unix_ns), "label_mass": message.label_mass, "flags": message.flags,
+                "rooms": message.rooms().iter().map(|room| json!({
+                    "id": room.id(), "probability": room.probability, "log_score_nats": finite(room.log_score_nats),
+                })).collect::<Vec<_>>(),
+                "timing_ns": {"wait": message.wait_ns, "tokenise": message.tokenise_ns, "prefix": message.prefix_ns,
+                    "trie": message.trie_ns, "ground": message.ground_ns},
+                "model": hex::encode(&message.model_fingerprint), "map": hex::encode(&message.map_fingerprint),
+            }),
+            Self::Forecast(message) => json!({
+                "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence,
+                "horizon_s": message.horizon_s.get(..message.horizon_count as usize),
+                "rooms": (0..message.room_count as usize).filter_map(|index| message.room(index)).map(|(id, row)| json!({
+                    "id": id, "probability": row,
+                })).collect::<Vec<_>>(),
+            }),
+            Self::Decision(message) => json!({
+                "robot": format!("{:016x}", message.robot), "from": message.from(), "to": message.to(),
+                "policy": message.policy(), "reason": message.reason(), "probability": message.probability,
+                "stay_s": message.stay_ns as f64 / 1e9, "flags": message.flags, "sequence": message.sequence,
+                "scores_sequence": message.scores_sequence, "decided": time(message.decided_unix_ns),
+            }),
+        }
+    }
+
+    fn sequence(&self) -> u64 {
+        match self {
+            Self::Narration(message) => message.sequence,
+            Self::RoomScores(message) => message.sequence,
+            Self::Forecast(message) => message.sequence,
+            Self::Decision(message) => message.sequence,
+        }
+    }
+
+    fn decode(topic: &str, bytes: &[u8]) -> Result<Self, String> {
+        fn message<M: Message + ByteImage>(bytes: &[u8]) -> Result<Box<M>, String> {
+            let message =
+                M::from_bytes(bytes).ok_or_else(|| format!("{} bytes are no {}", bytes.len(), M::TYPE_NAME))?;
+            message.check().map_err(|error| error.to_string())?;
+            Ok(Box::new(message))
+        }
+        Ok(match topic {
+            topic if topic == NarrationV1::SERVICE.name => Self::Narration(message(bytes)?),
+            topic if topic == RoomScoresV1::SERVICE.name => Self::RoomScores(message(bytes)?),
+            topic if topic == ForecastV1::SERVICE.name => Self::Forecast(message(bytes)?),
+            topic if topic == DecisionV1::SERVICE.name => Self::Decision(message(bytes)?),
+            other => return Err(format!("the service {other:?} is unknown")),
+        })
+    }
+}
+
+/// A point in time as Foxglove reads it.
+fn time(unix_ns: u64) -> Value {
+    json!({"sec": unix_ns / 1_000_000_000, "nsec": unix_ns % 1_000_000_000})
+}
+
+/// JSON has no infinity: a room without items has no score.
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+/// Services with the JSON schema of their messages.
+fn schemas() -> [(&'static str, &'static str, Value); 4] {
+    let object = |title: &str, properties: Value| {
+        let mut properties = properties;
+        properties["bytes"] = json!({"type": "string", "description": "the message as in shared memory, hexadecimal"});
+        json!({"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, "type": "object", "properties": properties})
+    };
+    let (text, integer, number) = (json!({"type": "string"}), json!({"type": "integer"}), json!({"type": "number"}));
+    let point = json!({"type": "object", "title": "time", "properties": {"sec": integer, "nsec": integer}});
+    let room = json!({"type": "array", "items": {"type": "object", "properties":
+        {"id": text, "probability": number, "log_score_nats": {"type": ["number", "null"]}}}});
+    let course = json!({"type": "array", "items": {"type": "object", "properties":
+        {"id": text, "probability": {"type": "array", "items": number}}}});
+    [
+        (
+            NarrationV1::SERVICE.name,
+            NarrationV1::TYPE_NAME,
+            object(
+                NarrationV1::TYPE_NAME,
+                json!({
+                    "source": text, "person": integer, "kind": integer, "text": text, "epoch": text, "sequence": integer, "observed": point,
+                }),
+            ),
+        ),
+        (
+            RoomScoresV1::SERVICE.name,
+            RoomScoresV1::TYPE_NAME,
+            object(
+                RoomScoresV1::TYPE_NAME,
+                json!({
+                    "epoch": text, "sequence": integer, "computed": point, "label_mass": number, "flags": integer, "rooms": room,
+                    "timing_ns": {"type": "object"}, "model": text, "map": text,
+                }),
+            ),
+        ),
+        (
+            ForecastV1::SERVICE.name,
+            ForecastV1::TYPE_NAME,
+            object(
+                ForecastV1::TYPE_NAME,
+                json!({
+                    "epoch": text, "sequence": integer, "horizon_s": {"type": "array", "items": number}, "rooms": course,
+                }),
+            ),
+        ),
+        (
+            DecisionV1::SERVICE.name,
+            DecisionV1::TYPE_NAME,
+            object(
+                DecisionV1::TYPE_NAME,
+                json!({
+                    "robot": text, "from": text, "to": text, "policy": text, "reason": text, "probability": number, "stay_s": number,
+                    "flags": integer, "sequence": integer, "scores_sequence": integer, "decided": point,
+                }),
+            ),
+        ),
+    ]
+}
+
+/// Writes a recording.
+#[expect(missing_debug_implementations, reason = "the writer of mcap has none")]
+pub struct Recorder {
+    writer: Writer<BufWriter<File>>,
+    channels: BTreeMap<&'static str, u16>,
+    path: PathBuf,
+    written: u64,
+}
+
+impl Recorder {
+    /// Creates the file; one that exists is not overwritten.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Io`], [`RecordingError::Mcap`].
+    pub fn create(path: &Path) -> Result<Self, RecordingError> {
+        let file = File::create_new(path).map_err(|source| match source.kind() {
+            std::io::ErrorKind::AlreadyExists => RecordingError::Exists { path: path.to_owned() },
+            _ => RecordingError::Io { path: path.to_owned(), source },
+        })?;
+        let library = concat!("roomcast ", env!("CARGO_PKG_VERSION"));
+        let fail = |source| RecordingError::Mcap { path: path.to_owned(), source: Box::new(source) };
+        let mut writer = WriteOptions::new().profile("").library(library).create(BufWriter::new(file)).map_err(fail)?;
+        let mut channels = BTreeMap::new();
+        for (topic, name, schema) in schemas() {
+            let schema = writer.add_schema(name, "jsonschema", schema.to_string().as_bytes()).map_err(fail)?;
+            channels.insert(topic, writer.add_channel(schema, topic, "json", &BTreeMap::new()).map_err(fail)?);
+        }
+        Ok(Self { writer, channels, path: path.to_owned(), written: 0 })
+    }
+
+    fn mcap(&self, source: McapError) -> RecordingError {
+        RecordingError::Mcap { path: self.path.clone(), source: Box::new(source) }
+    }
+
+    /// Appends a message that was received at `received_unix_ns`.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Mcap`].
+    pub fn write(&mut self, message: &Recorded, received_unix_ns: u64) -> Result<(), RecordingError> {
+        let mut data = message.readable();
+        data["bytes"] = hex::encode(&message.to_bytes()).into();
+        let header = MessageHeader {
+            channel_id: self.channels[message.topic()],
+            // The file's field has 32 bits; the whole number is in the message.
+            sequence: message.sequence() as u32,
+            log_time: received_unix_ns,
+            publish_time: received_unix_ns,
+        };
+        let written = self.writer.write_to_known_channel(&header, data.to_string().as_bytes());
+        written.map_err(|error| self.mcap(error))?;
+        self.written += 1;
+        Ok(())
+    }
+
+    /// Keeps what the daemon told of a moment (its JSON), as an attachment.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Mcap`].
+    pub fn attach(&mut self, moment: &Moment, received_unix_ns: u64) -> Result<(), RecordingError> {
+        let data = serde_json::to_vec(moment).unwrap_or_default();
+        let attached = self.writer.attach(&Attachment {
+            log_time: received_unix_ns,
+            create_time: received_unix_ns,
+            name: format!("{MOMENT_FILES}{}-{}.json", moment.epoch, moment.sequence),
+            media_type: "application/json".to_owned(),
+            data: data.into(),
+        });
+        attached.map_err(|error| self.mcap(error))
+    }
+
+    /// Messages written.
+    #[must_use]
+    pub fn written(&self) -> u64 {
+        self.written
+    }
+
+    /// Brings what was written so far to the file, so that a crash loses nothing older.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Mcap`].
+    pub fn flush(&mut self) -> Result<(), RecordingError> {
+        let flushed = self.writer.flush();
+        flushed.map_err(|error| self.mcap(error))
+    }
+
+    /// Ends the file with its index.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Mcap`].
+    pub fn finish(&mut self) -> Result<(), RecordingError> {
+        let finished = self.writer.finish();
+        finished.map(|_| ()).map_err(|error| self.mcap(error))
+    }
+}
+
+/// A recording: every message with the time of its receipt in Unix nanoseconds, in the order of the file; and the moments in it.
+#[derive(Debug, Default)]
+pub struct Recording {
+    /// The messages.
+    pub messages: Vec<(u64, Recorded)>,
+    /// What the daemon told of itself when the recording began, and whenever it or its map was another one: the map in use,
+    /// and the narration that came before the recording.
+    pub moments: Vec<Moment>,
+}
+
+/// A moment of a recording, as far as the recording itself knows it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordedMoment {
+    /// The scores.
+    pub scores: RoomScoresV1,
+    /// Seconds from the recording's beginning.
+    pub at_s: f64,
+    /// The daemon's own telling that these scores follow: the map in use, the binding sequence, how scores are grounded.
+    pub base: Option<usize>,
+    /// The narration that the scores contain, with its person, oldest first; of one person exactly the window.
+    pub narration: Vec<(u32, Sentence)>,
+}
+
+impl Recording {
+    /// The scores with a sequence number (the last of them, if several daemons ran), or the last before `at_s` seconds from the
+    /// beginning, or the last of all; with the narration that they contain. None when there are no such scores.
+    #[must_use]
+    pub fn moment(&self, sequence: Option<u64>, at_s: Option<f64>) -> Option<RecordedMoment> {
+        let start_ns = self.messages.first().map_or(0, |(time, _)| *time);
+        let seconds = |time: u64| time.saturating_sub(start_ns) as f64 / 1e9;
+        let (time, scores) = self.messages.iter().rev().find_map(|(time, message)| match message {
+            Recorded::RoomScores(scores)
+                if sequence.is_none_or(|sequence| scores.sequence == sequence)
+                    && at_s.is_none_or(|at_s| seconds(*time) <= at_s) =>
+            {
+                Some((*time, **scores))
+            }
+            _ => None,
+        })?;
+        let (epoch, map) = (format!("{:016x}", scores.epoch), hex::encode(&scores.map_fingerprint));
+        let of_daemon = |moment: &&Moment| moment.epoch == epoch && moment.sequence <= scores.sequence;
+        let base = self.moments.iter().rposition(|moment| moment.map_fingerprint == map && moment.epoch == epoch);
+        // Narration that the newest telling before these scores contains need not be looked for in the recording.
+        let known = self.moments.iter().filter(of_daemon).max_by_key(|moment| moment.sequence);
+        let mut narration: Vec<(u32, Sentence)> = known.map_or_else(Vec::new, |moment| {
+            let sentences = moment.narration.iter();
+            sentences.filter_map(|read| Some((read.person, Sentence::new(&read.text).ok()?))).collect()
+        });
+        let already = |message: &NarrationV1| {
+            let (source, epoch) = (format!("{:016x}", message.source), format!("{:016x}", message.epoch));
+            let included = known.into_iter().flat_map(|moment| &moment.included);
+            included.filter(|i| i.source == source && i.epoch == epoch).any(|i| i.sequence >= message.sequence)
+        };
+        let contained = |message: &NarrationV1| {
+            let mut included = scores.included().iter();
+            included.any(|i| (i.source, i.epoch) == (message.source, message.epoch) && message.sequence <= i.sequence)
+        };
+        let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
+        for (_, message) in &self.messages {
+            if let Recorded::Narration(message) = message
+                && contained(message)
+                && !already(message)
+                && let Taken::Accepted { observation, .. } = intake.take(message, 0)
+            {
+                narration.push((observation.person, observation.sentence));
+            }
+        }
+        if scores.persons <= 1 {
+            let window = usize::try_from(scores.window).unwrap_or(usize::MAX);
+            narration.drain(..narration.len().saturating_sub(window));
+        }
+        Some(RecordedMoment { scores, at_s: seconds(time), base, narration })
+    }
+}
+
+/// Reads a recording.
+///
+/// # Errors
+///
+/// [`RecordingError`], for the first message that is none.
+pub fn read(path: &Path) -> Result<Recording, RecordingError> {
+    let io = |source| RecordingError::Io { path: path.to_owned(), source };
+    if std::fs::metadata(path).map_err(io)?.len() > FILE_BYTES_MAX {
+        return Err(RecordingError::TooLarge { path: path.to_owned() });
+    }
+    let bytes = std::fs::read(path).map_err(io)?;
+    let mcap = |source| RecordingError::Mcap { path: path.to_owned(), source: Box::new(source) };
+    let mut messages = Vec::new();
+    for (index, message) in MessageStream::new(&bytes).map_err(mcap)?.enumerate() {
+        let message = message.map_err(mcap)?;
+        let topic = message.channel.topic.clone();
+        let decoded = original(&message.data).and_then(|bytes| Recorded::decode(&topic, &bytes));
+        let decoded =
+            decoded.map_err(|reason| RecordingError::Message { path: path.to_owned(), index, topic, reason })?;
+        messages.push((message.log_time, decoded));
+    }
+    let mut moments = Vec::new();
+    if let Some(summary) = Summary::read(&bytes).map_err(mcap)? {
+        for index in summary.attachment_indexes.iter().filter(|index| index.name.starts_with(MOMENT_FILES)) {
+            let attachment = mcap::read::attachment(&bytes, index).map_err(mcap)?;
+            let moment = Moment::from_json(&String::from_utf8_lossy(&attachment.data));
+            let moment = moment.map_err(|error| RecordingError::Message {
+                path: path.to_owned(),
+                index: 0,
+                topic: index.name.clone(),
+                reason: error.to_string(),
+            })?;
+            moments.push(moment);
+        }
+    }
+    Ok(Recording { messages, moments })
+}
+
+/// The field `bytes` of a recorded message.
+fn original(data: &[u8]) -> Result<Vec<u8>, String> {
+    let value: Value = serde_json::from_slice(data).map_err(|error| error.to_string())?;
+    let text = value.get("bytes").and_then(Value::as_str).ok_or("the field \"bytes\" is missing")?;
+    if !text.len().is_multiple_of(2) || !text.is_ascii() {
+        return Err("the field \"bytes\" is not hexadecimal".into());
+    }
+    let digits =
+        |at| u8::from_str_radix(&text[at..at + 2], 16).map_err(|_| "the field \"bytes\" is not hexadecimal".to_owned());
+    (0..text.len()).step_by(2).map(digits).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use roomcast_ipc::text;
+
+    fn messages() -> Vec<(u64, Recorded)> {
+        let mut narration = NarrationV1::new(1, "[Grab] <mug> (1)").unwrap();
+        (narration.source, narration.epoch, narration.sequence) = (u64::MAX, u64::MAX - 1, 7);
+        let mut scores =
+            RoomScoresV1 { epoch: 3, sequence: 1, room_count: 2, label_mass: 0.1 + 0.2, ..Default::default() };
+        for (room, id) in scores.room.iter_mut().zip(["kitchen", "bathroom"]) {
+            room.id = text::encode("id", id).unwrap();
+            room.probability = 0.5;
+            room.log_score_nats = f64::NEG_INFINITY;
+        }
+        let decision =
+            DecisionV1 { to: text::encode("to", "bathroom").unwrap(), probability: 0.25, ..Default::default() };
+        vec![
+            (1_000, Recorded::Narration(Box::new(narration))),
+            (2_000, Recorded::RoomScores(Box::new(scores))),
+            (2_500, Recorded::Forecast(Box::new(ForecastV1 { room_count: 1, horizon_count: 2, ..Default::default() }))),
+            (3_000, Recorded::Decision(Box::new(decision))),
+        ]
+    }
+
+    fn recorded(messages: &[(u64, Recorded)]) -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("day.mcap");
+        let mut recorder = Recorder::create(&path).unwrap();
+        for (time, message) in messages {
+            recorder.write(message, *time).unwrap();
+        }
+        recorder.finish().unwrap();
+        (folder, path)
+    }
+
+    #[test]
+    fn what_was_recorded_comes_back_bit_for_bit() {
+        let (_folder, path) = recorded(&messages());
+        let back = read(&path).unwrap().messages;
+        assert_eq!(back, messages());
+        for ((_, a), (_, b)) in back.iter().zip(messages()) {
+            assert_eq!(a.to_bytes(), b.to_bytes());
+        }
+        let summary = Summary::read(&std::fs::read(&path).unwrap()).unwrap().unwrap();
+        assert_eq!(summary.stats.unwrap().message_count, 4);
+        assert!(summary.schemas.values().all(|schema| schema.encoding == "jsonschema"));
+    }
+
+    #[test]
+    fn a_recording_is_not_overwritten_and_a_damaged_one_is_named() {
+        let (_folder, path) = recorded(&messages());
+        assert!(matches!(Recorder::create(&path), Err(RecordingError::Exists { .. })));
+        let whole = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
+        assert!(matches!(read(&path), Err(RecordingError::Mcap { .. })));
+        std::fs::write(&path, b"no recording").unwrap();
+        assert!(matches!(read(&path), Err(RecordingError::Mcap { .. })));
+    }
+
+    #[test]
+    fn a_message_of_another_program_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("other.mcap");
+        let mut recorder = Recorder::create(&path).unwrap();
+        let header = MessageHeader {
+            channel_id: recorder.channels[NarrationV1::SERVICE.name],
+            sequence: 0,
+            log_time: 0,
+            publish_time: 0,
+        };
+        recorder.writer.write_to_known_channel(&header, br#"{"bytes": "00ff"}"#).unwrap();
+        recorder.finish().unwrap();
+        let error = read(&path).unwrap_err().to_string();
+        assert!(error.contains("2 bytes are no roomcast.NarrationV1"), "{error}");
+    }
+}

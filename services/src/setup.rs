@@ -1,0 +1,172 @@
+//! From a configuration to a pipeline that is ready: model, map, labels.
+
+use std::path::Path;
+
+use sha2::{Digest, Sha256};
+
+use crate::config::{Config, ConfigError};
+use crate::embedded::{self, ModelFile};
+use roomcast_core::grounding::{Grounding, GroundingError};
+use roomcast_core::narration::{Program, ProgramError};
+use roomcast_core::pipeline::{Pipeline, PipelineError, PipelineOptions};
+use roomcast_core::scorer::correction::CorrectionChoice;
+use roomcast_core::scorer::{LanguageModel, ModelError};
+use roomcast_core::semantic_map::{SceneError, SemanticMap};
+use roomcast_llama::{LlamaModel, LlamaOptions, file_sha256};
+
+/// What kept the service from becoming ready.
+#[derive(Debug, thiserror::Error)]
+pub enum SetupError {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// Neither a file nor the name of a shipped scene.
+    #[error(
+        "there is no scene {path}: give a scene's file, or a shipped scene by its name, {}",
+        embedded::scene_names()
+    )]
+    NoScene {
+        /// What was given.
+        path: String,
+    },
+    /// The scene's grounding.
+    #[error(transparent)]
+    Grounding(#[from] GroundingError),
+    /// The model.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The embedded model.
+    #[error("failed to put the embedded model into an anonymous memory file: {0}; give a model file instead")]
+    Embedded(std::io::Error),
+    /// The pipeline.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+    /// The model is not the one that the configuration pins.
+    #[error(
+        "the model {path} has the SHA-256 {found}, but model.sha256 pins {pinned}: use the pinned file, or change the pin"
+    )]
+    Pin {
+        /// The file.
+        path: String,
+        /// What it has.
+        found: String,
+        /// What it must have.
+        pinned: String,
+    },
+}
+
+/// Loads the model file at `path`, or the embedded one.
+///
+/// # Errors
+/// When it cannot be loaded.
+pub fn load_model(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaModel, SetupError> {
+    Ok(match path {
+        Some(path) => LlamaModel::load(path, options)?,
+        None => LlamaModel::load(&ModelFile::create().map_err(SetupError::Embedded)?.path(), options)?,
+    })
+}
+
+/// Loads the scene file at `path`, a shipped scene when `path` is its bare name, or the studio flat.
+///
+/// # Errors
+/// When the file is missing or malformed.
+pub fn load_map(path: Option<&Path>) -> Result<SemanticMap, SetupError> {
+    let text = match path {
+        None => Some(embedded::SCENES[0].text),
+        Some(path) if !path.exists() => path.to_str().and_then(embedded::scene).map(|scene| scene.text),
+        Some(_) => None,
+    };
+    Ok(match (text, path) {
+        (None, Some(path)) if matches!(path.try_exists(), Ok(false)) => {
+            return Err(SetupError::NoScene { path: path.display().to_string() });
+        }
+        (None, Some(path)) => SemanticMap::load(path)?,
+        (text, _) => SemanticMap::from_json(text.unwrap_or(embedded::SCENES[0].text))?,
+    })
+}
+
+/// Loads the activity program at `path`, or a shipped program when `path` is its bare name.
+///
+/// # Errors
+/// When the file is missing or malformed.
+pub fn load_program(path: &Path) -> Result<Program, ProgramError> {
+    shipped_program(path).unwrap_or_else(|| Program::load(path))
+}
+
+/// The shipped program that `path` is the bare name of, unless there is a file of that name.
+///
+/// # Errors
+/// When it is malformed, which a test of the shipped programs excludes.
+pub fn shipped_program(path: &Path) -> Option<Result<Program, ProgramError>> {
+    let shipped = path.to_str().filter(|_| !path.exists()).and_then(embedded::program)?;
+    Some(Program::parse(shipped.text))
+}
+
+/// Sets up everything that the configuration names.
+///
+/// # Errors
+/// The first part that cannot be set up.
+pub fn open(config: &Config) -> Result<(Pipeline<LlamaModel>, SemanticMap), SetupError> {
+    let map = load_map(config.scene.path.as_deref())?;
+    Ok((open_with(config, &map, configured_model)?, map))
+}
+
+/// Sets up everything that the configuration names, with another map than the one it names, and with the model that `model`
+/// gives ([`configured_model`]).
+///
+/// # Errors
+/// The first part that cannot be set up.
+pub fn open_with<M: LanguageModel>(
+    config: &Config,
+    map: &SemanticMap,
+    model: impl FnOnce(&Config) -> Result<M, SetupError>,
+) -> Result<Pipeline<M>, SetupError> {
+    config.check()?;
+    let grounding = Grounding::new(map, &config.grounding)?;
+    Ok(Pipeline::new(model(config)?, grounding, pipeline_options(config)?)?)
+}
+
+/// The model that the configuration names, or the embedded one.
+///
+/// # Errors
+/// When it cannot be loaded, or is not the one that is pinned.
+pub fn configured_model(config: &Config) -> Result<LlamaModel, SetupError> {
+    check_pin(config)?;
+    load_model(config.model.path.as_deref(), &config.model.llama_options())
+}
+
+/// Holds the model file to the checksum that the configuration pins, before llama.cpp sees any of it.
+fn check_pin(config: &Config) -> Result<(), SetupError> {
+    let Some(pinned) = &config.model.sha256 else { return Ok(()) };
+    let (path, fingerprint) = match &config.model.path {
+        None => ("(embedded)".to_owned(), Ok(Sha256::digest(embedded::MODEL).into())),
+        Some(path) => (path.display().to_string(), file_sha256(path)),
+    };
+    let fingerprint =
+        fingerprint.map_err(|error| ModelError::Load { path: path.clone(), reason: error.to_string() })?;
+    let found = hex::encode(fingerprint);
+    if pinned.eq_ignore_ascii_case(&found) {
+        Ok(())
+    } else {
+        Err(SetupError::Pin { path, found, pinned: pinned.clone() })
+    }
+}
+
+/// The pipeline's options, from the configuration.
+///
+/// # Errors
+/// When the binding sequence cannot be used.
+pub fn pipeline_options(config: &Config) -> Result<PipelineOptions, ConfigError> {
+    Ok(PipelineOptions {
+        binding: config.binding()?,
+        tokenisation: config.scoring.tokenisation,
+        correction: CorrectionChoice { continuation: config.scoring.continuation, prior: config.scoring.prior },
+        method: config.scoring.method,
+        effort: config.scoring.effort,
+        deadline_ns: config.scoring.deadline_ms.saturating_mul(1_000_000),
+        history: config.history,
+    })
+}

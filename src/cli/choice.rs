@@ -1,0 +1,45 @@
+//! Choices that the library names, as the command line offers them.
+
+use std::str::FromStr;
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use roomcast_core::scorer::correction::{Continuation, CorrectionChoice, prior_weight};
+use strum::{EnumMessage, ParseError, VariantArray};
+
+/// Accepts the names of `T`'s variants; the help shows them with their documentation.
+pub fn choice<T>() -> impl TypedValueParser<Value = T>
+where
+    T: Copy + EnumMessage + FromStr<Err = ParseError> + Into<&'static str> + Send + Sync + VariantArray + 'static,
+{
+    let shown = |&choice: &T| {
+        let value = PossibleValue::new(choice.into());
+        match choice.get_documentation() {
+            Some(documentation) => value.help(documentation.lines().next().unwrap_or_default().to_owned()),
+            None => value,
+        }
+    };
+    PossibleValuesParser::new(T::VARIANTS.iter().map(shown).collect::<Vec<_>>()).try_map(|name| name.parse::<T>())
+}
+
+/// How scores are corrected.
+#[derive(Debug, Clone, Copy, clap::Args)]
+pub struct CorrectionArgs {
+    /// What a label's tokens after the first compete with; as the model file recommends when left out.
+    #[arg(long, value_parser = choice::<Continuation>())]
+    continuation: Option<Continuation>,
+    /// Weight from 0 to 1 with which scores are divided by those of a blank narration; as the model file recommends when left out.
+    #[arg(long, value_name = "WEIGHT", value_parser = prior_weight)]
+    prior: Option<f64>,
+}
+
+impl From<CorrectionArgs> for CorrectionChoice {
+    fn from(CorrectionArgs { continuation, prior }: CorrectionArgs) -> Self {
+        Self { continuation, prior }
+    }
+}
+
+impl From<CorrectionChoice> for CorrectionArgs {
+    fn from(CorrectionChoice { continuation, prior }: CorrectionChoice) -> Self {
+        Self { continuation, prior }
+    }
+}

@@ -1,0 +1,46 @@
+//! `roomcast narrate --mqtt`: a broker's messages as narration.
+
+use std::path::Path;
+use std::thread::JoinHandle;
+
+use roomcast_services::mqtt::{self, Broker, Heard, MqttError, Rules};
+use roomcast_services::narrator::Input;
+use roomcast_services::stop::Stop;
+
+use super::{CommandResult, Failure};
+use crate::exit_code;
+
+/// Listens to the broker in a thread of its own; its lines come through a pipe, whose small buffer holds it back while the daemon is
+/// behind: what is in it is acknowledged, and goes with this process.
+pub(super) fn listen(broker: &Broker, rules: &Path, person: u32, stop: &Stop) -> Result<(Input, Listener), Failure> {
+    let rules = Rules::load(rules).map_err(mqtt_failure)?;
+    let options = broker.options().map_err(mqtt_failure)?;
+    let (reader, writer) = std::io::pipe().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    // The least there is, a page; a system that refuses leaves it larger.
+    let _resized = rustix::pipe::fcntl_setpipe_size(&writer, 4096);
+    let stop = stop.clone();
+    let listener = std::thread::Builder::new().name("mqtt".to_owned());
+    let listener = listener
+        .spawn(move || mqtt::listen(options, rules, writer, &stop))
+        .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot start the mqtt thread: {error}")))?;
+    Ok((Input::Lines { name: broker.address.clone(), stream: Box::new(reader), person }, listener))
+}
+
+pub(super) type Listener = JoinHandle<Result<Heard, MqttError>>;
+
+/// How listening ended, which it does by itself only when the client cannot go on.
+pub(super) fn join(listener: Listener) -> CommandResult {
+    let heard = listener.join().map_err(|_| Failure::new(exit_code::FAILURE, "the mqtt thread ended unexpectedly"))?;
+    let heard = heard.map_err(mqtt_failure)?;
+    tracing::info!(said = heard.said, unfit = heard.unfit, silent = heard.silent, "left the broker");
+    Ok(())
+}
+
+fn mqtt_failure(error: MqttError) -> Failure {
+    let code = match error {
+        MqttError::Address { .. } | MqttError::Scheme { .. } => exit_code::USAGE,
+        MqttError::Read { .. } | MqttError::Rules { .. } | MqttError::Authority { .. } => exit_code::INPUT,
+        MqttError::Client { .. } => exit_code::FAILURE,
+    };
+    Failure::new(code, error)
+}
