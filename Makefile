@@ -53,19 +53,14 @@ docs:
 	@echo "test: documentation"
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps
 
-# The advisory database is fetched over the network, so advisories are not part of the offline check: `make advisories`.
 .PHONY: licences
 licences:
-	@if cargo deny --version >/dev/null 2>&1; then \
-	    echo "test: licences, bans and sources of the dependencies"; \
-	    cargo deny --offline check licenses bans sources; \
-	else \
-	    echo "SKIPPED licences: cargo-deny is not installed ('cargo install --locked cargo-deny')"; \
-	fi
+	@echo "test: licences, bans and sources of the dependencies"
+	@.ci/deny licenses bans sources
 
-.PHONY: advisories
-advisories: ## Checks the dependencies against the RustSec advisories (needs the network and cargo-deny).
-	cargo deny check advisories
+.PHONY: audit
+audit: setup ## Checks the dependencies: licences, sources, bans, and the RustSec advisories where they can be reached.
+	@.ci/deny licenses bans sources advisories
 
 # What counts tests is itself tested.
 .PHONY: counts
