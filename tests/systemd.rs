@@ -93,7 +93,19 @@ fn the_target_starts_and_stops_the_three_in_order() {
         assert!(values(unit, "PartOf").contains(&target) && values(unit, "WantedBy").contains(&target), "{unit}");
         assert!(unit == daemon || values(unit, "After").contains(&daemon), "{unit} starts after the daemon");
         assert_eq!(values(unit, "Type"), ["notify"], "{unit} has started when it says so");
-        assert_eq!((values(unit, "Restart"), values(unit, "WatchdogSec")), (vec!["always".into()], vec!["10s".into()]));
+        assert_eq!(values(unit, "Restart"), ["always"], "{unit}");
+    }
+}
+
+#[test]
+fn whatever_hangs_is_noticed_by_a_watchdog() {
+    for unit in UNITS {
+        assert_eq!(values(unit, "WatchdogSec"), ["10s"], "{unit}");
+        assert_eq!(
+            values(unit, "NotifyAccess"),
+            ["main"],
+            "{unit}: the signs of life count that the process itself gives"
+        );
     }
 }
 
