@@ -30,7 +30,7 @@ demo: build ## Builds, then shows the whole system at work on this machine.
 	$(TARGET)/release/roomcast demo
 
 .PHONY: test
-test: setup format lint unit docs licences scenes python ## Runs every check: format, lints, tests, documentation, licences, Python.
+test: setup format counts lint unit docs licences scenes python ## Runs every check: format, lints, tests, documentation, licences, Python.
 	@echo "test: all checks passed"
 
 .PHONY: format
@@ -53,29 +53,30 @@ docs:
 	@echo "test: documentation"
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps
 
-# The advisory database is fetched over the network, so advisories are not part of the offline check: `make advisories`.
 .PHONY: licences
 licences:
-	@if cargo deny --version >/dev/null 2>&1; then \
-	    echo "test: licences, bans and sources of the dependencies"; \
-	    cargo deny --offline check licenses bans sources; \
-	else \
-	    echo "test: SKIPPED licences: cargo-deny is not installed ('cargo install --locked cargo-deny')"; \
-	fi
+	@echo "test: licences, bans and sources of the dependencies"
+	@.ci/deny licenses bans sources
 
-.PHONY: advisories
-advisories: ## Checks the dependencies against the RustSec advisories (needs the network and cargo-deny).
-	cargo deny check advisories
+.PHONY: audit
+audit: setup ## Checks the dependencies: licences, sources, bans, and the RustSec advisories where they can be reached.
+	@.ci/deny licenses bans sources advisories
+
+# What counts tests is itself tested.
+.PHONY: counts
+counts:
+	@echo "test: what counts the tests"
+	python3 -m unittest discover -v -s .ci
 
 .PHONY: scenes
 scenes:
 	@if ! python3 -c 'import tomllib' 2>/dev/null; then \
-	    echo "test: SKIPPED scenes: furnishing them needs Python 3.11"; \
+	    echo "SKIPPED scenes: furnishing them needs Python 3.11"; \
 	    exit 0; \
 	fi; \
 	echo "test: scenes"; \
 	python3 scenes/furnish.py --check; \
-	python3 -m unittest discover -q -s scenes
+	python3 -m unittest discover -v -s scenes
 
 # The Python parts: the tests of the training pipeline that need no PyTorch, and the client package where it can be installed.
 .PHONY: python
@@ -87,7 +88,7 @@ python:
 	test -x $(VENV)/bin/python || python3 -m venv $(VENV); \
 	if ! $(VENV)/bin/python -c 'import mcap, pytest' 2>/dev/null && \
 	   ! $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check 'pytest==8.4.2' 'numpy==2.3.3' 'mcap==1.6.0'; then \
-	    echo "test: SKIPPED Python parts: pytest cannot be installed (no network?)"; \
+	    echo "SKIPPED Python parts: pytest cannot be installed (no network?)"; \
 	    exit 0; \
 	fi; \
 	if compgen -G 'training/tests/test_*.py' >/dev/null; then \
@@ -95,9 +96,9 @@ python:
 	fi; \
 	if compgen -G 'clients/python/tests/test_*.py' >/dev/null; then \
 	    if $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -e clients/python; then \
-	        ROOMCAST=$(abspath $(TARGET))/release/roomcast $(VENV)/bin/python -m pytest -q clients/python/tests; \
+	        ROOMCAST=$(abspath $(TARGET))/release/roomcast $(VENV)/bin/python -m pytest -q -rs clients/python/tests; \
 	    else \
-	        echo "test: SKIPPED the Python client: iceoryx2 cannot be installed from PyPI (no network?)"; \
+	        echo "SKIPPED the Python client: iceoryx2 cannot be installed from PyPI (no network?)"; \
 	    fi; \
 	fi
 

@@ -14,6 +14,10 @@ use roomcast_ipc::{Domain, StatusResponseV1};
 use roomcast_services::daemon::{Recovered, journal};
 use rustix::process::{Pid, Signal, geteuid, kill_process};
 
+#[path = "support/skipped.rs"]
+mod skipped;
+use skipped::skipped;
+
 const PATIENCE: Duration = Duration::from_secs(120);
 const NOBODY: u32 = 65_534;
 
@@ -98,7 +102,7 @@ fn may_mount() -> bool {
     let may = Command::new("unshare").args(["-m", "mount", "-t", "tmpfs", "tmpfs", "/mnt"]).output();
     let may = may.is_ok_and(|output| output.status.success());
     if !may {
-        eprintln!("SKIPPED: only root can mount the small file systems that this needs");
+        skipped("only root can mount the small file systems that this needs");
     }
     may
 }
@@ -223,7 +227,7 @@ fn program_for_others(directory: &Path) -> PathBuf {
 #[test]
 fn another_user_can_neither_read_nor_publish() {
     if !geteuid().is_root() {
-        eprintln!("SKIPPED: only root can run something as another user");
+        skipped("only root can run something as another user");
         return;
     }
     let mut world = World::new("nobody");

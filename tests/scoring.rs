@@ -24,6 +24,10 @@ use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast_services::embedded;
 use roomcast_services::setup::load_model;
 
+#[path = "support/skipped.rs"]
+mod skipped;
+use skipped::skipped;
+
 /// The model that ships, or the same weights in single precision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Weights {
@@ -135,21 +139,33 @@ fn model(sequences: u32) -> LlamaModel {
     load_model(None, &options(sequences)).unwrap()
 }
 
+/// VirtualHome's own scenes, which are not part of the repository.
+const VIRTUALHOME: &str = "../shared/virtualhome/scenes";
+
 /// Every shipped scene, an office, and those of `../shared` where it exists.
 fn maps() -> Vec<SemanticMap> {
     let mut maps: Vec<_> = embedded::SCENES.iter().map(|s| SemanticMap::from_json(s.text).unwrap()).collect();
     maps.push(office());
-    let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/virtualhome/scenes");
-    match std::fs::read_dir(&shared) {
-        Ok(files) => {
-            for file in files {
-                let text = std::fs::read_to_string(file.unwrap().path()).unwrap();
-                maps.push(import::virtualhome(&text, "virtualhome", None).unwrap().map);
-            }
-        }
-        Err(_) => eprintln!("SKIPPED: {} is missing, so VirtualHome's own scenes are not tried", shared.display()),
+    let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join(VIRTUALHOME);
+    // Where they are missing, `virtualhomes_own_scenes_are_among_them` says so.
+    for file in std::fs::read_dir(shared).into_iter().flatten() {
+        let text = std::fs::read_to_string(file.unwrap().path()).unwrap();
+        maps.push(import::virtualhome(&text, "virtualhome", None).unwrap().map);
     }
     maps
+}
+
+#[test]
+fn virtualhomes_own_scenes_are_among_them() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(VIRTUALHOME);
+    if !folder.is_dir() {
+        skipped(format!(
+            "{} is missing, so the methods are not compared on VirtualHome's own scenes",
+            folder.display()
+        ));
+        return;
+    }
+    assert!(maps().len() > embedded::SCENES.len() + 1);
 }
 
 /// A map of a place that the embedded model was not made for, many of whose labels are several of its tokens.

@@ -12,6 +12,10 @@ use roomcast_ipc::{
     RoomScoresV1, RoomV1, StatusRequestV1, StatusResponseV1, text,
 };
 
+#[path = "../../tests/support/skipped.rs"]
+mod skipped;
+use skipped::skipped;
+
 const SOURCES: [&str; 7] = ["mod", "narration", "room_scores", "item_scores", "forecast", "decision", "status"];
 
 fn repository() -> PathBuf {
@@ -202,7 +206,7 @@ fn a_c_program_reads_what_rust_wrote() {
         .arg("-I")
         .arg(&sources);
     let Ok(compiled) = compiler.arg(sources.join("rooms.c")).output() else {
-        eprintln!("SKIPPED: there is no C compiler (apt-get install gcc)");
+        skipped("there is no C compiler (apt-get install gcc)");
         return;
     };
     assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
