@@ -371,10 +371,11 @@ class ItemScoresSubscriber:
         if sample is None:
             return None
         header = layouts.ItemScoresHeaderV1.from_buffer_copy(bytes(sample.user_header().contents))
-        payload = sample.payload()
-        items = (layouts.ItemScoreV1 * payload.len()).from_buffer_copy(bytes(payload.as_memory_view()))
+        # The length that the bindings give of a slice is in bytes, and what they show of one reaches beyond it.
+        items = layouts.ItemScoreV1 * sample.header.number_of_elements
+        copy = items.from_buffer_copy(ctypes.string_at(sample.payload().as_ptr(), ctypes.sizeof(items)))
         sample.delete()
-        return header, list(items)
+        return header, list(copy)
 
     def close(self) -> None:
         """Gives the place to somebody else."""
