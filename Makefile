@@ -86,8 +86,8 @@ python:
 	fi; \
 	echo "test: Python parts"; \
 	test -x $(VENV)/bin/python || python3 -m venv $(VENV); \
-	if ! $(VENV)/bin/python -c 'import mcap, pytest' 2>/dev/null && \
-	   ! $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check 'pytest==8.4.2' 'numpy==2.3.3' 'mcap==1.6.0'; then \
+	if ! $(VENV)/bin/python -c 'import hypothesis, mcap, pytest' 2>/dev/null && \
+	   ! $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check 'pytest==8.4.2' 'numpy==2.3.3' 'mcap==1.6.0' 'hypothesis==6.170.15'; then \
 	    echo "SKIPPED Python parts: pytest cannot be installed (no network?)"; \
 	    exit 0; \
 	fi; \

@@ -1,21 +1,23 @@
-"""The ctypes structures against what the Rust crate prints of its own."""
+"""The ctypes structures against what the Rust crate prints of its own, and against the C header that is made from it."""
 
 from __future__ import annotations
 
 import ctypes
-import os
 import pathlib
 import re
 import subprocess
 
 import pytest
 
-from roomcast import layouts
+from roomcast import MessageError, layouts, ports
+from samples import ROOMCAST
+
+HEADER = pathlib.Path(__file__).parents[2] / "c" / "roomcast.h"
 
 
 def rust_layouts() -> dict[str, tuple[int, list[tuple[int, int, str]]]]:
     """Per type name its size and (offset, size, name) of each field, as the example `layout` prints them."""
-    binary = pathlib.Path(os.environ.get("ROOMCAST", "")).parent / "examples" / "layout"
+    binary = pathlib.Path(ROOMCAST).parent / "examples" / "layout"
     if not binary.exists():
         pytest.skip("SKIPPED: set ROOMCAST to the built binary, and build the example: cargo build --release -p roomcast-ipc --examples")
     found: dict[str, tuple[int, list[tuple[int, int, str]]]] = {}
@@ -28,19 +30,64 @@ def rust_layouts() -> dict[str, tuple[int, list[tuple[int, int, str]]]]:
     return found
 
 
-@pytest.mark.parametrize("message", layouts.MESSAGES, ids=lambda message: message.__name__)
-def test_every_field_is_where_rust_has_it(message: type[ctypes.Structure]) -> None:
-    size, fields = rust_layouts()[message.type_name()]  # type: ignore[attr-defined]
+@pytest.mark.parametrize("message", layouts.LAYOUTS, ids=lambda message: message.__name__)
+def test_every_field_is_where_rust_has_it(message: type[layouts.Layout]) -> None:
+    size, fields = rust_layouts()[message.type_name()]
     assert ctypes.sizeof(message) == size
     own = [(getattr(message, name).offset, getattr(message, name).size, name) for name, *_ in message._fields_]
     assert own == fields
 
 
+def test_there_is_every_structure_of_the_c_header() -> None:
+    named = re.findall(r"typedef struct Roomcast(\w+)", HEADER.read_text())
+    assert named == [message.__name__ for message in layouts.LAYOUTS]
+
+
+@pytest.mark.parametrize("message", layouts.LAYOUTS, ids=lambda message: message.__name__)
+def test_every_field_is_where_c_has_it(message: type[layouts.Layout]) -> None:
+    name, header = f"Roomcast{message.__name__}", HEADER.read_text()
+    offsets = re.findall(rf"_Static_assert\(offsetof\({name}, (\w+)\) == (\d+)", header)
+    assert offsets == [(field, str(getattr(message, field).offset)) for field, *_ in message._fields_]
+    size = re.search(rf"_Static_assert\(sizeof\({name}\) == (\d+)", header)
+    assert size and ctypes.sizeof(message) == int(size[1])
+
+
+@pytest.mark.parametrize("service", [ports.NARRATION, ports.ROOM_SCORES, ports.FORECAST, ports.DECISION], ids=lambda s: s.name)
+def test_every_service_is_as_in_the_c_header(service: ports.Service) -> None:
+    defined = dict(re.findall(r"#define ROOMCAST_(\w+) (.+)", HEADER.read_text()))
+    name = service.name.rsplit("/", 1)[1].upper().replace("-", "_")
+    assert defined[f"SERVICE_{name}"] == f'"{service.name}"'
+    assert defined[f"TYPE_NAME_{service.payload.__name__.upper()}"] == f'"{service.payload.type_name()}"'
+    quality = [defined[f"{name}_{which}"] for which in ("MAX_PUBLISHERS", "MAX_SUBSCRIBERS", "BUFFER_SIZE", "HISTORY_SIZE")]
+    assert quality == [str(number) for number in (service.publishers, service.subscribers, service.buffer, service.history)]
+
+
+def test_the_limits_are_those_of_the_c_header() -> None:
+    defined = dict(re.findall(r"#define ROOMCAST_(\w+) (\d+)", HEADER.read_text()))
+    for name, own in {
+        "NAME_BYTES": layouts.NAME_BYTES,
+        "NARRATION_TEXT_BYTES": layouts.TEXT_BYTES,
+        "REASON_TEXT_BYTES": layouts.REASON_BYTES,
+        "MAX_ROOMS": layouts.MAX_ROOMS,
+        "MAX_SOURCES": layouts.MAX_SOURCES,
+        "MAX_HORIZONS": layouts.MAX_HORIZONS,
+    }.items():
+        assert int(defined[name]) == own
+
+
 def test_texts_that_do_not_fit_are_refused() -> None:
     message = layouts.NarrationV1()
-    assert layouts.write_text(message.text, "They grab the mug.", "text") == 18
-    assert layouts.read_text(message.text) == "They grab the mug."
-    with pytest.raises(ValueError, match="limit is 1024"):
-        layouts.write_text(message.text, "a" * 1025, "text")
-    with pytest.raises(ValueError, match="control character"):
-        layouts.write_text(message.text, "two\nlines", "text")
+    assert layouts.write_text("text", message.text, "They grab the mug.") == 18
+    assert layouts.read_text("text", message.text) == "They grab the mug."
+    with pytest.raises(MessageError, match="text of 1025 bytes, at most 1024 fit; shorten it"):
+        layouts.write_text("text", message.text, "a" * 1025)
+    for hidden in ["two\nlines", "\x9b2J", "left\u202eright", "\ufeffmark", "two\u2028lines", "a\0b"]:
+        with pytest.raises(MessageError, match="control character U"):
+            layouts.write_text("text", message.text, hidden)
+    with pytest.raises(MessageError, match="half a character"):
+        layouts.write_text("text", message.text, "\ud800")
+
+
+def test_a_text_that_is_cut_ends_at_a_character() -> None:
+    assert layouts.cut("café", 4) == "caf"
+    assert layouts.cut("a" * 300, layouts.REASON_BYTES) == "a" * 256

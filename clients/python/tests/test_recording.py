@@ -11,7 +11,8 @@ import time
 import pytest
 
 from roomcast import Domain, Narrator, layouts, ports
-from test_processes import ROOMCAST, daemon, domain  # noqa: F401
+from samples import ROOMCAST
+from test_processes import daemon, domain  # noqa: F401
 
 reader = pytest.importorskip("mcap.reader", reason="SKIPPED: pip install mcap")
 
@@ -45,5 +46,5 @@ def test_another_reader_finds_the_recording_sound(daemon: Domain, tmp_path: path
     assert [data["text"] for data in told] == ["They open the fridge.", "They grab the milk."]
     # The message itself, as it lay in shared memory.
     image = layouts.NarrationV1.from_buffer_copy(bytes.fromhex(told[0]["bytes"]))
-    assert layouts.read_text(image.text) == "They open the fridge."
+    assert layouts.read_text("text", image.text) == "They open the fridge."
     assert moments and moments[0]["scene"]["format"] == "roomcast-scene"

@@ -5,7 +5,7 @@
     with Planner("my-planner") as planner:
         for scores in planner.scores():
             calmest = min(scores.rooms, key=lambda room: room.probability)
-            planner.decide(calmest.id, "least likely to be occupied")
+            planner.decide(calmest.id, "where the person is least likely to go next")
 """
 
 from __future__ import annotations
@@ -14,28 +14,63 @@ import json
 import math
 import secrets
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
 from types import TracebackType
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from . import layouts, ports
-from .ports import Domain, RoomcastError
+from .layouts import MessageError
+from .messages import (
+    Action,
+    Decision,
+    DecisionFlags,
+    Forecast,
+    ItemScore,
+    ItemScores,
+    Reached,
+    Room,
+    RoomForecast,
+    RoomScores,
+    ScoreFlags,
+    Source,
+    Status,
+)
+from .ports import Domain, NoAnswerError, RoomcastError
 
 __all__ = [
+    "Action",
+    "Decision",
+    "DecisionFlags",
     "Domain",
+    "Forecast",
+    "ItemScore",
+    "ItemScores",
+    "ItemScoresSubscription",
+    "MessageError",
     "Narrator",
+    "NoAnswerError",
     "Planner",
+    "Reached",
     "Room",
+    "RoomForecast",
     "RoomScores",
     "RoomcastError",
+    "ScoreFlags",
     "Source",
+    "Status",
+    "StatusSubscription",
+    "Subscription",
     "change_map",
     "moment",
     "source_of_name",
+    "status",
 ]
 
 SENTENCE, ACTION, DEVICE = 0, 1, 2
+
+T = TypeVar("T")
+Kind = TypeVar("Kind", RoomScores, Forecast, Decision)
 
 
 def source_of_name(name: str) -> int:
@@ -46,99 +81,140 @@ def source_of_name(name: str) -> int:
     return max(number, 1)
 
 
-@dataclass(frozen=True)
-class Room:
-    """A room of the map, and how likely a person is there soon."""
+class _Follows(ABC, Generic[T]):
+    """Messages one after the other. A context manager: leaving gives the place to somebody else."""
 
-    id: str
-    probability: float
-    log_score_nats: float
-    lower_log_score_nats: float
-    upper_log_score_nats: float
+    @abstractmethod
+    def _take(self) -> T | None:
+        """What is there already."""
+
+    @abstractmethod
+    def _sleep(self, timeout_s: float) -> None:
+        """Waits for news, at most this long."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Gives the place to somebody else."""
+
+    def next(self, timeout_s: float | None = None) -> T | None:
+        """Waits for the next one; none when the time is over."""
+        deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            message = self._take()
+            if message is not None:
+                return message
+            left = deadline - time.monotonic()
+            if left <= 0:
+                return None
+            self._sleep(min(left, 0.1))
+
+    def __iter__(self) -> Iterator[T]:
+        """All as they come, without end."""
+        while (message := self.next()) is not None:
+            yield message
+
+    def __enter__(self: Self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
 
 
-@dataclass(frozen=True)
-class Source:
-    """The newest narration of one source that scores contain."""
-
-    source: int
-    epoch: int
-    sequence: int
-    observed_ns: int
+Self = TypeVar("Self", bound=_Follows[Any])
 
 
-@dataclass(frozen=True)
-class RoomScores:
-    """A full snapshot of what the daemon knows; times are of the monotonic clock."""
+class Subscription(_Follows[Kind]):
+    """Follows all room scores, forecasts or decisions under a name for people: `Subscription(Forecast, "my-display")`.
 
-    epoch: int
-    sequence: int
-    computed_ns: int
-    published_ns: int
-    observed_ns: int
-    label_mass: float
-    heartbeat: bool
-    flags: int
-    model: str
-    map: str
-    rooms: tuple[Room, ...]
-    included: tuple[Source, ...]
+    Of room scores the heartbeats are left out, which say the same again. Every loss shows as a gap in the sequence numbers.
+    """
+
+    def __init__(self, kind: type[Kind], name: str, domain: Domain | None = None) -> None:
+        node = (domain or Domain.default_for_user()).open(name)
+        self._subscriber: ports.Subscriber[Kind] = ports.Subscriber(node, kind.SERVICE, kind.from_message)
+        self._scores: tuple[int, int] | None = None
 
     @property
-    def age_s(self) -> float:
-        """Seconds since the scores were computed."""
-        return (time.monotonic_ns() - self.computed_ns) / 1e9
+    def malformed(self) -> int:
+        """Messages that said what no honest sender says, and were dropped."""
+        return self._subscriber.malformed
 
-    @staticmethod
-    def from_message(message: layouts.RoomScoresV1) -> RoomScores:
-        """Reads and checks a message; ValueError names what is malformed."""
-        if not 1 <= message.room_count <= layouts.MAX_ROOMS or message.source_count > layouts.MAX_SOURCES:
-            raise ValueError(f"room scores of {message.room_count} rooms and {message.source_count} sources")
-        rooms = []
-        for room in message.room[: message.room_count]:
-            if not 0 <= room.probability <= 1 or math.isnan(room.log_score_nats):
-                raise ValueError(f"room {layouts.read_text(room.id)!r} has the probability {room.probability}")
-            rooms.append(
-                Room(
-                    layouts.read_text(room.id),
-                    room.probability,
-                    room.log_score_nats,
-                    room.lower_log_score_nats,
-                    room.upper_log_score_nats,
-                )
-            )
-        sources = message.included[: message.source_count]
-        return RoomScores(
-            epoch=message.epoch,
-            sequence=message.sequence,
-            computed_ns=message.computed_ns,
-            published_ns=message.published_ns,
-            observed_ns=message.observed_ns,
-            label_mass=message.label_mass,
-            heartbeat=bool(message.flags & 1),
-            flags=message.flags,
-            model=bytes(message.model_fingerprint).hex(),
-            map=bytes(message.map_fingerprint).hex(),
-            rooms=tuple(rooms),
-            included=tuple(Source(s.source, s.epoch, s.sequence, s.observed_ns) for s in sources),
-        )
+    def _take(self) -> Kind | None:
+        while (message := self._subscriber.receive()) is not None:
+            if isinstance(message, RoomScores):
+                scores = (message.epoch, message.sequence)
+                if scores == self._scores:
+                    continue
+                self._scores = scores
+            return message
+        return None
+
+    def _sleep(self, timeout_s: float) -> None:
+        self._subscriber.wait(timeout_s)
+
+    def close(self) -> None:
+        self._subscriber.close()
+
+
+class ItemScoresSubscription(_Follows[ItemScores]):
+    """Follows the scores of all items. The daemon sends them as long as somebody does."""
+
+    def __init__(self, name: str, domain: Domain | None = None) -> None:
+        node = (domain or Domain.default_for_user()).open(name)
+        self._subscriber = ports.ItemScoresSubscriber(node)
+
+    def _take(self) -> ItemScores | None:
+        received = self._subscriber.receive()
+        return None if received is None else ItemScores.from_message(*received)
+
+    def _sleep(self, timeout_s: float) -> None:
+        # Nobody is woken for them.
+        time.sleep(min(timeout_s, 0.01))
+
+    def close(self) -> None:
+        self._subscriber.close()
+
+
+class StatusSubscription(_Follows[Status]):
+    """Asks the daemon for its status every `every_s` seconds, and goes on asking while none answers."""
+
+    def __init__(self, name: str, domain: Domain | None = None, every_s: float = 1) -> None:
+        node = (domain or Domain.default_for_user()).open(name)
+        self._client = ports.StatusClient(node)
+        self._every_s = every_s
+        self._due = time.monotonic()
+
+    def _take(self) -> Status | None:
+        if time.monotonic() < self._due:
+            return None
+        try:
+            answer = self._client.ask(0.3)
+        except NoAnswerError:
+            return None
+        self._due = time.monotonic() + self._every_s
+        return Status.from_message(answer)
+
+    def _sleep(self, timeout_s: float) -> None:
+        time.sleep(max(0.0, min(timeout_s, self._due - time.monotonic())))
+
+    def close(self) -> None:
+        self._client.close()
 
 
 class _Participant:
     def __init__(self, name: str, domain: Domain | None) -> None:
         self.name = name
         self.node = (domain or Domain.default_for_user()).open(name)
-        self._scores: ports.Subscriber[layouts.RoomScoresV1] = ports.Subscriber(self.node, ports.ROOM_SCORES)
+        self._scores: ports.Subscriber[RoomScores] = ports.Subscriber(self.node, ports.ROOM_SCORES, RoomScores.from_message)
+
+    @property
+    def malformed(self) -> int:
+        """Room scores that said what no honest sender says, and were dropped."""
+        return self._scores.malformed
 
     def newest(self) -> RoomScores | None:
-        """The newest snapshot that has not been taken yet; malformed ones are passed over."""
-        newest = None
-        while (message := self._scores.receive()) is not None:
-            try:
-                newest = RoomScores.from_message(message)
-            except ValueError:
-                continue
-        return newest
+        """The newest snapshot that has not been taken yet."""
+        return self._scores.newest()
 
 
 class Narrator(_Participant):
@@ -146,7 +222,9 @@ class Narrator(_Participant):
 
     def __init__(self, name: str, domain: Domain | None = None, person: int = 0) -> None:
         super().__init__(name, domain)
-        self._publisher: ports.Publisher[layouts.NarrationV1] = ports.Publisher(self.node, ports.NARRATION)
+        if not 0 <= person < 1 << 32:
+            raise ValueError(f"person {person}: give a number from 0 to {(1 << 32) - 1}")
+        self._publisher = ports.Publisher(self.node, ports.NARRATION)
         self.source = source_of_name(name)
         self.epoch = secrets.randbits(64) | 1
         self.sequence = 0
@@ -165,16 +243,12 @@ class Narrator(_Participant):
         self._send(DEVICE, state)
 
     def _send(self, kind: int, text: str) -> None:
-        message = layouts.NarrationV1()
-        message.text_bytes = layouts.write_text(message.text, text, "a narration")
-        if message.text_bytes == 0:
-            raise ValueError("a narration is empty")
-        layouts.write_text(message.source_name, self.name, "the narrator's name")
-        self.sequence += 1
-        message.source, message.epoch, message.sequence = self.source, self.epoch, self.sequence
+        message = layouts.NarrationV1(source=self.source, epoch=self.epoch, sequence=self.sequence + 1, person=self.person, kind=kind)
+        message.text_bytes = layouts.write_text("text", message.text, text)
+        layouts.write_text("source_name", message.source_name, self.name)
         message.observed_ns, message.observed_unix_ns = time.monotonic_ns(), time.time_ns()
-        message.person, message.kind = self.person, kind
         self._publisher.send(message)
+        self.sequence += 1
 
     def wait_until_included(self, timeout_s: float = 10) -> RoomScores | None:
         """Waits for scores that contain all that was said; none when the time is over."""
@@ -202,7 +276,7 @@ class Planner(_Participant):
 
     def __init__(self, name: str, domain: Domain | None = None) -> None:
         super().__init__(name, domain)
-        self._publisher: ports.Publisher[layouts.DecisionV1] = ports.Publisher(self.node, ports.DECISION)
+        self._publisher = ports.Publisher(self.node, ports.DECISION)
         self.robot = source_of_name(name)
         self.epoch = secrets.randbits(64) | 1
         self.sequence = 0
@@ -224,22 +298,22 @@ class Planner(_Participant):
 
     def decide(self, room: str, reason: str, stay_s: float = 0) -> None:
         """Publishes that the robot goes to `room`, or stays there."""
-        message = layouts.DecisionV1()
-        self.sequence += 1
-        message.robot, message.epoch, message.sequence = self.robot, self.epoch, self.sequence
+        if not 0 <= stay_s <= 1e9:
+            raise ValueError(f"stay_s is {stay_s}; give seconds from 0 to 1e9")
+        message = layouts.DecisionV1(robot=self.robot, epoch=self.epoch, sequence=self.sequence + 1, action=int(room != self.room))
         message.decided_ns, message.decided_unix_ns = time.monotonic_ns(), time.time_ns()
-        message.action = int(room != self.room)
         message.stay_ns = round(stay_s * 1e9)
         if self._last is not None:
             message.scores_epoch, message.scores_sequence = self._last.epoch, self._last.sequence
             message.scores_age_ns = max(0, message.decided_ns - self._last.computed_ns)
             message.observed_ns = self._last.observed_ns
             message.probability = next((r.probability for r in self._last.rooms if r.id == room), 0.0)
-        layouts.write_text(getattr(message, "from"), self.room, "a room's id")
-        layouts.write_text(message.to, room, "a room's id")
-        layouts.write_text(message.policy, self.name.encode()[: layouts.NAME_BYTES].decode(errors="ignore"), "the policy's name")
-        layouts.write_text(message.reason, reason[: layouts.REASON_BYTES // 4], "a reason")
+        layouts.write_text("from", getattr(message, "from"), self.room)
+        layouts.write_text("to", message.to, room)
+        layouts.write_text("policy", message.policy, layouts.cut(self.name, layouts.NAME_BYTES))
+        layouts.write_text("reason", message.reason, layouts.cut(reason, layouts.REASON_BYTES))
         self._publisher.send(message)
+        self.sequence += 1
         self.room = room
 
     def __enter__(self) -> Planner:
@@ -256,9 +330,9 @@ def change_map(changes: list[dict[str, Any]], domain: Domain | None = None, time
     """
     node = (domain or Domain.default_for_user()).open("python-map-change")
     # Asked again under the same name, a change is done once.
-    question = json.dumps({"id": secrets.token_hex(8), "changes": changes})
-    answer: dict[str, Any] = json.loads(ports.ask(node, ports.MAP_CHANGE, question, timeout_s))
-    if answer["outcome"] != "applied":
+    question = {"id": secrets.token_hex(8), "changes": changes}
+    answer = _ask(node, ports.MAP_CHANGE, question, timeout_s)
+    if answer.get("outcome") != "applied":
         raise RoomcastError(f"the daemon did not change its map: {answer.get('reason')}")
     return answer
 
@@ -267,5 +341,24 @@ def moment(domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any
     """All that is behind the newest scores: the map in use, the narration that the model read, every label's tokens, and what the prior
     adds to their sum (`prior_nats`)."""
     node = (domain or Domain.default_for_user()).open("python-moment")
-    answer: dict[str, Any] = json.loads(ports.ask(node, ports.MOMENT, "{}", timeout_s))
+    return _ask(node, ports.MOMENT, {}, timeout_s)
+
+
+def status(domain: Domain | None = None, timeout_s: float = 10) -> Status:
+    """The daemon's status, asked for once; NoAnswerError when no daemon answers in time."""
+    node = (domain or Domain.default_for_user()).open("python-status")
+    client = ports.StatusClient(node)
+    try:
+        return Status.from_message(client.ask(timeout_s))
+    finally:
+        client.close()
+
+
+def _ask(node: ports.Node, service: str, question: dict[str, Any], timeout_s: float) -> dict[str, Any]:
+    try:
+        answer = json.loads(ports.ask(node, service, json.dumps(question), timeout_s))
+    except json.JSONDecodeError as error:
+        raise RoomcastError(f"service {service}: the answer is no JSON: {error}; is the daemon of this version?") from error
+    if not isinstance(answer, dict):
+        raise RoomcastError(f"service {service}: the answer is no JSON object; is the daemon of this version?")
     return answer

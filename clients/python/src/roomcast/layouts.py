@@ -1,12 +1,15 @@
-"""The messages between processes, byte for byte as `roomcast-ipc` lays them out.
+"""The messages between processes, byte for byte as `roomcast-ipc` lays them out, and judged as it judges them.
 
-`cargo run -p roomcast-ipc --example layout` prints the same, and a test compares the two. Texts are UTF-8 and zero padded, `*_ns` is
-the monotonic clock (`time.monotonic_ns()`), scores are in nats.
+`cargo run -p roomcast-ipc --example layout` prints the layouts, and a test compares the two; another compares them with
+`clients/c/roomcast.h`. Texts are UTF-8 and zero padded, `*_ns` is the monotonic clock (`time.monotonic_ns()`), scores are in nats.
 """
 
 from __future__ import annotations
 
 import ctypes
+import math
+import re
+import sys
 
 NAME_BYTES = 48
 TEXT_BYTES = 1024
@@ -14,11 +17,94 @@ REASON_BYTES = 256
 MAX_ROOMS = 64
 MAX_SOURCES = 16
 MAX_HORIZONS = 16
+ALL_PERSONS = 0xFFFFFFFF
+NO_PARTITION = 0xFFFFFFFF
 
 _Name = ctypes.c_uint8 * NAME_BYTES
+# Control characters, and those that make text look like other text.
+_HIDDEN = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ufeff]")
 
 
-class NarrationV1(ctypes.Structure):
+class MessageError(ValueError):
+    """A message says something that no honest sender says; the text names the field, and what is allowed there."""
+
+
+class Layout(ctypes.Structure):
+    """A structure as it lies in shared memory."""
+
+    @classmethod
+    def type_name(cls) -> str:
+        """The name by which iceoryx2 compares types."""
+        return f"roomcast.{cls.__name__}"
+
+
+class Message(Layout):
+    """The payload of a publish-subscribe service."""
+
+    def check(self) -> None:
+        """Judges a copy of a message as `Message::check` does in Rust; MessageError is the first fault. Nothing of a message may be
+        believed before."""
+        raise NotImplementedError
+
+
+def _in_range(field: str, value: float, low: float, high: float, allowed: str) -> None:
+    """Refuses what is outside `low` to `high`, and what is no number."""
+    if not low <= value <= high:
+        raise MessageError(f"{field}: {value}, allowed is {allowed}")
+
+
+def _not_zero(field: str, value: int) -> None:
+    if value == 0:
+        raise MessageError(f"{field}: 0, allowed is not 0")
+
+
+def _refuse_hidden(field: str, text: str) -> None:
+    if hidden := _HIDDEN.search(text):
+        at = len(text[: hidden.start()].encode())
+        raise MessageError(f"{field}: control character U+{ord(hidden[0]):04X} at byte {at}")
+
+
+def read_text(name: str, field: ctypes.Array[ctypes.c_uint8]) -> str:
+    """The text of a zero-padded field; MessageError says what is malformed."""
+    data, _, tail = bytes(field).partition(b"\0")
+    if any(tail):
+        raise MessageError(f"{name}: bytes after the end of the text are not zero")
+    try:
+        text = data.decode()
+    except UnicodeDecodeError as error:
+        raise MessageError(f"{name}: not UTF-8 from byte {error.start} on") from None
+    _refuse_hidden(name, text)
+    return text
+
+
+def text_or_empty(field: ctypes.Array[ctypes.c_uint8]) -> str:
+    """The text of a structure that has no check; empty when it is malformed, as in Rust."""
+    try:
+        return read_text("", field)
+    except MessageError:
+        return ""
+
+
+def write_text(name: str, field: ctypes.Array[ctypes.c_uint8], text: str) -> int:
+    """Writes a text into a zero-padded field and returns its length in bytes; MessageError says what does not fit."""
+    try:
+        data = text.encode()
+    except UnicodeEncodeError as error:
+        raise MessageError(f"{name}: half a character at {error.start}; send whole ones") from None
+    _refuse_hidden(name, text)
+    if len(data) > len(field):
+        raise MessageError(f"{name}: text of {len(data)} bytes, at most {len(field)} fit; shorten it")
+    ctypes.memset(field, 0, len(field))
+    ctypes.memmove(field, data, len(data))
+    return len(data)
+
+
+def cut(text: str, limit: int) -> str:
+    """As many whole characters of a text as fit into `limit` bytes."""
+    return text.encode()[:limit].decode(errors="ignore")
+
+
+class NarrationV1(Message):
     """One observation of a person, from a narrator."""
 
     _fields_ = [
@@ -36,13 +122,20 @@ class NarrationV1(ctypes.Structure):
         ("text", ctypes.c_uint8 * TEXT_BYTES),
     ]
 
-    @staticmethod
-    def type_name() -> str:
-        """The name by which iceoryx2 compares types."""
-        return "roomcast.NarrationV1"
+    def check(self) -> None:
+        for field in ("source", "epoch", "sequence"):
+            _not_zero(field, getattr(self, field))
+        _in_range("kind", self.kind, 0, 2, "0 to 2")
+        _in_range("text_bytes", self.text_bytes, 0, TEXT_BYTES, "1 to 1024")
+        text = read_text("text", self.text)
+        if not text:
+            raise MessageError("text: empty")
+        if len(text.encode()) != self.text_bytes:
+            raise MessageError(f"text_bytes: {self.text_bytes}, allowed is the number of bytes before the first zero")
+        read_text("source_name", self.source_name)
 
 
-class IncludedV1(ctypes.Structure):
+class IncludedV1(Layout):
     """The newest narration of one source that a message's scores contain."""
 
     _fields_ = [
@@ -53,13 +146,8 @@ class IncludedV1(ctypes.Structure):
         ("accepted", ctypes.c_uint64),
     ]
 
-    @staticmethod
-    def type_name() -> str:
-        """The name by which iceoryx2 compares types."""
-        return "roomcast.IncludedV1"
 
-
-class RoomV1(ctypes.Structure):
+class RoomV1(Layout):
     """How likely a person is to be in one room soon."""
 
     _fields_ = [
@@ -70,13 +158,8 @@ class RoomV1(ctypes.Structure):
         ("probability", ctypes.c_double),
     ]
 
-    @staticmethod
-    def type_name() -> str:
-        """The name by which iceoryx2 compares types."""
-        return "roomcast.RoomV1"
 
-
-class RoomScoresV1(ctypes.Structure):
+class RoomScoresV1(Message):
     """A full snapshot of what the daemon knows."""
 
     _fields_ = [
@@ -108,13 +191,49 @@ class RoomScoresV1(ctypes.Structure):
         ("room", RoomV1 * MAX_ROOMS),
     ]
 
-    @staticmethod
-    def type_name() -> str:
-        """The name by which iceoryx2 compares types."""
-        return "roomcast.RoomScoresV1"
+    def check(self) -> None:
+        _not_zero("epoch", self.epoch)
+        _not_zero("sequence", self.sequence)
+        if self.room_count == 0:
+            raise MessageError("room: empty")
+        _in_range("room_count", self.room_count, 1, MAX_ROOMS, "1 to 64")
+        _in_range("source_count", self.source_count, 0, MAX_SOURCES, "0 to 16")
+        _in_range("reached", self.reached, 0, 3, "0 to 3")
+        # A sum of probabilities may exceed 1 by rounding, and the labels of a chain overlap.
+        _in_range("label_mass", self.label_mass, 0, sys.float_info.max, "0 or more, finite")
+        for room in self.room[: self.room_count]:
+            if not read_text("room id", room.id):
+                raise MessageError("room id: empty")
+            _in_range("probability", room.probability, 0, 1, "0 to 1")
+            for field in ("log_score_nats", "lower_log_score_nats", "upper_log_score_nats"):
+                _in_range(field, getattr(room, field), -math.inf, sys.float_info.max, "-inf or finite")
 
 
-class ForecastV1(ctypes.Structure):
+class ItemScoresHeaderV1(Layout):
+    """User header of a slice of item scores: which snapshot they belong to."""
+
+    _fields_ = [
+        ("epoch", ctypes.c_uint64),
+        ("sequence", ctypes.c_uint64),
+        ("computed_ns", ctypes.c_uint64),
+        ("minor", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint8 * 36),
+    ]
+
+
+class ItemScoreV1(Layout):
+    """The score of one item of the map. Sent only while somebody subscribes."""
+
+    _fields_ = [
+        ("id", _Name),
+        ("label", _Name),
+        ("log_score_nats", ctypes.c_double),
+        ("partition", ctypes.c_uint32),
+        ("label_items", ctypes.c_uint32),
+    ]
+
+
+class ForecastV1(Message):
     """P(room is occupied at computed_ns + horizon), for a grid of horizons."""
 
     _fields_ = [
@@ -132,13 +251,18 @@ class ForecastV1(ctypes.Structure):
         ("probability", (ctypes.c_float * MAX_HORIZONS) * MAX_ROOMS),
     ]
 
-    @staticmethod
-    def type_name() -> str:
-        """The name by which iceoryx2 compares types."""
-        return "roomcast.ForecastV1"
+    def check(self) -> None:
+        _in_range("room_count", self.room_count, 0, MAX_ROOMS, "0 to 64")
+        _in_range("horizon_count", self.horizon_count, 0, MAX_HORIZONS, "0 to 16")
+        for horizon_s in self.horizon_s[: self.horizon_count]:
+            _in_range("horizon_s", horizon_s, 0, sys.float_info.max, "0 or more, finite")
+        for room in range(self.room_count):
+            read_text("room id", self.id[room])
+            for probability in self.probability[room][: self.horizon_count]:
+                _in_range("probability", probability, 0, 1, "0 to 1")
 
 
-class DecisionV1(ctypes.Structure):
+class DecisionV1(Message):
     """Where a robot goes next, and why."""
 
     _fields_ = [
@@ -165,34 +289,71 @@ class DecisionV1(ctypes.Structure):
         ("reserved", ctypes.c_uint8 * 256),
     ]
 
-    @staticmethod
-    def type_name() -> str:
-        """The name by which iceoryx2 compares types."""
-        return "roomcast.DecisionV1"
+    def check(self) -> None:
+        _in_range("action", self.action, 0, 1, "0 or 1")
+        _in_range("probability", self.probability, 0, 1, "0 to 1")
+        for field in ("from", "to", "policy", "reason"):
+            read_text(field, getattr(self, field))
 
 
-MESSAGES: tuple[type[ctypes.Structure], ...] = (
+class StatusRequestV1(Layout):
+    """Asks the daemon how it is."""
+
+    _fields_ = [
+        ("minor", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint8 * 12),
+    ]
+
+
+class StatusResponseV1(Layout):
+    """The daemon's health, versions and counters. Counters count since the daemon's start."""
+
+    _fields_ = [
+        ("epoch", ctypes.c_uint64),
+        ("sequence", ctypes.c_uint64),
+        ("started_unix_ns", ctypes.c_uint64),
+        ("answered_ns", ctypes.c_uint64),
+        ("received", ctypes.c_uint64),
+        ("accepted", ctypes.c_uint64),
+        ("duplicates", ctypes.c_uint64),
+        ("missed", ctypes.c_uint64),
+        ("malformed", ctypes.c_uint64),
+        ("limited", ctypes.c_uint64),
+        ("steps", ctypes.c_uint64),
+        ("merged", ctypes.c_uint64),
+        ("failed_steps", ctypes.c_uint64),
+        ("published", ctypes.c_uint64),
+        ("heartbeats", ctypes.c_uint64),
+        ("restored", ctypes.c_uint64),
+        ("waiting", ctypes.c_uint64),
+        ("latency_p50_ns", ctypes.c_uint64),
+        ("latency_p99_ns", ctypes.c_uint64),
+        ("latency_max_ns", ctypes.c_uint64),
+        ("model_fingerprint", ctypes.c_uint8 * 32),
+        ("map_fingerprint", ctypes.c_uint8 * 32),
+        ("process", ctypes.c_uint32),
+        ("sources", ctypes.c_uint32),
+        ("persons", ctypes.c_uint32),
+        ("minor", ctypes.c_uint32),
+        ("version", _Name),
+        ("map", _Name),
+        ("model", _Name),
+        ("journal_bytes", ctypes.c_uint64),
+        ("journal_failures", ctypes.c_uint64),
+        ("reserved", ctypes.c_uint8 * 112),
+    ]
+
+
+LAYOUTS: tuple[type[Layout], ...] = (
     NarrationV1,
     IncludedV1,
     RoomV1,
     RoomScoresV1,
+    ItemScoresHeaderV1,
+    ItemScoreV1,
     ForecastV1,
     DecisionV1,
+    StatusRequestV1,
+    StatusResponseV1,
 )
-
-
-def read_text(field: ctypes.Array[ctypes.c_uint8]) -> str:
-    """The text of a zero-padded field."""
-    return bytes(field).split(b"\0", 1)[0].decode()
-
-
-def write_text(field: ctypes.Array[ctypes.c_uint8], text: str, name: str) -> int:
-    """Writes a text into a zero-padded field and returns its length in bytes; ValueError names what does not fit."""
-    data = text.encode()
-    if len(data) > len(field):
-        raise ValueError(f"{name} has {len(data)} bytes, the limit is {len(field)}: {text[:40]!r}")
-    if any(character < " " or "\x7f" <= character <= "\x9f" for character in text):
-        raise ValueError(f"{name} has a control character: {text[:40]!r}")
-    ctypes.memset(field, 0, len(field))
-    ctypes.memmove(field, data, len(data))
-    return len(data)
+MESSAGES: tuple[type[Message], ...] = (NarrationV1, RoomScoresV1, ForecastV1, DecisionV1)

@@ -1,10 +1,14 @@
-"""Nodes, publishers and subscribers with the settings of `roomcast-ipc`."""
+"""Domains, publishers, subscribers and questions with the settings and the checks of `roomcast-ipc`."""
 
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
+import pathlib
+import stat
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -12,12 +16,22 @@ import iceoryx2 as iox2
 
 from . import layouts
 
-Payload = TypeVar("Payload", bound=ctypes.Structure)
+T = TypeVar("T")
 
 _EVENTS = {"data": 1, "created": 2, "dropped": 3, "dead": 4}
 _MAX_NODES = 32
 # Places for notifiers of killed processes, as in the Rust crate.
 _LEFT_BEHIND = 64
+# The name with the rest of iceoryx2's file names, and the root path, must fit a Unix socket's address.
+_NAME_LIMIT = 24
+_ROOT_LIMIT = 40
+_SHARED_MEMORY = pathlib.Path("/dev/shm")
+# More than the largest port takes. iceoryx2 maps its memory before it is there, and whoever touches what is not ends by SIGBUS.
+_FREE_BYTES = 8 << 20
+# How long opening a service is retried: a peer that starts, stops or has just died is in the way for moments only.
+_OPEN_FOR_S = 5.0
+# Words of iceoryx2's errors that time does not heal.
+_FINAL = ("Incompatible", "DoesNotSupport", "VersionMismatch", "InsufficientPermissions")
 
 
 @dataclass(frozen=True)
@@ -25,7 +39,7 @@ class Service:
     """A service with its quality, all of which every participant states."""
 
     name: str
-    payload: type[ctypes.Structure]
+    payload: type[layouts.Message]
     publishers: int
     subscribers: int
     buffer: int
@@ -36,184 +50,418 @@ NARRATION = Service("roomcast/v1/narration", layouts.NarrationV1, 8, 4, 256, 32)
 ROOM_SCORES = Service("roomcast/v1/room-scores", layouts.RoomScoresV1, 1, 16, 2, 1)
 FORECAST = Service("roomcast/v1/forecast", layouts.ForecastV1, 1, 16, 2, 1)
 DECISION = Service("roomcast/v1/decision", layouts.DecisionV1, 8, 16, 16, 1)
+ITEM_SCORES = "roomcast/v1/item-scores"
+STATUS = "roomcast/v1/status"
+MAP_CHANGE = "roomcast/v1/map-change"
+MOMENT = "roomcast/v1/moment"
 
 
 class RoomcastError(Exception):
-    """A service cannot be opened or used; the message says which, and what to do."""
+    """A domain or a service cannot be used; the message says which, why, and what to do."""
+
+
+class NoAnswerError(RoomcastError):
+    """Nobody answered in time."""
 
 
 @dataclass(frozen=True)
 class Domain:
-    """A private world of services: participants with the same root directory and name see one another, and nobody else."""
+    """A private world of services: participants with the same root directory and name see one another, and nobody else.
+
+    The root (at most 40 bytes, absolute) belongs to one user, and nobody else may write there. The name has 1 to 24 characters of
+    a-z, 0-9 and '-'. RoomcastError says what is wrong with either.
+    """
 
     root: str
     name: str = "roomcast"
+
+    def __post_init__(self) -> None:
+        if not os.path.isabs(self.root) or len(os.fsencode(self.root)) > _ROOT_LIMIT:
+            raise self._bad_root(f"give an absolute path of at most {_ROOT_LIMIT} bytes (a Unix socket's address must hold it)")
+        plain = all(character in "abcdefghijklmnopqrstuvwxyz0123456789-" for character in self.name)
+        if not plain or not 1 <= len(self.name) <= _NAME_LIMIT:
+            raise RoomcastError(f"domain name {self.name!r}: use 1 to {_NAME_LIMIT} characters of a-z, 0-9 and '-'")
 
     @staticmethod
     def default_for_user() -> Domain:
         """The domain of all commands when none is given: under XDG_RUNTIME_DIR, else /tmp/roomcast-UID."""
         base = os.environ.get("XDG_RUNTIME_DIR", "")
         root = os.path.join(base, "roomcast")
-        if not os.path.isabs(root) or len(os.fsencode(root)) > 40:
+        if not os.path.isabs(root) or len(os.fsencode(root)) > _ROOT_LIMIT:
             root = f"/tmp/roomcast-{os.geteuid()}"
         return Domain(root)
 
-    def open(self, participant: str) -> Any:
-        """Joins as a node; the root directory is made if it is missing."""
-        os.makedirs(self.root, mode=0o700, exist_ok=True)
-        if os.stat(self.root).st_uid != os.geteuid():
-            raise RoomcastError(f"{self.root} belongs to another user; all participants run as one user")
+    def open(self, participant: str) -> Node:
+        """Joins under a name for people (at most 100 characters); the root directory is made if it is missing."""
+        self._prepare_root()
+        self._refuse_foreign_shared_memory()
+        refuse_full_shared_memory()
         iox2.set_log_level(iox2.LogLevel.Fatal)
-        config = iox2.config.default()
-        config.global_cfg.root_path = iox2.Path.new(self.root)
-        config.global_cfg.prefix = iox2.FileName.new(f"{self.name}_")
         # iceoryx2's names are ASCII; people's are not.
-        shown = participant.encode("ascii", "replace").decode()
-        node = iox2.NodeBuilder.new().name(iox2.NodeName.new(shown)).config(config)
-        # Ctrl-C stays Python's.
-        return node.signal_handling_mode(iox2.SignalHandlingMode.Disabled).create(iox2.ServiceType.Ipc)
-
-
-def _open(node: Any, service: Service) -> tuple[Any, Any]:
-    """The publish-subscribe service and its event service; retried, since a peer that starts or stops is in the way for moments."""
-    deadline = time.monotonic() + 3
-    while True:
+        shown = "".join(character if " " <= character <= "~" else "?" for character in participant)
         try:
-            name = iox2.ServiceName.new(service.name)
-            data = (
-                node.service_builder(name)
-                .publish_subscribe(service.payload)
-                .max_publishers(service.publishers)
-                .max_subscribers(service.subscribers)
-                .max_nodes(_MAX_NODES)
-                .subscriber_max_buffer_size(service.buffer)
-                .subscriber_max_borrowed_samples(2)
-                .history_size(service.history)
-                .enable_safe_overflow(True)
-                .open_or_create()
-            )
-            event = (
-                node.service_builder(name)
-                .event()
-                .max_notifiers(service.publishers + _LEFT_BEHIND)
-                .max_listeners(service.subscribers)
-                .max_nodes(_MAX_NODES)
-                .event_id_max_value(_EVENTS["dead"])
-                .notifier_created_event(iox2.EventId.new(_EVENTS["created"]))
-                .notifier_dropped_event(iox2.EventId.new(_EVENTS["dropped"]))
-                .notifier_dead_event(iox2.EventId.new(_EVENTS["dead"]))
-                .disable_deadline()
-                .open_or_create()
-            )
-            return data, event
+            config = iox2.config.default()
+            config.global_cfg.root_path = iox2.Path.new(self.root)
+            config.global_cfg.prefix = iox2.FileName.new(f"{self.name}_")
+            builder = iox2.NodeBuilder.new().name(iox2.NodeName.new(shown)).config(config)
+            # Ctrl-C stays Python's.
+            node = builder.signal_handling_mode(iox2.SignalHandlingMode.Disabled).create(iox2.ServiceType.Ipc)
         except Exception as error:  # iceoryx2's bindings have an exception type per operation
-            if time.monotonic() > deadline:
-                raise RoomcastError(
-                    f"failed to open {service.name}: {error!r}; all participants need iceoryx2 0.10.0, the same user and "
-                    "the same root directory"
-                ) from error
-            time.sleep(0.02)
+            raise RoomcastError(
+                f"cannot join the domain at {self.root} as {participant!r}: {error!r}; is {self.root} writable and has /dev/shm space "
+                "left?"
+            ) from error
+        self._close_to_others()
+        return Node(node, self)
 
+    def commit_shared_memory(self) -> None:
+        """Has the system give every page of the domain's shared memory now, so that it cannot be out of them when one is first
+        touched, in the middle of a publish."""
+        for file in self._shared_memory():
+            try:
+                descriptor = os.open(file, os.O_WRONLY)
+            except OSError:
+                continue  # it is gone again, or being made
+            try:
+                size = os.fstat(descriptor).st_size
+                if size:
+                    os.posix_fallocate(descriptor, 0, size)
+            except OSError as error:
+                if error.errno == errno.ENOSPC:
+                    raise RoomcastError(
+                        f"{file}: {_SHARED_MEMORY} has no room for its {size} bytes: remove what fills it, or mount it larger"
+                    ) from error
+            finally:
+                os.close(descriptor)
 
-class Publisher(Generic[Payload]):
-    """Sends messages of one kind, and never waits for a slow subscriber."""
+    def _bad_root(self, problem: str) -> RoomcastError:
+        return RoomcastError(f"domain root {self.root}: {problem}")
 
-    def __init__(self, node: Any, service: Service) -> None:
-        self._data, event = _open(node, service)
+    def _prepare_root(self) -> None:
+        """Makes the root, or refuses one that others could put files into."""
+        root = pathlib.Path(self.root)
         try:
-            self._publisher = self._data.publisher_builder().create()
-        except Exception as error:
-            raise RoomcastError(f"{service.name} has its {service.publishers} publishers already: {error!r}") from error
-        self._notifier = event.notifier_builder().default_event_id(iox2.EventId.new(_EVENTS["data"])).create()
+            for folder in reversed([root, *root.parents]):
+                if not folder.is_dir():
+                    folder.mkdir(mode=0o700, exist_ok=True)
+            about = root.lstat()
+        except OSError as error:
+            raise self._bad_root(f"cannot make it: {error.strerror}; give a path where this user may make a directory") from error
+        if not stat.S_ISDIR(about.st_mode):
+            raise self._bad_root("not a directory (a symbolic link does not count as one); give the directory itself")
+        if about.st_uid != os.geteuid():
+            raise self._bad_root(
+                f"belongs to user {about.st_uid}; all participants run as one user: run as that user, or use another root"
+            )
+        if about.st_mode & 0o022:
+            raise self._bad_root(f"others may write there (mode {stat.S_IMODE(about.st_mode):o}); chmod go-w it")
 
-    def send(self, message: Payload) -> None:
-        """Sends a copy and wakes the subscribers."""
-        self._publisher.send_copy(message)
-        self._notifier.notify()
+    def _shared_memory(self) -> list[pathlib.Path]:
+        """The domain's files in shared memory; no domain's prefix begins another's, since a name has no underscore."""
+        return list(_SHARED_MEMORY.glob(f"{self.name}_*"))
+
+    def _refuse_foreign_shared_memory(self) -> None:
+        """Anybody may make files in /dev/shm. One of this domain's name that is somebody else's could be read and written by them."""
+        for file in self._shared_memory():
+            try:
+                owner = file.lstat().st_uid
+            except OSError:
+                continue  # it is gone again
+            if owner != os.geteuid():
+                raise RoomcastError(
+                    f"{file} belongs to user {owner}, who could read and write it: have it removed, or use another domain name"
+                )
+
+    def _close_to_others(self) -> None:
+        """iceoryx2 opens one file per domain, its counter of participants, to every user. Nobody else is to reach it."""
+        for file in self._shared_memory():
+            try:
+                if file.stat().st_mode & 0o077:
+                    file.chmod(0o600)
+            except OSError:
+                continue  # it is gone again
+
+
+def refuse_full_shared_memory() -> None:
+    """An error in words where iceoryx2 would end by a signal."""
+    try:
+        about = os.statvfs(_SHARED_MEMORY)
+    except OSError:
+        return  # there is no such file system, and iceoryx2 says so
+    free_bytes = about.f_bavail * about.f_frsize
+    if free_bytes < _FREE_BYTES:
+        raise RoomcastError(
+            f"{_SHARED_MEMORY} has {free_bytes} bytes free, {_FREE_BYTES} are needed: remove what fills it, or mount it larger"
+        )
+
+
+@dataclass(frozen=True)
+class Node:
+    """A participant's place in a domain."""
+
+    inner: Any
+    domain: Domain
+
+    def retry(self, service: str, open_port: Callable[[], T]) -> T:
+        """Opens a port of a service; repeats while the failure may pass: a peer is starting, stopping, or has died a moment ago."""
+        refuse_full_shared_memory()
+        start = time.monotonic()
+        while True:
+            try:
+                port = open_port()
+            except Exception as error:  # iceoryx2's bindings have an exception type per operation
+                if any(word in str(error) for word in _FINAL):
+                    raise RoomcastError(
+                        f"service {service}: {error!r}; a participant that started earlier set it up otherwise: all need the same version "
+                        "of Roomcast and iceoryx2 0.10.0"
+                    ) from error
+                if time.monotonic() - start > _OPEN_FOR_S:
+                    raise RoomcastError(
+                        f"service {service}: cannot open it: {error!r}; tried for {_OPEN_FOR_S:.0f} s; where its places are taken, stop "
+                        "another participant or use another domain"
+                    ) from error
+                self.inner.try_cleanup_dead_nodes()
+                time.sleep(0.02)
+                continue
+            self.domain.commit_shared_memory()
+            return port
+
+
+def _publish_subscribe(node: Node, service: Service) -> Any:
+    return (
+        node.inner.service_builder(iox2.ServiceName.new(service.name))
+        .publish_subscribe(service.payload)
+        .max_publishers(service.publishers)
+        .max_subscribers(service.subscribers)
+        .max_nodes(_MAX_NODES)
+        .subscriber_max_buffer_size(service.buffer)
+        .subscriber_max_borrowed_samples(2)
+        .history_size(service.history)
+        .enable_safe_overflow(True)
+        .open_or_create()
+    )
+
+
+def _event(node: Node, service: Service) -> Any:
+    return (
+        node.inner.service_builder(iox2.ServiceName.new(service.name))
+        .event()
+        .max_notifiers(service.publishers + _LEFT_BEHIND)
+        .max_listeners(service.subscribers)
+        .max_nodes(_MAX_NODES)
+        .event_id_max_value(_EVENTS["dead"])
+        .notifier_created_event(iox2.EventId.new(_EVENTS["created"]))
+        .notifier_dropped_event(iox2.EventId.new(_EVENTS["dropped"]))
+        .notifier_dead_event(iox2.EventId.new(_EVENTS["dead"]))
+        .disable_deadline()
+        .open_or_create()
+    )
+
+
+class Publisher:
+    """Sends messages of one service, and never waits for a slow subscriber."""
+
+    def __init__(self, node: Node, service: Service) -> None:
+        self._service = service
+
+        def open_port() -> tuple[Any, Any]:
+            # The publisher first: it is the place that others may hold.
+            publisher = _publish_subscribe(node, service).publisher_builder().create()
+            data = iox2.EventId.new(_EVENTS["data"])
+            return publisher, _event(node, service).notifier_builder().default_event_id(data).create()
+
+        self._publisher, self._notifier = node.retry(service.name, open_port)
+
+    def send(self, message: layouts.Message) -> None:
+        """Sends a copy and wakes the subscribers; MessageError when the message is malformed."""
+        message.check()
+        self.send_unchecked(message)
+
+    def send_unchecked(self, message: layouts.Message) -> None:
+        """As `send` without the check: for tests of what receivers do with malformed messages."""
+        try:
+            self._publisher.send_copy(message)
+        except (iox2.LoanError, iox2.SendError) as error:
+            raise RoomcastError(f"service {self._service.name}: send failed: {error!r}; leave the domain and join again") from error
+        try:
+            self._notifier.notify()
+        except iox2.NotifierNotifyError:
+            pass  # the message lies in the buffer, and a subscriber that waits looks there when its time-out ends
 
     def tick(self) -> None:
         """Hands the history to subscribers that joined since; to be called now and then while nothing is sent."""
         self._publisher.update_connections()
 
 
-class Subscriber(Generic[Payload]):
-    """Receives messages of one kind, each copied out of shared memory."""
+class Subscriber(Generic[T]):
+    """Receives messages of one service, each copied out of shared memory and checked by `read`."""
 
-    def __init__(self, node: Any, service: Service) -> None:
-        data, event = _open(node, service)
-        self._payload = service.payload
-        self._listener = event.listener_builder().create()
-        try:
-            self._subscriber = data.subscriber_builder().buffer_size(service.buffer).create()
-        except Exception as error:
-            raise RoomcastError(f"{service.name} has its {service.subscribers} subscribers already: {error!r}") from error
+    def __init__(self, node: Node, service: Service, read: Callable[[Any], T]) -> None:
+        self._service = service
+        self._read = read
+        #: Messages that said what no honest sender says, and were dropped.
+        self.malformed = 0
+
+        def open_port() -> tuple[Any, Any]:
+            # The listener is there before the subscriber: no wake-up falls between the two.
+            listener = _event(node, service).listener_builder().create()
+            return listener, _publish_subscribe(node, service).subscriber_builder().buffer_size(service.buffer).create()
+
+        self._listener, self._subscriber = node.retry(service.name, open_port)
 
     def wait(self, timeout_s: float) -> None:
         """Sleeps until there is news or the time is over."""
-        self._listener.timed_wait(iox2.Duration.from_secs_f64(timeout_s))
+        try:
+            self._listener.timed_wait(iox2.Duration.from_secs_f64(max(0.0, timeout_s)))
+        except iox2.ListenerWaitError as error:
+            # A signal ends the sleep, and Python's handler follows.
+            if "InterruptSignal" not in str(error):
+                raise RoomcastError(f"service {self._service.name}: wait failed: {error!r}; leave the domain and join again") from error
 
-    def receive(self) -> Payload | None:
-        """Takes the oldest message that waits."""
+    def receive(self) -> T | None:
+        """Takes the oldest good message that waits; malformed ones are dropped and counted."""
+        while (sample := self._subscriber.receive()) is not None:
+            # The sender can still write to the sample, so that a copy is what is checked and read.
+            copy = self._service.payload.from_buffer_copy(bytes(sample.payload().contents))
+            sample.delete()
+            try:
+                return self._read(copy)
+            except layouts.MessageError:
+                self.malformed += 1
+        return None
+
+    def newest(self) -> T | None:
+        """Takes all that wait and returns the newest good one."""
+        newest = None
+        while (message := self.receive()) is not None:
+            newest = message
+        return newest
+
+    def close(self) -> None:
+        """Gives the place to somebody else."""
+        self._subscriber.delete()
+        self._listener.delete()
+
+
+def _item_scores(node: Node) -> Any:
+    return (
+        node.inner.service_builder(iox2.ServiceName.new(ITEM_SCORES))
+        .publish_subscribe(iox2.Slice[layouts.ItemScoreV1])
+        .user_header(layouts.ItemScoresHeaderV1)
+        .max_publishers(1)
+        .max_subscribers(8)
+        .max_nodes(_MAX_NODES)
+        .subscriber_max_buffer_size(2)
+        .subscriber_max_borrowed_samples(2)
+        .history_size(1)
+        .enable_safe_overflow(True)
+        .open_or_create()
+    )
+
+
+class ItemScoresSubscriber:
+    """Receives item scores, a slice with a header; as long as it lives, the daemon sends them. They wake nobody."""
+
+    def __init__(self, node: Node) -> None:
+        self._subscriber = node.retry(ITEM_SCORES, lambda: _item_scores(node).subscriber_builder().create())
+
+    def receive(self) -> tuple[layouts.ItemScoresHeaderV1, list[layouts.ItemScoreV1]] | None:
+        """Takes the oldest that waits, copied."""
         sample = self._subscriber.receive()
         if sample is None:
             return None
-        # The sender can still write to the sample, so that a copy is what is read.
-        copy = self._payload.from_buffer_copy(bytes(sample.payload().contents))
+        header = layouts.ItemScoresHeaderV1.from_buffer_copy(bytes(sample.user_header().contents))
+        # The length that the bindings give of a slice is in bytes, and what they show of one reaches beyond it.
+        items = layouts.ItemScoreV1 * sample.header.number_of_elements
+        copy = items.from_buffer_copy(ctypes.string_at(sample.payload().as_ptr(), ctypes.sizeof(items)))
         sample.delete()
-        return copy  # type: ignore[return-value]
+        return header, list(copy)
+
+    def close(self) -> None:
+        """Gives the place to somebody else."""
+        self._subscriber.delete()
 
 
-MAP_CHANGE = "roomcast/v1/map-change"
-MOMENT = "roomcast/v1/moment"
-_QUESTION_BYTES_MAX = 1 << 20
-_ASK_AGAIN_S = 0.5
+def _client_builder(node: Node, service: str, request: Any, response: Any) -> Any:
+    return (
+        node.inner.service_builder(iox2.ServiceName.new(service))
+        .request_response(request, response)
+        .max_servers(1)
+        .max_clients(8)
+        .max_nodes(_MAX_NODES)
+        .max_active_requests_per_client(4)
+        .max_response_buffer_size(2)
+        .max_borrowed_responses_per_pending_response(2)
+        .max_loaned_requests(2)
+        .enable_fire_and_forget_requests(True)
+        .enable_safe_overflow_for_requests(True)
+        .enable_safe_overflow_for_responses(True)
+        .open_or_create()
+        .client_builder()
+    )
 
 
-def _question_client(node: Any, service: str, deadline: float) -> Any:
-    """A client of a service of questions; retried, since a daemon that starts or stops is in the way for moments."""
-    words = iox2.Slice[ctypes.c_uint8]
-    while True:
-        try:
-            opened = (
-                node.service_builder(iox2.ServiceName.new(service))
-                .request_response(words, words)
-                .max_servers(1)
-                .max_clients(8)
-                .max_nodes(_MAX_NODES)
-                .max_active_requests_per_client(4)
-                .max_response_buffer_size(2)
-                .max_borrowed_responses_per_pending_response(2)
-                .max_loaned_requests(2)
-                .enable_fire_and_forget_requests(True)
-                .enable_safe_overflow_for_requests(True)
-                .enable_safe_overflow_for_responses(True)
-                .open_or_create()
-            )
-            growing = iox2.AllocationStrategy.PowerOfTwo
-            return opened.client_builder().initial_max_slice_len(4096).allocation_strategy(growing).create()
-        except Exception as error:  # iceoryx2's bindings have an exception type per operation
-            if time.monotonic() > deadline:
-                raise RoomcastError(f"failed to open {service}: {error!r}; all participants need iceoryx2 0.10.0") from error
-            time.sleep(0.02)
-
-
-def ask(node: Any, service: str, question: str, timeout_s: float = 10) -> str:
-    """Asks the daemon in words (JSON) and waits for the answer; asks again now and then while none comes."""
-    data = question.encode()
-    if len(data) > _QUESTION_BYTES_MAX:
-        raise RoomcastError(f"{service}: a question of {len(data)} bytes, at most {_QUESTION_BYTES_MAX} fit; split it")
+def _answer(service: str, send: Callable[[], Any], read: Callable[[Any], T], again_s: float, timeout_s: float) -> T:
+    """Sends a request and waits for the answer; sends it again now and then: a daemon that starts after it was sent never gets it."""
     deadline = time.monotonic() + timeout_s
-    client = _question_client(node, service, deadline)
     while time.monotonic() < deadline:
-        request = client.loan_slice_uninit(len(data))
-        ctypes.memmove(request.payload().as_ptr(), data, len(data))
-        pending = request.assume_init().send()
-        again = time.monotonic() + _ASK_AGAIN_S
+        pending = send()
+        again = time.monotonic() + again_s
         while time.monotonic() < min(again, deadline):
             answer = pending.receive()
             if answer is not None:
-                text = bytes(answer.payload().as_memory_view()).decode()
+                copy = read(answer)
                 answer.delete()
-                return text
+                return copy
             time.sleep(0.002)
-    raise RoomcastError(f"{service}: no answer within {timeout_s} s; is the daemon running in this domain?")
+    raise NoAnswerError(f"service {service}: no answer within {timeout_s} s; is the daemon running in this domain?")
+
+
+class StatusClient:
+    """Asks the daemon how it is."""
+
+    def __init__(self, node: Node) -> None:
+        request, response = layouts.StatusRequestV1, layouts.StatusResponseV1
+        self._client = node.retry(STATUS, lambda: _client_builder(node, STATUS, request, response).create())
+
+    def ask(self, timeout_s: float) -> layouts.StatusResponseV1:
+        """Asks, and waits for the answer, a copy."""
+
+        def read(answer: Any) -> layouts.StatusResponseV1:
+            return layouts.StatusResponseV1.from_buffer_copy(bytes(answer.payload().contents))
+
+        return _answer(STATUS, lambda: self._client.send_copy(layouts.StatusRequestV1()), read, 0.3, timeout_s)
+
+    def close(self) -> None:
+        """Gives the place to somebody else."""
+        self._client.delete()
+
+
+_QUESTION_BYTES_MAX = 1 << 20
+
+
+def ask(node: Node, service: str, question: str, timeout_s: float = 10) -> str:
+    """Asks the daemon in words (JSON) and waits for the answer."""
+    data = question.encode()
+    if len(data) > _QUESTION_BYTES_MAX:
+        raise RoomcastError(f"service {service}: a question of {len(data)} bytes, at most {_QUESTION_BYTES_MAX} fit; split it")
+    words = iox2.Slice[ctypes.c_uint8]
+    growing = iox2.AllocationStrategy.PowerOfTwo
+
+    def open_port() -> Any:
+        return _client_builder(node, service, words, words).initial_max_slice_len(4096).allocation_strategy(growing).create()
+
+    client = node.retry(service, open_port)
+
+    def send() -> Any:
+        request = client.loan_slice_uninit(len(data))
+        ctypes.memmove(request.payload().as_ptr(), data, len(data))
+        return request.assume_init().send()
+
+    answer = _answer(service, send, lambda answer: bytes(answer.payload().as_memory_view()), 0.5, timeout_s)
+    try:
+        return answer.decode()
+    except UnicodeDecodeError as error:
+        raise RoomcastError(
+            f"service {service}: the answer is not UTF-8 from byte {error.start} on; is the daemon of this version?"
+        ) from error

@@ -1,0 +1,9 @@
+"""Prints, for each horizon of a forecast, the room that is most likely occupied then."""
+
+from roomcast import Forecast, Subscription
+
+with Subscription(Forecast, "example-forecast") as subscription:
+    for forecast in subscription:
+        for index, horizon_s in enumerate(forecast.horizons_s):
+            room = max(forecast.rooms, key=lambda room: room.probabilities[index])
+            print(f"in {horizon_s:.0f} s: {room.id} is occupied with {room.probabilities[index]:.0%}", flush=True)

@@ -1,0 +1,363 @@
+"""What the messages say, as dataclasses. Times `*_ns` are of the monotonic clock, `*_unix_ns` are for people."""
+
+from __future__ import annotations
+
+import enum
+import time
+from dataclasses import dataclass
+from typing import ClassVar
+
+from . import layouts, ports
+
+
+class Reached(enum.IntEnum):
+    """Why scoring stopped where it did."""
+
+    EXACT = 0
+    RANKING = 1
+    TOP = 2
+    DEADLINE = 3
+
+
+class ScoreFlags(enum.IntFlag):
+    """What is to be known about scores."""
+
+    #: Sent again unchanged, to say that the daemon lives.
+    HEARTBEAT = 1
+    #: No narration yet: the scores are what the model says about an unknown past.
+    NO_NARRATION = 2
+    #: More narration had arrived when this was published: newer scores follow.
+    BEHIND = 4
+    #: Narration was lost on the way.
+    GAP = 8
+    #: There are more sources than places: `included` names the most recent ones.
+    SOURCES_CUT = 16
+    #: The last scoring attempt failed; these are the last good scores.
+    SCORER_FAILED = 32
+
+
+class Action(enum.IntEnum):
+    """What a robot does."""
+
+    STAY = 0
+    GO = 1
+
+
+class DecisionFlags(enum.IntFlag):
+    """What is to be known about a decision."""
+
+    #: Not the policy's choice but the safe fallback.
+    FALLBACK = 1
+    #: The scores were older than the planner's deadline.
+    STALE = 2
+    #: No scores were received at all.
+    NO_SCORES = 4
+    #: The daemon was silent for longer than its heartbeat allows.
+    DAEMON_SILENT = 8
+    #: Every room has been covered.
+    COVERED = 16
+
+
+@dataclass(frozen=True)
+class Room:
+    """A room of the map, and its scores in nats (`-inf` when it has no item)."""
+
+    id: str
+    #: The score's share of all rooms' scores, 0 to 1: how likely it is the room that the person goes to next.
+    probability: float
+    log_score_nats: float
+    lower_log_score_nats: float
+    upper_log_score_nats: float
+
+
+@dataclass(frozen=True)
+class Source:
+    """The newest narration of one source that scores contain."""
+
+    source: int
+    epoch: int
+    sequence: int
+    observed_ns: int
+    accepted: int
+
+
+@dataclass(frozen=True)
+class RoomScores:
+    """A full snapshot of what the daemon knows."""
+
+    SERVICE: ClassVar[ports.Service] = ports.ROOM_SCORES
+
+    epoch: int
+    sequence: int
+    computed_ns: int
+    computed_unix_ns: int
+    published_ns: int
+    observed_ns: int
+    received_ns: int
+    label_mass: float
+    window: int
+    person: int
+    persons: int
+    reached: Reached
+    flags: ScoreFlags
+    model: str
+    map: str
+    rooms: tuple[Room, ...]
+    included: tuple[Source, ...]
+
+    @property
+    def age_s(self) -> float:
+        """Seconds since the scores were computed."""
+        return (time.monotonic_ns() - self.computed_ns) / 1e9
+
+    @property
+    def heartbeat(self) -> bool:
+        """Whether the scores were sent before, and come again to say that the daemon lives."""
+        return bool(self.flags & ScoreFlags.HEARTBEAT)
+
+    @staticmethod
+    def from_message(message: layouts.RoomScoresV1) -> RoomScores:
+        """Checks and reads a message; MessageError says what is malformed."""
+        message.check()
+        return RoomScores(
+            epoch=message.epoch,
+            sequence=message.sequence,
+            computed_ns=message.computed_ns,
+            computed_unix_ns=message.computed_unix_ns,
+            published_ns=message.published_ns,
+            observed_ns=message.observed_ns,
+            received_ns=message.received_ns,
+            label_mass=message.label_mass,
+            window=message.window,
+            person=message.person,
+            persons=message.persons,
+            reached=Reached(message.reached),
+            flags=ScoreFlags(message.flags),
+            model=bytes(message.model_fingerprint).hex(),
+            map=bytes(message.map_fingerprint).hex(),
+            rooms=tuple(
+                Room(
+                    layouts.read_text("room id", room.id),
+                    room.probability,
+                    room.log_score_nats,
+                    room.lower_log_score_nats,
+                    room.upper_log_score_nats,
+                )
+                for room in message.room[: message.room_count]
+            ),
+            included=tuple(
+                Source(each.source, each.epoch, each.sequence, each.observed_ns, each.accepted)
+                for each in message.included[: message.source_count]
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class RoomForecast:
+    """How likely somebody is in a room, 0 to 1, at each of a forecast's horizons."""
+
+    id: str
+    probabilities: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """How likely each room is occupied at `computed_ns` and each of `horizons_s` seconds later."""
+
+    SERVICE: ClassVar[ports.Service] = ports.FORECAST
+
+    epoch: int
+    sequence: int
+    computed_ns: int
+    published_ns: int
+    person: int
+    horizons_s: tuple[float, ...]
+    rooms: tuple[RoomForecast, ...]
+
+    @staticmethod
+    def from_message(message: layouts.ForecastV1) -> Forecast:
+        """Checks and reads a message; MessageError says what is malformed."""
+        message.check()
+        horizons = message.horizon_count
+        return Forecast(
+            epoch=message.epoch,
+            sequence=message.sequence,
+            computed_ns=message.computed_ns,
+            published_ns=message.published_ns,
+            person=message.person,
+            horizons_s=tuple(message.horizon_s[:horizons]),
+            rooms=tuple(
+                RoomForecast(layouts.read_text("room id", message.id[room]), tuple(message.probability[room][:horizons]))
+                for room in range(message.room_count)
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Where a robot goes next, and why."""
+
+    SERVICE: ClassVar[ports.Service] = ports.DECISION
+
+    robot: int
+    epoch: int
+    sequence: int
+    decided_ns: int
+    decided_unix_ns: int
+    scores_epoch: int
+    scores_sequence: int
+    scores_age_ns: int
+    observed_ns: int
+    #: Bit i: room i has been covered.
+    covered: int
+    #: The probability of the room gone to, as the scores had it: how likely the person goes there next. 0 without scores.
+    probability: float
+    stay_ns: int
+    action: Action
+    flags: DecisionFlags
+    #: The room the robot is in; empty when unknown.
+    from_room: str
+    to_room: str
+    policy: str
+    reason: str
+
+    @staticmethod
+    def from_message(message: layouts.DecisionV1) -> Decision:
+        """Checks and reads a message; MessageError says what is malformed."""
+        message.check()
+        return Decision(
+            robot=message.robot,
+            epoch=message.epoch,
+            sequence=message.sequence,
+            decided_ns=message.decided_ns,
+            decided_unix_ns=message.decided_unix_ns,
+            scores_epoch=message.scores_epoch,
+            scores_sequence=message.scores_sequence,
+            scores_age_ns=message.scores_age_ns,
+            observed_ns=message.observed_ns,
+            covered=message.covered,
+            probability=message.probability,
+            stay_ns=message.stay_ns,
+            action=Action(message.action),
+            flags=DecisionFlags(message.flags),
+            from_room=layouts.read_text("from", getattr(message, "from")),
+            to_room=layouts.read_text("to", message.to),
+            policy=layouts.read_text("policy", message.policy),
+            reason=layouts.read_text("reason", message.reason),
+        )
+
+
+@dataclass(frozen=True)
+class ItemScore:
+    """The score of one item of the map."""
+
+    #: Cut to 48 bytes, as the label.
+    id: str
+    label: str
+    #: The label's score, shared among the items that have it, in nats.
+    log_score_nats: float
+    #: Index of its room in the rooms of the scores; none when it lies in no room.
+    room: int | None
+    #: Items of the map with this label.
+    label_items: int
+
+
+@dataclass(frozen=True)
+class ItemScores:
+    """The scores of all items, which add up to the room scores of the same epoch and sequence."""
+
+    epoch: int
+    sequence: int
+    computed_ns: int
+    items: tuple[ItemScore, ...]
+
+    @staticmethod
+    def from_message(header: layouts.ItemScoresHeaderV1, items: list[layouts.ItemScoreV1]) -> ItemScores:
+        """Reads a message; texts that are malformed are empty."""
+        return ItemScores(
+            epoch=header.epoch,
+            sequence=header.sequence,
+            computed_ns=header.computed_ns,
+            items=tuple(
+                ItemScore(
+                    id=layouts.text_or_empty(item.id),
+                    label=layouts.text_or_empty(item.label),
+                    log_score_nats=item.log_score_nats,
+                    room=None if item.partition == layouts.NO_PARTITION else item.partition,
+                    label_items=item.label_items,
+                )
+                for item in items
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class Status:
+    """The daemon's health, versions and counters. Counters count since the daemon's start; `roomcast.h` explains each."""
+
+    epoch: int
+    sequence: int
+    started_unix_ns: int
+    answered_ns: int
+    received: int
+    accepted: int
+    duplicates: int
+    missed: int
+    malformed: int
+    limited: int
+    steps: int
+    merged: int
+    failed_steps: int
+    published: int
+    heartbeats: int
+    restored: int
+    waiting: int
+    latency_p50_ns: int
+    latency_p99_ns: int
+    latency_max_ns: int
+    model_fingerprint: str
+    map_fingerprint: str
+    process: int
+    sources: int
+    persons: int
+    version: str
+    map: str
+    model: str
+    journal_bytes: int
+    journal_failures: int
+
+    @staticmethod
+    def from_message(message: layouts.StatusResponseV1) -> Status:
+        """Reads a message; texts that are malformed are empty."""
+        return Status(
+            epoch=message.epoch,
+            sequence=message.sequence,
+            started_unix_ns=message.started_unix_ns,
+            answered_ns=message.answered_ns,
+            received=message.received,
+            accepted=message.accepted,
+            duplicates=message.duplicates,
+            missed=message.missed,
+            malformed=message.malformed,
+            limited=message.limited,
+            steps=message.steps,
+            merged=message.merged,
+            failed_steps=message.failed_steps,
+            published=message.published,
+            heartbeats=message.heartbeats,
+            restored=message.restored,
+            waiting=message.waiting,
+            latency_p50_ns=message.latency_p50_ns,
+            latency_p99_ns=message.latency_p99_ns,
+            latency_max_ns=message.latency_max_ns,
+            model_fingerprint=bytes(message.model_fingerprint).hex(),
+            map_fingerprint=bytes(message.map_fingerprint).hex(),
+            process=message.process,
+            sources=message.sources,
+            persons=message.persons,
+            version=layouts.text_or_empty(message.version),
+            map=layouts.text_or_empty(message.map),
+            model=layouts.text_or_empty(message.model),
+            journal_bytes=message.journal_bytes,
+            journal_failures=message.journal_failures,
+        )

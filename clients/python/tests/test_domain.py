@@ -1,0 +1,194 @@
+"""Domains that Rust refuses are refused in Python, in words, and shared memory that is full ends nobody by a signal."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import shutil
+import subprocess
+import sys
+import tempfile
+import textwrap
+from collections.abc import Iterator
+
+import pytest
+
+from roomcast import Domain, Planner, RoomcastError, layouts, ports
+from samples import ROOMCAST, private_domain
+
+NOBODY = 65_534
+
+
+@pytest.fixture
+def folder() -> Iterator[pathlib.Path]:
+    with tempfile.TemporaryDirectory(prefix="rc-", dir="/tmp") as folder:
+        yield pathlib.Path(folder)
+
+
+@pytest.mark.parametrize("name", ["", "Room", "a_b", "a/b", "a*", "a very long name that does not fit", "küche"])
+def test_a_name_that_cannot_be_part_of_a_file_name_is_refused(name: str) -> None:
+    with pytest.raises(RoomcastError, match=r"domain name .*: use 1 to 24 characters of a-z, 0-9 and '-'"):
+        Domain("/tmp/roomcast-x", name)
+
+
+@pytest.mark.parametrize("root", ["", "relative", "/tmp/a-path-that-is-much-too-long-for-a-socket", "/tmp/" + "é" * 18])
+def test_a_root_that_no_socket_can_have_is_refused(root: str) -> None:
+    with pytest.raises(RoomcastError, match="domain root .*: give an absolute path of at most 40 bytes"):
+        Domain(root)
+
+
+def refused(root: pathlib.Path, words: str) -> None:
+    with pytest.raises(RoomcastError, match=words) as error:
+        Domain(str(root), "x").open("test")
+    assert str(root) in str(error.value)
+    assert not list(pathlib.Path("/dev/shm").glob("x_*")), "it joined all the same"
+
+
+@pytest.mark.parametrize("end", ["", "/"])
+def test_a_root_that_is_a_symbolic_link_is_refused(folder: pathlib.Path, end: str) -> None:
+    (folder / "real").mkdir(mode=0o700)
+    (folder / "link").symlink_to("real")
+    with pytest.raises(RoomcastError, match="not a directory .a symbolic link does not count as one.; give the directory itself"):
+        Domain(f"{folder}/link{end}", "x").open("test")
+
+
+def test_a_root_that_is_a_link_to_nowhere_is_refused(folder: pathlib.Path) -> None:
+    (folder / "link").symlink_to("nothing")
+    refused(folder / "link", "cannot make it: File exists; give a path where this user may make a directory")
+
+
+def test_a_root_that_is_a_file_is_refused(folder: pathlib.Path) -> None:
+    (folder / "file").touch()
+    refused(folder / "file", "cannot make it: File exists")
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o1777, 0o770, 0o702, 0o720])
+def test_a_root_that_others_may_write_to_is_refused(folder: pathlib.Path, mode: int) -> None:
+    (folder / "open").mkdir()
+    (folder / "open").chmod(mode)
+    refused(folder / "open", rf"others may write there \(mode {mode:o}\); chmod go-w it")
+
+
+def test_a_root_of_another_user_is_refused(folder: pathlib.Path) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("SKIPPED: only root can give a directory to another user")
+    (folder / "theirs").mkdir(mode=0o700)
+    os.chown(folder / "theirs", NOBODY, NOBODY)
+    refused(folder / "theirs", f"belongs to user {NOBODY}; .*: run as that user, or use another root")
+
+
+def test_a_root_that_is_missing_is_made_for_this_user_alone(folder: pathlib.Path) -> None:
+    with private_domain() as inside:
+        domain = Domain(f"{inside.root}/a/b", inside.name)
+        domain.open("test")
+        for made in ("a", "a/b"):
+            assert (pathlib.Path(inside.root) / made).stat().st_mode & 0o777 == 0o700
+
+
+def test_what_another_user_put_in_shared_memory_is_refused() -> None:
+    if os.geteuid() != 0:
+        pytest.skip("SKIPPED: only root can make another user's file")
+    with private_domain() as domain:
+        planted = pathlib.Path(f"/dev/shm/{domain.name}_planted")
+        planted.touch()
+        os.chown(planted, NOBODY, NOBODY)
+        with pytest.raises(RoomcastError, match=f"{planted} belongs to user {NOBODY}.*use another domain name"):
+            domain.open("test")
+
+
+def test_nothing_in_shared_memory_is_open_to_others() -> None:
+    with private_domain() as domain, Planner("planner", domain):
+        files = list(pathlib.Path("/dev/shm").glob(f"{domain.name}_*"))
+        assert files and not [file for file in files if file.stat().st_mode & 0o077]
+
+
+def test_a_participant_is_named_in_the_refusal_of_its_name() -> None:
+    with private_domain() as domain, pytest.raises(RoomcastError, match=f"cannot join the domain at {domain.root} as 'aaa"):
+        domain.open("a" * 300)
+
+
+def test_a_service_of_another_type_is_refused_at_once() -> None:
+    class DecisionV1(layouts.Message):
+        _fields_ = layouts.DecisionV1._fields_[:-1]
+
+    other = ports.Service(ports.DECISION.name, DecisionV1, 8, 16, 16, 1)
+    with private_domain() as domain:
+        kept = ports.Publisher(domain.open("old"), other)
+        with pytest.raises(RoomcastError, match="service roomcast/v1/decision: .*IncompatibleTypes.*the same version of Roomcast"):
+            ports.Publisher(domain.open("new"), ports.DECISION)
+        del kept
+
+
+def test_places_that_are_taken_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ports, "_OPEN_FOR_S", 0.2)
+    with private_domain() as domain:
+        node = domain.open("daemon")
+        kept = ports.Publisher(node, ports.FORECAST)
+        with pytest.raises(RoomcastError, match="service roomcast/v1/forecast: cannot open it: .*places are taken, stop another"):
+            ports.Publisher(node, ports.FORECAST)
+        del kept
+
+
+PARTICIPANT = """
+    import os, sys
+    from roomcast import Domain, Narrator, Planner, RoomcastError
+
+    try:
+        planner = Planner("planner", Domain(sys.argv[1], "full"))
+    except RoomcastError as error:
+        sys.exit(f"in words: {error}")
+    # Somebody else takes all that is left.
+    with open("/dev/shm/other", "wb", buffering=0) as other:
+        try:
+            while other.write(bytes(1 << 12)):
+                pass
+        except OSError as error:
+            print(error.strerror)
+    for _ in range(100):
+        planner.decide("kitchen", "nobody is there")
+    try:
+        Narrator("narrator", Domain(sys.argv[1], "full"))
+    except RoomcastError as error:
+        print(f"in words: {error}")
+"""
+
+
+def with_shared_memory(size: str, folder: pathlib.Path) -> subprocess.CompletedProcess[str]:
+    """A participant where /dev/shm is a file system of this size."""
+    mount = 'mount -t tmpfs -o size="$0" tmpfs /dev/shm && exec "$@"'
+    inside = ["unshare", "--map-root-user", "--mount", "sh", "-c", mount]
+    if not shutil.which("unshare") or subprocess.run([*inside, "1m", "true"], capture_output=True, check=False).returncode:
+        pytest.skip("SKIPPED: this user may not mount the small file system that this needs")
+    script = textwrap.dedent(PARTICIPANT)
+    return subprocess.run(
+        [*inside, size, sys.executable, "-c", script, str(folder / "d")], capture_output=True, text=True, check=False, timeout=60
+    )
+
+
+@pytest.mark.parametrize("size", ["64k", "256k", "1m", "4m", "7m"])
+def test_shared_memory_that_is_too_small_is_refused_in_words(folder: pathlib.Path, size: str) -> None:
+    ended = with_shared_memory(size, folder)
+    assert ended.returncode == 1, ended
+    assert ended.stderr.startswith("in words: /dev/shm has ")
+    assert "8388608 are needed: remove what fills it, or mount it larger" in ended.stderr
+
+
+def test_shared_memory_that_fills_up_later_harms_nobody_who_has_joined(folder: pathlib.Path) -> None:
+    ended = with_shared_memory("16m", folder)
+    assert ended.returncode == 0, ended
+    assert "No space left on device" in ended.stdout and "in words: /dev/shm has 0 bytes free" in ended.stdout
+
+
+def test_rust_refuses_the_same_roots(folder: pathlib.Path) -> None:
+    if not ROOMCAST or not pathlib.Path(ROOMCAST).exists():
+        pytest.skip("SKIPPED: set ROOMCAST to the built binary")
+    (folder / "real").mkdir(mode=0o700)
+    (folder / "link").symlink_to("real")
+    (folder / "open").mkdir()
+    (folder / "open").chmod(0o777)
+    (folder / "file").touch()
+    for root in ["link", "open", "file"]:
+        refused(folder / root, "domain root")
+        command = [ROOMCAST, "planner", "--root", str(folder / root), "--domain", "x"]
+        ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+        assert ended.returncode == 6 and "domain root" in ended.stderr, ended
