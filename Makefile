@@ -1,6 +1,7 @@
 # Two commands do everything on a fresh Debian or Ubuntu machine: `make demo` and `make test`. `make help` lists the rest.
 #
-# Everything is built by one profile (release), so that llama.cpp and HiGHS are compiled once and shared by programs, lints and tests.
+# Everything is built by one profile (release), and all checks name the same packages and features: so llama.cpp, and for the tests
+# HiGHS, are compiled once.
 
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -euo pipefail -c
@@ -22,7 +23,7 @@ setup: ## Installs what is missing, or says what to install.
 
 .PHONY: build
 build: setup ## Builds the roomcast binary.
-	@echo "build: the first build compiles llama.cpp and HiGHS and takes 10 to 20 minutes on two cores, later ones seconds"
+	@echo "build: the first build compiles llama.cpp and takes some minutes on two cores, later ones seconds"
 	cargo build --release --locked
 
 .PHONY: demo
@@ -30,7 +31,7 @@ demo: build ## Builds, then shows the whole system at work on this machine.
 	$(TARGET)/release/roomcast demo
 
 .PHONY: test
-test: setup format counts lint unit docs licences scenes python ## Runs every check: format, lints, tests, documentation, licences, Python.
+test: setup format counts structure lint unit docs licences scenes python ## Runs every check: format, lints, tests, documentation, licences, Python.
 	@echo "test: all checks passed"
 
 .PHONY: format
@@ -38,20 +39,24 @@ format:
 	@echo "test: format"
 	cargo fmt --all --check
 
+.PHONY: structure
+structure: ## Prints the tree, the crates' dependencies and what each build compiles; fails when a crate uses what it may not.
+	@.ci/structure
+
 .PHONY: lint
 lint:
-	@echo "test: lints (the first run compiles llama.cpp and HiGHS: 10 to 20 minutes on two cores)"
-	cargo clippy --release --locked --workspace --all-targets -- -D warnings
+	@echo "test: lints (the first run compiles llama.cpp and HiGHS: some minutes on two cores)"
+	cargo clippy --release --locked --workspace --all-targets --features optimum -- -D warnings
 
 .PHONY: unit
 unit:
 	@echo "test: unit, property and multi-process tests"
-	cargo test --release --locked --workspace
+	cargo test --release --locked --workspace --features optimum
 
 .PHONY: docs
 docs:
 	@echo "test: documentation"
-	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps
+	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --features optimum --no-deps
 
 .PHONY: licences
 licences:
@@ -107,7 +112,7 @@ known-scores: build ## After a change of the embedded model: records the scores 
 	$(TARGET)/release/roomcast model check --record models/household-check.json
 
 .PHONY: c-header
-c-header: ## After a change of the messages: writes clients/c/roomcast.h anew.
+c-header: ## After a change of the messages: writes clients/c/roomcast.h.
 	ROOMCAST_WRITE_HEADER=1 cargo test --release --locked --workspace --test c_header
 
 .PHONY: deb

@@ -45,7 +45,7 @@ fn event(criterion: &mut Criterion, name: &str, sizes: &[(usize, usize)]) {
     let mut group = criterion.benchmark_group(name);
     for &(rooms, items) in sizes {
         let grounding = Grounding::new(&building(rooms, items), &GroundingOptions::default()).expect("it has labels");
-        let labels = grounding.scored_labels.len();
+        let labels = grounding.scored_labels().len();
         let log_prob_nats: Vec<f64> = (0..labels).map(|label| -5.0 - (label % 37) as f64 / 3.0).collect();
         let mut scores = GroundedScores::default();
         group.throughput(Throughput::Elements(items as u64));
@@ -61,7 +61,7 @@ fn items(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("items' scores");
     for items in [100, 10_000, 100_000] {
         let grounding = Grounding::new(&building(4, items), &GroundingOptions::default()).expect("it has labels");
-        let log_prob_nats = vec![-5.0; grounding.scored_labels.len()];
+        let log_prob_nats = vec![-5.0; grounding.scored_labels().len()];
         group.throughput(Throughput::Elements(items as u64));
         group.bench_function(BenchmarkId::from_parameter(format!("{items} items")), |bencher| {
             bencher.iter(|| grounding.item_log_score_nats(black_box(&log_prob_nats)).sum::<f64>());

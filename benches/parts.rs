@@ -36,7 +36,7 @@ fn model(path: Option<&PathBuf>) -> LlamaModel {
 
 /// `count` different labels of two words each, of the words that the model knows: "mug table", "mug lamp", ...
 fn labels(count: usize) -> Vec<String> {
-    let words: Vec<String> = apartment().labels.into_iter().filter(|label| !label.contains(' ')).collect();
+    let words: Vec<String> = apartment().labels().iter().filter(|label| !label.contains(' ')).cloned().collect();
     let side = (count as f64).sqrt().ceil() as usize;
     (0..count).map(|at| format!("{} {}", words[at / side % words.len()], words[at % side % words.len()])).collect()
 }

@@ -43,9 +43,9 @@ pub fn scene(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     let Ok(map) = SemanticMap::from_json(text) else { return };
     let again = SemanticMap::from_json(&map.to_json()).expect("a scene that was read can be written and read");
-    assert_eq!((&map.items, &map.labels), (&again.items, &again.labels));
+    assert_eq!((map.items(), map.labels()), (again.items(), again.labels()));
     if let Ok(grounding) = Grounding::new(&map, &GroundingOptions::default()) {
-        assert_eq!(grounding.item_partition.len(), map.items.len());
+        assert_eq!(grounding.item_partition().len(), map.items().len());
     }
 }
 

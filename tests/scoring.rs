@@ -275,7 +275,7 @@ fn methods_agree(weights: Weights) {
                 scorer.score(&prepared, &prompt, Method::Trie, &mut scores).unwrap();
                 fresh.forget();
                 fresh.score(&prepared, &prompt, Method::Trie, &mut other).unwrap();
-                let what = format!("{} {:?} {event}", map.name, binding.text());
+                let what = format!("{} {:?} {event}", map.name(), binding.text());
                 compared.add(apart(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats), &what);
                 scorer.score(&prepared, &prompt, Method::SharedPrefix, &mut other).unwrap();
                 compared.add(apart(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats), &what);

@@ -134,7 +134,7 @@ pub struct Partition {
 impl Partition {
     /// V_o with the box, in cubic metres.
     #[must_use]
-    pub fn overlap_m3(&self, bounds: &Box3) -> f64 {
+    pub(crate) fn overlap_m3(&self, bounds: &Box3) -> f64 {
         self.boxes.iter().map(|own| own.overlap_m3(bounds)).sum()
     }
 
@@ -199,19 +199,19 @@ struct Term {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grounding {
     /// The partitions, in the scene file's order (groups before the rooms in no group).
-    pub partitions: Vec<Partition>,
+    pub(crate) partitions: Vec<Partition>,
     /// The labels to score: the items' labels, sorted; then names of rooms that no item bears, in the rooms' order.
     /// After [`Grounding::regroup`] the labels of before come first.
-    pub scored_labels: Vec<ScoredLabel>,
+    pub(crate) scored_labels: Vec<ScoredLabel>,
     /// Per item its partition.
-    pub item_partition: Vec<Option<PartitionId>>,
+    pub(crate) item_partition: Vec<Option<PartitionId>>,
     /// Per item how its partition was found.
-    pub item_placement: Vec<Placement>,
+    pub(crate) item_placement: Vec<Placement>,
     /// The items in no partition.
-    pub unassigned: Vec<(ItemId, Reason)>,
+    pub(crate) unassigned: Vec<(ItemId, Reason)>,
     /// Labels by partitions: `weights[(c, r)]` is the share of label c's items that lie in partition r. A row sums to one
     /// less the share of the label's items that lie in no partition.
-    pub weights: DMatrix<f64>,
+    pub(crate) weights: DMatrix<f64>,
     /// Item i's terms are `item_terms[term_start[i]..term_start[i + 1]]`.
     item_terms: Vec<Term>,
     term_start: Vec<usize>,
@@ -257,6 +257,44 @@ impl Default for GroundedScores {
 }
 
 impl Grounding {
+    /// The partitions, in the scene file's order (groups before the rooms in no group).
+    #[must_use]
+    pub fn partitions(&self) -> &[Partition] {
+        &self.partitions
+    }
+
+    /// The labels to score: the items' labels, sorted; then names of rooms that no item bears, in the rooms' order.
+    /// After [`Grounding::regroup`] the labels of before come first.
+    #[must_use]
+    pub fn scored_labels(&self) -> &[ScoredLabel] {
+        &self.scored_labels
+    }
+
+    /// Per item its partition.
+    #[must_use]
+    pub fn item_partition(&self) -> &[Option<PartitionId>] {
+        &self.item_partition
+    }
+
+    /// Per item how its partition was found.
+    #[must_use]
+    pub fn item_placement(&self) -> &[Placement] {
+        &self.item_placement
+    }
+
+    /// The items in no partition.
+    #[must_use]
+    pub fn unassigned(&self) -> &[(ItemId, Reason)] {
+        &self.unassigned
+    }
+
+    /// Labels by partitions: `weights[(c, r)]` is the share of label c's items that lie in partition r. A row sums to one less the share
+    /// of the label's items that lie in no partition. A matrix of `nalgebra`, which bounds and baselines compute with.
+    #[must_use]
+    pub fn weights(&self) -> &DMatrix<f64> {
+        &self.weights
+    }
+
     /// Assigns every item and adds up the shares. Takes time in proportion to items times partitions, once per map.
     ///
     /// # Errors
@@ -350,7 +388,7 @@ impl Grounding {
 
     /// Whether the list holds labels that nothing bears any more.
     #[must_use]
-    pub fn has_idle_labels(&self) -> bool {
+    pub(crate) fn has_idle_labels(&self) -> bool {
         self.idle_labels
     }
 

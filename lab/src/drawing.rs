@@ -110,7 +110,7 @@ pub enum DrawingError {
 pub fn svg(map: &SemanticMap, grounding: &Grounding, heat: Option<&Heat>) -> Result<String, DrawingError> {
     if let Some(heat) = heat {
         let (partitions, items) = (heat.partition_probability.len(), heat.item_share.len());
-        let (expected_partitions, expected_items) = (grounding.partitions.len(), map.items.len());
+        let (expected_partitions, expected_items) = (grounding.partitions().len(), map.items().len());
         if (partitions, items) != (expected_partitions, expected_items) {
             return Err(DrawingError::OtherMap { partitions, items, expected_partitions, expected_items });
         }
@@ -261,7 +261,7 @@ struct Plan<'a> {
 impl<'a> Plan<'a> {
     fn new(map: &'a SemanticMap, grounding: &'a Grounding, heat: Option<&'a Heat>) -> Self {
         // The rooms set the frame; an item far outside would shrink them to nothing.
-        let rooms = map.rooms.iter().map(|room| room.bounds);
+        let rooms = map.rooms().iter().map(|room| room.bounds);
         let (mut min_m, mut max_m) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for bounds in rooms {
             for axis in 0..2 {
@@ -343,14 +343,14 @@ impl<'a> Plan<'a> {
         let map = self.map;
         let facts = format!(
             "{} items, {} labels, {} rooms \u{b7} map {}",
-            map.items.len(),
-            map.labels.len(),
-            map.rooms.len(),
+            map.items().len(),
+            map.labels().len(),
+            map.rooms().len(),
             map.short_fingerprint()
         );
         let caption = self.heat.map(|heat| heat.caption.as_str()).filter(|caption| !caption.is_empty());
         let line = caption.unwrap_or(&facts);
-        let name = shortened(&map.name, 24.0, width - 2.0 * MARGIN_PX);
+        let name = shortened(map.name(), 24.0, width - 2.0 * MARGIN_PX);
         let line = shortened(line, 13.0, width - 2.0 * MARGIN_PX);
         Group::new()
             .add(Label { bold: true, ..Label::new(&name, 24.0) }.at(MARGIN_PX, 30.0))
@@ -360,10 +360,10 @@ impl<'a> Plan<'a> {
     /// The partitions' floors, warm where a person is expected.
     fn floors(&self) -> Group {
         let mut floors = Group::new();
-        for room in &self.map.rooms {
+        for room in self.map.rooms() {
             floors = floors.add(self.rectangle(&room.bounds).set("fill", FLOOR));
         }
-        for (index, partition) in self.grounding.partitions.iter().enumerate() {
+        for (index, partition) in self.grounding.partitions().iter().enumerate() {
             for bounds in &partition.boxes {
                 let floor = self.rectangle(bounds);
                 floors = floors.add(match self.heat {
@@ -377,18 +377,18 @@ impl<'a> Plan<'a> {
 
     fn walls(&self) -> Group {
         let mut walls = Group::new();
-        for part in &self.map.parts {
+        for part in self.map.parts() {
             let outline = self.rectangle(&part.bounds);
             walls = walls.add(outline.set("fill", "none").set("stroke", QUIET).set("stroke-dasharray", "3 5"));
         }
-        for room in &self.map.rooms {
+        for room in self.map.rooms() {
             let outline = self.rectangle(&room.bounds);
             walls = walls.add(
                 outline.set("fill", "none").set("stroke", WALL).set("stroke-width", 5).set("stroke-linejoin", "round"),
             );
         }
-        for door in &self.map.doors {
-            let rooms = door.rooms.map(|room| &self.map.rooms[room.0 as usize].bounds);
+        for door in self.map.doors() {
+            let rooms = door.rooms.map(|room| &self.map.rooms()[room.0 as usize].bounds);
             walls = walls.add(self.door(&door.position_m, rooms));
         }
         walls
@@ -424,12 +424,12 @@ impl<'a> Plan<'a> {
     }
 
     fn is_structure(&self, index: usize) -> bool {
-        let label = self.map.items[index].label;
-        STRUCTURE.contains(&self.map.labels[label.0 as usize].as_str())
+        let label = self.map.items()[index].label;
+        STRUCTURE.contains(&self.map.labels()[label.0 as usize].as_str())
     }
 
     fn is_furniture(&self, index: usize) -> bool {
-        let bounds = &self.map.items[index].bounds;
+        let bounds = &self.map.items()[index].bounds;
         let size_m = bounds.size_m();
         let large = size_m[0].max(size_m[1]) >= FURNITURE_FROM_M && size_m[0].min(size_m[1]) > 0.05;
         large && bounds.min_m[2] < OVERHEAD_M && !self.is_structure(index)
@@ -443,7 +443,7 @@ impl<'a> Plan<'a> {
 
     /// Indices of large things, what stands or lies higher after what bears it.
     fn furniture_order(&self) -> Vec<usize> {
-        let items = &self.map.items;
+        let items = self.map.items();
         let mut order: Vec<usize> = (0..items.len()).filter(|&index| self.is_furniture(index)).collect();
         // A headboard is higher than the blanket on its bed, so where a thing begins counts first, in steps that forgive a
         // millimetre.
@@ -457,7 +457,7 @@ impl<'a> Plan<'a> {
     fn furniture(&self) -> Group {
         let mut furniture = Group::new().set("stroke-width", 1);
         for index in self.furniture_order() {
-            let bounds = &self.map.items[index].bounds;
+            let bounds = &self.map.items()[index].bounds;
             // A rug lies under everything and hides nothing.
             let flat = bounds.max_m[2] < 0.1;
             let cold = if flat { RUG } else { FURNITURE };
@@ -475,12 +475,12 @@ impl<'a> Plan<'a> {
     /// Small things, the warm ones larger and above the others.
     fn dots(&self) -> Group {
         let small = |index: &usize| !self.is_furniture(*index) && !self.is_structure(*index);
-        let mut order: Vec<usize> = (0..self.map.items.len()).filter(small).collect();
+        let mut order: Vec<usize> = (0..self.map.items().len()).filter(small).collect();
         order.sort_by(|&a, &b| self.heat_of(a).unwrap_or(0.0).total_cmp(&self.heat_of(b).unwrap_or(0.0)));
         let frame = self.frame();
         let mut dots = Group::new();
         for index in order {
-            let [east_m, north_m, _] = self.map.items[index].position_m;
+            let [east_m, north_m, _] = self.map.items()[index].position_m;
             let (x, y) = (self.x(east_m), self.y(north_m));
             if !Area::around(x, y, 0.0, 0.0).within(&frame) {
                 continue;
@@ -500,12 +500,12 @@ impl<'a> Plan<'a> {
     /// Names of rooms or other partitions, each where it covers least, with its probability.
     fn partition_names(&mut self) -> Group {
         let mut names = Group::new();
-        for (index, partition) in self.grounding.partitions.iter().enumerate() {
+        for (index, partition) in self.grounding.partitions().iter().enumerate() {
             let largest = |a: &&Box3, b: &&Box3| floor_m2(a).total_cmp(&floor_m2(b));
             let Some(bounds) = partition.boxes.iter().max_by(largest) else { continue };
             let area = self.area(bounds);
             let probability = self.heat.map(|heat| percent(heat.partition_probability[index]));
-            let size_px = if self.grounding.partitions.len() <= 8 { 17.0 } else { 12.0 };
+            let size_px = if self.grounding.partitions().len() <= 8 { 17.0 } else { 12.0 };
             let name = shortened(&partition.label, size_px, (area.right - area.left - 24.0).max(40.0));
             let width = width_px(&name, size_px) * BOLDER
                 + probability.as_ref().map_or(0.0, |text| width_px(text, size_px) + 12.0);
@@ -536,17 +536,17 @@ impl<'a> Plan<'a> {
     fn quietest(&self, area: &Area, width: f64, height: f64) -> Area {
         let room_x = (area.right - area.left - width - 16.0).max(0.0);
         let room_y = (area.bottom - area.top - height - 16.0).max(0.0);
-        let things: Vec<Area> = (0..self.map.items.len())
+        let things: Vec<Area> = (0..self.map.items().len())
             .filter(|&index| !self.is_structure(index))
             .map(|index| {
-                let item = &self.map.items[index];
+                let item = &self.map.items()[index];
                 if self.is_furniture(index) {
                     self.area(&item.bounds)
                 } else {
                     Area::around(self.x(item.position_m[0]), self.y(item.position_m[1]), 5.0, 5.0)
                 }
             })
-            .chain(self.map.doors.iter().map(|door| {
+            .chain(self.map.doors().iter().map(|door| {
                 let size_px = 2.0 * DOOR_M * self.scale;
                 Area::around(self.x(door.position_m[0]), self.y(door.position_m[1]), size_px, size_px)
             }))
@@ -570,7 +570,7 @@ impl<'a> Plan<'a> {
 
     /// Names on the furniture that is large enough for them, from the top down, each where it hides least.
     fn furniture_names(&mut self) -> Group {
-        let items = &self.map.items;
+        let items = self.map.items();
         let order = self.furniture_order();
         let dots: Vec<Area> = (0..items.len())
             .filter(|&index| !self.is_furniture(index) && !self.is_structure(index))
@@ -580,7 +580,7 @@ impl<'a> Plan<'a> {
         let mut names = Group::new();
         for &index in order.iter().rev() {
             let area = self.area(&items[index].bounds);
-            let text = &self.map.labels[items[index].label.0 as usize];
+            let text = &self.map.labels()[items[index].label.0 as usize];
             let (width, height) = (area.right - area.left - 6.0, area.bottom - area.top - 4.0);
             if let Some(block) = TextBlock::fit(text, width, height) {
                 let dots: Vec<&Area> = dots.iter().filter(|dot| dot.meets(&area)).collect();
@@ -610,9 +610,9 @@ impl<'a> Plan<'a> {
             if !warm || self.is_structure(index) || self.is_furniture(index) {
                 continue;
             }
-            let [east_m, north_m, _] = self.map.items[index].position_m;
+            let [east_m, north_m, _] = self.map.items()[index].position_m;
             let (x, y) = (self.x(east_m), self.y(north_m));
-            let text = &self.map.labels[self.map.items[index].label.0 as usize];
+            let text = &self.map.labels()[self.map.items()[index].label.0 as usize];
             let (size_px, width) = (11.5, width_px(text, 11.5) + 4.0);
             let places = [
                 (0.0, -13.0),
@@ -662,7 +662,7 @@ impl<'a> Plan<'a> {
 
         panel = panel.add(heading(if self.heat.is_some() { "Where next" } else { "What is where" }).at(left, y));
         y += 26.0;
-        let partitions = &self.grounding.partitions;
+        let partitions = self.grounding.partitions();
         let order = match self.heat {
             Some(heat) => warmest(&heat.partition_probability, ROWS),
             None => (0..partitions.len().min(ROWS)).collect(),
@@ -682,7 +682,7 @@ impl<'a> Plan<'a> {
                 percent(probability)
             } else {
                 let own = PartitionId(u32::try_from(index).unwrap_or(u32::MAX));
-                let items = self.grounding.item_partition.iter().filter(|partition| **partition == Some(own)).count();
+                let items = self.grounding.item_partition().iter().filter(|partition| **partition == Some(own)).count();
                 format!("{items} items")
             };
             panel =
@@ -695,7 +695,7 @@ impl<'a> Plan<'a> {
             panel = panel.add(Label { colour: QUIET, ..Label::new(&text, 12.0) }.at(left, y));
             y += 22.0;
         }
-        let outside = self.grounding.unassigned.len();
+        let outside = self.grounding.unassigned().len();
         if outside > 0 {
             let text = format!("{outside} outside every partition");
             panel = panel.add(Label { colour: "#b3261e", ..Label::new(&text, 12.0) }.at(left, y));
@@ -738,7 +738,7 @@ impl<'a> Plan<'a> {
             .add(door.set("x1", left + 6.0).set("x2", left + 18.0).set("stroke", PAPER).set("stroke-width", 7))
             .add(Label { colour: QUIET, ..Label::new("wall with a door", 12.0) }.at(left + 36.0, y));
         y += 24.0;
-        if !self.map.parts.is_empty() {
+        if !self.map.parts().is_empty() {
             let line = Line::new().set("x1", left).set("x2", left + 24.0).set("y1", y).set("y2", y);
             panel = panel
                 .add(line.set("stroke", QUIET).set("stroke-dasharray", "3 5"))
@@ -750,11 +750,11 @@ impl<'a> Plan<'a> {
 
     /// Labels by the summed share of their items.
     fn warmest_labels(&self, heat: &Heat, count: usize) -> Vec<(&'a str, f64)> {
-        let mut shares = vec![0.0; self.map.labels.len()];
-        for (item, share) in self.map.items.iter().zip(&heat.item_share) {
+        let mut shares = vec![0.0; self.map.labels().len()];
+        for (item, share) in self.map.items().iter().zip(&heat.item_share) {
             shares[item.label.0 as usize] += share;
         }
-        warmest(&shares, count).into_iter().map(|label| (self.map.labels[label].as_str(), shares[label])).collect()
+        warmest(&shares, count).into_iter().map(|label| (self.map.labels()[label].as_str(), shares[label])).collect()
     }
 }
 
@@ -863,8 +863,8 @@ mod tests {
     fn drawn(text: &str, level: PartitionLevel, warm: bool) -> String {
         let map = SemanticMap::from_json(text).unwrap();
         let grounding = Grounding::new(&map, &GroundingOptions { level, room_labels: true }).unwrap();
-        let partitions = grounding.partitions.len();
-        let scores: Vec<f64> = (0..map.items.len()).map(|index| -(index as f64)).collect();
+        let partitions = grounding.partitions().len();
+        let scores: Vec<f64> = (0..map.items().len()).map(|index| -(index as f64)).collect();
         let heat = Heat::new(&vec![1.0 / partitions as f64; partitions], &scores, "They grab the mug.");
         svg(&map, &grounding, warm.then_some(&heat)).unwrap()
     }

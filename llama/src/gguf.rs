@@ -533,7 +533,7 @@ impl Header {
 
     /// A number of the metadata that is not negative.
     #[must_use]
-    pub fn unsigned(&self, key: &str) -> Option<u64> {
+    pub(crate) fn unsigned(&self, key: &str) -> Option<u64> {
         match self.metadata.get(key) {
             Some(Value::Unsigned(number)) => Some(*number),
             Some(Value::Signed(number)) => u64::try_from(*number).ok(),

@@ -65,13 +65,13 @@ pub const WORK_PROGRAMS: [EmbeddedText; 6] = [
 
 /// The names of the embedded scenes, for messages.
 #[must_use]
-pub fn scene_names() -> String {
+pub(crate) fn scene_names() -> String {
     SCENES.map(|scene| scene.name).join(", ")
 }
 
 /// The names of the embedded activity programs, for messages.
 #[must_use]
-pub fn program_names() -> String {
+pub(crate) fn program_names() -> String {
     let names: Vec<_> = PROGRAMS.iter().chain(&WORK_PROGRAMS).map(|program| program.name).collect();
     names.join(", ")
 }

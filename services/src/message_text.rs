@@ -9,7 +9,7 @@ use roomcast_ipc::narration_kind;
 ///
 /// # Errors
 /// The text's fault, as that kind.
-pub fn sentence_of(kind: u32, text: &str) -> Result<Sentence, ObservedError> {
+pub(crate) fn sentence_of(kind: u32, text: &str) -> Result<Sentence, ObservedError> {
     if kind == narration_kind::ACTION {
         return Ok(Observed::Action(Action::parse(text)?).sentence()?);
     }

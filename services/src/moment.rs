@@ -160,7 +160,7 @@ impl Moment {
             computed_unix_ns: snapshot.map_or(0, |snapshot| snapshot.computed_unix_ns),
             model: pipeline.model().name.clone(),
             model_fingerprint: hex::encode(&pipeline.model().fingerprint),
-            map_fingerprint: hex::encode(&map.fingerprint),
+            map_fingerprint: hex::encode(map.fingerprint()),
             grounding: *grounding,
             binding_name: pipeline.options().binding.name().to_owned(),
             binding: pipeline.options().binding.text().to_owned(),

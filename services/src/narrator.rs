@@ -124,7 +124,7 @@ enum JsonKind {
 
 /// The items of a program, each with the duration that its action takes.
 #[must_use]
-pub fn program_items(program: &Program, person: u32) -> Vec<Item> {
+pub(crate) fn program_items(program: &Program, person: u32) -> Vec<Item> {
     let items = program.steps.iter().map(|action| Item {
         kind: narration_kind::ACTION,
         text: action.to_string(),

@@ -32,6 +32,18 @@ pub enum SetupError {
         /// What was given.
         path: String,
     },
+    /// Neither a file nor the name of a shipped activity program.
+    #[error(
+        "there is no activity program {path}: give a program's file, or a shipped program by its name, {}",
+        embedded::program_names()
+    )]
+    NoProgram {
+        /// What was given.
+        path: String,
+    },
+    /// An activity program.
+    #[error(transparent)]
+    Program(#[from] ProgramError),
     /// The scene's grounding.
     #[error(transparent)]
     Grounding(#[from] GroundingError),
@@ -92,8 +104,14 @@ pub fn load_map(path: Option<&Path>) -> Result<SemanticMap, SetupError> {
 ///
 /// # Errors
 /// When the file is missing or malformed.
-pub fn load_program(path: &Path) -> Result<Program, ProgramError> {
-    shipped_program(path).unwrap_or_else(|| Program::load(path))
+pub fn load_program(path: &Path) -> Result<Program, SetupError> {
+    if let Some(shipped) = shipped_program(path) {
+        return Ok(shipped?);
+    }
+    if matches!(path.try_exists(), Ok(false)) {
+        return Err(SetupError::NoProgram { path: path.display().to_string() });
+    }
+    Ok(Program::load(path)?)
 }
 
 /// The shipped program that `path` is the bare name of, unless there is a file of that name.
@@ -159,7 +177,7 @@ fn check_pin(config: &Config) -> Result<(), SetupError> {
 ///
 /// # Errors
 /// When the binding sequence cannot be used.
-pub fn pipeline_options(config: &Config) -> Result<PipelineOptions, ConfigError> {
+pub(crate) fn pipeline_options(config: &Config) -> Result<PipelineOptions, ConfigError> {
     Ok(PipelineOptions {
         binding: config.binding()?,
         tokenisation: config.scoring.tokenisation,

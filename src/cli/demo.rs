@@ -64,7 +64,7 @@ pub fn run(args: &Args) -> CommandResult {
     let map = setup::load_map(Some(&args.scene))?;
     let grounding = Grounding::new(&map, &GroundingOptions::default());
     let grounding = grounding.map_err(|error| Failure::new(exit_code::INPUT, error))?;
-    let program = setup::load_program(&args.program).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    let program = setup::load_program(&args.program)?;
     let real_s: f64 = program.steps.iter().map(|step| step.entry().duration_s).sum();
     let speed = real_s / args.seconds;
 
@@ -78,9 +78,9 @@ pub fn run(args: &Args) -> CommandResult {
 
     let scene = format!(
         "{}: {}, {}. {}, {}, {real_s:.0} s of a person's time played {speed:.1} times faster.",
-        map.name,
-        count(map.items.len(), "item"),
-        count(grounding.partitions.len(), "room"),
+        map.name(),
+        count(map.items().len(), "item"),
+        count(grounding.partitions().len(), "room"),
         program.title,
         count(program.steps.len(), "step")
     );
@@ -174,7 +174,7 @@ impl<'a> Show<'a> {
             grounding,
             map,
             names: grounding.partition_names(),
-            ids: grounding.partitions.iter().map(|partition| partition.id.clone()).collect(),
+            ids: grounding.partitions().iter().map(|partition| partition.id.clone()).collect(),
             speed,
             unheard: false,
             scores_seen: 0,
@@ -254,10 +254,10 @@ impl<'a> Show<'a> {
     /// The room of the map's first thing of that name, or the room itself.
     fn place(&self, object: &ObjectRef) -> Option<usize> {
         if let Some(room) = self.map.find_room(&object.name) {
-            return self.grounding.partitions.iter().position(|partition| partition.rooms.contains(&room));
+            return self.grounding.partitions().iter().position(|partition| partition.rooms.contains(&room));
         }
         let item = self.map.items_of(self.map.find_label(&object.name)?).next()?;
-        self.grounding.item_partition[item.0 as usize].map(|partition| partition.0 as usize)
+        self.grounding.item_partition()[item.0 as usize].map(|partition| partition.0 as usize)
     }
 
     fn decided(&mut self, decision: &DecisionV1) {
@@ -389,7 +389,7 @@ impl<'a> Show<'a> {
             self.robot.len(),
             visited.len(),
             self.names.len(),
-            self.map.name,
+            self.map.name(),
             seconds(shared_ns),
             seconds(end_ns.saturating_sub(self.begin_ns)),
             quantile(0.5),

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use comfy_table::{Color, Table};
+use comfy_table::Table;
 use roomcast_ipc::{Domain, NarrationV1};
 use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
@@ -249,11 +249,11 @@ fn scene(config: &Config) -> (Finding, Option<SemanticMap>) {
     let found = format!(
         "{}: {}, {} of {}",
         shown(path, "studio (embedded)"),
-        super::count(map.rooms.len(), "room"),
-        super::count(map.items.len(), "item"),
-        super::count(map.labels.len(), "label")
+        super::count(map.rooms().len(), "room"),
+        super::count(map.items().len(), "item"),
+        super::count(map.labels().len(), "label")
     );
-    let finding = match grounding.unassigned.len() {
+    let finding = match grounding.unassigned().len() {
         0 => Finding::good("scene", found),
         outside => Finding::limited(
             "scene",
@@ -362,20 +362,23 @@ pub fn run(args: &Args) -> CommandResult {
 fn table(findings: &[Finding]) -> Table {
     let mut table = super::table(&["check", "", "found, and what to do"]);
     for finding in findings {
-        let (mark, color) = match finding.verdict {
-            Verdict::Good => ("good", Color::Green),
-            Verdict::Limited => ("limited", Color::Yellow),
-            Verdict::Wrong => ("WRONG", Color::Red),
+        let mark = match finding.verdict {
+            Verdict::Good => "good",
+            Verdict::Limited => "limited",
+            Verdict::Wrong => "WRONG",
         };
+        let mark = comfy_table::Cell::new(mark);
+        #[cfg(feature = "colours")]
+        let mark = mark.fg(match finding.verdict {
+            Verdict::Good => comfy_table::Color::Green,
+            Verdict::Limited => comfy_table::Color::Yellow,
+            Verdict::Wrong => comfy_table::Color::Red,
+        });
         let text = match &finding.remedy {
             Some(remedy) => format!("{}\n-> {remedy}", finding.found),
             None => finding.found.clone(),
         };
-        table.add_row([
-            comfy_table::Cell::new(finding.check),
-            comfy_table::Cell::new(mark).fg(color),
-            comfy_table::Cell::new(text),
-        ]);
+        table.add_row([comfy_table::Cell::new(finding.check), mark, comfy_table::Cell::new(text)]);
     }
     table
 }

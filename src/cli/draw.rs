@@ -8,7 +8,7 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_lab::drawing::{self, Heat};
 
 use super::choice::choice;
-use super::scene::{input, load, read, write};
+use super::scene_files::{input, load, read, write};
 use super::{CommandResult, Failure, print};
 use crate::exit_code;
 
@@ -75,8 +75,8 @@ fn read_heat(path: &Path, map: &SemanticMap, grounding: &Grounding, caption: &st
         |id: &String| partitions.get(id.as_str()).copied().ok_or_else(|| wrong(format!("no partition {id:?}")));
     let item = |id: &String| items.get(id.as_str()).copied().ok_or_else(|| wrong(format!("no item {id:?}")));
     let probabilities: Vec<f64> =
-        grounding.partitions.iter().map(|own| partition(&own.id)).collect::<Result<_, _>>()?;
-    let log_scores: Vec<f64> = map.items.iter().map(|own| item(&own.id)).collect::<Result<_, _>>()?;
+        grounding.partitions().iter().map(|own| partition(&own.id)).collect::<Result<_, _>>()?;
+    let log_scores: Vec<f64> = map.items().iter().map(|own| item(&own.id)).collect::<Result<_, _>>()?;
     Ok(Heat::new(&probabilities, &log_scores, caption))
 }
 

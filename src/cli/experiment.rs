@@ -212,11 +212,11 @@ fn maps(paths: &[PathBuf]) -> Result<Vec<(SemanticMap, Grounding)>, Failure> {
     let mut maps: Vec<(SemanticMap, Grounding)> = Vec::with_capacity(paths.len());
     for path in paths {
         let map = setup::load_map(Some(path))?;
-        if maps.iter().any(|(other, _)| other.name == map.name) {
+        if maps.iter().any(|(other, _)| other.name() == map.name()) {
             let fault = format!(
                 "{}: another of the scenes has its name, {:?}, too, and results go by it: change one's \"name\", or give it once",
                 path.display(),
-                map.name
+                map.name()
             );
             return Err(Failure::new(exit_code::INPUT, fault));
         }

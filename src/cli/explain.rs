@@ -135,8 +135,8 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
         (scene, _) => setup::load_map(scene)?,
     };
     let wanted = (hex::encode(&scores.map_fingerprint), hex::encode(&scores.model_fingerprint));
-    if hex::encode(&map.fingerprint) != wanted.0 {
-        let (name, wanted) = (&map.name, &wanted.0);
+    if hex::encode(map.fingerprint()) != wanted.0 {
+        let (name, wanted) = (map.name(), &wanted.0);
         return Err(input(format!(
             "the recorded scores are of a map with the fingerprint {wanted}, {name} is another one; give --scene FILE"
         )));

@@ -15,6 +15,7 @@ use roomcast_services::setup::SetupError;
 use crate::exit_code;
 
 mod choice;
+#[cfg(feature = "manuals")]
 mod completions;
 mod config;
 mod daemon;
@@ -29,6 +30,7 @@ mod experiment;
 mod explain;
 #[cfg(feature = "latency")]
 mod latency;
+#[cfg(feature = "manuals")]
 mod man;
 #[cfg(feature = "metrics")]
 mod metrics;
@@ -43,6 +45,7 @@ mod record;
 #[cfg(feature = "recordings")]
 mod replay;
 mod scene;
+mod scene_files;
 mod score;
 mod service;
 mod stage;
@@ -75,7 +78,11 @@ impl From<SetupError> for Failure {
     fn from(error: SetupError) -> Self {
         let code = match &error {
             SetupError::Config(_) => exit_code::CONFIG,
-            SetupError::Scene(_) | SetupError::NoScene { .. } | SetupError::Grounding(_) => exit_code::INPUT,
+            SetupError::Scene(_)
+            | SetupError::NoScene { .. }
+            | SetupError::Program(_)
+            | SetupError::NoProgram { .. }
+            | SetupError::Grounding(_) => exit_code::INPUT,
             _ => exit_code::MODEL,
         };
         Self::new(code, error)
@@ -153,6 +160,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Print a completion script for a shell.
+    #[cfg(feature = "manuals")]
     Completions(completions::Args),
     /// Print the commented default configuration, or check one.
     Config(config::Args),
@@ -177,6 +185,7 @@ enum Command {
     #[cfg(feature = "latency")]
     LatencyEnd(latency::EndArgs),
     /// Write the manual pages of all commands.
+    #[cfg(feature = "manuals")]
     Man(man::Args),
     /// Serve metrics of a running system for Prometheus, on a loopback address.
     #[cfg(feature = "metrics")]
@@ -206,8 +215,9 @@ impl Command {
     /// Whether a reader that leaves may end the command at once: it holds no place in a domain, and no processes.
     fn only_prints(&self) -> bool {
         match self {
-            Self::Completions(_) | Self::Config(_) | Self::Doctor(_) | Self::Man(_) | Self::Model(_) => true,
-            Self::Scene(_) | Self::Score(_) => true,
+            Self::Config(_) | Self::Doctor(_) | Self::Model(_) | Self::Scene(_) | Self::Score(_) => true,
+            #[cfg(feature = "manuals")]
+            Self::Completions(_) | Self::Man(_) => true,
             #[cfg(feature = "lab")]
             Self::Experiment(_) => true,
             #[cfg(all(feature = "lab", feature = "recordings"))]
@@ -226,6 +236,7 @@ pub fn main() -> ExitCode {
         sigpipe::reset();
     }
     let result = match command {
+        #[cfg(feature = "manuals")]
         Command::Completions(args) => completions::run(&args),
         Command::Config(args) => config::run(&args),
         Command::Daemon(args) => daemon::run(&args),
@@ -240,6 +251,7 @@ pub fn main() -> ExitCode {
         Command::Latency(args) => latency::run(&args),
         #[cfg(feature = "latency")]
         Command::LatencyEnd(args) => latency::run_end(&args),
+        #[cfg(feature = "manuals")]
         Command::Man(args) => man::run(&args),
         #[cfg(feature = "metrics")]
         Command::Metrics(args) => metrics::run(&args),

@@ -2,7 +2,6 @@
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -14,14 +13,14 @@ use serde_json::{Value, json};
 use super::choice::choice;
 #[cfg(feature = "lab")]
 use super::draw;
+use super::scene_files::{in_file, input, load, read, write};
 use super::{CommandResult, Failure, count, print, service};
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use roomcast_core::semantic_map::delta;
 use roomcast_core::semantic_map::import::{self, Imported, Up};
-use roomcast_core::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap, read_limited};
+use roomcast_core::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap};
 use roomcast_services::daemon::{MapAnswer, MapQuestion, Outcome};
-use roomcast_services::{logging, setup};
 
 /// Arguments of `roomcast scene`.
 #[derive(Debug, clap::Args)]
@@ -149,43 +148,6 @@ pub fn run(args: &Args) -> CommandResult {
     }
 }
 
-pub(super) fn input(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Failure {
-    Failure::new(exit_code::INPUT, error)
-}
-
-fn in_file(what: &str, path: &Path, error: &dyn std::error::Error) -> Failure {
-    input(format!("{what} {}: {}", path.display(), logging::chain(error)))
-}
-
-pub(super) fn read(what: &str, path: &Path) -> Result<String, Failure> {
-    read_limited(path).map_err(|error| in_file(what, path, &error))
-}
-
-/// Writes beside the target and renames, so that no reader sees half a file.
-pub(super) fn write(path: &Path, bytes: &[u8]) -> CommandResult {
-    let fail = |error: std::io::Error| {
-        let path = path.display();
-        Failure::new(exit_code::FAILURE, format!("cannot write {path}: {error}; check the folder and its permissions"))
-    };
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut file = tempfile::Builder::new().permissions(permissions()).tempfile_in(folder).map_err(fail)?;
-    file.write_all(bytes).map_err(fail)?;
-    file.persist(path).map_err(|error| fail(error.error))?;
-    Ok(())
-}
-
-/// As other files that a command writes: readable by all, less what the umask takes.
-fn permissions() -> std::fs::Permissions {
-    use std::os::unix::fs::PermissionsExt;
-    std::fs::Permissions::from_mode(0o666)
-}
-
-pub(super) fn load(path: &Path, level: PartitionLevel) -> Result<(SemanticMap, Grounding), Failure> {
-    let map = setup::load_map(Some(path))?;
-    let grounding = Grounding::new(&map, &GroundingOptions { level, room_labels: true }).map_err(input)?;
-    Ok((map, grounding))
-}
-
 fn import(args: &Import) -> CommandResult {
     let first = &args.graph[0];
     let equivalence = args.equivalence.as_deref().map(|path| read("table of names", path)).transpose()?;
@@ -215,10 +177,10 @@ fn import(args: &Import) -> CommandResult {
     let mut text = format!(
         "{}: {}, {}, {}, {}\n",
         args.out.display(),
-        count(map.rooms.len(), "room"),
-        count(map.doors.len(), "door"),
-        count(map.items.len(), "item"),
-        count(map.labels.len(), "label")
+        count(map.rooms().len(), "room"),
+        count(map.doors().len(), "door"),
+        count(map.items().len(), "item"),
+        count(map.labels().len(), "label")
     );
     for note in notes {
         let _ = writeln!(text, "  {note}");
@@ -236,8 +198,8 @@ fn change(args: &Change) -> CommandResult {
     print(&format!(
         "{}: {}, {} outside, {} that the map did not have\n",
         args.out.display(),
-        count(changed.items.len(), "item"),
-        after.grounding.unassigned.len(),
+        count(changed.items().len(), "item"),
+        after.grounding.unassigned().len(),
         count(after.new_labels, "label")
     ))
 }
@@ -325,19 +287,20 @@ fn map_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
 /// What a person should know about a map that is well formed.
 fn warnings(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
     let mut warnings = Vec::new();
-    for (ItemId(item), Reason::Outside { nearest, distance_m }) in &grounding.unassigned {
+    for (ItemId(item), Reason::Outside { nearest, distance_m }) in grounding.unassigned() {
         warnings.push(format!(
             "items[{item}] ({:?}) lies outside every room, {distance_m:.2} m from {:?}",
-            map.items[*item as usize].id, grounding.partitions[nearest.0 as usize].id
+            map.items()[*item as usize].id,
+            grounding.partitions()[nearest.0 as usize].id
         ));
     }
-    for (index, room) in (0u32..).zip(&map.rooms).skip(1) {
+    for (index, room) in (0u32..).zip(map.rooms()).skip(1) {
         if map.path(RoomId(0), RoomId(index)).is_none() {
-            warnings.push(format!("no way through doors leads from {:?} to {:?}", map.rooms[0].id, room.id));
+            warnings.push(format!("no way through doors leads from {:?} to {:?}", map.rooms()[0].id, room.id));
         }
     }
-    for (index, partition) in (0u32..).zip(&grounding.partitions) {
-        if !grounding.item_partition.contains(&Some(PartitionId(index))) {
+    for (index, partition) in (0u32..).zip(grounding.partitions()) {
+        if !grounding.item_partition().contains(&Some(PartitionId(index))) {
             warnings.push(format!("no item lies in {:?}; only its name can give it a score", partition.id));
         }
     }
@@ -363,19 +326,19 @@ fn check(args: &Check) -> CommandResult {
                 let _ = writeln!(
                     text,
                     "ok       {shown}: {}, {}, {}, {}, {} outside",
-                    count(map.rooms.len(), "room"),
-                    count(map.items.len(), "item"),
-                    count(map.labels.len(), "label"),
+                    count(map.rooms().len(), "room"),
+                    count(map.items().len(), "item"),
+                    count(map.labels().len(), "label"),
                     count(ties, "tie"),
-                    grounding.unassigned.len()
+                    grounding.unassigned().len()
                 );
                 for warning in &warnings {
                     let _ = writeln!(text, "warning  {shown}: {warning}");
                 }
                 reports.push(json!({
-                    "scene": path, "name": map.name, "fingerprint": hex::encode(&map.fingerprint), "rooms": map.rooms.len(),
-                    "items": map.items.len(), "labels": map.labels.len(), "ties": ties,
-                    "outside": grounding.unassigned.len(), "warnings": warnings,
+                    "scene": path, "name": map.name(), "fingerprint": hex::encode(map.fingerprint()), "rooms": map.rooms().len(),
+                    "items": map.items().len(), "labels": map.labels().len(), "ties": ties,
+                    "outside": grounding.unassigned().len(), "warnings": warnings,
                 }));
             }
         }
@@ -410,38 +373,39 @@ fn show(args: &Show) -> CommandResult {
 }
 
 fn as_json(map: &SemanticMap, grounding: &Grounding, level: PartitionLevel) -> Value {
-    let partition_id = |id: &PartitionId| grounding.partitions[id.0 as usize].id.as_str();
-    let label = |index: usize| map.labels[map.items[index].label.0 as usize].as_str();
-    let items: Vec<Value> = (map.items.iter().enumerate())
+    let partition_id = |id: &PartitionId| grounding.partitions()[id.0 as usize].id.as_str();
+    let label = |index: usize| map.labels()[map.items()[index].label.0 as usize].as_str();
+    let items: Vec<Value> = (map.items().iter().enumerate())
         .map(|(index, item)| {
             json!({
                 "id": item.id, "label": label(index), "position_m": item.position_m,
-                "partition": grounding.item_partition[index].as_ref().map(partition_id),
-                "placement": grounding.item_placement[index],
+                "partition": grounding.item_partition()[index].as_ref().map(partition_id),
+                "placement": grounding.item_placement()[index],
             })
         })
         .collect();
     let partitions: Vec<Value> = (0u32..)
-        .zip(&grounding.partitions)
+        .zip(grounding.partitions())
         .map(|(index, partition)| {
-            let own = grounding.item_partition.iter().filter(|id| **id == Some(PartitionId(index))).count();
-            let rooms: Vec<&str> = partition.rooms.iter().map(|room| map.rooms[room.0 as usize].id.as_str()).collect();
+            let own = grounding.item_partition().iter().filter(|id| **id == Some(PartitionId(index))).count();
+            let rooms: Vec<&str> =
+                partition.rooms.iter().map(|room| map.rooms()[room.0 as usize].id.as_str()).collect();
             json!({"id": partition.id, "label": partition.label, "rooms": rooms, "items": own})
         })
         .collect();
-    let unassigned: Vec<Value> = (grounding.unassigned.iter())
+    let unassigned: Vec<Value> = (grounding.unassigned().iter())
         .map(|(ItemId(item), Reason::Outside { nearest, distance_m })| {
             let item = *item as usize;
-            json!({"id": map.items[item].id, "label": label(item), "nearest": partition_id(nearest), "distance_m": distance_m})
+            json!({"id": map.items()[item].id, "label": label(item), "nearest": partition_id(nearest), "distance_m": distance_m})
         })
         .collect();
     let placements: HashMap<&str, usize> =
         PLACEMENTS.iter().map(|&placement| (placement_name(placement), grounding.placed_by(placement))).collect();
-    let labels: Vec<Value> = (grounding.scored_labels.iter())
+    let labels: Vec<Value> = (grounding.scored_labels().iter())
         .map(|label| json!({"label": label.text, "items": label.items.len(), "rooms": label.rooms.len()}))
         .collect();
     json!({
-        "name": map.name, "description": map.description, "source": map.source, "fingerprint": hex::encode(&map.fingerprint),
+        "name": map.name(), "description": map.description(), "source": map.source(), "fingerprint": hex::encode(map.fingerprint()),
         "level": level, "partitions": partitions, "placements": placements, "labels": labels, "items": items,
         "unassigned": unassigned, "warnings": warnings(map, grounding),
     })
@@ -460,17 +424,17 @@ fn table<const N: usize>(header: [&str; N], numbers: std::ops::Range<usize>) -> 
 }
 
 fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
-    let mut text = format!("{}  ({})\n", map.name, map.short_fingerprint());
-    for line in [&map.description, &map.source].into_iter().filter(|line| !line.is_empty()) {
+    let mut text = format!("{}  ({})\n", map.name(), map.short_fingerprint());
+    for line in [map.description(), map.source()].into_iter().filter(|line| !line.is_empty()) {
         let _ = writeln!(text, "{line}");
     }
-    let (items, labels) = (count(map.items.len(), "item"), count(map.labels.len(), "label"));
-    let _ = writeln!(text, "{items}, {labels}, {}\n", count(map.doors.len(), "door"));
+    let (items, labels) = (count(map.items().len(), "item"), count(map.labels().len(), "label"));
+    let _ = writeln!(text, "{items}, {labels}, {}\n", count(map.doors().len(), "door"));
 
     let mut partitions = table(["partition", "size (m)", "items", "labels", "most frequent"], 1..4);
-    for (index, partition) in (0u32..).zip(&grounding.partitions) {
+    for (index, partition) in (0u32..).zip(grounding.partitions()) {
         let own = Some(PartitionId(index));
-        let items = || grounding.item_partition.iter().zip(&map.items).filter(move |(id, _)| **id == own);
+        let items = || grounding.item_partition().iter().zip(map.items()).filter(move |(id, _)| **id == own);
         let mut counts: HashMap<usize, usize> = HashMap::new();
         items().for_each(|(_, item)| *counts.entry(item.label.0 as usize).or_default() += 1);
         let mut frequent: Vec<(usize, usize)> = counts.into_iter().collect();
@@ -479,7 +443,7 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
             .map(|bounds| bounds.size_m().map(|size_m| format!("{size_m:.1}")).join(" x "))
             .collect();
         let named: Vec<String> =
-            frequent.iter().take(4).map(|&(label, count)| format!("{} ({count})", map.labels[label])).collect();
+            frequent.iter().take(4).map(|&(label, count)| format!("{} ({count})", map.labels()[label])).collect();
         partitions.add_row([
             partition.id.clone(),
             sizes.join(", "),
@@ -509,16 +473,16 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
     const ROWS: usize = 20;
     for placement in [Placement::Tie, Placement::Position, Placement::NearestPart, Placement::Outside] {
         let chosen: Vec<usize> =
-            (0..map.items.len()).filter(|&index| grounding.item_placement[index] == placement).collect();
+            (0..map.items().len()).filter(|&index| grounding.item_placement()[index] == placement).collect();
         if chosen.is_empty() {
             continue;
         }
         let mut rows = table([placement_name(placement), "label", "went to"], 0..0);
         for &index in chosen.iter().take(ROWS) {
-            let item = &map.items[index];
-            let went = grounding.item_partition[index]
-                .map_or_else(|| "nowhere".to_owned(), |id| grounding.partitions[id.0 as usize].id.clone());
-            rows.add_row([item.id.clone(), map.labels[item.label.0 as usize].clone(), went]);
+            let item = &map.items()[index];
+            let went = grounding.item_partition()[index]
+                .map_or_else(|| "nowhere".to_owned(), |id| grounding.partitions()[id.0 as usize].id.clone());
+            rows.add_row([item.id.clone(), map.labels()[item.label.0 as usize].clone(), went]);
         }
         let _ = writeln!(text, "\n{rows}");
         if chosen.len() > ROWS {

@@ -166,7 +166,7 @@ pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap),
 fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
     let mut sentences = Vec::new();
     if let Some(path) = &args.program {
-        let program = setup::load_program(path).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+        let program = setup::load_program(path)?;
         let steps = args.steps.unwrap_or(program.steps.len());
         if steps > program.steps.len() {
             let (path, has) = (path.display(), program.steps.len());
@@ -195,8 +195,8 @@ fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
 /// Everything that the scores consist of; other programs rely on these keys.
 pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap) -> serde_json::Value {
     let (scores, grounding, prepared) = (pipeline.scores(), pipeline.grounding(), pipeline.prepared());
-    let partition_id = |p: Option<PartitionId>| p.map(|p| grounding.partitions[p.0 as usize].id.as_str());
-    let labels: Vec<_> = (grounding.scored_labels.iter().zip(&scores.label_log_prob_nats).zip(prepared.tokens()))
+    let partition_id = |p: Option<PartitionId>| p.map(|p| grounding.partitions()[p.0 as usize].id.as_str());
+    let labels: Vec<_> = (grounding.scored_labels().iter().zip(&scores.label_log_prob_nats).zip(prepared.tokens()))
         .map(|((label, log_prob_nats), tokens)| {
             json!({
                 "label": label.text, "items": label.items.len(), "rooms": label.rooms.len(), "count": label.count,
@@ -206,13 +206,13 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
         })
         .collect();
     let item_scores = grounding.item_log_score_nats(&scores.label_log_prob_nats);
-    let items: Vec<_> = (map.items.iter().zip(item_scores).zip(&grounding.item_partition))
+    let items: Vec<_> = (map.items().iter().zip(item_scores).zip(grounding.item_partition()))
         .map(|((item, log_score_nats), &partition)| {
-            json!({"id": item.id, "label": map.labels[item.label.0 as usize], "partition": partition_id(partition), "log_score_nats": log_score_nats})
+            json!({"id": item.id, "label": map.labels()[item.label.0 as usize], "partition": partition_id(partition), "log_score_nats": log_score_nats})
         })
         .collect();
     let grounded = &scores.grounded;
-    let partitions: Vec<_> = (grounding.partitions.iter())
+    let partitions: Vec<_> = (grounding.partitions().iter())
         .zip(&grounded.partition_log_score_nats)
         .zip(&grounded.partition_probability)
         .zip(scores.lower_log_score_nats.iter().zip(&scores.upper_log_score_nats))
@@ -226,9 +226,9 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
     json!({
         "model": pipeline.model(),
         "scene": {
-            "name": map.name, "fingerprint": hex::encode(map.fingerprint),
-            "items": map.items.len(), "labels": map.labels.len(), "rooms": map.rooms.len(),
-            "unassigned": grounding.unassigned.iter().map(|(item, _)| &map.items[item.0 as usize].id).collect::<Vec<_>>(),
+            "name": map.name(), "fingerprint": hex::encode(map.fingerprint()),
+            "items": map.items().len(), "labels": map.labels().len(), "rooms": map.rooms().len(),
+            "unassigned": grounding.unassigned().iter().map(|(item, _)| &map.items()[item.0 as usize].id).collect::<Vec<_>>(),
         },
         "method": pipeline.options().method,
         "effort": {"asked": pipeline.options().effort, "reached": scores.reached},
@@ -254,7 +254,7 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
     order.sort_by(|&a, &b| grounded.partition_probability[b].total_cmp(&grounded.partition_probability[a]));
     for index in order {
         let behind = grounding.top_labels(PartitionId(index as u32), &scores.label_log_prob_nats, 4);
-        let behind: Vec<_> = behind.iter().map(|&(l, _)| grounding.scored_labels[l].text.as_str()).collect();
+        let behind: Vec<_> = behind.iter().map(|&(l, _)| grounding.scored_labels()[l].text.as_str()).collect();
         let probability = grounded.partition_probability[index];
         table.add_row([
             names[index].clone(),
@@ -266,10 +266,10 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
     }
     let mut text = format!("{table}\n\n");
     let mut table = super::table(&["label", "probability", "ln probability", "items", "tokens"]);
-    let mut order: Vec<usize> = (0..grounding.scored_labels.len()).collect();
+    let mut order: Vec<usize> = (0..grounding.scored_labels().len()).collect();
     order.sort_by(|&a, &b| scores.label_log_prob_nats[b].total_cmp(&scores.label_log_prob_nats[a]));
     for &index in order.iter().take(top) {
-        let label = &grounding.scored_labels[index];
+        let label = &grounding.scored_labels()[index];
         let pieces: Vec<_> =
             pipeline.prepared().tokens()[index].iter().map(|&t| format!("{:?}", pipeline.token_text(t))).collect();
         table.add_row([
@@ -285,9 +285,9 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
     let _ = writeln!(
         text,
         "{} and {} of {} by {}; {:.1} % of what could come next {}.\nScored by {}.",
-        count(grounding.scored_labels.len(), "label"),
-        count(map.items.len(), "item"),
-        map.name,
+        count(grounding.scored_labels().len(), "label"),
+        count(map.items().len(), "item"),
+        map.name(),
         pipeline.model().name,
         100.0 * grounded.label_mass,
         match pipeline.prepared().correction().continuation {

@@ -97,7 +97,7 @@ impl History {
 
     /// Cuts a window that is full now rather than at the next observation, so that the work this makes is done while
     /// nobody waits. Gives how many observations left; always 0 without slack, where the window is exact.
-    pub fn compact(&mut self) -> usize {
+    pub(crate) fn compact(&mut self) -> usize {
         let high = self.limits.observations.saturating_add(self.limits.slack);
         if self.limits.slack == 0 || self.window.len() < high {
             return 0;
@@ -186,7 +186,7 @@ impl Histories {
     }
 
     /// Sets how many tokens each window may hold, for a prompt that has less room than before.
-    pub fn limit_tokens(&mut self, tokens: usize) {
+    pub(crate) fn limit_tokens(&mut self, tokens: usize) {
         self.limits.tokens = tokens;
         self.by_person.values_mut().for_each(|(_, history)| history.limit_tokens(tokens));
     }

@@ -261,7 +261,7 @@ impl Bounds {
     }
 
     /// Whether the bounds answer the question, and which one they answer.
-    pub fn certify(&mut self, trie: &LabelTrie, table: &BoundTable, q: &[f64], effort: Effort) -> bool {
+    pub(crate) fn certify(&mut self, trie: &LabelTrie, table: &BoundTable, q: &[f64], effort: Effort) -> bool {
         if self.frontier.is_empty() {
             self.reached = Effort::Exact;
             return true;
@@ -292,7 +292,14 @@ impl Bounds {
 
     /// Marks in `wanted` (per inner node) the frontier nodes whose decoding can settle the question: the weightiest, until
     /// what is left could not.
-    pub fn want(&mut self, trie: &LabelTrie, table: &BoundTable, q: &[f64], effort: Effort, wanted: &mut [bool]) {
+    pub(crate) fn want(
+        &mut self,
+        trie: &LabelTrie,
+        table: &BoundTable,
+        q: &[f64],
+        effort: Effort,
+        wanted: &mut [bool],
+    ) {
         if matches!(effort, Effort::Exact | Effort::Deadline) {
             for &inner in &self.frontier {
                 wanted[inner as usize] = true;
@@ -327,7 +334,7 @@ impl Bounds {
 
     /// Marks in `wanted` (per inner node) what is worth decoding at the next event together with its prompt: the nodes that
     /// weighed most at this one, until the rest could not change the answer. A wrong guess costs tokens, never correctness.
-    pub fn speculate(&self, trie: &LabelTrie, table: &BoundTable, q: &[f64], wanted: &mut [bool]) {
+    pub(crate) fn speculate(&self, trie: &LabelTrie, table: &BoundTable, q: &[f64], wanted: &mut [bool]) {
         // q(n) and the spread both shrink on the way down, so a threshold always keeps a node's ancestors with it.
         let inner = trie.inner();
         let mut threshold = 0.25 * self.margin.max(0.0) / inner.len().max(1) as f64;
@@ -337,12 +344,6 @@ impl Bounds {
         for (place, &node) in inner.iter().enumerate() {
             wanted[place] = q[node as usize] * spread(table, node as usize) > threshold;
         }
-    }
-
-    /// Undecoded inner nodes whose parents are decoded.
-    #[must_use]
-    pub fn frontier(&self) -> &[u32] {
-        &self.frontier
     }
 }
 

@@ -45,7 +45,7 @@ impl Prompt {
 
 impl Cutter {
     /// How many tokens the last prompt has before its last sentence, the binding sequence; none where that is not known.
-    pub fn narration_tokens(&self) -> Option<usize> {
+    pub(crate) fn narration_tokens(&self) -> Option<usize> {
         self.before.ends.last().map(|&(_, tokens)| tokens)
     }
 

@@ -309,7 +309,7 @@ impl PreparedLabels {
 
     /// Tokens of the longest label.
     #[must_use]
-    pub fn longest_label(&self) -> usize {
+    pub(crate) fn longest_label(&self) -> usize {
         self.tokens.iter().map(Vec::len).max().unwrap_or(0)
     }
 
@@ -333,7 +333,7 @@ impl PreparedLabels {
 
     /// Per label `ln g_c` of the prior, in nats, the greatest 0; zeros without one.
     #[must_use]
-    pub fn gain_nats(&self) -> &[f64] {
+    pub(crate) fn gain_nats(&self) -> &[f64] {
         &self.gain_nats
     }
 
@@ -500,7 +500,7 @@ impl<M: LanguageModel> Scorer<M> {
     ///
     /// # Errors
     /// When the model fails.
-    pub fn learn_prior(&mut self, prepared: &mut PreparedLabels) -> Result<(), ScoreError> {
+    pub(crate) fn learn_prior(&mut self, prepared: &mut PreparedLabels) -> Result<(), ScoreError> {
         let Correction { prior, .. } = prepared.correction;
         if prior > 0.0 {
             let mut blank = String::new();
@@ -645,7 +645,7 @@ impl<M: LanguageModel> Scorer<M> {
     ///
     /// # Errors
     /// As [`Scorer::score`].
-    pub fn score_certified(
+    pub(crate) fn score_certified(
         &mut self,
         prepared: &PreparedLabels,
         state: &mut Certified,
@@ -727,7 +727,7 @@ impl<M: LanguageModel> Scorer<M> {
     ///
     /// # Errors
     /// When it does not fit or the model fails.
-    pub fn read_ahead(&mut self, prompt: &str) -> Result<(), ScoreError> {
+    pub(crate) fn read_ahead(&mut self, prompt: &str) -> Result<(), ScoreError> {
         self.cut_prompt(prompt)?;
         self.lasting = self.prompt.len();
         if !self.prompt.is_empty() && self.model.info().shares_prefix {

@@ -34,7 +34,7 @@ pub fn log_sum_exp(row: &[f32]) -> f64 {
 
 /// `ln(sum(exp(values)))` of a few values in nats, in double precision; minus infinity for none, NaN when one is.
 #[must_use]
-pub fn log_sum_exp_of(values: impl Iterator<Item = f64> + Clone) -> f64 {
+pub(crate) fn log_sum_exp_of(values: impl Iterator<Item = f64> + Clone) -> f64 {
     let largest = values.clone().fold(f64::NEG_INFINITY, f64::max);
     if largest.is_infinite() {
         return if values.clone().any(f64::is_nan) { f64::NAN } else { largest };

@@ -52,13 +52,13 @@ impl Box3 {
 
     /// Volume in cubic metres; zero for a flat box.
     #[must_use]
-    pub fn volume_m3(&self) -> f64 {
+    pub(crate) fn volume_m3(&self) -> f64 {
         self.size_m().iter().product()
     }
 
     /// V_o of the paper: the volume in cubic metres that both boxes share; zero where they only touch.
     #[must_use]
-    pub fn overlap_m3(&self, other: &Self) -> f64 {
+    pub(crate) fn overlap_m3(&self, other: &Self) -> f64 {
         let mut volume_m3 = 1.0;
         for axis in 0..3 {
             let length_m = self.max_m[axis].min(other.max_m[axis]) - self.min_m[axis].max(other.min_m[axis]);
@@ -160,30 +160,96 @@ pub struct Door {
 #[derive(Debug, Clone, PartialEq)]
 pub struct SemanticMap {
     /// The map's name.
-    pub name: String,
+    pub(crate) name: String,
     /// What it shows, for people.
-    pub description: String,
+    pub(crate) description: String,
     /// How it was made, for people.
-    pub source: String,
+    pub(crate) source: String,
     /// Rooms, in file order.
-    pub rooms: Vec<Room>,
+    pub(crate) rooms: Vec<Room>,
     /// Parts of rooms, in file order.
-    pub parts: Vec<Part>,
+    pub(crate) parts: Vec<Part>,
     /// Groups of rooms, in file order.
-    pub groups: Vec<Group>,
+    pub(crate) groups: Vec<Group>,
     /// Doors, in file order.
-    pub doors: Vec<Door>,
+    pub(crate) doors: Vec<Door>,
     /// Distinct item labels, captions included, sorted.
-    pub labels: Vec<String>,
+    pub(crate) labels: Vec<String>,
     /// Items, in file order.
-    pub items: Vec<Item>,
+    pub(crate) items: Vec<Item>,
     /// Label to other words that mean the same, to bind activity programs.
-    pub aliases: BTreeMap<String, Vec<String>>,
+    pub(crate) aliases: BTreeMap<String, Vec<String>>,
     /// SHA-256 of [`SemanticMap::to_json`]: which map a score belongs to.
-    pub fingerprint: [u8; 32],
+    pub(crate) fingerprint: [u8; 32],
 }
 
 impl SemanticMap {
+    /// The map's name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// What it shows, for people.
+    #[must_use]
+    pub fn description(&self) -> &str {
+        &self.description
+    }
+
+    /// How it was made, for people.
+    #[must_use]
+    pub fn source(&self) -> &str {
+        &self.source
+    }
+
+    /// Rooms, in file order.
+    #[must_use]
+    pub fn rooms(&self) -> &[Room] {
+        &self.rooms
+    }
+
+    /// Parts of rooms, in file order.
+    #[must_use]
+    pub fn parts(&self) -> &[Part] {
+        &self.parts
+    }
+
+    /// Groups of rooms, in file order.
+    #[must_use]
+    pub fn groups(&self) -> &[Group] {
+        &self.groups
+    }
+
+    /// Doors, in file order.
+    #[must_use]
+    pub fn doors(&self) -> &[Door] {
+        &self.doors
+    }
+
+    /// Distinct item labels, captions included, sorted.
+    #[must_use]
+    pub fn labels(&self) -> &[String] {
+        &self.labels
+    }
+
+    /// Items, in file order.
+    #[must_use]
+    pub fn items(&self) -> &[Item] {
+        &self.items
+    }
+
+    /// Label to other words that mean the same, to bind activity programs.
+    #[must_use]
+    pub fn aliases(&self) -> &BTreeMap<String, Vec<String>> {
+        &self.aliases
+    }
+
+    /// SHA-256 of [`SemanticMap::to_json`]: which map a score belongs to.
+    #[must_use]
+    pub fn fingerprint(&self) -> [u8; 32] {
+        self.fingerprint
+    }
+
     /// The label that a name means: the name's words themselves, else a label of which they are an alias in the map, else
     /// the first of their aliases in the built-in table that is a label. Names may be written as programs write them ("coffe_maker").
     #[must_use]

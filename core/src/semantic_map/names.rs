@@ -32,7 +32,7 @@ impl Names {
     ///
     /// # Errors
     /// When the text is not TOML or has other tables than `words` and `aliases`.
-    pub fn from_toml(text: &str) -> Result<Self, toml::de::Error> {
+    pub(crate) fn from_toml(text: &str) -> Result<Self, toml::de::Error> {
         let Self { words, aliases } = toml::from_str(text)?;
         let plain = |text: &str| plain_words(text);
         Ok(Self {

@@ -585,7 +585,7 @@ fn check_items(entries: &[ItemEntry]) -> Result<(Vec<String>, Vec<Item>), SceneE
 }
 
 /// Least share of a caption.
-pub(crate) const SHARE_MIN: f64 = 1e-9;
+pub const SHARE_MIN: f64 = 1e-9;
 
 fn check_captions(place: Place, entry: &ItemEntry) -> Result<(), SceneError> {
     let captions = &entry.captions;

@@ -109,7 +109,7 @@ impl Baselines {
     /// Binds the statistics to the labels of a map. Objects that the map lacks are left out as targets and kept as context.
     #[must_use]
     pub fn new(statistics: &Statistics, binder: &mut Binder<'_>, grounding: &Grounding) -> Self {
-        let labels = grounding.scored_labels.len();
+        let labels = grounding.scored_labels().len();
         let mut frequency = vec![UNSEEN; labels];
         for (words, count) in &statistics.frequency {
             if let Some(label) = binder.label(words) {
@@ -145,19 +145,19 @@ impl Baselines {
 
     /// How often each label is turned to at all.
     #[must_use]
-    pub fn frequency(&self) -> &[f64] {
+    pub(crate) fn frequency(&self) -> &[f64] {
         &self.frequency
     }
 
     /// After the last object, given as a [`key`]; frequencies where it was never seen.
     #[must_use]
-    pub fn markov1(&self, last: Option<&str>) -> Vec<f64> {
+    pub(crate) fn markov1(&self, last: Option<&str>) -> Vec<f64> {
         Counts::smoothed(last.and_then(|last| self.first.get(last)), &self.frequency, self.first_strength)
     }
 
     /// After the last two objects; as [`Baselines::markov1`] where the pair was never seen.
     #[must_use]
-    pub fn markov2(&self, before: Option<&str>, last: Option<&str>) -> Vec<f64> {
+    pub(crate) fn markov2(&self, before: Option<&str>, last: Option<&str>) -> Vec<f64> {
         let prior = self.markov1(last);
         let context = before.zip(last).map(|(before, last)| format!("{before}>{last}"));
         Counts::smoothed(context.and_then(|context| self.second.get(&context)), &prior, self.second_strength)
@@ -181,7 +181,7 @@ impl Baselines {
 #[must_use]
 pub fn key(name: &str, binder: &mut Binder<'_>, grounding: &Grounding) -> String {
     let label = binder.label(name);
-    label.map_or_else(|| Names::built_in().words(name), |label| grounding.scored_labels[label].text.clone())
+    label.map_or_else(|| Names::built_in().words(name), |label| grounding.scored_labels()[label].text.clone())
 }
 
 /// The strength under which every count is likeliest when it is left out.
@@ -207,7 +207,7 @@ fn stay(statistics: &Statistics, binder: &mut Binder<'_>, grounding: &Grounding)
         let Some(from) = binder.label(last) else { continue };
         for (words, count) in next {
             if let Some(to) = binder.label(words) {
-                let (from, to) = (grounding.weights.row(from), grounding.weights.row(to));
+                let (from, to) = (grounding.weights().row(from), grounding.weights().row(to));
                 same += count * from.dot(&to);
                 all += count * from.sum() * to.sum();
             }

@@ -199,7 +199,7 @@ fn evaluate<M: LanguageModel>(
     let mut grounded = GroundedScores::default();
     let blind = source.score([], &options.binding.clone().without_narration())?;
     let (blind_labels, blind_rooms) = both(&blind, grounding, &mut grounded)?;
-    let (labels, rooms) = (grounding.scored_labels.len(), grounding.partitions.len());
+    let (labels, rooms) = (grounding.scored_labels().len(), grounding.partitions().len());
     let even_labels = vec![1.0 / labels as f64; labels];
     let even_rooms = vec![1.0 / rooms as f64; rooms];
     let frequency = baselines.frequency().to_vec();
@@ -257,7 +257,7 @@ fn evaluate<M: LanguageModel>(
         .map(|(index, groups)| Row {
             predictor: PREDICTORS[index / TARGETS.len()],
             target: TARGETS[index % TARGETS.len()],
-            scene: map.name.clone(),
+            scene: map.name().to_owned(),
             summary: summarise(groups, options.seed),
             // The model is the first predictor.
             model_less_this: (index >= TARGETS.len())
@@ -293,7 +293,7 @@ pub fn run<M: LanguageModel>(
         let mut source = open(&scene.1)?;
         let (rows, cases) = evaluate(scene, &mut source, programs, statistics, options, &mut unbound, progress)?;
         if cases == 0 {
-            return Err(ExperimentError::NothingBound { scene: scene.0.name.clone() });
+            return Err(ExperimentError::NothingBound { scene: scene.0.name().to_owned() });
         }
         report.cases += cases;
         report.computed += source.computed();
@@ -349,14 +349,14 @@ fn rooms_of(labels: &[f64], grounding: &Grounding, grounded: &mut GroundedScores
 fn labels_in(rooms: &[f64], grounding: &Grounding) -> Vec<f64> {
     let items = |room: usize| -> Vec<f64> {
         grounding
-            .scored_labels
+            .scored_labels()
             .iter()
             .enumerate()
-            .map(|(c, label)| grounding.weights[(c, room)] * label.count)
+            .map(|(c, label)| grounding.weights()[(c, room)] * label.count)
             .collect()
     };
     // Labels all of whose items lie outside every room keep a little, since they can still be next.
-    let mut labels = vec![1e-6; grounding.scored_labels.len()];
+    let mut labels = vec![1e-6; grounding.scored_labels().len()];
     for (room, probability) in rooms.iter().enumerate() {
         let items = items(room);
         let total: f64 = items.iter().sum();
@@ -405,7 +405,7 @@ mod tests {
             (cases[0].done, cases[0].last.as_deref(), cases[0].before.as_deref()),
             (3, Some("spaceship"), Some("fridge"))
         );
-        assert_eq!(grounding.scored_labels[cases[0].object].text, "sofa");
+        assert_eq!(grounding.scored_labels()[cases[0].object].text, "sofa");
         assert_ne!(cases[0].room, cases[0].here);
     }
 

@@ -105,7 +105,7 @@ pub struct Summary {
 
 /// Sums up groups of cases; resamples whole groups, because the cases of one program depend on one another.
 #[must_use]
-pub fn summarise(groups: &[Sums], seed: u64) -> Summary {
+pub(crate) fn summarise(groups: &[Sums], seed: u64) -> Summary {
     bootstrap([groups], seed, |[all]| all.means())
 }
 

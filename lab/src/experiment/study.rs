@@ -90,7 +90,7 @@ impl<'a> Home<'a> {
         let mut tracks = Vec::with_capacity(activities.len());
         for (name, activity) in activities {
             binder.begin(options.seed, name);
-            let start = stable_hash(&[&options.seed.to_le_bytes(), map.name.as_bytes(), name.as_bytes()]);
+            let start = stable_hash(&[&options.seed.to_le_bytes(), map.name().as_bytes(), name.as_bytes()]);
             let person = &options.person;
             let timeline = match activity {
                 Activity::Program(program) => {
@@ -112,7 +112,7 @@ impl<'a> Home<'a> {
         let timelines: Vec<&Timeline> = tracks.iter().map(|track| &track.timeline).collect();
         let cost = Cost::new(&timelines, map, grounding, options.disturbance)?;
         let program = activities.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(" + ");
-        Ok(Self { scene: map.name.clone(), program, grounding, tracks, cost })
+        Ok(Self { scene: map.name().to_owned(), program, grounding, tracks, cost })
     }
 
     /// What robots may cost.
@@ -148,7 +148,7 @@ impl<'a> Home<'a> {
 
     /// What the robot knows at the beginning of each slot.
     #[must_use]
-    pub fn knowledge(&self, room_time_s: usize, forecast: ForecastOptions) -> Knowledge {
+    pub(crate) fn knowledge(&self, room_time_s: usize, forecast: ForecastOptions) -> Knowledge {
         let (rooms, steps) = (self.cost.rooms(), self.cost.steps());
         let starts: Vec<usize> = (0..steps).step_by(room_time_s.max(1)).collect();
         let scores = starts.iter().map(|from| self.probability(*from as f64)).collect();

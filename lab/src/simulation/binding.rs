@@ -74,7 +74,7 @@ impl<'a> Binder<'a> {
     /// A binder that has bound nothing yet. `grounding` must be of `map`.
     #[must_use]
     pub fn new(map: &'a SemanticMap, grounding: &'a Grounding, choice: ItemChoice) -> Self {
-        let labels = grounding.scored_labels.iter().enumerate();
+        let labels = grounding.scored_labels().iter().enumerate();
         Self {
             map,
             grounding,
@@ -116,15 +116,15 @@ impl<'a> Binder<'a> {
                     *items.get((draw % items.len().max(1) as u64) as usize)?
                 }
                 ItemChoice::Nearest => *items.iter().min_by(|a, b| {
-                    let far = |item: ItemId| distance_m(map.items[item.0 as usize].position_m, from_m);
+                    let far = |item: ItemId| distance_m(map.items()[item.0 as usize].position_m, from_m);
                     far(**a).total_cmp(&far(**b))
                 })?,
             };
             Some(Place {
                 label: candidates.label,
                 item: Some(item),
-                partition: grounding.item_partition[item.0 as usize],
-                position_m: map.items[item.0 as usize].position_m,
+                partition: grounding.item_partition()[item.0 as usize],
+                position_m: map.items()[item.0 as usize].position_m,
             })
         });
         self.bound.insert(object.clone(), place);
@@ -143,15 +143,15 @@ impl<'a> Binder<'a> {
     fn look_up(&self, name: &str) -> Option<Candidates> {
         let words = Names::built_in().words(name);
         let by_room = |room: RoomId| {
-            let text = self.map.rooms[room.0 as usize].label.as_str();
+            let text = self.map.rooms()[room.0 as usize].label.as_str();
             Candidates { label: self.label_of_text.get(text).copied(), items: Vec::new(), room: Some(room) }
         };
-        let own_room = self.map.rooms.iter().position(|room| room.label == words);
+        let own_room = self.map.rooms().iter().position(|room| room.label == words);
         if let Some(room) = own_room.and_then(|index| u32::try_from(index).ok()) {
             return Some(by_room(RoomId(room)));
         }
         if let Some(label) = self.map.find_label(name) {
-            let text = self.map.labels[label.0 as usize].as_str();
+            let text = self.map.labels()[label.0 as usize].as_str();
             let items: Vec<_> = self.map.items_of(label).collect();
             if !items.is_empty() {
                 return Some(Candidates { label: self.label_of_text.get(text).copied(), items, room: None });
@@ -162,9 +162,9 @@ impl<'a> Binder<'a> {
 }
 
 fn room_place(map: &SemanticMap, grounding: &Grounding, room: RoomId, label: Option<usize>) -> Place {
-    let bounds = &map.rooms[room.0 as usize].bounds;
+    let bounds = &map.rooms()[room.0 as usize].bounds;
     let [x, y, _] = bounds.centre_m();
-    let partition = grounding.partitions.iter().position(|partition| partition.rooms.contains(&room));
+    let partition = grounding.partitions().iter().position(|partition| partition.rooms.contains(&room));
     Place {
         label,
         item: None,
@@ -181,7 +181,7 @@ pub fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
 
 /// A number that depends on the parts alone, the same on every machine and in every run.
 #[must_use]
-pub fn stable_hash(parts: &[&[u8]]) -> u64 {
+pub(crate) fn stable_hash(parts: &[&[u8]]) -> u64 {
     let mut hasher = Sha256::new();
     for part in parts {
         hasher.update((part.len() as u64).to_le_bytes());
@@ -207,10 +207,10 @@ mod tests {
         let mut binder = Binder::new(&map, &grounding, ItemChoice::Uniform);
         binder.begin(1, "p");
         let kitchen = binder.bind(&object("kitchen", 1), [0.0; 3]).unwrap();
-        assert_eq!(grounding.partitions[kitchen.partition.unwrap().0 as usize].id, "kitchen");
-        assert_eq!(grounding.scored_labels[kitchen.label.unwrap()].text, "kitchen");
+        assert_eq!(grounding.partitions()[kitchen.partition.unwrap().0 as usize].id, "kitchen");
+        assert_eq!(grounding.scored_labels()[kitchen.label.unwrap()].text, "kitchen");
         let sofa = binder.bind(&object("couch", 1), [0.0; 3]).unwrap();
-        assert_eq!(grounding.scored_labels[sofa.label.unwrap()].text, "sofa");
+        assert_eq!(grounding.scored_labels()[sofa.label.unwrap()].text, "sofa");
         assert_eq!(binder.bind(&object("spaceship", 1), [0.0; 3]), None);
     }
 
@@ -227,7 +227,7 @@ mod tests {
         let chair = map.find_label("chair").unwrap();
         assert_eq!(items.len(), map.items_of(chair).count());
         let mut nearest = Binder::new(&map, &grounding, ItemChoice::Nearest);
-        let at = map.items[map.items_of(chair).last().unwrap().0 as usize].position_m;
+        let at = map.items()[map.items_of(chair).last().unwrap().0 as usize].position_m;
         assert_eq!(distance_m(nearest.bind(&object("chair", 1), at).unwrap().position_m, at), 0.0);
     }
 }

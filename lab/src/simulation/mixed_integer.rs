@@ -27,7 +27,12 @@ pub enum SolverError {
 ///
 /// # Errors
 /// When the solver fails.
-pub fn optimum_s(cost: &Cost, room_time_s: usize, start: usize, cover: bool) -> Result<Option<f64>, SolverError> {
+pub(crate) fn optimum_s(
+    cost: &Cost,
+    room_time_s: usize,
+    start: usize,
+    cover: bool,
+) -> Result<Option<f64>, SolverError> {
     let (rooms, slots) = (cost.rooms(), cost.slots(room_time_s));
     let whole = cost.steps() / room_time_s;
     let mut problem = RowProblem::new();

@@ -117,7 +117,7 @@ struct Person<'a, 'b> {
 
 impl Person<'_, '_> {
     fn room_of(&self, place: &Place) -> RoomId {
-        let rooms = place.partition.map(|p| &self.grounding.partitions[p.0 as usize].rooms);
+        let rooms = place.partition.map(|p| &self.grounding.partitions()[p.0 as usize].rooms);
         rooms.and_then(|rooms| rooms.first().copied()).unwrap_or_else(|| nearest_room(self.map, place.position_m))
     }
 
@@ -136,7 +136,7 @@ impl Person<'_, '_> {
             };
             let door = self
                 .map
-                .doors
+                .doors()
                 .iter()
                 .filter(between)
                 .min_by(|a, b| distance_m(a.position_m, self.at_m).total_cmp(&distance_m(b.position_m, self.at_m)));
@@ -183,8 +183,8 @@ impl Person<'_, '_> {
 
 /// The room whose box is nearest to a point; the first of several.
 fn nearest_room(map: &SemanticMap, position_m: [f64; 3]) -> RoomId {
-    let far = |index: &usize| map.rooms[*index].bounds.distance_m(&position_m);
-    let nearest = (0..map.rooms.len()).min_by(|a, b| far(a).total_cmp(&far(b)));
+    let far = |index: &usize| map.rooms()[*index].bounds.distance_m(&position_m);
+    let nearest = (0..map.rooms().len()).min_by(|a, b| far(a).total_cmp(&far(b)));
     RoomId(nearest.and_then(|index| u32::try_from(index).ok()).unwrap_or(0))
 }
 
@@ -193,7 +193,7 @@ impl Timeline {
     ///
     /// # Errors
     /// When nothing of the program can be done in the map, or it takes too long.
-    pub fn of_program<'a>(
+    pub(crate) fn of_program<'a>(
         program: &Program,
         map: &'a SemanticMap,
         grounding: &'a Grounding,
@@ -227,7 +227,7 @@ impl Timeline {
     ///
     /// # Errors
     /// As [`Timeline::of_program`].
-    pub fn of_day<'a>(
+    pub(crate) fn of_day<'a>(
         day: &Day,
         title: &str,
         map: &'a SemanticMap,
@@ -266,7 +266,7 @@ impl Timeline {
 
     /// How many actions are complete, and so observable, at `at_s`.
     #[must_use]
-    pub fn done_by(&self, at_s: f64) -> usize {
+    pub(crate) fn done_by(&self, at_s: f64) -> usize {
         self.done.partition_point(|done| done.at_s <= at_s)
     }
 }
@@ -278,11 +278,11 @@ fn person<'a, 'b>(
     options: &PersonOptions,
     start: u64,
 ) -> Result<Person<'a, 'b>, TimelineError> {
-    if map.rooms.is_empty() {
-        return Err(TimelineError::NoRooms { scene: map.name.clone() });
+    if map.rooms().is_empty() {
+        return Err(TimelineError::NoRooms { scene: map.name().to_owned() });
     }
-    let room = (start % map.rooms.len() as u64) as u32;
-    let at_m = map.rooms[room as usize].bounds.centre_m();
+    let room = (start % map.rooms().len() as u64) as u32;
+    let at_m = map.rooms()[room as usize].bounds.centre_m();
     let held = HashMap::new();
     let speed_m_s = options.speed_m_s.max(0.01);
     Ok(Person { map, grounding, binder, speed_m_s, now_s: 0.0, at_m, room: RoomId(room), held, legs: Vec::new() })
@@ -299,7 +299,7 @@ impl Person<'_, '_> {
         let end_s = self.now_s * factor;
         if done.is_empty() || end_s < 1.0 {
             let missing = skipped.join(", ");
-            return Err(TimelineError::Empty { title, scene: self.map.name.clone(), missing });
+            return Err(TimelineError::Empty { title, scene: self.map.name().to_owned(), missing });
         }
         if end_s > STEPS_MAX as f64 {
             return Err(TimelineError::TooLong { title, steps: end_s });
@@ -307,7 +307,7 @@ impl Person<'_, '_> {
         done.iter_mut().for_each(|done| done.at_s *= factor);
         // A room lies in one partition at the level of rooms, and in one at the level of groups.
         let partition = |room: RoomId| {
-            let found = self.grounding.partitions.iter().position(|p| p.rooms.contains(&room));
+            let found = self.grounding.partitions().iter().position(|p| p.rooms.contains(&room));
             PartitionId(found.and_then(|index| u32::try_from(index).ok()).unwrap_or(0))
         };
         let steps = end_s.round() as usize;
@@ -344,7 +344,7 @@ mod tests {
         let program = Program::parse(text).unwrap();
         let timeline = Timeline::of_program(&program, &map, &grounding, &mut binder, options, 0)?;
         let mut visited: Vec<String> =
-            timeline.rooms.iter().map(|p| grounding.partitions[p.0 as usize].id.clone()).collect();
+            timeline.rooms.iter().map(|p| grounding.partitions()[p.0 as usize].id.clone()).collect();
         visited.dedup();
         Ok((timeline, visited))
     }

@@ -70,13 +70,16 @@ impl Cost {
         grounding: &Grounding,
         disturbance: Disturbance,
     ) -> Result<Self, WorldError> {
-        let rooms = grounding.partitions.len();
+        let rooms = grounding.partitions().len();
         if rooms == 0 {
             return Err(WorldError::NoRooms);
         }
         let steps = persons.iter().map(|person| person.len()).max().ok_or(WorldError::NoPersons)?;
-        let centre_m: Vec<[f64; 3]> =
-            grounding.partitions.iter().map(|p| p.boxes.first().map_or([0.0; 3], |bounds| bounds.centre_m())).collect();
+        let centre_m: Vec<[f64; 3]> = grounding
+            .partitions()
+            .iter()
+            .map(|p| p.boxes.first().map_or([0.0; 3], |bounds| bounds.centre_m()))
+            .collect();
         let mut cost = vec![0.0; rooms * steps];
         for person in persons {
             for (step, (at, position)) in person.rooms.iter().zip(&person.positions_m).enumerate() {
@@ -89,7 +92,7 @@ impl Cost {
                         }
                         Disturbance::InSight => {
                             let joins = |door: &&roomcast_core::semantic_map::Door| {
-                                let of = |p: usize| &grounding.partitions[p].rooms;
+                                let of = |p: usize| &grounding.partitions()[p].rooms;
                                 let [a, b] = door.rooms;
                                 let (here, there) = (of(room), of(at.0 as usize));
                                 (here.contains(&a) && there.contains(&b)) || (here.contains(&b) && there.contains(&a))
@@ -98,7 +101,7 @@ impl Cost {
                                 let [x, y, _] = door.position_m;
                                 distance_to_line_m([x, y], [centre[0], centre[1]], *position) < DOOR_M
                             };
-                            same || map.doors.iter().filter(joins).any(through)
+                            same || map.doors().iter().filter(joins).any(through)
                         }
                     };
                     cost[step * rooms + room] += f64::from(u8::from(disturbs));
@@ -162,8 +165,8 @@ fn distance_to_line_m(point: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
 
 /// F of the naive policy in closed form: the chance that `slots` rooms drawn alike out of `rooms` do not include them all,
 /// by inclusion and exclusion over the rooms left out.
-#[must_use]
-pub fn naive_failure(rooms: usize, slots: usize) -> f64 {
+#[cfg(test)]
+fn naive_failure(rooms: usize, slots: usize) -> f64 {
     let mut binomial = 1.0;
     let mut covered = 0.0;
     for out in 0..=rooms {
@@ -196,7 +199,7 @@ pub struct Run {
 
 /// The generator of one restart: the same for every policy, so that runs are paired.
 #[must_use]
-pub fn restart_rng(seed: u64, restart: u64) -> ChaCha8Rng {
+pub(crate) fn restart_rng(seed: u64, restart: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(restart);
     rng
@@ -249,7 +252,7 @@ pub fn run(
 ///
 /// # Errors
 /// When it cannot.
-pub fn check_room_time(room_time_s: usize, horizon_s: usize) -> Result<(), WorldError> {
+pub(crate) fn check_room_time(room_time_s: usize, horizon_s: usize) -> Result<(), WorldError> {
     match room_time_s {
         0 => Err(WorldError::NoRoomTime),
         _ if room_time_s > horizon_s => Err(WorldError::RoomTime { room_time_s, horizon_s }),

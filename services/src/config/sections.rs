@@ -39,7 +39,7 @@ impl Default for DaemonConfig {
 impl DaemonConfig {
     /// The state directory: the one that is configured, else systemd's.
     #[must_use]
-    pub fn state_directory(&self) -> Option<PathBuf> {
+    pub(crate) fn state_directory(&self) -> Option<PathBuf> {
         let given = || std::env::var_os("STATE_DIRECTORY").filter(|directory| !directory.is_empty());
         self.state.clone().or_else(|| given().map(PathBuf::from))
     }

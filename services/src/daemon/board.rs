@@ -110,11 +110,11 @@ impl<M: LanguageModel> Board<M> {
         grounding: GroundingOptions,
         epoch: u64,
     ) -> Result<Self, BoardError> {
-        let (room, room_count) = named_rooms(&pipeline.grounding().partitions)?;
+        let (room, room_count) = named_rooms(&pipeline.grounding().partitions())?;
         let snapshot = RoomScoresV1 {
             epoch,
             model_fingerprint: pipeline.model().fingerprint,
-            map_fingerprint: map.fingerprint,
+            map_fingerprint: map.fingerprint(),
             room_count,
             room,
             reached: reached::EXACT,
@@ -152,7 +152,7 @@ impl<M: LanguageModel> Board<M> {
             // What was believed of other rooms says nothing of these; the next observation begins anew.
             self.forecasters.clear();
         }
-        self.snapshot.map_fingerprint = map.fingerprint;
+        self.snapshot.map_fingerprint = map.fingerprint();
         (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
         *self.forecast = ForecastV1::default();
         self.mentions = Mentions::new(&map, self.pipeline.grounding());
@@ -179,7 +179,7 @@ impl<M: LanguageModel> Board<M> {
         let probability = &self.pipeline.scores().grounded.partition_probability;
         for Seen { person, observed_ns, sentence } in &self.seen[..std::mem::take(&mut self.unwatched)] {
             let at_s = *observed_ns as f64 / 1e9;
-            let fresh = || Forecaster::new(grounding.partitions.len(), ForecastOptions::default(), at_s);
+            let fresh = || Forecaster::new(grounding.partitions().len(), ForecastOptions::default(), at_s);
             let forecaster = self.forecasters.entry(*person).or_insert_with(fresh);
             forecaster.observe(at_s, self.mentions.last(sentence), grounding, probability);
         }
@@ -298,16 +298,16 @@ impl<M: LanguageModel> Board<M> {
     pub fn items(&self) -> (ItemScoresHeaderV1, impl ExactSizeIterator<Item = ItemScoreV1> + '_) {
         let RoomScoresV1 { epoch, sequence, computed_ns, .. } = self.snapshot;
         let header = ItemScoresHeaderV1 { epoch, sequence, computed_ns, ..Default::default() };
-        let mut counts = vec![0_u32; self.map.labels.len()];
-        for item in &self.map.items {
+        let mut counts = vec![0_u32; self.map.labels().len()];
+        for item in self.map.items() {
             counts[item.label.0 as usize] += 1;
         }
         let grounding = self.pipeline.grounding();
         let scores = grounding.item_log_score_nats(&self.pipeline.scores().label_log_prob_nats);
-        let placed = self.map.items.iter().zip(&grounding.item_partition).zip(scores);
+        let placed = self.map.items().iter().zip(grounding.item_partition()).zip(scores);
         let items = placed.map(move |((item, partition), log_score_nats)| ItemScoreV1 {
             id: text::encode_cut(&item.id),
-            label: text::encode_cut(&self.map.labels[item.label.0 as usize]),
+            label: text::encode_cut(&self.map.labels()[item.label.0 as usize]),
             log_score_nats,
             partition: partition.map_or(NO_PARTITION, |partition| partition.0),
             label_items: counts[item.label.0 as usize],

@@ -111,7 +111,7 @@ impl<M: LanguageModel> Cycle<M> {
     /// Whether there is something to send: new scores, a heartbeat, or claims that had to wait for the journal. `written` is how far the
     /// journal is.
     #[must_use]
-    pub fn message_due(&self, now_ns: u64, written: u64) -> bool {
+    pub(crate) fn message_due(&self, now_ns: u64, written: u64) -> bool {
         let confirmation =
             now_ns.saturating_sub(self.sent_ns) >= self.heartbeat_ns || (self.held_back && self.durable(written));
         self.board.snapshot().sequence > 0 && (self.fresh || confirmation)
@@ -144,7 +144,7 @@ impl<M: LanguageModel> Cycle<M> {
     }
 
     /// Makes a step due at once: the map has changed.
-    pub fn score_again(&mut self) {
+    pub(crate) fn score_again(&mut self) {
         (self.due, self.retry_ns) = (true, 0);
     }
 

@@ -108,7 +108,7 @@ impl KeptMap {
     /// In the state directory, for the configured scene.
     #[must_use]
     pub fn new(directory: &Path, configured: &SemanticMap) -> Self {
-        Self { path: directory.join(FILE), base: hex::encode(&configured.fingerprint) }
+        Self { path: directory.join(FILE), base: hex::encode(configured.fingerprint()) }
     }
 
     /// The map that was kept, if it is a changed form of the configured scene. A file that cannot be used is left where it is, and
@@ -174,7 +174,7 @@ mod tests {
         let kept = KeptMap::new(directory.path(), &map());
         assert!(kept.load().is_none());
         kept.keep(&changed).unwrap();
-        assert_eq!(kept.load().unwrap().fingerprint, changed.fingerprint);
+        assert_eq!(kept.load().unwrap().fingerprint(), changed.fingerprint());
         assert!(KeptMap::new(directory.path(), &changed).load().is_none(), "of another scene");
         std::fs::write(directory.path().join(FILE), "{").unwrap();
         assert!(kept.load().is_none(), "damaged");

@@ -206,7 +206,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
             map_fingerprint: snapshot.map_fingerprint,
             process: std::process::id(),
             version: text::encode_cut(env!("CARGO_PKG_VERSION")),
-            map: text::encode_cut(&cycle.board().map().name),
+            map: text::encode_cut(&cycle.board().map().name()),
             model: text::encode_cut(&model_name),
             ..Default::default()
         },
@@ -569,7 +569,7 @@ impl<M: LanguageModel> Scoring<M> {
         if !self.ready {
             self.ready = true;
             let board = self.cycle.board();
-            let (model, map) = (board.pipeline().model().name.as_str(), board.map().name.as_str());
+            let (model, map) = (board.pipeline().model().name.as_str(), board.map().name());
             let (labels, rooms) = (board.pipeline().prepared().labels().len(), message.rooms().len());
             tracing::info!(model, map, labels, rooms, "ready: the first scores are out");
             notify(&[NotifyState::Ready]);
@@ -594,7 +594,7 @@ impl<M: LanguageModel> Scoring<M> {
                 let answer = answer_change(board, kept_map.as_ref(), asked);
                 if answer.outcome == Outcome::Applied {
                     changed = true;
-                    tally.map_fingerprint = board.map().fingerprint;
+                    tally.map_fingerprint = board.map().fingerprint();
                 }
                 let MapAnswer { outcome, reason, items, new_labels, .. } = &answer;
                 tracing::info!(?outcome, reason, items, new_labels, "map change");
@@ -648,7 +648,7 @@ fn answer_change<M: LanguageModel>(
     asked: Result<MapQuestion, String>,
 ) -> MapAnswer {
     let start_ns = clock::monotonic_ns();
-    let in_use = hex::encode(&board.map().fingerprint);
+    let in_use = hex::encode(&board.map().fingerprint());
     let result = asked.map_err(|reason| (Outcome::Refused, reason)).and_then(|question| {
         if let Some(expected) = question.expected_map.filter(|expected| !expected.eq_ignore_ascii_case(&in_use)) {
             return Err((Outcome::OtherMap, format!("the map in use is {in_use}, not {expected}")));
@@ -672,12 +672,12 @@ fn answer_change<M: LanguageModel>(
     MapAnswer {
         outcome,
         reason,
-        map: hex::encode(&board.map().fingerprint),
+        map: hex::encode(&board.map().fingerprint()),
         epoch: format!("{:016x}", board.snapshot().epoch),
         sequence: board.snapshot().sequence,
-        rooms: board.map().rooms.len(),
-        items: board.map().items.len(),
-        outside: board.pipeline().grounding().unassigned.len(),
+        rooms: board.map().rooms().len(),
+        items: board.map().items().len(),
+        outside: board.pipeline().grounding().unassigned().len(),
         new_labels: prepared.new_labels,
         prepared_anew: prepared.anew,
         regrouped_in_ns,

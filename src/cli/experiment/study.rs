@@ -232,7 +232,7 @@ impl Setup<'_> {
         } else {
             self.activities.iter().map(|(name, activity)| vec![(name.clone(), activity)]).collect()
         };
-        let shortest_s = self.room_times_s.iter().max().copied().unwrap_or(0) * map.rooms.len();
+        let shortest_s = self.room_times_s.iter().max().copied().unwrap_or(0) * map.rooms().len();
         let mut homes = Vec::with_capacity(groups.len());
         for group in groups {
             match Home::new(map, grounding, &group, source, binding, options) {
@@ -240,9 +240,9 @@ impl Setup<'_> {
                 Ok(home) => skipped.push(format!(
                     "{} in {}: its {} s leave no time to do every room for {} s",
                     home.program,
-                    map.name,
+                    map.name(),
                     home.cost().steps(),
-                    shortest_s / map.rooms.len().max(1)
+                    shortest_s / map.rooms().len().max(1)
                 )),
                 Err(ExperimentError::Timeline(error)) if !self.strict => skipped.push(error.to_string()),
                 Err(error) => return Err(error.into()),
@@ -594,7 +594,7 @@ impl Setup<'_> {
             let items: Vec<f64> = grounding.item_log_score_nats(last).collect();
             let heat = drawing::Heat::new(&grounded.partition_probability, &items, caption);
             let svg = drawing::svg(map, grounding, Some(&heat)).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
-            pictures.push((format!("grounding-{}", map.name), svg));
+            pictures.push((format!("grounding-{}", map.name()), svg));
         }
         Ok(pictures)
     }

@@ -1,0 +1,48 @@
+//! Reads and writes what the commands of scenes work on.
+
+use std::io::Write as _;
+use std::path::Path;
+
+use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
+use roomcast_core::semantic_map::{SemanticMap, read_limited};
+use roomcast_services::{logging, setup};
+
+use super::{CommandResult, Failure};
+use crate::exit_code;
+
+pub(super) fn input(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Failure {
+    Failure::new(exit_code::INPUT, error)
+}
+
+pub(super) fn in_file(what: &str, path: &Path, error: &dyn std::error::Error) -> Failure {
+    input(format!("{what} {}: {}", path.display(), logging::chain(error)))
+}
+
+pub(super) fn read(what: &str, path: &Path) -> Result<String, Failure> {
+    read_limited(path).map_err(|error| in_file(what, path, &error))
+}
+
+/// Writes beside the target and renames, so that no reader sees half a file.
+pub(super) fn write(path: &Path, bytes: &[u8]) -> CommandResult {
+    let fail = |error: std::io::Error| {
+        let path = path.display();
+        Failure::new(exit_code::FAILURE, format!("cannot write {path}: {error}; check the folder and its permissions"))
+    };
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut file = tempfile::Builder::new().permissions(permissions()).tempfile_in(folder).map_err(fail)?;
+    file.write_all(bytes).map_err(fail)?;
+    file.persist(path).map_err(|error| fail(error.error))?;
+    Ok(())
+}
+
+/// As other files that a command writes: readable by all, less what the umask takes.
+fn permissions() -> std::fs::Permissions {
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::Permissions::from_mode(0o666)
+}
+
+pub(super) fn load(path: &Path, level: PartitionLevel) -> Result<(SemanticMap, Grounding), Failure> {
+    let map = setup::load_map(Some(path))?;
+    let grounding = Grounding::new(&map, &GroundingOptions { level, room_labels: true }).map_err(input)?;
+    Ok((map, grounding))
+}
