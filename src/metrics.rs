@@ -295,9 +295,9 @@ impl Metrics {
         let versions = Versions {
             version: status.version().to_owned(),
             model: status.model().to_owned(),
-            model_fingerprint: hex::encode(&status.model_fingerprint),
+            model_fingerprint: hex::encode(status.model_fingerprint),
             map: status.map().to_owned(),
-            map_fingerprint: hex::encode(&status.map_fingerprint),
+            map_fingerprint: hex::encode(status.map_fingerprint),
         };
         self.versions.get_or_create(&versions).set(1);
     }

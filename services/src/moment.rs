@@ -159,7 +159,7 @@ impl Moment {
             sequence: snapshot.map_or(0, |snapshot| snapshot.sequence),
             computed_unix_ns: snapshot.map_or(0, |snapshot| snapshot.computed_unix_ns),
             model: pipeline.model().name.clone(),
-            model_fingerprint: hex::encode(&pipeline.model().fingerprint),
+            model_fingerprint: hex::encode(pipeline.model().fingerprint),
             map_fingerprint: hex::encode(map.fingerprint()),
             grounding: *grounding,
             binding_name: pipeline.options().binding.name().to_owned(),

@@ -125,7 +125,7 @@ impl Recorded {
                 })).collect::<Vec<_>>(),
                 "timing_ns": {"wait": message.wait_ns, "tokenise": message.tokenise_ns, "prefix": message.prefix_ns,
                     "trie": message.trie_ns, "ground": message.ground_ns},
-                "model": hex::encode(&message.model_fingerprint), "map": hex::encode(&message.map_fingerprint),
+                "model": hex::encode(message.model_fingerprint), "map": hex::encode(message.map_fingerprint),
             }),
             Self::Forecast(message) => json!({
                 "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence,
@@ -280,7 +280,7 @@ impl Recorder {
     /// [`RecordingError::Mcap`].
     pub fn write(&mut self, message: &Recorded, received_unix_ns: u64) -> Result<(), RecordingError> {
         let mut data = message.readable();
-        data["bytes"] = hex::encode(&message.to_bytes()).into();
+        data["bytes"] = hex::encode(message.to_bytes()).into();
         let header = MessageHeader {
             channel_id: self.channels[message.topic()],
             // The file's field has 32 bits; the whole number is in the message.
@@ -377,7 +377,7 @@ impl Recording {
             }
             _ => None,
         })?;
-        let (epoch, map) = (format!("{:016x}", scores.epoch), hex::encode(&scores.map_fingerprint));
+        let (epoch, map) = (format!("{:016x}", scores.epoch), hex::encode(scores.map_fingerprint));
         let of_daemon = |moment: &&Moment| moment.epoch == epoch && moment.sequence <= scores.sequence;
         let base = self.moments.iter().rposition(|moment| moment.map_fingerprint == map && moment.epoch == epoch);
         // Narration that the newest telling before these scores contains need not be looked for in the recording.

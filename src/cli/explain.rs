@@ -134,7 +134,7 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
         }
         (scene, _) => setup::load_map(scene)?,
     };
-    let wanted = (hex::encode(&scores.map_fingerprint), hex::encode(&scores.model_fingerprint));
+    let wanted = (hex::encode(scores.map_fingerprint), hex::encode(scores.model_fingerprint));
     if hex::encode(map.fingerprint()) != wanted.0 {
         let (name, wanted) = (map.name(), &wanted.0);
         return Err(input(format!(
@@ -142,7 +142,7 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
         )));
     }
     let model = setup::load_model(model, &options)?;
-    if hex::encode(&model.info().fingerprint) != wanted.1 {
+    if hex::encode(model.info().fingerprint) != wanted.1 {
         let (name, wanted) = (&model.info().name, &wanted.1);
         return Err(Failure::new(
             exit_code::MODEL,

@@ -278,7 +278,7 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
     let options = LlamaOptions { cache: CacheType::F32, ..LlamaOptions::default() };
     let model = LlamaModel::load(&path, &options).map_err(|error| model_failure(&error))?;
     let about = model.info().clone();
-    let sha256 = hex::encode(&about.fingerprint);
+    let sha256 = hex::encode(about.fingerprint);
     let mut checked = vec![Checked {
         check: "loads",
         ok: true,

@@ -110,7 +110,7 @@ impl<M: LanguageModel> Board<M> {
         grounding: GroundingOptions,
         epoch: u64,
     ) -> Result<Self, BoardError> {
-        let (room, room_count) = named_rooms(&pipeline.grounding().partitions())?;
+        let (room, room_count) = named_rooms(pipeline.grounding().partitions())?;
         let snapshot = RoomScoresV1 {
             epoch,
             model_fingerprint: pipeline.model().fingerprint,

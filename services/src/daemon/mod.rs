@@ -206,7 +206,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
             map_fingerprint: snapshot.map_fingerprint,
             process: std::process::id(),
             version: text::encode_cut(env!("CARGO_PKG_VERSION")),
-            map: text::encode_cut(&cycle.board().map().name()),
+            map: text::encode_cut(cycle.board().map().name()),
             model: text::encode_cut(&model_name),
             ..Default::default()
         },
@@ -648,7 +648,7 @@ fn answer_change<M: LanguageModel>(
     asked: Result<MapQuestion, String>,
 ) -> MapAnswer {
     let start_ns = clock::monotonic_ns();
-    let in_use = hex::encode(&board.map().fingerprint());
+    let in_use = hex::encode(board.map().fingerprint());
     let result = asked.map_err(|reason| (Outcome::Refused, reason)).and_then(|question| {
         if let Some(expected) = question.expected_map.filter(|expected| !expected.eq_ignore_ascii_case(&in_use)) {
             return Err((Outcome::OtherMap, format!("the map in use is {in_use}, not {expected}")));
@@ -672,7 +672,7 @@ fn answer_change<M: LanguageModel>(
     MapAnswer {
         outcome,
         reason,
-        map: hex::encode(&board.map().fingerprint()),
+        map: hex::encode(board.map().fingerprint()),
         epoch: format!("{:016x}", board.snapshot().epoch),
         sequence: board.snapshot().sequence,
         rooms: board.map().rooms().len(),
