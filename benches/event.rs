@@ -286,7 +286,7 @@ fn tell(
     };
     let domains = [domain("exact"), domain("ranking")];
     let mut samples = Vec::new();
-    // llama.cpp may arrange weights anew for the processor: each has its own, or those that two share would be warmer.
+    // llama.cpp may rearrange weights for the processor: each has its own, or those that two share would be warmer.
     let (weights, others) = (read(), read());
     {
         let mut exact = Ours::new(load(), map, Effort::Exact, &domains[0]);

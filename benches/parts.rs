@@ -166,7 +166,7 @@ fn event(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// A prompt of twelve sentences that was read before: its last token and the labels are decoded anew, and the labels of the round before
+/// A prompt of twelve sentences that was read before: its last token and the labels are decoded again, and the labels of the round before
 /// dropped.
 fn scoring(criterion: &mut Criterion) {
     let binding = BindingSequence::default();

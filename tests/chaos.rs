@@ -73,7 +73,7 @@ struct Seen {
 }
 
 /// What the test hears through. The ports go before the node.
-struct Ear {
+struct Observer {
     scores: Subscriber<RoomScoresV1>,
     decisions: Subscriber<DecisionV1>,
     node: Node,
@@ -85,7 +85,7 @@ struct World {
     domain: Domain,
     config: PathBuf,
     processes: BTreeMap<Role, Process>,
-    ear: Option<Ear>,
+    observer: Option<Observer>,
     /// Files of the test's own entry in the domain.
     own: Vec<String>,
     /// Lines that the narrator of this moment was given, by sequence number from 1.
@@ -138,7 +138,11 @@ impl World {
         Self {
             own,
             rng: ChaCha8Rng::seed_from_u64(seed),
-            ear: Some(Ear { scores: node.subscriber().unwrap(), decisions: node.subscriber().unwrap(), node }),
+            observer: Some(Observer {
+                scores: node.subscriber().unwrap(),
+                decisions: node.subscriber().unwrap(),
+                node,
+            }),
             directory,
             domain,
             config,
@@ -245,10 +249,10 @@ impl World {
     }
 
     fn look(&mut self) {
-        let Some(ear) = &self.ear else { return };
-        ear.scores.wait(Duration::from_millis(4)).unwrap();
-        let scores: Vec<_> = std::iter::from_fn(|| ear.scores.receive().unwrap()).collect();
-        let decisions: Vec<_> = std::iter::from_fn(|| ear.decisions.receive().unwrap()).collect();
+        let Some(observer) = &self.observer else { return };
+        observer.scores.wait(Duration::from_millis(4)).unwrap();
+        let scores: Vec<_> = std::iter::from_fn(|| observer.scores.receive().unwrap()).collect();
+        let decisions: Vec<_> = std::iter::from_fn(|| observer.decisions.receive().unwrap()).collect();
         for scores in scores {
             self.look_at_scores(&scores.unwrap());
         }
@@ -486,7 +490,7 @@ fn nothing_is_lost_wrong_or_stale_whoever_is_killed() {
 
     // A participant that was killed while it joined is cleaned up when it can no longer be one that joins: after 10 s.
     let cleaning = Instant::now();
-    let node = world.ear.take().unwrap().node;
+    let node = world.observer.take().unwrap().node;
     while !world.left_behind().is_empty() && cleaning.elapsed() < Duration::from_secs(40) {
         node.clean_up_dead();
         std::thread::sleep(Duration::from_millis(200));

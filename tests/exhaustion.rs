@@ -256,7 +256,7 @@ fn another_user_can_neither_read_nor_publish() {
     for file in files {
         // Anybody sees names in `/dev/shm`; the root path does not even show those.
         let read = if file == root { "ls \"$0\"" } else { "cat \"$0\"" };
-        // Ports come and go: a file that has gone meanwhile must not be made anew and taken for an open one.
+        // Ports come and go: a file that has gone meanwhile must not be made again and taken for an open one.
         let write = if file == root { "touch \"$0\"/x" } else { "dd if=/dev/null of=\"$0\" conv=notrunc,nocreat" };
         for script in [read, write] {
             let output = as_nobody(Path::new("/bin/sh"), &["-c", script, file]);

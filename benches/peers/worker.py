@@ -54,7 +54,7 @@ def cappr(model: str, cache: str, threads: int, labels: list[str], _: list[list[
 
 
 def llama_cpp_layout(model: str, cache: str, threads: int, labels: list[str], tokens: list[list[int]]) -> Score:
-    """The layout of llama.cpp's HellaSwag scoring: the common prompt on all sequences, then every label on one of its own, anew for every
+    """The layout of llama.cpp's HellaSwag scoring: the common prompt on all sequences, then every label on one of its own, again for every
     task. llama-perplexity itself reads four endings a task and no more, so its calls are made here through llama-cpp-python."""
     import ctypes
 

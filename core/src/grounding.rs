@@ -9,7 +9,7 @@
 //!    the sum over its rooms.
 //! 2. Several partitions with the same largest overlap: the one that stands last in the scene file. So what lies in a nook
 //!    is the nook's when the nook is written after the room around it. Volumes that differ by less than one part in 10^9
-//!    are the same, lest rounding decide.
+//!    are the same, so that rounding does not decide.
 //! 3. No overlap with any partition, because the box is flat or empty or lies outside: the last partition that contains the
 //!    item's position.
 //! 4. At the level of parts: else the nearest part of the room that rules 1 to 3 give at the level of rooms.

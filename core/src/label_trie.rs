@@ -2,7 +2,7 @@
 //!
 //! A label that ends at node `n` has the score `q(n)`, the product of the token probabilities from the prompt to `n`: Equation 1's in
 //! a trie of all tokens ([`LabelTrie::new`]), a corrected one in that of the tokens that tell labels apart
-//! ([`LabelTrie::telling_apart`]). Children's probabilities come from the logits of their parent, so only *inner* nodes (those with children)
+//! ([`LabelTrie::distinct_prefixes`]). Children's probabilities come from the logits of their parent, so only *inner* nodes (those with children)
 //! are ever decoded; a label's last token never is, and a label of one token costs nothing beyond the prompt.
 
 /// A token of a model's vocabulary.
@@ -13,7 +13,7 @@ pub struct Token(pub i32);
 /// No parent: the node follows the prompt directly.
 pub const PROMPT: u32 = u32::MAX;
 
-/// Stands behind the last token of a label that begins another one, in [`LabelTrie::telling_apart`]: the label ends here. It is no
+/// Stands behind the last token of a label that begins another one, in [`LabelTrie::distinct_prefixes`]: the label ends here. It is no
 /// token of any vocabulary, and always a leaf.
 pub const END: Token = Token(-1);
 
@@ -74,7 +74,7 @@ impl LabelTrie {
     /// The trie of the paths that tell labels apart: a label ends where it parts from all others, and one that begins another has the
     /// child [`END`]. Labels of equal tokens, which nothing tells apart, keep all of them.
     #[must_use]
-    pub(crate) fn telling_apart<L: AsRef<[Token]>>(labels: &[L]) -> Self {
+    pub(crate) fn distinct_prefixes<L: AsRef<[Token]>>(labels: &[L]) -> Self {
         let whole = Self::new(labels);
         let ended: Vec<Vec<Token>> = (labels.iter().zip(&whole.label_end))
             .map(|(label, &end)| {
@@ -355,10 +355,10 @@ mod tests {
         let name =
             |token| names.iter().find(|name| tokens(name)[0] == token).map_or_else(|| ".".into(), ToString::to_string);
         assert_eq!(
-            LabelTrie::telling_apart(&split).draw(name, &labels),
+            LabelTrie::distinct_prefixes(&split).draw(name, &labels),
             "book = book shelf\ncoffee\n  . = coffee\n  table\n    leg = coffee table leg\n    lamp = coffee table lamp\n  maker = coffee maker\n"
         );
-        let twice = LabelTrie::telling_apart(&[tokens("a b"), tokens("a b")]);
+        let twice = LabelTrie::distinct_prefixes(&[tokens("a b"), tokens("a b")]);
         assert_eq!((twice.nodes().len(), twice.label_end()), (2, &[1, 1][..]));
     }
 
@@ -367,7 +367,7 @@ mod tests {
         #[test]
         fn leaves_tell_labels_apart(labels in proptest::collection::hash_set(proptest::collection::vec(0..3i32, 1..5), 1..40)) {
             let labels: Vec<Vec<Token>> = labels.into_iter().map(|l| l.into_iter().map(Token).collect()).collect();
-            let trie = LabelTrie::telling_apart(&labels);
+            let trie = LabelTrie::distinct_prefixes(&labels);
             let ends: std::collections::HashSet<_> = trie.label_end().iter().collect();
             proptest::prop_assert_eq!(ends.len(), labels.len());
             proptest::prop_assert!(trie.label_end().iter().all(|&end| trie.nodes()[end as usize].subtree == 1));

@@ -56,3 +56,7 @@ pub mod policy;
 pub mod pipeline;
 
 pub mod explanation;
+
+#[cfg(test)]
+#[path = "../../tests/support/skipped.rs"]
+mod skipped;

@@ -1,4 +1,4 @@
-//! A planner in ten lines: prints the room where the robot disturbs least, whenever that is known anew.
+//! A planner in ten lines: prints the room where the robot disturbs least, whenever there are new scores.
 
 use std::time::Duration;
 

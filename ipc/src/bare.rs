@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::ServiceName;
+use iceoryx2::service::port_factory::{event, publish_subscribe};
 
 use crate::domain::{Flavour, Node};
 use crate::{IpcError, Message};
@@ -33,13 +34,10 @@ impl<M: Message> BareSender<M> {
     ///
     /// [`IpcError::Port`].
     pub fn open(node: &Node, service: &'static str) -> Result<Self, IpcError> {
-        let failed = |error: &dyn std::fmt::Debug| port(service, "open", error);
-        let name = ServiceName::new(service).map_err(|error| failed(&error))?;
-        let data = node.inner().service_builder(&name).publish_subscribe::<M>().open_or_create();
-        let events = node.inner().service_builder(&name).event().open_or_create();
+        let (data, events) = services::<M>(node, service)?;
         Ok(Self {
-            publisher: data.map_err(|error| failed(&error))?.publisher_builder().create().map_err(|e| failed(&e))?,
-            notifier: events.map_err(|error| failed(&error))?.notifier_builder().create().map_err(|e| failed(&e))?,
+            publisher: data.publisher_builder().create().map_err(|error| port(service, "open", &error))?,
+            notifier: events.notifier_builder().create().map_err(|error| port(service, "open", &error))?,
             service,
         })
     }
@@ -63,13 +61,10 @@ impl<M: Message> BareReceiver<M> {
     ///
     /// [`IpcError::Port`].
     pub fn open(node: &Node, service: &'static str) -> Result<Self, IpcError> {
-        let failed = |error: &dyn std::fmt::Debug| port(service, "open", error);
-        let name = ServiceName::new(service).map_err(|error| failed(&error))?;
-        let data = node.inner().service_builder(&name).publish_subscribe::<M>().open_or_create();
-        let events = node.inner().service_builder(&name).event().open_or_create();
+        let (data, events) = services::<M>(node, service)?;
         Ok(Self {
-            listener: events.map_err(|error| failed(&error))?.listener_builder().create().map_err(|e| failed(&e))?,
-            subscriber: data.map_err(|error| failed(&error))?.subscriber_builder().create().map_err(|e| failed(&e))?,
+            listener: events.listener_builder().create().map_err(|error| port(service, "open", &error))?,
+            subscriber: data.subscriber_builder().create().map_err(|error| port(service, "open", &error))?,
             service,
         })
     }
@@ -97,6 +92,15 @@ impl<M: Message> BareReceiver<M> {
             }
         }
     }
+}
+
+type Services<M> = (publish_subscribe::PortFactory<Flavour, M, ()>, event::PortFactory<Flavour>);
+
+fn services<M: Message>(node: &Node, service: &'static str) -> Result<Services<M>, IpcError> {
+    let name = ServiceName::new(service).map_err(|error| port(service, "open", &error))?;
+    let data = node.inner().service_builder(&name).publish_subscribe::<M>().open_or_create();
+    let events = node.inner().service_builder(&name).event().open_or_create();
+    Ok((data.map_err(|error| port(service, "open", &error))?, events.map_err(|error| port(service, "open", &error))?))
 }
 
 fn port(service: &'static str, operation: &'static str, error: &dyn std::fmt::Debug) -> IpcError {

@@ -53,6 +53,7 @@
 //! # Ok::<(), roomcast_ipc::IpcError>(())
 //! ```
 
+#[cfg(feature = "yardstick")]
 pub mod bare;
 pub mod clock;
 mod domain;

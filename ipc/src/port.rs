@@ -489,25 +489,34 @@ fn open_item_scores(node: &Node) -> Result<Factory<[ItemScoreV1], ItemScoresHead
     opened.map_err(|error| publish_subscribe_failure(node, ITEM_SCORES, &ours, error))
 }
 
+/// A service that one participant answers: every option of it, in one place. A macro, because iceoryx2's builders of fixed and of
+/// dynamic payloads have no trait in common.
+macro_rules! request_response {
+    ($node:expr, $service:expr, $request:ty, $response:ty, $clients:expr) => {
+        $node
+            .inner()
+            .service_builder(&$crate::port::service_name($service)?)
+            .request_response::<$request, $response>()
+            .max_servers(1)
+            .max_clients($clients)
+            .max_nodes($crate::port::MAX_NODES)
+            .max_active_requests_per_client(4)
+            .max_response_buffer_size(2)
+            .max_borrowed_responses_per_pending_response(2)
+            .max_loaned_requests(2)
+            .enable_fire_and_forget_requests(true)
+            .enable_safe_overflow_for_requests(true)
+            .enable_safe_overflow_for_responses(true)
+            .open_or_create()
+    };
+}
+pub(crate) use request_response;
+
 type StatusFactory =
     iceoryx2::service::port_factory::request_response::PortFactory<Flavour, StatusRequestV1, (), StatusResponseV1, ()>;
 
 fn open_status(node: &Node) -> Result<StatusFactory, OpenFailure> {
-    let opened = node
-        .inner()
-        .service_builder(&service_name(STATUS)?)
-        .request_response::<StatusRequestV1, StatusResponseV1>()
-        .max_servers(1)
-        .max_clients(STATUS_CLIENTS)
-        .max_nodes(MAX_NODES)
-        .max_active_requests_per_client(4)
-        .max_response_buffer_size(2)
-        .max_borrowed_responses_per_pending_response(2)
-        .max_loaned_requests(2)
-        .enable_fire_and_forget_requests(true)
-        .enable_safe_overflow_for_requests(true)
-        .enable_safe_overflow_for_responses(true)
-        .open_or_create();
+    let opened = request_response!(node, STATUS, StatusRequestV1, StatusResponseV1, STATUS_CLIENTS);
     let ours = described(StatusResponseV1::TYPE_NAME, size_of::<StatusResponseV1>());
     opened.map_err(|error| request_response_failure(node, STATUS, &ours, &error))
 }

@@ -16,7 +16,7 @@ use iceoryx2::prelude::{AllocationStrategy, CallbackProgression, PortFactory};
 use iceoryx2::service::port_factory::request_response;
 
 use crate::domain::{Flavour, Node, OpenFailure};
-use crate::port::{MAX_NODES, described, occupied, passing, port, request_response_failure, service_name};
+use crate::port::{described, occupied, passing, port, request_response, request_response_failure};
 use crate::{IpcError, MessageError};
 
 /// Changes to the map in use.
@@ -143,21 +143,7 @@ impl QuestionPort {
 }
 
 fn open(node: &Node, service: &'static str) -> Result<Factory, OpenFailure> {
-    let opened = node
-        .inner()
-        .service_builder(&service_name(service)?)
-        .request_response::<[u8], [u8]>()
-        .max_servers(1)
-        .max_clients(CLIENTS)
-        .max_nodes(MAX_NODES)
-        .max_active_requests_per_client(4)
-        .max_response_buffer_size(2)
-        .max_borrowed_responses_per_pending_response(2)
-        .max_loaned_requests(2)
-        .enable_fire_and_forget_requests(true)
-        .enable_safe_overflow_for_requests(true)
-        .enable_safe_overflow_for_responses(true)
-        .open_or_create();
+    let opened = request_response!(node, service, [u8], [u8], CLIENTS);
     opened.map_err(|error| request_response_failure(node, service, &described("[u8]", 1), &error))
 }
 

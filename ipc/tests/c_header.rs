@@ -1,5 +1,5 @@
 //! The contract in C: `clients/c/roomcast.h` is what cbindgen makes of the messages' sources, and a C compiler agrees with Rust on
-//! every size and offset. `ROOMCAST_WRITE_HEADER=1` (`make c-header`) writes the header anew.
+//! every size and offset. `ROOMCAST_WRITE_HEADER=1` (`make c-header`) writes the header again.
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
 

@@ -47,7 +47,7 @@ const STRUCTURE: [&str; 6] = ["wall", "floor", "ceiling", "door jamb", "doorjamb
 const FURNITURE_FROM_M: f64 = 0.42;
 /// Width of a door; metres.
 const DOOR_M: f64 = 0.84;
-/// What begins above this height hangs from the ceiling; drawn as a dot, lest a lamp or a cupboard hide the floor; metres.
+/// What begins above this height hangs from the ceiling; drawn as a dot, so that no lamp or cupboard hides the floor; metres.
 const OVERHEAD_M: f64 = 1.85;
 
 /// What a drawing shows besides the map.

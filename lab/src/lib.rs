@@ -30,3 +30,7 @@ const PROGRAMS: [(&str, &str); 3] = [
     ("p1-laundry-and-to-bed", include_str!("../../scenes/programs/p1-laundry-and-to-bed.txt")),
     ("p2-long-evening", include_str!("../../scenes/programs/p2-long-evening.txt")),
 ];
+
+#[cfg(test)]
+#[path = "../../tests/support/skipped.rs"]
+mod skipped;

@@ -29,6 +29,8 @@ pub mod setup;
 
 pub mod message_text;
 
+pub mod token_bucket;
+
 pub mod moment;
 
 pub mod daemon;

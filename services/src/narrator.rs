@@ -22,6 +22,7 @@ use crate::message_text::sentence_of;
 use crate::notify::notify;
 use crate::setup;
 use crate::stop::Stop;
+use crate::token_bucket::TokenBucket;
 use roomcast_core::narration::{Observed, ObservedError, Program, ProgramError};
 
 /// Narrations that may be under way unconfirmed: what the service's history holds for a daemon that restarts.
@@ -335,35 +336,24 @@ impl Account {
 ///
 /// It allows half of the daemon's burst and nine tenths of its rate: messages need not arrive as evenly as they are sent.
 #[derive(Debug, Clone)]
-pub struct Throttle {
-    rate_per_s: f64,
-    burst: f64,
-    allowance: f64,
-    refilled_ns: u64,
-}
+pub struct Throttle(TokenBucket);
 
 impl Throttle {
     /// For a daemon with these limits, as full as it gets.
     #[must_use]
     pub fn new(limits: IntakeLimits, now_ns: u64) -> Self {
-        let burst = (0.5 * limits.burst).max(1.0);
-        Self { rate_per_s: 0.9 * limits.rate_per_s, burst, allowance: burst, refilled_ns: now_ns }
+        let limits = IntakeLimits { rate_per_s: 0.9 * limits.rate_per_s, burst: (0.5 * limits.burst).max(1.0) };
+        Self(TokenBucket::full(limits, now_ns))
     }
 
-    /// How long to wait until one more may be sent; zero is now. A rate of 0 is none.
+    /// How long to wait until one more may be sent; zero is now. A rate of 0 is no limit.
     pub fn wait(&mut self, now_ns: u64) -> Duration {
-        if self.rate_per_s <= 0.0 {
-            return Duration::ZERO;
-        }
-        let since_s = now_ns.saturating_sub(self.refilled_ns) as f64 / 1e9;
-        self.allowance = (self.allowance + since_s * self.rate_per_s).min(self.burst);
-        self.refilled_ns = now_ns;
-        Duration::try_from_secs_f64((1.0 - self.allowance).max(0.0) / self.rate_per_s).unwrap_or(TICK)
+        self.0.wait(now_ns)
     }
 
     /// Takes note that one was sent.
     pub fn sent(&mut self) {
-        self.allowance -= 1.0;
+        self.0.take();
     }
 }
 

@@ -22,7 +22,7 @@ pub struct Args {
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     speed: f64,
     /// Replay scores, forecasts and decisions too, for a domain without a daemon and a planner. Without it only the narration is
-    /// replayed, and a daemon that has not heard it before scores it anew.
+    /// replayed, and a daemon that has not heard it before scores it again.
     #[arg(long)]
     all: bool,
     /// Seconds to wait at the end until a daemon has taken in the last narration.

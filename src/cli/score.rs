@@ -21,9 +21,6 @@ use roomcast_core::semantic_map::{PartitionId, SemanticMap};
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast_services::setup;
 
-/// As in the configuration.
-const DEADLINE_MS_DEFAULT: u64 = 5;
-
 /// Arguments of `roomcast score`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -155,7 +152,9 @@ pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap),
         correction: args.correction.into(),
         method: args.method,
         effort: args.effort,
-        deadline_ns: args.deadline_ms.unwrap_or(DEADLINE_MS_DEFAULT) * 1_000_000,
+        deadline_ns: args
+            .deadline_ms
+            .map_or(PipelineOptions::default().deadline_ns, |milliseconds| milliseconds * 1_000_000),
         history: HistoryLimits::exact(args.history),
     };
     let mut pipeline = Pipeline::new(model, grounding, options).map_err(|e| Failure::new(exit_code::MODEL, e))?;

@@ -29,7 +29,7 @@ pub struct Args {
 const STATUS_NS: u64 = 1_000_000_000;
 /// How long it may take to answer before the view goes on without.
 const STATUS_TIMEOUT: Duration = Duration::from_millis(50);
-/// How often the screen is drawn anew when no key is pressed.
+/// How often the screen is drawn again when no key is pressed.
 const FRAME: Duration = Duration::from_millis(100);
 
 /// Shows the system until it is asked to leave.

@@ -191,9 +191,9 @@ mod tests {
 
     #[test]
     fn reads_every_program_of_the_shared_collection() {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/virtualhome/programs");
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/virtualhome/programs");
         if !folder.exists() {
-            eprintln!("SKIPPED: {} is missing", folder.display());
+            crate::skipped::skipped(format_args!("{} is missing", folder.display()));
             return;
         }
         let mut folders = vec![folder];

@@ -7,14 +7,14 @@
 //! finds surprising takes from its score, though nothing else in the map begins as it does. [`Continuation::Labels`] lets a
 //! label's tokens after the first compete only with what other labels of the map go on with, `p(t | n) / sum over children t' of
 //! n of p(t' | n)`; where a label ends although another goes on ("coffee", "coffee maker"), it gets what the others leave. A node's
-//! children then share out exactly the node's probability, and what follows behind the last token that another label shares
+//! children then add up to exactly the node's probability, and what follows behind the last token that another label shares
 //! is certain and not decoded. What the first token costs remains, and a label gets all of what begins as it does, other words
 //! included.
 //!
 //! **Common words win.** What people go to often scores high whatever was narrated. A *prior weight* `a` divides a label's score by
 //! its score under a blank narration, to the power of `a`: `s'_c = k s_c g_c` with the gain `g_c = s_c(blank)^-a`. 0 leaves Equation 1 as it
 //! is; 1 is the pointwise mutual information of Holtzman et al., "Surface Form Competition" (2021). The scale
-//! `k = min(1, sum s_c) / sum s_c g_c` lets the labels share out anew what they had together. (A sum can exceed 1 where labels that
+//! `k = min(1, sum s_c) / sum s_c g_c` gives the labels the same sum as before. (A sum can exceed 1 where labels that
 //! begin others are scored by Equation 1 as it stands, and where labels have the same tokens.) `s_c(blank)` counts as at least e^-20
 //! of the largest, so that no word gains without bound for never being said.
 //!
@@ -174,7 +174,7 @@ pub(super) fn gains(blank_log_prob_nats: &[f64], prior: f64) -> Vec<f64> {
 }
 
 /// Adds the gains to the scores, in nats, and gives `ln k`, which is added too.
-pub(super) fn share_out(log_prob_nats: &mut [f64], gain_nats: &[f64]) -> f64 {
+pub(super) fn rescale(log_prob_nats: &mut [f64], gain_nats: &[f64]) -> f64 {
     let before = log_sum_exp(log_prob_nats.iter().copied()).min(0.0);
     log_prob_nats.iter_mut().zip(gain_nats).for_each(|(score, gain)| *score += gain);
     let scale_nats = before - log_sum_exp(log_prob_nats.iter().copied());
@@ -193,7 +193,7 @@ mod tests {
         let blank = [0.6_f64.ln(), 0.1_f64.ln(), 0.001_f64.ln()];
         for prior in [0.0, 0.3, 1.0] {
             let mut corrected = blank;
-            share_out(&mut corrected, &gains(&blank, prior));
+            rescale(&mut corrected, &gains(&blank, prior));
             let corrected = corrected.map(f64::exp);
             assert!((corrected.iter().sum::<f64>() - 0.701).abs() < 1e-12);
             let ratio = (corrected[0] / corrected[2]).ln();
@@ -206,7 +206,7 @@ mod tests {
         let gains = gains(&[-1.0, -2.0, -90.0, f64::NEG_INFINITY], 1.0);
         assert_eq!(gains, [-20.0, -19.0, 0.0, 0.0]);
         let mut scores = [-1.0, -2.0, -90.0, -30.0];
-        share_out(&mut scores, &gains);
+        rescale(&mut scores, &gains);
         assert!(scores[0] > -1.4 && scores[1] > -1.4 && scores[3] < -9.0, "{scores:?}");
     }
 
@@ -214,10 +214,10 @@ mod tests {
     #[test]
     fn no_score_comes_to_more_than_one() {
         let mut scores = [0.70_f64.ln(), 0.63_f64.ln()];
-        share_out(&mut scores, &gains(&[0.02_f64.ln(), 0.002_f64.ln()], 1.0));
+        rescale(&mut scores, &gains(&[0.02_f64.ln(), 0.002_f64.ln()], 1.0));
         assert!(scores.iter().all(|score| *score <= 0.0) && (log_sum_exp(scores.into_iter())).abs() < 1e-12);
         let mut nothing = [f64::NEG_INFINITY; 2];
-        assert_eq!(share_out(&mut nothing, &[0.0, -1.0]), 0.0);
+        assert_eq!(rescale(&mut nothing, &[0.0, -1.0]), 0.0);
         assert_eq!(nothing, [f64::NEG_INFINITY; 2]);
     }
 

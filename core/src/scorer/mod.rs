@@ -337,10 +337,10 @@ impl PreparedLabels {
         &self.gain_nats
     }
 
-    fn share_out(&self, scores: &mut LabelScores) {
+    fn rescale(&self, scores: &mut LabelScores) {
         scores.scale_nats = match self.correction.prior {
             0.0 => 0.0,
-            _ => correction::share_out(&mut scores.log_prob_nats, &self.gain_nats),
+            _ => correction::rescale(&mut scores.log_prob_nats, &self.gain_nats),
         };
     }
 }
@@ -375,7 +375,7 @@ pub struct Scorer<M> {
     /// The last prompt's tokens, without those that labels replace.
     prompt: Vec<Token>,
     /// How many of the last prompt's tokens the next one will begin with, as far as is known: all but the binding sequence.
-    lasting: usize,
+    kept_tokens: usize,
     cutter: Cutter,
     /// Per trie node `ln p(token | path to its parent)`, then `ln q(n)`, of the last [`Scorer::score`] by [`Method::Trie`].
     node_log_prob_nats: Vec<f64>,
@@ -388,7 +388,7 @@ impl<M: LanguageModel> Scorer<M> {
             model,
             without_children: Vec::new(),
             prompt: Vec::new(),
-            lasting: 0,
+            kept_tokens: 0,
             cutter: Cutter::default(),
             node_log_prob_nats: Vec::new(),
         }
@@ -411,7 +411,7 @@ impl<M: LanguageModel> Scorer<M> {
 
     /// Work that can wait until no event does.
     pub fn tidy(&mut self) {
-        self.model.tidy(self.lasting);
+        self.model.tidy(self.kept_tokens);
     }
 
     /// Cuts labels into tokens behind a binding sequence, and builds their trie.
@@ -469,7 +469,7 @@ impl<M: LanguageModel> Scorer<M> {
         }
         let trie = match correction.continuation {
             Continuation::Free => LabelTrie::new(&tokens),
-            Continuation::Labels => LabelTrie::telling_apart(&tokens),
+            Continuation::Labels => LabelTrie::distinct_prefixes(&tokens),
         };
         let mut chain_nodes = Vec::new();
         let mut paths: Vec<Vec<Token>> = Vec::with_capacity(tokens.len());
@@ -559,7 +559,7 @@ impl<M: LanguageModel> Scorer<M> {
         if out.method != Method::Trie {
             self.node_log_prob_nats.clear();
         }
-        prepared.share_out(out);
+        prepared.rescale(out);
         Ok(())
     }
 
@@ -586,7 +586,7 @@ impl<M: LanguageModel> Scorer<M> {
     ) -> Result<(), ScoreError> {
         self.cut_prompt(prompt)?;
         out.prompt_tokens = self.prompt.len();
-        self.lasting = self.cutter.narration_tokens().unwrap_or(out.prompt_tokens);
+        self.kept_tokens = self.cutter.narration_tokens().unwrap_or(out.prompt_tokens);
         self.prompt.truncate(self.prompt.len().saturating_sub(prepared.replaced));
         if self.prompt.is_empty() {
             return Err(ModelError::EmptyPrompt.into());
@@ -663,7 +663,7 @@ impl<M: LanguageModel> Scorer<M> {
         if !self.model.info().shares_prefix {
             out.method = Method::Independent;
             self.score_independent(prepared, out)?;
-            prepared.share_out(out);
+            prepared.rescale(out);
             return Ok(());
         }
         let mut first = true;
@@ -718,7 +718,7 @@ impl<M: LanguageModel> Scorer<M> {
         }
         out.log_prob_nats.clear();
         out.log_prob_nats.extend(trie.label_end().iter().map(|&end| state.q[end as usize].ln()));
-        prepared.share_out(out);
+        prepared.rescale(out);
         state.guess(trie, effort);
         Ok(())
     }
@@ -729,7 +729,7 @@ impl<M: LanguageModel> Scorer<M> {
     /// When it does not fit or the model fails.
     pub(crate) fn read_ahead(&mut self, prompt: &str) -> Result<(), ScoreError> {
         self.cut_prompt(prompt)?;
-        self.lasting = self.prompt.len();
+        self.kept_tokens = self.prompt.len();
         if !self.prompt.is_empty() && self.model.info().shares_prefix {
             self.model.decode(&self.prompt, &TokenTree::default(), false, &mut |_, _| {})?;
         }

@@ -268,7 +268,7 @@ mod tests {
     /// What a label's end gets is no difference of two nearly equal numbers.
     #[test]
     fn a_very_unlikely_end_is_as_exact() {
-        let trie = crate::label_trie::LabelTrie::telling_apart(&[vec![Token(1)], vec![Token(1), Token(2)]]);
+        let trie = crate::label_trie::LabelTrie::distinct_prefixes(&[vec![Token(1)], vec![Token(1), Token(2)]]);
         let mut logits = [0.0_f32; TableModel::VOCABULARY];
         logits[2] = 30.0;
         let mut given = Vec::new();
@@ -278,7 +278,8 @@ mod tests {
         let others = (TableModel::VOCABULARY as f64 - 1.0).ln();
         assert!((given[0] - (others - 30.0)).abs() < 1e-5 && given[1].abs() < 1e-9, "{given:?}");
         // Where no label is possible, nothing is damaged.
-        let trie = crate::label_trie::LabelTrie::telling_apart(&[vec![Token(1), Token(2)], vec![Token(1), Token(3)]]);
+        let trie =
+            crate::label_trie::LabelTrie::distinct_prefixes(&[vec![Token(1), Token(2)], vec![Token(1), Token(3)]]);
         logits[2..4].fill(f32::NEG_INFINITY);
         let rivals = Continuation::Labels.rivals(&trie, Some(0));
         assert!(super::super::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, log| given.push(log)));

@@ -568,7 +568,7 @@ fn check_items(entries: &[ItemEntry]) -> Result<(Vec<String>, Vec<Item>), SceneE
     let items = (entries.iter())
         .map(|entry| {
             let total: f64 = entry.captions.iter().map(|caption| caption.weight).sum();
-            // Shares stay as they are, lest a map that was written change by being read.
+            // Shares stay as they are: reading a map that was written does not change it.
             let total = if (total - 1.0).abs() < 1e-9 { 1.0 } else { total };
             let caption =
                 |entry: &CaptionEntry| Caption { label: label_id(&entry.label), weight: entry.weight / total };

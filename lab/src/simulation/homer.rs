@@ -144,9 +144,9 @@ mod tests {
 
     #[test]
     fn reads_every_shared_day() {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/homer_plus");
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/homer_plus");
         if !folder.exists() {
-            eprintln!("SKIPPED: {} is missing", folder.display());
+            crate::skipped::skipped(format_args!("{} is missing", folder.display()));
             return;
         }
         let mut read = 0;

@@ -3,11 +3,12 @@
 
 use std::path::{Path, PathBuf};
 
-use roomcast_ipc::{Domain, IpcError};
+use roomcast_ipc::{Domain, IpcError, NAME_BYTES};
 use serde::{Deserialize, Serialize};
 
 use roomcast_core::grounding::GroundingOptions;
 use roomcast_core::narration::history::{HistoryLimits, OBSERVATIONS_MAX};
+use roomcast_core::pipeline::PipelineOptions;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::certified::Effort;
 use roomcast_core::scorer::correction::{Continuation, PRIOR_WEIGHTS};
@@ -28,9 +29,6 @@ pub const DEADLINE_MS_MAX: u64 = 60_000;
 
 /// Least bytes of the journal: either half holds a few of the longest sentences.
 const JOURNAL_BYTES_MIN: u64 = 8192;
-
-/// Most bytes of a name that messages carry whole.
-const NAME_BYTES_MAX: usize = 48;
 
 /// A configuration that cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -226,7 +224,7 @@ impl Default for ScoringConfig {
             continuation: None,
             prior: None,
             effort: Effort::default(),
-            deadline_ms: 5,
+            deadline_ms: PipelineOptions::default().deadline_ns / 1_000_000,
         }
     }
 }
@@ -267,7 +265,7 @@ impl Config {
         let row =
             |key, value: &dyn std::fmt::Display, holds, remedy| Limit { key, value: value.to_string(), holds, remedy };
         let is_name =
-            |name: &str| !name.trim().is_empty() && name.len() <= NAME_BYTES_MAX && !name.contains(char::is_control);
+            |name: &str| !name.trim().is_empty() && name.len() <= NAME_BYTES && !name.contains(char::is_control);
         let is_sum = |sum: &String| sum.len() == 64 && sum.bytes().all(|digit| digit.is_ascii_hexdigit());
         let is_free = |directory: &PathBuf| !directory.as_os_str().is_empty();
         let cores = format!("{:?}", model.cores);

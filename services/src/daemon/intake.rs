@@ -6,12 +6,13 @@ use roomcast_ipc::sequence::{Arrival, Follower};
 use roomcast_ipc::{MessageError, NarrationV1};
 
 use roomcast_core::narration::Observation;
+/// Most sources followed; those of further ones are refused, so that inventing sources exhausts nothing.
+pub use roomcast_core::pipeline::SOURCES_MAX;
 
 use crate::config::IntakeLimits;
 use crate::message_text::sentence_of;
+use crate::token_bucket::TokenBucket;
 
-/// Most sources followed; those of further ones are refused, so that inventing sources exhausts nothing.
-pub const SOURCES_MAX: usize = 64;
 /// After this silence a source gives way to a new one where there are too many.
 const FORGET_NS: u64 = 3_600_000_000_000;
 
@@ -53,8 +54,7 @@ pub struct IntakeCounters {
 #[derive(Debug, Clone)]
 struct Source {
     follower: Follower,
-    allowance: f64,
-    refilled_ns: u64,
+    bucket: TokenBucket,
     heard_ns: u64,
     /// A number that grows with every message of any source.
     turn: u64,
@@ -106,19 +106,13 @@ impl Intake {
                 return Taken::Malformed(error.to_string());
             }
         };
-        let limits = self.limits;
         let Some(source) = self.source(message.source, now_ns, FORGET_NS) else {
             self.counters.limited += 1;
             return Taken::Limited;
         };
-        if limits.rate_per_s > 0.0 {
-            let since_s = now_ns.saturating_sub(source.refilled_ns) as f64 / 1e9;
-            source.allowance = (source.allowance + since_s * limits.rate_per_s).min(limits.burst);
-            source.refilled_ns = now_ns;
-            if source.allowance < 1.0 {
-                self.counters.limited += 1;
-                return Taken::Limited;
-            }
+        if !source.bucket.has_one(now_ns) {
+            self.counters.limited += 1;
+            return Taken::Limited;
         }
         let missed = match source.follower.take(message.epoch, message.sequence) {
             Arrival::New => 0,
@@ -128,7 +122,7 @@ impl Intake {
                 return Taken::Duplicate;
             }
         };
-        source.allowance -= 1.0;
+        source.bucket.take();
         self.counters.missed = self.counters.missed.saturating_add(missed);
         self.counters.accepted += 1;
         let observation = Observation {
@@ -166,9 +160,8 @@ impl Intake {
             let silent = *silent;
             self.sources.remove(&silent);
         }
-        let burst = self.limits.burst;
-        let new =
-            || Source { follower: Follower::default(), allowance: burst, refilled_ns: now_ns, heard_ns: 0, turn: 0 };
+        let bucket = TokenBucket::full(self.limits, now_ns);
+        let new = || Source { follower: Follower::default(), bucket, heard_ns: 0, turn: 0 };
         self.turns += 1;
         let source = self.sources.entry(id).or_insert_with(new);
         (source.heard_ns, source.turn) = (now_ns, self.turns);

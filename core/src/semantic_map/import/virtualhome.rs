@@ -215,9 +215,9 @@ mod tests {
     /// VirtualHome says itself in which room a thing is; largest overlap must agree at least as often as it can.
     #[test]
     fn grounding_agrees_with_virtualhomes_own_rooms() {
-        let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/virtualhome/scenes");
+        let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/virtualhome/scenes");
         if !scenes.is_dir() {
-            eprintln!("SKIPPED: {} is missing, so agreement with VirtualHome was not checked", scenes.display());
+            crate::skipped::skipped(format_args!("{} is missing", scenes.display()));
             return;
         }
         for (scene, least, overlapping, tied) in
