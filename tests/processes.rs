@@ -913,3 +913,26 @@ fn latency_measures_every_path_beside_its_yardsticks() {
     let refused = roomcast(&["latency", "--samples", "0"]).output().unwrap();
     assert_eq!(refused.status.code(), Some(i32::from(exit_code::USAGE)));
 }
+
+/// The first screen of the README shows one command and what it prints: both are run again.
+#[test]
+fn the_readme_shows_what_the_command_prints() {
+    let readme = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/README.md")).unwrap();
+    let block = |kind: &str| readme.split_once(kind).unwrap().1.split_once("```").unwrap().0.trim().to_owned();
+    let narration = block("```sh").split('"').nth(1).unwrap().to_owned();
+    let output = roomcast(&["score", "--narration", &narration]).output().unwrap();
+    let printed = String::from_utf8(output.stdout).unwrap();
+    // Room and probability; processors round differently in the last place.
+    let rows = |text: &str| -> Vec<(String, f64)> {
+        let rows = text.lines().filter_map(|line| line.split_once(" %"));
+        let rows = rows.filter_map(|(row, _)| {
+            row.rsplit_once("  ").map(|(room, share)| (room.trim().to_owned(), share.trim().parse()))
+        });
+        rows.filter_map(|(room, share)| share.ok().map(|share| (room, share))).collect()
+    };
+    let (shown, found) = (rows(&block("```text")), rows(&printed));
+    assert!(!shown.is_empty() && found.len() >= shown.len(), "{printed}");
+    for ((room, shown), (found_room, found)) in shown.iter().zip(&found) {
+        assert!(room == found_room && (shown - found).abs() < 1.0, "{room} {shown} %, now {found_room} {found} %");
+    }
+}

@@ -26,7 +26,7 @@ int main(int argc, char **argv) {
             calmest = &scores.room[index];
         }
     }
-    printf("scores %llu: go to %.*s (%.3f occupied)\n", (unsigned long long)scores.sequence, ROOMCAST_NAME_BYTES,
+    printf("scores %llu: go to %.*s (next with %.3f)\n", (unsigned long long)scores.sequence, ROOMCAST_NAME_BYTES,
            (const char *)calmest->id, calmest->probability);
     return 0;
 }

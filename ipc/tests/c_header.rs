@@ -222,7 +222,7 @@ fn a_c_program_reads_what_rust_wrote() {
         Command::new(&program).arg(&image).output().unwrap()
     };
     let printed = run(&scores.to_bytes());
-    assert_eq!(String::from_utf8(printed.stdout).unwrap(), "scores 3: go to living-room (0.250 occupied)\n");
+    assert_eq!(String::from_utf8(printed.stdout).unwrap(), "scores 3: go to living-room (next with 0.250)\n");
     assert!(printed.status.success());
     // A message of the wrong size, or with more rooms than there are places, is refused.
     assert!(!run(&scores.to_bytes()[1..]).status.success());
