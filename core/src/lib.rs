@@ -12,27 +12,53 @@
 //! The method is that of GG-LLM (Graule and Isler, "Geometrically Grounding Large Language Models for Zero-shot Human Activity
 //! Forecasting in Human-Aware Task Planning"); equation numbers in this documentation are those of the paper.
 //!
+//! A scorer of the reader's own, over a scene: this model finds letters likely that it has read before.
+//!
 //! ```
 //! use roomcast_core::grounding::{Grounding, GroundingOptions};
+//! use roomcast_core::label_trie::TokenTree;
 //! use roomcast_core::narration::{Observation, Sentence};
 //! use roomcast_core::pipeline::{Pipeline, PipelineOptions};
-//! use roomcast_core::scorer::table::TableModel;
+//! use roomcast_core::scorer::{DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token};
 //! use roomcast_core::semantic_map::SemanticMap;
 //!
-//! let map = SemanticMap::from_json(
-//!     r#"{"format": "roomcast-scene", "version": 1, "name": "flat",
-//!         "rooms": [{"id": "kitchen", "label": "kitchen", "min_m": [0, 0, 0], "max_m": [4, 4, 3]},
-//!                   {"id": "bedroom", "label": "bedroom", "min_m": [4, 0, 0], "max_m": [8, 4, 3]}],
-//!         "items": [{"id": "mug", "label": "mug", "position_m": [1, 1, 1]},
-//!                   {"id": "bed", "label": "bed", "position_m": [6, 2, 0.3]}]}"#,
-//! )?;
+//! struct Letters(ModelInfo);
+//!
+//! impl LanguageModel for Letters {
+//!     fn info(&self) -> &ModelInfo {
+//!         &self.0
+//!     }
+//!     fn tokenise(&self, text: &str, _: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
+//!         out.extend(text.bytes().map(|byte| Token(byte.into())));
+//!         Ok(())
+//!     }
+//!     fn decode(
+//!         &mut self,
+//!         prompt: &[Token],
+//!         tree: &TokenTree,
+//!         want_prompt_row: bool,
+//!         visit: &mut dyn FnMut(usize, &[f32]),
+//!     ) -> Result<DecodeStats, ModelError> {
+//!         let mut logits = [0.0; 256];
+//!         prompt.iter().for_each(|letter| logits[letter.0 as usize] += 0.1);
+//!         (usize::from(!want_prompt_row)..=tree.len()).for_each(|row| visit(row, &logits));
+//!         Ok(DecodeStats::default())
+//!     }
+//!     fn token_text(&self, token: Token) -> String {
+//!         char::from(token.0 as u8).into()
+//!     }
+//!     fn forget(&mut self) {}
+//!     fn tidy(&mut self, _keep: usize) {}
+//! }
+//!
+//! let map = SemanticMap::from_json(include_str!("../example.json"))?;
 //! let grounding = Grounding::new(&map, &GroundingOptions::default())?;
-//! let model = TableModel::new(7);
-//! let mut pipeline = Pipeline::new(model, grounding, PipelineOptions::default())?;
-//! let sentence = Sentence::new("they walk to the mug")?;
-//! let scores = pipeline.step([Observation::of(1, sentence)])?;
-//! let probability = scores.grounded.probabilities();
-//! assert_eq!(probability.len(), 2);
+//! let info = ModelInfo { vocabulary: 256, context_tokens: 4096, shares_prefix: true, ..ModelInfo::default() };
+//! let mut pipeline = Pipeline::new(Letters(info), grounding, PipelineOptions::default())?;
+//! let scores = pipeline.step([Observation::of(1, Sentence::new("they walk to the mug")?)])?;
+//! for (room, probability) in map.rooms().iter().zip(&scores.grounded.partition_probability) {
+//!     println!("{} {probability:.2}", room.label);
+//! }
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 

@@ -20,7 +20,7 @@ pub mod softmax;
 pub mod table;
 
 /// What a language model says of itself.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, serde::Serialize)]
 pub struct ModelInfo {
     /// Its own name, or the file's.
     pub name: String,
