@@ -173,15 +173,20 @@ impl<M: LanguageModel> Board<M> {
         self.pipeline.observe(observations);
     }
 
-    /// Takes the scored observations into the forecasts of their persons.
+    /// Takes the scored observations into the forecasts of their persons, and each person's own scores into theirs.
     fn watch(&mut self) {
         let grounding = self.pipeline.grounding();
-        let probability = &self.pipeline.scores().grounded.partition_probability;
         for Seen { person, observed_ns, sentence } in &self.seen[..std::mem::take(&mut self.unwatched)] {
             let at_s = *observed_ns as f64 / 1e9;
             let fresh = || Forecaster::new(grounding.partitions.len(), ForecastOptions::default(), at_s);
             let forecaster = self.forecasters.entry(*person).or_insert_with(fresh);
-            forecaster.observe(at_s, self.mentions.last(sentence), grounding, probability);
+            // What the model says after all of them is for what comes then, not for what lies between them.
+            forecaster.observe(at_s, self.mentions.last(sentence), grounding, &[]);
+        }
+        for own in self.pipeline.persons() {
+            if let Some(forecaster) = self.forecasters.get_mut(&own.person) {
+                forecaster.expect(&own.grounded.partition_probability);
+            }
         }
         self.seen.truncate(SEEN_KEPT);
         let histories = self.pipeline.histories();
