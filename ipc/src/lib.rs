@@ -69,7 +69,7 @@ pub use message::{
     ALL_PERSONS, ByteImage, DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout,
     MAX_HORIZONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES, NARRATION_TEXT_BYTES, NO_PARTITION, NarrationV1,
     REASON_TEXT_BYTES, RoomScoresV1, RoomV1, ServiceQuality, StatusRequestV1, StatusResponseV1, action, decision_flags,
-    narration_kind, reached, score_flags,
+    forecast_flags, narration_kind, reached, score_flags,
 };
 pub use port::{
     ItemScores, ItemScoresPublisher, ItemScoresSubscriber, Publisher, StatusClient, StatusServer, Subscriber,

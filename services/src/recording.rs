@@ -129,7 +129,7 @@ impl Recorded {
             }),
             Self::Forecast(message) => json!({
                 "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence,
-                "horizon_s": message.horizon_s.get(..message.horizon_count as usize),
+                "flags": message.flags, "horizon_s": message.horizon_s.get(..message.horizon_count as usize),
                 "rooms": (0..message.room_count as usize).filter_map(|index| message.room(index)).map(|(id, row)| json!({
                     "id": id, "probability": row,
                 })).collect::<Vec<_>>(),
@@ -220,7 +220,7 @@ fn schemas() -> [(&'static str, &'static str, Value); 4] {
             object(
                 ForecastV1::TYPE_NAME,
                 json!({
-                    "epoch": text, "sequence": integer, "horizon_s": {"type": "array", "items": number}, "rooms": course,
+                    "epoch": text, "sequence": integer, "flags": integer, "horizon_s": {"type": "array", "items": number}, "rooms": course,
                 }),
             ),
         ),

@@ -8,7 +8,7 @@ mod room_scores;
 mod status;
 
 pub use decision::{DecisionV1, REASON_TEXT_BYTES, action, decision_flags};
-pub use forecast::{ForecastV1, MAX_HORIZONS};
+pub use forecast::{ForecastV1, MAX_HORIZONS, forecast_flags};
 pub use item_scores::{ItemScoreV1, ItemScoresHeaderV1, NO_PARTITION};
 pub use narration::{NARRATION_TEXT_BYTES, NarrationV1, narration_kind};
 pub use room_scores::{ALL_PERSONS, IncludedV1, MAX_ROOMS, MAX_SOURCES, RoomScoresV1, RoomV1, reached, score_flags};

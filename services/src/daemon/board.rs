@@ -5,7 +5,7 @@ use std::cmp::Reverse;
 
 use roomcast_ipc::{
     ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, MAX_HORIZONS, MAX_ROOMS, MAX_SOURCES,
-    MessageError, NAME_BYTES, NO_PARTITION, RoomScoresV1, RoomV1, reached, score_flags, text,
+    MessageError, NAME_BYTES, NO_PARTITION, RoomScoresV1, RoomV1, forecast_flags, reached, score_flags, text,
 };
 
 use crate::moment::Moment;
@@ -62,6 +62,30 @@ pub struct Entry {
     pub after_gap: bool,
 }
 
+/// Where one person will be.
+#[derive(Debug)]
+struct Followed {
+    forecaster: Forecaster,
+    /// Nothing was observed of the person since the daemon's start: what is known of them is from the journal.
+    restored: bool,
+}
+
+impl Followed {
+    fn new(rooms: usize, at_s: f64, restored: bool) -> Self {
+        Self { forecaster: Forecaster::new(rooms, ForecastOptions::default(), at_s), restored }
+    }
+}
+
+/// When something was observed, in monotonic seconds; negative where that was before the machine's start, which the wall clock knows.
+/// None where no clock tells.
+fn observed_s(observation: &Observation, now_ns: u64, now_unix_ns: u64) -> Option<f64> {
+    match (observation.observed_ns, observation.observed_unix_ns) {
+        (0, 0) => None,
+        (0, unix_ns) => Some((now_ns as f64 - now_unix_ns.saturating_sub(unix_ns) as f64) / 1e9),
+        (monotonic_ns, _) => Some(monotonic_ns as f64 / 1e9),
+    }
+}
+
 /// An observation that the forecasts do not know yet.
 #[derive(Debug, Default)]
 struct Seen {
@@ -88,7 +112,7 @@ pub struct Board<M> {
     /// Working memory of a step: the sources that the scores name, newest first.
     newest_sources: Vec<Included>,
     /// Per person where they will be; persons unknown to the histories are forgotten.
-    forecasters: std::collections::BTreeMap<u32, Forecaster>,
+    followed: std::collections::BTreeMap<u32, Followed>,
 }
 
 /// Observations whose memory is used again: more come at once after a stand-still only.
@@ -131,7 +155,7 @@ impl<M: LanguageModel> Board<M> {
             seen: Vec::new(),
             unwatched: 0,
             newest_sources: Vec::new(),
-            forecasters: std::collections::BTreeMap::new(),
+            followed: std::collections::BTreeMap::new(),
         })
     }
 
@@ -150,7 +174,7 @@ impl<M: LanguageModel> Board<M> {
             self.snapshot.rooms().iter().map(|room| room.id).eq(room.iter().map(|room| room.id).take(partitions.len()));
         if !same_rooms {
             // What was believed of other rooms says nothing of these; the next observation begins anew.
-            self.forecasters.clear();
+            self.followed.clear();
         }
         self.snapshot.map_fingerprint = map.fingerprint;
         (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
@@ -166,11 +190,22 @@ impl<M: LanguageModel> Board<M> {
         Moment::of(&self.pipeline, &self.map, &self.grounding, Some(&self.snapshot))
     }
 
-    /// Enters observations of a former run, without scoring.
-    pub fn restore(&mut self, observations: impl IntoIterator<Item = Observation>) {
-        // Nobody knows how long the daemon was away, so the forecast begins anew with the first observation after it.
-        let observations = observations.into_iter().inspect(|o| *self.accepted.entry(o.source).or_default() += 1);
-        self.pipeline.observe(observations);
+    /// Enters observations of a former run, oldest first, without scoring: into the histories, and with their times into the forecasts.
+    pub fn restore(&mut self, observations: impl IntoIterator<Item = Observation>, now_ns: u64, now_unix_ns: u64) {
+        for observation in observations {
+            *self.accepted.entry(observation.source).or_default() += 1;
+            let grounding = self.pipeline.grounding();
+            if let Some(at_s) = observed_s(&observation, now_ns, now_unix_ns) {
+                let fresh = || Followed::new(grounding.partitions.len(), at_s, true);
+                let followed = self.followed.entry(observation.person).or_insert_with(fresh);
+                // What the model said then is gone; what it says after the last one comes with the first step.
+                let mention = self.mentions.last(observation.sentence.as_str());
+                followed.forecaster.observe(at_s, mention, grounding, &[]);
+            }
+            self.pipeline.observe([observation]);
+        }
+        let histories = self.pipeline.histories();
+        self.followed.retain(|person, _| histories.get(*person).is_some());
     }
 
     /// Takes the scored observations into the forecasts of their persons, and each person's own scores into theirs.
@@ -178,23 +213,24 @@ impl<M: LanguageModel> Board<M> {
         let grounding = self.pipeline.grounding();
         for Seen { person, observed_ns, sentence } in &self.seen[..std::mem::take(&mut self.unwatched)] {
             let at_s = *observed_ns as f64 / 1e9;
-            let fresh = || Forecaster::new(grounding.partitions.len(), ForecastOptions::default(), at_s);
-            let forecaster = self.forecasters.entry(*person).or_insert_with(fresh);
+            let fresh = || Followed::new(grounding.partitions.len(), at_s, false);
+            let followed = self.followed.entry(*person).or_insert_with(fresh);
             // What the model says after all of them is for what comes then, not for what lies between them.
-            forecaster.observe(at_s, self.mentions.last(sentence), grounding, &[]);
+            followed.forecaster.observe(at_s, self.mentions.last(sentence), grounding, &[]);
+            followed.restored = false;
         }
         for own in self.pipeline.persons() {
-            if let Some(forecaster) = self.forecasters.get_mut(&own.person) {
-                forecaster.expect(&own.grounded.partition_probability);
+            if let Some(followed) = self.followed.get_mut(&own.person) {
+                followed.forecaster.expect(&own.grounded.partition_probability);
             }
         }
         self.seen.truncate(SEEN_KEPT);
         let histories = self.pipeline.histories();
-        self.forecasters.retain(|person, _| histories.get(*person).is_some());
+        self.followed.retain(|person, _| histories.get(*person).is_some());
     }
 
     /// Where persons will be from `now_ns` on, for the horizons of `HORIZONS_S`: of several persons, the probability that any of them is in
-    /// a room. Without an observation every room is as likely.
+    /// a room. Without an observation every room is as likely, and a flag says so.
     pub fn forecast(&mut self, now_ns: u64) -> &ForecastV1 {
         self.watch();
         let (message, rooms) = (&mut *self.forecast, self.snapshot.rooms());
@@ -202,18 +238,25 @@ impl<M: LanguageModel> Board<M> {
         (message.computed_ns, message.published_ns) = (now_ns, now_ns);
         (message.room_count, message.person) = (self.snapshot.room_count, self.snapshot.person);
         (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
+        (message.minor, message.flags) = (1, 0);
+        if self.followed.is_empty() {
+            message.flags |= forecast_flags::NOT_KNOWN;
+        }
+        if self.followed.values().any(|followed| followed.restored) {
+            message.flags |= forecast_flags::RESTORED;
+        }
         for (id, room) in message.id.iter_mut().zip(rooms) {
             *id = room.id;
         }
         let now_s = now_ns as f64 / 1e9;
         for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
             let mut free = [1.0; MAX_ROOMS];
-            for forecaster in self.forecasters.values() {
-                let probability = forecaster.at(now_s, f64::from(*horizon_s));
+            for followed in self.followed.values() {
+                let probability = followed.forecaster.at(now_s, f64::from(*horizon_s));
                 free.iter_mut().zip(probability).for_each(|(free, p)| *free *= 1.0 - p);
             }
             for (row, free) in message.probability.iter_mut().zip(free).take(rooms.len()) {
-                let occupied = if self.forecasters.is_empty() { 1.0 / rooms.len() as f64 } else { 1.0 - free };
+                let occupied = if self.followed.is_empty() { 1.0 / rooms.len() as f64 } else { 1.0 - free };
                 row[place] = occupied.clamp(0.0, 1.0) as f32;
             }
         }
@@ -392,4 +435,107 @@ fn named_rooms(partitions: &[Partition]) -> Result<([RoomV1; MAX_ROOMS], u32), B
         room.id = text::encode("room id", &partition.id).map_err(name)?;
     }
     Ok((rooms, partitions.len() as u32))
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_core::grounding::Grounding;
+    use roomcast_core::narration::Sentence;
+    use roomcast_core::pipeline::PipelineOptions;
+    use roomcast_core::scorer::table::TableModel;
+
+    use super::*;
+
+    const S: u64 = 1_000_000_000;
+
+    fn board() -> Board<TableModel> {
+        let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
+        let options = GroundingOptions::default();
+        let grounding = Grounding::new(&map, &options).unwrap();
+        let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+        Board::new(pipeline, map, options, 1).unwrap()
+    }
+
+    fn observation(person: u32, at_ns: u64, sentence: &str) -> Observation {
+        Observation {
+            person,
+            observed_ns: at_ns,
+            observed_unix_ns: 1_000_000 * S + at_ns,
+            ..Observation::of(at_ns, Sentence::new(sentence).unwrap())
+        }
+    }
+
+    fn entry(person: u32, at_ns: u64, sentence: &str) -> Entry {
+        Entry { observation: observation(person, at_ns, sentence), received_ns: at_ns, after_gap: false }
+    }
+
+    fn occupied(board: &mut Board<TableModel>, room: usize, now_ns: u64) -> f32 {
+        board.forecast(now_ns).probability[room][0]
+    }
+
+    const DAY: [(u64, &str); 4] = [
+        (10, "They walk to the kitchen."),
+        (25, "They grab the coffee maker."),
+        (60, "They walk to the sofa."),
+        (70, "They sit on the sofa."),
+    ];
+
+    #[test]
+    fn a_restart_remembers_where_everybody_is() {
+        let mut before = board();
+        for (at_s, sentence) in DAY {
+            before.step([entry(3, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+        }
+        let now_ns = 80 * S;
+        let was = occupied(&mut before, 1, now_ns);
+        assert!(was > 0.7, "{was}");
+        assert_eq!(before.forecast(now_ns).flags, 0);
+
+        // The same boot, and a later one, whose clock begins again and whose journal's monotonic times are dropped.
+        for later_boot in [false, true] {
+            let mut after = board();
+            let kept = DAY.map(|(at_s, sentence)| {
+                let whole = observation(3, at_s * S, sentence);
+                if later_boot { Observation { observed_ns: 0, ..whole } } else { whole }
+            });
+            let (now_ns, now_unix_ns) = (if later_boot { 2 * S } else { 80 * S }, 1_000_080 * S);
+            after.restore(kept, now_ns, now_unix_ns);
+            after.step([], now_ns, now_unix_ns).unwrap();
+            let is = occupied(&mut after, 1, now_ns);
+            assert!((was - is).abs() < 0.05, "{was} before, {is} after a restart");
+            assert_eq!(after.forecast(now_ns).flags, forecast_flags::RESTORED);
+            after.step([entry(3, now_ns + S, "They sit on the sofa.")], now_ns + S, now_unix_ns + S).unwrap();
+            assert_eq!(after.forecast(now_ns + S).flags, 0);
+        }
+    }
+
+    #[test]
+    fn what_is_not_known_is_flagged() {
+        let mut board = board();
+        board.step([], S, S).unwrap();
+        assert_eq!(board.forecast(S).flags, forecast_flags::NOT_KNOWN);
+        assert_eq!(board.forecast(S).probability[0][0], 0.5);
+        board.step([entry(0, 2 * S, "They stand up.")], 2 * S, 2 * S).unwrap();
+        assert_eq!(board.forecast(2 * S).flags, 0);
+    }
+
+    /// Each person's forecast rests on what the model says of them, and not on what it says of another.
+    #[test]
+    fn a_persons_forecast_is_that_of_the_person_alone() {
+        let mut alone = [0, 1].map(|_| board());
+        let mut both = board();
+        for (number, (at_s, sentence)) in (0..).zip(DAY.into_iter().chain([(90, "They grab the mug.")])) {
+            let person = number % 2;
+            both.step([entry(person, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+            alone[person as usize].step([entry(person, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+        }
+        let of = |board: &mut Board<TableModel>| board.forecast(100 * S).probability;
+        let [first, second] = &mut alone;
+        let (first, second, both) = (of(first), of(second), of(&mut both));
+        for (room, horizon) in (0..2).flat_map(|room| (0..MAX_HORIZONS).map(move |horizon| (room, horizon))) {
+            let [p, q] = [first, second].map(|of| f64::from(of[room][horizon]));
+            let expected = 1.0 - (1.0 - p) * (1.0 - q);
+            assert!((f64::from(both[room][horizon]) - expected).abs() < 1e-6, "{room} {horizon}: {p} {q}");
+        }
+    }
 }

@@ -59,11 +59,11 @@ impl<M: LanguageModel> Cycle<M> {
     }
 
     /// Takes what the journal kept of a former run into the histories, and makes `intake` know it, so that it is not taken twice.
-    pub fn restore(&mut self, observations: Vec<Observation>, intake: &mut Intake, now_ns: u64) {
+    pub fn restore(&mut self, observations: Vec<Observation>, intake: &mut Intake, now_ns: u64, now_unix_ns: u64) {
         for observation in &observations {
             intake.restore(observation, now_ns);
         }
-        self.board.restore(observations);
+        self.board.restore(observations, now_ns, now_unix_ns);
     }
 
     /// Takes an accepted observation for the next step; `record` is its number in the journal, 0 without one.

@@ -145,7 +145,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
         let damaged_bytes = recovered.damaged_bytes;
         restored = recovered.observations.len() as u64;
         recovered.carried.iter().for_each(|observation| intake.restore(observation, clock::monotonic_ns()));
-        cycle.restore(recovered.observations, &mut intake, clock::monotonic_ns());
+        cycle.restore(recovered.observations, &mut intake, clock::monotonic_ns(), clock::unix_ns());
         tracing::info!(restored, damaged_bytes, directory = %options.directory.display(), "journal read");
         journal = Some(open);
     }

@@ -36,6 +36,15 @@ class ScoreFlags(enum.IntFlag):
     SCORER_FAILED = 32
 
 
+class ForecastFlags(enum.IntFlag):
+    """What is to be known about a forecast."""
+
+    #: Nobody was observed: every room is as likely, which says nothing.
+    NOT_KNOWN = 1
+    #: Of somebody, all that is known was observed before the daemon's start.
+    RESTORED = 2
+
+
 class Action(enum.IntEnum):
     """What a robot does."""
 
@@ -173,6 +182,7 @@ class Forecast:
     person: int
     horizons_s: tuple[float, ...]
     rooms: tuple[RoomForecast, ...]
+    flags: ForecastFlags = ForecastFlags(0)
 
     @staticmethod
     def from_message(message: layouts.ForecastV1) -> Forecast:
@@ -190,6 +200,7 @@ class Forecast:
                 RoomForecast(layouts.read_text("room id", message.id[room]), tuple(message.probability[room][:horizons]))
                 for room in range(message.room_count)
             ),
+            flags=ForecastFlags(message.flags),
         )
 
 
