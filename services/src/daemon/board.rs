@@ -103,6 +103,8 @@ pub struct Board<M> {
     grounding: GroundingOptions,
     mentions: Mentions,
     snapshot: RoomScoresV1,
+    /// The rooms of a changed map, until a step has scored them; the snapshot and the forecasts are of the map before it.
+    next_rooms: Option<Box<NamedRooms>>,
     /// The newest forecast; what is beyond the rooms and horizons stays zero.
     forecast: Box<ForecastV1>,
     accepted: std::collections::BTreeMap<u64, u64>,
@@ -150,6 +152,7 @@ impl<M: LanguageModel> Board<M> {
             map,
             grounding,
             snapshot,
+            next_rooms: None,
             forecast: Box::default(),
             accepted: std::collections::BTreeMap::new(),
             seen: Vec::new(),
@@ -159,7 +162,8 @@ impl<M: LanguageModel> Board<M> {
         })
     }
 
-    /// Takes a changed map in place of the one in use; the next step's scores are of it. Gives what it asked of the model.
+    /// Takes a changed map in place of the one in use; the next step's scores are of it. Gives what it asked of the model. Until a step
+    /// succeeds, snapshot and forecasts stay those of the map before.
     ///
     /// # Errors
     ///
@@ -167,21 +171,42 @@ impl<M: LanguageModel> Board<M> {
     pub fn change_map(&mut self, map: SemanticMap) -> Result<Prepared, MapError> {
         // What was seen on the old map is understood by it.
         self.watch();
-        let partitions = partitions(&map, self.grounding.level);
-        let (room, room_count) = named_rooms(&partitions)?;
+        let rooms = named_rooms(&partitions(&map, self.grounding.level))?;
         let prepared = self.pipeline.change_map(&map, &self.grounding)?;
-        let same_rooms =
-            self.snapshot.rooms().iter().map(|room| room.id).eq(room.iter().map(|room| room.id).take(partitions.len()));
-        if !same_rooms {
-            // What was believed of other rooms says nothing of these; the next observation begins anew.
-            self.followed.clear();
-        }
-        self.snapshot.map_fingerprint = map.fingerprint;
-        (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
-        *self.forecast = ForecastV1::default();
+        self.next_rooms = Some(Box::new(rooms));
         self.mentions = Mentions::new(&map, self.pipeline.grounding());
         self.map = map;
         Ok(prepared)
+    }
+
+    /// After the first good step with a changed map: the snapshot is of it, and the forecasts too.
+    fn adopt_map(&mut self, now_ns: u64, now_unix_ns: u64) {
+        let Some(next) = self.next_rooms.take() else { return };
+        let (room, room_count) = *next;
+        let ids = |rooms: &[RoomV1], count: u32| -> Vec<_> {
+            rooms.iter().map(|room| room.id).take(count as usize).collect()
+        };
+        let same_rooms = ids(&self.snapshot.room, self.snapshot.room_count) == ids(&room, room_count);
+        self.snapshot.map_fingerprint = self.map.fingerprint;
+        (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
+        *self.forecast = ForecastV1::default();
+        if same_rooms {
+            return;
+        }
+        // What was believed of other rooms says nothing of these, but what was observed does.
+        self.unwatched = 0;
+        let former = std::mem::take(&mut self.followed);
+        let grounding = self.pipeline.grounding();
+        for (person, history) in self.pipeline.histories().iter() {
+            let restored = former.get(&person).is_some_and(|followed| followed.restored);
+            for observation in history.observations() {
+                let Some(at_s) = observed_s(observation, now_ns, now_unix_ns) else { continue };
+                let fresh = || Followed::new(grounding.partitions.len(), at_s, restored);
+                let followed = self.followed.entry(person).or_insert_with(fresh);
+                let mention = self.mentions.last(observation.sentence.as_str());
+                followed.forecaster.observe(at_s, mention, grounding, &[]);
+            }
+        }
     }
 
     /// All that is behind the newest scores.
@@ -210,6 +235,10 @@ impl<M: LanguageModel> Board<M> {
 
     /// Takes the scored observations into the forecasts of their persons, and each person's own scores into theirs.
     fn watch(&mut self) {
+        if self.next_rooms.is_some() {
+            // The forecasts are of the map before; what is observed waits for the first scores of the new one.
+            return;
+        }
         let grounding = self.pipeline.grounding();
         for Seen { person, observed_ns, sentence } in &self.seen[..std::mem::take(&mut self.unwatched)] {
             let at_s = *observed_ns as f64 / 1e9;
@@ -227,6 +256,13 @@ impl<M: LanguageModel> Board<M> {
         self.seen.truncate(SEEN_KEPT);
         let histories = self.pipeline.histories();
         self.followed.retain(|person, _| histories.get(*person).is_some());
+    }
+
+    /// Keeps the newest `most` of what the forecasts do not know yet.
+    fn drop_unwatched(&mut self, most: usize) {
+        let excess = self.unwatched.saturating_sub(most);
+        self.seen[..self.unwatched].rotate_left(excess);
+        self.unwatched -= excess;
     }
 
     /// Where persons will be from `now_ns` on, for the horizons of `HORIZONS_S`: of several persons, the probability that any of them is in
@@ -277,6 +313,10 @@ impl<M: LanguageModel> Board<M> {
     ) -> Result<(), PipelineError> {
         // What nobody wanted a forecast from, nor was there time for: with the scores of its own step.
         self.watch();
+        if self.next_rooms.is_some() {
+            // A scorer that fails on and on must not fill the memory.
+            self.drop_unwatched(SEEN_KEPT);
+        }
         let mut received_ns = None;
         let mut gap = false;
         let (accepted, seen, unwatched) = (&mut self.accepted, &mut self.seen, &mut self.unwatched);
@@ -298,6 +338,7 @@ impl<M: LanguageModel> Board<M> {
             self.snapshot.flags |= score_flags::SCORER_FAILED;
             return Err(error);
         }
+        self.adopt_map(now_ns, now_unix_ns);
         self.snapshot.sequence += 1;
         self.snapshot.computed_ns = now_ns;
         self.snapshot.computed_unix_ns = now_unix_ns;
@@ -342,8 +383,12 @@ impl<M: LanguageModel> Board<M> {
         self.pipeline.tidy();
     }
 
-    /// The items' scores of the last step, with the header that ties them to the snapshot.
-    pub fn items(&self) -> (ItemScoresHeaderV1, impl ExactSizeIterator<Item = ItemScoreV1> + '_) {
+    /// The items' scores of the last step, with the header that ties them to the snapshot; none while a changed map waits for its first
+    /// scores.
+    pub fn items(&self) -> Option<(ItemScoresHeaderV1, impl ExactSizeIterator<Item = ItemScoreV1> + '_)> {
+        if self.next_rooms.is_some() {
+            return None;
+        }
         let RoomScoresV1 { epoch, sequence, computed_ns, .. } = self.snapshot;
         let header = ItemScoresHeaderV1 { epoch, sequence, computed_ns, ..Default::default() };
         let mut counts = vec![0_u32; self.map.labels.len()];
@@ -360,7 +405,7 @@ impl<M: LanguageModel> Board<M> {
             partition: partition.map_or(NO_PARTITION, |partition| partition.0),
             label_items: counts[item.label.0 as usize],
         });
-        (header, items)
+        Some((header, items))
     }
 
     /// Copies the pipeline's scores into the snapshot.
@@ -424,8 +469,11 @@ impl<M: LanguageModel> Board<M> {
     }
 }
 
+/// The rooms of a message, and how many they are.
+type NamedRooms = ([RoomV1; MAX_ROOMS], u32);
+
 /// The rooms of a message for these partitions, without scores.
-fn named_rooms(partitions: &[Partition]) -> Result<([RoomV1; MAX_ROOMS], u32), BoardError> {
+fn named_rooms(partitions: &[Partition]) -> Result<NamedRooms, BoardError> {
     if partitions.len() > MAX_ROOMS {
         return Err(BoardError::TooManyPartitions { partitions: partitions.len() });
     }
@@ -439,17 +487,24 @@ fn named_rooms(partitions: &[Partition]) -> Result<([RoomV1; MAX_ROOMS], u32), B
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
+    use std::rc::Rc;
+
     use roomcast_core::grounding::Grounding;
+    use roomcast_core::label_trie::TokenTree;
     use roomcast_core::narration::Sentence;
     use roomcast_core::pipeline::PipelineOptions;
     use roomcast_core::scorer::table::TableModel;
+    use roomcast_core::scorer::{DecodeStats, ModelError, ModelInfo, TextStart, Token};
+    use roomcast_core::semantic_map::delta::parse_changes;
 
     use super::*;
 
     const S: u64 = 1_000_000_000;
+    const TWO_ROOMS: &str = include_str!("../../../tests/data/two_rooms.json");
 
     fn board() -> Board<TableModel> {
-        let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
         let options = GroundingOptions::default();
         let grounding = Grounding::new(&map, &options).unwrap();
         let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
@@ -463,6 +518,93 @@ mod tests {
             observed_unix_ns: 1_000_000 * S + at_ns,
             ..Observation::of(at_ns, Sentence::new(sentence).unwrap())
         }
+    }
+
+    /// Fails as often as it is told to.
+    #[derive(Debug)]
+    struct Failing {
+        table: TableModel,
+        failures: Rc<Cell<u32>>,
+    }
+
+    impl LanguageModel for Failing {
+        fn info(&self) -> &ModelInfo {
+            self.table.info()
+        }
+
+        fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
+            self.table.tokenise(text, start, out)
+        }
+
+        fn token_text(&self, token: Token) -> String {
+            self.table.token_text(token)
+        }
+
+        fn forget(&mut self) {}
+
+        fn decode(
+            &mut self,
+            prompt: &[Token],
+            tree: &TokenTree,
+            want_prompt_row: bool,
+            visit: &mut dyn FnMut(usize, &[f32]),
+        ) -> Result<DecodeStats, ModelError> {
+            if let Some(left) = self.failures.get().checked_sub(1) {
+                self.failures.set(left);
+                return Err(ModelError::Decode { tokens: prompt.len(), reason: "told to fail".to_owned() });
+            }
+            self.table.decode(prompt, tree, want_prompt_row, visit)
+        }
+
+        fn tidy(&mut self, _keep: usize) {}
+    }
+
+    fn failing_board(failures: &Rc<Cell<u32>>) -> Board<Failing> {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let options = GroundingOptions::default();
+        let grounding = Grounding::new(&map, &options).unwrap();
+        let model = Failing { table: TableModel::new(7), failures: Rc::clone(failures) };
+        let pipeline = Pipeline::new(model, grounding, PipelineOptions::default()).unwrap();
+        Board::new(pipeline, map, options, 1).unwrap()
+    }
+
+    #[test]
+    fn a_changed_map_is_published_with_its_first_scores() {
+        let failures = Rc::<Cell<u32>>::default();
+        let mut board = failing_board(&failures);
+        for (at_s, sentence) in DAY {
+            board.step([entry(0, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+        }
+        let before = *board.message(75 * S, false, false);
+        let sofa = board.forecast(75 * S).probability[1][0];
+        assert!(sofa > 0.8, "{sofa}");
+
+        let room = r#"[{"change": "add-room", "room": {"id": "hall", "label": "hall", "box": {"min_m": [9, 0, 0], "max_m": [12, 3, 2.5]}}}]"#;
+        let map = board.map().changed(parse_changes(room).unwrap()).unwrap();
+        board.change_map(map).unwrap();
+        for step in 0..3 {
+            failures.set(1);
+            let at_ns = (76 + step) * S;
+            board.step([entry(0, at_ns, "They walk to the hall.")], at_ns, at_ns).unwrap_err();
+            board.tidy();
+            let message = *board.message(at_ns, true, false);
+            let as_before = RoomScoresV1 { published_ns: message.published_ns, flags: message.flags, ..before };
+            assert_eq!(message, as_before);
+            assert_eq!(message.flags, score_flags::SCORER_FAILED | score_flags::HEARTBEAT);
+            let forecast = board.forecast(at_ns);
+            assert_eq!((forecast.room_count, forecast.flags), (2, 0));
+            assert!(forecast.probability[1][0] > 0.8, "{:?}", forecast.probability[1]);
+            assert!(board.items().is_none());
+        }
+        board.step([], 80 * S, 80 * S).unwrap();
+        let after = *board.message(80 * S, false, false);
+        assert_eq!((after.room_count, after.flags), (3, 0));
+        assert_ne!(after.map_fingerprint, before.map_fingerprint);
+        assert!((after.rooms().iter().map(|room| room.probability).sum::<f64>() - 1.0).abs() < 1e-9);
+        let forecast = board.forecast(80 * S);
+        assert_eq!((forecast.room_count, forecast.flags), (3, 0));
+        assert!(forecast.probability[2][0] > 0.5, "what was observed meanwhile is known: {:?}", forecast.probability);
+        assert!(board.items().is_some());
     }
 
     fn entry(person: u32, at_ns: u64, sentence: &str) -> Entry {

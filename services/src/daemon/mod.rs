@@ -497,7 +497,7 @@ impl<M: LanguageModel> Scoring<M> {
     }
 
     fn send_items(&self) -> Result<(), IpcError> {
-        let (header, items) = self.cycle.board().items();
+        let Some((header, items)) = self.cycle.board().items() else { return Ok(()) };
         self.items.send(header, items)
     }
 
