@@ -286,6 +286,8 @@ pub struct Pipeline<M> {
     prepared: PreparedLabels,
     grounding: Grounding,
     options: PipelineOptions,
+    /// Most tokens that a history was given; a map's labels may leave it fewer.
+    history_tokens: usize,
     histories: Histories,
     /// In the order of their numbers, so that sums do not depend on who came first.
     persons: Vec<Person>,
@@ -305,13 +307,15 @@ impl<M: LanguageModel> Pipeline<M> {
     pub fn new(model: M, grounding: Grounding, mut options: PipelineOptions) -> Result<Self, PipelineError> {
         let mut scorer = Scorer::new(model);
         let (prepared, tokens) = prepare(&mut scorer, &grounding, &options)?;
-        options.history.tokens = options.history.tokens.min(tokens);
+        let history_tokens = options.history.tokens;
+        options.history.tokens = history_tokens.min(tokens);
         let histories = Histories::new(options.history);
         Ok(Self {
             scorer,
             prepared,
             grounding,
             options,
+            history_tokens,
             histories,
             persons: Vec::new(),
             nobody: Person::new(0),
@@ -360,7 +364,7 @@ impl<M: LanguageModel> Pipeline<M> {
             // The list is prepared anew, so labels that nothing bears any more can leave it.
             let grounding = Grounding::new(map, options)?;
             let (labels, tokens) = prepare(&mut self.scorer, &grounding, &self.options)?;
-            self.options.history.tokens = self.options.history.tokens.min(tokens);
+            self.options.history.tokens = self.history_tokens.min(tokens);
             self.histories.limit_tokens(self.options.history.tokens);
             self.prepared = labels;
             self.grounding = grounding;
@@ -689,6 +693,28 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// A map of many labels leaves the histories fewer tokens; a smaller one gives them back.
+    #[test]
+    fn a_smaller_map_gives_the_history_its_tokens_back() {
+        let small = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let things: Vec<String> = (0..40).map(|n| format!(r#"{{"change": "add-item", "item": {{"id": "thing-{n}", "label": "thing number {n}", "position_m": [1, 1, 1], "box": {{"min_m": [0.9, 0.9, 0.9], "max_m": [1.1, 1.1, 1.1]}}}}}}"#)).collect();
+        let changes = crate::semantic_map::delta::parse_changes(&format!("[{}]", things.join(","))).unwrap();
+        let large = small.changed(changes).unwrap();
+        let grounding = Grounding::new(&small, &GroundingOptions::default()).unwrap();
+        let model = TableModel::new(7);
+        let history = HistoryLimits { tokens: model.info().context_tokens, ..HistoryLimits::default() };
+        let mut pipeline = Pipeline::new(model, grounding, PipelineOptions { history, ..Default::default() }).unwrap();
+        let before = pipeline.options().history.tokens;
+        pipeline.change_map(&large, &GroundingOptions::default()).unwrap();
+        assert!(pipeline.options().history.tokens < before);
+        // A label that the large list does not know, so that the list is prepared again.
+        let other = r#"[{"change": "add-item", "item": {"id": "lamp-1", "label": "lamp", "position_m": [1, 1, 1], "box": {"min_m": [0.9, 0.9, 0.9], "max_m": [1.1, 1.1, 1.1]}}}, {"change": "remove-item", "id": "wall-1"}]"#;
+        let other = small.changed(crate::semantic_map::delta::parse_changes(other).unwrap()).unwrap();
+        pipeline.change_map(&other, &GroundingOptions::default()).unwrap();
+        let after = pipeline.options().history.tokens;
+        assert!(after.abs_diff(before) < 20, "{before} tokens before, {after} after");
     }
 
     /// The bounds of two persons together hold under a prior, whose scale each person has for themselves.

@@ -111,6 +111,9 @@ pub struct Board<M> {
     /// What the forecasts do not know yet are the first `unwatched` of them; the others are memory to be used again.
     seen: Vec<Seen>,
     unwatched: usize,
+    /// Of the narration that no step has scored yet: when its first was received, and whether some was lost before it.
+    unscored_ns: Option<u64>,
+    unscored_gap: bool,
     /// Working memory of a step: the sources that the scores name, newest first.
     newest_sources: Vec<Included>,
     /// Per person where they will be; persons unknown to the histories are forgotten.
@@ -157,6 +160,8 @@ impl<M: LanguageModel> Board<M> {
             accepted: std::collections::BTreeMap::new(),
             seen: Vec::new(),
             unwatched: 0,
+            unscored_ns: None,
+            unscored_gap: false,
             newest_sources: Vec::new(),
             followed: std::collections::BTreeMap::new(),
         })
@@ -299,7 +304,8 @@ impl<M: LanguageModel> Board<M> {
         message
     }
 
-    /// Takes all entries as one step: every one goes into its history, then the rooms are scored once.
+    /// Takes all entries as one step: every one goes into its history, then the rooms are scored once. Gives when the first narration that
+    /// the scores newly contain was received, also by a step before that failed.
     ///
     /// # Errors
     ///
@@ -310,19 +316,18 @@ impl<M: LanguageModel> Board<M> {
         entries: impl IntoIterator<Item = Entry>,
         now_ns: u64,
         now_unix_ns: u64,
-    ) -> Result<(), PipelineError> {
+    ) -> Result<Option<u64>, PipelineError> {
         // What nobody wanted a forecast from, nor was there time for: with the scores of its own step.
         self.watch();
         if self.next_rooms.is_some() {
             // A scorer that fails on and on must not fill the memory.
             self.drop_unwatched(SEEN_KEPT);
         }
-        let mut received_ns = None;
-        let mut gap = false;
         let (accepted, seen, unwatched) = (&mut self.accepted, &mut self.seen, &mut self.unwatched);
+        let (unscored_ns, unscored_gap) = (&mut self.unscored_ns, &mut self.unscored_gap);
         self.pipeline.observe(entries.into_iter().map(|Entry { observation: o, received_ns: at_ns, after_gap }| {
-            received_ns = Some(received_ns.map_or(at_ns, |first: u64| first.min(at_ns)));
-            gap |= after_gap;
+            *unscored_ns = Some(unscored_ns.map_or(at_ns, |first| first.min(at_ns)));
+            *unscored_gap |= after_gap;
             *accepted.entry(o.source).or_default() += 1;
             if *unwatched == seen.len() {
                 seen.push(Seen::default());
@@ -342,11 +347,12 @@ impl<M: LanguageModel> Board<M> {
         self.snapshot.sequence += 1;
         self.snapshot.computed_ns = now_ns;
         self.snapshot.computed_unix_ns = now_unix_ns;
+        let received_ns = self.unscored_ns.take();
         self.snapshot.received_ns = received_ns.unwrap_or(self.snapshot.received_ns);
         self.snapshot.wait_ns = received_ns.map_or(0, |received_ns| now_ns.saturating_sub(received_ns));
-        self.snapshot.flags = if gap { score_flags::GAP } else { 0 };
+        self.snapshot.flags = if std::mem::take(&mut self.unscored_gap) { score_flags::GAP } else { 0 };
         self.fill();
-        Ok(())
+        Ok(received_ns)
     }
 
     /// The scores of the last good step as a message, to be sent at `now_ns`: again unchanged when `heartbeat`.
@@ -649,6 +655,25 @@ mod tests {
             after.step([entry(3, now_ns + S, "They sit on the sofa.")], now_ns + S, now_unix_ns + S).unwrap();
             assert_eq!(after.forecast(now_ns + S).flags, 0);
         }
+    }
+
+    /// What a failed step took in is told by the step that scores it: its wait is the longest there is.
+    #[test]
+    fn a_failed_step_loses_neither_gap_nor_latency() {
+        let failures = Rc::<Cell<u32>>::default();
+        let mut board = failing_board(&failures);
+        board.step([], S, S).unwrap();
+        failures.set(2);
+        let lost = Entry { after_gap: true, ..entry(0, 2 * S, "They grab the mug.") };
+        board.step([lost], 2 * S, 2 * S).unwrap_err();
+        board.step([entry(0, 3 * S, "They sit on the sofa.")], 3 * S, 3 * S).unwrap_err();
+        assert_eq!(board.step([], 5 * S, 5 * S).unwrap(), Some(2 * S));
+        let snapshot = board.snapshot();
+        assert_eq!((snapshot.received_ns, snapshot.wait_ns), (2 * S, 3 * S));
+        assert_eq!(snapshot.flags, score_flags::GAP);
+        // Once.
+        assert_eq!(board.step([], 6 * S, 6 * S).unwrap(), None);
+        assert_eq!((board.snapshot().received_ns, board.snapshot().wait_ns, board.snapshot().flags), (2 * S, 0, 0));
     }
 
     #[test]

@@ -543,13 +543,14 @@ impl<M: LanguageModel> Scoring<M> {
         }
         let after_ns = clock::monotonic_ns();
         self.tally.published += 1;
-        let message = self.cycle.board().snapshot();
-        self.tally.sequence = message.sequence;
-        if events > 0
+        // Also what a step before took in that failed: its wait was the longest.
+        if let Some(received_ns) = self.cycle.newly_received_ns()
             && let Some(latency_ns) = &mut self.latency_ns
         {
-            latency_ns.saturating_record(after_ns.saturating_sub(message.received_ns));
+            latency_ns.saturating_record(after_ns.saturating_sub(received_ns));
         }
+        let message = self.cycle.board().snapshot();
+        self.tally.sequence = message.sequence;
         if self.items.wanted() {
             self.send_items()?;
         }
