@@ -4,8 +4,9 @@
 use std::cmp::Reverse;
 
 use roomcast_ipc::{
-    ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, MAX_HORIZONS, MAX_ROOMS, MAX_SOURCES,
-    MessageError, NAME_BYTES, NO_PARTITION, RoomScoresV1, RoomV1, forecast_flags, reached, score_flags, text,
+    ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, MAX_HORIZONS, MAX_PERSONS, MAX_ROOMS,
+    MAX_SOURCES, MessageError, NAME_BYTES, NO_PARTITION, PersonScoresV1, PersonV1, RoomScoresV1, RoomV1,
+    forecast_flags, person_flags, reached, score_flags, text,
 };
 
 use crate::moment::Moment;
@@ -107,6 +108,10 @@ pub struct Board<M> {
     next_rooms: Option<Box<NamedRooms>>,
     /// The newest forecast; what is beyond the rooms and horizons stays zero.
     forecast: Box<ForecastV1>,
+    /// Each person's scores, of the same step as the snapshot.
+    persons: Box<PersonScoresV1>,
+    /// Working memory of a step: when each person was observed last, and their number.
+    newest_persons: Vec<((u64, u64), u32)>,
     accepted: std::collections::BTreeMap<u64, u64>,
     /// What the forecasts do not know yet are the first `unwatched` of them; the others are memory to be used again.
     seen: Vec<Seen>,
@@ -157,6 +162,8 @@ impl<M: LanguageModel> Board<M> {
             snapshot,
             next_rooms: None,
             forecast: Box::default(),
+            persons: Box::default(),
+            newest_persons: Vec::new(),
             accepted: std::collections::BTreeMap::new(),
             seen: Vec::new(),
             unwatched: 0,
@@ -365,6 +372,19 @@ impl<M: LanguageModel> Board<M> {
         message
     }
 
+    /// Each person's scores of the last good step as a message, to be sent at `now_ns`: of at most [`MAX_PERSONS`], those who were observed
+    /// last.
+    pub fn persons(&mut self, now_ns: u64) -> &PersonScoresV1 {
+        self.watch();
+        let message = &mut *self.persons;
+        message.published_ns = now_ns;
+        for person in message.person.iter_mut().take(message.person_count as usize) {
+            let restored = self.followed.get(&person.person).is_some_and(|followed| followed.restored);
+            person.flags = if restored { person_flags::RESTORED } else { 0 };
+        }
+        message
+    }
+
     /// The current snapshot, as it was sent last.
     #[must_use]
     pub fn snapshot(&self) -> &RoomScoresV1 {
@@ -430,12 +450,7 @@ impl<M: LanguageModel> Board<M> {
                 ..*room
             };
         }
-        snapshot.reached = match scores.reached {
-            Effort::Exact => reached::EXACT,
-            Effort::Ranking => reached::RANKING,
-            Effort::Top => reached::TOP,
-            Effort::Deadline => reached::DEADLINE,
-        };
+        snapshot.reached = reached_value(scores.reached);
         snapshot.label_mass = grounded.label_mass;
         snapshot.observed_ns = scores.newest_observed_ns;
         snapshot.tokenise_ns = scores.timing.tokenise_ns;
@@ -472,6 +487,62 @@ impl<M: LanguageModel> Board<M> {
         }
         snapshot.flags |= if cut { score_flags::SOURCES_CUT } else { 0 };
         snapshot.flags |= if self.newest_sources.is_empty() { score_flags::NO_NARRATION } else { 0 };
+        self.fill_persons();
+    }
+
+    /// Copies each person's scores into their message.
+    fn fill_persons(&mut self) {
+        self.newest_persons.clear();
+        for (person, history) in self.pipeline.histories().iter() {
+            let newest = history.observations().next_back();
+            self.newest_persons.push((newest.map_or((0, 0), |o| (o.observed_ns, o.observed_unix_ns)), person));
+        }
+        self.newest_persons.sort_unstable_by_key(|(observed, person)| (Reverse(*observed), *person));
+        self.newest_persons.truncate(MAX_PERSONS);
+        self.newest_persons.sort_unstable_by_key(|(_, person)| *person);
+
+        let (message, snapshot) = (&mut *self.persons, &self.snapshot);
+        (message.epoch, message.sequence) = (snapshot.epoch, snapshot.sequence);
+        (message.computed_ns, message.map_fingerprint) = (snapshot.computed_ns, snapshot.map_fingerprint);
+        message.persons = snapshot.persons;
+        message.room_count = snapshot.room_count;
+        // Those beyond the rooms are zero in the snapshot, too.
+        for (id, room) in message.id.iter_mut().zip(&snapshot.room) {
+            *id = room.id;
+        }
+        let mut places = message.person.iter_mut();
+        let mut count = 0;
+        for &((observed_ns, _), person) in &self.newest_persons {
+            let (Some(own), Some(place)) = (self.pipeline.person(person), places.next()) else { continue };
+            count += 1;
+            let window = self.pipeline.histories().get(person).map_or(0, |history| history.len() as u64);
+            let label_mass = own.grounded.label_mass;
+            let reached = reached_value(own.reached);
+            (place.person, place.reached, place.observed_ns) = (person, reached, observed_ns);
+            (place.window, place.label_mass) = (window, label_mass);
+            for (row, values) in [
+                (&mut place.log_score_nats, &own.grounded.partition_log_score_nats[..]),
+                (&mut place.lower_log_score_nats, own.lower_log_score_nats),
+                (&mut place.upper_log_score_nats, own.upper_log_score_nats),
+                (&mut place.probability, &own.grounded.partition_probability),
+            ] {
+                let (used, unused) = row.split_at_mut(values.len().min(MAX_ROOMS));
+                used.copy_from_slice(&values[..used.len()]);
+                unused.fill(0.0);
+            }
+        }
+        places.for_each(|place| *place = PersonV1::default());
+        message.person_count = count;
+    }
+}
+
+/// How a message says how scores were reached.
+fn reached_value(effort: Effort) -> u32 {
+    match effort {
+        Effort::Exact => reached::EXACT,
+        Effort::Ranking => reached::RANKING,
+        Effort::Top => reached::TOP,
+        Effort::Deadline => reached::DEADLINE,
     }
 }
 
@@ -503,6 +574,7 @@ mod tests {
     use roomcast_core::scorer::table::TableModel;
     use roomcast_core::scorer::{DecodeStats, ModelError, ModelInfo, TextStart, Token};
     use roomcast_core::semantic_map::delta::parse_changes;
+    use roomcast_ipc::Message;
 
     use super::*;
 
@@ -686,6 +758,19 @@ mod tests {
         assert_eq!(board.forecast(2 * S).flags, 0);
     }
 
+    #[test]
+    fn of_too_many_persons_those_are_told_who_were_observed_last() {
+        let mut board = board();
+        for person in 0..12 {
+            let at_ns = u64::from(20 - person) * S;
+            board.step([entry(person, at_ns, "They grab the mug.")], 30 * S, 30 * S).unwrap();
+        }
+        let told = board.persons(30 * S);
+        told.check().unwrap();
+        assert_eq!(told.persons().iter().map(|person| person.person).collect::<Vec<_>>(), (0..8).collect::<Vec<_>>());
+        assert_eq!(told.persons, 12);
+    }
+
     /// Each person's forecast rests on what the model says of them, and not on what it says of another.
     #[test]
     fn a_persons_forecast_is_that_of_the_person_alone() {
@@ -695,6 +780,22 @@ mod tests {
             let person = number % 2;
             both.step([entry(person, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
             alone[person as usize].step([entry(person, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+        }
+        let told = *both.persons(100 * S);
+        told.check().unwrap();
+        assert_eq!((told.persons().len(), told.rooms().collect::<Vec<_>>()), (2, vec!["kitchen", "living-room"]));
+        for (own, person) in alone.iter_mut().zip(told.persons()) {
+            // To the bit, and alone also to the bit what the snapshot says.
+            let of_own = *own.persons(100 * S);
+            assert_eq!(of_own.persons(), [*person]);
+            for (room, scores) in own.snapshot().rooms().iter().enumerate() {
+                assert_eq!(scores.probability.to_bits(), person.probability[room].to_bits());
+                assert_eq!(scores.log_score_nats.to_bits(), person.log_score_nats[room].to_bits());
+            }
+        }
+        for (room, scores) in both.snapshot().rooms().iter().enumerate() {
+            let nobody: f64 = told.persons().iter().map(|person| 1.0 - person.probability[room]).product();
+            assert_eq!(scores.probability, 1.0 - nobody);
         }
         let of = |board: &mut Board<TableModel>| board.forecast(100 * S).probability;
         let [first, second] = &mut alone;

@@ -20,8 +20,8 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use crossbeam::select;
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
-    AnswerPort, Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, Publisher, RoomScoresV1,
-    StatusResponseV1, StatusServer, Subscriber, clock, question, score_flags, sequence, text,
+    AnswerPort, Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, PersonScoresV1, Publisher,
+    RoomScoresV1, StatusResponseV1, StatusServer, Subscriber, clock, question, score_flags, sequence, text,
 };
 use sd_notify::NotifyState;
 
@@ -126,6 +126,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
     let scores = node.publisher::<RoomScoresV1>()?;
     let items = node.item_scores_publisher()?;
     let forecasts = node.publisher::<ForecastV1>()?;
+    let persons = node.publisher::<PersonScoresV1>()?;
     let status = node.status_server()?;
     let narration = node.subscriber::<NarrationV1>()?;
     let (map_changes, moments) = (node.answer_port(question::MAP_CHANGE)?, node.answer_port(question::MOMENT)?);
@@ -182,6 +183,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
         scores,
         items,
         forecasts,
+        persons,
         status,
         map_changes,
         answered: Answered::default(),
@@ -402,6 +404,7 @@ struct Scoring<M> {
     scores: Publisher<RoomScoresV1>,
     items: ItemScoresPublisher,
     forecasts: Publisher<ForecastV1>,
+    persons: Publisher<PersonScoresV1>,
     status: StatusServer,
     map_changes: AnswerPort,
     answered: Answered,
@@ -493,6 +496,9 @@ impl<M: LanguageModel> Scoring<M> {
         if self.forecasts.tick()? && self.cycle.board().snapshot().sequence > 0 {
             self.forecasts.send(self.cycle.board_mut().forecast(clock::monotonic_ns()))?;
         }
+        if self.persons.tick()? && self.cycle.board().snapshot().sequence > 0 {
+            self.persons.send(self.cycle.board_mut().persons(clock::monotonic_ns()))?;
+        }
         Ok(())
     }
 
@@ -533,6 +539,9 @@ impl<M: LanguageModel> Scoring<M> {
         // may be, so a heartbeat has a new one too. Nobody else waits for it: who joins later gets one of that moment.
         if self.forecasts.subscribers() > 0 {
             self.forecasts.send(self.cycle.board_mut().forecast(before_ns))?;
+        }
+        if self.persons.subscribers() > 0 {
+            self.persons.send(self.cycle.board_mut().persons(before_ns))?;
         }
         let behind = !self.queue.is_empty() || self.ear.as_ref().is_some_and(|ear| ear.more);
         let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
