@@ -15,7 +15,7 @@ use roomcast_core::label_trie::{LabelTrie, PROMPT, TokenTree};
 use roomcast_core::narration::Program;
 use roomcast_core::scorer::Token;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, RoomScoresV1};
+use roomcast_ipc::{ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonScoresV1, RoomScoresV1};
 use roomcast_llama::gguf::Header;
 use roomcast_services::config::Config;
 use roomcast_services::config::{IntakeLimits, PlannerConfig};
@@ -141,6 +141,16 @@ pub fn message(bytes: &[u8]) {
             let decision: DecisionV1 = image(bytes);
             if decision.check().is_ok() {
                 assert!(!decision.reason().contains(char::is_control));
+            }
+        }
+        3 => {
+            let scores: PersonScoresV1 = image(bytes);
+            // Reading what was not checked is safe too.
+            assert!(scores.rooms().len() <= 64 && scores.persons().len() <= 8);
+            if scores.check().is_ok() {
+                for person in scores.persons() {
+                    assert!(scores.probabilities(person).all(|(room, p)| !room.is_empty() && (0.0..=1.0).contains(&p)));
+                }
             }
         }
         _ => {

@@ -9,7 +9,8 @@ use ratatui::style::{Color, Style, Stylize};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph};
 use roomcast_ipc::{
-    DecisionV1, ItemScores, NarrationV1, RoomScoresV1, StatusResponseV1, decision_flags, reached, score_flags,
+    DecisionV1, ItemScores, NarrationV1, PersonScoresV1, RoomScoresV1, StatusResponseV1, decision_flags, person_flags,
+    reached, score_flags,
 };
 
 use crate::bar::bar;
@@ -37,6 +38,8 @@ struct Room {
 pub struct View {
     scores: Option<RoomScoresV1>,
     rooms: Vec<Room>,
+    /// Of several persons, each one's line.
+    persons: Vec<String>,
     narration: VecDeque<(String, String)>,
     labels: Vec<(String, f64)>,
     decision: Option<DecisionV1>,
@@ -95,6 +98,25 @@ impl View {
         self.labels = labels;
     }
 
+    /// Takes in each person's scores: where they are likeliest next. Of one person the rooms say it.
+    pub fn persons(&mut self, scores: &PersonScoresV1) {
+        self.persons.clear();
+        if scores.persons().len() < 2 {
+            return;
+        }
+        for person in scores.persons() {
+            let likeliest = scores.probabilities(person).max_by(|a, b| a.1.total_cmp(&b.1));
+            let Some((room, probability)) = likeliest else { continue };
+            let restored = if person.has(person_flags::RESTORED) { ", not observed since the start" } else { "" };
+            let line = format!("person {}: {room} {:.1} %{restored}", person.person, 100.0 * probability);
+            self.persons.push(line);
+        }
+        let left_out = (scores.persons as usize).saturating_sub(scores.persons().len());
+        if left_out > 0 {
+            self.persons.push(format!("and {left_out} more"));
+        }
+    }
+
     /// Takes in a decision.
     pub fn decision(&mut self, decision: &DecisionV1) {
         self.decision = Some(*decision);
@@ -123,7 +145,7 @@ impl View {
     /// Draws everything; `now_ns` is the monotonic clock.
     pub fn draw(&self, frame: &mut Frame<'_>, now_ns: u64) {
         let area = frame.area();
-        let room_rows = (self.rooms.len().max(1) as u16).saturating_add(2);
+        let room_rows = ((self.rooms.len().max(1) + self.persons.len()) as u16).saturating_add(2);
         // Rooms take what they need, up to half of the screen; narration takes what is left.
         let [head, rooms, lower, decision, health, keys] = Layout::vertical([
             Constraint::Length(1),
@@ -176,17 +198,16 @@ impl View {
         let bar_width = rest * 2 / 5;
         let line_width = rest.saturating_sub(bar_width + 1);
         let most = self.rooms.iter().map(|room| room.probability).fold(0.0, f64::max);
-        let lines: Vec<_> = (self.rooms.iter())
-            .map(|room| {
-                let color = if room.probability >= most { Color::Yellow } else { Color::Cyan };
-                Line::from(vec![
-                    Span::from(format!("{:<name_width$} ", cut(&room.id, name_width))),
-                    Span::from(format!("{:5.1} % ", 100.0 * room.probability)).bold(),
-                    Span::styled(format!("{:<bar_width$} ", bar(room.probability, bar_width)), Style::new().fg(color)),
-                    Span::styled(sparkline(&room.points, line_width), Style::new().fg(color).dim()),
-                ])
-            })
-            .collect();
+        let lines = (self.rooms.iter()).map(|room| {
+            let color = if room.probability >= most { Color::Yellow } else { Color::Cyan };
+            Line::from(vec![
+                Span::from(format!("{:<name_width$} ", cut(&room.id, name_width))),
+                Span::from(format!("{:5.1} % ", 100.0 * room.probability)).bold(),
+                Span::styled(format!("{:<bar_width$} ", bar(room.probability, bar_width)), Style::new().fg(color)),
+                Span::styled(sparkline(&room.points, line_width), Style::new().fg(color).dim()),
+            ])
+        });
+        let lines: Vec<_> = lines.chain(self.persons.iter().map(|line| Line::from(line.as_str()))).collect();
         frame.render_widget(Paragraph::new(lines).block(titled("rooms: probability now, and over time")), area);
     }
 
@@ -317,7 +338,7 @@ fn sparkline(points: &VecDeque<f64>, width: usize) -> String {
 
 fn draw_help(frame: &mut Frame<'_>, area: Rect) {
     let lines = [
-        "rooms      the probability that a person is there soon, and its course;",
+        "rooms      the probability that somebody is there soon, and its course;",
         "           one block is half a second, the newest at the right",
         "narration  what was observed, the newest at the bottom",
         "next       the likeliest objects; asking for them costs the daemon a little",
@@ -426,6 +447,28 @@ mod tests {
                 assert!(text.contains(part), "{width} x {height} lacks {part:?}:\n{text}");
             }
         }
+    }
+
+    #[test]
+    fn of_several_persons_each_has_a_line() {
+        let mut view = full();
+        let mut scores = PersonScoresV1 { room_count: 2, persons: 9, person_count: 2, ..Default::default() };
+        scores.id[0] = text::encode("id", "kitchen").unwrap();
+        scores.id[1] = text::encode("id", "bathroom").unwrap();
+        for (number, (person, kitchen)) in (3..).zip(scores.person.iter_mut().zip([0.75, 0.1])) {
+            (person.person, person.probability[0], person.probability[1]) = (number, kitchen, 1.0 - kitchen);
+        }
+        scores.person[1].flags = person_flags::RESTORED;
+        view.persons(&scores);
+        let text = drawn(&view, 80, 24, 1_100_000_000);
+        for line in
+            ["person 3: kitchen 75.0 %", "person 4: bathroom 90.0 %, not observed since the start", "and 7 more"]
+        {
+            assert!(text.contains(line), "{line:?} is missing:\n{text}");
+        }
+        scores.person_count = 1;
+        view.persons(&scores);
+        assert!(!drawn(&view, 80, 24, 1_100_000_000).contains("person 3"));
     }
 
     #[test]

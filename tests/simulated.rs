@@ -579,7 +579,7 @@ impl World {
         let (entered, scored) = (self.accepted.len(), self.accepted.len());
         let mut forgetful = Intake::new(IntakeLimits::default());
         let known = if self.planted == Planted::NoDeduplicationAfterRestart { &mut forgetful } else { &mut intake };
-        cycle.restore(recovered.observations, known, self.now_ns);
+        cycle.restore(recovered.observations, known, self.now_ns, self.now_ns);
         let (queue, records) = Default::default();
         let daemon = Daemon { intake, cycle, queue, records, appended: 0, written: 0, hung_ns: 0, entered, scored };
         self.daemon = Some(daemon);

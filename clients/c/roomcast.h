@@ -59,11 +59,23 @@
 // The last scoring attempt failed; these are the last good scores.
 #define ROOMCAST_SCORE_FLAGS_SCORER_FAILED (1 << 5)
 
+// Most persons in one message; the longest silent ones are left out, and PersonScoresV1::persons says how many there are.
+#define ROOMCAST_MAX_PERSONS 8
+
+// All that is known of the person was observed before the daemon's start.
+#define ROOMCAST_PERSON_FLAGS_RESTORED 1
+
 // Value of ItemScoreV1::partition: the item lies in none.
 #define ROOMCAST_NO_PARTITION UINT32_MAX
 
 // Most points in time of a forecast.
 #define ROOMCAST_MAX_HORIZONS 16
+
+// Nobody was observed: every room is as likely, which says nothing.
+#define ROOMCAST_FORECAST_FLAGS_NOT_KNOWN 1
+
+// Of somebody, all that is known was observed before the daemon's start.
+#define ROOMCAST_FORECAST_FLAGS_RESTORED (1 << 1)
 
 // Most bytes of a decision's reason.
 #define ROOMCAST_REASON_TEXT_BYTES 256
@@ -150,12 +162,13 @@ typedef struct RoomcastIncludedV1 {
   uint64_t accepted;
 } RoomcastIncludedV1;
 
-// How likely a person is to be in one room soon.
+// How likely somebody is in one room soon.
 typedef struct RoomcastRoomV1 {
   // The partition's id in the map, UTF-8, zero padded.
   // (Offset 0.)
   uint8_t id[ROOMCAST_NAME_BYTES];
-  // Equation 2's sum over the room's items, in nats; -inf when it has none.
+  // Of one person, Equation 2's sum over the room's items, in nats; -inf when it has none. Of several, the logarithm of
+  // probability.
   // (Offset 48.)
   double log_score_nats;
   // The true value lies at or above this, in nats.
@@ -164,7 +177,8 @@ typedef struct RoomcastRoomV1 {
   // The true value lies at or below this, in nats.
   // (Offset 64.)
   double upper_log_score_nats;
-  // The score's share of all rooms' scores, 0 to 1.
+  // Of one person, the score's share of all rooms' scores, 0 to 1: that they are there next; they sum to one. Of several, that
+  // somebody is there next; they sum to their number at most.
   // (Offset 72.)
   double probability;
 } RoomcastRoomV1;
@@ -200,7 +214,7 @@ typedef struct RoomcastRoomScoresV1 {
   // SHA-256 of the map.
   // (Offset 88.)
   uint8_t map_fingerprint[32];
-  // Total probability of all labels as continuations, 0 to about 1.
+  // Total probability of all labels as continuations, 0 to about 1; of several persons, the mean.
   // (Offset 120.)
   double label_mass;
   // Narrations in the window that the scores were computed from.
@@ -253,6 +267,83 @@ typedef struct RoomcastRoomScoresV1 {
   struct RoomcastRoomV1 room[ROOMCAST_MAX_ROOMS];
 } RoomcastRoomScoresV1;
 
+// One person's scores: those that they would have alone.
+typedef struct RoomcastPersonV1 {
+  // The person's number, as narrators give it.
+  // (Offset 0.)
+  uint32_t person;
+  // How their scores were reached, as in room scores.
+  // (Offset 4.)
+  uint32_t reached;
+  // When they were observed last: monotonic nanoseconds, 0 where that was before the machine's start.
+  // (Offset 8.)
+  uint64_t observed_ns;
+  // Narrations in their window.
+  // (Offset 16.)
+  uint64_t window;
+  // Total probability of all labels as continuations, 0 to about 1.
+  // (Offset 24.)
+  double label_mass;
+  // Bits of person_flags.
+  // (Offset 32.)
+  uint32_t flags;
+  // Zero.
+  // (Offset 36.)
+  uint8_t reserved[28];
+  // Per room Equation 2's sum over its items, in nats; -inf when it has none.
+  // (Offset 64.)
+  double log_score_nats[ROOMCAST_MAX_ROOMS];
+  // Per room, the true value lies at or above this, in nats.
+  // (Offset 576.)
+  double lower_log_score_nats[ROOMCAST_MAX_ROOMS];
+  // Per room, the true value lies at or below this, in nats.
+  // (Offset 1088.)
+  double upper_log_score_nats[ROOMCAST_MAX_ROOMS];
+  // Per room the score's share of all rooms' scores, 0 to 1: that the person is there next. They sum to one.
+  // (Offset 1600.)
+  double probability[ROOMCAST_MAX_ROOMS];
+} RoomcastPersonV1;
+
+// The scores of each person, which the room scores of the same epoch and sequence speak of together.
+typedef struct RoomcastPersonScoresV1 {
+  // Epoch of the room scores that it goes with.
+  // (Offset 0.)
+  uint64_t epoch;
+  // Sequence of those room scores.
+  // (Offset 8.)
+  uint64_t sequence;
+  // When they were computed: monotonic nanoseconds.
+  // (Offset 16.)
+  uint64_t computed_ns;
+  // When this message was sent: monotonic nanoseconds.
+  // (Offset 24.)
+  uint64_t published_ns;
+  // SHA-256 of the map.
+  // (Offset 32.)
+  uint8_t map_fingerprint[32];
+  // Persons with a history; person names at most 8 of them.
+  // (Offset 64.)
+  uint32_t persons;
+  // Entries in person, at most 8.
+  // (Offset 68.)
+  uint32_t person_count;
+  // Rooms, at most 64.
+  // (Offset 72.)
+  uint32_t room_count;
+  // Minor version of the layout: 0.
+  // (Offset 76.)
+  uint32_t minor;
+  // Zero.
+  // (Offset 80.)
+  uint8_t reserved[48];
+  // The rooms' ids in the map's order, UTF-8, zero padded.
+  // (Offset 128.)
+  uint8_t id[ROOMCAST_MAX_ROOMS][ROOMCAST_NAME_BYTES];
+  // The persons, in the order of their numbers; unused entries zero.
+  // (Offset 3200.)
+  struct RoomcastPersonV1 person[ROOMCAST_MAX_PERSONS];
+} RoomcastPersonScoresV1;
+
 // User header of a slice of item scores: which snapshot they belong to.
 typedef struct RoomcastItemScoresHeaderV1 {
   // Epoch of the room scores that these items add up to.
@@ -280,7 +371,7 @@ typedef struct RoomcastItemScoreV1 {
   // Its label, UTF-8, zero padded, cut to fit.
   // (Offset 48.)
   uint8_t label[ROOMCAST_NAME_BYTES];
-  // s_i = s_c / n_l, in nats.
+  // s_i = s_c / n_l, in nats; of several persons, the mean of their shares of their label mass, times the mean label mass.
   // (Offset 96.)
   double log_score_nats;
   // Index of its room in RoomScoresV1::rooms, or NO_PARTITION.
@@ -314,19 +405,23 @@ typedef struct RoomcastForecastV1 {
   // Person, or ALL_PERSONS.
   // (Offset 40.)
   uint32_t person;
-  // Minor version of the layout: 0.
+  // Minor version of the layout: 1, which has flags; they are 0 in minor version 0.
   // (Offset 44.)
   uint32_t minor;
-  // Zero.
+  // Bits of forecast_flags.
   // (Offset 48.)
-  uint8_t reserved[80];
+  uint32_t flags;
+  // Zero.
+  // (Offset 52.)
+  uint8_t reserved[76];
   // The horizons in seconds, rising.
   // (Offset 128.)
   float horizon_s[ROOMCAST_MAX_HORIZONS];
   // The rooms' ids, UTF-8, zero padded.
   // (Offset 192.)
   uint8_t id[ROOMCAST_MAX_ROOMS][ROOMCAST_NAME_BYTES];
-  // probability[room][horizon], 0 to 1; a room's row does not sum to one, a horizon's column does.
+  // probability[room][horizon], 0 to 1: that somebody is there. A horizon's column sums to one for one person, to at most
+  // their number for several; a room's row to nothing.
   // (Offset 3264.)
   float probability[ROOMCAST_MAX_ROOMS][ROOMCAST_MAX_HORIZONS];
 } RoomcastForecastV1;
@@ -514,6 +609,7 @@ typedef struct RoomcastStatusResponseV1 {
 /* Type names, as iceoryx2 compares them. */
 #define ROOMCAST_TYPE_NAME_NARRATIONV1 "roomcast.NarrationV1"
 #define ROOMCAST_TYPE_NAME_ROOMSCORESV1 "roomcast.RoomScoresV1"
+#define ROOMCAST_TYPE_NAME_PERSONSCORESV1 "roomcast.PersonScoresV1"
 #define ROOMCAST_TYPE_NAME_ITEMSCOREV1 "roomcast.ItemScoreV1"
 #define ROOMCAST_TYPE_NAME_ITEMSCORESHEADERV1 "roomcast.ItemScoresHeaderV1"
 #define ROOMCAST_TYPE_NAME_FORECASTV1 "roomcast.ForecastV1"
@@ -532,6 +628,11 @@ typedef struct RoomcastStatusResponseV1 {
 #define ROOMCAST_ROOM_SCORES_MAX_SUBSCRIBERS 16
 #define ROOMCAST_ROOM_SCORES_BUFFER_SIZE 2
 #define ROOMCAST_ROOM_SCORES_HISTORY_SIZE 1
+#define ROOMCAST_SERVICE_PERSON_SCORES "roomcast/v1/person-scores"
+#define ROOMCAST_PERSON_SCORES_MAX_PUBLISHERS 1
+#define ROOMCAST_PERSON_SCORES_MAX_SUBSCRIBERS 16
+#define ROOMCAST_PERSON_SCORES_BUFFER_SIZE 2
+#define ROOMCAST_PERSON_SCORES_HISTORY_SIZE 1
 #define ROOMCAST_SERVICE_FORECAST "roomcast/v1/forecast"
 #define ROOMCAST_FORECAST_MAX_PUBLISHERS 1
 #define ROOMCAST_FORECAST_MAX_SUBSCRIBERS 16
@@ -597,6 +698,31 @@ _Static_assert(offsetof(RoomcastRoomScoresV1, minor) == 200, "RoomcastRoomScores
 _Static_assert(offsetof(RoomcastRoomScoresV1, reserved) == 204, "RoomcastRoomScoresV1.reserved");
 _Static_assert(offsetof(RoomcastRoomScoresV1, included) == 256, "RoomcastRoomScoresV1.included");
 _Static_assert(offsetof(RoomcastRoomScoresV1, room) == 896, "RoomcastRoomScoresV1.room");
+_Static_assert(sizeof(RoomcastPersonV1) == 2112, "RoomcastPersonV1");
+_Static_assert(offsetof(RoomcastPersonV1, person) == 0, "RoomcastPersonV1.person");
+_Static_assert(offsetof(RoomcastPersonV1, reached) == 4, "RoomcastPersonV1.reached");
+_Static_assert(offsetof(RoomcastPersonV1, observed_ns) == 8, "RoomcastPersonV1.observed_ns");
+_Static_assert(offsetof(RoomcastPersonV1, window) == 16, "RoomcastPersonV1.window");
+_Static_assert(offsetof(RoomcastPersonV1, label_mass) == 24, "RoomcastPersonV1.label_mass");
+_Static_assert(offsetof(RoomcastPersonV1, flags) == 32, "RoomcastPersonV1.flags");
+_Static_assert(offsetof(RoomcastPersonV1, reserved) == 36, "RoomcastPersonV1.reserved");
+_Static_assert(offsetof(RoomcastPersonV1, log_score_nats) == 64, "RoomcastPersonV1.log_score_nats");
+_Static_assert(offsetof(RoomcastPersonV1, lower_log_score_nats) == 576, "RoomcastPersonV1.lower_log_score_nats");
+_Static_assert(offsetof(RoomcastPersonV1, upper_log_score_nats) == 1088, "RoomcastPersonV1.upper_log_score_nats");
+_Static_assert(offsetof(RoomcastPersonV1, probability) == 1600, "RoomcastPersonV1.probability");
+_Static_assert(sizeof(RoomcastPersonScoresV1) == 20096, "RoomcastPersonScoresV1");
+_Static_assert(offsetof(RoomcastPersonScoresV1, epoch) == 0, "RoomcastPersonScoresV1.epoch");
+_Static_assert(offsetof(RoomcastPersonScoresV1, sequence) == 8, "RoomcastPersonScoresV1.sequence");
+_Static_assert(offsetof(RoomcastPersonScoresV1, computed_ns) == 16, "RoomcastPersonScoresV1.computed_ns");
+_Static_assert(offsetof(RoomcastPersonScoresV1, published_ns) == 24, "RoomcastPersonScoresV1.published_ns");
+_Static_assert(offsetof(RoomcastPersonScoresV1, map_fingerprint) == 32, "RoomcastPersonScoresV1.map_fingerprint");
+_Static_assert(offsetof(RoomcastPersonScoresV1, persons) == 64, "RoomcastPersonScoresV1.persons");
+_Static_assert(offsetof(RoomcastPersonScoresV1, person_count) == 68, "RoomcastPersonScoresV1.person_count");
+_Static_assert(offsetof(RoomcastPersonScoresV1, room_count) == 72, "RoomcastPersonScoresV1.room_count");
+_Static_assert(offsetof(RoomcastPersonScoresV1, minor) == 76, "RoomcastPersonScoresV1.minor");
+_Static_assert(offsetof(RoomcastPersonScoresV1, reserved) == 80, "RoomcastPersonScoresV1.reserved");
+_Static_assert(offsetof(RoomcastPersonScoresV1, id) == 128, "RoomcastPersonScoresV1.id");
+_Static_assert(offsetof(RoomcastPersonScoresV1, person) == 3200, "RoomcastPersonScoresV1.person");
 _Static_assert(sizeof(RoomcastItemScoresHeaderV1) == 64, "RoomcastItemScoresHeaderV1");
 _Static_assert(offsetof(RoomcastItemScoresHeaderV1, epoch) == 0, "RoomcastItemScoresHeaderV1.epoch");
 _Static_assert(offsetof(RoomcastItemScoresHeaderV1, sequence) == 8, "RoomcastItemScoresHeaderV1.sequence");
@@ -618,7 +744,8 @@ _Static_assert(offsetof(RoomcastForecastV1, room_count) == 32, "RoomcastForecast
 _Static_assert(offsetof(RoomcastForecastV1, horizon_count) == 36, "RoomcastForecastV1.horizon_count");
 _Static_assert(offsetof(RoomcastForecastV1, person) == 40, "RoomcastForecastV1.person");
 _Static_assert(offsetof(RoomcastForecastV1, minor) == 44, "RoomcastForecastV1.minor");
-_Static_assert(offsetof(RoomcastForecastV1, reserved) == 48, "RoomcastForecastV1.reserved");
+_Static_assert(offsetof(RoomcastForecastV1, flags) == 48, "RoomcastForecastV1.flags");
+_Static_assert(offsetof(RoomcastForecastV1, reserved) == 52, "RoomcastForecastV1.reserved");
 _Static_assert(offsetof(RoomcastForecastV1, horizon_s) == 128, "RoomcastForecastV1.horizon_s");
 _Static_assert(offsetof(RoomcastForecastV1, id) == 192, "RoomcastForecastV1.id");
 _Static_assert(offsetof(RoomcastForecastV1, probability) == 3264, "RoomcastForecastV1.probability");

@@ -150,10 +150,15 @@ impl Forecaster {
             self.stay.add(at_s - self.room_since_s);
             self.room_since_s = at_s;
         }
-        if scores.len() == rooms {
+        self.updated_s = at_s;
+        self.expect(scores);
+    }
+
+    /// Takes in the room probabilities that the model gives after the last observation; those of another length are ignored.
+    pub fn expect(&mut self, scores: &[f64]) {
+        if scores.len() == self.scores.len() {
             self.scores.copy_from_slice(scores);
         }
-        self.updated_s = at_s;
     }
 
     /// Per room the probability that the person is in it at `now_s + horizon_s`; sums to one.

@@ -256,6 +256,24 @@ impl Default for GroundedScores {
     }
 }
 
+impl GroundedScores {
+    /// Takes over another's scores; allocates nothing once it has its size.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        self.partition_log_score_nats.clone_from(&other.partition_log_score_nats);
+        self.partition_probability.clone_from(&other.partition_probability);
+        self.label_mass = other.label_mass;
+    }
+
+    /// Takes probabilities as they are, and their logarithms as scores.
+    pub(crate) fn set(&mut self, label_mass: f64, probability: impl Iterator<Item = f64>) {
+        self.partition_probability.clear();
+        self.partition_probability.extend(probability);
+        self.partition_log_score_nats.clear();
+        self.partition_log_score_nats.extend(self.partition_probability.iter().map(|p| p.ln()));
+        self.label_mass = label_mass;
+    }
+}
+
 impl Grounding {
     /// The partitions, in the scene file's order (groups before the rooms in no group).
     #[must_use]

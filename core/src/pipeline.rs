@@ -1,5 +1,8 @@
 //! One step of the flow: observations in, scores of labels, items and partitions out.
 //!
+//! Every person is scored and grounded by themselves, as if they were alone. The scores of all together say for each partition
+//! that somebody is there next: `1 - prod over persons (1 - p)`, which is `p` for one person.
+//!
 //! The pipeline owns every buffer and does no I/O; the daemon, `roomcast score`, the experiments and the replay all run
 //! this one.
 
@@ -114,22 +117,24 @@ pub struct Timing {
     pub total_ns: u64,
 }
 
-/// The scores after a step.
+/// The scores after a step, of all persons together.
 #[derive(Debug, Clone, Default)]
 pub struct Scores {
-    /// Per label `ln s_c` in nats, corrected: of one person, or the mean of `s_c` over several.
+    /// Per label `ln s_c` in nats, corrected: of one person. Of several, the mean over persons of their label's share of their label
+    /// mass, times the mean label mass: everybody counts the same.
     pub label_log_prob_nats: Vec<f64>,
-    /// Per item and partition.
+    /// Per partition: of one person. Of several, the probability that somebody is there next, its logarithm as the score, and the mean
+    /// label mass.
     pub grounded: GroundedScores,
     /// Per source, the last narration that these scores include.
     pub included: Vec<Included>,
     /// When the newest of it was observed, monotonic nanoseconds; 0 before the first.
     pub newest_observed_ns: u64,
-    /// How the scores were reached; of several persons, what the intervals of their mean show.
+    /// How the scores were reached; of several persons, what the intervals of all together show.
     pub reached: Effort,
-    /// Per partition a certified lower bound of `ln S_j` in nats; the score itself when exact.
+    /// Per partition a certified lower bound of the score in nats; the score itself when exact.
     pub lower_log_score_nats: Vec<f64>,
-    /// Per partition a certified upper bound of `ln S_j` in nats; the score itself when exact.
+    /// Per partition a certified upper bound of the score in nats; the score itself when exact.
     pub upper_log_score_nats: Vec<f64>,
     /// Tokens of the prompts scored in this step.
     pub prompt_tokens: usize,
@@ -139,13 +144,43 @@ pub struct Scores {
     pub timing: Timing,
 }
 
+/// One person's scores: those that they would have alone.
+#[derive(Debug, Clone, Copy)]
+pub struct PersonScores<'a> {
+    /// Who.
+    pub person: u32,
+    /// Per label `ln s_c` in nats, corrected.
+    pub label_log_prob_nats: &'a [f64],
+    /// Per partition.
+    pub grounded: &'a GroundedScores,
+    /// How the scores were reached.
+    pub reached: Effort,
+    /// Per partition a certified lower bound of `ln S_j` in nats; the score itself when exact.
+    pub lower_log_score_nats: &'a [f64],
+    /// Per partition a certified upper bound of `ln S_j` in nats; the score itself when exact.
+    pub upper_log_score_nats: &'a [f64],
+}
+
+/// What a person's scores lack.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Due {
+    Nothing,
+    /// The map's sums.
+    Grounding,
+    /// The model's word.
+    Scoring,
+}
+
 #[derive(Debug)]
 struct Person {
     id: u32,
     scores: LabelScores,
+    grounded: GroundedScores,
+    lower_log_score_nats: Vec<f64>,
+    upper_log_score_nats: Vec<f64>,
     /// Kept only where partial answers are asked for.
     certified: Option<Certified>,
-    stale: bool,
+    due: Due,
     /// What the model read for these scores, and where in it each sentence ends: the history may have been cut since.
     prompt: String,
     sentence_ends: Vec<usize>,
@@ -156,8 +191,11 @@ impl Person {
         Self {
             id,
             scores: LabelScores::default(),
+            grounded: GroundedScores::default(),
+            lower_log_score_nats: Vec::new(),
+            upper_log_score_nats: Vec::new(),
             certified: None,
-            stale: true,
+            due: Due::Scoring,
             prompt: String::new(),
             sentence_ends: Vec::new(),
         }
@@ -179,6 +217,62 @@ impl Person {
         }
     }
 
+    /// The bounds of an answer that stopped before it was exact.
+    fn partial(&self) -> Option<&Bounds> {
+        self.certified.as_ref().map(|certified| &certified.bounds).filter(|bounds| bounds.reached != Effort::Exact)
+    }
+
+    fn reached(&self) -> Effort {
+        self.partial().map_or(Effort::Exact, |bounds| bounds.reached)
+    }
+
+    /// Sums the labels' scores per partition.
+    fn ground(&mut self, grounding: &Grounding) -> Result<(), GroundingError> {
+        grounding.ground(&self.scores.log_prob_nats, &mut self.grounded)?;
+        let (mut lower, mut upper) =
+            (std::mem::take(&mut self.lower_log_score_nats), std::mem::take(&mut self.upper_log_score_nats));
+        lower.clear();
+        upper.clear();
+        match self.partial() {
+            Some(bounds) => {
+                lower.extend(bounds.lower.iter().map(|score| score.ln()));
+                upper.extend(bounds.upper.iter().map(|score| score.ln()));
+            }
+            None => {
+                lower.extend_from_slice(&self.grounded.partition_log_score_nats);
+                upper.extend_from_slice(&self.grounded.partition_log_score_nats);
+            }
+        }
+        (self.lower_log_score_nats, self.upper_log_score_nats) = (lower, upper);
+        Ok(())
+    }
+
+    /// Between what the probability of a partition lies: its least score against the most of all others, and its most against their least.
+    fn probability_bounds(&self, partition: usize) -> (f64, f64) {
+        let Some(Bounds { lower, upper, .. }) = self.partial() else {
+            let exact = self.grounded.partition_probability[partition];
+            return (exact, exact);
+        };
+        let even = 1.0 / lower.len() as f64;
+        let others = |side: &[f64]| -> f64 {
+            side.iter().enumerate().filter(|(other, _)| *other != partition).map(|(_, score)| score).sum()
+        };
+        // Where no partition has a score, all are as likely.
+        let share = |own: f64, others: f64| if own + others > 0.0 { own / (own + others) } else { even };
+        (share(lower[partition], others(upper)), share(upper[partition], others(lower)))
+    }
+
+    fn view(&self) -> PersonScores<'_> {
+        PersonScores {
+            person: self.id,
+            label_log_prob_nats: &self.scores.log_prob_nats,
+            grounded: &self.grounded,
+            reached: self.reached(),
+            lower_log_score_nats: &self.lower_log_score_nats,
+            upper_log_score_nats: &self.upper_log_score_nats,
+        }
+    }
+
     fn sentences(&self) -> impl Iterator<Item = &str> {
         let starts = std::iter::once(0).chain(self.sentence_ends.iter().map(|end| end + 1));
         starts.zip(&self.sentence_ends).map(|(start, &end)| &self.prompt[start..end])
@@ -192,7 +286,10 @@ pub struct Pipeline<M> {
     prepared: PreparedLabels,
     grounding: Grounding,
     options: PipelineOptions,
+    /// Most tokens that a history was given; a map's labels may leave it fewer.
+    history_tokens: usize,
     histories: Histories,
+    /// In the order of their numbers, so that sums do not depend on who came first.
     persons: Vec<Person>,
     /// Stands in before anybody was observed.
     nobody: Person,
@@ -210,13 +307,15 @@ impl<M: LanguageModel> Pipeline<M> {
     pub fn new(model: M, grounding: Grounding, mut options: PipelineOptions) -> Result<Self, PipelineError> {
         let mut scorer = Scorer::new(model);
         let (prepared, tokens) = prepare(&mut scorer, &grounding, &options)?;
-        options.history.tokens = options.history.tokens.min(tokens);
+        let history_tokens = options.history.tokens;
+        options.history.tokens = history_tokens.min(tokens);
         let histories = Histories::new(options.history);
         Ok(Self {
             scorer,
             prepared,
             grounding,
             options,
+            history_tokens,
             histories,
             persons: Vec::new(),
             nobody: Person::new(0),
@@ -265,7 +364,7 @@ impl<M: LanguageModel> Pipeline<M> {
             // The list is prepared anew, so labels that nothing bears any more can leave it.
             let grounding = Grounding::new(map, options)?;
             let (labels, tokens) = prepare(&mut self.scorer, &grounding, &self.options)?;
-            self.options.history.tokens = self.options.history.tokens.min(tokens);
+            self.options.history.tokens = self.history_tokens.min(tokens);
             self.histories.limit_tokens(self.options.history.tokens);
             self.prepared = labels;
             self.grounding = grounding;
@@ -273,10 +372,13 @@ impl<M: LanguageModel> Pipeline<M> {
             self.scores.label_log_prob_nats.clear();
         }
         let exact = self.options.method != Method::Trie || self.options.effort == Effort::Exact;
+        let due = if anew || !exact { Due::Scoring } else { Due::Grounding };
         for person in self.persons.iter_mut().chain([&mut self.nobody]) {
             // It holds the old map's weights.
             person.certified = None;
-            person.stale |= anew || !exact;
+            // Of the old map's partitions.
+            person.grounded = GroundedScores::default();
+            person.due = person.due.max(due);
         }
         Ok(prepared)
     }
@@ -294,6 +396,17 @@ impl<M: LanguageModel> Pipeline<M> {
     /// The scores of the last step.
     pub fn scores(&self) -> &Scores {
         &self.scores
+    }
+
+    /// Each person's own scores, as far as the map in use has given them any, in the order of their numbers.
+    pub fn persons(&self) -> impl Iterator<Item = PersonScores<'_>> {
+        self.persons.iter().map(Person::view).filter(|person| !person.grounded.partition_probability.is_empty())
+    }
+
+    /// One person's own scores, if they have any.
+    #[must_use]
+    pub fn person(&self, person: u32) -> Option<PersonScores<'_>> {
+        self.persons().find(|scores| scores.person == person)
     }
 
     /// A token's text, for people.
@@ -347,9 +460,9 @@ impl<M: LanguageModel> Pipeline<M> {
                 Err(_) => text.len(),
             };
             self.histories.push(observation, tokens);
-            match self.persons.iter_mut().find(|p| p.id == person) {
-                Some(known) => known.stale = true,
-                None => self.persons.push(Person::new(person)),
+            match self.persons.binary_search_by_key(&person, |known| known.id) {
+                Ok(place) => self.persons[place].due = Due::Scoring,
+                Err(place) => self.persons.insert(place, Person::new(person)),
             }
             self.include(included);
         }
@@ -391,7 +504,7 @@ impl<M: LanguageModel> Pipeline<M> {
             [] => std::slice::from_mut(&mut self.nobody),
             persons => persons,
         };
-        for person in persons.iter_mut().filter(|p| p.stale) {
+        for person in persons.iter_mut().filter(|p| p.due == Due::Scoring) {
             let writing = now();
             person.write_prompt(self.histories.get(person.id), &self.options);
             timing.tokenise_ns += now().saturating_sub(writing);
@@ -410,7 +523,7 @@ impl<M: LanguageModel> Pipeline<M> {
             } else {
                 self.scorer.score(&self.prepared, &person.prompt, self.options.method, &mut person.scores)?;
             }
-            person.stale = false;
+            person.due = Due::Grounding;
             self.read = Some(person.id);
             timing.tokenise_ns += person.scores.tokenise_ns;
             timing.prefix_ns += person.scores.prefix_ns;
@@ -419,9 +532,11 @@ impl<M: LanguageModel> Pipeline<M> {
             self.scores.stats += person.scores.stats;
         }
         let grounding = now();
-        mean(persons, &mut self.scores.label_log_prob_nats);
-        self.grounding.ground(&self.scores.label_log_prob_nats, &mut self.scores.grounded)?;
-        bounds(persons, &mut self.scores);
+        for person in persons.iter_mut().filter(|p| p.due == Due::Grounding) {
+            person.ground(&self.grounding)?;
+            person.due = Due::Nothing;
+        }
+        together(persons, &mut self.scores);
         timing.ground_ns = now().saturating_sub(grounding);
         timing.total_ns = now().saturating_sub(start);
         self.scores.timing = timing;
@@ -479,66 +594,65 @@ fn prepare<M: LanguageModel>(
     Ok((prepared, context - needed))
 }
 
-/// `ln` of the mean over persons of `s_c`, per label. Grounding is linear, so this is the mean of their partition scores too.
-fn mean(persons: &[Person], out: &mut Vec<f64>) {
-    out.clear();
+/// The scores of all persons together.
+fn together(persons: &[Person], scores: &mut Scores) {
     let Some((first, others)) = persons.split_first() else { return };
-    out.extend_from_slice(&first.scores.log_prob_nats);
     if others.is_empty() {
-        return;
-    }
-    for other in others {
-        for (sum, &more) in out.iter_mut().zip(&other.scores.log_prob_nats) {
-            let (low, high) = if *sum < more { (*sum, more) } else { (more, *sum) };
-            *sum = if low == f64::NEG_INFINITY { high } else { high + (low - high).exp().ln_1p() };
-        }
-    }
-    let ln_count = (persons.len() as f64).ln();
-    out.iter_mut().for_each(|sum| *sum -= ln_count);
-}
-
-/// Combines the persons' bounds: those of a mean lie between the means of the bounds.
-fn bounds(persons: &[Person], scores: &mut Scores) {
-    let partial =
-        |p: &Person| p.certified.as_ref().filter(|c| c.bounds.reached != Effort::Exact).map(|c| c.bounds.reached);
-    scores.reached = persons.iter().filter_map(partial).max_by_key(|&effort| effort as u8).unwrap_or_default();
-    let exact = &scores.grounded.partition_log_score_nats;
-    scores.lower_log_score_nats.clear();
-    scores.upper_log_score_nats.clear();
-    if scores.reached == Effort::Exact {
-        scores.lower_log_score_nats.extend_from_slice(exact);
-        scores.upper_log_score_nats.extend_from_slice(exact);
+        scores.label_log_prob_nats.clone_from(&first.scores.log_prob_nats);
+        scores.grounded.copy_from(&first.grounded);
+        scores.lower_log_score_nats.clone_from(&first.lower_log_score_nats);
+        scores.upper_log_score_nats.clone_from(&first.upper_log_score_nats);
+        scores.reached = first.reached();
         return;
     }
     let count = persons.len() as f64;
-    for partition in 0..exact.len() {
-        let mean = |side: fn(&Bounds) -> &[f64]| {
-            let sum: f64 =
-                persons.iter().filter_map(|p| p.certified.as_ref()).map(|c| side(&c.bounds)[partition]).sum();
-            (sum / count).ln()
+    let label_mass = persons.iter().map(|person| person.grounded.label_mass).sum::<f64>() / count;
+    let label = |label: usize| {
+        let share = |person: &Person| match person.grounded.label_mass {
+            mass if mass > 0.0 => person.scores.log_prob_nats[label].exp() / mass,
+            _ => 0.0,
         };
-        scores.lower_log_score_nats.push(mean(|b| &b.lower));
-        scores.upper_log_score_nats.push(mean(|b| &b.upper));
+        (persons.iter().map(share).sum::<f64>() / count * label_mass).ln()
+    };
+    scores.label_log_prob_nats.clear();
+    scores.label_log_prob_nats.extend((0..first.scores.log_prob_nats.len()).map(label));
+
+    let partitions = first.grounded.partition_probability.len();
+    let anybody = |of: &dyn Fn(&Person) -> f64| 1.0 - persons.iter().map(|person| 1.0 - of(person)).product::<f64>();
+    scores.grounded.set(label_mass, (0..partitions).map(|j| anybody(&|p| p.grounded.partition_probability[j])));
+    let score = &scores.grounded.partition_log_score_nats;
+    scores.lower_log_score_nats.clone_from(score);
+    scores.upper_log_score_nats.clone_from(score);
+    scores.reached = Effort::Exact;
+    if persons.iter().all(|person| person.partial().is_none()) {
+        return;
     }
-    if persons.len() > 1 {
-        // What is certain of each person is not of their mean: only the intervals tell.
-        let (lower, upper) = (&scores.lower_log_score_nats, &scores.upper_log_score_nats);
-        let all = 0..exact.len();
-        let ahead = |first: usize, second: usize| lower[first] > upper[second];
-        let told_apart = |a: usize| (0..a).all(|b| ahead(a, b) || ahead(b, a));
-        let first = |a: usize| all.clone().all(|b| a == b || ahead(a, b));
-        scores.reached = if all.clone().all(told_apart) {
-            Effort::Ranking
-        } else if all.clone().any(first) {
-            Effort::Top
-        } else {
-            Effort::Deadline
-        };
+    for partition in 0..partitions {
+        // Rounding must not put the score itself outside.
+        let lower = anybody(&|person| person.probability_bounds(partition).0).ln();
+        scores.lower_log_score_nats[partition] = lower.min(score[partition]);
+        let upper = anybody(&|person| person.probability_bounds(partition).1).ln();
+        scores.upper_log_score_nats[partition] = upper.max(score[partition]);
     }
+    // What is certain of each person is not of all together: only the intervals tell.
+    let (lower, upper) = (&scores.lower_log_score_nats, &scores.upper_log_score_nats);
+    let all = 0..partitions;
+    let ahead = |first: usize, second: usize| lower[first] > upper[second];
+    let told_apart = |a: usize| (0..a).all(|b| ahead(a, b) || ahead(b, a));
+    let first = |a: usize| all.clone().all(|b| a == b || ahead(a, b));
+    scores.reached = if all.clone().all(told_apart) {
+        Effort::Ranking
+    } else if all.clone().any(first) {
+        Effort::Top
+    } else {
+        Effort::Deadline
+    };
 }
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
     use crate::narration::Sentence;
     use crate::scorer::correction::Continuation;
@@ -581,7 +695,29 @@ mod tests {
         }
     }
 
-    /// The bounds of two persons' mean hold under a prior, whose scale each person has for themselves.
+    /// A map of many labels leaves the histories fewer tokens; a smaller one gives them back.
+    #[test]
+    fn a_smaller_map_gives_the_history_its_tokens_back() {
+        let small = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let things: Vec<String> = (0..40).map(|n| format!(r#"{{"change": "add-item", "item": {{"id": "thing-{n}", "label": "thing number {n}", "position_m": [1, 1, 1], "box": {{"min_m": [0.9, 0.9, 0.9], "max_m": [1.1, 1.1, 1.1]}}}}}}"#)).collect();
+        let changes = crate::semantic_map::delta::parse_changes(&format!("[{}]", things.join(","))).unwrap();
+        let large = small.changed(changes).unwrap();
+        let grounding = Grounding::new(&small, &GroundingOptions::default()).unwrap();
+        let model = TableModel::new(7);
+        let history = HistoryLimits { tokens: model.info().context_tokens, ..HistoryLimits::default() };
+        let mut pipeline = Pipeline::new(model, grounding, PipelineOptions { history, ..Default::default() }).unwrap();
+        let before = pipeline.options().history.tokens;
+        pipeline.change_map(&large, &GroundingOptions::default()).unwrap();
+        assert!(pipeline.options().history.tokens < before);
+        // A label that the large list does not know, so that the list is prepared again.
+        let other = r#"[{"change": "add-item", "item": {"id": "lamp-1", "label": "lamp", "position_m": [1, 1, 1], "box": {"min_m": [0.9, 0.9, 0.9], "max_m": [1.1, 1.1, 1.1]}}}, {"change": "remove-item", "id": "wall-1"}]"#;
+        let other = small.changed(crate::semantic_map::delta::parse_changes(other).unwrap()).unwrap();
+        pipeline.change_map(&other, &GroundingOptions::default()).unwrap();
+        let after = pipeline.options().history.tokens;
+        assert!(after.abs_diff(before) < 20, "{before} tokens before, {after} after");
+    }
+
+    /// The bounds of two persons together hold under a prior, whose scale each person has for themselves.
     #[test]
     fn partial_answers_of_several_persons_are_true() {
         let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
@@ -603,6 +739,96 @@ mod tests {
                         assert_eq!(order(&partial.grounded.partition_log_score_nats), order(exact));
                     }
                 }
+            }
+        }
+    }
+
+    /// Who leaves less mass on the map is seen all the same, and their forecaster gets their own scores.
+    #[test]
+    fn persons_do_not_hide_each_other() {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let mut both = pipeline(&map, Effort::Exact, CorrectionChoice::EQUATION_1);
+        both.step([observation(1, 0), observation(2, 1)]).unwrap();
+        let of = |person: u32| both.person(person).unwrap().grounded;
+        let together = &both.scores().grounded;
+        for room in 0..2 {
+            let [p, q] = [0, 1].map(|person| of(person).partition_probability[room]);
+            let anybody = 1.0 - (1.0 - p) * (1.0 - q);
+            assert_eq!(together.partition_probability[room], anybody);
+            assert!(anybody >= p.max(q) - 1e-15, "{anybody} {p} {q}");
+            assert_eq!(together.partition_log_score_nats[room], anybody.ln());
+        }
+        assert_eq!(together.label_mass, (of(0).label_mass + of(1).label_mass) / 2.0);
+        let mass: f64 = both.scores().label_log_prob_nats.iter().map(|nats| nats.exp()).sum();
+        assert!((mass - together.label_mass).abs() < 1e-12);
+    }
+
+    /// Scores of one person: labels, probabilities, scores and both bounds.
+    fn values(scores: PersonScores) -> (Vec<u64>, Effort) {
+        let GroundedScores { partition_log_score_nats, partition_probability, label_mass, .. } = scores.grounded;
+        let all = [
+            scores.label_log_prob_nats,
+            partition_log_score_nats,
+            partition_probability,
+            scores.lower_log_score_nats,
+            scores.upper_log_score_nats,
+            &[*label_mass],
+        ];
+        (all.concat().iter().map(|value| value.to_bits()).collect(), scores.reached)
+    }
+
+    proptest! {
+        /// A person's scores are those that they have alone, to the bit; one person's are those of all together.
+        #[test]
+        fn a_persons_scores_are_those_of_that_person_alone(
+            steps in prop::collection::vec(prop::collection::vec(0u32..4, 0..4), 1..8),
+            effort in prop::sample::select(vec![Effort::Exact, Effort::Ranking, Effort::Top]),
+            corrected: bool,
+            gone in prop::option::of(0usize..4),
+        ) {
+            let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+            let correction = if corrected { CORRECTED } else { CorrectionChoice::EQUATION_1 };
+            let gone = gone.and_then(|item| map.items.get(item));
+            let after = gone.map(|item| map.changed(vec![MapChange::RemoveItem { id: item.id.clone() }]).unwrap());
+            let mut together = pipeline(&map, effort, correction);
+            let mut alone = std::collections::BTreeMap::new();
+            let mut sequence = 0;
+            for (number, persons) in steps.iter().enumerate() {
+                let said: Vec<_> = persons.iter().map(|&person| {
+                    sequence += 1;
+                    observation(sequence, person)
+                }).collect();
+                together.step(said.clone()).unwrap();
+                for person in said.iter().map(|o| o.person).collect::<std::collections::BTreeSet<_>>() {
+                    let own = alone.entry(person).or_insert_with(|| pipeline(&map, effort, correction));
+                    own.step(said.iter().filter(|o| o.person == person).cloned()).unwrap();
+                }
+                if number + 1 == steps.len() && let Some(after) = &after {
+                    together.change_map(after, &GroundingOptions::default()).unwrap();
+                    prop_assert!(together.persons().next().is_none(), "scores of the old map");
+                    together.score().unwrap();
+                    for own in alone.values_mut() {
+                        own.change_map(after, &GroundingOptions::default()).unwrap();
+                        own.score().unwrap();
+                    }
+                }
+            }
+            prop_assert_eq!(together.persons().count(), alone.len());
+            for (person, own) in &alone {
+                let own_scores = values(own.person(*person).unwrap());
+                prop_assert_eq!(values(together.person(*person).unwrap()), own_scores.clone());
+                let Scores { label_log_prob_nats, grounded, reached, .. } = own.scores();
+                let (lower_log_score_nats, upper_log_score_nats) =
+                    (&own.scores().lower_log_score_nats[..], &own.scores().upper_log_score_nats[..]);
+                let all = PersonScores {
+                    person: *person,
+                    label_log_prob_nats,
+                    grounded,
+                    reached: *reached,
+                    lower_log_score_nats,
+                    upper_log_score_nats,
+                };
+                prop_assert_eq!(values(all), own_scores);
             }
         }
     }

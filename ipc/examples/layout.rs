@@ -1,8 +1,8 @@
 //! Prints every message's layout, for other languages.
 
 use roomcast_ipc::{
-    DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout, NarrationV1, RoomScoresV1,
-    RoomV1, StatusRequestV1, StatusResponseV1,
+    DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout, NarrationV1, PersonScoresV1,
+    PersonV1, RoomScoresV1, RoomV1, StatusRequestV1, StatusResponseV1,
 };
 
 fn print<T: Layout>() {
@@ -17,6 +17,8 @@ fn main() {
     print::<IncludedV1>();
     print::<RoomV1>();
     print::<RoomScoresV1>();
+    print::<PersonV1>();
+    print::<PersonScoresV1>();
     print::<ItemScoresHeaderV1>();
     print::<ItemScoreV1>();
     print::<ForecastV1>();

@@ -3,13 +3,14 @@
 //! A planner of somebody else's needs this crate alone. Three contracts, one direction:
 //!
 //! ```text
-//! narrator --(narration)--> daemon --(room scores, item scores, forecast)--> planner --(decision)--> whoever listens
+//! narrator --(narration)--> daemon --(room, person and item scores, forecast)--> planner --(decision)--> whoever listens
 //! ```
 //!
 //! | service | payload | publishers | subscribers | buffer | history |
 //! | --- | --- | --- | --- | --- | --- |
 //! | `roomcast/v1/narration` | [`NarrationV1`] | 8 | 4 | 256 | 32 |
 //! | `roomcast/v1/room-scores` | [`RoomScoresV1`], a full snapshot | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/person-scores` | [`PersonScoresV1`], those of each person | 1 | 16 | 2 | 1 |
 //! | `roomcast/v1/item-scores` | slice of [`ItemScoreV1`] with [`ItemScoresHeaderV1`] | 1 | 8 | 2 | 1 |
 //! | `roomcast/v1/forecast` | [`ForecastV1`] | 1 | 16 | 2 | 1 |
 //! | `roomcast/v1/decision` | [`DecisionV1`] | 8 | 16 | 16 | 1 |
@@ -68,9 +69,9 @@ pub use domain::{Domain, Node};
 pub use error::{IpcError, MessageError};
 pub use message::{
     ALL_PERSONS, ByteImage, DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout,
-    MAX_HORIZONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES, NARRATION_TEXT_BYTES, NO_PARTITION, NarrationV1,
-    REASON_TEXT_BYTES, RoomScoresV1, RoomV1, ServiceQuality, StatusRequestV1, StatusResponseV1, action, decision_flags,
-    narration_kind, reached, score_flags,
+    MAX_HORIZONS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES, NARRATION_TEXT_BYTES, NO_PARTITION,
+    NarrationV1, PersonScoresV1, PersonV1, REASON_TEXT_BYTES, RoomScoresV1, RoomV1, ServiceQuality, StatusRequestV1,
+    StatusResponseV1, action, decision_flags, forecast_flags, narration_kind, person_flags, reached, score_flags,
 };
 pub use port::{
     ItemScores, ItemScoresPublisher, ItemScoresSubscriber, Publisher, StatusClient, StatusServer, Subscriber,

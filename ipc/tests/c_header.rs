@@ -9,14 +9,15 @@ use std::process::Command;
 
 use roomcast_ipc::{
     ByteImage, DecisionV1, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout, Message, NarrationV1,
-    RoomScoresV1, RoomV1, StatusRequestV1, StatusResponseV1, text,
+    PersonScoresV1, PersonV1, RoomScoresV1, RoomV1, StatusRequestV1, StatusResponseV1, text,
 };
 
 #[path = "../../tests/support/skipped.rs"]
 mod skipped;
 use skipped::skipped;
 
-const SOURCES: [&str; 7] = ["mod", "narration", "room_scores", "item_scores", "forecast", "decision", "status"];
+const SOURCES: [&str; 8] =
+    ["mod", "narration", "room_scores", "person_scores", "item_scores", "forecast", "decision", "status"];
 
 fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
@@ -80,11 +81,18 @@ fn plain_rust() -> String {
 /// A field's type with C's names for constants and structures.
 fn c_kind(kind: &str) -> String {
     let mut kind = kind.to_owned();
-    for name in ["IncludedV1", "RoomV1"] {
+    for name in ["IncludedV1", "RoomV1", "PersonV1"] {
         kind = kind.replace(name, &c_type(name));
     }
-    for name in ["NAME_BYTES", "NARRATION_TEXT_BYTES", "REASON_TEXT_BYTES", "MAX_ROOMS", "MAX_SOURCES", "MAX_HORIZONS"]
-    {
+    for name in [
+        "NAME_BYTES",
+        "NARRATION_TEXT_BYTES",
+        "REASON_TEXT_BYTES",
+        "MAX_ROOMS",
+        "MAX_PERSONS",
+        "MAX_SOURCES",
+        "MAX_HORIZONS",
+    ] {
         kind = kind.replace(&format!("; {name}]"), &format!("; ROOMCAST_{name}]"));
     }
     kind
@@ -119,6 +127,7 @@ fn names() -> String {
     let mut out = String::from("\n/* Type names, as iceoryx2 compares them. */\n");
     type_name::<NarrationV1>(&mut out);
     type_name::<RoomScoresV1>(&mut out);
+    type_name::<PersonScoresV1>(&mut out);
     type_name::<ItemScoreV1>(&mut out);
     type_name::<ItemScoresHeaderV1>(&mut out);
     type_name::<ForecastV1>(&mut out);
@@ -128,6 +137,7 @@ fn names() -> String {
     out.push_str("\n/* Publish-subscribe services and their quality; every participant states all of it. Safe overflow is on. */\n");
     service::<NarrationV1>(&mut out);
     service::<RoomScoresV1>(&mut out);
+    service::<PersonScoresV1>(&mut out);
     service::<ForecastV1>(&mut out);
     service::<DecisionV1>(&mut out);
     out
@@ -143,6 +153,8 @@ fn header() -> String {
     assertions::<IncludedV1>(&mut trailer);
     assertions::<RoomV1>(&mut trailer);
     assertions::<RoomScoresV1>(&mut trailer);
+    assertions::<PersonV1>(&mut trailer);
+    assertions::<PersonScoresV1>(&mut trailer);
     assertions::<ItemScoresHeaderV1>(&mut trailer);
     assertions::<ItemScoreV1>(&mut trailer);
     assertions::<ForecastV1>(&mut trailer);

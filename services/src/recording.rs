@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::MessageHeader;
 use mcap::{Attachment, McapError, MessageStream, Summary, WriteOptions, Writer};
-use roomcast_ipc::{ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, RoomScoresV1};
+use roomcast_ipc::{ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonScoresV1, RoomScoresV1};
 use serde_json::{Value, json};
 
 use crate::config::IntakeLimits;
@@ -80,6 +80,8 @@ pub enum Recorded {
     Narration(Box<NarrationV1>),
     /// Room scores.
     RoomScores(Box<RoomScoresV1>),
+    /// Each person's scores.
+    PersonScores(Box<PersonScoresV1>),
     /// Forecast.
     Forecast(Box<ForecastV1>),
     /// Decision.
@@ -93,6 +95,7 @@ impl Recorded {
         match self {
             Self::Narration(_) => NarrationV1::SERVICE.name,
             Self::RoomScores(_) => RoomScoresV1::SERVICE.name,
+            Self::PersonScores(_) => PersonScoresV1::SERVICE.name,
             Self::Forecast(_) => ForecastV1::SERVICE.name,
             Self::Decision(_) => DecisionV1::SERVICE.name,
         }
@@ -104,6 +107,7 @@ impl Recorded {
         match self {
             Self::Narration(message) => message.to_bytes(),
             Self::RoomScores(message) => message.to_bytes(),
+            Self::PersonScores(message) => message.to_bytes(),
             Self::Forecast(message) => message.to_bytes(),
             Self::Decision(message) => message.to_bytes(),
         }
@@ -127,9 +131,19 @@ impl Recorded {
                     "trie": message.trie_ns, "ground": message.ground_ns},
                 "model": hex::encode(message.model_fingerprint), "map": hex::encode(message.map_fingerprint),
             }),
+            Self::PersonScores(message) => json!({
+                "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence, "persons": message.persons,
+                "person": message.persons().iter().map(|person| json!({
+                    "person": person.person, "flags": person.flags, "label_mass": person.label_mass,
+                    "rooms": message.probabilities(person).zip(person.log_score_nats).map(|((id, probability), nats)| json!({
+                        "id": id, "probability": probability, "log_score_nats": finite(nats),
+                    })).collect::<Vec<_>>(),
+                })).collect::<Vec<_>>(),
+                "map": hex::encode(&message.map_fingerprint),
+            }),
             Self::Forecast(message) => json!({
                 "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence,
-                "horizon_s": message.horizon_s.get(..message.horizon_count as usize),
+                "flags": message.flags, "horizon_s": message.horizon_s.get(..message.horizon_count as usize),
                 "rooms": (0..message.room_count as usize).filter_map(|index| message.room(index)).map(|(id, row)| json!({
                     "id": id, "probability": row,
                 })).collect::<Vec<_>>(),
@@ -147,6 +161,7 @@ impl Recorded {
         match self {
             Self::Narration(message) => message.sequence,
             Self::RoomScores(message) => message.sequence,
+            Self::PersonScores(message) => message.sequence,
             Self::Forecast(message) => message.sequence,
             Self::Decision(message) => message.sequence,
         }
@@ -162,6 +177,7 @@ impl Recorded {
         Ok(match topic {
             topic if topic == NarrationV1::SERVICE.name => Self::Narration(message(bytes)?),
             topic if topic == RoomScoresV1::SERVICE.name => Self::RoomScores(message(bytes)?),
+            topic if topic == PersonScoresV1::SERVICE.name => Self::PersonScores(message(bytes)?),
             topic if topic == ForecastV1::SERVICE.name => Self::Forecast(message(bytes)?),
             topic if topic == DecisionV1::SERVICE.name => Self::Decision(message(bytes)?),
             other => return Err(format!("the service {other:?} is unknown")),
@@ -180,7 +196,7 @@ fn finite(value: f64) -> Option<f64> {
 }
 
 /// Services with the JSON schema of their messages.
-fn schemas() -> [(&'static str, &'static str, Value); 4] {
+fn schemas() -> [(&'static str, &'static str, Value); 5] {
     let object = |title: &str, properties: Value| {
         let mut properties = properties;
         properties["bytes"] = json!({"type": "string", "description": "the message as in shared memory, hexadecimal"});
@@ -215,12 +231,24 @@ fn schemas() -> [(&'static str, &'static str, Value); 4] {
             ),
         ),
         (
+            PersonScoresV1::SERVICE.name,
+            PersonScoresV1::TYPE_NAME,
+            object(
+                PersonScoresV1::TYPE_NAME,
+                json!({
+                    "epoch": text, "sequence": integer, "persons": integer, "map": text,
+                    "person": {"type": "array", "items": {"type": "object", "properties":
+                        {"person": integer, "flags": integer, "label_mass": number, "rooms": room}}},
+                }),
+            ),
+        ),
+        (
             ForecastV1::SERVICE.name,
             ForecastV1::TYPE_NAME,
             object(
                 ForecastV1::TYPE_NAME,
                 json!({
-                    "epoch": text, "sequence": integer, "horizon_s": {"type": "array", "items": number}, "rooms": course,
+                    "epoch": text, "sequence": integer, "flags": integer, "horizon_s": {"type": "array", "items": number}, "rooms": course,
                 }),
             ),
         ),
@@ -478,11 +506,18 @@ mod tests {
             room.probability = 0.5;
             room.log_score_nats = f64::NEG_INFINITY;
         }
+        let mut persons =
+            PersonScoresV1 { epoch: 3, sequence: 1, room_count: 1, persons: 2, person_count: 2, ..Default::default() };
+        persons.id[0] = text::encode("id", "kitchen").unwrap();
+        for (number, person) in (0..2).zip(&mut persons.person) {
+            (person.person, person.probability[0]) = (number, 1.0);
+        }
         let decision =
             DecisionV1 { to: text::encode("to", "bathroom").unwrap(), probability: 0.25, ..Default::default() };
         vec![
             (1_000, Recorded::Narration(Box::new(narration))),
             (2_000, Recorded::RoomScores(Box::new(scores))),
+            (2_200, Recorded::PersonScores(Box::new(persons))),
             (2_500, Recorded::Forecast(Box::new(ForecastV1 { room_count: 1, horizon_count: 2, ..Default::default() }))),
             (3_000, Recorded::Decision(Box::new(decision))),
         ]
@@ -508,7 +543,7 @@ mod tests {
             assert_eq!(a.to_bytes(), b.to_bytes());
         }
         let summary = Summary::read(&std::fs::read(&path).unwrap()).unwrap().unwrap();
-        assert_eq!(summary.stats.unwrap().message_count, 4);
+        assert_eq!(summary.stats.unwrap().message_count, 5);
         assert!(summary.schemas.values().all(|schema| schema.encoding == "jsonschema"));
     }
 

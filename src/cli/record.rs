@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::bounded;
 use roomcast_ipc::{
-    DecisionV1, ForecastV1, Message, NarrationV1, RoomScoresV1, Subscriber, clock, question, score_flags,
+    DecisionV1, ForecastV1, Message, NarrationV1, PersonScoresV1, RoomScoresV1, Subscriber, clock, question,
+    score_flags,
 };
 
 use super::{CommandResult, Failure, service};
@@ -51,6 +52,7 @@ pub fn run(args: &Args) -> CommandResult {
     let node = domain.open("roomcast-record").map_err(ipc)?;
     let narration = node.subscriber::<NarrationV1>().map_err(ipc)?;
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
+    let persons = node.subscriber::<PersonScoresV1>().map_err(ipc)?;
     let forecast = node.subscriber::<ForecastV1>().map_err(ipc)?;
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
     let output = |error| Failure::new(exit_code::FAILURE, error);
@@ -69,6 +71,7 @@ pub fn run(args: &Args) -> CommandResult {
         }
     });
     let mut known = None;
+    let mut persons_known = None;
     let (started, mut flushed) = (Instant::now(), Instant::now());
     let mut malformed = 0;
     while !stop.requested() && args.seconds.is_none_or(|seconds| started.elapsed() < Duration::from_secs(seconds)) {
@@ -76,11 +79,19 @@ pub fn run(args: &Args) -> CommandResult {
         let mut news = Vec::new();
         take(&narration, &mut news, &mut malformed, |message| Recorded::Narration(Box::new(message)))?;
         take(&scores, &mut news, &mut malformed, |message| Recorded::RoomScores(Box::new(message)))?;
+        take(&persons, &mut news, &mut malformed, |message| Recorded::PersonScores(Box::new(message)))?;
         take(&forecast, &mut news, &mut malformed, |message| Recorded::Forecast(Box::new(message)))?;
         take(&decisions, &mut news, &mut malformed, |message| Recorded::Decision(Box::new(message)))?;
         let received_unix_ns = clock::unix_ns();
         for message in &news {
-            let repeated = matches!(message, Recorded::RoomScores(scores) if scores.has(score_flags::HEARTBEAT));
+            let repeated = match message {
+                Recorded::RoomScores(scores) => scores.has(score_flags::HEARTBEAT),
+                Recorded::PersonScores(scores) => {
+                    let name = Some((scores.epoch, scores.sequence));
+                    std::mem::replace(&mut persons_known, name) == name
+                }
+                _ => false,
+            };
             if args.heartbeats || !repeated {
                 recorder.write(message, received_unix_ns).map_err(output)?;
             }

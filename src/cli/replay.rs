@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{DecisionV1, ForecastV1, Message, NarrationV1, Node, Publisher, RoomScoresV1};
+use roomcast_ipc::{
+    DecisionV1, ForecastV1, IpcError, Message, NarrationV1, Node, PersonScoresV1, Publisher, RoomScoresV1,
+};
 
 use super::{CommandResult, Failure, service};
 use crate::exit_code;
@@ -37,32 +39,52 @@ const TICK: Duration = Duration::from_millis(100);
 
 struct Publishers {
     narration: Publisher<NarrationV1>,
-    others: Option<(Publisher<RoomScoresV1>, Publisher<ForecastV1>, Publisher<DecisionV1>)>,
+    others: Option<Others>,
+}
+
+/// What daemon and planner send.
+struct Others {
+    scores: Publisher<RoomScoresV1>,
+    persons: Publisher<PersonScoresV1>,
+    forecast: Publisher<ForecastV1>,
+    decisions: Publisher<DecisionV1>,
+}
+
+impl Others {
+    fn open(node: &Node) -> Result<Self, IpcError> {
+        Ok(Self {
+            scores: node.publisher()?,
+            persons: node.publisher()?,
+            forecast: node.publisher()?,
+            decisions: node.publisher()?,
+        })
+    }
 }
 
 impl Publishers {
-    fn open(node: &Node, all: bool) -> Result<Self, roomcast_ipc::IpcError> {
-        let others =
-            all.then(|| Ok::<_, roomcast_ipc::IpcError>((node.publisher()?, node.publisher()?, node.publisher()?)));
-        Ok(Self { narration: node.publisher()?, others: others.transpose()? })
+    fn open(node: &Node, all: bool) -> Result<Self, IpcError> {
+        let others = all.then(|| Others::open(node)).transpose()?;
+        Ok(Self { narration: node.publisher()?, others })
     }
 
     /// Sends a message if it is among those to be replayed.
-    fn send(&self, message: &Recorded) -> Result<bool, roomcast_ipc::IpcError> {
+    fn send(&self, message: &Recorded) -> Result<bool, IpcError> {
         match (message, &self.others) {
             (Recorded::Narration(message), _) => self.narration.send(message)?,
-            (Recorded::RoomScores(message), Some((scores, ..))) => scores.send(message)?,
-            (Recorded::Forecast(message), Some((_, forecast, _))) => forecast.send(message)?,
-            (Recorded::Decision(message), Some((.., decisions))) => decisions.send(message)?,
+            (Recorded::RoomScores(message), Some(others)) => others.scores.send(message)?,
+            (Recorded::PersonScores(message), Some(others)) => others.persons.send(message)?,
+            (Recorded::Forecast(message), Some(others)) => others.forecast.send(message)?,
+            (Recorded::Decision(message), Some(others)) => others.decisions.send(message)?,
             _ => return Ok(false),
         }
         Ok(true)
     }
 
-    fn tick(&self) -> Result<(), roomcast_ipc::IpcError> {
+    fn tick(&self) -> Result<(), IpcError> {
         self.narration.tick()?;
-        if let Some((scores, forecast, decisions)) = &self.others {
+        if let Some(Others { scores, persons, forecast, decisions }) = &self.others {
             scores.tick()?;
+            persons.tick()?;
             forecast.tick()?;
             decisions.tick()?;
         }
@@ -129,12 +151,7 @@ pub fn run(args: &Args) -> CommandResult {
     ))
 }
 
-fn sleep_until(
-    started: Instant,
-    due: Duration,
-    publishers: &Publishers,
-    stop: &Stop,
-) -> Result<(), roomcast_ipc::IpcError> {
+fn sleep_until(started: Instant, due: Duration, publishers: &Publishers, stop: &Stop) -> Result<(), IpcError> {
     while let Some(left) = due.checked_sub(started.elapsed()).filter(|left| !left.is_zero()) {
         if stop.requested() {
             break;

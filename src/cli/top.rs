@@ -4,7 +4,7 @@ use std::io::IsTerminal;
 use std::time::Duration;
 
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
-use roomcast_ipc::{DecisionV1, Domain, NarrationV1, RoomScoresV1, clock};
+use roomcast_ipc::{DecisionV1, Domain, NarrationV1, PersonScoresV1, PersonV1, RoomScoresV1, clock};
 use serde_json::json;
 
 use super::{CommandResult, Failure, service};
@@ -58,6 +58,7 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
     let node = domain.open("roomcast-top").map_err(ipc)?;
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
     let narration = node.subscriber::<NarrationV1>().map_err(ipc)?;
+    let persons = node.subscriber::<PersonScoresV1>().map_err(ipc)?;
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
     let items = node.item_scores_subscriber().map_err(ipc)?;
     let status = node.status_client().map_err(ipc)?;
@@ -84,6 +85,9 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
                     }
                     Err(_) => view.malformed(),
                 }
+            }
+            if let Some(message) = persons.newest().map_err(ipc)? {
+                view.persons(&message);
             }
             if let Some(message) = items.newest().map_err(ipc)? {
                 view.items(&message);
@@ -132,6 +136,7 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
 fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>) -> CommandResult {
     let node = domain.open("roomcast-top").map_err(ipc)?;
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
+    let persons = node.subscriber::<PersonScoresV1>().map_err(ipc)?;
     let mut taken = None;
     let mut count = 0;
     while !stop.requested() && limit.is_none_or(|limit| count < limit) {
@@ -147,9 +152,19 @@ fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>) -> CommandResult {
                 |room| json!({"id": room.id(), "probability": room.probability, "log_score_nats": room.log_score_nats}),
             )
             .collect();
+        // They come before the scores that they go with; whoever has just joined may lack the first ones.
+        let of_persons = persons.newest().map_err(ipc)?;
+        let of_persons = of_persons.filter(|told| (told.epoch, told.sequence) == (snapshot.epoch, snapshot.sequence));
+        let of_persons = of_persons.as_ref().map(|told| {
+            let person = |person: &PersonV1| {
+                let rooms = told.probabilities(person).map(|(id, p)| json!({"id": id, "probability": p}));
+                json!({"person": person.person, "rooms": rooms.collect::<Vec<_>>()})
+            };
+            told.persons().iter().map(person).collect::<Vec<_>>()
+        });
         let line = json!({
             "epoch": snapshot.epoch, "sequence": snapshot.sequence, "age_ns": snapshot.age_ns(clock::monotonic_ns()),
-            "rooms": rooms, "label_mass": snapshot.label_mass, "flags": snapshot.flags,
+            "rooms": rooms, "persons": of_persons, "label_mass": snapshot.label_mass, "flags": snapshot.flags,
             "model": hex::encode(snapshot.model_fingerprint), "map": hex::encode(snapshot.map_fingerprint),
             "timing_ns": {"wait": snapshot.wait_ns, "tokenise": snapshot.tokenise_ns, "prefix": snapshot.prefix_ns,
                 "trie": snapshot.trie_ns, "ground": snapshot.ground_ns},

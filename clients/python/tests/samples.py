@@ -49,6 +49,19 @@ def scores(sequence: int = 1, **rooms: float) -> layouts.RoomScoresV1:
     return message
 
 
+def person_scores(sequence: int = 1) -> layouts.PersonScoresV1:
+    message = layouts.PersonScoresV1(epoch=3, sequence=sequence, computed_ns=time.monotonic_ns(), room_count=2, persons=2, person_count=2)
+    for room, name in enumerate(["kitchen", "bathroom"]):
+        layouts.write_text("room id", message.id[room], name)
+    for number, kitchen in enumerate([0.75, 0.0]):
+        person = message.person[number]
+        person.person, person.label_mass, person.window, person.flags = number, 0.8, 4, number
+        person.probability[:2] = [kitchen, 1 - kitchen]
+        for field in ("log_score_nats", "lower_log_score_nats", "upper_log_score_nats"):
+            getattr(person, field)[:2] = [math.log(kitchen) if kitchen else -math.inf, math.log(1 - kitchen)]
+    return message
+
+
 def forecast(sequence: int = 1) -> layouts.ForecastV1:
     message = layouts.ForecastV1(epoch=3, sequence=sequence, computed_ns=time.monotonic_ns(), room_count=2, horizon_count=3)
     message.horizon_s[:3] = [10.0, 60.0, 600.0]
@@ -77,6 +90,7 @@ def status() -> layouts.StatusResponseV1:
 GOOD = {
     layouts.NarrationV1: narration,
     layouts.RoomScoresV1: scores,
+    layouts.PersonScoresV1: person_scores,
     layouts.ForecastV1: forecast,
     layouts.DecisionV1: decision,
 }

@@ -45,7 +45,12 @@ class StandIn:
         self.node = domain.open("stand-in")
         self.publishers = {
             kind: ports.Publisher(self.node, service)
-            for kind, service in {"scores": ports.ROOM_SCORES, "forecast": ports.FORECAST, "decision": ports.DECISION}.items()
+            for kind, service in {
+                "scores": ports.ROOM_SCORES,
+                "persons": ports.PERSON_SCORES,
+                "forecast": ports.FORECAST,
+                "decision": ports.DECISION,
+            }.items()
         }
         self.narrations: ports.Subscriber[Any] = ports.Subscriber(self.node, ports.NARRATION, lambda message: message)
         self.items = ports._item_scores(self.node).publisher_builder().initial_max_slice_len(8).create()
@@ -78,6 +83,7 @@ class StandIn:
             while (heard := self.narrations.receive()) is not None:
                 scores.included[0] = layouts.IncludedV1(source=heard.source, epoch=heard.epoch, sequence=heard.sequence)
             self.publishers["scores"].send(scores)
+            self.publishers["persons"].send(samples.person_scores(sequence))
             self.publishers["forecast"].send(samples.forecast(sequence))
             self.publishers["decision"].send(samples.decision(sequence))
             header, items = item_scores()
@@ -106,6 +112,7 @@ SAYS = {
     "forecast.py": "in 10 s: kitchen is occupied with 75%",
     "items.py": "mug-1 (mug) at -2.50 nats",
     "narrator.py": "{'kitchen': 0.75, 'bathroom': 0.25, 'attic': 0.0}",
+    "persons.py": "person 0: kitchen with 75%",
     "planner.py": "go to attic (scores are ",
     "scores.py": "kitchen 75%, bathroom 25%, attic 0%",
     "status.py": "flat: 4 narrations, 1 malformed, 0 steps",

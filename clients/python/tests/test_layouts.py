@@ -52,7 +52,7 @@ def test_every_field_is_where_c_has_it(message: type[layouts.Layout]) -> None:
     assert size and ctypes.sizeof(message) == int(size[1])
 
 
-@pytest.mark.parametrize("service", [ports.NARRATION, ports.ROOM_SCORES, ports.FORECAST, ports.DECISION], ids=lambda s: s.name)
+@pytest.mark.parametrize("service", [ports.NARRATION, ports.ROOM_SCORES, ports.PERSON_SCORES, ports.FORECAST, ports.DECISION], ids=lambda s: s.name)
 def test_every_service_is_as_in_the_c_header(service: ports.Service) -> None:
     defined = dict(re.findall(r"#define ROOMCAST_(\w+) (.+)", HEADER.read_text()))
     name = service.name.rsplit("/", 1)[1].upper().replace("-", "_")
@@ -69,6 +69,7 @@ def test_the_limits_are_those_of_the_c_header() -> None:
         "NARRATION_TEXT_BYTES": layouts.TEXT_BYTES,
         "REASON_TEXT_BYTES": layouts.REASON_BYTES,
         "MAX_ROOMS": layouts.MAX_ROOMS,
+        "MAX_PERSONS": layouts.MAX_PERSONS,
         "MAX_SOURCES": layouts.MAX_SOURCES,
         "MAX_HORIZONS": layouts.MAX_HORIZONS,
     }.items():

@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import samples
-from roomcast import Decision, Forecast, ItemScores, MessageError, RoomScores, Status, layouts
+from roomcast import Decision, Forecast, ItemScores, MessageError, PersonFlags, PersonScores, RoomScores, Status, layouts
 from samples import ROOMCAST
 
 Change = Callable[[Any], object]
@@ -40,6 +40,13 @@ def room(name: str, value: object) -> Change:
 
 def room_id(data: bytes) -> Change:
     return lambda message: ctypes.memmove(message.room[1].id, data.ljust(48, b"\0"), 48)
+
+
+def person(index: int, name: str, value: float) -> Change:
+    def change(message: Any) -> None:
+        getattr(message.person[index], name)[1] = value
+
+    return change
 
 
 def forecast_id(data: bytes) -> Change:
@@ -96,6 +103,14 @@ FAULTS: list[tuple[type[layouts.Message], str, Change, str]] = [
     (layouts.RoomScoresV1, "an infinite score", room("log_score_nats", math.inf), "log_score_nats: inf, allowed is -inf or finite"),
     (layouts.RoomScoresV1, "a lower bound of no number", room("lower_log_score_nats", math.nan), "lower_log_score_nats: nan, allowed is -inf or finite"),
     (layouts.RoomScoresV1, "an infinite upper bound", room("upper_log_score_nats", math.inf), "upper_log_score_nats: inf, allowed is -inf or finite"),
+    (layouts.PersonScoresV1, "too many persons", field("person_count", 9), "person_count: 9, allowed is 0 to 8"),
+    (layouts.PersonScoresV1, "no room", field("room_count", 0), "room: empty"),
+    (layouts.PersonScoresV1, "a room without a name", lambda m: ctypes.memset(m.id[1], 0, 48), "room id: empty"),
+    (layouts.PersonScoresV1, "an unknown effort", lambda m: setattr(m.person[1], "reached", 4), "reached: 4, allowed is 0 to 3"),
+    (layouts.PersonScoresV1, "a negative mass", lambda m: setattr(m.person[0], "label_mass", -1.0), "label_mass: -1.0, allowed is 0 or more, finite"),
+    (layouts.PersonScoresV1, "a probability above 1", person(1, "probability", 1.5), "probability: 1.5, allowed is 0 to 1"),
+    (layouts.PersonScoresV1, "a score of no number", person(0, "log_score_nats", math.nan), "log_score_nats: nan, allowed is -inf or finite"),
+    (layouts.PersonScoresV1, "an infinite bound", person(0, "upper_log_score_nats", math.inf), "upper_log_score_nats: inf, allowed is -inf or finite"),
     (layouts.ForecastV1, "too many rooms", field("room_count", 65), "room_count: 65, allowed is 0 to 64"),
     (layouts.ForecastV1, "too many horizons", field("horizon_count", 17), "horizon_count: 17, allowed is 0 to 16"),
     (layouts.ForecastV1, "a horizon in the past", item("horizon_s", 0, -1.0), "horizon_s: -1.0, allowed is 0 or more, finite"),
@@ -170,6 +185,9 @@ def test_the_dataclasses_say_what_the_messages_say() -> None:
     scores = RoomScores.from_message(samples.scores())
     assert [(room.id, room.probability) for room in scores.rooms] == [("kitchen", 0.75), ("bathroom", 0.25), ("attic", 0.0)]
     assert scores.rooms[2].log_score_nats == -math.inf and scores.included[0].accepted == 4 and not scores.heartbeat
+    persons = PersonScores.from_message(samples.person_scores())
+    assert [(each.person, each.rooms[0].probability, each.flags) for each in persons.persons] == [(0, 0.75, 0), (1, 0.0, PersonFlags.RESTORED)]
+    assert persons.known == 2 and persons.persons[1].rooms[0].log_score_nats == -math.inf
     forecast = Forecast.from_message(samples.forecast())
     assert forecast.horizons_s == (10, 60, 600) and forecast.rooms[1].probabilities == (0.25, 0.5, 0.75)
     decision = Decision.from_message(samples.decision())
@@ -285,6 +303,7 @@ def test_an_image_of_another_size_is_refused(layout: type[layouts.Layout]) -> No
 TOPICS = {
     layouts.NarrationV1: "roomcast/v1/narration",
     layouts.RoomScoresV1: "roomcast/v1/room-scores",
+    layouts.PersonScoresV1: "roomcast/v1/person-scores",
     layouts.ForecastV1: "roomcast/v1/forecast",
     layouts.DecisionV1: "roomcast/v1/decision",
 }

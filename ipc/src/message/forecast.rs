@@ -6,6 +6,14 @@ use crate::{MessageError, text};
 /// Most points in time of a forecast.
 pub const MAX_HORIZONS: usize = 16;
 
+/// Bits of [`ForecastV1::flags`].
+pub mod forecast_flags {
+    /// Nobody was observed: every room is as likely, which says nothing.
+    pub const NOT_KNOWN: u32 = 1;
+    /// Of somebody, all that is known was observed before the daemon's start.
+    pub const RESTORED: u32 = 1 << 1;
+}
+
 layout! {
     /// P(room is occupied at `computed_ns` + horizon), for a grid of horizons.
     #[type_name("roomcast.ForecastV1")]
@@ -24,20 +32,29 @@ layout! {
         36 => horizon_count: u32,
         /// Person, or [`crate::ALL_PERSONS`].
         40 => person: u32,
-        /// Minor version of the layout: 0.
+        /// Minor version of the layout: 1, which has `flags`; they are 0 in minor version 0.
         44 => minor: u32,
+        /// Bits of [`forecast_flags`].
+        48 => flags: u32,
         /// Zero.
-        48 => reserved: [u8; 80],
+        52 => reserved: [u8; 76],
         /// The horizons in seconds, rising.
         128 => horizon_s: [f32; MAX_HORIZONS],
         /// The rooms' ids, UTF-8, zero padded.
         192 => id: [[u8; NAME_BYTES]; MAX_ROOMS],
-        /// `probability[room][horizon]`, 0 to 1; a room's row does not sum to one, a horizon's column does.
+        /// `probability[room][horizon]`, 0 to 1: that somebody is there. A horizon's column sums to one for one person, to at most
+        /// their number for several; a room's row to nothing.
         3264 => probability: [[f32; MAX_HORIZONS]; MAX_ROOMS],
     }
 }
 
 impl ForecastV1 {
+    /// Whether a bit of [`forecast_flags`] is set.
+    #[must_use]
+    pub fn has(&self, flag: u32) -> bool {
+        self.flags & flag != 0
+    }
+
     /// Room `index`'s id and its probabilities, one per horizon; none when there is no such room.
     #[must_use]
     pub fn room(&self, index: usize) -> Option<(&str, &[f32])> {

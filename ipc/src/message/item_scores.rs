@@ -31,7 +31,7 @@ layout! {
         0 => id: [u8; NAME_BYTES],
         /// Its label, UTF-8, zero padded, cut to fit.
         48 => label: [u8; NAME_BYTES],
-        /// s_i = s_c / n_l, in nats.
+        /// s_i = s_c / n_l, in nats; of several persons, the mean of their shares of their label mass, times the mean label mass.
         96 => log_score_nats: f64,
         /// Index of its room in [`crate::RoomScoresV1::rooms`], or [`NO_PARTITION`].
         104 => partition: u32,

@@ -4,13 +4,15 @@ mod decision;
 mod forecast;
 mod item_scores;
 mod narration;
+mod person_scores;
 mod room_scores;
 mod status;
 
 pub use decision::{DecisionV1, REASON_TEXT_BYTES, action, decision_flags};
-pub use forecast::{ForecastV1, MAX_HORIZONS};
+pub use forecast::{ForecastV1, MAX_HORIZONS, forecast_flags};
 pub use item_scores::{ItemScoreV1, ItemScoresHeaderV1, NO_PARTITION};
 pub use narration::{NARRATION_TEXT_BYTES, NarrationV1, narration_kind};
+pub use person_scores::{MAX_PERSONS, PersonScoresV1, PersonV1, person_flags};
 pub use room_scores::{ALL_PERSONS, IncludedV1, MAX_ROOMS, MAX_SOURCES, RoomScoresV1, RoomV1, reached, score_flags};
 pub use status::{StatusRequestV1, StatusResponseV1};
 
@@ -238,6 +240,8 @@ mod tests {
         covers_without_gaps::<IncludedV1>();
         covers_without_gaps::<RoomV1>();
         covers_without_gaps::<RoomScoresV1>();
+        covers_without_gaps::<PersonV1>();
+        covers_without_gaps::<PersonScoresV1>();
         covers_without_gaps::<ItemScoreV1>();
         covers_without_gaps::<ItemScoresHeaderV1>();
         covers_without_gaps::<ForecastV1>();

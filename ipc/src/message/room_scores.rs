@@ -56,18 +56,20 @@ layout! {
 }
 
 layout! {
-    /// How likely a person is to be in one room soon.
+    /// How likely somebody is in one room soon.
     #[type_name("roomcast.RoomV1")]
     pub struct RoomV1 [80] {
         /// The partition's id in the map, UTF-8, zero padded.
         0 => id: [u8; NAME_BYTES],
-        /// Equation 2's sum over the room's items, in nats; `-inf` when it has none.
+        /// Of one person, Equation 2's sum over the room's items, in nats; `-inf` when it has none. Of several, the logarithm of
+        /// `probability`.
         48 => log_score_nats: f64,
         /// The true value lies at or above this, in nats.
         56 => lower_log_score_nats: f64,
         /// The true value lies at or below this, in nats.
         64 => upper_log_score_nats: f64,
-        /// The score's share of all rooms' scores, 0 to 1.
+        /// Of one person, the score's share of all rooms' scores, 0 to 1: that they are there next; they sum to one. Of several, that
+        /// somebody is there next; they sum to their number at most.
         72 => probability: f64,
     }
 }
@@ -96,7 +98,7 @@ layout! {
         56 => model_fingerprint: [u8; 32],
         /// SHA-256 of the map.
         88 => map_fingerprint: [u8; 32],
-        /// Total probability of all labels as continuations, 0 to about 1.
+        /// Total probability of all labels as continuations, 0 to about 1; of several persons, the mean.
         120 => label_mass: f64,
         /// Narrations in the window that the scores were computed from.
         128 => window: u64,

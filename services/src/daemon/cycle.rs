@@ -27,6 +27,8 @@ pub struct Cycle<M> {
     retry_ns: u64,
     /// The newest scores were not sent yet.
     fresh: bool,
+    /// When the first narration that they newly contain was received.
+    received_ns: Option<u64>,
     heartbeat_ns: u64,
     sent_ns: u64,
     /// The claims of the last message whose narration was all in the journal.
@@ -50,6 +52,7 @@ impl<M: LanguageModel> Cycle<M> {
             due: true,
             retry_ns: 0,
             fresh: false,
+            received_ns: None,
             heartbeat_ns,
             sent_ns: 0,
             claims: Default::default(),
@@ -59,11 +62,11 @@ impl<M: LanguageModel> Cycle<M> {
     }
 
     /// Takes what the journal kept of a former run into the histories, and makes `intake` know it, so that it is not taken twice.
-    pub fn restore(&mut self, observations: Vec<Observation>, intake: &mut Intake, now_ns: u64) {
+    pub fn restore(&mut self, observations: Vec<Observation>, intake: &mut Intake, now_ns: u64, now_unix_ns: u64) {
         for observation in &observations {
             intake.restore(observation, now_ns);
         }
-        self.board.restore(observations);
+        self.board.restore(observations, now_ns, now_unix_ns);
     }
 
     /// Takes an accepted observation for the next step; `record` is its number in the journal, 0 without one.
@@ -91,10 +94,13 @@ impl<M: LanguageModel> Cycle<M> {
     ///
     /// When the model fails. The observations are in the histories all the same, and a later step scores them.
     pub fn step(&mut self, now_ns: u64, now_unix_ns: u64) -> Result<(), PipelineError> {
-        if let Err(error) = self.board.step(self.waiting.drain(..), now_ns, now_unix_ns) {
-            self.due = true;
-            self.retry_ns = now_ns.saturating_add(RETRY_NS);
-            return Err(error);
+        match self.board.step(self.waiting.drain(..), now_ns, now_unix_ns) {
+            Ok(received_ns) => self.received_ns = received_ns,
+            Err(error) => {
+                self.due = true;
+                self.retry_ns = now_ns.saturating_add(RETRY_NS);
+                return Err(error);
+            }
         }
         self.due = false;
         self.fresh = true;
@@ -141,6 +147,11 @@ impl<M: LanguageModel> Cycle<M> {
         *self.less = *message;
         (self.less.source_count, self.less.included) = self.claims;
         Some(&self.less)
+    }
+
+    /// When the first narration was received that the newest scores contain and those before them did not; given once.
+    pub fn newly_received_ns(&mut self) -> Option<u64> {
+        self.received_ns.take()
     }
 
     /// Makes a step due at once: the map has changed.

@@ -146,6 +146,7 @@ impl Journal {
             current,
             older,
             length: bytes.len() as u64,
+            open: open_file,
             unwritten: Vec::new(),
             last,
             half_bytes: (options.bytes_max / 2).max(4096),
@@ -230,9 +231,11 @@ struct Writer {
     current: PathBuf,
     older: PathBuf,
     length: u64,
+    /// Opens a new half.
+    open: fn(&Path) -> io::Result<File>,
     /// Records that the disk refused, tried again with the next ones: a full disk may have room again.
     unwritten: Vec<u8>,
-    /// Per source its last record, and whether the current half has it.
+    /// Per source its last record, and whether the current half has it. What it has not is carried over at the next rotation.
     last: BTreeMap<u64, (Vec<u8>, bool)>,
     half_bytes: u64,
     sync_every: Duration,
@@ -328,19 +331,13 @@ impl Writer {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
             renamed => renamed?,
         }
-        let file = open_file(&self.current)?;
+        let file = (self.open)(&self.current)?;
         rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
         self.file = file;
         self.length = 0;
-        if let Err(error) = self.file.write_all(&carried) {
-            let _cut = self.file.set_len(0);
-            return Err(error);
-        }
-        self.length = carried.len() as u64;
-        for (_, in_current) in self.last.values_mut() {
-            // What was carried is in the new half, and the half before it has the others.
-            *in_current = !*in_current && !carried.is_empty();
-        }
+        // The new half has nothing yet. What is carried goes first into it, and is tried again like everything that the disk refuses.
+        self.last.values_mut().for_each(|(_, in_current)| *in_current = false);
+        self.unwritten.splice(..0, carried);
         Ok(())
     }
 
@@ -545,6 +542,64 @@ mod tests {
             let size: u64 = fs::read_dir(directory.path()).unwrap().map(|f| f.unwrap().metadata().unwrap().len()).sum();
             assert!(size <= 16_384, "{size}");
         }
+    }
+
+    /// The disk is full just when the last words of a quiet source are carried over: they come with what is written next.
+    #[test]
+    fn a_quiet_source_stays_known_when_the_disk_is_full_at_a_rotation() {
+        let directory = tempfile::tempdir().unwrap();
+        let (current, older) =
+            (directory.path().join("narration.journal"), directory.path().join("narration.journal.old"));
+        let boot = [0; 16];
+        let mut writer = Writer {
+            file: open_file(&current).unwrap(),
+            current: current.clone(),
+            older: older.clone(),
+            length: 0,
+            open: open_file,
+            unwritten: Vec::new(),
+            last: BTreeMap::new(),
+            half_bytes: 4096,
+            sync_every: Duration::from_secs(1),
+            progress: Arc::default(),
+        };
+        let quiet = Observation { source: 99, ..observation(41) };
+        writer.write(&encode(&quiet, &boot)).unwrap();
+        let mut sequence = 0;
+        let mut next = || {
+            sequence += 1;
+            encode(&observation(sequence), &boot)
+        };
+        // Nothing of the quiet source in the second half.
+        while !older.exists() {
+            writer.write(&next()).unwrap();
+        }
+        for round in 0..4 {
+            // The next rotation opens a half that takes nothing, as on a full disk; room comes later.
+            writer.open = |path| {
+                open_file(path)?;
+                OpenOptions::new().append(true).open("/dev/full")
+            };
+            while writer.write(&next()).is_ok() {}
+            writer.write(&next()).unwrap_err();
+            writer.file = open_file(&current).unwrap();
+            writer.open = open_file;
+            writer.write(&next()).unwrap();
+            let mut recovered = Recovered::default();
+            for half in [&older, &current] {
+                read_records(&fs::read(half).unwrap(), &boot, &mut recovered);
+            }
+            let known = recovered.carried.iter().chain(&recovered.observations).any(|o| *o == quiet);
+            assert!(known, "a restart after rotation {round} takes it again");
+            assert_eq!(recovered.observations.last().unwrap().sequence, sequence_of(&writer));
+            assert_eq!(recovered.damaged_bytes, 0);
+        }
+    }
+
+    fn sequence_of(writer: &Writer) -> u64 {
+        let mut recovered = Recovered::default();
+        read_records(&writer.last[&7].0, &[0; 16], &mut recovered);
+        recovered.observations[0].sequence
     }
 
     #[test]

@@ -20,8 +20,8 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use crossbeam::select;
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
-    AnswerPort, Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, Publisher, RoomScoresV1,
-    StatusResponseV1, StatusServer, Subscriber, clock, question, score_flags, sequence, text,
+    AnswerPort, Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, PersonScoresV1, Publisher,
+    RoomScoresV1, StatusResponseV1, StatusServer, Subscriber, clock, question, score_flags, sequence, text,
 };
 use sd_notify::NotifyState;
 
@@ -126,6 +126,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
     let scores = node.publisher::<RoomScoresV1>()?;
     let items = node.item_scores_publisher()?;
     let forecasts = node.publisher::<ForecastV1>()?;
+    let persons = node.publisher::<PersonScoresV1>()?;
     let status = node.status_server()?;
     let narration = node.subscriber::<NarrationV1>()?;
     let (map_changes, moments) = (node.answer_port(question::MAP_CHANGE)?, node.answer_port(question::MOMENT)?);
@@ -145,7 +146,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
         let damaged_bytes = recovered.damaged_bytes;
         restored = recovered.observations.len() as u64;
         recovered.carried.iter().for_each(|observation| intake.restore(observation, clock::monotonic_ns()));
-        cycle.restore(recovered.observations, &mut intake, clock::monotonic_ns());
+        cycle.restore(recovered.observations, &mut intake, clock::monotonic_ns(), clock::unix_ns());
         tracing::info!(restored, damaged_bytes, directory = %options.directory.display(), "journal read");
         journal = Some(open);
     }
@@ -182,6 +183,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
         scores,
         items,
         forecasts,
+        persons,
         status,
         map_changes,
         answered: Answered::default(),
@@ -402,6 +404,7 @@ struct Scoring<M> {
     scores: Publisher<RoomScoresV1>,
     items: ItemScoresPublisher,
     forecasts: Publisher<ForecastV1>,
+    persons: Publisher<PersonScoresV1>,
     status: StatusServer,
     map_changes: AnswerPort,
     answered: Answered,
@@ -493,11 +496,14 @@ impl<M: LanguageModel> Scoring<M> {
         if self.forecasts.tick()? && self.cycle.board().snapshot().sequence > 0 {
             self.forecasts.send(self.cycle.board_mut().forecast(clock::monotonic_ns()))?;
         }
+        if self.persons.tick()? && self.cycle.board().snapshot().sequence > 0 {
+            self.persons.send(self.cycle.board_mut().persons(clock::monotonic_ns()))?;
+        }
         Ok(())
     }
 
     fn send_items(&self) -> Result<(), IpcError> {
-        let (header, items) = self.cycle.board().items();
+        let Some((header, items)) = self.cycle.board().items() else { return Ok(()) };
         self.items.send(header, items)
     }
 
@@ -534,6 +540,9 @@ impl<M: LanguageModel> Scoring<M> {
         if self.forecasts.subscribers() > 0 {
             self.forecasts.send(self.cycle.board_mut().forecast(before_ns))?;
         }
+        if self.persons.subscribers() > 0 {
+            self.persons.send(self.cycle.board_mut().persons(before_ns))?;
+        }
         let behind = !self.queue.is_empty() || self.ear.as_ref().is_some_and(|ear| ear.more);
         let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
         self.scores.send(message)?;
@@ -543,13 +552,14 @@ impl<M: LanguageModel> Scoring<M> {
         }
         let after_ns = clock::monotonic_ns();
         self.tally.published += 1;
-        let message = self.cycle.board().snapshot();
-        self.tally.sequence = message.sequence;
-        if events > 0
+        // Also what a step before took in that failed: its wait was the longest.
+        if let Some(received_ns) = self.cycle.newly_received_ns()
             && let Some(latency_ns) = &mut self.latency_ns
         {
-            latency_ns.saturating_record(after_ns.saturating_sub(message.received_ns));
+            latency_ns.saturating_record(after_ns.saturating_sub(received_ns));
         }
+        let message = self.cycle.board().snapshot();
+        self.tally.sequence = message.sequence;
         if self.items.wanted() {
             self.send_items()?;
         }

@@ -26,8 +26,12 @@ from .messages import (
     Decision,
     DecisionFlags,
     Forecast,
+    ForecastFlags,
     ItemScore,
     ItemScores,
+    Person,
+    PersonFlags,
+    PersonScores,
     Reached,
     Room,
     RoomForecast,
@@ -44,12 +48,16 @@ __all__ = [
     "DecisionFlags",
     "Domain",
     "Forecast",
+    "ForecastFlags",
     "ItemScore",
     "ItemScores",
     "ItemScoresSubscription",
     "MessageError",
     "Narrator",
     "NoAnswerError",
+    "Person",
+    "PersonFlags",
+    "PersonScores",
     "Planner",
     "Reached",
     "Room",
@@ -70,7 +78,7 @@ __all__ = [
 SENTENCE, ACTION, DEVICE = 0, 1, 2
 
 T = TypeVar("T")
-Kind = TypeVar("Kind", RoomScores, Forecast, Decision)
+Kind = TypeVar("Kind", RoomScores, PersonScores, Forecast, Decision)
 
 
 def source_of_name(name: str) -> int:
@@ -124,9 +132,9 @@ Self = TypeVar("Self", bound=_Follows[Any])
 
 
 class Subscription(_Follows[Kind]):
-    """Follows all room scores, forecasts or decisions under a name for people: `Subscription(Forecast, "my-display")`.
+    """Follows all room scores, persons' scores, forecasts or decisions under a name for people: `Subscription(Forecast, "my-display")`.
 
-    Of room scores the heartbeats are left out, which say the same again. Every loss shows as a gap in the sequence numbers.
+    Of scores the heartbeats are left out, which say the same again. Every loss shows as a gap in the sequence numbers.
     """
 
     def __init__(self, kind: type[Kind], name: str, domain: Domain | None = None) -> None:
@@ -141,7 +149,7 @@ class Subscription(_Follows[Kind]):
 
     def _take(self) -> Kind | None:
         while (message := self._subscriber.receive()) is not None:
-            if isinstance(message, RoomScores):
+            if isinstance(message, (RoomScores, PersonScores)):
                 scores = (message.epoch, message.sequence)
                 if scores == self._scores:
                     continue

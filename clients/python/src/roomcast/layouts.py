@@ -15,6 +15,7 @@ NAME_BYTES = 48
 TEXT_BYTES = 1024
 REASON_BYTES = 256
 MAX_ROOMS = 64
+MAX_PERSONS = 8
 MAX_SOURCES = 16
 MAX_HORIZONS = 16
 ALL_PERSONS = 0xFFFFFFFF
@@ -209,6 +210,62 @@ class RoomScoresV1(Message):
                 _in_range(field, getattr(room, field), -math.inf, sys.float_info.max, "-inf or finite")
 
 
+class PersonV1(Layout):
+    """One person's scores: those that they would have alone."""
+
+    _fields_ = [
+        ("person", ctypes.c_uint32),
+        ("reached", ctypes.c_uint32),
+        ("observed_ns", ctypes.c_uint64),
+        ("window", ctypes.c_uint64),
+        ("label_mass", ctypes.c_double),
+        ("flags", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint8 * 28),
+        ("log_score_nats", ctypes.c_double * MAX_ROOMS),
+        ("lower_log_score_nats", ctypes.c_double * MAX_ROOMS),
+        ("upper_log_score_nats", ctypes.c_double * MAX_ROOMS),
+        ("probability", ctypes.c_double * MAX_ROOMS),
+    ]
+
+
+class PersonScoresV1(Message):
+    """The scores of each person, which the room scores of the same epoch and sequence speak of together."""
+
+    _fields_ = [
+        ("epoch", ctypes.c_uint64),
+        ("sequence", ctypes.c_uint64),
+        ("computed_ns", ctypes.c_uint64),
+        ("published_ns", ctypes.c_uint64),
+        ("map_fingerprint", ctypes.c_uint8 * 32),
+        ("persons", ctypes.c_uint32),
+        ("person_count", ctypes.c_uint32),
+        ("room_count", ctypes.c_uint32),
+        ("minor", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint8 * 48),
+        ("id", _Name * MAX_ROOMS),
+        ("person", PersonV1 * MAX_PERSONS),
+    ]
+
+    def check(self) -> None:
+        _not_zero("epoch", self.epoch)
+        _not_zero("sequence", self.sequence)
+        if self.room_count == 0:
+            raise MessageError("room: empty")
+        _in_range("room_count", self.room_count, 1, MAX_ROOMS, "1 to 64")
+        _in_range("person_count", self.person_count, 0, MAX_PERSONS, "0 to 8")
+        for room in range(self.room_count):
+            if not read_text("room id", self.id[room]):
+                raise MessageError("room id: empty")
+        for person in self.person[: self.person_count]:
+            _in_range("reached", person.reached, 0, 3, "0 to 3")
+            _in_range("label_mass", person.label_mass, 0, sys.float_info.max, "0 or more, finite")
+            for probability in person.probability[: self.room_count]:
+                _in_range("probability", probability, 0, 1, "0 to 1")
+            for field in ("log_score_nats", "lower_log_score_nats", "upper_log_score_nats"):
+                for value in getattr(person, field)[: self.room_count]:
+                    _in_range(field, value, -math.inf, sys.float_info.max, "-inf or finite")
+
+
 class ItemScoresHeaderV1(Layout):
     """User header of a slice of item scores: which snapshot they belong to."""
 
@@ -245,7 +302,8 @@ class ForecastV1(Message):
         ("horizon_count", ctypes.c_uint32),
         ("person", ctypes.c_uint32),
         ("minor", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint8 * 80),
+        ("flags", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint8 * 76),
         ("horizon_s", ctypes.c_float * MAX_HORIZONS),
         ("id", _Name * MAX_ROOMS),
         ("probability", (ctypes.c_float * MAX_HORIZONS) * MAX_ROOMS),
@@ -349,6 +407,8 @@ LAYOUTS: tuple[type[Layout], ...] = (
     IncludedV1,
     RoomV1,
     RoomScoresV1,
+    PersonV1,
+    PersonScoresV1,
     ItemScoresHeaderV1,
     ItemScoreV1,
     ForecastV1,
@@ -356,4 +416,4 @@ LAYOUTS: tuple[type[Layout], ...] = (
     StatusRequestV1,
     StatusResponseV1,
 )
-MESSAGES: tuple[type[Message], ...] = (NarrationV1, RoomScoresV1, ForecastV1, DecisionV1)
+MESSAGES: tuple[type[Message], ...] = (NarrationV1, RoomScoresV1, PersonScoresV1, ForecastV1, DecisionV1)

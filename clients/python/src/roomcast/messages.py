@@ -36,6 +36,22 @@ class ScoreFlags(enum.IntFlag):
     SCORER_FAILED = 32
 
 
+class PersonFlags(enum.IntFlag):
+    """What is to be known about a person's scores."""
+
+    #: All that is known of the person was observed before the daemon's start.
+    RESTORED = 1
+
+
+class ForecastFlags(enum.IntFlag):
+    """What is to be known about a forecast."""
+
+    #: Nobody was observed: every room is as likely, which says nothing.
+    NOT_KNOWN = 1
+    #: Of somebody, all that is known was observed before the daemon's start.
+    RESTORED = 2
+
+
 class Action(enum.IntEnum):
     """What a robot does."""
 
@@ -63,7 +79,8 @@ class Room:
     """A room of the map, and its scores in nats (`-inf` when it has no item)."""
 
     id: str
-    #: The score's share of all rooms' scores, 0 to 1: how likely it is the room that the person goes to next.
+    #: Of one person, the score's share of all rooms' scores, 0 to 1: how likely it is the room that they go to next. Of several, how likely
+    #: somebody does.
     probability: float
     log_score_nats: float
     lower_log_score_nats: float
@@ -153,6 +170,72 @@ class RoomScores:
 
 
 @dataclass(frozen=True)
+class Person:
+    """One person's scores: those that they would have alone."""
+
+    person: int
+    reached: Reached
+    #: When they were observed last; 0 where that was before the machine's start.
+    observed_ns: int
+    window: int
+    label_mass: float
+    flags: PersonFlags
+    #: How likely the person goes to each room next; the probabilities add up to 1.
+    rooms: tuple[Room, ...]
+
+
+@dataclass(frozen=True)
+class PersonScores:
+    """The scores of each person, which the room scores of the same epoch and sequence speak of together."""
+
+    SERVICE: ClassVar[ports.Service] = ports.PERSON_SCORES
+
+    epoch: int
+    sequence: int
+    computed_ns: int
+    published_ns: int
+    map: str
+    #: How many persons are known; at most 8 are told of, those who were observed last.
+    known: int
+    persons: tuple[Person, ...]
+
+    @staticmethod
+    def from_message(message: layouts.PersonScoresV1) -> PersonScores:
+        """Checks and reads a message; MessageError says what is malformed."""
+        message.check()
+        ids = [layouts.read_text("room id", message.id[room]) for room in range(message.room_count)]
+        return PersonScores(
+            epoch=message.epoch,
+            sequence=message.sequence,
+            computed_ns=message.computed_ns,
+            published_ns=message.published_ns,
+            map=bytes(message.map_fingerprint).hex(),
+            known=message.persons,
+            persons=tuple(
+                Person(
+                    person=each.person,
+                    reached=Reached(each.reached),
+                    observed_ns=each.observed_ns,
+                    window=each.window,
+                    label_mass=each.label_mass,
+                    flags=PersonFlags(each.flags),
+                    rooms=tuple(
+                        Room(
+                            name,
+                            each.probability[room],
+                            each.log_score_nats[room],
+                            each.lower_log_score_nats[room],
+                            each.upper_log_score_nats[room],
+                        )
+                        for room, name in enumerate(ids)
+                    ),
+                )
+                for each in message.person[: message.person_count]
+            ),
+        )
+
+
+@dataclass(frozen=True)
 class RoomForecast:
     """How likely somebody is in a room, 0 to 1, at each of a forecast's horizons."""
 
@@ -173,6 +256,7 @@ class Forecast:
     person: int
     horizons_s: tuple[float, ...]
     rooms: tuple[RoomForecast, ...]
+    flags: ForecastFlags = ForecastFlags(0)
 
     @staticmethod
     def from_message(message: layouts.ForecastV1) -> Forecast:
@@ -190,6 +274,7 @@ class Forecast:
                 RoomForecast(layouts.read_text("room id", message.id[room]), tuple(message.probability[room][:horizons]))
                 for room in range(message.room_count)
             ),
+            flags=ForecastFlags(message.flags),
         )
 
 

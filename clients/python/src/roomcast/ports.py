@@ -48,6 +48,7 @@ class Service:
 
 NARRATION = Service("roomcast/v1/narration", layouts.NarrationV1, 8, 4, 256, 32)
 ROOM_SCORES = Service("roomcast/v1/room-scores", layouts.RoomScoresV1, 1, 16, 2, 1)
+PERSON_SCORES = Service("roomcast/v1/person-scores", layouts.PersonScoresV1, 1, 16, 2, 1)
 FORECAST = Service("roomcast/v1/forecast", layouts.ForecastV1, 1, 16, 2, 1)
 DECISION = Service("roomcast/v1/decision", layouts.DecisionV1, 8, 16, 16, 1)
 ITEM_SCORES = "roomcast/v1/item-scores"
