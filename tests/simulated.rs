@@ -625,12 +625,12 @@ impl World {
     }
 
     fn start_planner(&mut self) {
-        let policies =
-            [PolicyName::Naive, PolicyName::GreedyAvoidance, PolicyName::InformedAvoidance, PolicyName::UncoveredFirst];
+        let room_time_s = self.rng.random_range(0.0..0.3);
         let config = PlannerConfig {
-            policy: policies[self.rng.random_range(0..policies.len())],
+            policy: PolicyName::ALL[self.rng.random_range(0..PolicyName::ALL.len())],
             seed: self.rng.random(),
-            room_time_s: self.rng.random_range(0.0..0.3),
+            room_time_s,
+            round_s: self.rng.random_bool(0.5).then(|| room_time_s * self.rng.random_range(1.0..5.0)),
             deadline_ms: if self.planted == Planted::NoDeadline { 1 << 40 } else { DEADLINE_MS },
             ..Default::default()
         };
