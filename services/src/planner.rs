@@ -501,12 +501,17 @@ mod tests {
         fn new() -> Self {
             let rooms = ROOMS.map(|id| {
                 let x = ROOMS.iter().position(|other| *other == id).unwrap() * 4;
-                format!(r#"{{"id": "{id}", "label": "{id}", "min_m": [{x}, 0, 0], "max_m": [{}, 4, 3]}}"#, x + 4)
+                format!(
+                    r#"{{"id": "{id}", "label": "{id}", "box": {{"min_m": [{x}, 0, 0], "max_m": [{}, 4, 3]}}}}"#,
+                    x + 4
+                )
             });
             let scene = format!(
                 r#"{{"format": "roomcast-scene", "version": 1, "name": "home", "rooms": [{}], "items": [
-                    {{"id": "bed", "label": "bed", "position_m": [2, 2, 0.3]}},
-                    {{"id": "fridge", "label": "fridge", "position_m": [10, 2, 1]}}]}}"#,
+                    {{"id": "bed", "label": "bed", "position_m": [2, 2, 0.3],
+                        "box": {{"min_m": [1, 1, 0], "max_m": [3, 3, 0.6]}}}},
+                    {{"id": "fridge", "label": "fridge", "position_m": [10, 2, 1],
+                        "box": {{"min_m": [9.5, 1.5, 0], "max_m": [10.5, 2.5, 2]}}}}]}}"#,
                 rooms.join(", ")
             );
             let map = SemanticMap::from_json(&scene).unwrap();
