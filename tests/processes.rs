@@ -428,6 +428,76 @@ fn the_processes_of_a_killed_demo_end_with_it() {
     std::fs::remove_dir_all(root.parent().unwrap()).unwrap();
 }
 
+/// Who was in which room from which second on, as the demo's log says.
+fn rooms_of(who: &str, log: &str) -> Vec<(usize, String)> {
+    let entry = |line: &str| {
+        let (time, event) = line.trim_start().split_once(" s  ")?;
+        let way = event.strip_prefix(who)?.split(':').next()?.trim_end_matches(" (fallback)");
+        let room = way.rsplit_once(" the ").map_or(way, |(_, room)| room);
+        Some((time.parse().ok()?, room.to_owned()))
+    };
+    log.lines().filter_map(entry).collect()
+}
+
+fn room_at(rooms: &[(usize, String)], second: usize) -> Option<&str> {
+    rooms.iter().rev().find(|(from_s, _)| *from_s <= second).map(|(_, room)| room.as_str())
+}
+
+/// Every figure of the demo's headline follows from the lines above it, and the others are the experiment's.
+#[test]
+fn the_figures_of_the_demo_follow_from_its_log_and_equal_the_experiments() {
+    const PROGRAM: &str = "p0-breakfast-and-television";
+    let cell = ["--scene", "apartment-e0", "--program", PROGRAM, "--room-time", "25", "--seed", "3"];
+    let output = roomcast(&["demo", "--seconds", "12"]).args(cell).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let log = String::from_utf8(output.stdout).unwrap();
+    let (person, robot) = (rooms_of("person ", &log), rooms_of("robot ", &log));
+
+    // 18 steps of 24 s each.
+    let horizon_s = 18 * 24;
+    assert!(log.contains(&format!("18 steps, {horizon_s} s of a person's time")), "{log}");
+    let shared_s = (0..horizon_s).filter(|second| room_at(&person, *second) == room_at(&robot, *second)).count();
+    let ends = robot.iter().skip(1).map(|(from_s, _)| *from_s).chain([horizon_s]);
+    let mut done_s = std::collections::BTreeMap::new();
+    for ((from_s, room), to_s) in robot.iter().zip(ends) {
+        if from_s + 25 <= to_s {
+            done_s.entry(room.as_str()).or_insert(from_s + 25);
+        }
+    }
+    let done = match done_s.len() {
+        3 => format!("every room was done after {} s", done_s.values().max().unwrap()),
+        _ => "not every room was done".to_owned(),
+    };
+    let headline = format!("The robot shared a room with the person for {shared_s} of {horizon_s} s, and {done}.");
+    assert!(log.contains(&headline), "{headline}\n{log}");
+    assert_eq!(done_s.len(), 3, "coverage-aware leaves a room undone: {log}");
+
+    // What is held is carried along: who drinks on the sofa is in the living room.
+    let second = |sentence: &str| -> usize {
+        let line = log.lines().find(|line| line.contains(sentence)).unwrap_or_else(|| panic!("no {sentence:?}: {log}"));
+        line.trim_start().split_once(" s  ").unwrap().0.parse().unwrap()
+    };
+    for second in second("They sit on the sofa.")..=second("They drink the mug.") {
+        assert_eq!(room_at(&person, second), Some("living room"), "{log}");
+    }
+
+    let output = roomcast(&["experiment", "table2", "--no-cache", "--json"]).args(cell).output().unwrap();
+    let table: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{output:?}"));
+    for policy in ["coverage-aware", "informed-avoidance", "naive"] {
+        let of_policy = |row: &&serde_json::Value| row["policy"] == policy;
+        let row = table["rows"].as_array().unwrap().iter().find(of_policy).unwrap();
+        let figure = |key: &str| row[key].as_f64().unwrap();
+        let expected = [
+            format!("{:.1}", figure("disturbance_mean")),
+            format!("{:.1}", figure("coverage_time_mean")),
+            format!("{:.1}", 100.0 * figure("failure_rate")),
+        ];
+        let line = log.lines().find(|line| line.contains(&format!("simulated: {policy}"))).unwrap();
+        let words: Vec<&str> = line.split_whitespace().collect();
+        assert_eq!(words[2..5], expected, "{policy}: {line}");
+    }
+}
+
 #[test]
 fn a_stopped_daemon_makes_the_planner_stay() {
     let mut world = World::new("stopped");

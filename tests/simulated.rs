@@ -4,6 +4,7 @@
 //! - every narration that was accepted is in the history, also after a restart, and none is in it twice;
 //! - scores are those of exactly the narration that they contain, and claim no other;
 //! - no decision rests on scores past their deadline;
+//! - the coverage-aware planner never waits while a room that it has to do is free;
 //! - where the transport is faithful, all that living narrators say is confirmed in the end.
 //!
 //! The processes are the product's own: [`Account`], [`Intake`], [`Cycle`] with [`Board`], the journal's records, [`Planner`].
@@ -26,7 +27,7 @@ use roomcast_core::policy::PolicyName;
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::scorer::{DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{NarrationV1, RoomScoresV1, action, decision_flags, narration_kind, score_flags};
+use roomcast_ipc::{ForecastV1, NarrationV1, RoomScoresV1, action, decision_flags, narration_kind, score_flags};
 use roomcast_services::config::{IntakeLimits, PlannerConfig};
 use roomcast_services::daemon::{Board, Cycle, Entry, Intake, Recovered, Taken, journal};
 use roomcast_services::narrator::{Account, Item};
@@ -145,6 +146,8 @@ struct Robot {
     scores: VecDeque<RoomScoresV1>,
     /// Per scores, when the newest message of them that arrived was sent, and whether it said that the scorer had failed.
     heard: BTreeMap<(u64, u64), (u64, bool, u64)>,
+    /// The newest forecast: in each room the same chance at all times.
+    forecast: ForecastV1,
     free: bool,
 }
 
@@ -190,6 +193,7 @@ struct Tally {
     failed: u64,
     decisions: u64,
     fallbacks: u64,
+    planned: u64,
     daemon_kills: u64,
     torn: u64,
     damaged: u64,
@@ -224,6 +228,7 @@ impl World {
                 planner: Planner::new(&PlannerConfig::default(), 1),
                 scores: VecDeque::new(),
                 heard: BTreeMap::new(),
+                forecast: ForecastV1::default(),
                 free: true,
             },
             last_sent: None,
@@ -625,18 +630,18 @@ impl World {
     }
 
     fn start_planner(&mut self) {
-        let policies =
-            [PolicyName::Naive, PolicyName::GreedyAvoidance, PolicyName::InformedAvoidance, PolicyName::UncoveredFirst];
+        let room_time_s = self.rng.random_range(0.0..0.3);
         let config = PlannerConfig {
-            policy: policies[self.rng.random_range(0..policies.len())],
+            policy: PolicyName::ALL[self.rng.random_range(0..PolicyName::ALL.len())],
             seed: self.rng.random(),
-            room_time_s: self.rng.random_range(0.0..0.3),
+            room_time_s,
+            round_s: self.rng.random_bool(0.5).then(|| room_time_s * self.rng.random_range(1.0..5.0)),
             deadline_ms: if self.planted == Planted::NoDeadline { 1 << 40 } else { DEADLINE_MS },
             ..Default::default()
         };
         let planner = Planner::new(&config, self.epoch());
         let scores = self.last_sent.filter(|_| self.daemon.is_some()).into_iter().collect();
-        self.robot = Robot { planner, scores, heard: BTreeMap::new(), free: true };
+        self.robot = Robot { planner, scores, heard: BTreeMap::new(), forecast: ForecastV1::default(), free: true };
         self.note(|| "planner starts".to_owned());
     }
 
@@ -651,6 +656,20 @@ impl World {
             if scores.published_ns >= heard.0 {
                 *heard = (scores.published_ns, scores.has(score_flags::SCORER_FAILED), scores.computed_ns);
             }
+            let mut forecast = ForecastV1 {
+                epoch: scores.epoch,
+                computed_ns: scores.published_ns,
+                published_ns: scores.published_ns,
+                room_count: scores.room_count,
+                horizon_count: 1,
+                ..ForecastV1::default()
+            };
+            for (room, score) in scores.rooms().iter().enumerate() {
+                forecast.id[room] = score.id;
+                forecast.probability[room][0] = [0.0, 0.5, 1.0][self.rng.random_range(0..3)];
+            }
+            robot.planner.take_forecast(&forecast);
+            robot.forecast = forecast;
         }
         let free = now_ns >= robot.planner.free_ns();
         let Some(decision) = robot.planner.decide(now_ns, now_ns).unwrap() else { return Ok(()) };
@@ -669,6 +688,17 @@ impl World {
                 now_ns - sent_ns <= deadline_ns && (!failed || now_ns - computed_ns <= deadline_ns)
             });
             ensure(fresh, || format!("a decision on stale scores {name:?}: {heard:?} at {now_ns}"))?;
+            let known = &robot.forecast;
+            let planned = decision.policy() == PolicyName::CoverageAware.as_str()
+                && decision.stay_ns > 0
+                && known.epoch == decision.scores_epoch
+                && now_ns - known.published_ns <= deadline_ns;
+            let rooms = (0..known.room_count as usize).map(|room| (room, known.probability[room][0]));
+            let mut to_do = rooms.filter(|(room, _)| decision.covered & (1 << room) == 0);
+            let waits = || (0..64).any(|room| decision.covered & (1 << room) != 0 && known.id[room] == decision.to);
+            let put_off = planned && to_do.any(|(_, probability)| probability == 0.0) && waits();
+            ensure(!put_off, || format!("free work is put off: {decision:?}"))?;
+            self.tally.planned += u64::from(planned);
         }
         robot.free = !decision.has(decision_flags::FALLBACK);
         self.note(|| format!("planner decides {:?}: {}", decision.to(), decision.reason()));
@@ -756,6 +786,7 @@ fn no_seed_violates_an_invariant() {
                 total.failed += tally.failed;
                 total.decisions += tally.decisions;
                 total.fallbacks += tally.fallbacks;
+                total.planned += tally.planned;
                 total.daemon_kills += tally.daemon_kills;
                 total.torn += tally.torn;
                 total.damaged += tally.damaged;
@@ -770,8 +801,15 @@ fn no_seed_violates_an_invariant() {
     assert!(violated.is_empty(), "{} seeds violate an invariant; the first:\n{}", violated.len(), violated[0]);
     if seeds.end - seeds.start >= 100 {
         // Seeds that reach none of this would prove nothing.
-        for reached in [total.duplicates, total.missed, total.malformed, total.held_back, total.failed, total.fallbacks]
-        {
+        for reached in [
+            total.duplicates,
+            total.missed,
+            total.malformed,
+            total.held_back,
+            total.failed,
+            total.fallbacks,
+            total.planned,
+        ] {
             assert!(reached > 0, "{total:?}");
         }
         assert!(total.torn > 0 && total.damaged > 0 && total.daemon_kills > 0, "{total:?}");

@@ -3,6 +3,9 @@
 //! Scores that the daemon has not confirmed for longer than the deadline are not acted upon. The fallback is to **stay where
 //! the robot is**: it is the one choice that brings it nearer to nobody by its own doing. Such a decision is flagged, is
 //! published once, and the next one follows as soon as there are fresh scores again.
+//!
+//! Work goes in rounds. A round has a deadline, so that the slots that are left become fewer with time and no plan can put a room off
+//! for ever. A room that is undone at the deadline belongs to the next round.
 
 use std::time::Duration;
 
@@ -23,6 +26,12 @@ use roomcast_core::semantic_map::PartitionId;
 
 /// How often connections are renewed.
 const TICK: Duration = Duration::from_millis(100);
+/// How many stays a round has for each room, where the configuration gives no deadline: one to do it, one to wait for it.
+const STAYS_PER_ROOM: u64 = 2;
+/// A stay may end so much after the deadline, as a share of itself: each decision comes a little after the stay before it.
+const OVERTIME: u64 = 20;
+/// Most slots that are planned at once: of a round with more, the first.
+const SLOTS_MAX: u64 = 256;
 
 /// The robot as the planner knows it, and what it decides. Pure: time comes in as a number.
 #[derive(Debug)]
@@ -34,11 +43,17 @@ pub struct Planner {
     sequence: u64,
     room_time_ns: u64,
     deadline_ns: u64,
+    /// How long a round is; without it, so long as [`STAYS_PER_ROOM`] says.
+    round_ns: Option<u64>,
     repeat: bool,
     scores: Option<RoomScoresV1>,
     forecast: Option<ForecastV1>,
     room: Option<usize>,
     covered: Vec<bool>,
+    /// When the round began; none between two rounds.
+    began_ns: Option<u64>,
+    /// The robot has said that it stays because every room is covered.
+    finished: bool,
     /// When the robot is free again.
     free_ns: u64,
     /// Epoch and sequence of the scores last decided upon.
@@ -57,13 +72,16 @@ impl Planner {
             robot: sequence::source_of_name(&config.robot),
             epoch,
             sequence: 0,
-            room_time_ns: (config.room_time_s.max(0.0) * 1e9) as u64,
+            room_time_ns: nanoseconds(config.room_time_s),
             deadline_ns: config.deadline_ms.saturating_mul(1_000_000),
+            round_ns: config.round_s.map(nanoseconds),
             repeat: config.repeat,
             scores: None,
             forecast: None,
             room: None,
             covered: Vec::new(),
+            began_ns: None,
+            finished: false,
             free_ns: 0,
             decided: None,
             falling_back: false,
@@ -71,7 +89,7 @@ impl Planner {
     }
 
     /// Takes a checked snapshot, unless it is older than the one known. When the daemon's map was changed, rooms that are still
-    /// there keep what was done in them; another daemon's other map begins everything anew.
+    /// there keep what was done in them, and rooms that are new are to be done; another daemon's other map makes all rooms new.
     pub fn take(&mut self, scores: &RoomScoresV1) {
         if let Some(known) = &self.scores {
             if known.epoch == scores.epoch
@@ -101,6 +119,7 @@ impl Planner {
             }
         } else if !same_map {
             self.covered = vec![false; scores.rooms().len()];
+            self.began_ns = None;
             self.room = None;
             self.free_ns = 0;
         }
@@ -112,9 +131,17 @@ impl Planner {
         self.forecast = Some(*forecast);
     }
 
-    /// How long robot and person are expected to share each room in each of the coming slots, slot by slot, in seconds:
-    /// twice as many slots as rooms left, so that a plan may wait for a room to become free. Empty without a forecast that is
-    /// fresh and of the scores' rooms, or without a time to stay.
+    /// How many stays fit before the round's deadline. A robot that stays nowhere has no round to plan.
+    fn slots_left(&self, now_ns: u64) -> Option<usize> {
+        let rooms = self.covered.len() as u64;
+        let default_ns = || self.room_time_ns.saturating_mul(STAYS_PER_ROOM.saturating_mul(rooms));
+        let end_ns = self.began_ns?.saturating_add(self.round_ns.unwrap_or_else(default_ns));
+        let left_ns = end_ns.saturating_add(self.room_time_ns / OVERTIME).saturating_sub(now_ns);
+        left_ns.checked_div(self.room_time_ns).map(|slots| slots.min(SLOTS_MAX) as usize)
+    }
+
+    /// How long robot and person are expected to share each room in each of the slots left, slot by slot, in seconds. Empty without
+    /// a forecast that is fresh and of the scores' rooms, or without a time to stay.
     fn expected_shared_s(&self, scores: &RoomScoresV1, now_ns: u64) -> Vec<f64> {
         let rooms = scores.rooms();
         // A robot that decides with every score stays nowhere for a time that could be shared.
@@ -130,9 +157,7 @@ impl Planner {
         };
         let room_time_s = self.room_time_ns as f64 / 1e9;
         let age_s = now_ns.saturating_sub(forecast.computed_ns) as f64 / 1e9;
-        let left = self.covered.iter().filter(|covered| !**covered).count();
-        let slots = (2 * left).max(1);
-        (0..slots)
+        (0..self.slots_left(now_ns).unwrap_or(0))
             .flat_map(|slot| (0..rooms.len()).map(move |room| (slot, room)))
             .map(|(slot, room)| {
                 let at_s = age_s + (slot as f64 + 0.5) * room_time_s;
@@ -147,9 +172,10 @@ impl Planner {
     ///
     /// [`PolicyError`] when the policy cannot use the scores; the robot stays.
     pub fn decide(&mut self, now_ns: u64, now_unix_ns: u64) -> Result<Option<DecisionV1>, PolicyError> {
-        if now_ns < self.free_ns {
+        if now_ns < self.free_ns || self.is_finished() {
             return Ok(None);
         }
+        self.finished = false;
         let stale = self.stale(now_ns);
         let Some(scores) = self.scores.filter(|_| stale == 0) else {
             if self.falling_back {
@@ -178,34 +204,53 @@ impl Planner {
         {
             *covered = true;
         }
-        let mut done = 0;
-        if self.covered.iter().all(|covered| *covered) {
-            done = decision_flags::COVERED;
+        let (rooms, undone) = (self.covered.len(), self.undone());
+        let (mut flags, mut ended) = (0, String::new());
+        if undone == 0 {
+            (flags, self.began_ns) = (decision_flags::COVERED, None);
             if !self.repeat {
-                self.free_ns = u64::MAX;
+                self.finished = true;
                 let decision = self.decision(now_ns, now_unix_ns, self.room, "every room is covered");
-                return Ok(Some(DecisionV1 { flags: decision.flags | done, ..decision }));
+                return Ok(Some(DecisionV1 { flags: decision.flags | flags, ..decision }));
             }
             self.covered.fill(false);
+        } else if self.slots_left(now_ns) == Some(0) {
+            let next = if self.repeat { "a round of all rooms begins" } else { "another round for them begins" };
+            ended = format!("the round's deadline came with {undone} of {rooms} rooms undone, {next}: ");
+            self.began_ns = None;
+            if self.repeat {
+                self.covered.fill(false);
+            }
         }
+        self.began_ns.get_or_insert(now_ns);
         let likely: Vec<f64> = scores.rooms().iter().map(|room| room.probability).collect();
         let expected_shared_s = self.expected_shared_s(&scores, now_ns);
         let state = RobotState {
             partition: self.room.map(|room| PartitionId(room as u32)),
             covered: &self.covered,
+            room_time_s: self.room_time_ns as f64 / 1e9,
             expected_shared_s: &expected_shared_s,
         };
         let choice = self.policy.choose(&state, &likely, &mut self.rng)?;
         let to = choice.partition.0 as usize;
-        let decision = self.decision(now_ns, now_unix_ns, Some(to), &choice.reason);
+        let decision = self.decision(now_ns, now_unix_ns, Some(to), &format!("{ended}{}", choice.reason));
         self.room = Some(to);
         self.free_ns = now_ns.saturating_add(self.room_time_ns).max(1);
         Ok(Some(DecisionV1 {
             action: action::GO,
             stay_ns: self.room_time_ns,
-            flags: decision.flags | done,
+            flags: decision.flags | flags,
             ..decision
         }))
+    }
+
+    fn undone(&self) -> usize {
+        self.covered.iter().filter(|covered| !**covered).count()
+    }
+
+    /// Nothing is left to do or to say, until a map has a room that is not covered.
+    fn is_finished(&self) -> bool {
+        self.finished && self.undone() == 0
     }
 
     /// Why the scores may not be acted upon: bits of [`decision_flags`], 0 when they may.
@@ -233,7 +278,7 @@ impl Planner {
     /// How long there is nothing to decide unless something arrives, at most 100 ms.
     #[must_use]
     pub fn idle(&self, now_ns: u64) -> Duration {
-        if self.room_time_ns == 0 {
+        if self.room_time_ns == 0 || self.is_finished() {
             return TICK;
         }
         Duration::from_nanos(self.free_ns.saturating_sub(now_ns)).clamp(Duration::from_millis(1), TICK)
@@ -362,6 +407,11 @@ fn decide(
     Ok(())
 }
 
+/// A time of the configuration, which bounds it.
+fn nanoseconds(seconds: f64) -> u64 {
+    (seconds.max(0.0) * 1e9) as u64
+}
+
 /// The value at `at` of a curve through points with rising `grid`; constant beyond both ends.
 fn interpolate(grid: &[f32], values: &[f32], at: f64) -> f64 {
     let points = || grid.iter().zip(values).map(|(x, y)| (f64::from(*x), f64::from(*y)));
@@ -380,7 +430,10 @@ fn interpolate(grid: &[f32], values: &[f32], at: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
+    use roomcast_core::grounding::{Grounding, GroundingOptions};
     use roomcast_core::policy::PolicyName;
+    use roomcast_core::semantic_map::SemanticMap;
 
     use super::*;
 
@@ -434,6 +487,144 @@ mod tests {
         let decision = planner.decide(S, 0).unwrap().unwrap();
         assert_eq!(decision.to(), "room-1");
         assert!(decision.reason().contains("slots planned"), "{}", decision.reason());
+    }
+
+    /// A home where somebody lies down in the bedroom, and what the daemon publishes of it.
+    struct Sleeper {
+        forecaster: Forecaster,
+    }
+
+    const HORIZONS_S: [f32; 9] = [0.0, 30.0, 60.0, 120.0, 300.0, 600.0, 900.0, 1800.0, 3600.0];
+    const ROOMS: [&str; 4] = ["bedroom", "corridor", "kitchen", "office"];
+
+    impl Sleeper {
+        fn new() -> Self {
+            let rooms = ROOMS.map(|id| {
+                let x = ROOMS.iter().position(|other| *other == id).unwrap() * 4;
+                format!(
+                    r#"{{"id": "{id}", "label": "{id}", "box": {{"min_m": [{x}, 0, 0], "max_m": [{}, 4, 3]}}}}"#,
+                    x + 4
+                )
+            });
+            let scene = format!(
+                r#"{{"format": "roomcast-scene", "version": 1, "name": "home", "rooms": [{}], "items": [
+                    {{"id": "bed", "label": "bed", "position_m": [2, 2, 0.3],
+                        "box": {{"min_m": [1, 1, 0], "max_m": [3, 3, 0.6]}}}},
+                    {{"id": "fridge", "label": "fridge", "position_m": [10, 2, 1],
+                        "box": {{"min_m": [9.5, 1.5, 0], "max_m": [10.5, 2.5, 2]}}}}]}}"#,
+                rooms.join(", ")
+            );
+            let map = SemanticMap::from_json(&scene).unwrap();
+            let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+            let bed = Mentions::new(&map, &grounding).last("They lie on the bed.");
+            let mut forecaster = Forecaster::new(ROOMS.len(), ForecastOptions::default(), 0.0);
+            forecaster.observe(0.0, bed, &grounding, &[0.4, 0.1, 0.4, 0.1]);
+            Self { forecaster }
+        }
+
+        fn tell(&self, planner: &mut Planner, now_ns: u64) {
+            let mut scores = scores(1, now_ns, &[0.4, 0.1, 0.4, 0.1]);
+            let mut forecast = ForecastV1 { horizon_count: HORIZONS_S.len() as u32, ..forecast(&scores, &[]) };
+            forecast.horizon_s[..HORIZONS_S.len()].copy_from_slice(&HORIZONS_S);
+            for (room, id) in ROOMS.iter().enumerate() {
+                scores.room[room].id = text::encode("id", id).unwrap();
+                forecast.id[room] = scores.room[room].id;
+            }
+            for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
+                let now_s = now_ns as f64 / 1e9;
+                for (room, p) in self.forecaster.at(now_s, f64::from(*horizon_s)).enumerate() {
+                    forecast.probability[room][place] = p as f32;
+                }
+            }
+            planner.take(&scores);
+            planner.take_forecast(&forecast);
+        }
+    }
+
+    #[test]
+    fn while_somebody_sleeps_every_other_room_is_done_in_its_slot() {
+        let sleeper = Sleeper::new();
+        let mut planner = Planner::new(&PlannerConfig::default(), 1);
+        let stay_ns = 600 * S;
+        // The person has slept for an hour, and goes on for five.
+        for round in 0..4 {
+            let mut visited = Vec::new();
+            for slot in 0..8 {
+                let now_ns = 3600 * S + (8 * round + slot) * stay_ns;
+                sleeper.tell(&mut planner, now_ns);
+                let decision = planner.decide(now_ns, 0).unwrap().unwrap();
+                let planned = format!("first of {} slots", 8 - slot);
+                assert!(decision.reason().contains(&planned), "slot {slot}: {}", decision.reason());
+                if slot > 2 {
+                    let said = decision.reason().contains("waits in a room that is done")
+                        && decision.reason().contains("1 left undone");
+                    assert!(said, "slot {slot}: {}", decision.reason());
+                } else if slot == 0 && round > 0 {
+                    let ended = "the round's deadline came with 1 of 4 rooms undone, a round of all rooms begins: ";
+                    assert!(decision.reason().starts_with(ended), "{}", decision.reason());
+                }
+                visited.push(decision.to().to_owned());
+            }
+            visited[..3].sort();
+            assert_eq!(visited[..3], ROOMS[1..], "round {round}");
+            assert!(!visited.iter().any(|room| room == "bedroom"), "round {round}: {visited:?}");
+        }
+    }
+
+    #[test]
+    fn a_round_ends_at_its_deadline_also_when_nobody_could_decide() {
+        for (repeat, next) in [(true, "a round of all rooms begins"), (false, "another round for them begins")] {
+            let config = PlannerConfig {
+                room_time_s: 10.0,
+                round_s: Some(30.0),
+                repeat,
+                policy: PolicyName::UncoveredFirst,
+                ..Default::default()
+            };
+            let mut planner = Planner::new(&config, 1);
+            planner.take(&scores(1, S, &[0.1, 0.2, 0.7]));
+            assert_eq!(planner.decide(S, 0).unwrap().unwrap().to(), "room-0");
+            // The daemon is silent for two of the three stays.
+            assert!(planner.decide(11 * S, 0).unwrap().unwrap().has(decision_flags::FALLBACK));
+            planner.take(&scores(2, 31 * S, &[0.1, 0.2, 0.7]));
+            let decision = planner.decide(31 * S, 0).unwrap().unwrap();
+            let said = format!("the round's deadline came with 2 of 3 rooms undone, {next}: ");
+            assert!(decision.reason().starts_with(&said), "{}", decision.reason());
+            let (to, covered) = if repeat { ("room-0", 0) } else { ("room-1", 0b1) };
+            assert_eq!((decision.to(), decision.covered), (to, covered));
+        }
+    }
+
+    #[test]
+    fn rooms_that_are_added_after_all_was_done_are_done_too() {
+        let mut planner = planner(PolicyName::CoverageAware, false);
+        for (visit, to) in ["room-1", "room-0"].into_iter().enumerate() {
+            let now_ns = (1 + 10 * visit as u64) * S;
+            planner.take(&scores(visit as u64 + 1, now_ns, &[0.6, 0.4]));
+            assert_eq!(planner.decide(now_ns, 0).unwrap().unwrap().to(), to);
+        }
+        planner.take(&scores(3, 21 * S, &[0.6, 0.4]));
+        let finished = planner.decide(21 * S, 0).unwrap().unwrap();
+        assert_eq!((finished.action, finished.reason()), (action::STAY, "every room is covered"));
+        assert_eq!((planner.idle(21 * S), planner.decide(99 * S, 0).unwrap()), (TICK, None));
+
+        let added = RoomScoresV1 { map_fingerprint: [1; 32], ..scores(4, 100 * S, &[0.3, 0.3, 0.4]) };
+        planner.take(&added);
+        let decision = planner.decide(100 * S, 0).unwrap().unwrap();
+        assert_eq!((decision.action, decision.to(), decision.covered), (action::GO, "room-2", 0b011));
+        planner.take(&RoomScoresV1 { published_ns: 110 * S, ..added });
+        assert_eq!(planner.decide(110 * S, 0).unwrap().unwrap().action, action::STAY);
+    }
+
+    #[test]
+    fn a_long_round_of_short_stays_is_planned_in_bounds() {
+        let config = PlannerConfig { room_time_s: 0.001, round_s: Some(1e9), ..Default::default() };
+        let mut planner = Planner::new(&config, 1);
+        let scores = scores(1, S, &[1.0 / 64.0; 64]);
+        planner.take(&scores);
+        planner.take_forecast(&forecast(&scores, &[[0.5, 0.5]; 64]));
+        let decision = planner.decide(S, 0).unwrap().unwrap();
+        assert!(decision.reason().contains("first of 256 slots"), "{}", decision.reason());
     }
 
     #[test]

@@ -1,24 +1,37 @@
 //! `roomcast demo`: the whole system on this machine, three processes in a private domain, one activity in one apartment.
+//!
+//! The person is the simulation's, as in the experiments: the laboratory's timeline says where the person is and when what is
+//! observed, and its cost function counts what the robot shared with them. Beside the figures of the robot that ran stand those of
+//! simulated robots in the same home.
 
 use std::collections::VecDeque;
-use std::io::{self, IsTerminal, Write};
-use std::path::PathBuf;
+use std::fmt::Write as _;
+use std::io::{self, IsTerminal, PipeWriter, Write};
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, ItemScoresSubscriber, NarrationV1, Node, RoomScoresV1, Subscriber, decision_flags,
-    score_flags,
+    DecisionV1, Domain, IpcError, ItemScoresSubscriber, NarrationV1, Node, RoomScoresV1, Subscriber, action, clock,
+    decision_flags, score_flags,
 };
 
 use super::stage::Stage;
-use super::{CommandResult, Failure, count, ranges, service};
+use super::{CommandResult, Failure, count, ranges, service, table};
 use crate::bar::bar;
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
-use roomcast_core::narration::{Action, ObjectRef};
 use roomcast_core::policy::PolicyName;
+use roomcast_core::prompt::BindingSequence;
+use roomcast_core::scorer::correction::CorrectionChoice;
+use roomcast_core::scorer::{Method, Tokenisation};
 use roomcast_core::semantic_map::SemanticMap;
+use roomcast_lab::experiment::study::{self, Activity, Decider, Home, Means, Options};
+use roomcast_lab::experiment::{ExperimentError, ScoreSource};
+use roomcast_lab::simulation::timeline::Timeline;
+use roomcast_lab::simulation::world::{Cost, Stay, check_room_time, tally};
+use roomcast_llama::{CacheType, LlamaOptions};
 use roomcast_services::setup;
 use roomcast_services::stop::Stop;
 
@@ -41,17 +54,17 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// The robot's policy.
-    #[arg(long, value_name = "POLICY", default_value_t = PolicyName::InformedAvoidance)]
+    #[arg(long, value_name = "POLICY", default_value_t = PolicyName::CoverageAware)]
     policy: PolicyName,
-    /// Seed of the policy's random choices.
+    /// Seed of every draw: of the robot's policy, of the person, and of the simulated robots.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// How long the activity plays, in seconds; real time is sped up to fit.
     #[arg(long, value_name = "SECONDS", default_value_t = 24.0, value_parser = ranges::positive)]
     seconds: f64,
     /// T_r: seconds of the person's time that the robot spends in a room.
-    #[arg(long, value_name = "SECONDS", default_value_t = 15.0, value_parser = ranges::positive)]
-    room_time: f64,
+    #[arg(long, value_name = "SECONDS", default_value_t = 25, value_parser = ranges::room_time_s())]
+    room_time: usize,
 }
 
 /// Plays the activity and prints what happens, and a summary.
@@ -64,9 +77,9 @@ pub fn run(args: &Args) -> CommandResult {
     let map = setup::load_map(Some(&args.scene))?;
     let grounding = Grounding::new(&map, &GroundingOptions::default());
     let grounding = grounding.map_err(|error| Failure::new(exit_code::INPUT, error))?;
-    let program = setup::load_program(&args.program)?;
-    let real_s: f64 = program.steps.iter().map(|step| step.entry().duration_s).sum();
-    let speed = real_s / args.seconds;
+    let plot = Plot::new(args, &map, &grounding)?;
+    let horizon_s = plot.timeline.len();
+    let speed = horizon_s as f64 / args.seconds;
 
     let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp");
     let directory = directory.map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot use /tmp: {error}")))?;
@@ -74,18 +87,22 @@ pub fn run(args: &Args) -> CommandResult {
     let domain = Domain::new(directory.path().join("d"), &format!("demo-{}", std::process::id())).map_err(ipc)?;
     let mut stage = Stage::new(domain.clone(), directory.path());
     let node = domain.open("roomcast-demo").map_err(ipc)?;
-    let mut show = Show::new(&node, &map, &grounding, speed).map_err(ipc)?;
+    let mut show = Show::new(&node, &grounding, &plot.timeline, speed).map_err(ipc)?;
 
     let scene = format!(
-        "{}: {}, {}. {}, {}, {real_s:.0} s of a person's time played {speed:.1} times faster.",
-        map.name(),
-        count(map.items().len(), "item"),
-        count(grounding.partitions().len(), "room"),
-        program.title,
-        count(program.steps.len(), "step")
+        "{}: {}, {}. {}, {}, {horizon_s} s of a person's time played {speed:.1} times faster.",
+        map.name,
+        count(map.items.len(), "item"),
+        count(grounding.partitions.len(), "room"),
+        plot.timeline.title,
+        count(plot.timeline.done.len(), "step")
     );
-    let robot = format!("The robot works {:.0} s in a room, by the policy {}.\n", args.room_time, args.policy);
+    let robot = format!("The robot works {} s in a room, by the policy {}.", args.room_time, args.policy);
     show.say(&[scene, robot]);
+    if !plot.timeline.skipped.is_empty() {
+        show.say(&[format!("Left out, since the map has none of it: {}.", plot.timeline.skipped.join(", "))]);
+    }
+    show.say(&[String::new()]);
 
     let mut daemon = vec!["--scene".into(), args.scene.clone().into_os_string()];
     if let Some(model) = &args.model {
@@ -95,7 +112,7 @@ pub fn run(args: &Args) -> CommandResult {
     let result = play(args, &mut stage, &mut show, speed, &stop);
     show.close();
     // The ports go before the domain can be removed.
-    let (summary, unheard) = (show.summary(args.policy), show.unheard);
+    let (summary, unheard) = (show.summary(args, &plot, &map.name), show.unheard);
     drop((show, node));
     drop(stage);
     if stop.requested() {
@@ -116,15 +133,19 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
             return Err(Failure::new(exit_code::FAILURE, format!("the daemon gave no scores within {within} s")));
         }
     }
+    // The narrator waits for what is observed: it is there before the person's time begins.
+    let failed = |error: io::Error| Failure::new(exit_code::FAILURE, format!("cannot speak to the narrator: {error}"));
+    let (ear, mouth) = io::pipe().map_err(failed)?;
+    stage.start_with("narrate", &["-".into(), "--name".into(), "person".into()], Stdio::from(ear), Stdio::null())?;
     let (policy, seed) = (args.policy.to_string().into(), args.seed.to_string().into());
-    let room_time = (args.room_time / speed).to_string().into();
-    stage.start("planner", &["--policy".into(), policy, "--seed".into(), seed, "--room-time".into(), room_time])?;
-    while !stop.requested() && !show.unheard && show.robot.is_empty() {
+    let real = |person_s: usize| (person_s as f64 / speed).to_string().into();
+    let times = ["--room-time".into(), real(args.room_time), "--round".into(), real(show.timeline.len())];
+    stage.start("planner", &[["--policy".into(), policy, "--seed".into(), seed], times].concat())?;
+    while !stop.requested() && !show.unheard && show.begin_ns.is_none() {
         stage.check()?;
         show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))?;
     }
-    let program = args.program.clone().into_os_string();
-    stage.start("narrate", &[program, "--speed".into(), speed.to_string().into(), "--name".into(), "person".into()])?;
+    act(stage, show, mouth, stop)?;
     while !stop.requested() && !show.unheard && !stage.ended("narrate")? {
         show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))?;
     }
@@ -132,8 +153,80 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
     show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))
 }
 
-/// A room and from when on, in monotonic nanoseconds.
-type Stay = (Option<usize>, u64);
+/// Tells the narrator what the person does, when it is observed, to the end of the person's time.
+fn act(stage: &mut Stage, show: &mut Show<'_>, mut mouth: PipeWriter, stop: &Stop) -> CommandResult {
+    let timeline = show.timeline;
+    let lines = timeline.done.iter().map(|done| (done.at_s, Some(done.sentence.as_str())));
+    for (at_s, line) in lines.chain([(timeline.len() as f64, None)]) {
+        loop {
+            let wait_s = (at_s - show.now_s()) / show.speed;
+            if wait_s <= 0.0 {
+                break;
+            }
+            if stop.requested() || show.unheard {
+                return Ok(());
+            }
+            stage.check()?;
+            let wait = Duration::from_secs_f64(wait_s.min(0.05));
+            show.poll(wait).map_err(|error| Failure::new(exit_code::IPC, error))?;
+        }
+        if let Some(line) = line
+            && let Err(error) = writeln!(mouth, "{line}")
+        {
+            // It has ended: what it said is the better word.
+            stage.check()?;
+            return Err(Failure::new(exit_code::FAILURE, format!("cannot speak to the narrator: {error}")));
+        }
+    }
+    Ok(())
+}
+
+/// The person of the show, what robots may cost, and what simulated ones come to.
+struct Plot {
+    timeline: Timeline,
+    cost: Cost,
+    simulated: Vec<(PolicyName, Means)>,
+    restarts: u64,
+}
+
+impl Plot {
+    /// The experiments' simulation of one cell: this scene, this program, this T_r, with their options.
+    fn new(args: &Args, map: &SemanticMap, grounding: &Grounding) -> Result<Self, Failure> {
+        let program = setup::load_program(&args.program)?;
+        let options = Options { seed: args.seed, ..Options::default() };
+        // In single precision, as the experiments score.
+        let llama = LlamaOptions { cache: CacheType::F32, ..LlamaOptions::default() };
+        let model = setup::load_model(args.model.as_deref(), &llama)
+            .map_err(|error| ExperimentError::Model(Box::new(error)))?;
+        let (method, tokenisation) = (Method::default(), Tokenisation::default());
+        let labels = grounding.label_texts();
+        let source = ScoreSource::new(model, &labels, method, tokenisation, CorrectionChoice::default(), None);
+        let mut source = source.map_err(ExperimentError::from)?;
+        let activity = Activity::Program(program);
+        let activities = [(program_name(&args.program), &activity)];
+        let home = Home::new(map, grounding, &activities, &mut source, &BindingSequence::default(), &options)?;
+        let timeline = home.timelines().next().cloned();
+        let timeline = timeline.ok_or_else(|| Failure::new(exit_code::FAILURE, "the simulation has no person"))?;
+        check_room_time(args.room_time, home.cost().steps()).map_err(ExperimentError::from)?;
+        let known = home.knowledge(args.room_time, options.forecast);
+        let mut simulated = Vec::new();
+        for policy in [args.policy, PolicyName::CoverageAware, PolicyName::InformedAvoidance, PolicyName::Naive] {
+            if simulated.iter().all(|(other, _)| *other != policy) {
+                let runs = study::restarts(&home, args.room_time, &known, Decider::Policy(policy), &options);
+                simulated.push((policy, Means::of(runs.map_err(ExperimentError::from)?.iter())));
+            }
+        }
+        Ok(Self { timeline, cost: home.cost().clone(), simulated, restarts: options.restarts })
+    }
+}
+
+/// The name that the experiments give a program, which their draws follow from.
+fn program_name(path: &Path) -> String {
+    match setup::shipped_program(path) {
+        Some(_) => path.display().to_string(),
+        None => path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+    }
+}
 
 /// What is seen on the way, and how it is printed.
 struct Show<'a> {
@@ -141,8 +234,7 @@ struct Show<'a> {
     scores: Subscriber<RoomScoresV1>,
     items: ItemScoresSubscriber,
     decisions: Subscriber<DecisionV1>,
-    grounding: &'a Grounding,
-    map: &'a SemanticMap,
+    timeline: &'a Timeline,
     names: Vec<String>,
     ids: Vec<String>,
     speed: f64,
@@ -154,25 +246,29 @@ struct Show<'a> {
     untold: VecDeque<DecisionV1>,
     decision: Option<DecisionV1>,
     top: Vec<(String, f64)>,
-    /// Where the robot was.
+    /// Where the robot was, in the person's time.
     robot: Vec<Stay>,
-    /// Where the person was: an action's room, from the end of the one before to its own end.
-    person: Vec<(Option<usize>, u64, u64)>,
-    begin_ns: u64,
+    /// The rooms that the person is yet to enter, and when, in seconds of their time.
+    moves: VecDeque<(usize, usize)>,
+    person: Option<usize>,
+    /// When the person's time began: with the robot's first decision.
+    begin_ns: Option<u64>,
     latency_ns: Option<Histogram<u64>>,
     /// Lines of the live panel that stand at the end of the terminal.
     panel: Option<usize>,
 }
 
 impl<'a> Show<'a> {
-    fn new(node: &Node, map: &'a SemanticMap, grounding: &'a Grounding, speed: f64) -> Result<Self, IpcError> {
+    fn new(node: &Node, grounding: &Grounding, timeline: &'a Timeline, speed: f64) -> Result<Self, IpcError> {
+        let mut moves: VecDeque<_> = timeline.rooms.iter().map(|room| room.0 as usize).enumerate().collect();
+        let mut before = None;
+        moves.retain(|(_, room)| before.replace(*room) != Some(*room));
         Ok(Self {
             narration: node.subscriber()?,
             scores: node.subscriber()?,
             items: node.item_scores_subscriber()?,
             decisions: node.subscriber()?,
-            grounding,
-            map,
+            timeline,
             names: grounding.partition_names(),
             ids: grounding.partitions().iter().map(|partition| partition.id.clone()).collect(),
             speed,
@@ -183,8 +279,9 @@ impl<'a> Show<'a> {
             decision: None,
             top: Vec::new(),
             robot: Vec::new(),
-            person: Vec::new(),
-            begin_ns: roomcast_ipc::clock::monotonic_ns(),
+            moves,
+            person: None,
+            begin_ns: None,
             latency_ns: Histogram::new_with_max(60_000_000_000, 3).ok(),
             panel: io::stdout().is_terminal().then_some(0),
         })
@@ -211,63 +308,56 @@ impl<'a> Show<'a> {
             self.scored(&scores);
         }
         self.hear()?;
-        self.tell_decisions(u64::MAX);
+        self.tell(clock::monotonic_ns());
         Ok(())
     }
 
     /// Takes what lies in the ports: first the decisions, so that whatever was narrated before them is there, too.
     fn hear(&mut self) -> Result<(), IpcError> {
         while let Some(received) = self.decisions.receive()? {
-            self.untold.extend(received.ok());
+            let Ok(decision) = received else { continue };
+            self.begin_ns.get_or_insert(decision.decided_ns);
+            // What comes behind the person's time is no part of the show.
+            if self.at_s(decision.decided_ns) < self.timeline.len() {
+                self.untold.push_back(decision);
+            }
         }
         while let Some(received) = self.narration.receive()? {
             let Ok(narration) = received else { continue };
-            self.narrated(&narration);
+            self.sentences.push_back((narration.observed_ns, narration.text().to_owned()));
         }
         Ok(())
     }
 
-    /// Tells the decisions made before `until_ns`, but for those that narration comes before which waits for its scores: what is
-    /// told is in the order of time.
-    fn tell_decisions(&mut self, until_ns: u64) {
+    /// Tells the decisions and the person's moves before `until_ns`, but for those that narration comes before which waits for its
+    /// scores: what is told is in the order of time.
+    fn tell(&mut self, until_ns: u64) {
         let until_ns = self.sentences.front().map_or(until_ns, |(observed_ns, _)| until_ns.min(*observed_ns));
-        while let Some(decision) = self.untold.front().copied().filter(|decision| decision.decided_ns < until_ns) {
-            self.untold.pop_front();
-            self.decided(&decision);
+        let Some(begin_ns) = self.begin_ns else { return };
+        loop {
+            let decision = self.untold.front().copied().filter(|decision| decision.decided_ns < until_ns);
+            let at_ns = |(step, _): &(usize, usize)| begin_ns + (*step as f64 / self.speed * 1e9) as u64;
+            let entry = self.moves.front().copied().filter(|entry| at_ns(entry) < until_ns);
+            match (decision, entry) {
+                (Some(decision), entry) if entry.is_none_or(|entry| decision.decided_ns <= at_ns(&entry)) => {
+                    self.untold.pop_front();
+                    self.decided(&decision);
+                }
+                (_, Some((at_s, room))) => {
+                    self.moves.pop_front();
+                    let way = if self.person.replace(room).is_none() { "begins in" } else { "enters" };
+                    self.say(&[format!("{at_s:6} s  person {way} the {}", self.names[room])]);
+                }
+                _ => return,
+            }
         }
-    }
-
-    fn narrated(&mut self, narration: &NarrationV1) {
-        let action = Action::parse(narration.text()).ok();
-        let sentence = action.as_ref().map_or_else(|| narration.text().to_owned(), Action::sentence);
-        let here = self.person.last().map(|(room, ..)| *room);
-        let place = action
-            .as_ref()
-            .and_then(|action| action.objects().iter().filter_map(|object| self.place(object)).next_back());
-        // An action without a place happens where the person is.
-        let room = place.or(here.flatten());
-        let from_ns = self.person.last().map_or(self.begin_ns, |(.., until_ns)| *until_ns);
-        self.person.push((room, from_ns, narration.observed_ns));
-        self.sentences.push_back((narration.observed_ns, sentence));
-    }
-
-    /// The room of the map's first thing of that name, or the room itself.
-    fn place(&self, object: &ObjectRef) -> Option<usize> {
-        if let Some(room) = self.map.find_room(&object.name) {
-            return self.grounding.partitions().iter().position(|partition| partition.rooms.contains(&room));
-        }
-        let item = self.map.items_of(self.map.find_label(&object.name)?).next()?;
-        self.grounding.item_partition()[item.0 as usize].map(|partition| partition.0 as usize)
     }
 
     fn decided(&mut self, decision: &DecisionV1) {
         let room = self.ids.iter().position(|id| id == decision.to());
-        if self.robot.is_empty() {
-            self.begin_ns = decision.decided_ns;
-        }
-        self.robot.push((room, decision.decided_ns));
-        self.decision = Some(*decision);
         let at_s = self.at_s(decision.decided_ns);
+        self.robot.push(Stay { from_s: at_s, room, works: decision.action == action::GO });
+        self.decision = Some(*decision);
         let fallback = if decision.has(decision_flags::FALLBACK) { " (fallback)" } else { "" };
         let to = room.map_or("nowhere", |room| self.names[room].as_str());
         let from = self.ids.iter().position(|id| id == decision.from()).map(|room| self.names[room].as_str());
@@ -276,7 +366,7 @@ impl<'a> Show<'a> {
             Some(from) => format!("goes from the {from} to the {to}"),
             None => format!("begins in the {to}"),
         };
-        self.say(&[format!("{at_s:6.1} s  robot {way}{fallback}: {}", decision.reason())]);
+        self.say(&[format!("{at_s:6} s  robot {way}{fallback}: {}", decision.reason())]);
     }
 
     fn scored(&mut self, scores: &RoomScoresV1) {
@@ -292,15 +382,15 @@ impl<'a> Show<'a> {
         // Nothing was observed when these scores were made: they are the first.
         let mut news = scores.observed_ns == 0;
         if news {
-            self.say(&[format!("{:6.1} s  nothing is known of the person yet", 0.0)]);
+            self.say(&[format!("{:6} s  nothing is known of the person yet", 0)]);
         }
         // Everything that these scores include for the first time.
         while self.sentences.front().is_some_and(|(observed_ns, _)| *observed_ns <= scores.observed_ns) {
             let Some((observed_ns, sentence)) = self.sentences.pop_front() else { break };
-            self.tell_decisions(observed_ns);
+            self.tell(observed_ns);
             let took_ms = scores.published_ns.saturating_sub(observed_ns) as f64 / 1e6;
             let at_s = self.at_s(observed_ns);
-            self.say(&[format!("{at_s:6.1} s  {sentence}  (scored after {took_ms:.1} ms)")]);
+            self.say(&[format!("{at_s:6} s  {sentence}  (scored after {took_ms:.1} ms)")]);
             news = true;
         }
         if !news {
@@ -316,8 +406,8 @@ impl<'a> Show<'a> {
 
     fn rooms(&self, scores: &RoomScoresV1) -> Vec<String> {
         let width = self.names.iter().map(String::len).max().unwrap_or(0);
-        let robot = self.robot.last().and_then(|(room, _)| *room);
-        let person = self.person.last().and_then(|(room, ..)| *room);
+        let robot = self.robot.last().and_then(|stay| stay.room);
+        let person = self.person;
         let rows = self.names.iter().zip(scores.rooms()).enumerate().map(|(index, (name, room))| {
             let person = if person == Some(index) { " person" } else { "" };
             let robot = if robot == Some(index) { " robot" } else { "" };
@@ -334,9 +424,16 @@ impl<'a> Show<'a> {
         format!("          next object: {}", objects.collect::<Vec<_>>().join(", "))
     }
 
-    /// Seconds of the person's time since the robot's first decision.
-    fn at_s(&self, monotonic_ns: u64) -> f64 {
-        monotonic_ns.saturating_sub(self.begin_ns) as f64 / 1e9 * self.speed
+    /// The person's time of a moment, in whole seconds, as the simulation counts.
+    fn at_s(&self, monotonic_ns: u64) -> usize {
+        let since_ns = monotonic_ns.saturating_sub(self.begin_ns.unwrap_or(monotonic_ns));
+        (since_ns as f64 / 1e9 * self.speed).round() as usize
+    }
+
+    /// How much of the person's time is over.
+    fn now_s(&self) -> f64 {
+        let now_ns = clock::monotonic_ns();
+        now_ns.saturating_sub(self.begin_ns.unwrap_or(now_ns)) as f64 / 1e9 * self.speed
     }
 
     /// Prints lines above the live panel, if there is one.
@@ -369,43 +466,52 @@ impl<'a> Show<'a> {
         self.panel = self.panel.map(|_| 0);
     }
 
-    fn summary(&self, policy: PolicyName) -> String {
-        let end_ns = self.person.last().map_or(self.begin_ns, |(.., until_ns)| *until_ns);
-        let seconds = |ns: u64| ns as f64 / 1e9 * self.speed;
-        let shared_ns: u64 = self.person.iter().map(|stay| shared_with(stay, &self.robot, end_ns)).sum();
-        let placed = self.person.iter().filter(|(room, ..)| room.is_some());
-        let placed_ns: u64 = placed.map(|(_, from_ns, until_ns)| until_ns.saturating_sub(*from_ns)).sum();
-        let naive_s = seconds(placed_ns) / self.names.len().max(1) as f64;
-        let mut visited: Vec<_> = self.robot.iter().filter_map(|(room, _)| *room).collect();
-        visited.sort_unstable();
-        visited.dedup();
+    fn summary(&self, args: &Args, plot: &Plot, scene: &str) -> String {
+        let (shared_s, covered_s) = tally(&plot.cost, args.room_time, &self.robot);
+        let horizon_s = self.timeline.len();
         let quantile =
             |q| self.latency_ns.as_ref().map_or(0.0, |latency_ns| latency_ns.value_at_quantile(q) as f64 / 1e6);
-        format!(
-            "\n{} events, {} decisions, {} of {} rooms visited in {}.\n\
-             The robot shared a room with the person for {:.0} of {:.0} s under {policy}; a naive robot would have for {naive_s:.0} s on average.\n\
-             From observation to published scores: median {:.1} ms, 90 % within {:.1} ms, worst {:.1} ms.",
-            self.person.len(),
-            self.robot.len(),
-            visited.len(),
-            self.names.len(),
-            self.map.name(),
-            seconds(shared_ns),
-            seconds(end_ns.saturating_sub(self.begin_ns)),
+        let done = covered_s
+            .map_or_else(|| "not every room was done".to_owned(), |s| format!("every room was done after {s} s"));
+        let mut text = format!(
+            "\n{}, {} in {scene}.\n\
+             The robot shared a room with the person for {shared_s:.0} of {horizon_s} s, and {done}.\n\
+             From observation to published scores: median {:.1} ms, 90 % within {:.1} ms, worst {:.1} ms.\n\n",
+            count(self.timeline.done.len(), "event"),
+            count(self.robot.len(), "decision"),
             quantile(0.5),
             quantile(0.9),
             quantile(1.0),
-        )
+        );
+        let mut rows = table(&["robot", "shares (s)", "done after (s)", "not all done"]);
+        let dash = || "-".to_owned();
+        rows.add_row([
+            format!("this one: {}", args.policy),
+            format!("{shared_s:.0}"),
+            covered_s.map_or_else(dash, |s| s.to_string()),
+            dash(),
+        ]);
+        for (policy, means) in &plot.simulated {
+            rows.add_row([
+                format!("simulated: {policy}"),
+                format!("{:.1}", means.disturbance_s.0),
+                means.coverage_s.map_or_else(dash, |(mean, _)| format!("{mean:.1}")),
+                format!("{:.1} %", 100.0 * means.failure_rate),
+            ]);
+        }
+        // Writing into a text cannot fail.
+        let _ = write!(
+            text,
+            "{rows}\n\nSimulated: means over {} that begin in a random room, with the same person and seed; `roomcast experiment table2`\n\
+             --scene {} --program {} --room-time {} --seed {} gives the same.",
+            count(plot.restarts as usize, "robot"),
+            args.scene.display(),
+            args.program.display(),
+            args.room_time,
+            args.seed,
+        );
+        text
     }
-}
-
-/// How long the robot was in the person's room during one stay of the person, in nanoseconds.
-fn shared_with(&(room, from_ns, until_ns): &(Option<usize>, u64, u64), robot: &[Stay], end_ns: u64) -> u64 {
-    let ends = robot.iter().skip(1).map(|(_, from_ns)| *from_ns).chain([end_ns]);
-    let overlaps = robot.iter().zip(ends).filter(|((robot, _), _)| robot.is_some() && *robot == room).map(
-        |((_, robot_from_ns), robot_until_ns)| until_ns.min(robot_until_ns).saturating_sub(from_ns.max(*robot_from_ns)),
-    );
-    overlaps.sum()
 }
 
 /// As much of a line as fits into so many columns.
@@ -439,15 +545,5 @@ mod tests {
         assert_eq!(cut("kitchen ███", 20), "kitchen ███");
         assert_eq!(cut("kitchen ███", 9), "kitchen █");
         assert_eq!(cut("厨房", 3), "厨");
-    }
-
-    #[test]
-    fn shared_time_is_the_overlap_of_two_timelines() {
-        let robot = [(Some(0), 10), (Some(1), 20), (Some(0), 30)];
-        assert_eq!(shared_with(&(Some(0), 0, 15), &robot, 40), 5);
-        assert_eq!(shared_with(&(Some(0), 5, 35), &robot, 40), 15);
-        assert_eq!(shared_with(&(Some(1), 5, 100), &robot, 40), 10);
-        assert_eq!(shared_with(&(Some(2), 0, 100), &robot, 40), 0);
-        assert_eq!(shared_with(&(None, 0, 100), &[(None, 0)], 40), 0);
     }
 }

@@ -23,6 +23,9 @@ pub struct Args {
     /// Seconds of work in every room, in place of the configuration's.
     #[arg(long, value_name = "SECONDS")]
     room_time: Option<f64>,
+    /// Seconds from the begin of a round to its deadline, in place of the configuration's.
+    #[arg(long, value_name = "SECONDS")]
+    round: Option<f64>,
 }
 
 /// Runs the planner until it is asked to stop.
@@ -41,6 +44,7 @@ pub fn run(args: &Args) -> CommandResult {
     planned.policy = args.policy.unwrap_or(planned.policy);
     planned.seed = args.seed.unwrap_or(planned.seed);
     planned.room_time_s = args.room_time.unwrap_or(planned.room_time_s);
+    planned.round_s = args.round.or(planned.round_s);
     config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
     planner::run(&config, &domain, &stop).map_err(|error| Failure::new(exit_code::IPC, error))
 }

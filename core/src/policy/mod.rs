@@ -15,7 +15,9 @@ mod informed_avoidance;
 mod naive;
 mod uncovered_first;
 
-pub use coverage_aware::{CoverageAware, DP_PARTITIONS_MAX, Plan, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS, plan};
+pub use coverage_aware::{
+    CoverageAware, DP_PARTITIONS_MAX, FREE_SHARE, Plan, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS, plan,
+};
 pub use greedy_avoidance::GreedyAvoidance;
 pub use informed_avoidance::InformedAvoidance;
 pub use naive::Naive;
@@ -28,6 +30,8 @@ pub struct RobotState<'a> {
     pub partition: Option<PartitionId>,
     /// Per partition: its work there is done.
     pub covered: &'a [bool],
+    /// T_r: the length of a slot, in which it does one partition, in seconds.
+    pub room_time_s: f64,
     /// How long robot and person are expected to share each partition in each of the slots left, in seconds: slots times
     /// partitions, slot by slot. Empty without a forecast or a horizon.
     pub expected_shared_s: &'a [f64],
@@ -200,7 +204,7 @@ mod tests {
     fn shares(name: PolicyName, covered: &[bool], scores: &[f64]) -> Vec<f64> {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let mut policy = name.policy();
-        let state = RobotState { partition: None, covered, expected_shared_s: &[] };
+        let state = RobotState { partition: None, covered, room_time_s: 60.0, expected_shared_s: &[] };
         let mut counts = vec![0.0; scores.len()];
         for _ in 0..20_000 {
             counts[policy.choose(&state, scores, &mut rng).unwrap().partition.0 as usize] += 1.0 / 20_000.0;
@@ -239,7 +243,7 @@ mod tests {
     fn faults_are_named() {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let mut choose = |covered: &[bool], expected_shared_s: &[f64], scores: &[f64]| {
-            let state = RobotState { partition: None, covered, expected_shared_s };
+            let state = RobotState { partition: None, covered, room_time_s: 60.0, expected_shared_s };
             Naive.choose(&state, scores, &mut rng).unwrap_err().to_string()
         };
         assert!(choose(&[], &[], &[]).contains("at least one room"));
@@ -258,7 +262,7 @@ mod tests {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             let covered: Vec<bool> = scores.iter().map(|_| rng.random()).collect();
             let expected: Vec<f64> = (0..slots * scores.len()).map(|_| rng.random()).collect();
-            let state = RobotState { partition: None, covered: &covered, expected_shared_s: &expected };
+            let state = RobotState { partition: None, covered: &covered, room_time_s: 60.0, expected_shared_s: &expected };
             for name in PolicyName::ALL {
                 prop_assert_eq!(name.as_str().parse::<PolicyName>(), Ok(name));
                 let choice = name.policy().choose(&state, &scores, &mut rng).unwrap();

@@ -11,7 +11,7 @@ use crate::simulation::homer::Day;
 #[cfg(feature = "solver")]
 use crate::simulation::mixed_integer;
 use crate::simulation::timeline::{PersonOptions, Timeline};
-use crate::simulation::world::{self, Cost, Disturbance, Knowledge, Run, check_room_time, restart_rng};
+use crate::simulation::world::{self, Cost, Disturbance, Knowledge, Run, WorldError, check_room_time, restart_rng};
 use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::narration::history::HistoryLimits;
@@ -47,6 +47,21 @@ pub struct Options {
     pub restarts: u64,
     /// Of every draw.
     pub seed: u64,
+}
+
+impl Default for Options {
+    /// Those of the paper's tables: the person takes the nearest item, and restarts are as many as make a mean that can be compared.
+    fn default() -> Self {
+        Self {
+            history: HistoryLimits::default(),
+            items: ItemChoice::Nearest,
+            person: PersonOptions::default(),
+            disturbance: Disturbance::SameRoom,
+            forecast: ForecastOptions::default(),
+            restarts: 1000,
+            seed: 1,
+        }
+    }
 }
 
 /// One person's activity in a map, with what is known of it at each time.
@@ -119,6 +134,11 @@ impl<'a> Home<'a> {
     #[must_use]
     pub fn cost(&self) -> &Cost {
         &self.cost
+    }
+
+    /// Where each person is, and what is observed when.
+    pub fn timelines(&self) -> impl Iterator<Item = &Timeline> {
+        self.tracks.iter().map(|track| &track.timeline)
     }
 
     /// Actions that were skipped because the map lacks their objects.
@@ -219,8 +239,7 @@ impl Decider {
         match self {
             Self::Policy(name) => name.policy(),
             Self::CoverageAware(weight_s) => Box::new(CoverageAware::new(Some(weight_s))),
-            // Dearer than any timeline, so that whatever can be covered is.
-            Self::Clairvoyant => Box::new(CoverageAware::new(Some(1e12))),
+            Self::Clairvoyant => Box::new(CoverageAware::clairvoyant()),
         }
     }
 }
@@ -265,13 +284,7 @@ pub fn run(
             let optima = optima(home, room_time_s)?;
             for &decider in deciders {
                 let known = if decider == Decider::Clairvoyant { &truth } else { &knowledge };
-                let runs: Vec<Run> = (0..options.restarts)
-                    .into_par_iter()
-                    .map(|restart| {
-                        let mut rng = restart_rng(options.seed, restart);
-                        world::run(&home.cost, room_time_s, known, &mut *decider.policy(), &mut rng)
-                    })
-                    .collect::<Result<_, _>>()?;
+                let runs = restarts(home, room_time_s, known, decider, options)?;
                 if let Some(run) = runs.iter().find(|run| run.disturbance_s < bound_of(&optima, run) - 1e-6) {
                     let (found_s, bound_s) = (run.disturbance_s, bound_of(&optima, run));
                     return Err(ExperimentError::BelowBound { decider: decider.name(), found_s, bound_s });
@@ -290,6 +303,51 @@ pub fn run(
         }
     }
     Ok(cells)
+}
+
+/// All restarts of one decider that knows what is given, in their order: the same starts and draws for every decider.
+///
+/// # Errors
+/// When T_r does not fit or the policy refuses.
+pub fn restarts(
+    home: &Home<'_>,
+    room_time_s: usize,
+    known: &Knowledge,
+    decider: Decider,
+    options: &Options,
+) -> Result<Vec<Run>, WorldError> {
+    let restarts = (0..options.restarts).into_par_iter();
+    let run = |restart| {
+        let mut rng = restart_rng(options.seed, restart);
+        world::run(&home.cost, room_time_s, known, &mut *decider.policy(), &mut rng)
+    };
+    restarts.map(run).collect()
+}
+
+/// What runs come to on average.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Means {
+    /// Mean and standard deviation of D_T.
+    pub disturbance_s: (f64, f64),
+    /// Mean and standard deviation of t_c over the runs that covered; absent if none did.
+    pub coverage_s: Option<(f64, f64)>,
+    /// F: share of runs without full coverage.
+    pub failure_rate: f64,
+}
+
+impl Means {
+    /// Of any runs.
+    #[must_use]
+    pub fn of<'a>(runs: impl Iterator<Item = &'a Run> + Clone) -> Self {
+        let count = runs.clone().count();
+        let covered = runs.clone().filter_map(|run| run.coverage_s).map(|s| s as f64);
+        let covering = covered.clone().count();
+        Self {
+            disturbance_s: moments(runs.map(|run| run.disturbance_s)),
+            coverage_s: (covering > 0).then(|| moments(covered)),
+            failure_rate: 1.0 - covering as f64 / count.max(1) as f64,
+        }
+    }
 }
 
 fn bound_of(optima: &[Optimum], run: &Run) -> f64 {
@@ -372,10 +430,9 @@ pub struct Figures {
 #[must_use]
 pub fn figures(cells: &[&Cell], naive: Option<&[&Cell]>) -> Figures {
     let runs = || cells.iter().flat_map(|cell| &cell.runs);
-    let (disturbance_mean, disturbance_std) = moments(runs().map(|run| run.disturbance_s));
-    let covered: Vec<f64> = runs().filter_map(|run| run.coverage_s).map(|s| s as f64).collect();
+    let means = Means::of(runs());
+    let (disturbance_mean, disturbance_std) = means.disturbance_s;
     let restarts = runs().count();
-    let (coverage_mean, coverage_std) = moments(covered.iter().copied());
     let of_one = |value: fn(&Cell) -> &str| {
         let first = cells.first().map_or("", |cell| value(cell));
         if cells.iter().all(|cell| value(cell) == first) { first.to_owned() } else { "all".to_owned() }
@@ -405,9 +462,9 @@ pub fn figures(cells: &[&Cell], naive: Option<&[&Cell]>) -> Figures {
         restarts,
         disturbance_mean,
         disturbance_std,
-        coverage_time_mean: (!covered.is_empty()).then_some(coverage_mean),
-        coverage_time_std: (!covered.is_empty()).then_some(coverage_std),
-        failure_rate: 1.0 - covered.len() as f64 / restarts.max(1) as f64,
+        coverage_time_mean: means.coverage_s.map(|(mean, _)| mean),
+        coverage_time_std: means.coverage_s.map(|(_, std)| std),
+        failure_rate: means.failure_rate,
         disturbance_against_naive: against(|run| run.disturbance_s),
         coverage_time_against_naive: against(|run| run.coverage_s.map_or(f64::INFINITY, |s| s as f64)),
         bound_s,
@@ -494,15 +551,7 @@ mod tests {
     use roomcast_core::scorer::{Method, Tokenisation};
 
     fn options() -> Options {
-        Options {
-            history: HistoryLimits::default(),
-            items: ItemChoice::Uniform,
-            person: PersonOptions::default(),
-            disturbance: Disturbance::SameRoom,
-            forecast: ForecastOptions::default(),
-            restarts: 300,
-            seed: 1,
-        }
+        Options { items: ItemChoice::Uniform, restarts: 300, ..Options::default() }
     }
 
     fn with_homes(activities: &[usize], check: impl FnOnce(&[Home<'_>])) {

@@ -29,7 +29,7 @@ pub(crate) fn by_dynamic_program(cost: &Cost, room_time_s: usize) -> Vec<Optimum
             let begin_s = slots[start];
             let left = &slots[rooms.min(slots.len())..(whole * rooms).max(rooms).min(slots.len())];
             let total = |weight_s| {
-                plan(left, &covered, weight_s).map_or((0.0, rooms == 1), |plan| (plan.shared_s, plan.covers))
+                plan(left, &covered, weight_s, 0.0).map_or((0.0, rooms == 1), |plan| (plan.shared_s, plan.undone == 0))
             };
             // Dearer than any plan, so that whatever can be covered is.
             let (covering_s, covers) = total(1e12);
@@ -113,13 +113,14 @@ mod tests {
                     prop_assert!(optimum.covering_s.is_some_and(|bound| run.disturbance_s >= bound));
                 }
             }
-            let mut always = CoverageAware::new(Some(1e9));
+            let mut always = CoverageAware::clairvoyant();
             let covered = run(&cost, room_time_s, &knowledge, &mut always, &mut restart_rng(1, restart)).unwrap();
             let mut never = CoverageAware::new(Some(0.0));
             let free = run(&cost, room_time_s, &knowledge, &mut never, &mut restart_rng(1, restart)).unwrap();
             let optimum = optima[covered.start];
             prop_assert_eq!(covered.coverage_s.is_some(), optimum.covering_s.is_some());
-            prop_assert_eq!(covered.disturbance_s, optimum.covering_s.unwrap_or(optimum.free_s));
+            // Where not every room can be done, it does as many as it can.
+            prop_assert!(optimum.covering_s.is_none_or(|covering_s| covered.disturbance_s == covering_s));
             prop_assert_eq!(free.disturbance_s, optimum.free_s);
         }
     }

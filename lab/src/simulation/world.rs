@@ -197,6 +197,35 @@ pub struct Run {
     pub start: usize,
 }
 
+/// Where a robot is from a time step on, until its next stay.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Stay {
+    /// The time step.
+    pub from_s: usize,
+    /// The room; `None` outside all.
+    pub room: Option<usize>,
+    /// It works there.
+    pub works: bool,
+}
+
+/// D_T and t_c of a robot that was where `stays` say, in their order: a simulated one's, or one's that ran. Rooms cut short by the next
+/// stay or by the horizon are not done.
+#[must_use]
+pub fn tally(cost: &Cost, room_time_s: usize, stays: &[Stay]) -> (f64, Option<usize>) {
+    let ends = stays.iter().skip(1).map(|next| next.from_s).chain([cost.steps]);
+    let mut done_s: Vec<Option<usize>> = vec![None; cost.rooms];
+    let mut disturbance_s = 0.0;
+    for (stay, to_s) in stays.iter().zip(ends) {
+        let Some(room) = stay.room.filter(|room| *room < cost.rooms) else { continue };
+        let to_s = to_s.min(cost.steps);
+        disturbance_s += cost.between(room, stay.from_s, to_s);
+        if stay.works && stay.from_s + room_time_s <= to_s {
+            done_s[room].get_or_insert(stay.from_s + room_time_s);
+        }
+    }
+    (disturbance_s, done_s.into_iter().collect::<Option<Vec<_>>>().and_then(|done_s| done_s.into_iter().max()))
+}
+
 /// The generator of one restart: the same for every policy, so that runs are paired.
 #[must_use]
 pub(crate) fn restart_rng(seed: u64, restart: u64) -> ChaCha8Rng {
@@ -221,7 +250,7 @@ pub fn run(
     let start = rng.random_range(0..cost.rooms);
     let mut room = start;
     let mut covered = vec![false; cost.rooms];
-    let (mut disturbance_s, mut coverage_s) = (0.0, None);
+    let mut stays = Vec::with_capacity(cost.steps.div_ceil(room_time_s));
     let all_done = vec![true; cost.rooms];
     for (slot, from) in (0..cost.steps).step_by(room_time_s).enumerate() {
         if slot > 0 {
@@ -232,19 +261,16 @@ pub fn run(
             let state = RobotState {
                 partition: u32::try_from(room).ok().map(PartitionId),
                 covered: if whole { &covered } else { &all_done },
+                room_time_s: room_time_s as f64,
                 expected_shared_s: &expected[..expected.len().min(slots * cost.rooms)],
             };
             let scores = knowledge.scores.get(slot).map_or(&[][..], Vec::as_slice);
             room = policy.choose(&state, scores, rng)?.partition.0 as usize;
         }
-        disturbance_s += cost.between(room, from, from + room_time_s);
-        if from + room_time_s <= cost.steps {
-            covered[room] = true;
-            if coverage_s.is_none() && covered.iter().all(|done| *done) {
-                coverage_s = Some(from + room_time_s);
-            }
-        }
+        stays.push(Stay { from_s: from, room: Some(room), works: true });
+        covered[room] |= from + room_time_s <= cost.steps;
     }
+    let (disturbance_s, coverage_s) = tally(cost, room_time_s, &stays);
     Ok(Run { disturbance_s, coverage_s, start })
 }
 
@@ -318,6 +344,22 @@ pub(super) mod tests {
         };
         assert!(run(11).contains("longer than the horizon T of 10 s"));
         assert!(run(0).contains("at least 1 s"));
+    }
+
+    #[test]
+    fn a_tally_counts_what_the_robot_shared_and_did() {
+        let cost = cost_of(2, &[0, 0, 0, 0, 1, 1, 1, 1, 0, 0]);
+        let stay = |from_s, room, works| Stay { from_s, room, works };
+        let both = [stay(0, Some(1), true), stay(3, Some(0), true), stay(7, Some(1), false)];
+        assert_eq!(tally(&cost, 3, &both), (2.0, Some(6)));
+        // Nothing is done in a room without work, in a stay cut short, or outside all rooms.
+        assert_eq!(tally(&cost, 3, &[stay(0, Some(1), false), stay(3, Some(0), true)]), (3.0, None));
+        assert_eq!(tally(&cost, 3, &[stay(0, Some(1), true), stay(2, Some(0), true)]), (4.0, None));
+        assert_eq!(
+            tally(&cost, 3, &[stay(0, Some(1), true), stay(3, None, true), stay(8, Some(0), true)]),
+            (2.0, None)
+        );
+        assert_eq!(tally(&cost, 3, &[]), (0.0, None));
     }
 
     #[test]

@@ -278,6 +278,7 @@ impl Config {
         let listen = metrics.listen.map(|address| address.to_string()).unwrap_or_default();
         let on_loopback = metrics.listen.is_none_or(|address| address.ip().is_loopback());
         let seconds = 0.0..=1e9;
+        let round_s = planner.round_s.unwrap_or_default();
         const NAME: &str = "give 1 to 48 bytes of text without control characters";
         const SECONDS: &str = "give 0 to 1000000000";
         #[rustfmt::skip]
@@ -302,6 +303,7 @@ impl Config {
             row("planner.robot", &robot, is_name(&planner.robot), NAME),
             row("narrator.name", &name, is_name(&narrator.name), NAME),
             row("planner.room_time_s", &planner.room_time_s, seconds.contains(&planner.room_time_s), SECONDS),
+            row("planner.round_s", &round_s, planner.round_s.is_none_or(|round_s| (planner.room_time_s.max(f64::MIN_POSITIVE)..=1e9).contains(&round_s)), "give planner.room_time_s to 1000000000, or leave the key out"),
             row("planner.deadline_ms", &planner.deadline_ms, planner.deadline_ms > daemon.heartbeat_ms, "give more than daemon.heartbeat_ms, or every score is stale before it is confirmed"),
             row("metrics.listen", &listen, on_loopback, "give a loopback address, 127.0.0.1:PORT or [::1]:PORT: whoever else wants to see metrics needs a proxy"),
             row("narrator.linger_s", &narrator.linger_s, seconds.contains(&narrator.linger_s), SECONDS),
@@ -355,6 +357,8 @@ mod tests {
             ("[ipc]\ndomain = \"\"", "[ipc]"),
             ("[ipc]\nroot = \"rel\"", "rel"),
             ("[planner]\nrobot = \"\"", "planner.robot is \"\""),
+            ("[planner]\nround_s = 599.0", "planner.round_s is 599"),
+            ("[planner]\nround_s = nan", "planner.round_s is NaN"),
             ("[narrator]\nname = \" \"", "narrator.name is \" \""),
             ("[narrator]\nlinger_s = nan", "narrator.linger_s is NaN"),
             ("[model]\ncores = [0, 1, 0]", "model.cores is [0, 1, 0]"),

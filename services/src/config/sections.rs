@@ -73,9 +73,12 @@ pub struct PlannerConfig {
     pub seed: u64,
     /// T_r: seconds that the robot must spend in every room; 0 decides anew with every new score.
     pub room_time_s: f64,
+    /// Seconds from the begin of a round to its deadline; two stays for each room when empty.
+    pub round_s: Option<f64>,
     /// Milliseconds after which scores that the daemon has not confirmed are not acted upon.
     pub deadline_ms: u64,
-    /// Begin anew when every room is covered; otherwise the robot stays.
+    /// Begin another round of all rooms when every room is covered or the deadline has come. Otherwise rooms that are undone at the
+    /// deadline are tried again, and the robot stays when every room is covered.
     pub repeat: bool,
 }
 
@@ -83,9 +86,10 @@ impl Default for PlannerConfig {
     fn default() -> Self {
         Self {
             robot: "robot".to_owned(),
-            policy: PolicyName::InformedAvoidance,
+            policy: PolicyName::CoverageAware,
             seed: 1,
             room_time_s: 600.0,
+            round_s: None,
             deadline_ms: 2000,
             repeat: true,
         }

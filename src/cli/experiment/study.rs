@@ -45,13 +45,13 @@ pub(super) struct StudyArgs {
     #[arg(long, value_name = "SECONDS", value_parser = ranges::room_time_s())]
     room_time: Vec<usize>,
     /// Restarts per cell and policy.
-    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = Options::default().restarts, value_parser = clap::value_parser!(u64).range(1..))]
     restarts: u64,
     /// The binding sequence: default, p0 to p5, or a text of your own.
     #[arg(long, value_name = "TEXT", default_value = "default")]
     binding: BindingSequence,
     /// Which of a label's items the person goes to for an object of a program.
-    #[arg(long, value_parser = choice::<ItemChoice>(), default_value_t = ItemChoice::Nearest)]
+    #[arg(long, value_parser = choice::<ItemChoice>(), default_value_t = Options::default().items)]
     items: ItemChoice,
     /// When the robot disturbs: same-room, in-sight, or near:METRES.
     #[arg(long, value_name = "KIND", default_value = "same-room")]
