@@ -91,9 +91,9 @@ pub fn run(args: &Args) -> CommandResult {
 
     let scene = format!(
         "{}: {}, {}. {}, {}, {horizon_s} s of a person's time played {speed:.1} times faster.",
-        map.name,
-        count(map.items.len(), "item"),
-        count(grounding.partitions.len(), "room"),
+        map.name(),
+        count(map.items().len(), "item"),
+        count(grounding.partitions().len(), "room"),
         plot.timeline.title,
         count(plot.timeline.done.len(), "step")
     );
@@ -112,7 +112,7 @@ pub fn run(args: &Args) -> CommandResult {
     let result = play(args, &mut stage, &mut show, speed, &stop);
     show.close();
     // The ports go before the domain can be removed.
-    let (summary, unheard) = (show.summary(args, &plot, &map.name), show.unheard);
+    let (summary, unheard) = (show.summary(args, &plot, map.name()), show.unheard);
     drop((show, node));
     drop(stage);
     if stop.requested() {

@@ -168,7 +168,7 @@ impl<'a> Home<'a> {
 
     /// What the robot knows at the beginning of each slot.
     #[must_use]
-    pub(crate) fn knowledge(&self, room_time_s: usize, forecast: ForecastOptions) -> Knowledge {
+    pub fn knowledge(&self, room_time_s: usize, forecast: ForecastOptions) -> Knowledge {
         let (rooms, steps) = (self.cost.rooms(), self.cost.steps());
         let starts: Vec<usize> = (0..steps).step_by(room_time_s.max(1)).collect();
         let scores = starts.iter().map(|from| self.probability(*from as f64)).collect();

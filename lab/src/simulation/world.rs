@@ -278,7 +278,7 @@ pub fn run(
 ///
 /// # Errors
 /// When it cannot.
-pub(crate) fn check_room_time(room_time_s: usize, horizon_s: usize) -> Result<(), WorldError> {
+pub fn check_room_time(room_time_s: usize, horizon_s: usize) -> Result<(), WorldError> {
     match room_time_s {
         0 => Err(WorldError::NoRoomTime),
         _ if room_time_s > horizon_s => Err(WorldError::RoomTime { room_time_s, horizon_s }),

@@ -199,7 +199,7 @@ impl<M: LanguageModel> Board<M> {
             rooms.iter().map(|room| room.id).take(count as usize).collect()
         };
         let same_rooms = ids(&self.snapshot.room, self.snapshot.room_count) == ids(&room, room_count);
-        self.snapshot.map_fingerprint = self.map.fingerprint;
+        self.snapshot.map_fingerprint = self.map.fingerprint();
         (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
         *self.forecast = ForecastV1::default();
         if same_rooms {
@@ -213,7 +213,7 @@ impl<M: LanguageModel> Board<M> {
             let restored = former.get(&person).is_some_and(|followed| followed.restored);
             for observation in history.observations() {
                 let Some(at_s) = observed_s(observation, now_ns, now_unix_ns) else { continue };
-                let fresh = || Followed::new(grounding.partitions.len(), at_s, restored);
+                let fresh = || Followed::new(grounding.partitions().len(), at_s, restored);
                 let followed = self.followed.entry(person).or_insert_with(fresh);
                 let mention = self.mentions.last(observation.sentence.as_str());
                 followed.forecaster.observe(at_s, mention, grounding, &[]);
@@ -233,7 +233,7 @@ impl<M: LanguageModel> Board<M> {
             *self.accepted.entry(observation.source).or_default() += 1;
             let grounding = self.pipeline.grounding();
             if let Some(at_s) = observed_s(&observation, now_ns, now_unix_ns) {
-                let fresh = || Followed::new(grounding.partitions.len(), at_s, true);
+                let fresh = || Followed::new(grounding.partitions().len(), at_s, true);
                 let followed = self.followed.entry(observation.person).or_insert_with(fresh);
                 // What the model said then is gone; what it says after the last one comes with the first step.
                 let mention = self.mentions.last(observation.sentence.as_str());
@@ -254,7 +254,7 @@ impl<M: LanguageModel> Board<M> {
         let grounding = self.pipeline.grounding();
         for Seen { person, observed_ns, sentence } in &self.seen[..std::mem::take(&mut self.unwatched)] {
             let at_s = *observed_ns as f64 / 1e9;
-            let fresh = || Followed::new(grounding.partitions.len(), at_s, false);
+            let fresh = || Followed::new(grounding.partitions().len(), at_s, false);
             let followed = self.followed.entry(*person).or_insert_with(fresh);
             // What the model says after all of them is for what comes then, not for what lies between them.
             followed.forecaster.observe(at_s, self.mentions.last(sentence), grounding, &[]);
