@@ -627,20 +627,20 @@ fn together(persons: &[Person], scores: &mut Scores) {
     if persons.iter().all(|person| person.partial().is_none()) {
         return;
     }
-    for partition in 0..partitions {
+    for (partition, &score) in score.iter().enumerate() {
         // Rounding must not put the score itself outside.
         let lower = anybody(&|person| person.probability_bounds(partition).0).ln();
-        scores.lower_log_score_nats[partition] = lower.min(score[partition]);
+        scores.lower_log_score_nats[partition] = lower.min(score);
         let upper = anybody(&|person| person.probability_bounds(partition).1).ln();
-        scores.upper_log_score_nats[partition] = upper.max(score[partition]);
+        scores.upper_log_score_nats[partition] = upper.max(score);
     }
     // What is certain of each person is not of all together: only the intervals tell.
     let (lower, upper) = (&scores.lower_log_score_nats, &scores.upper_log_score_nats);
     let all = 0..partitions;
     let ahead = |first: usize, second: usize| lower[first] > upper[second];
-    let told_apart = |a: usize| (0..a).all(|b| ahead(a, b) || ahead(b, a));
+    let is_separate = |a: usize| (0..a).all(|b| ahead(a, b) || ahead(b, a));
     let first = |a: usize| all.clone().all(|b| a == b || ahead(a, b));
-    scores.reached = if all.clone().all(told_apart) {
+    scores.reached = if all.clone().all(is_separate) {
         Effort::Ranking
     } else if all.clone().any(first) {
         Effort::Top
