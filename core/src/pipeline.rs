@@ -91,7 +91,7 @@ pub struct Included {
 /// What a changed map asked of the model.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Prepared {
-    /// Whether it was prepared for the map's labels anew.
+    /// Whether it was prepared for the map's labels again.
     pub anew: bool,
     /// How many of them are new.
     pub new_labels: usize,
@@ -346,7 +346,7 @@ impl<M: LanguageModel> Pipeline<M> {
     }
 
     /// Takes a changed map. As long as it brings no label that the model was not prepared for, and under a correction lets none go, the
-    /// model is not touched: the next [`Pipeline::score`] sums the known label scores anew.
+    /// model is not touched: the next [`Pipeline::score`] sums the known label scores again.
     ///
     /// Partial answers ([`PipelineOptions::effort`]) know their labels only as far as the old map asked; they are scored again.
     ///
@@ -361,7 +361,7 @@ impl<M: LanguageModel> Pipeline<M> {
         if !anew {
             self.grounding = grounding;
         } else {
-            // The list is prepared anew, so labels that nothing bears any more can leave it.
+            // The list is prepared again, so labels that nothing bears any more can leave it.
             let grounding = Grounding::new(map, options)?;
             let (labels, tokens) = prepare(&mut self.scorer, &grounding, &self.options)?;
             self.options.history.tokens = self.history_tokens.min(tokens);

@@ -14,8 +14,8 @@ use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::{Method, Tokenisation};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_lab::experiment::baselines::Statistics;
-use roomcast_lab::experiment::forecast::{self, NamedProgram, Report};
-use roomcast_lab::experiment::metrics::Summary;
+use roomcast_lab::experiment::losses::Summary;
+use roomcast_lab::experiment::prediction::{self, NamedProgram, Report};
 use roomcast_lab::experiment::{ExperimentError, Progress, ScoreSource, ScoresError};
 use roomcast_lab::simulation::binding::ItemChoice;
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
@@ -176,14 +176,14 @@ pub fn run(args: &Args) -> CommandResult {
 }
 
 fn run_forecast(args: &ForecastArgs) -> CommandResult {
-    let (mut programs, faults) = forecast::load_programs(&args.programs)?;
+    let (mut programs, faults) = prediction::load_programs(&args.programs)?;
     report_faults(&faults);
     if let Some(manifest) = &args.manifest {
         programs = split(programs, manifest, &args.split)?;
     }
     let statistics = match &args.fit {
         Some(folder) => {
-            let (fitted, faults) = forecast::load_programs(folder)?;
+            let (fitted, faults) = prediction::load_programs(folder)?;
             report_faults(&faults);
             Statistics::fit(fitted.iter().map(|named| &named.program))
         }
@@ -191,7 +191,7 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
             .map_err(|e| Failure::new(exit_code::FAILURE, e))?,
     };
     let maps = maps(&args.scene)?;
-    let options = forecast::Options {
+    let options = prediction::Options {
         history: args.model.limits(),
         binding: args.binding.clone(),
         items: args.items,
@@ -199,7 +199,7 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
     };
     let progress = Progress::new("programs", programs.len() * maps.len());
     let open = |grounding: &Grounding| args.model.source(grounding);
-    let report = forecast::run(&maps, &programs, &statistics, &options, &progress, open)?;
+    let report = prediction::run(&maps, &programs, &statistics, &options, &progress, open)?;
     drop(progress);
     if args.json {
         return super::print_json(&report);

@@ -11,8 +11,8 @@ use roomcast_core::narration::SentenceError;
 
 pub mod baselines;
 pub mod chart;
-pub mod forecast;
-pub mod metrics;
+pub mod losses;
+pub mod prediction;
 pub mod report;
 pub mod scores;
 pub mod study;

@@ -71,7 +71,7 @@ pub struct PlannerConfig {
     pub policy: PolicyName,
     /// Seed of the policy's random choices.
     pub seed: u64,
-    /// T_r: seconds that the robot must spend in every room; 0 decides anew with every new score.
+    /// T_r: seconds that the robot must spend in every room; 0 decides again with every new score.
     pub room_time_s: f64,
     /// Seconds from the begin of a round to its deadline; two stays for each room when empty.
     pub round_s: Option<f64>,

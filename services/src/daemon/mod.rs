@@ -1,26 +1,27 @@
 //! The daemon: receives narration, scores the rooms, publishes.
 //!
 //! ```text
-//! scoring thread: ear -> board -> room scores, item scores; heartbeat, status
-//! relief thread:  the ear while the scoring thread is busy
+//! scoring thread: inbox -> board -> room scores, item scores; heartbeat, status
+//! relief thread:  the inbox while the scoring thread is busy
 //! main thread:    signals, watchdog
 //!
-//! ear: narration port -> intake -> journal
+//! inbox: narration port -> intake -> journal
 //! ```
 //!
-//! There is one ear, and whoever has it listens. The scoring thread listens itself while it has nothing to do, so that an event wakes one
-//! thread, not two. Before a step that may take long it hands the ear to the relief thread, so that nothing that arrives meanwhile is lost;
-//! it waits in a queue, and becomes part of the next step. The relief thread gives the ear back soon after the step.
+//! The inbox belongs to one thread at a time. The scoring thread reads it while it has nothing else to do, so that an event wakes one
+//! thread, not two. Before a step that may take long it hands the inbox to the relief thread, so that nothing that arrives meanwhile is
+//! lost: it waits in a queue and becomes part of the next step. The relief thread returns the inbox soon after the step.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use crossbeam::select;
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
-    AnswerPort, Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, PersonScoresV1, Publisher,
+    AnswerPort, Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, Node, PersonScoresV1, Publisher,
     RoomScoresV1, StatusResponseV1, StatusServer, Subscriber, clock, question, score_flags, sequence, text,
 };
 use sd_notify::NotifyState;
@@ -52,7 +53,7 @@ const QUEUE: usize = 65_536;
 const AT_ONCE: usize = 2048;
 /// How often connections are renewed: the time within which a late joiner has the scores.
 const TICK: Duration = Duration::from_millis(100);
-/// The relief thread has the ear at most so long after a step; an event that comes meanwhile wakes both threads.
+/// The relief thread has the inbox at most so long after a step; an event that comes meanwhile wakes both threads.
 const RELIEF: Duration = Duration::from_millis(5);
 /// While a step that takes less runs, the port holds what comes: waking another thread would take longer than most of it.
 const SHORT_STEP_NS: u64 = 200_000;
@@ -121,7 +122,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
     model: impl FnOnce(&Config) -> Result<M, SetupError> + Send,
 ) -> Result<(), DaemonError> {
     let node = domain.open("roomcast-daemon")?;
-    // First the place that only one daemon can hold, then the ear, then the model, which takes longest: narration that comes
+    // First the service that only one daemon can hold, then the inbox, then the model, which takes longest: narration that comes
     // meanwhile waits in the port.
     let scores = node.publisher::<RoomScoresV1>()?;
     let items = node.item_scores_publisher()?;
@@ -139,26 +140,21 @@ pub fn run<M: LanguageModel + Send + 'static>(
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
 
     let mut intake = Intake::new(config.daemon.intake);
-    let mut restored = 0;
-    let mut journal = None;
-    if let Some(options) = journal_options(&config.daemon) {
-        let (open, recovered) = Journal::open(&options)?;
-        let damaged_bytes = recovered.damaged_bytes;
-        restored = recovered.observations.len() as u64;
-        recovered.carried.iter().for_each(|observation| intake.restore(observation, clock::monotonic_ns()));
-        cycle.restore(recovered.observations, &mut intake, clock::monotonic_ns(), clock::unix_ns());
-        tracing::info!(restored, damaged_bytes, directory = %options.directory.display(), "journal read");
-        journal = Some(open);
-    }
+    let (journal, restored) = match journal_options(&config.daemon) {
+        Some(options) => {
+            restore(&options, &mut cycle, &mut intake).map(|(journal, restored)| (Some(journal), restored))?
+        }
+        None => (None, 0),
+    };
 
     let (queue_in, queue) = bounded(QUEUE);
     let counters = Arc::new(Mutex::new((IntakeCounters::default(), 0)));
     let progress_ns = Progress::default();
     let journal_handle = journal.as_ref().map(Journal::handle);
     let limiter = || Limiter::new(LOG_INTERVAL_NS);
-    let ear = Ear {
+    let inbox = Inbox {
         narration,
-        heard: Box::default(),
+        message: Box::default(),
         intake,
         journal,
         counters: Arc::clone(&counters),
@@ -166,12 +162,12 @@ pub fn run<M: LanguageModel + Send + 'static>(
         log_refused: limiter(),
         log_port: limiter(),
     };
-    // There is one ear: it never waits for a place.
-    let ((over, handed_over), (back, given_back)) = (bounded(1), bounded(1));
+    // There is one inbox: sending it never waits.
+    let ((to_relief, from_scoring), (to_scoring, from_relief)) = (bounded(1), bounded(1));
     let busy = Arc::new(AtomicBool::new(false));
     let relief = Relief {
-        handed_over,
-        back,
+        from_scoring,
+        to_scoring,
         queue: queue_in,
         busy: Arc::clone(&busy),
         progress: progress_ns.clone(),
@@ -189,10 +185,10 @@ pub fn run<M: LanguageModel + Send + 'static>(
         answered: Answered::default(),
         kept_map,
         moments,
-        ear: Some(Box::new(ear)),
-        deaf: false,
-        over,
-        given_back,
+        inbox: Some(Box::new(inbox)),
+        inbox_lost: false,
+        to_relief,
+        from_relief,
         busy,
         step_ns: u64::MAX,
         queue,
@@ -222,7 +218,32 @@ pub fn run<M: LanguageModel + Send + 'static>(
         Ok::<(), DaemonError>(scoring.run()?)
     })?;
     let relief = spawn("relief", move || relief.run())?;
+    supervise(config, &node, stop, &progress_ns, scoring, relief)
+}
 
+/// Opens the journal, and enters what a former run of the daemon wrote. Gives how many observations that were.
+fn restore<M: LanguageModel>(
+    options: &JournalOptions,
+    cycle: &mut Cycle<M>,
+    intake: &mut Intake,
+) -> Result<(Journal, u64), DaemonError> {
+    let (journal, recovered) = Journal::open(options)?;
+    let (restored, damaged_bytes) = (recovered.observations.len() as u64, recovered.damaged_bytes);
+    recovered.carried.iter().for_each(|observation| intake.restore(observation, clock::monotonic_ns()));
+    cycle.restore(recovered.observations, intake, clock::monotonic_ns(), clock::unix_ns());
+    tracing::info!(restored, damaged_bytes, directory = %options.directory.display(), "journal read");
+    Ok((journal, restored))
+}
+
+/// The main thread's work: signals, the watchdog, what dead participants left. Returns when the threads have ended.
+fn supervise(
+    config: &Config,
+    node: &Node,
+    stop: &Stop,
+    progress_ns: &Progress,
+    scoring: JoinHandle<Result<(), DaemonError>>,
+    relief: JoinHandle<()>,
+) -> Result<(), DaemonError> {
     let mut cleaned_ns = 0;
     while !stop.requested() {
         std::thread::sleep(Duration::from_millis(50));
@@ -247,7 +268,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
         }
     }
     notify(&[NotifyState::Stopping]);
-    // The relief thread gives the ear back; the scoring thread finishes what it has heard.
+    // The relief thread returns the inbox; the scoring thread finishes what it has received.
     relief.join().map_err(|_| DaemonError::Ended { name: "relief" })?;
     scoring.join().map_err(|_| DaemonError::Ended { name: "scoring" })??;
     tracing::info!("stopped");
@@ -257,7 +278,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
 fn spawn<T: Send + 'static>(
     name: &'static str,
     run: impl FnOnce() -> T + Send + 'static,
-) -> Result<std::thread::JoinHandle<T>, DaemonError> {
+) -> Result<JoinHandle<T>, DaemonError> {
     std::thread::Builder::new().name(name.to_owned()).spawn(run).map_err(|source| DaemonError::Thread { name, source })
 }
 
@@ -301,10 +322,10 @@ impl Progress {
 type Counters = Arc<Mutex<(IntakeCounters, usize)>>;
 
 /// Hears narrators, for whoever has it.
-struct Ear {
+struct Inbox {
     narration: Subscriber<NarrationV1>,
     /// What the port gave last.
-    heard: Box<NarrationV1>,
+    message: Box<NarrationV1>,
     intake: Intake,
     journal: Option<Journal>,
     counters: Counters,
@@ -314,12 +335,12 @@ struct Ear {
     log_port: Limiter,
 }
 
-impl Ear {
-    /// Sleeps until there is narration or `patience` is over; gives what is there to `hear`, with its number in the journal.
-    fn listen(&mut self, patience: Duration, hear: impl FnMut(Entry, u64)) {
+impl Inbox {
+    /// Sleeps until there is narration or `patience` has passed; gives what is there to `take`, with its number in the journal.
+    fn listen(&mut self, patience: Duration, take: impl FnMut(Entry, u64)) {
         // The port wakes once for all that came, so nothing would wake for what was left there.
         let waited = if self.more { Ok(true) } else { self.narration.wait(patience) };
-        let received = waited.and_then(|_| self.drain(hear));
+        let received = waited.and_then(|_| self.drain(take));
         if let Err(error) = received {
             // A port that fails may recover, when file descriptors become free for instance.
             if let Some(held_back) = self.log_port.pass(clock::monotonic_ns()) {
@@ -329,20 +350,20 @@ impl Ear {
         }
     }
 
-    fn drain(&mut self, mut hear: impl FnMut(Entry, u64)) -> Result<(), IpcError> {
+    fn drain(&mut self, mut take: impl FnMut(Entry, u64)) -> Result<(), IpcError> {
         let mut messages = 0;
         while messages < AT_ONCE
-            && let Some(checked) = self.narration.receive_into(&mut self.heard)?
+            && let Some(checked) = self.narration.receive_into(&mut self.message)?
         {
             messages += 1;
             let now_ns = clock::monotonic_ns();
-            let received = checked.map(|()| &*self.heard);
-            let source = received.as_ref().map_or(0, |message| message.source);
+            let received = checked.map(|()| &*self.message);
+            let source = received.as_ref().map_or(0, |received| received.source);
             let refused = match self.intake.receive(received, now_ns) {
                 Taken::Accepted { observation, missed } => {
                     let number = self.journal.as_mut().map_or(0, |journal| journal.append(&observation));
                     let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0 };
-                    hear(entry, number);
+                    take(entry, number);
                     (missed > 0).then(|| format!("{missed} narrations before it were lost"))
                 }
                 Taken::Duplicate => None,
@@ -366,8 +387,8 @@ impl Ear {
 
 /// Listens while the scoring thread is busy.
 struct Relief {
-    handed_over: Receiver<Box<Ear>>,
-    back: Sender<Box<Ear>>,
+    from_scoring: Receiver<Box<Inbox>>,
+    to_scoring: Sender<Box<Inbox>>,
     queue: Sender<(Entry, u64)>,
     busy: Arc<AtomicBool>,
     progress: Progress,
@@ -379,21 +400,21 @@ impl Relief {
         while !self.stop.requested() {
             let moved = || self.progress.relief_ns.store(clock::monotonic_ns(), Ordering::Relaxed);
             moved();
-            let mut ear = match self.handed_over.recv_timeout(TICK) {
-                Ok(ear) => ear,
+            let mut inbox = match self.from_scoring.recv_timeout(TICK) {
+                Ok(inbox) => inbox,
                 Err(RecvTimeoutError::Timeout) => continue,
                 Err(RecvTimeoutError::Disconnected) => return,
             };
             loop {
                 // It fails only when the scoring thread is gone, and the main thread sees that too.
-                ear.listen(RELIEF, |entry, number| drop(self.queue.send((entry, number))));
+                inbox.listen(RELIEF, |entry, number| drop(self.queue.send((entry, number))));
                 moved();
                 if !self.busy.load(Ordering::Acquire) || self.stop.requested() {
                     break;
                 }
             }
             // It fails only when the scoring thread is gone, and the main thread sees that too.
-            let _given = self.back.send(ear);
+            let _given = self.to_scoring.send(inbox);
         }
     }
 }
@@ -411,12 +432,12 @@ struct Scoring<M> {
     kept_map: Option<KeptMap>,
     moments: AnswerPort,
     /// The relief thread has it otherwise.
-    ear: Option<Box<Ear>>,
-    /// The relief thread has ended, and the ear with it.
-    deaf: bool,
-    over: Sender<Box<Ear>>,
-    given_back: Receiver<Box<Ear>>,
-    /// The relief thread is to keep the ear.
+    inbox: Option<Box<Inbox>>,
+    /// The relief thread has ended, and the inbox with it.
+    inbox_lost: bool,
+    to_relief: Sender<Box<Inbox>>,
+    from_relief: Receiver<Box<Inbox>>,
+    /// The relief thread is to keep the inbox.
     busy: Arc<AtomicBool>,
     /// What the last step took, as a guess at the next.
     step_ns: u64,
@@ -433,16 +454,16 @@ struct Scoring<M> {
 impl<M: LanguageModel> Scoring<M> {
     fn run(&mut self) -> Result<(), IpcError> {
         loop {
-            let last = self.deaf || (self.stop.requested() && self.ear.is_some());
+            let last = self.inbox_lost || (self.stop.requested() && self.inbox.is_some());
             // A changed map is scored at once.
             let wait = !last && !self.cycle.step_due(clock::monotonic_ns());
-            self.hear(if wait { TICK } else { Duration::ZERO });
+            self.take(if wait { TICK } else { Duration::ZERO });
             let now_ns = clock::monotonic_ns();
             self.progress.scoring_ns.store(now_ns, Ordering::Relaxed);
             let events = self.cycle.waiting() as u64;
             if self.cycle.step_due(now_ns) {
                 if !last && self.step_ns >= SHORT_STEP_NS {
-                    hand_over(&mut self.ear, &self.over, &self.busy);
+                    lend_inbox(&mut self.inbox, &self.to_relief, &self.busy);
                 }
                 self.step(now_ns);
                 self.step_ns = clock::monotonic_ns().saturating_sub(now_ns);
@@ -465,25 +486,25 @@ impl<M: LanguageModel> Scoring<M> {
         }
     }
 
-    /// Sleeps until there is narration or `patience` is over, and takes in all that was heard.
-    fn hear(&mut self, patience: Duration) {
-        if self.ear.is_none() {
+    /// Sleeps until there is narration or `patience` has passed, and takes in all that was received.
+    fn take(&mut self, patience: Duration) {
+        if self.inbox.is_none() {
             select! {
-                recv(self.given_back) -> ear => {
-                    self.deaf = ear.is_err();
-                    self.ear = ear.ok();
+                recv(self.from_relief) -> inbox => {
+                    self.inbox_lost = inbox.is_err();
+                    self.inbox = inbox.ok();
                 }
-                recv(self.queue) -> heard => if let Ok((entry, number)) = heard { self.cycle.enter(entry, number) },
+                recv(self.queue) -> received => if let Ok((entry, number)) = received { self.cycle.enter(entry, number) },
                 default(patience) => {}
             }
         }
-        // First what the relief thread heard, while it had the ear.
+        // First what the relief thread received, while it had the inbox.
         for (entry, number) in self.queue.try_iter() {
             self.cycle.enter(entry, number);
         }
-        if let Some(ear) = &mut self.ear {
+        if let Some(inbox) = &mut self.inbox {
             let patience = if self.cycle.waiting() > 0 { Duration::ZERO } else { patience };
-            ear.listen(patience, |entry, number| self.cycle.enter(entry, number));
+            inbox.listen(patience, |entry, number| self.cycle.enter(entry, number));
         }
     }
 
@@ -543,7 +564,7 @@ impl<M: LanguageModel> Scoring<M> {
         if self.persons.subscribers() > 0 {
             self.persons.send(self.cycle.board_mut().persons(before_ns))?;
         }
-        let behind = !self.queue.is_empty() || self.ear.as_ref().is_some_and(|ear| ear.more);
+        let behind = !self.queue.is_empty() || self.inbox.as_ref().is_some_and(|inbox| inbox.more);
         let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
         self.scores.send(message)?;
         if message.has(score_flags::HEARTBEAT) {
@@ -589,7 +610,7 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Does what was asked of the map; returns whether it changed.
     fn change_map(&mut self) -> Result<bool, IpcError> {
-        let Self { cycle, answered, kept_map, map_changes, tally, ear, over, busy, .. } = self;
+        let Self { cycle, answered, kept_map, map_changes, tally, inbox, to_relief, busy, .. } = self;
         let board = cycle.board_mut();
         let mut changed = false;
         map_changes.answer(|asked| {
@@ -600,7 +621,7 @@ impl<M: LanguageModel> Scoring<M> {
             let id = asked.as_ref().ok().map(|question| question.id.clone());
             let known = id.as_ref().and_then(|id| answered.get(id)).cloned();
             let answer = known.unwrap_or_else(|| {
-                hand_over(ear, over, busy);
+                lend_inbox(inbox, to_relief, busy);
                 let answer = answer_change(board, kept_map.as_ref(), asked);
                 if answer.outcome == Outcome::Applied {
                     changed = true;
@@ -642,12 +663,12 @@ impl<M: LanguageModel> Scoring<M> {
     }
 }
 
-/// Gives the ear to the relief thread, for as long as `busy` is set, if it does not have it already.
-fn hand_over(ear: &mut Option<Box<Ear>>, over: &Sender<Box<Ear>>, busy: &AtomicBool) {
+/// Gives the inbox to the relief thread, for as long as `busy` is set, if it does not have it already.
+fn lend_inbox(inbox: &mut Option<Box<Inbox>>, to_relief: &Sender<Box<Inbox>>, busy: &AtomicBool) {
     busy.store(true, Ordering::Release);
-    if let Some(ear) = ear.take() {
+    if let Some(inbox) = inbox.take() {
         // It fails only when the relief thread is gone, and the main thread sees that too.
-        let _handed = over.send(ear);
+        let _handed = to_relief.send(inbox);
     }
 }
 

@@ -162,7 +162,7 @@ impl StudyArgs {
         if let Some(shipped) = setup::shipped_program(path) {
             return Ok(vec![(path.display().to_string(), Activity::Program(shipped.map_err(input)?))]);
         }
-        let (mut files, faults) = super::forecast::load_programs(path)?;
+        let (mut files, faults) = super::prediction::load_programs(path)?;
         report_faults(&faults);
         if let Some(manifest) = self.manifest.as_ref().filter(|_| path.is_dir()) {
             files = super::split(files, manifest, &self.split)?;
@@ -581,7 +581,7 @@ impl Setup<'_> {
     fn pictures(&self, sources: &mut [ScoreSource<LlamaModel>]) -> Result<Vec<(String, String)>, Failure> {
         let Some((_, Activity::Program(program))) = self.activities.first() else { return Ok(Vec::new()) };
         let half = &program.steps[..program.steps.len().div_ceil(2)];
-        let sentences: Vec<Sentence> = super::forecast::sentences(half)?;
+        let sentences: Vec<Sentence> = super::prediction::sentences(half)?;
         let mut pictures = Vec::new();
         for ((map, grounding), source) in self.scenes.iter().zip(sources) {
             let rows = source

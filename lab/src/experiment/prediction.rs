@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::baselines::{self, Baselines, Statistics};
-use super::metrics::{Summary, Sums, difference, summarise};
+use super::losses::{Summary, Sums, difference, summarise};
 use super::scores::{ScoreSource, ScoresError};
 use super::{ExperimentError, Progress};
 use crate::simulation::binding::{Binder, ItemChoice};
