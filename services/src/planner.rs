@@ -5,7 +5,8 @@
 //! published once, and the next one follows as soon as there are fresh scores again.
 //!
 //! Work goes in rounds. A round has a deadline, so that the slots that are left become fewer with time and no plan can put a room off
-//! for ever. A room that is undone at the deadline belongs to the next round.
+//! for ever. A room that is undone at the deadline belongs to the next round. Where the configuration gives the length of rounds, one
+//! that is done early goes on to its deadline, and the robot keeps where the person is not; otherwise the next one begins at once.
 
 use std::time::Duration;
 
@@ -204,17 +205,21 @@ impl Planner {
         {
             *covered = true;
         }
-        let (rooms, undone) = (self.covered.len(), self.undone());
+        let (rooms, undone, left) = (self.covered.len(), self.undone(), self.slots_left(now_ns));
         let (mut flags, mut ended) = (0, String::new());
         if undone == 0 {
-            (flags, self.began_ns) = (decision_flags::COVERED, None);
+            flags = decision_flags::COVERED;
             if !self.repeat {
-                self.finished = true;
+                (self.finished, self.began_ns) = (true, None);
                 let decision = self.decision(now_ns, now_unix_ns, self.room, "every room is covered");
                 return Ok(Some(DecisionV1 { flags: decision.flags | flags, ..decision }));
             }
-            self.covered.fill(false);
-        } else if self.slots_left(now_ns) == Some(0) {
+            let goes_on = self.round_ns.is_some() && left.is_some_and(|slots| slots > 0);
+            if !goes_on {
+                self.covered.fill(false);
+                self.began_ns = None;
+            }
+        } else if left == Some(0) {
             let next = if self.repeat { "a round of all rooms begins" } else { "another round for them begins" };
             ended = format!("the round's deadline came with {undone} of {rooms} rooms undone, {next}: ");
             self.began_ns = None;
@@ -593,6 +598,29 @@ mod tests {
             let (to, covered) = if repeat { ("room-0", 0) } else { ("room-1", 0b1) };
             assert_eq!((decision.to(), decision.covered), (to, covered));
         }
+    }
+
+    #[test]
+    fn a_round_of_a_given_length_that_is_done_early_goes_on_without_work() {
+        let config = PlannerConfig { room_time_s: 10.0, round_s: Some(40.0), ..Default::default() };
+        let mut planner = Planner::new(&config, 1);
+        let mut said = Vec::new();
+        for stay in 0..5 {
+            let now_ns = (1 + 10 * stay) * S;
+            let scores = scores(stay + 1, now_ns, &[0.9, 0.1]);
+            planner.take(&scores);
+            planner.take_forecast(&forecast(&scores, &[[0.1, 0.1], [0.0, 0.0]]));
+            let decision = planner.decide(now_ns, 0).unwrap().unwrap();
+            said.push((decision.to().to_owned(), decision.covered, decision.has(decision_flags::COVERED)));
+        }
+        let expected = [
+            ("room-1", 0, false),
+            ("room-0", 0b10, false),
+            ("room-1", 0b11, true),
+            ("room-1", 0b11, true),
+            ("room-1", 0, true),
+        ];
+        assert_eq!(said, expected.map(|(to, covered, done)| (to.to_owned(), covered, done)));
     }
 
     #[test]

@@ -73,12 +73,12 @@ pub struct PlannerConfig {
     pub seed: u64,
     /// T_r: seconds that the robot must spend in every room; 0 decides again with every new score.
     pub room_time_s: f64,
-    /// Seconds from the begin of a round to its deadline; two stays for each room when empty.
+    /// Seconds from the begin of a round to its deadline. When empty, two stays for each room, and a round that is done early ends.
     pub round_s: Option<f64>,
     /// Milliseconds after which scores that the daemon has not confirmed are not acted upon.
     pub deadline_ms: u64,
-    /// Begin another round of all rooms when every room is covered or the deadline has come. Otherwise rooms that are undone at the
-    /// deadline are tried again, and the robot stays when every room is covered.
+    /// Another round of all rooms follows. Otherwise rooms that are undone at the deadline are tried again, and the robot stays when
+    /// every room is covered.
     pub repeat: bool,
 }
 
