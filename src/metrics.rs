@@ -1,12 +1,25 @@
 //! Metrics for Prometheus: what the services say, as histograms, counters and gauges, on a loopback address.
 //!
 //! A participant of its own, beside the daemon and not in it: the daemon keeps its hands free of sockets and of networks. Latencies
-//! are those that the scores themselves carry; counters are the daemon's own, asked for at every scrape.
+//! are those that the scores themselves carry; counters are the daemon's own, asked for at a scrape.
+//!
+//! Any user of the machine can connect. What connections can take is bounded by [`CONNECTIONS_MAX`], [`HEADER_BYTES_MAX`] and
+//! [`REQUEST_TIME`], and each is closed after one answer.
 
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::convert::Infallible;
 use std::net::SocketAddr;
-use std::sync::atomic::AtomicU64;
+use std::rc::Rc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
+
+use hyper::header::{ALLOW, CONTENT_TYPE, HeaderValue};
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper::{Method, Response, StatusCode};
+use hyper_util::rt::TokioIo;
 
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::metrics::counter::Counter;
@@ -18,17 +31,31 @@ use roomcast_ipc::{
     DecisionV1, Domain, IpcError, RoomScoresV1, StatusClient, StatusResponseV1, Subscriber, clock, decision_flags,
     score_flags,
 };
-use tiny_http::{Header, Method, Response, Server};
+use sd_notify::NotifyState;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::task::{JoinHandle, LocalSet};
+use tokio::time::timeout;
 
+use roomcast_services::notify::notify;
 use roomcast_services::stop::Stop;
 
 /// Bounds of latency buckets in seconds: half a millisecond to ten seconds.
 const BUCKETS_S: [f64; 14] = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0];
-/// How long a scrape waits for the daemon's counters.
+/// Connections that are served at a time; for a further one the oldest is closed.
+pub const CONNECTIONS_MAX: usize = 16;
+/// Bytes that a request may have before its body; a body is not read.
+pub const HEADER_BYTES_MAX: usize = 16 << 10;
+/// Time that a connection has for its request and for reading the answer.
+pub const REQUEST_TIME: Duration = Duration::from_secs(5);
+/// How long a scrape waits for the daemon's counters, and how long its answer holds for further scrapes.
 const PATIENCE: Duration = Duration::from_millis(500);
 const TICK: Duration = Duration::from_millis(100);
+/// How long the serving thread may take for a turn before this process no longer says that it lives.
+const TURN_MAX: Duration = Duration::from_secs(2);
+/// How often systemd hears that this process lives, at most.
+const WATCHDOG: Duration = Duration::from_secs(1);
 /// What OpenMetrics wants to be called.
-const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 /// Why metrics cannot be served.
 #[derive(Debug, thiserror::Error)]
@@ -45,8 +72,11 @@ pub enum MetricsError {
         reason: String,
     },
     /// The thread that answers could not be started.
-    #[error("cannot start the thread that serves metrics: {0}; is a limit on tasks set too low?")]
+    #[error("cannot start the thread that serves metrics: {0}; is a limit on tasks or descriptors set too low?")]
     Thread(std::io::Error),
+    /// The thread that answers has ended by itself.
+    #[error("the thread that serves metrics has ended unexpectedly; start this command again and report it")]
+    Ended,
     /// A service.
     #[error(transparent)]
     Ipc(#[from] IpcError),
@@ -267,7 +297,7 @@ impl Metrics {
     fn ask(&self, status: Option<&StatusResponseV1>) {
         self.daemon_up.set(i64::from(status.is_some()));
         let Some(status) = status else { return };
-        let set = |counter: &Counter, value: u64| counter.inner().store(value, std::sync::atomic::Ordering::Relaxed);
+        let set = |counter: &Counter, value: u64| counter.inner().store(value, Ordering::Relaxed);
         let gauge = |gauge: &Gauge, value: u64| {
             gauge.set(i64::try_from(value).unwrap_or(i64::MAX));
         };
@@ -336,14 +366,23 @@ pub fn run(
     let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
     let decisions: Subscriber<DecisionV1> = node.subscriber()?;
     let status = node.status_client()?;
-    let server = Server::http(address).map_err(|error| MetricsError::Listen { address, reason: error.to_string() })?;
-    ready(server.server_addr().to_ip().unwrap_or(address));
+    let listen = |error: std::io::Error| MetricsError::Listen { address, reason: error.to_string() };
+    let listener = std::net::TcpListener::bind(address).map_err(listen)?;
+    listener.set_nonblocking(true).map_err(listen)?;
+    ready(listener.local_addr().map_err(listen)?);
     let metrics = Arc::new(Mutex::new(Metrics::new()));
+    let turned_ns = Arc::new(AtomicU64::new(clock::monotonic_ns()));
+    let scrapes = Scrapes { status, metrics: Arc::clone(&metrics), asked: None };
     let serving = {
-        let (metrics, stop) = (Arc::clone(&metrics), stop.clone());
-        std::thread::Builder::new().name("serve".to_owned()).spawn(move || serve(&server, &status, &metrics, &stop))
+        let (turned_ns, stop) = (Arc::clone(&turned_ns), stop.clone());
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build();
+        let runtime = runtime.map_err(MetricsError::Thread)?;
+        std::thread::Builder::new()
+            .name("serve".to_owned())
+            .spawn(move || LocalSet::new().block_on(&runtime, serve(listener, scrapes, &turned_ns, &stop)))
     };
     let serving = serving.map_err(MetricsError::Thread)?;
+    let mut said = Instant::now();
     while !stop.requested() {
         scores.wait(TICK)?;
         let mut metrics = metrics.lock().unwrap_or_else(PoisonError::into_inner);
@@ -360,48 +399,124 @@ pub fn run(
                 metrics.decide(&decision);
             }
         }
+        drop(metrics);
+        if serving.is_finished() && !stop.requested() {
+            return Err(MetricsError::Ended);
+        }
+        if said.elapsed() >= WATCHDOG && turns(turned_ns.load(Ordering::Relaxed), clock::monotonic_ns()) {
+            said = Instant::now();
+            notify(&[NotifyState::Watchdog]);
+        }
     }
     // It looks at the wish to stop every tick.
     let _ended = serving.join();
     Ok(())
 }
 
-fn serve(server: &Server, status: &StatusClient, metrics: &Mutex<Metrics>, stop: &Stop) {
+/// Whether the serving thread, which last turned then, is at work.
+fn turns(turned_ns: u64, now_ns: u64) -> bool {
+    u128::from(now_ns.saturating_sub(turned_ns)) <= TURN_MAX.as_nanos()
+}
+
+/// Answers scrapes.
+struct Scrapes {
+    status: StatusClient,
+    metrics: Arc<Mutex<Metrics>>,
+    /// When the daemon was last asked.
+    asked: Option<Instant>,
+}
+
+impl Scrapes {
+    fn answer(&mut self, method: &Method, path: &str) -> Response<String> {
+        let mut response = match (method, path) {
+            (&Method::GET, "/metrics") => Response::new(self.text()),
+            (&Method::GET, _) => {
+                let mut response = Response::new("see /metrics\n".to_owned());
+                *response.status_mut() = StatusCode::NOT_FOUND;
+                return response;
+            }
+            _ => {
+                let mut response = Response::new("only GET\n".to_owned());
+                *response.status_mut() = StatusCode::METHOD_NOT_ALLOWED;
+                response.headers_mut().insert(ALLOW, HeaderValue::from_static("GET"));
+                return response;
+            }
+        };
+        response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(OPEN_METRICS));
+        response
+    }
+
+    fn text(&mut self) -> String {
+        // A silent daemon holds up one scrape, and not each of those that come at once.
+        let fresh = self.asked.is_some_and(|asked| asked.elapsed() < PATIENCE);
+        let answer = (!fresh).then(|| self.status.ask(PATIENCE).ok());
+        let metrics = self.metrics.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(answer) = answer {
+            self.asked = Some(Instant::now());
+            metrics.ask(answer.as_ref());
+        }
+        metrics.text(clock::monotonic_ns())
+    }
+}
+
+/// Serves connections on this thread until it is asked to stop, and notes each turn.
+async fn serve(
+    listener: std::net::TcpListener,
+    scrapes: Scrapes,
+    turned_ns: &AtomicU64,
+    stop: &Stop,
+) -> std::io::Result<()> {
+    let listener = TcpListener::from_std(listener)?;
+    let scrapes = Rc::new(RefCell::new(scrapes));
+    let mut connections: VecDeque<JoinHandle<()>> = VecDeque::with_capacity(CONNECTIONS_MAX);
     while !stop.requested() {
-        let request = match server.recv_timeout(TICK) {
-            Ok(Some(request)) => request,
-            Ok(None) => continue,
+        turned_ns.store(clock::monotonic_ns(), Ordering::Relaxed);
+        let Ok(accepted) = timeout(TICK, listener.accept()).await else { continue };
+        match accepted {
+            Ok((stream, _)) => {
+                connections.retain(|connection| !connection.is_finished());
+                // Whoever holds connections without a word is in nobody's way.
+                if connections.len() == CONNECTIONS_MAX
+                    && let Some(oldest) = connections.pop_front()
+                {
+                    oldest.abort();
+                }
+                connections.push_back(tokio::task::spawn_local(converse(stream, Rc::clone(&scrapes))));
+            }
             Err(error) => {
                 tracing::warn!(%error, "a scrape failed");
-                continue;
+                // A limit of the system, such as that of descriptors, does not pass at once.
+                tokio::time::sleep(TICK).await;
             }
-        };
-        let answered = match (request.method(), request.url()) {
-            (Method::Get, "/metrics") => {
-                let answer = status.ask(PATIENCE).ok();
-                let metrics = metrics.lock().unwrap_or_else(PoisonError::into_inner);
-                metrics.ask(answer.as_ref());
-                let response = Response::from_string(metrics.text(clock::monotonic_ns()));
-                drop(metrics);
-                match Header::from_bytes("Content-Type", CONTENT_TYPE) {
-                    Ok(header) => request.respond(response.with_header(header)),
-                    Err(()) => request.respond(response),
-                }
-            }
-            (Method::Get, _) => request.respond(Response::from_string("see /metrics\n").with_status_code(404)),
-            _ => request.respond(Response::from_string("only GET\n").with_status_code(405)),
-        };
-        // Whoever asked has gone.
-        if let Err(error) = answered {
-            tracing::debug!(%error, "a scrape was not read to its end");
         }
+    }
+    Ok(())
+}
+
+/// One request and its answer.
+async fn converse(stream: TcpStream, scrapes: Rc<RefCell<Scrapes>>) {
+    let service = service_fn(|request: hyper::Request<hyper::body::Incoming>| {
+        let response = scrapes.borrow_mut().answer(request.method(), request.uri().path());
+        async move { Ok::<_, Infallible>(response) }
+    });
+    let mut http = http1::Builder::new();
+    // The one limit on time is around all of it.
+    http.keep_alive(false).max_buf_size(HEADER_BYTES_MAX).header_read_timeout(None);
+    match timeout(REQUEST_TIME, http.serve_connection(TokioIo::new(stream), service)).await {
+        Ok(Ok(())) => {}
+        Ok(Err(error)) => tracing::debug!(%error, "a scrape was no request, or was not read to its end"),
+        Err(_) => tracing::debug!("a scrape took too long"),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::seq::IndexedRandom;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
     use roomcast_ipc::text;
+    use std::io::{Read, Write};
 
     #[test]
     fn addresses_that_others_reach_are_refused() {
@@ -443,5 +558,165 @@ mod tests {
             assert!(text.lines().any(|own| own == line), "{line}\n{text}");
         }
         assert!(text.ends_with("# EOF\n"));
+    }
+
+    /// Metrics that are served in this process.
+    struct Served {
+        address: SocketAddr,
+        stop: Stop,
+        thread: Option<std::thread::JoinHandle<Result<(), MetricsError>>>,
+        domain: Domain,
+        _folder: tempfile::TempDir,
+    }
+
+    impl Served {
+        fn start(name: &str) -> Self {
+            let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+            let domain = Domain::new(folder.path().join("d"), &format!("{name}-{}", std::process::id())).unwrap();
+            let (stop, (found, address)) = (Stop::new(), std::sync::mpsc::channel());
+            let (own_stop, own_domain) = (stop.clone(), domain.clone());
+            let any = "127.0.0.1:0".parse().unwrap();
+            let thread =
+                std::thread::spawn(move || run(any, &own_domain, &own_stop, |address| found.send(address).unwrap()));
+            let address = address.recv_timeout(Duration::from_secs(60)).unwrap();
+            Self { address, stop, thread: Some(thread), domain, _folder: folder }
+        }
+
+        fn connect(&self) -> std::net::TcpStream {
+            let stream = std::net::TcpStream::connect(self.address).unwrap();
+            stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+            stream
+        }
+
+        /// A scrape must be answered, whatever else is connected.
+        fn scrape(&self) -> Duration {
+            let start = Instant::now();
+            let mut stream = self.connect();
+            stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: here\r\n\r\n").unwrap();
+            let mut text = String::new();
+            stream.read_to_string(&mut text).unwrap();
+            assert!(text.starts_with("HTTP/1.1 200") && text.ends_with("# EOF\n"), "{text}");
+            start.elapsed()
+        }
+    }
+
+    impl Drop for Served {
+        fn drop(&mut self) {
+            self.stop.request();
+            let ended = self.thread.take().map(std::thread::JoinHandle::join);
+            let _left = self.domain.clean_up();
+            if !std::thread::panicking() {
+                assert!(matches!(ended, Some(Ok(Ok(())))));
+            }
+        }
+    }
+
+    /// Memory that this process has, in kilobytes.
+    fn resident_kb() -> u64 {
+        let text = std::fs::read_to_string("/proc/self/status").unwrap();
+        let line = text.lines().find_map(|line| line.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB"));
+        line.unwrap().parse().unwrap()
+    }
+
+    /// Half a second for a daemon that is not there, and as much for a busy machine.
+    const SOON: Duration = Duration::from_secs(2);
+
+    #[test]
+    fn idle_connections_keep_no_scrape_out() {
+        let served = Served::start("idle");
+        let mut idle: Vec<_> = (0..110).map(|_| served.connect()).collect();
+        assert!(served.scrape() < SOON);
+        // Those that are in are closed after their time, the others at once.
+        for stream in &mut idle {
+            let mut nothing = Vec::new();
+            let _reset = stream.read_to_end(&mut nothing);
+            assert!(nothing.is_empty());
+        }
+        assert!(served.scrape() < SOON);
+    }
+
+    #[test]
+    fn a_header_without_end_is_refused_and_takes_no_memory() {
+        let served = Served::start("header");
+        let line = format!("X-Filler: {}\r\n", "x".repeat(1000));
+        for (start, more, all) in
+            [("X-Filler: ", "x".repeat(1 << 16), 300 << 20), ("", line, 60 << 20), ("Range: ", "1".repeat(99), 1 << 20)]
+        {
+            let before = resident_kb();
+            let mut stream = served.connect();
+            let _gone = write!(stream, "GET /metrics HTTP/1.1\r\nHost: here\r\n{start}");
+            let mut written = 0;
+            while written < all && stream.write_all(more.as_bytes()).is_ok() {
+                written += more.len();
+            }
+            let kilobytes = resident_kb().saturating_sub(before);
+            assert!(written < all, "it reads on for {written} bytes");
+            assert!(kilobytes < 32 << 10, "{kilobytes} kB");
+            assert!(served.scrape() < SOON);
+        }
+    }
+
+    #[test]
+    fn one_connection_has_one_answer_however_many_requests_it_sends() {
+        let served = Served::start("pipelined");
+        let request = b"GET /metrics HTTP/1.1\r\nHost: here\r\n\r\n";
+        let mut stream = served.connect();
+        let _gone = stream.write_all(&request.repeat(1000));
+        assert!(served.scrape() < SOON);
+        let mut text = Vec::new();
+        let _reset = stream.read_to_end(&mut text);
+        let answers = String::from_utf8_lossy(&text).matches("HTTP/1.1 ").count();
+        assert!(answers <= 1, "{answers}");
+    }
+
+    #[test]
+    fn a_connection_that_dawdles_is_closed() {
+        let served = Served::start("slow");
+        let mut stream = served.connect();
+        let start = Instant::now();
+        // A byte now and then never makes a request.
+        while start.elapsed() < 2 * REQUEST_TIME && stream.write_all(b"G").is_ok() {
+            std::thread::sleep(TICK);
+        }
+        assert!(start.elapsed() < REQUEST_TIME + SOON);
+    }
+
+    /// Any bytes at all: the generator of its kind, by seeds.
+    #[test]
+    fn any_bytes_are_survived() {
+        let served = Served::start("bytes");
+        let mut rng = ChaCha8Rng::seed_from_u64(22);
+        let words: [&[u8]; 12] = [
+            b"GET ",
+            b"POST ",
+            b"/metrics",
+            b" HTTP/1.1",
+            b"\r\n",
+            b"\r\n\r\n",
+            b"Host: x",
+            b"Content-Length: ",
+            b"99999999999",
+            b"Transfer-Encoding: chunked",
+            b"\0\xff",
+            b"ffffffff\r\n",
+        ];
+        for _ in 0..300 {
+            let mut stream = served.connect();
+            let mut bytes: Vec<u8> = Vec::new();
+            for _ in 0..rng.random_range(0..40) {
+                bytes.extend(*words.choose(&mut rng).unwrap());
+            }
+            for _ in 0..rng.random_range(0..3) {
+                bytes.push(rng.random());
+            }
+            let _gone = stream.write_all(&bytes);
+        }
+        assert!(served.scrape() < SOON);
+    }
+
+    #[test]
+    fn a_serving_thread_that_stands_still_is_no_sign_of_life() {
+        assert!(turns(7, 7) && turns(7, 2_000_000_007) && turns(9, 7));
+        assert!(!turns(7, 2_000_000_008));
     }
 }

@@ -181,9 +181,14 @@ impl Supervisor {
     }
 
     fn start(&mut self) {
+        let state = self.directory.path().join("state");
+        self.start_service(&["daemon", "--state", state.to_str().unwrap()]);
+    }
+
+    fn start_service(&mut self, arguments: &[&str]) {
         let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
-        command.args(["daemon", "--domain", self.domain.name(), "--root"]).arg(self.domain.root());
-        command.arg("--state").arg(self.directory.path().join("state")).env_remove("ROOMCAST_CONFIG");
+        command.args(arguments).args(["--domain", self.domain.name(), "--root"]).arg(self.domain.root());
+        command.env_remove("ROOMCAST_CONFIG");
         command.env("NOTIFY_SOCKET", self.directory.path().join("notify")).env("WATCHDOG_USEC", "10000000");
         self.child = Some(command.stdin(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
     }
@@ -239,4 +244,14 @@ fn a_hung_daemon_falls_silent_so_that_the_watchdog_restarts_it() {
     supervisor.child.take().unwrap().wait().unwrap();
     supervisor.start();
     assert!(supervisor.hears("READY=1", PATIENCE), "the next one takes its place");
+}
+
+#[test]
+fn metrics_say_that_they_live_while_they_serve() {
+    let mut supervisor = Supervisor::new();
+    supervisor.start_service(&["metrics", "--listen", "127.0.0.1:0"]);
+    assert!(supervisor.hears("READY=1", Duration::from_secs(60)), "they say when they are ready");
+    for _ in 0..3 {
+        assert!(supervisor.hears("WATCHDOG=1", Duration::from_secs(5)), "they say again and again that they live");
+    }
 }

@@ -46,3 +46,7 @@ pub mod planner;
 
 #[cfg(feature = "recording")]
 pub mod recording;
+
+#[cfg(all(test, feature = "mqtt"))]
+#[path = "../../tests/support/skipped.rs"]
+mod skipped;

@@ -17,29 +17,49 @@
 //! and is left out. A retained message tells how things are, not what has just happened: at the first connection it is remembered
 //! and not said, unless its rule has `retained = true`; after a reconnection it is said if it differs from what was heard before.
 //!
-//! The session is persistent and a message is acknowledged only when it was handed on, so that the broker keeps what arrives while this
-//! process or the connection is away; order is the broker's.
+//! The session is persistent, so that the broker keeps what arrives while this process or the connection is away; order is the broker's.
+//! A message is acknowledged with the few that were read with it, and each that was acknowledged is handed on before this process ends,
+//! unless it is killed. (Acknowledging each one by hand goes through the client's queue of requests, from which one is sent for ten
+//! messages that are read: a backlog left thousands waiting there, which a broken connection then lost.) MQTT 5 tells the broker how many messages it may send ahead and how large
+//! one may be; [`MESSAGES_AHEAD_MAX`] and its neighbours are all limits.
 
 use std::collections::HashMap;
+use std::fmt::Display;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::pin::pin;
+use std::time::{Duration, Instant};
 
-use rumqttc::{Client, Event, MqttOptions, Packet, Publish, QoS, TlsConfiguration, Transport};
+use rumqttc::v5::mqttbytes::QoS;
+use rumqttc::v5::mqttbytes::v5::{Packet, Publish, SubAck, SubscribeReasonCode};
+use rumqttc::v5::{AsyncClient, ClientError, ConnectionError, Event, EventLoop, MqttOptions};
+use rumqttc::{Outgoing, TlsConfiguration, Transport};
 use rustls::pki_types::CertificateDer;
 use rustls::pki_types::pem::PemObject;
 use serde_json::json;
+use sha2::{Digest, Sha256};
+use tokio::time::{timeout, timeout_at};
 
 use crate::stop::Stop;
 
+/// Messages that the broker may send before the first of them is acknowledged: MQTT's receive maximum.
+pub const MESSAGES_AHEAD_MAX: u16 = 32;
+/// The largest packet that the broker may send, in bytes: MQTT's maximum packet size. It passes over larger messages by itself.
+pub const PACKET_BYTES_MAX: u32 = 1 << 20;
+/// The largest payload that is read, in bytes; a larger one is refused by its topic.
+pub const PAYLOAD_BYTES_MAX: usize = 64 << 10;
 /// Topics whose last value is remembered; more are spoken of without regard to repetition.
-const TOPICS_MAX: usize = 65_536;
+pub const TOPICS_MAX: usize = 65_536;
 /// Rules that a file may have.
-const RULES_MAX: usize = 4_096;
+pub const RULES_MAX: usize = 4_096;
 /// How long the connection is listened to before the wish to stop is looked at.
 const POLL: Duration = Duration::from_millis(200);
 /// Pause before a lost connection is tried again.
 const RECONNECT: Duration = Duration::from_secs(1);
+/// How long the broker has at the end to take the last acknowledgements.
+const FAREWELL: Duration = Duration::from_secs(2);
+/// How long the broker keeps what arrives while this process is away: for ever, as far as the broker agrees.
+const SESSION_EXPIRY_S: u32 = u32::MAX;
 
 /// Why MQTT cannot be narrated.
 #[derive(Debug, thiserror::Error)]
@@ -79,6 +99,16 @@ pub enum MqttError {
     Authority {
         /// The file.
         path: PathBuf,
+    },
+    /// The broker grants none of the rules' filters.
+    #[error(
+        "the broker {broker} refuses every subscription ({reason}): give this client the right to read the topics of the rules, or change the rules"
+    )]
+    Refused {
+        /// The broker's address.
+        broker: String,
+        /// The last filter and the broker's word.
+        reason: String,
     },
     /// The client gave up.
     #[error("the MQTT client failed: {reason}")]
@@ -143,7 +173,12 @@ impl Rules {
         Self::parse(&text).map_err(|reason| MqttError::Rules { path: path.to_owned(), reason })
     }
 
-    fn parse(text: &str) -> Result<Self, String> {
+    /// Reads and checks the text of a rules file.
+    ///
+    /// # Errors
+    ///
+    /// What is wrong, with the rule's number.
+    pub fn parse(text: &str) -> Result<Self, String> {
         let rules: Self = toml::from_str(text).map_err(|error| error.to_string())?;
         if rules.rules.is_empty() || rules.rules.len() > RULES_MAX {
             return Err(format!("{} rules; give 1 to {RULES_MAX}", rules.rules.len()));
@@ -236,45 +271,96 @@ pub struct Heard {
     pub unfit: u64,
     /// Messages that said nothing new, or how things are.
     pub silent: u64,
+    /// Messages that are larger than [`PAYLOAD_BYTES_MAX`].
+    pub oversized: u64,
+}
+
+/// What is remembered of a text of any length: whether another one is the same.
+type Fingerprint = [u8; 32];
+
+fn fingerprint(text: &[u8]) -> Fingerprint {
+    Sha256::digest(text).into()
 }
 
 /// Decides which messages are said.
 #[derive(Debug)]
-struct Listener {
+pub struct Listener {
     rules: Rules,
-    last: HashMap<String, String>,
+    /// The last value of each topic.
+    last: HashMap<Fingerprint, Fingerprint>,
     /// Whether what is retained now was retained before this process first listened.
     first_connection: bool,
     heard: Heard,
 }
 
 impl Listener {
-    fn new(rules: Rules) -> Self {
+    /// One that has heard nothing yet.
+    #[must_use]
+    pub fn new(rules: Rules) -> Self {
         Self { rules, last: HashMap::new(), first_connection: true, heard: Heard::default() }
     }
 
     /// The narration of a message, if it is to be said, as a line of JSON.
-    fn hear(&mut self, message: &Publish) -> Option<String> {
-        let Some(said) = self.rules.say(&message.topic, &message.payload) else {
+    pub fn hear(&mut self, message: &Publish) -> Option<String> {
+        let Ok(topic) = std::str::from_utf8(&message.topic) else {
             self.heard.unfit += 1;
             return None;
         };
-        let known = self.last.contains_key(&message.topic);
-        let repeated = self.last.get(&message.topic) == Some(&said.value);
-        if known || self.last.len() < TOPICS_MAX {
-            self.last.insert(message.topic.clone(), said.value.clone());
+        if message.payload.len() > PAYLOAD_BYTES_MAX {
+            self.heard.oversized += 1;
+            // Each doubling of their number is one line: a camera behind a wide filter does not fill the log.
+            if self.heard.oversized.is_power_of_two() {
+                tracing::warn!(
+                    topic,
+                    bytes = message.payload.len(),
+                    limit = PAYLOAD_BYTES_MAX,
+                    oversized = self.heard.oversized,
+                    "a message is too large and is passed over; leave its topic out of the rules"
+                );
+            }
+            return None;
+        }
+        let Some(said) = self.rules.say(topic, &message.payload) else {
+            self.heard.unfit += 1;
+            return None;
+        };
+        let (place, value) = (fingerprint(&message.topic), fingerprint(said.value.as_bytes()));
+        let known = self.last.get(&place).copied();
+        if known.is_some() || self.last.len() < TOPICS_MAX {
+            self.last.insert(place, value);
         }
         let Some(text) = said.text else {
             self.heard.unfit += 1;
             return None;
         };
-        let stale = message.retain && !said.retained && (self.first_connection || !known);
-        if repeated || stale {
+        let stale = message.retain && !said.retained && (self.first_connection || known.is_none());
+        if known == Some(value) || stale {
             self.heard.silent += 1;
             return None;
         }
         self.heard.said += 1;
         Some(json!({"text": text, "person": said.person}).to_string())
+    }
+}
+
+/// What a broker may send again after a connection broke: messages that it may not have seen acknowledged. There are no more than packet
+/// identifiers, however far ahead a broker sends.
+#[derive(Debug, Default)]
+struct Recent(HashMap<u16, (u64, Fingerprint)>);
+
+impl Recent {
+    /// Takes note of a message; whether it is one that an earlier connection brought.
+    fn again(&mut self, connection: u64, message: &Publish) -> bool {
+        if message.qos == QoS::AtMostOnce {
+            return false;
+        }
+        let mut text = Sha256::new();
+        text.update((message.topic.len() as u64).to_le_bytes());
+        text.update(&message.topic);
+        text.update(&message.payload);
+        let text: Fingerprint = text.finalize().into();
+        let before = self.0.insert(message.pkid, (connection, text));
+        message.dup && before.is_some_and(|(at, of)| at < connection && of == text)
     }
 }
 
@@ -300,9 +386,11 @@ impl Broker {
             return Err(wrong());
         }
         let mut options = MqttOptions::new(&self.client, host, port);
-        options.set_keep_alive(Duration::from_secs(30)).set_clean_session(false).set_manual_acks(true);
-        // A message above the limit ends the connection, and the broker sends it again first: a wide filter may meet pictures.
-        options.set_max_packet_size(PACKET_BYTES_MAX, PACKET_BYTES_MAX);
+        options.set_keep_alive(Duration::from_secs(30)).set_clean_start(false);
+        options.set_session_expiry_interval(Some(SESSION_EXPIRY_S));
+        options.set_receive_maximum(Some(MESSAGES_AHEAD_MAX)).set_max_packet_size(Some(PACKET_BYTES_MAX));
+        // Nothing is published; the client would set aside room for so many.
+        options.set_outgoing_inflight_upper_limit(MESSAGES_AHEAD_MAX);
         if let Some(path) = &self.credentials {
             let text =
                 std::fs::read_to_string(path).map_err(|source| MqttError::Read { path: path.clone(), source })?;
@@ -332,80 +420,209 @@ impl Broker {
     }
 }
 
-/// The largest message that is received, in bytes.
-const PACKET_BYTES_MAX: usize = 16 << 20;
-/// Messages that are remembered, to know those that a broker sends again; brokers keep fewer than this unacknowledged.
-const HEARD_MAX: usize = 256;
-
 /// Listens to the broker and writes narration as lines of JSON to `out`, until it is asked to stop or `out` is closed. A lost connection
-/// is tried again for ever.
+/// is tried again for ever. At the end the broker has the acknowledgement of all that was written.
 ///
 /// # Errors
 ///
-/// [`MqttError::Client`] when the client cannot go on.
-pub fn listen(options: MqttOptions, rules: Rules, mut out: impl Write, stop: &Stop) -> Result<Heard, MqttError> {
-    let filters = rules.filters();
-    let mut listener = Listener::new(rules);
-    let failed = |error: &dyn std::fmt::Display| MqttError::Client { reason: error.to_string() };
-    // Requests are sent from this very loop: there is room for a subscription to each filter, and for acknowledgements.
-    let broker = options.broker_address();
-    let broker = format!("{}:{}", broker.0, broker.1);
-    let (client, mut connection) = Client::new(options, filters.len() + 256);
-    let mut connections = 0_u64;
-    // What a broker sends again after a connection broke is what it did not see acknowledged: it may have been heard.
-    let mut heard = std::collections::VecDeque::with_capacity(HEARD_MAX);
-    while !stop.requested() {
-        let Ok(event) = connection.recv_timeout(POLL) else { continue };
-        match event {
-            Ok(Event::Incoming(Packet::ConnAck(_))) => {
-                connections += 1;
-                listener.first_connection = connections == 1;
-                tracing::info!(broker, connections, "connected");
-                // Again at every connection: a broker that lost its sessions would say nothing any more.
-                for filter in &filters {
-                    client.try_subscribe(filter, QoS::AtLeastOnce).map_err(|error| failed(&error))?;
-                }
+/// [`MqttError::Refused`] when the broker grants nothing, [`MqttError::Client`] when the client cannot go on.
+pub fn listen(options: MqttOptions, rules: Rules, out: impl Write, stop: &Stop) -> Result<Heard, MqttError> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().map_err(failed)?;
+    runtime.block_on(Connection::new(options, rules, out).listen(stop))
+}
+
+fn failed(error: impl Display) -> MqttError {
+    MqttError::Client { reason: error.to_string() }
+}
+
+/// A subscription to each filter, one after the other, so that it is known which one the broker answers.
+#[derive(Debug)]
+struct Subscriptions {
+    filters: Vec<String>,
+    answered: usize,
+    granted: usize,
+}
+
+impl Subscriptions {
+    /// Begins at the first filter.
+    fn start(&mut self, client: &AsyncClient) -> Result<(), ClientError> {
+        (self.answered, self.granted) = (0, 0);
+        self.ask(client)
+    }
+
+    fn ask(&self, client: &AsyncClient) -> Result<(), ClientError> {
+        self.filters.get(self.answered).map_or(Ok(()), |filter| client.try_subscribe(filter, QoS::AtLeastOnce))
+    }
+
+    /// Takes the broker's answer to the filter asked for last.
+    fn take(&mut self, answer: &SubAck, client: &AsyncClient, broker: &str) -> Result<(), MqttError> {
+        let Some(filter) = self.filters.get(self.answered) else { return Ok(()) };
+        let reason = answer.return_codes.first().copied().unwrap_or(SubscribeReasonCode::Unspecified);
+        self.answered += 1;
+        match reason {
+            SubscribeReasonCode::Success(QoS::AtMostOnce) => {
+                self.granted += 1;
+                tracing::warn!(broker, filter, "the broker grants quality 0 only: what it sends while away is lost");
             }
-            Ok(Event::Incoming(Packet::Publish(message))) => {
-                let known = |(at, of): &(u64, Publish)| {
-                    *at < connections
-                        && of.pkid == message.pkid
-                        && of.topic == message.topic
-                        && of.payload == message.payload
-                };
-                if message.dup && message.qos != QoS::AtMostOnce && heard.iter().any(known) {
-                    client.try_ack(&message).map_err(|error| failed(&error))?;
-                    continue;
+            SubscribeReasonCode::Success(_) => self.granted += 1,
+            refused => {
+                tracing::error!(broker, filter, reason = ?refused, "the broker refuses a subscription: nothing is heard of it; give this client the right to read it");
+                if self.answered == self.filters.len() && self.granted == 0 {
+                    let reason = format!("{filter:?}: {refused:?}");
+                    return Err(MqttError::Refused { broker: broker.to_owned(), reason });
                 }
-                if message.qos != QoS::AtMostOnce {
-                    heard.truncate(HEARD_MAX - 1);
-                    heard.push_front((connections, message.clone()));
-                }
-                if let Some(line) = listener.hear(&message)
-                    && writeln!(out, "{line}").and_then(|()| out.flush()).is_err()
-                {
-                    // The reader has left; what is not acknowledged stays with the broker.
-                    break;
-                }
-                client.try_ack(&message).map_err(|error| failed(&error))?;
-            }
-            Ok(_) => {}
-            Err(error) => {
-                tracing::warn!(broker, %error, "no connection, trying again");
-                std::thread::sleep(RECONNECT);
             }
         }
+        self.ask(client).map_err(failed)
     }
-    // What is left is to be polite; a broker that is gone does not mind.
-    let _disconnected = client.try_disconnect();
-    Ok(listener.heard)
+}
+
+/// The client, what it has heard and where it says it.
+struct Connection<W> {
+    broker: String,
+    client: AsyncClient,
+    events: EventLoop,
+    listener: Listener,
+    subscriptions: Subscriptions,
+    recent: Recent,
+    connected: bool,
+    out: W,
+}
+
+/// What listening comes to.
+enum Turn {
+    /// More is to come.
+    On,
+    /// Nobody reads any more.
+    Unread,
+}
+
+impl<W: Write> Connection<W> {
+    fn new(options: MqttOptions, rules: Rules, out: W) -> Self {
+        let (host, port) = options.broker_address();
+        let subscriptions = Subscriptions { filters: rules.filters(), answered: 0, granted: 0 };
+        // One subscription, one farewell.
+        let (client, events) = AsyncClient::new(options, 2);
+        let (listener, recent) = (Listener::new(rules), Recent::default());
+        Self {
+            broker: format!("{host}:{port}"),
+            client,
+            events,
+            listener,
+            subscriptions,
+            recent,
+            connected: false,
+            out,
+        }
+    }
+
+    async fn listen(mut self, stop: &Stop) -> Result<Heard, MqttError> {
+        let mut connections = 0_u64;
+        while let Some(event) = self.next(stop).await {
+            let turn = match event {
+                Ok(event) => self.take(&event, &mut connections)?,
+                Err(error) => self.lost(&error, &mut connections, stop).await?,
+            };
+            if matches!(turn, Turn::Unread) {
+                return Ok(self.listener.heard);
+            }
+        }
+        self.leave(&mut connections).await?;
+        Ok(self.listener.heard)
+    }
+
+    /// The next event; none when it is time to stop. Looking at the wish to stop breaks off nothing that is under way: a slow broker
+    /// has the client's own limit to answer in.
+    async fn next(&mut self, stop: &Stop) -> Option<Result<Event, ConnectionError>> {
+        let mut poll = pin!(self.events.poll());
+        while !stop.requested() {
+            if let Ok(event) = timeout(POLL, poll.as_mut()).await {
+                return Some(event);
+            }
+        }
+        None
+    }
+
+    fn take(&mut self, event: &Event, connections: &mut u64) -> Result<Turn, MqttError> {
+        match event {
+            Event::Incoming(Packet::ConnAck(_)) => {
+                *connections += 1;
+                self.connected = true;
+                self.listener.first_connection = *connections == 1;
+                tracing::info!(broker = self.broker, connections, "connected");
+                // Again at every connection: a broker that lost its sessions would say nothing any more.
+                self.subscriptions.start(&self.client).map_err(failed)?;
+            }
+            Event::Incoming(Packet::SubAck(answer)) => self.subscriptions.take(answer, &self.client, &self.broker)?,
+            Event::Incoming(Packet::Publish(message)) => {
+                if !self.recent.again(*connections, message)
+                    && let Some(line) = self.listener.hear(message)
+                    && writeln!(self.out, "{line}").and_then(|()| self.out.flush()).is_err()
+                {
+                    return Ok(Turn::Unread);
+                }
+            }
+            _ => {}
+        }
+        Ok(Turn::On)
+    }
+
+    /// Takes what was read before the connection broke: its acknowledgements may be on their way. Then a pause.
+    async fn lost(&mut self, error: &ConnectionError, connections: &mut u64, stop: &Stop) -> Result<Turn, MqttError> {
+        tracing::warn!(broker = self.broker, %error, "no connection, trying again");
+        let turn = self.drain(connections)?;
+        // Subscriptions that were not sent are made again at the next connection.
+        self.events.clean();
+        self.events.pending.clear();
+        self.connected = false;
+        let pause = Instant::now();
+        while !stop.requested() && pause.elapsed() < RECONNECT {
+            tokio::time::sleep(POLL).await;
+        }
+        Ok(turn)
+    }
+
+    fn drain(&mut self, connections: &mut u64) -> Result<Turn, MqttError> {
+        while let Some(event) = self.events.state.events.pop_front() {
+            if matches!(self.take(&event, connections)?, Turn::Unread) {
+                return Ok(Turn::Unread);
+            }
+        }
+        Ok(Turn::On)
+    }
+
+    /// Sends a farewell behind the acknowledgements, and stays until the broker has closed the connection: it has read all then. What
+    /// it sends after the farewell is not acknowledged, and comes again in the next session.
+    async fn leave(&mut self, connections: &mut u64) -> Result<(), MqttError> {
+        if !self.connected {
+            return Ok(());
+        }
+        self.client.try_disconnect().map_err(failed)?;
+        let end = tokio::time::Instant::now() + FAREWELL;
+        while let Ok(Ok(event)) = timeout_at(end, self.events.poll()).await {
+            if event == Event::Outgoing(Outgoing::Disconnect) {
+                while let Ok(Ok(_)) = timeout_at(end, self.events.poll()).await {}
+                return Ok(());
+            }
+            if matches!(self.take(&event, connections)?, Turn::Unread) {
+                return Ok(());
+            }
+        }
+        self.drain(connections).map(|_| ())
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io::{BufRead, BufReader};
+    use crate::skipped::skipped;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rumqttc::v5::Client;
+    use std::io::{BufRead, BufReader, Read};
     use std::process::{Child, Command, Stdio};
+
+    const NO_BROKER: &str = "mosquitto is not installed (apt-get install mosquitto)";
 
     const RULES: &str = r#"
         [[rule]]
@@ -422,7 +639,7 @@ mod tests {
     "#;
 
     fn publish(topic: &str, payload: &str, retain: bool) -> Publish {
-        Publish { retain, ..Publish::new(topic, QoS::AtLeastOnce, payload) }
+        Publish { retain, ..Publish::new(topic, QoS::AtLeastOnce, payload.to_owned(), None) }
     }
 
     #[test]
@@ -467,7 +684,7 @@ mod tests {
         let said =
             ["on", "on", "off", "on", "off", "on"].map(|value| listener.hear(&publish(door, value, false)).is_some());
         assert_eq!(said, [true, false, false, true, false, true]);
-        assert_eq!(listener.heard, Heard { said: 3, unfit: 2, silent: 1 });
+        assert_eq!(listener.heard, Heard { said: 3, unfit: 2, silent: 1, oversized: 0 });
     }
 
     #[test]
@@ -486,7 +703,7 @@ mod tests {
         assert!(
             listener.hear(&publish(oven, r#"{"state": {"power": "off"}}"#, true)).unwrap().contains("the oven is off")
         );
-        assert_eq!(listener.heard, Heard { said: 2, unfit: 0, silent: 3 });
+        assert_eq!(listener.heard, Heard { said: 2, unfit: 0, silent: 3, oversized: 0 });
     }
 
     #[test]
@@ -519,7 +736,7 @@ mod tests {
         fn start(port: u16, folder: tempfile::TempDir, access: &str) -> Option<Self> {
             let config = folder.path().join("mosquitto.conf");
             let text = format!(
-                "listener {port} 127.0.0.1\n{access}\npersistence true\npersistence_location {}/\nautosave_interval 1\nautosave_on_changes true\n",
+                "listener {port} 127.0.0.1\n{access}\npersistence true\npersistence_location {}/\nautosave_interval 1000\nautosave_on_changes true\nmax_queued_messages 0\n",
                 folder.path().display()
             );
             std::fs::write(&config, text).unwrap();
@@ -530,9 +747,9 @@ mod tests {
             let mut command = Command::new(program);
             command.arg("-c").arg(&config).stdout(Stdio::null()).stderr(Stdio::null());
             let child = command.spawn().unwrap();
-            let deadline = std::time::Instant::now() + Duration::from_secs(20);
+            let deadline = Instant::now() + Duration::from_secs(20);
             while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
-                assert!(std::time::Instant::now() < deadline, "mosquitto does not listen on port {port}");
+                assert!(Instant::now() < deadline, "mosquitto does not listen on port {port}");
                 std::thread::sleep(Duration::from_millis(20));
             }
             Some(Self { child, port, folder })
@@ -554,22 +771,24 @@ mod tests {
         }
 
         /// Publishes messages in order and returns when the broker has all of them.
-        fn publish(&self, messages: &[(&str, String, bool)]) {
-            let (client, mut connection) = Client::new(MqttOptions::new("publisher", "127.0.0.1", self.port), 1000);
+        fn publish(&self, messages: &[(&'static str, String, bool)]) {
+            let mut options = MqttOptions::new("publisher", "127.0.0.1", self.port);
+            options.set_max_packet_size(Some(64 << 20));
+            let (client, mut connection) = Client::new(options, messages.len().max(1));
             // A broker that has just begun to listen may still turn its first clients away.
-            let deadline = std::time::Instant::now() + Duration::from_secs(20);
+            let deadline = Instant::now() + Duration::from_secs(20);
             loop {
                 match connection.recv().unwrap() {
                     Ok(Event::Incoming(Packet::ConnAck(_))) => break,
                     Ok(_) => {}
                     Err(error) => {
-                        assert!(std::time::Instant::now() < deadline, "no connection to port {}: {error}", self.port);
+                        assert!(Instant::now() < deadline, "no connection to port {}: {error}", self.port);
                         std::thread::sleep(Duration::from_millis(20));
                     }
                 }
             }
             for (topic, payload, retain) in messages {
-                client.try_publish(*topic, QoS::AtLeastOnce, *retain, payload.as_bytes()).unwrap();
+                client.try_publish(*topic, QoS::AtLeastOnce, *retain, payload.clone()).unwrap();
             }
             let mut acknowledged = 0;
             while acknowledged < messages.len() {
@@ -623,7 +842,7 @@ mod tests {
         let made =
             Command::new("mosquitto_passwd").args(["-b", "-c"]).arg(&passwords).args(["robot", "secret"]).output();
         if !made.is_ok_and(|made| made.status.success()) {
-            eprintln!("SKIPPED: mosquitto is not installed (apt-get install mosquitto)");
+            skipped(NO_BROKER);
             return;
         }
         let (authority_path, own, key) = (authority.display(), own.display(), key.display());
@@ -632,7 +851,7 @@ mod tests {
             passwords.display()
         );
         let Some(_broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), &access) else {
-            eprintln!("SKIPPED: mosquitto is not installed (apt-get install mosquitto)");
+            skipped(NO_BROKER);
             return;
         };
         let to = Broker {
@@ -671,7 +890,7 @@ mod tests {
     fn nothing_is_lost_over_a_restart_of_the_broker() {
         let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-            eprintln!("SKIPPED: mosquitto is not installed (apt-get install mosquitto)");
+            skipped(NO_BROKER);
             return;
         };
         broker.publish(&[("home/switch/oven/json", r#"{"state": {"power": "on"}}"#.into(), true)]);
@@ -697,5 +916,221 @@ mod tests {
         stop.request();
         let heard = listening.join().unwrap().unwrap();
         assert_eq!((heard.said, heard.unfit), (101, 0));
+    }
+
+    /// Memory that this process has, in bytes.
+    fn resident() -> u64 {
+        let text = std::fs::read_to_string("/proc/self/status").unwrap();
+        let kilobytes = text.lines().find_map(|line| line.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB"));
+        kilobytes.unwrap().parse::<u64>().unwrap() << 10
+    }
+
+    /// A listener in a thread of its own, and what it says.
+    struct Listening {
+        thread: std::thread::JoinHandle<Result<Heard, MqttError>>,
+        lines: std::io::Lines<BufReader<std::io::PipeReader>>,
+        stop: Stop,
+    }
+
+    impl Listening {
+        fn start(port: u16, rules: &str) -> Self {
+            let to =
+                Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "listener".into(), ..Broker::default() };
+            let (reader, writer) = std::io::pipe().unwrap();
+            let (stop, rules) = (Stop::new(), Rules::parse(rules).unwrap());
+            let own_stop = stop.clone();
+            let thread = std::thread::spawn(move || listen(to.options().unwrap(), rules, writer, &own_stop));
+            Self { thread, lines: BufReader::new(reader).lines(), stop }
+        }
+
+        fn next(&mut self) -> Option<String> {
+            self.lines.next().map(Result::unwrap)
+        }
+
+        /// Stops it as a signal does; what it still says, and its counts.
+        fn end(self) -> (Vec<String>, Heard) {
+            self.stop.request();
+            let rest = self.lines.map(Result::unwrap).collect();
+            (rest, self.thread.join().unwrap().unwrap())
+        }
+    }
+
+    fn free_port() -> u16 {
+        std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+    }
+
+    /// What a stand-in for a broker greets with.
+    const CONNACK: [u8; 5] = [0x20, 3, 0, 0, 0];
+
+    const STEPS: &str = "[[rule]]\ntopic = \"home/step\"\nsay = \"They do step {value}.\"";
+
+    /// Row "MQTT backlog" of the attacks. `ROOMCAST_MQTT_RESTARTS=1000` is the long form; a restart takes about a second.
+    #[test]
+    fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
+        const BACKLOG: u32 = 5_000;
+        let restarts = std::env::var("ROOMCAST_MQTT_RESTARTS").map_or(6, |text| text.parse().unwrap());
+        let port = free_port();
+        let Some(mut broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+            skipped(NO_BROKER);
+            return;
+        };
+        let mut rng = ChaCha8Rng::seed_from_u64(22);
+        // Its session stands when what is said after it has come.
+        broker.publish(&[("home/start", "first".into(), true)]);
+        let start = "[[rule]]\ntopic = \"home/start\"\nsay = \"They do the {value}.\"\nretained = true";
+        let mut first = Listening::start(port, &format!("{STEPS}\n{start}"));
+        assert!(first.next().unwrap().contains("the first"));
+        assert_eq!(first.end().1.said, 1);
+        let before = resident();
+        let mut largest = 0;
+        let (mut published, mut said) = (0, 0);
+        let mut check = |line: &str| {
+            assert!(line.contains(&format!("They do step {said}.")), "step {said}: {line}");
+            said += 1;
+            said
+        };
+        for restart in 0..restarts {
+            let backlog: Vec<_> =
+                (published..published + BACKLOG).map(|n| ("home/step", n.to_string(), false)).collect();
+            broker.publish(&backlog);
+            published += BACKLOG;
+            // One is asked to stop in the middle of the backlog, and the next one goes on; now and then the broker restarts, too.
+            if restart % 3 == 2 {
+                broker = broker.restart();
+            }
+            let mut listening = Listening::start(port, STEPS);
+            for _ in 0..rng.random_range(0..BACKLOG) {
+                check(&listening.next().unwrap());
+            }
+            largest = largest.max(resident().saturating_sub(before));
+            let (rest, heard) = listening.end();
+            assert_eq!((heard.unfit, heard.oversized), (0, 0));
+            let mut now = rest.iter().map(|line| check(line)).last().unwrap_or_default();
+            let mut listening = Listening::start(port, STEPS);
+            let mut middle = (restart % 3 == 1).then(|| published - rng.random_range(0..BACKLOG / 2));
+            while now < published {
+                now = check(&listening.next().unwrap());
+                if middle.is_some_and(|middle| now >= middle) {
+                    middle = None;
+                    broker = broker.restart();
+                    // It is behind all that the broker sends again: whoever has said it has acknowledged that.
+                    broker.publish(&[("home/step", published.to_string(), false)]);
+                    published += 1;
+                }
+            }
+            let (rest, _heard) = listening.end();
+            assert_eq!(rest, Vec::<String>::new());
+        }
+        println!("{restarts} restarts, {published} messages, at most {largest} bytes more than before");
+        assert!(largest < 64 << 20, "{largest} bytes more");
+    }
+
+    /// Row "MQTT payloads of 10 MB" of the attacks.
+    #[test]
+    fn oversized_messages_are_refused_by_name_and_passed_over() {
+        let port = free_port();
+        let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+            skipped(NO_BROKER);
+            return;
+        };
+        broker.publish(&[("home/step", "first".into(), true)]);
+        let rules =
+            format!("{STEPS}\nretained = true\n[[rule]]\ntopic = \"home/camera\"\nsay = \"They look at {{value}}.\"");
+        let mut listening = Listening::start(port, &rules);
+        assert!(listening.next().unwrap().contains("step first"));
+        let before = resident();
+        let of = |bytes: usize| "x".repeat(bytes);
+        for round in 0..6 {
+            // What the broker passes over itself, what is refused here, and what is narration after all.
+            broker.publish(&[("home/camera", of(10 << 20), false), ("home/camera", of(17 << 20), false)]);
+            broker.publish(&[("home/camera", of(PAYLOAD_BYTES_MAX + 1), false)]);
+            broker.publish(&[("home/camera", of(PACKET_BYTES_MAX as usize - 64), false)]);
+            broker.publish(&[("home/step", round.to_string(), false)]);
+            assert!(listening.next().unwrap().contains(&format!("They do step {round}.")));
+        }
+        let more = resident().saturating_sub(before);
+        let (rest, heard) = listening.end();
+        assert_eq!((rest.len(), heard.said, heard.oversized), (0, 7, 12));
+        assert!(more < 128 << 20, "{more} bytes more");
+    }
+
+    /// Row "a refused subscription" of the attacks. mosquitto's own list of rights grants every subscription, so the broker is a stand-in.
+    #[test]
+    fn a_refused_subscription_is_an_error_with_its_name() {
+        const NOT_AUTHORIZED: u8 = 0x87;
+        let socket = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = socket.local_addr().unwrap().port();
+        let broker = move |codes: &[u8]| {
+            let (mut stream, _) = socket.accept().unwrap();
+            let mut packet = [0; 512];
+            let _connect = stream.read(&mut packet).unwrap();
+            stream.write_all(&CONNACK).unwrap();
+            for code in codes {
+                let _subscribe = stream.read(&mut packet).unwrap();
+                stream.write_all(&[0x90, 4, packet[2], packet[3], 0, *code]).unwrap();
+            }
+            // A granted filter gets a message of quality 0.
+            if codes.iter().any(|code| *code < 0x80) {
+                stream.write_all(b"\x30\x0d\x00\x09home/step\x001").unwrap();
+            }
+            // Until the client has left.
+            let _rest = stream.read_to_end(&mut Vec::new());
+        };
+        let refused = "[[rule]]\ntopic = \"secret/#\"\nsay = \"They hide {value}.\"";
+        let listening = Listening::start(port, refused);
+        broker(&[NOT_AUTHORIZED]);
+        let error = listening.thread.join().unwrap().unwrap_err().to_string();
+        assert!(error.contains("\"secret/#\": NotAuthorized"), "{error}");
+        // Where another filter is granted, that one is heard.
+        let mut listening = Listening::start(port, &format!("{STEPS}\n{refused}"));
+        let answering = std::thread::spawn(move || broker(&[0, NOT_AUTHORIZED]));
+        assert!(listening.next().unwrap().contains("step 1"));
+        assert_eq!(listening.end().1.said, 1);
+        answering.join().unwrap();
+    }
+
+    /// A broker that sends anything: the generator of its kind, by seeds.
+    #[test]
+    fn a_broker_that_sends_anything_is_survived() {
+        let message = |rng: &mut ChaCha8Rng| {
+            let topic = b"home/step";
+            let payload: Vec<u8> = (0..rng.random_range(0..40)).map(|_| rng.random()).collect();
+            let mut packet = vec![0x30 | (rng.random_range(0..16_u8))];
+            packet.push(u8::try_from(2 + topic.len() + 2 + 1 + payload.len()).unwrap());
+            packet.extend([0, u8::try_from(topic.len()).unwrap()]);
+            packet.extend(topic);
+            packet.extend([0, rng.random(), 0]);
+            packet.extend(payload);
+            packet
+        };
+        let seeds: Vec<u64> = (0..64).collect();
+        std::thread::scope(|scope| {
+            for seeds in seeds.chunks(8) {
+                scope.spawn(move || {
+                    for seed in seeds {
+                        let mut rng = ChaCha8Rng::seed_from_u64(*seed);
+                        let mut bytes = Vec::new();
+                        for _ in 0..rng.random_range(1..200) {
+                            bytes.extend(message(&mut rng));
+                        }
+                        for _ in 0..rng.random_range(0..8) {
+                            let at = rng.random_range(0..bytes.len());
+                            bytes[at] = rng.random();
+                        }
+                        let socket = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+                        let mut listening = Listening::start(socket.local_addr().unwrap().port(), STEPS);
+                        let (mut stream, _) = socket.accept().unwrap();
+                        let mut greeting = [0; 256];
+                        let _read = stream.read(&mut greeting).unwrap();
+                        let _gone = stream.write_all(&CONNACK).and_then(|()| stream.write_all(&bytes));
+                        drop(stream);
+                        listening.stop.request();
+                        while listening.next().is_some() {}
+                        let ended = listening.thread.join();
+                        assert!(ended.is_ok_and(|heard| heard.is_ok()), "seed {seed}");
+                    }
+                });
+            }
+        });
     }
 }

@@ -41,7 +41,7 @@ pub fn run(args: &Args) -> CommandResult {
         let code = match error {
             MetricsError::NotLoopback(_) => exit_code::CONFIG,
             MetricsError::Ipc(_) => exit_code::IPC,
-            MetricsError::Listen { .. } | MetricsError::Thread(_) => exit_code::FAILURE,
+            MetricsError::Listen { .. } | MetricsError::Thread(_) | MetricsError::Ended => exit_code::FAILURE,
         };
         Failure::new(code, error)
     })

@@ -95,9 +95,10 @@ pub fn run(args: &Args) -> CommandResult {
         };
         let rules = args.rules.as_deref().unwrap_or(Path::new("rules.toml"));
         let (lines, listener) = narrate_mqtt::listen(&broker, rules, args.person, &stop)?;
-        let outcome = publish(&config, &domain, lines, pace, &stop)?;
-        // On a wish to stop the connection may take its time to close, and nothing is left to be said.
-        if !stop.requested() {
+        // First the broker is left, then what it is told to be done with is published.
+        let patience = narrate_mqtt::patience(&stop)?;
+        let outcome = publish(&config, &domain, lines, pace, &patience)?;
+        if !patience.requested() {
             narrate_mqtt::join(listener)?;
         }
         return report(args, &outcome, &domain);

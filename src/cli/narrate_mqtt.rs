@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use roomcast_services::mqtt::{self, Broker, Heard, MqttError, Rules};
 use roomcast_services::narrator::Input;
@@ -10,8 +11,12 @@ use roomcast_services::stop::Stop;
 use super::{CommandResult, Failure};
 use crate::exit_code;
 
+const TICK: Duration = Duration::from_millis(100);
+/// How long, after a wish to stop, what the broker was told to be done with may take to be published.
+const PATIENCE: Duration = Duration::from_secs(5);
+
 /// Listens to the broker in a thread of its own; its lines come through a pipe, whose small buffer holds it back while the daemon is
-/// behind: what is in it is acknowledged, and goes with this process.
+/// behind: what is in it is acknowledged, and goes with this process if that is killed.
 pub(super) fn listen(broker: &Broker, rules: &Path, person: u32, stop: &Stop) -> Result<(Input, Listener), Failure> {
     let rules = Rules::load(rules).map_err(mqtt_failure)?;
     let options = broker.options().map_err(mqtt_failure)?;
@@ -26,13 +31,30 @@ pub(super) fn listen(broker: &Broker, rules: &Path, person: u32, stop: &Stop) ->
     Ok((Input::Lines { name: broker.address.clone(), stream: Box::new(reader), person }, listener))
 }
 
+/// A wish to stop that follows the given one after [`PATIENCE`].
+pub(super) fn patience(stop: &Stop) -> Result<Stop, Failure> {
+    let (first, last) = (stop.clone(), Stop::new());
+    let own = last.clone();
+    let wait = move || {
+        while !first.requested() {
+            std::thread::sleep(TICK);
+        }
+        std::thread::sleep(PATIENCE);
+        own.request();
+    };
+    let waiting = std::thread::Builder::new().name("patience".to_owned()).spawn(wait);
+    waiting.map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot start a thread: {error}")))?;
+    Ok(last)
+}
+
 pub(super) type Listener = JoinHandle<Result<Heard, MqttError>>;
 
 /// How listening ended, which it does by itself only when the client cannot go on.
 pub(super) fn join(listener: Listener) -> CommandResult {
     let heard = listener.join().map_err(|_| Failure::new(exit_code::FAILURE, "the mqtt thread ended unexpectedly"))?;
     let heard = heard.map_err(mqtt_failure)?;
-    tracing::info!(said = heard.said, unfit = heard.unfit, silent = heard.silent, "left the broker");
+    let Heard { said, unfit, silent, oversized } = heard;
+    tracing::info!(said, unfit, silent, oversized, "left the broker");
     Ok(())
 }
 
@@ -40,7 +62,7 @@ fn mqtt_failure(error: MqttError) -> Failure {
     let code = match error {
         MqttError::Address { .. } | MqttError::Scheme { .. } => exit_code::USAGE,
         MqttError::Read { .. } | MqttError::Rules { .. } | MqttError::Authority { .. } => exit_code::INPUT,
-        MqttError::Client { .. } => exit_code::FAILURE,
+        MqttError::Refused { .. } | MqttError::Client { .. } => exit_code::FAILURE,
     };
     Failure::new(code, error)
 }
