@@ -76,6 +76,7 @@ impl Policy for CoverageAware {
         let _: f64 = rand::RngExt::random(rng);
         let to_do = state.covered.iter().filter(|done| !**done).count();
         let slots = plan.partitions.len();
+        let s = if slots == 1 { "" } else { "s" };
         let now = match (to_do, state.covered[partition]) {
             (0, _) => "all rooms are done: in the room least likely to be shared",
             (_, true) => "waits in a room that is done",
@@ -89,7 +90,7 @@ impl Policy for CoverageAware {
         };
         Ok(Choice {
             partition: partition_id(partition),
-            reason: format!("{now}; first of {slots} slots planned, {shared_s:.0} s of disturbance expected, {end}"),
+            reason: format!("{now}; first of {slots} slot{s} planned, {shared_s:.0} s of disturbance expected, {end}"),
         })
     }
 }
@@ -177,8 +178,12 @@ impl Task<'_> {
             after = before;
         }
         let mut set = sets - 1;
-        // Forecasts change, work done stays done: what costs next to nothing is done now.
-        choices[set] = self.best(0, set, &after, self.tie_s).1 as u32;
+        // Forecasts change, work done stays done: what costs next to nothing is done now, and of equal plans the cheapest now.
+        let (least, choice) = self.best(0, set, &after, self.tie_s);
+        let equal =
+            self.works(0, set, &after).filter(|(value, _)| *value <= least + TIE_S).map(|(_, partition)| partition);
+        let now = equal.min_by(|a, b| self.cost(0, *a).total_cmp(&self.cost(0, *b)));
+        choices[set] = now.unwrap_or(choice) as u32;
         (0..slots)
             .map(|slot| {
                 let partition = choices[slot * sets + set] as usize;
@@ -313,7 +318,7 @@ mod tests {
                 }
             };
             prop_assert!(
-                shared_s[chosen] <= 1e-9 || with_first(chosen) <= with_first(free) + 1e-4,
+                shared_s[chosen] <= 1e-9 || with_first(chosen) < with_first(free),
                 "room {chosen} for {} s, and {free} is free", shared_s[chosen]
             );
         }
