@@ -149,6 +149,8 @@ pub struct Scores {
 pub struct PersonScores<'a> {
     /// Who.
     pub person: u32,
+    /// Narrations that the scores were computed from; the history may have been cut since.
+    pub window: usize,
     /// Per label `ln s_c` in nats, corrected.
     pub label_log_prob_nats: &'a [f64],
     /// Per partition.
@@ -184,6 +186,7 @@ struct Person {
     /// What the model read for these scores, and where in it each sentence ends: the history may have been cut since.
     prompt: String,
     sentence_ends: Vec<usize>,
+    window: usize,
 }
 
 impl Person {
@@ -198,6 +201,7 @@ impl Person {
             due: Due::Scoring,
             prompt: String::new(),
             sentence_ends: Vec::new(),
+            window: 0,
         }
     }
 
@@ -206,6 +210,7 @@ impl Person {
         let trailing_space = options.tokenisation == Tokenisation::Paper;
         let sentences = || history.into_iter().flat_map(History::sentences);
         write_prompt(sentences(), &options.binding, trailing_space, &mut self.prompt);
+        self.window = history.map_or(0, History::len);
         self.sentence_ends.clear();
         if options.binding.uses_narration() {
             let mut end = 0;
@@ -265,6 +270,7 @@ impl Person {
     fn view(&self) -> PersonScores<'_> {
         PersonScores {
             person: self.id,
+            window: self.window,
             label_log_prob_nats: &self.scores.log_prob_nats,
             grounded: &self.grounded,
             reached: self.reached(),
@@ -822,6 +828,7 @@ mod tests {
                     (&own.scores().lower_log_score_nats[..], &own.scores().upper_log_score_nats[..]);
                 let all = PersonScores {
                     person: *person,
+                    window: 0,
                     label_log_prob_nats,
                     grounded,
                     reached: *reached,
