@@ -443,6 +443,13 @@ impl<M: LanguageModel> Pipeline<M> {
         }
     }
 
+    /// The same for one person; 0 for somebody unknown.
+    #[must_use]
+    pub fn prior_nats_of_person(&self, person: u32, label: usize) -> f64 {
+        let own = self.persons.iter().find(|known| known.id == person);
+        own.map_or(0.0, |own| self.prior_nats_of(own, label))
+    }
+
     fn prior_nats_of(&self, person: &Person, label: usize) -> f64 {
         self.prepared.gain_nats().get(label).map_or(0.0, |gain_nats| gain_nats + person.scores.scale_nats)
     }
