@@ -3,6 +3,9 @@
 //!
 //! - every narration that was accepted is in the history, also after a restart, and none is in it twice;
 //! - scores are those of exactly the narration that they contain, and claim no other;
+//! - each person's scores are those that they would have alone, and all together say where somebody is;
+//! - scores and forecasts are of one map, the one that the last good step scored, also when steps fail after a change;
+//! - a restarted daemon believes everybody about where they were;
 //! - no decision rests on scores past their deadline;
 //! - the coverage-aware planner never waits while a room that it has to do is free;
 //! - where the transport is faithful, all that living narrators say is confirmed in the end.
@@ -19,6 +22,7 @@ use std::rc::Rc;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
 use roomcast_core::label_trie::TokenTree;
 use roomcast_core::narration::{HistoryLimits, Observation};
@@ -27,7 +31,9 @@ use roomcast_core::policy::PolicyName;
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::scorer::{DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{ForecastV1, NarrationV1, RoomScoresV1, action, decision_flags, narration_kind, score_flags};
+use roomcast_ipc::{
+    ForecastV1, NarrationV1, RoomScoresV1, action, decision_flags, forecast_flags, narration_kind, score_flags,
+};
 use roomcast_services::config::{IntakeLimits, PlannerConfig};
 use roomcast_services::daemon::{Board, Cycle, Entry, Intake, Recovered, Taken, journal};
 use roomcast_services::narrator::{Account, Item};
@@ -50,6 +56,14 @@ const SCENE: &str = r#"{"format": "roomcast-scene", "version": 1, "name": "two",
   {"id": "1", "label": "pan", "position_m": [0.5, 0.5, 0.5], "box": {"min_m": [0, 0, 0], "max_m": [0.5, 0.5, 0.5]}},
   {"id": "2", "label": "pad", "position_m": [1.5, 0.5, 0.5], "box": {"min_m": [1.5, 0, 0], "max_m": [1.8, 0.5, 0.5]}}]}"#;
 
+/// The same map with a room and a thing more.
+const LARGER_SCENE: &str = r#"{"format": "roomcast-scene", "version": 1, "name": "three", "rooms": [
+  {"id": "a", "label": "a", "box": {"min_m": [0, 0, 0], "max_m": [1, 1, 1]}},
+  {"id": "b", "label": "b", "box": {"min_m": [1, 0, 0], "max_m": [2, 1, 1]}},
+  {"id": "c", "label": "c", "box": {"min_m": [2, 0, 0], "max_m": [3, 1, 1]}}], "items": [
+  {"id": "1", "label": "pan", "position_m": [0.5, 0.5, 0.5], "box": {"min_m": [0, 0, 0], "max_m": [0.5, 0.5, 0.5]}},
+  {"id": "2", "label": "pad", "position_m": [1.5, 0.5, 0.5], "box": {"min_m": [1.5, 0, 0], "max_m": [1.8, 0.5, 0.5]}},
+  {"id": "3", "label": "pen", "position_m": [2.5, 0.5, 0.5], "box": {"min_m": [2.5, 0, 0], "max_m": [2.8, 0.5, 0.5]}}]}"#;
 /// A fault planted into the system, which the invariants must find.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Planted {
@@ -66,6 +80,10 @@ enum Planted {
     NoJournal,
     /// A restarted daemon reads the journal into the history and not into the intake.
     NoDeduplicationAfterRestart,
+    /// A restarted daemon does not know when its narration was observed.
+    NoTimesAfterRestart,
+    /// The transport shows the rooms of a changed map before there are scores of it.
+    MapBeforeScores,
 }
 
 /// A model whose scores depend on every token of the prompt, so that one narration more or less shows. Fails when told to.
@@ -130,6 +148,11 @@ struct Daemon {
     /// How many of the accepted observations the cycle has entered, and the scores contain.
     entered: usize,
     scored: usize,
+    /// Which of the maps is in use, and which one the scores are of.
+    map: usize,
+    scored_map: usize,
+    /// No scores were sent since the start.
+    restarted: bool,
 }
 
 struct Narrator {
@@ -157,7 +180,7 @@ struct World {
     /// Whether the transport is iceoryx2's: in order, nothing lost between living participants.
     faithful: bool,
     persons: u32,
-    map: SemanticMap,
+    maps: [SemanticMap; 2],
     options: PipelineOptions,
     failures: Rc<Cell<u32>>,
     now_ns: u64,
@@ -197,6 +220,9 @@ struct Tally {
     daemon_kills: u64,
     torn: u64,
     damaged: u64,
+    several: u64,
+    map_changes: u64,
+    restored: u64,
 }
 
 type Check = Result<(), String>;
@@ -216,7 +242,7 @@ impl World {
             planted,
             faithful: rng.random_bool(0.5),
             persons,
-            map: SemanticMap::from_json(SCENE).unwrap(),
+            maps: [SCENE, LARGER_SCENE].map(|scene| SemanticMap::from_json(scene).unwrap()),
             options: PipelineOptions { history, ..Default::default() },
             failures: Rc::default(),
             now_ns: 1_000 * MS,
@@ -265,8 +291,8 @@ impl World {
         self.trace.push_back(line);
     }
 
-    fn pipeline(&self, history: HistoryLimits, failures: &Rc<Cell<u32>>) -> Pipeline<WholePrompt> {
-        let grounding = Grounding::new(&self.map, &GROUNDING).unwrap();
+    fn pipeline(&self, map: usize, history: HistoryLimits, failures: &Rc<Cell<u32>>) -> Pipeline<WholePrompt> {
+        let grounding = Grounding::new(&self.maps[map], &GROUNDING).unwrap();
         let options = PipelineOptions { history, ..self.options.clone() };
         Pipeline::new(WholePrompt::new(failures), grounding, options).unwrap()
     }
@@ -283,8 +309,9 @@ impl World {
             780..960 => return self.plan(),
             960..970 => self.now_ns += self.rng.random_range(0..600) * MS,
             970..976 => self.hang(),
-            976..980 => self.failures.set(self.rng.random_range(1..4)),
-            980..988 => return self.kill_daemon(),
+            976..979 => self.failures.set(self.rng.random_range(1..4)),
+            979..981 => self.change_map(),
+            981..988 => return self.kill_daemon(),
             988..992 => self.kill_narrator(),
             992..995 => self.start_planner(),
             _ => return self.start_daemon(),
@@ -301,7 +328,10 @@ impl World {
         let (kind, text) = match self.rng.random_range(0..3) {
             0 => (narration_kind::ACTION, format!("[Grab] <thing_{}> (1)", self.said)),
             1 => (narration_kind::DEVICE, format!("the lamp {} is on", self.said)),
-            _ => (narration_kind::SENTENCE, format!("They do thing {}.", self.said)),
+            _ => {
+                let thing = ["pan", "pad", "pen"][self.rng.random_range(0..3)];
+                (narration_kind::SENTENCE, format!("They do thing {} with the {thing}.", self.said))
+            }
         };
         let person = self.rng.random_range(0..self.persons);
         let item = Item { kind, text, person, duration_s: 0.0 };
@@ -397,6 +427,21 @@ impl World {
         }
     }
 
+    /// The map in use is changed, and the steps after it may fail.
+    fn change_map(&mut self) {
+        if !self.awake() {
+            return;
+        }
+        let failures = self.rng.random_range(0..4);
+        let Some(daemon) = &mut self.daemon else { return };
+        daemon.map = 1 - daemon.map;
+        daemon.cycle.board_mut().change_map(self.maps[daemon.map].clone()).unwrap();
+        daemon.cycle.score_again();
+        self.failures.set(failures);
+        self.tally.map_changes += 1;
+        self.note(|| format!("the map changes; the next {failures} steps fail"));
+    }
+
     /// What the daemon's scoring thread does in one round.
     fn score(&mut self) -> Check {
         if !self.awake() {
@@ -413,6 +458,7 @@ impl World {
             match daemon.cycle.step(now_ns, now_ns) {
                 Ok(()) => {
                     daemon.scored = contained;
+                    daemon.scored_map = daemon.map;
                     self.tally.scored += 1;
                 }
                 Err(error) => {
@@ -429,13 +475,20 @@ impl World {
             }
         }
         let written = if self.planted == Planted::ClaimsBeforeJournal { u64::MAX } else { daemon.written };
-        let message = daemon.cycle.message(now_ns, written, self.rng.random_bool(0.1)).copied();
+        let mut message = daemon.cycle.message(now_ns, written, self.rng.random_bool(0.1)).copied();
+        if self.planted == Planted::MapBeforeScores
+            && let Some(message) = &mut message
+        {
+            message.map_fingerprint = daemon.cycle.board().map().fingerprint;
+        }
         self.tally.held_back += u64::from(message.is_some() && written < daemon.cycle.scored_record());
         if self.rng.random_bool(0.3) {
             daemon.cycle.tidy();
         }
         let Some(message) = message else { return Ok(()) };
         self.check_scores(&message)?;
+        self.check_persons(&message)?;
+        self.check_restored()?;
         self.note(|| format!("daemon sends {} with {} claims", message.sequence, message.source_count));
         if !self.calm && self.rng.random_bool(0.01) {
             // Killed in the middle of a publish: some subscribers have it, some have not.
@@ -488,11 +541,21 @@ impl World {
         } else {
             (contained, self.options.history)
         };
-        let mut oracle = self.pipeline(history, &Rc::default());
+        let fingerprint = self.maps[daemon.scored_map].fingerprint;
+        ensure(message.map_fingerprint == fingerprint, || format!("scores {} of another map", message.sequence))?;
+        let mut oracle = self.pipeline(daemon.scored_map, history, &Rc::default());
         let expected = oracle.step(shown.iter().cloned()).unwrap();
+        let rooms = expected.grounded.partition_log_score_nats.len();
+        ensure(message.rooms().len() == rooms, || format!("scores {} of other rooms", message.sequence))?;
         for (room, expected) in message.rooms().iter().zip(&expected.grounded.partition_log_score_nats) {
             ensure((room.log_score_nats - expected).abs() < 1e-9, || {
-                format!("scores {} are not those of the {} narrations they contain", message.sequence, contained.len())
+                format!(
+                    "scores {} are not those of the {} narrations they contain: {} has {}, which is {expected}",
+                    message.sequence,
+                    contained.len(),
+                    room.id(),
+                    room.log_score_nats
+                )
             })?;
         }
         // Every accepted narration that was entered is in the histories, as far as their windows reach.
@@ -504,6 +567,85 @@ impl World {
                 format!("the history of person {person} lacks accepted narration")
             })?;
         }
+        Ok(())
+    }
+
+    /// Each person's scores are those that they would have alone.
+    fn check_persons(&mut self, message: &RoomScoresV1) -> Check {
+        let (now_ns, history) = (self.now_ns, HistoryLimits { observations: 1000, ..self.options.history });
+        let Some(daemon) = &mut self.daemon else { return Ok(()) };
+        let told = *daemon.cycle.board_mut().persons(now_ns);
+        let forecast = *daemon.cycle.board_mut().forecast(now_ns);
+        let (map, scored) = (daemon.scored_map, daemon.scored);
+        ensure((told.epoch, told.sequence) == (message.epoch, message.sequence), || {
+            "persons of other scores".to_owned()
+        })?;
+        ensure(forecast.room_count == message.room_count, || "a forecast of other rooms".to_owned())?;
+        let contained = &self.accepted[..scored];
+        let mut nobody = vec![1.0; message.rooms().len()];
+        for person in told.persons() {
+            let own: Vec<_> = contained.iter().filter(|o| o.person == person.person).collect();
+            let window = usize::try_from(person.window).unwrap_or(usize::MAX).min(own.len());
+            let mut oracle = self.pipeline(map, history, &Rc::default());
+            let alone = oracle.step(own[own.len() - window..].iter().copied().cloned()).unwrap();
+            for ((told, alone), nobody) in
+                person.probability.iter().zip(&alone.grounded.partition_probability).zip(&mut nobody)
+            {
+                ensure((told - alone).abs() < 1e-9, || {
+                    format!("scores {}: person {} has {told}, alone {alone}", message.sequence, person.person)
+                })?;
+                *nobody *= 1.0 - told;
+            }
+        }
+        if !told.persons().is_empty() {
+            for (room, nobody) in message.rooms().iter().zip(nobody) {
+                ensure((room.probability - (1.0 - nobody)).abs() < 1e-12, || {
+                    format!("scores {}: somebody is in {} with {}", message.sequence, room.id(), room.probability)
+                })?;
+            }
+        }
+        self.tally.several += u64::from(told.persons().len() > 1);
+        Ok(())
+    }
+
+    /// A restarted daemon's first forecast is that of all the narration that its scores contain, with its times.
+    fn check_restored(&mut self) -> Check {
+        let now_ns = self.now_ns;
+        let Some(daemon) = &mut self.daemon else { return Ok(()) };
+        // Where the map was changed meanwhile, the histories alone are understood by it.
+        if !std::mem::take(&mut daemon.restarted) || daemon.scored_map != 0 {
+            return Ok(());
+        }
+        let contained = &self.accepted[..daemon.scored];
+        let forecast = *daemon.cycle.board_mut().forecast(now_ns);
+        ensure(forecast.has(forecast_flags::NOT_KNOWN) == contained.is_empty(), || {
+            format!("the first forecast after a start has the flags {}", forecast.flags)
+        })?;
+        if contained.is_empty() {
+            return Ok(());
+        }
+        let grounding = Grounding::new(&self.maps[0], &GROUNDING).unwrap();
+        let mut mentions = Mentions::new(&self.maps[0], &grounding);
+        let rooms = grounding.partitions.len();
+        let mut nobody = vec![1.0; rooms];
+        for person in daemon.cycle.board_mut().persons(now_ns).persons() {
+            let own: Vec<_> = contained.iter().filter(|o| o.person == person.person).collect();
+            let at_s = |o: &Observation| o.observed_ns as f64 / 1e9;
+            let mut forecaster = Forecaster::new(rooms, ForecastOptions::default(), at_s(own[0]));
+            for observation in own {
+                let mention = mentions.last(observation.sentence.as_str());
+                forecaster.observe(at_s(observation), mention, &grounding, &[]);
+            }
+            forecaster.expect(&person.probability[..rooms]);
+            let at = forecaster.at(now_ns as f64 / 1e9, 0.0);
+            nobody.iter_mut().zip(at).for_each(|(nobody, p)| *nobody *= 1.0 - p);
+        }
+        for (own, nobody) in forecast.probability.iter().zip(nobody) {
+            ensure((f64::from(own[0]) - (1.0 - nobody)).abs() < 1e-5, || {
+                format!("after a restart a room is occupied with {}, by the narration with {}", own[0], 1.0 - nobody)
+            })?;
+        }
+        self.tally.restored += 1;
         Ok(())
     }
 
@@ -570,8 +712,8 @@ impl World {
         if self.daemon.is_some() {
             return Ok(());
         }
-        let pipeline = self.pipeline(self.options.history, &self.failures);
-        let board = Board::new(pipeline, self.map.clone(), GROUNDING, self.epoch()).unwrap();
+        let pipeline = self.pipeline(0, self.options.history, &self.failures);
+        let board = Board::new(pipeline, self.maps[0].clone(), GROUNDING, self.epoch()).unwrap();
         let mut cycle = Cycle::new(board, HEARTBEAT_NS);
         let mut intake = Intake::new(IntakeLimits::default());
         let mut recovered = Recovered::default();
@@ -584,10 +726,25 @@ impl World {
         let (entered, scored) = (self.accepted.len(), self.accepted.len());
         let mut forgetful = Intake::new(IntakeLimits::default());
         let known = if self.planted == Planted::NoDeduplicationAfterRestart { &mut forgetful } else { &mut intake };
+        if self.planted == Planted::NoTimesAfterRestart {
+            (recovered.observations.iter_mut()).for_each(|o| (o.observed_ns, o.observed_unix_ns) = (0, 0));
+        }
         cycle.restore(recovered.observations, known, self.now_ns, self.now_ns);
         let (queue, records) = Default::default();
-        let daemon = Daemon { intake, cycle, queue, records, appended: 0, written: 0, hung_ns: 0, entered, scored };
-        self.daemon = Some(daemon);
+        self.daemon = Some(Daemon {
+            intake,
+            cycle,
+            queue,
+            records,
+            appended: 0,
+            written: 0,
+            hung_ns: 0,
+            entered,
+            scored,
+            map: 0,
+            scored_map: 0,
+            restarted: true,
+        });
         for narrator in &mut self.narrators {
             narrator.wire = narrator.history.clone();
         }
@@ -790,6 +947,9 @@ fn no_seed_violates_an_invariant() {
                 total.daemon_kills += tally.daemon_kills;
                 total.torn += tally.torn;
                 total.damaged += tally.damaged;
+                total.several += tally.several;
+                total.map_changes += tally.map_changes;
+                total.restored += tally.restored;
             }
             Err(what) => {
                 println!("{}", what.lines().next().unwrap_or_default());
@@ -812,6 +972,7 @@ fn no_seed_violates_an_invariant() {
         ] {
             assert!(reached > 0, "{total:?}");
         }
+        assert!(total.several > 0 && total.map_changes > 0 && total.restored > 0, "{total:?}");
         assert!(total.torn > 0 && total.damaged > 0 && total.daemon_kills > 0, "{total:?}");
     }
 }
@@ -825,6 +986,8 @@ fn planted_faults_are_found() {
         (Planted::ClaimsBeforeJournal, "did not survive the daemon"),
         (Planted::NoJournal, "missing from the history"),
         (Planted::NoDeduplicationAfterRestart, "taken twice"),
+        (Planted::NoTimesAfterRestart, "after a"),
+        (Planted::MapBeforeScores, "of another map"),
     ] {
         let found = (0..500).into_par_iter().filter_map(|seed| play(seed, planted).err()).collect::<Vec<_>>();
         let as_expected = found.iter().filter(|what| what.lines().next().unwrap_or("").contains(violation)).count();

@@ -149,6 +149,8 @@ pub struct Scores {
 pub struct PersonScores<'a> {
     /// Who.
     pub person: u32,
+    /// Narrations that the scores were computed from; the history may have been cut since.
+    pub window: usize,
     /// Per label `ln s_c` in nats, corrected.
     pub label_log_prob_nats: &'a [f64],
     /// Per partition.
@@ -184,6 +186,7 @@ struct Person {
     /// What the model read for these scores, and where in it each sentence ends: the history may have been cut since.
     prompt: String,
     sentence_ends: Vec<usize>,
+    window: usize,
 }
 
 impl Person {
@@ -198,6 +201,7 @@ impl Person {
             due: Due::Scoring,
             prompt: String::new(),
             sentence_ends: Vec::new(),
+            window: 0,
         }
     }
 
@@ -206,6 +210,7 @@ impl Person {
         let trailing_space = options.tokenisation == Tokenisation::Paper;
         let sentences = || history.into_iter().flat_map(History::sentences);
         write_prompt(sentences(), &options.binding, trailing_space, &mut self.prompt);
+        self.window = history.map_or(0, History::len);
         self.sentence_ends.clear();
         if options.binding.uses_narration() {
             let mut end = 0;
@@ -265,6 +270,7 @@ impl Person {
     fn view(&self) -> PersonScores<'_> {
         PersonScores {
             person: self.id,
+            window: self.window,
             label_log_prob_nats: &self.scores.log_prob_nats,
             grounded: &self.grounded,
             reached: self.reached(),
@@ -435,6 +441,13 @@ impl<M: LanguageModel> Pipeline<M> {
             [person] => self.prior_nats_of(person, label),
             _ => 0.0,
         }
+    }
+
+    /// The same for one person; 0 for somebody unknown.
+    #[must_use]
+    pub fn prior_nats_of_person(&self, person: u32, label: usize) -> f64 {
+        let own = self.persons.iter().find(|known| known.id == person);
+        own.map_or(0.0, |own| self.prior_nats_of(own, label))
     }
 
     fn prior_nats_of(&self, person: &Person, label: usize) -> f64 {
@@ -822,6 +835,7 @@ mod tests {
                     (&own.scores().lower_log_score_nats[..], &own.scores().upper_log_score_nats[..]);
                 let all = PersonScores {
                     person: *person,
+                    window: 0,
                     label_log_prob_nats,
                     grounded,
                     reached: *reached,

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use roomcast_core::explanation::{self, Evidence, Explanation, TokenReason};
 use roomcast_core::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions};
-use roomcast_core::pipeline::Pipeline;
+use roomcast_core::pipeline::{PersonScores, Pipeline};
 use roomcast_core::prompt::{BindingError, BindingSequence};
 use roomcast_core::scorer::correction::Correction;
 use roomcast_core::scorer::{LanguageModel, Tokenisation};
@@ -33,6 +33,14 @@ pub enum MomentError {
     /// Its scores are not those of its map.
     #[error("the moment's scores do not fit its map")]
     Grounding(#[from] GroundingError),
+    /// Nobody of that number.
+    #[error("the moment knows nothing of person {person}; it knows {known:?}")]
+    NoPerson {
+        /// Who was asked for.
+        person: u32,
+        /// Who is known.
+        known: Vec<u32>,
+    },
     /// A label of the map has no score.
     #[error(
         "the moment has no score for the label {0:?} of its map; its scoring failed, ask again after the next event"
@@ -75,6 +83,15 @@ pub struct LabelScore {
     pub prior_nats: f64,
 }
 
+/// What the model said about the labels for one person.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PersonLabels {
+    /// Who.
+    pub person: u32,
+    /// Their scores: those that they would have alone.
+    pub labels: Vec<LabelScore>,
+}
+
 /// All that is behind the scores of one moment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Moment {
@@ -108,8 +125,11 @@ pub struct Moment {
     pub narration: Vec<ReadSentence>,
     /// Per source the newest narration in it.
     pub included: Vec<IncludedSource>,
-    /// What it said.
+    /// What it said: of one person. Of several, what it comes to for all together, everybody counting the same.
     pub labels: Vec<LabelScore>,
+    /// Of several persons, what it said for each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub persons: Vec<PersonLabels>,
     /// The map, as its scene file.
     pub scene: serde_json::Value,
 }
@@ -152,6 +172,19 @@ impl Moment {
                 prior_nats: pipeline.prior_nats(index),
             }
         });
+        let own_labels = |own: PersonScores<'_>| PersonLabels {
+            person: own.person,
+            labels: (texts.iter().zip(own.label_log_prob_nats).enumerate())
+                .map(|(index, (text, &log_prob_nats))| LabelScore {
+                    label: (*text).to_owned(),
+                    log_prob_nats: log_prob_nats.is_finite().then_some(log_prob_nats),
+                    tokens: Vec::new(),
+                    prior_nats: pipeline.prior_nats_of_person(own.person, index),
+                })
+                .collect(),
+        };
+        let several = pipeline.persons().count() > 1;
+        let persons = pipeline.persons().filter(|_| several).map(own_labels).collect();
         let narration = pipeline.read_sentences();
         Self {
             version: VERSION,
@@ -175,6 +208,7 @@ impl Moment {
                 })
                 .collect(),
             labels: labels.collect(),
+            persons,
             scene: serde_json::from_str(&map.to_json()).unwrap_or_default(),
         }
     }
@@ -186,6 +220,30 @@ impl Moment {
     pub fn from_json(text: &str) -> Result<Self, MomentError> {
         let moment: Self = serde_json::from_str(text)?;
         if moment.version == VERSION { Ok(moment) } else { Err(MomentError::Version(moment.version)) }
+    }
+
+    /// Whom the narration is of, in the order of their numbers.
+    #[must_use]
+    pub fn person_numbers(&self) -> Vec<u32> {
+        let mut persons: Vec<u32> = self.narration.iter().map(|sentence| sentence.person).collect();
+        persons.sort_unstable();
+        persons.dedup();
+        persons
+    }
+
+    /// The moment as it is for one person alone.
+    ///
+    /// # Errors
+    /// When nothing of them is known.
+    pub fn of_person(&self, person: u32) -> Result<Self, MomentError> {
+        let known = self.person_numbers();
+        let labels = match self.persons.iter().find(|own| own.person == person) {
+            Some(own) => own.labels.clone(),
+            None if self.persons.is_empty() && known == [person] => self.labels.clone(),
+            None => return Err(MomentError::NoPerson { person, known }),
+        };
+        let narration = self.narration.iter().filter(|sentence| sentence.person == person).cloned().collect();
+        Ok(Self { labels, narration, persons: Vec::new(), ..self.clone() })
     }
 
     /// The binding sequence.
@@ -232,5 +290,49 @@ impl Moment {
         });
         let item_log_score_nats = grounding.item_log_score_nats(&label_log_prob_nats).collect();
         Ok(Explained { explanation, map, grounding, scores, item_log_score_nats })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_core::narration::{Observation, Sentence};
+    use roomcast_core::pipeline::PipelineOptions;
+    use roomcast_core::scorer::table::TableModel;
+
+    use super::*;
+
+    /// Of several persons each can be explained, by the scores that they have alone.
+    #[test]
+    fn each_persons_scores_can_be_explained() {
+        let map = SemanticMap::from_json(include_str!("../../tests/data/two_rooms.json")).unwrap();
+        let options = GroundingOptions::default();
+        let pipeline = || {
+            let grounding = Grounding::new(&map, &options).unwrap();
+            Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap()
+        };
+        let said = |person: u32, sentence: &str| Observation {
+            person,
+            ..Observation::of(u64::from(person) + 1, Sentence::new(sentence).unwrap())
+        };
+        let observations = [said(0, "They grab the mug."), said(4, "They sit on the sofa.")];
+        let mut both = pipeline();
+        both.step(observations.clone()).unwrap();
+        let moment = Moment::of(&both, &map, &options, None);
+        let moment = Moment::from_json(&serde_json::to_string(&moment).unwrap()).unwrap();
+        assert_eq!(moment.person_numbers(), [0, 4]);
+        moment.explain(3).unwrap();
+        for observation in observations {
+            let person = observation.person;
+            let mut alone = pipeline();
+            alone.step([observation.clone()]).unwrap();
+            let explained = moment.of_person(person).unwrap().explain(3).unwrap();
+            assert_eq!(explained.scores.partition_probability, alone.scores().grounded.partition_probability);
+            assert_eq!(explained.explanation.narration, [observation.sentence.as_str()]);
+            let own = Moment::of(&alone, &map, &options, None);
+            assert!(own.persons.is_empty());
+            assert_eq!(own.of_person(person).unwrap(), own);
+        }
+        let unknown = moment.of_person(3).unwrap_err().to_string();
+        assert_eq!(unknown, "the moment knows nothing of person 3; it knows [0, 4]");
     }
 }

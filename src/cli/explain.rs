@@ -57,6 +57,9 @@ pub struct Args {
     /// The scores' sequence number.
     #[arg(long, value_name = "N", requires = "recording", conflicts_with = "live", conflicts_with_all = OF_A_NARRATION)]
     sequence: Option<u64>,
+    /// Explain the scores of this person alone. Without it, those of each person, one after the other.
+    #[arg(long, value_name = "N")]
+    person: Option<u32>,
     /// Also draw the plan with the heat of every room and item; the ending, `.svg` or `.png`, decides the format.
     #[arg(long, value_name = "FILE")]
     plan: Option<PathBuf>,
@@ -90,15 +93,36 @@ pub fn run(args: &Args) -> CommandResult {
         let (pipeline, map) = score::scored(&args.score)?;
         (Moment::of(&pipeline, &map, &args.score.grounding(), None), None)
     };
-    let explained = moment.explain(args.score.top()).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    let failed = |error| Failure::new(exit_code::FAILURE, error);
+    let unknown = |error| Failure::new(exit_code::INPUT, error);
+    let moment = args.person.map_or_else(|| Ok(moment.clone()), |person| moment.of_person(person)).map_err(unknown)?;
+    let explained = moment.explain(args.score.top()).map_err(failed)?;
     if let Some(path) = &args.plan {
         draw_plan(&explained, path)?;
     }
+    // Of several persons each has a chain of their own; what all come to together is the sum of no labels.
+    let persons = moment.persons.iter().map(|own| {
+        let explained = moment.of_person(own.person).and_then(|alone| alone.explain(args.score.top()));
+        explained.map(|explained| (own.person, explained.explanation))
+    });
+    let persons: Vec<_> = persons.collect::<Result<_, _>>().map_err(failed)?;
     if args.score.json() {
-        return super::print_json(&explained.explanation);
+        let mut value =
+            serde_json::to_value(&explained.explanation).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+        if !persons.is_empty() {
+            let person = |(person, explanation)| serde_json::json!({"person": person, "explanation": explanation});
+            value["persons"] = persons.iter().map(|(a, b)| person((a, b))).collect();
+        }
+        return super::print_json(&value);
     }
-    let note = note.map_or_else(String::new, |note| format!("{note}\n\n"));
-    super::print(&format!("{note}{}", explained.explanation))
+    let mut text = note.map_or_else(String::new, |note| format!("{note}\n\n"));
+    if persons.is_empty() {
+        let _ = write!(text, "{}", explained.explanation);
+    }
+    for (person, explanation) in &persons {
+        let _ = write!(text, "Person {person}\n\n{explanation}\n");
+    }
+    super::print(&text)
 }
 
 fn draw_plan(explained: &Explained, path: &Path) -> CommandResult {

@@ -458,14 +458,13 @@ impl<M: LanguageModel> Board<M> {
         snapshot.trie_ns = scores.timing.trie_ns;
         snapshot.ground_ns = scores.timing.ground_ns;
 
-        let (mut persons, mut window, mut last) = (0, 0, ALL_PERSONS);
-        for (person, history) in self.pipeline.histories().iter() {
+        let (mut persons, mut last) = (0, ALL_PERSONS);
+        for (person, _) in self.pipeline.histories().iter() {
             persons += 1;
-            window += history.len() as u64;
             last = person;
         }
         snapshot.persons = persons;
-        snapshot.window = window;
+        snapshot.window = self.pipeline.persons().map(|own| own.window as u64).sum();
         snapshot.person = if persons == 1 { last } else { ALL_PERSONS };
 
         self.newest_sources.clear();
@@ -515,7 +514,7 @@ impl<M: LanguageModel> Board<M> {
         for &((observed_ns, _), person) in &self.newest_persons {
             let (Some(own), Some(place)) = (self.pipeline.person(person), places.next()) else { continue };
             count += 1;
-            let window = self.pipeline.histories().get(person).map_or(0, |history| history.len() as u64);
+            let window = own.window as u64;
             let label_mass = own.grounded.label_mass;
             let reached = reached_value(own.reached);
             (place.person, place.reached, place.observed_ns) = (person, reached, observed_ns);
