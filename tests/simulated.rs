@@ -479,7 +479,7 @@ impl World {
         if self.planted == Planted::MapBeforeScores
             && let Some(message) = &mut message
         {
-            message.map_fingerprint = daemon.cycle.board().map().fingerprint;
+            message.map_fingerprint = daemon.cycle.board().map().fingerprint();
         }
         self.tally.held_back += u64::from(message.is_some() && written < daemon.cycle.scored_record());
         if self.rng.random_bool(0.3) {
@@ -541,7 +541,7 @@ impl World {
         } else {
             (contained, self.options.history)
         };
-        let fingerprint = self.maps[daemon.scored_map].fingerprint;
+        let fingerprint = self.maps[daemon.scored_map].fingerprint();
         ensure(message.map_fingerprint == fingerprint, || format!("scores {} of another map", message.sequence))?;
         let mut oracle = self.pipeline(daemon.scored_map, history, &Rc::default());
         let expected = oracle.step(shown.iter().cloned()).unwrap();
@@ -626,7 +626,7 @@ impl World {
         }
         let grounding = Grounding::new(&self.maps[0], &GROUNDING).unwrap();
         let mut mentions = Mentions::new(&self.maps[0], &grounding);
-        let rooms = grounding.partitions.len();
+        let rooms = grounding.partitions().len();
         let mut nobody = vec![1.0; rooms];
         for person in daemon.cycle.board_mut().persons(now_ns).persons() {
             let own: Vec<_> = contained.iter().filter(|o| o.person == person.person).collect();

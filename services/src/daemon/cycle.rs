@@ -155,7 +155,7 @@ impl<M: LanguageModel> Cycle<M> {
     }
 
     /// Makes a step due at once: the map has changed.
-    pub(crate) fn score_again(&mut self) {
+    pub fn score_again(&mut self) {
         (self.due, self.retry_ns) = (true, 0);
     }
 
