@@ -105,7 +105,7 @@ fn image<M: ByteImage + Layout>(bytes: &[u8]) -> M {
 /// Any bytes in shared memory may be looked at; those that pass the check are used without harm.
 pub fn message(bytes: &[u8]) {
     let Some((kind, bytes)) = bytes.split_first() else { return };
-    match kind % 4 {
+    match kind % 5 {
         0 => {
             let message: NarrationV1 = image(bytes);
             let mut intake = Intake::new(IntakeLimits::default());
@@ -143,7 +143,7 @@ pub fn message(bytes: &[u8]) {
                 assert!(!decision.reason().contains(char::is_control));
             }
         }
-        3 => {
+        4 => {
             let scores: PersonScoresV1 = image(bytes);
             // Reading what was not checked is safe too.
             assert!(scores.rooms().len() <= 64 && scores.persons().len() <= 8);

@@ -14,7 +14,7 @@ use roomcast_ipc::{
 };
 
 use crate::bar::bar;
-use roomcast_core::narration::Observed;
+use roomcast_services::message_text::sentence_of;
 
 /// Points of a room's line over time that are kept; the widest terminal shows them all.
 const HISTORY_POINTS: usize = 512;
@@ -79,8 +79,8 @@ impl View {
             self.narration.pop_front();
         }
         // As the model reads it; what is no observation is shown as it came.
-        let sentence = Observed::parse(narration.text()).ok().and_then(|observed| observed.sentence().ok());
-        let text = sentence.map_or_else(|| narration.text().to_owned(), |sentence| sentence.as_str().to_owned());
+        let sentence = sentence_of(narration.kind, narration.text());
+        let text = sentence.map_or_else(|_| narration.text().to_owned(), |sentence| sentence.as_str().to_owned());
         self.narration.push_back((narration.source_name().to_owned(), text));
     }
 
@@ -359,7 +359,7 @@ mod tests {
     use super::*;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
-    use roomcast_ipc::{ItemScoreV1, ItemScoresHeaderV1, text};
+    use roomcast_ipc::{ItemScoreV1, ItemScoresHeaderV1, narration_kind, text};
 
     fn scores(sequence: u64, probabilities: &[(&str, f64)]) -> RoomScoresV1 {
         let mut scores = RoomScoresV1 {
@@ -446,6 +446,23 @@ mod tests {
             ] {
                 assert!(text.contains(part), "{width} x {height} lacks {part:?}:\n{text}");
             }
+        }
+    }
+
+    /// The kind decides how a text is read, as in the daemon.
+    #[test]
+    fn narration_is_shown_as_the_model_reads_it() {
+        for (kind, text) in [
+            (narration_kind::ACTION, "[Grab] <mug> (1)"),
+            (narration_kind::ACTION, "[SwitchOn] <coffee_maker> (1)"),
+            (narration_kind::DEVICE, "the oven is on"),
+            (narration_kind::DEVICE, "oven on"),
+            (narration_kind::SENTENCE, "[Grab] <mug> (1)"),
+            (narration_kind::SENTENCE, "the oven is on"),
+        ] {
+            let mut view = View::default();
+            view.narration(&NarrationV1::new(kind, text).unwrap());
+            assert_eq!(view.narration[0].1, sentence_of(kind, text).unwrap().as_str(), "{kind} {text}");
         }
     }
 

@@ -13,7 +13,7 @@ use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use roomcast_core::narration::{Observation, Sentence};
-use roomcast_ipc::{ByteImage, NarrationV1, RoomScoresV1, text};
+use roomcast_ipc::{ByteImage, NarrationV1, PersonScoresV1, RoomScoresV1, text};
 use roomcast_services::daemon::journal;
 use roomcast_services::embedded;
 
@@ -47,7 +47,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         "program" => seeds.extend(embedded::PROGRAMS.iter().map(|program| program.text.as_bytes().to_vec())),
         "scene" => seeds.push(embedded::SCENES[0].text.as_bytes().to_vec()),
         "journal" => seeds.push((1..6).flat_map(|number| journal::encode(&observation(number), &[7; 16])).collect()),
-        "message" => seeds.extend([narration(), scores()]),
+        "message" => seeds.extend([narration(), scores(), persons()]),
         _ => {}
     }
     seeds
@@ -78,6 +78,14 @@ fn scores() -> Vec<u8> {
         room.probability = probability;
     }
     [vec![1], scores.to_bytes()].concat()
+}
+
+fn persons() -> Vec<u8> {
+    let mut scores =
+        PersonScoresV1 { epoch: 3, sequence: 1, room_count: 1, persons: 1, person_count: 1, ..Default::default() };
+    scores.id[0] = text::encode("room id", "kitchen").unwrap();
+    scores.person[0].probability[0] = 1.0;
+    [vec![4], scores.to_bytes()].concat()
 }
 
 /// Some changes of the kinds that find faults in parsers.

@@ -56,7 +56,8 @@
 // There are more sources than places: included names the most recent ones.
 #define ROOMCAST_SCORE_FLAGS_SOURCES_CUT (1 << 4)
 
-// The last scoring attempt failed; these are the last good scores.
+// The last scoring attempt failed; these are the last good scores, sent again at once, with the narration and of the map that
+// they are of. A later attempt scores what this one could not.
 #define ROOMCAST_SCORE_FLAGS_SCORER_FAILED (1 << 5)
 
 // Most persons in one message; the longest silent ones are left out, and PersonScoresV1::persons says how many there are.
@@ -205,7 +206,8 @@ typedef struct RoomcastRoomScoresV1 {
   // When the newest contained narration was observed: monotonic nanoseconds, 0 for none.
   // (Offset 40.)
   uint64_t observed_ns;
-  // When the daemon received it: monotonic nanoseconds, 0 for none.
+  // When the daemon received the first narration that these scores contain and those before them did not; where they contain
+  // nothing new, the last such time. Monotonic nanoseconds, 0 for none.
   // (Offset 48.)
   uint64_t received_ns;
   // SHA-256 of the model file.
@@ -220,7 +222,7 @@ typedef struct RoomcastRoomScoresV1 {
   // Narrations in the window that the scores were computed from.
   // (Offset 128.)
   uint64_t window;
-  // Time from receipt to the start of the step, in nanoseconds.
+  // Time from received_ns to the start of the step, in nanoseconds; 0 where the scores contain nothing new.
   // (Offset 136.)
   uint64_t wait_ns;
   // Step's time: tokenising.
@@ -377,7 +379,7 @@ typedef struct RoomcastItemScoreV1 {
   // Index of its room in RoomScoresV1::rooms, or NO_PARTITION.
   // (Offset 104.)
   uint32_t partition;
-  // Items of the map with this label, n_l.
+  // Items of the map with this label. Captions and rooms of that name count in n_l too, and not here.
   // (Offset 108.)
   uint32_t label_items;
 } RoomcastItemScoreV1;
@@ -592,7 +594,7 @@ typedef struct RoomcastStatusResponseV1 {
   // The model's name.
   // (Offset 336.)
   uint8_t model[ROOMCAST_NAME_BYTES];
-  // Journal: bytes on disk.
+  // Journal: bytes on disk, of both its files.
   // (Offset 384.)
   uint64_t journal_bytes;
   // Journal: failed writes.

@@ -32,6 +32,8 @@ pub struct ForecastOptions {
     pub object_s: f64,
     /// Mean stay in a room, in seconds.
     pub stay_s: f64,
+    /// Shortest time that something takes, in seconds: what a camera tells at one instant was done one after the other.
+    pub action_s: f64,
     /// How many watched intervals the two means are worth.
     pub strength: f64,
     /// Probability that an observation was made in a room where the map has nothing of what it mentions.
@@ -40,7 +42,7 @@ pub struct ForecastOptions {
 
 impl Default for ForecastOptions {
     fn default() -> Self {
-        Self { object_s: 40.0, stay_s: 120.0, strength: 3.0, misplaced: 0.02 }
+        Self { object_s: 40.0, stay_s: 120.0, action_s: 2.0, strength: 3.0, misplaced: 0.02 }
     }
 }
 
@@ -125,7 +127,8 @@ impl Forecaster {
         }
         let mut predicted = std::mem::take(&mut self.predicted);
         predicted.clear();
-        predicted.extend(self.at(at_s, 0.0));
+        // At one instant nobody would have moved, and what was told last would count for little.
+        predicted.extend(self.at(at_s.max(self.updated_s + self.options.action_s), 0.0));
         let mentioned =
             mention.filter(|label| *label < grounding.weights.nrows() && grounding.weights.ncols() == rooms);
         if let Some(label) = mentioned {
@@ -140,14 +143,14 @@ impl Forecaster {
                 std::mem::swap(&mut self.belief, &mut predicted);
             }
             if self.object != mentioned {
-                self.to_object.add(at_s - self.object_since_s);
+                self.to_object.add((at_s - self.object_since_s).max(self.options.action_s));
                 self.object_since_s = at_s;
                 self.object = mentioned;
             }
         }
         self.predicted = predicted;
         if likeliest(&self.belief) != before {
-            self.stay.add(at_s - self.room_since_s);
+            self.stay.add((at_s - self.room_since_s).max(self.options.action_s));
             self.room_since_s = at_s;
         }
         self.updated_s = at_s;
@@ -295,6 +298,26 @@ mod tests {
         assert!(at(1e5).iter().all(|p| (0.1..0.8).contains(p)), "{:?}", at(1e5));
         let spent = forecaster.expected_s(10.0, 20.0, 60.0);
         assert!((spent.iter().sum::<f64>() - 40.0).abs() < 1e-9);
+    }
+
+    /// Sentences of one instant are sentences one after the other: the last one says where the person is.
+    #[test]
+    fn what_is_told_at_once_was_done_one_after_the_other() {
+        let (map, grounding) = studio();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let room = |id: &str| grounding.partitions.iter().position(|p| p.id == id).unwrap();
+        let told = ["They open the fridge.", "They grab the milk.", "They walk to the sofa.", "They sit on the sofa."];
+        let mut after = |apart_s: f64| {
+            let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
+            let mut at_s = 10.0;
+            for sentence in told {
+                forecaster.observe(at_s, mentions.last(sentence), &grounding, &[1.0 / 3.0; 3]);
+                at_s += apart_s;
+            }
+            forecaster.belief()[room("main-room")]
+        };
+        let (burst, apart) = (after(0.0), after(3.0));
+        assert!(burst > 0.8 && apart > 0.8, "{burst} at one instant, {apart} with 3 s between them");
     }
 
     #[test]

@@ -35,7 +35,7 @@ layout! {
         96 => log_score_nats: f64,
         /// Index of its room in [`crate::RoomScoresV1::rooms`], or [`NO_PARTITION`].
         104 => partition: u32,
-        /// Items of the map with this label, n_l.
+        /// Items of the map with this label. Captions and rooms of that name count in n_l too, and not here.
         108 => label_items: u32,
     }
 }

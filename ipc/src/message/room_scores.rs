@@ -34,7 +34,8 @@ pub mod score_flags {
     pub const GAP: u32 = 1 << 3;
     /// There are more sources than places: `included` names the most recent ones.
     pub const SOURCES_CUT: u32 = 1 << 4;
-    /// The last scoring attempt failed; these are the last good scores.
+    /// The last scoring attempt failed; these are the last good scores, sent again at once, with the narration and of the map that
+    /// they are of. A later attempt scores what this one could not.
     pub const SCORER_FAILED: u32 = 1 << 5;
 }
 
@@ -92,7 +93,8 @@ layout! {
         32 => published_ns: u64,
         /// When the newest contained narration was observed: monotonic nanoseconds, 0 for none.
         40 => observed_ns: u64,
-        /// When the daemon received it: monotonic nanoseconds, 0 for none.
+        /// When the daemon received the first narration that these scores contain and those before them did not; where they contain
+        /// nothing new, the last such time. Monotonic nanoseconds, 0 for none.
         48 => received_ns: u64,
         /// SHA-256 of the model file.
         56 => model_fingerprint: [u8; 32],
@@ -102,7 +104,7 @@ layout! {
         120 => label_mass: f64,
         /// Narrations in the window that the scores were computed from.
         128 => window: u64,
-        /// Time from receipt to the start of the step, in nanoseconds.
+        /// Time from `received_ns` to the start of the step, in nanoseconds; 0 where the scores contain nothing new.
         136 => wait_ns: u64,
         /// Step's time: tokenising.
         144 => tokenise_ns: u64,

@@ -76,7 +76,7 @@ layout! {
         288 => map: [u8; NAME_BYTES],
         /// The model's name.
         336 => model: [u8; NAME_BYTES],
-        /// Journal: bytes on disk.
+        /// Journal: bytes on disk, of both its files.
         384 => journal_bytes: u64,
         /// Journal: failed writes.
         392 => journal_failures: u64,

@@ -2,7 +2,7 @@
 //! journal's progress come in as numbers and messages go out as values, so that the daemon's threads and the simulation of faults
 //! (`tests/simulated.rs`) drive the same code.
 
-use roomcast_ipc::{IncludedV1, MAX_SOURCES, RoomScoresV1};
+use roomcast_ipc::{IncludedV1, MAX_SOURCES, RoomScoresV1, score_flags};
 
 use super::{Board, Entry, Intake};
 use roomcast_core::narration::Observation;
@@ -94,9 +94,14 @@ impl<M: LanguageModel> Cycle<M> {
     ///
     /// When the model fails. The observations are in the histories all the same, and a later step scores them.
     pub fn step(&mut self, now_ns: u64, now_unix_ns: u64) -> Result<(), PipelineError> {
+        let failed_before = self.board.snapshot().has(score_flags::SCORER_FAILED);
         match self.board.step(self.waiting.drain(..), now_ns, now_unix_ns) {
             Ok(received_ns) => self.received_ns = received_ns,
             Err(error) => {
+                if !failed_before {
+                    // Planners learn it at once, not with the next heartbeat.
+                    self.sent_ns = 0;
+                }
                 self.due = true;
                 self.retry_ns = now_ns.saturating_add(RETRY_NS);
                 return Err(error);

@@ -118,8 +118,12 @@ impl Journal {
         }
         let boot_id = boot_id();
         let mut recovered = Recovered::default();
+        let mut older_length = 0;
         match fs::read(&older) {
-            Ok(bytes) => read_records(&bytes, &boot_id, &mut recovered),
+            Ok(bytes) => {
+                older_length = bytes.len() as u64;
+                read_records(&bytes, &boot_id, &mut recovered);
+            }
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
             Err(error) => return Err(failed(&older, "read")(error)),
         }
@@ -140,12 +144,13 @@ impl Journal {
 
         let (records, queue) = bounded(QUEUE);
         let progress = Arc::new(Progress::default());
-        progress.bytes.store(bytes.len() as u64, Ordering::Relaxed);
+        progress.bytes.store(older_length + bytes.len() as u64, Ordering::Relaxed);
         let mut writer = Writer {
             file,
             current,
             older,
             length: bytes.len() as u64,
+            older_length,
             open: open_file,
             unwritten: Vec::new(),
             last,
@@ -213,7 +218,7 @@ impl JournalHandle {
         *self.progress.written.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Bytes in the current half.
+    /// Bytes on disk, both halves together.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.progress.bytes.load(Ordering::Relaxed)
@@ -231,6 +236,7 @@ struct Writer {
     current: PathBuf,
     older: PathBuf,
     length: u64,
+    older_length: u64,
     /// Opens a new half.
     open: fn(&Path) -> io::Result<File>,
     /// Records that the disk refused, tried again with the next ones: a full disk may have room again.
@@ -305,7 +311,7 @@ impl Writer {
             rest = after;
         }
         self.unwritten.clear();
-        self.progress.bytes.store(self.length, Ordering::Relaxed);
+        self.progress.bytes.store(self.older_length + self.length, Ordering::Relaxed);
         Ok(())
     }
 
@@ -331,6 +337,7 @@ impl Writer {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
             renamed => renamed?,
         }
+        self.older_length = self.length;
         let file = (self.open)(&self.current)?;
         rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
         self.file = file;
@@ -505,10 +512,13 @@ mod tests {
                 assert!(journal.handle().wait_for(number, Duration::from_secs(30)));
             }
         }
+        let handle = journal.handle();
         drop(journal);
         let size: u64 = fs::read_dir(directory.path()).unwrap().map(|f| f.unwrap().metadata().unwrap().len()).sum();
         assert!(size <= 16_384, "{size}");
-        let (_journal, recovered) = Journal::open(&options).unwrap();
+        assert_eq!(handle.bytes(), size, "what is told is what is on the disk");
+        let (journal, recovered) = Journal::open(&options).unwrap();
+        assert_eq!(journal.handle().bytes(), size);
         assert_eq!(recovered.observations.last().unwrap().sequence, 1999);
         assert!(recovered.observations.len() > 50);
     }
@@ -556,6 +566,7 @@ mod tests {
             current: current.clone(),
             older: older.clone(),
             length: 0,
+            older_length: 0,
             open: open_file,
             unwritten: Vec::new(),
             last: BTreeMap::new(),
