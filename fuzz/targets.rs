@@ -9,6 +9,7 @@
 )]
 
 use std::io::Write;
+use std::path::Path;
 
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::label_trie::{LabelTrie, PROMPT, TokenTree};
@@ -20,21 +21,27 @@ use roomcast_llama::gguf::Header;
 use roomcast_services::config::Config;
 use roomcast_services::config::{IntakeLimits, PlannerConfig};
 use roomcast_services::daemon::{Intake, Recovered, Taken, journal};
+use roomcast_services::mqtt::{Listener, Rules};
 use roomcast_services::narrator::line_item;
 use roomcast_services::planner::Planner;
+use roomcast_services::recording;
+use roomcast_services::sensor_log::SensorRules;
 
 /// What a target does with bytes: nothing that can be seen, unless it panics.
 pub type Target = fn(&[u8]);
 
 /// Every target by name.
-pub const ALL: [(&str, Target); 8] = [
+pub const ALL: [(&str, Target); 11] = [
     ("configuration", configuration),
     ("gguf", gguf),
     ("journal", journal),
     ("line", line),
     ("message", message),
+    ("mqtt", mqtt),
     ("program", program),
+    ("recording", recording),
     ("scene", scene),
+    ("sensors", sensors),
     ("trie", trie),
 ];
 
@@ -210,5 +217,42 @@ pub fn gguf(bytes: &[u8]) {
         for tensor in &header.tensors {
             assert!(tensor.start + tensor.size_bytes <= bytes.len() as u64);
         }
+    }
+}
+
+/// Messages of any topic and payload, with zeros between them: what is said is a line of JSON that the narrator reads or refuses.
+pub fn mqtt(bytes: &[u8]) {
+    const RULES: &str = "[[rule]]\ntopic = \"home/+/state\"\nsay = \"They use the {1}: {value}.\"\n\
+        [[rule]]\ntopic = \"json/#\"\nfield = \"/state\"\nsay = \"the lamp is {value}\"\nretained = true";
+    let mut listener = Listener::new(Rules::parse(RULES).unwrap());
+    let mut parts = bytes.split(|byte| *byte == 0);
+    while let (Some(topic), Some(payload)) = (parts.next(), parts.next()) {
+        for retained in [false, true] {
+            if let Some(line) = listener.hear(topic, payload, retained) {
+                assert!(!line.contains('\n') && line.starts_with('{'));
+                let _refused = line_item(&line, 1, 0);
+            }
+        }
+    }
+}
+
+/// Any bytes as a recording: read or refused, within the memory that the limits allow; what is read has a moment or none.
+pub fn recording(bytes: &[u8]) {
+    if let Ok(recording) = recording::decode(Path::new("fuzzed"), bytes) {
+        let _moment = recording.moment(None, None);
+    }
+}
+
+/// Any bytes as a sensor log: each line is narrated, passed over or refused by itself.
+pub fn sensors(bytes: &[u8]) {
+    const RULES: &str = "[[rule]]\nsay = \"They open the {sensor} for {seconds} seconds.\"\nshortest_s = 1.0\nagain_s = 2.0\n\
+        [[rule]]\nat = \"end\"\nkind = \"door\"\nsay = \"They close the {sensor} in the {place}.\"";
+    let narrated = SensorRules::parse(RULES).unwrap().narrate(bytes);
+    let lines = bytes.split(|byte| *byte == b'\n').count();
+    let (said, refused): (Vec<_>, Vec<_>) = narrated.items.iter().partition(|item| item.is_ok());
+    assert!(said.len() + refused.len() <= 2 * lines, "two sentences a line at most");
+    for item in said.into_iter().flatten() {
+        assert!(item.duration_s >= 0.0, "time does not go back");
+        NarrationV1::new(item.kind, &item.text).expect("what is narrated is a message");
     }
 }

@@ -13,9 +13,14 @@ use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use roomcast_core::narration::{Observation, Sentence};
+use roomcast_core::prompt::BindingSequence;
+use roomcast_core::scorer::correction::Correction;
+use roomcast_core::scorer::{LabelScores, Method, Scorer, Tokenisation};
 use roomcast_ipc::{ByteImage, NarrationV1, PersonScoresV1, RoomScoresV1, text};
+use roomcast_llama::{LlamaModel, LlamaOptions};
 use roomcast_services::daemon::journal;
 use roomcast_services::embedded;
+use roomcast_services::recording::{Recorded, Recorder};
 
 #[path = "../fuzz/targets.rs"]
 mod targets;
@@ -41,15 +46,17 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
     let mut files: Vec<_> = files.map(|file| file.unwrap().path()).collect();
     files.sort();
     let mut seeds: Vec<_> = files.iter().map(|file| std::fs::read(file).unwrap()).collect();
-    assert!(!seeds.is_empty(), "{} is empty", corpus.display());
     match target {
         "configuration" => seeds.push(roomcast_services::config::DEFAULT_TOML.as_bytes().to_vec()),
         "program" => seeds.extend(embedded::PROGRAMS.iter().map(|program| program.text.as_bytes().to_vec())),
         "scene" => seeds.push(embedded::SCENES[0].text.as_bytes().to_vec()),
         "journal" => seeds.push((1..6).flat_map(|number| journal::encode(&observation(number), &[7; 16])).collect()),
         "message" => seeds.extend([narration(), scores(), persons()]),
+        "recording" => seeds.push(recording()),
+        "sensors" => seeds.push(include_bytes!("data/sensors.tsv").to_vec()),
         _ => {}
     }
+    assert!(!seeds.is_empty(), "{} is empty", corpus.display());
     seeds
 }
 
@@ -63,6 +70,19 @@ fn observation(sequence: u64) -> Observation {
         observed_unix_ns: sequence,
         sentence: Sentence::new(&format!("They do thing {sequence}.")).unwrap(),
     }
+}
+
+fn recording() -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("seed.mcap");
+    let mut recorder = Recorder::create(&path).unwrap();
+    for sequence in 1..4 {
+        let message = NarrationV1::new(1, "[Grab] <mug> (1)").unwrap();
+        let message = NarrationV1 { source: 7, epoch: 1, sequence, ..message };
+        recorder.write(&Recorded::Narration(Box::new(message)), sequence).unwrap();
+    }
+    recorder.finish().unwrap();
+    std::fs::read(path).unwrap()
 }
 
 fn narration() -> Vec<u8> {
@@ -203,4 +223,89 @@ fn a_broken_model_file_ends_in_an_error() {
         *codes.entry(code).or_insert(0) += 1;
     }
     println!("{runs} damaged model files, by exit code: {codes:?}");
+}
+
+/// Where the numbers of a model file's metadata lie: key, place and size of each.
+fn fields(model: &[u8]) -> Vec<(String, usize, usize)> {
+    let number = |at: usize, size: usize| {
+        let mut bytes = [0; 8];
+        bytes[..size].copy_from_slice(&model[at..at + size]);
+        usize::try_from(u64::from_le_bytes(bytes)).unwrap()
+    };
+    // Sizes of the kinds of values; a text has its length before it, an array the kind and number of its elements.
+    let size = |kind: usize| [1, 1, 2, 2, 4, 4, 4, 1, 0, 0, 8, 8, 8][kind];
+    let mut fields = vec![("version".to_owned(), 4, 4), ("tensors".to_owned(), 8, 8), ("metadata".to_owned(), 16, 8)];
+    let mut at = 24;
+    for _ in 0..number(16, 8) {
+        let length = number(at, 8);
+        let key = String::from_utf8(model[at + 8..at + 8 + length].to_vec()).unwrap();
+        at += 8 + length;
+        let kind = number(at, 4);
+        fields.push((format!("kind of {key}"), at, 4));
+        at += 4;
+        at += match kind {
+            8 => 8 + number(at, 8),
+            9 => {
+                let (kind, count) = (number(at, 4), number(at + 4, 8));
+                fields.push((format!("length of {key}"), at + 4, 8));
+                let elements = match kind {
+                    8 => (0..count).fold(0, |length, _| length + 8 + number(at + 12 + length, 8)),
+                    kind => count * size(kind),
+                };
+                12 + elements
+            }
+            kind => {
+                fields.push((key, at, size(kind)));
+                size(kind)
+            }
+        };
+    }
+    fields
+}
+
+/// Row "GGUF with one field patched" of the attacks: whatever llama.cpp does with the file, the command that judges it, and the one that
+/// uses it, end with an error or without. `ROOMCAST_FUZZ_MODELS` is how many fields are patched.
+#[test]
+fn a_model_file_with_one_field_patched_ends_no_judge() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("patched.gguf");
+    let whole = embedded::MODEL;
+    let fields = fields(whole);
+    assert!(fields.iter().any(|(key, ..)| key == "llama.block_count"), "{fields:?}");
+    let runs = number("ROOMCAST_FUZZ_MODELS").map_or(20, |runs| usize::try_from(runs).unwrap());
+    let mut rng = ChaCha8Rng::seed_from_u64(number("ROOMCAST_FUZZ_SEED").unwrap_or(1));
+    let mut codes = std::collections::BTreeMap::new();
+    for run in 0..runs {
+        let (key, at, size) = fields.choose(&mut rng).unwrap();
+        let extreme: u64 = *[0, 1, 2, 3, 255, 65_537, 1 << 31, u64::from(u32::MAX), u64::MAX].choose(&mut rng).unwrap();
+        let mut model = whole.to_vec();
+        model[*at..at + size].copy_from_slice(&extreme.to_le_bytes()[..*size]);
+        std::fs::write(&file, model).unwrap();
+        for arguments in [["model", "check"].as_slice(), &["score", "--narration", "They sit.", "--model"]] {
+            let output = Command::new(env!("CARGO_BIN_EXE_roomcast")).args(arguments).arg(&file).output().unwrap();
+            let said = String::from_utf8_lossy(&output.stderr);
+            let code = output.status.code();
+            let code = code
+                .unwrap_or_else(|| panic!("run {run}, {key} = {extreme}, {arguments:?}: {}: {said}", output.status));
+            assert!(code <= i32::from(exit_code::CHECK), "run {run}, {key} = {extreme}, {arguments:?}: {code}: {said}");
+            *codes.entry((arguments[0], code)).or_insert(0) += 1;
+        }
+    }
+    println!("{runs} patched fields, by command and exit code: {codes:?}");
+}
+
+/// Row "a model file truncated in place" of the attacks.
+#[test]
+fn a_model_file_that_is_cut_off_while_it_is_in_use_ends_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("model.gguf");
+    std::fs::write(&file, embedded::MODEL).unwrap();
+    let model = LlamaModel::load(&file, &LlamaOptions::default()).unwrap();
+    std::fs::File::options().write(true).open(&file).unwrap().set_len(0).unwrap();
+    let mut scorer = Scorer::new(model);
+    let binding = BindingSequence::default();
+    let prepared = scorer.prepare(&["mug"], &binding, Tokenisation::Joint, Correction::default()).unwrap();
+    let mut scores = LabelScores::default();
+    scorer.score(&prepared, "They walk to the kitchen.", Method::Trie, &mut scores).unwrap();
+    assert!(scores.log_prob_nats.iter().all(|score| score.is_finite()));
 }

@@ -3,6 +3,7 @@
 //! The trailing space of a binding sequence moves to the label (`" mug"`), because a lone space token is not what a
 //! model saw in training before a word.
 
+use crate::text::is_hidden;
 use std::borrow::Cow;
 use std::fmt;
 use std::str::FromStr;
@@ -68,7 +69,7 @@ impl BindingSequence {
         if text.len() > BINDING_BYTES_MAX {
             return Err(BindingError::TooLong { bytes: text.len() });
         }
-        if let Some((at, character)) = text.char_indices().find(|(_, c)| c.is_control()) {
+        if let Some((at, character)) = text.char_indices().find(|(_, c)| is_hidden(*c)) {
             return Err(BindingError::Control { character, at });
         }
         Ok(Self { name: Cow::Borrowed("custom"), text: Cow::Owned(text.to_owned()), uses_narration: true })

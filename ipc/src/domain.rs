@@ -1,11 +1,11 @@
 //! Where participants meet: a root path, a name, and the nodes that join.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc;
+use std::sync::{Mutex, PoisonError, mpsc};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 use std::{env, fs, io};
 
 use iceoryx2::config::Config;
@@ -16,7 +16,7 @@ use iceoryx2::prelude::{
 use iceoryx2::service::ipc_threadsafe;
 use rustix::process::geteuid;
 
-use crate::IpcError;
+use crate::{IpcError, clock};
 
 /// The flavour of iceoryx2 used throughout: shared memory, and ports that may move between threads.
 pub(crate) type Flavour = ipc_threadsafe::Service;
@@ -403,9 +403,62 @@ impl Domain {
     }
 }
 
-/// How long ago a file, or what is in a folder, last changed; none where it is gone, or changed in the future.
+/// How long ago a file, or what is in a folder, last changed; none where it is gone.
 fn age(path: &Path) -> Option<Duration> {
-    fs::metadata(path).and_then(|about| about.modified()).ok()?.elapsed().ok()
+    static AGES: Mutex<Ages> = Mutex::new(Ages::new());
+    let changed = fs::metadata(path).and_then(|about| about.modified()).ok()?;
+    let mut ages = AGES.lock().unwrap_or_else(PoisonError::into_inner);
+    Some(ages.age(path, changed, SystemTime::now(), Duration::from_nanos(clock::monotonic_ns())))
+}
+
+/// Ages of files, whose dates are the wall clock's, which may be set. A date ahead of the clock, and one from before the clock was set, says
+/// nothing; then it counts how long this process has known the file, or the set clock.
+#[derive(Debug)]
+struct Ages {
+    /// Since when, on the boot clock, the wall clock has run as it does, and what lay between the two then.
+    steady: Option<(Duration, i128)>,
+    /// Files with a date ahead of the wall clock: which date, and when they were first seen.
+    ahead: BTreeMap<PathBuf, (SystemTime, Duration)>,
+}
+
+impl Ages {
+    /// A clock that moves further at once was set.
+    const STEP_NS: i128 = 500_000_000;
+    /// Files that are remembered; a domain has fewer.
+    const FILES_MAX: usize = 4096;
+
+    const fn new() -> Self {
+        Self { steady: None, ahead: BTreeMap::new() }
+    }
+
+    fn age(&mut self, path: &Path, changed: SystemTime, wall: SystemTime, boot: Duration) -> Duration {
+        let since_epoch = wall.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let between = since_epoch.as_nanos() as i128 - boot.as_nanos() as i128;
+        let since = match self.steady {
+            // From when it was first looked at, it is taken to have run so before.
+            None => Duration::ZERO,
+            Some((since, before)) if (between - before).abs() < Self::STEP_NS => since,
+            Some(_) => boot,
+        };
+        // A clock that is corrected little by little is steady.
+        self.steady = Some((since, between));
+        match wall.duration_since(changed) {
+            Ok(age) => {
+                self.ahead.remove(path);
+                age.min(boot.saturating_sub(since))
+            }
+            Err(_) => {
+                if self.ahead.len() >= Self::FILES_MAX {
+                    self.ahead.clear();
+                }
+                let seen = self.ahead.entry(path.to_owned()).or_insert((changed, boot));
+                if seen.0 != changed {
+                    *seen = (changed, boot);
+                }
+                boot.saturating_sub(seen.1)
+            }
+        }
+    }
 }
 
 /// A participant as errors name it.
@@ -568,6 +621,33 @@ pub(crate) enum OpenFailure {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Row "half-made memory dated an hour ahead" of the attacks, and clocks that are set while files are looked at.
+    #[test]
+    fn ages_of_files_do_not_follow_the_wall_clock_alone() {
+        let hour = Duration::from_secs(3600);
+        let (file, start) = (Path::new("half-made"), SystemTime::UNIX_EPOCH + 1000 * hour);
+        let second = |n: u64| Duration::from_secs(n);
+        let mut ages = Ages::new();
+        // At first the dates are all there is.
+        assert_eq!(ages.age(file, start - second(7), start, hour), second(7));
+        // A date ahead counts from when it was seen.
+        for n in 0..4 {
+            assert_eq!(ages.age(file, start + hour, start + second(n), hour + second(n)), second(n));
+        }
+        // Another date ahead is another file.
+        assert_eq!(ages.age(file, start + 2 * hour, start + second(4), hour + second(4)), Duration::ZERO);
+        // The clock is set an hour ahead: what was just made is no hour old.
+        let ahead = start + hour;
+        assert_eq!(ages.age(file, start + second(4), ahead + second(5), hour + second(5)), Duration::ZERO);
+        assert_eq!(ages.age(file, start + second(4), ahead + second(8), hour + second(8)), second(3));
+        // What was made since has its date's age again, and a clock that is corrected little by little is the same clock.
+        assert_eq!(ages.age(file, ahead + second(8), ahead + second(10), hour + second(10)), second(2));
+        assert_eq!(
+            ages.age(file, ahead + second(8), ahead + second(20) + Duration::from_millis(300), hour + second(20)),
+            Duration::from_millis(12_300)
+        );
+    }
 
     #[test]
     fn names_and_roots_that_cannot_work_are_refused() {

@@ -30,7 +30,7 @@ pub fn encode_cut<const N: usize>(text: &str) -> [u8; N] {
     let mut bytes = [0; N];
     let mut end = 0;
     for character in text.chars() {
-        let character = if character.is_control() { ' ' } else { character };
+        let character = if is_hidden(character) { ' ' } else { character };
         match bytes.get_mut(end..end + character.len_utf8()) {
             Some(place) => end += character.encode_utf8(place).len(),
             None => break,
@@ -61,14 +61,18 @@ pub(crate) fn checked(bytes: &[u8]) -> &str {
     decode("", bytes).unwrap_or("")
 }
 
-/// Control characters have no place in a sentence: they would reach terminals and logs. U+2028, U+2029 and the
-/// direction overrides count, because they make text look like other text.
+/// Whether a character has no place in a sentence or a name: control characters, which would reach terminals and logs; and those without
+/// a shape of their own, which make text look like other text (directions, zero width, line ends, tags).
+#[must_use]
+pub fn is_hidden(character: char) -> bool {
+    character.is_control()
+        || matches!(character,
+            '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}'
+            | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}')
+}
+
 fn refuse_control_characters(field: &'static str, text: &str) -> Result<(), MessageError> {
-    let hidden = |character: char| {
-        character.is_control()
-            || matches!(character, '\u{2028}' | '\u{2029}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}')
-    };
-    match text.char_indices().find(|(_, character)| hidden(*character)) {
+    match text.char_indices().find(|(_, character)| is_hidden(*character)) {
         Some((at, character)) => Err(MessageError::ControlCharacter { field, at, code_point: u32::from(character) }),
         None => Ok(()),
     }

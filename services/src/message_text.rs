@@ -9,7 +9,7 @@ use roomcast_ipc::narration_kind;
 ///
 /// # Errors
 /// The text's fault, as that kind.
-pub(crate) fn sentence_of(kind: u32, text: &str) -> Result<Sentence, ObservedError> {
+pub fn sentence_of(kind: u32, text: &str) -> Result<Sentence, ObservedError> {
     if kind == narration_kind::ACTION {
         return Ok(Observed::Action(Action::parse(text)?).sentence()?);
     }
@@ -19,4 +19,23 @@ pub(crate) fn sentence_of(kind: u32, text: &str) -> Result<Sentence, ObservedErr
         return Ok(device.sentence()?);
     }
     Ok(Sentence::new(text)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_core::{semantic_map, text};
+
+    /// Row "bidirectional and zero-width labels" of the attacks: what messages refuse, maps and sentences refuse, and no other character.
+    #[test]
+    fn messages_and_maps_refuse_the_same_characters() {
+        for character in (0..=u32::from(char::MAX)).filter_map(char::from_u32) {
+            assert_eq!(text::is_hidden(character), roomcast_ipc::text::is_hidden(character), "{character:?}");
+        }
+    }
+
+    /// Row "1 000 rooms" of the attacks.
+    #[test]
+    fn a_map_has_no_more_rooms_than_a_message() {
+        assert_eq!(semantic_map::MAX_ROOMS, roomcast_ipc::MAX_ROOMS);
+    }
 }

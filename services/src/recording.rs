@@ -10,8 +10,9 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use mcap::records::MessageHeader;
-use mcap::{Attachment, McapError, MessageStream, Summary, WriteOptions, Writer};
+use mcap::records::{MessageHeader, Record, op};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{Attachment, McapError, WriteOptions, Writer};
 use roomcast_ipc::{ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonScoresV1, RoomScoresV1};
 use serde_json::{Value, json};
 
@@ -20,8 +21,10 @@ use crate::daemon::{Intake, Taken};
 use crate::moment::Moment;
 use roomcast_core::narration::Sentence;
 
-/// Largest recording that is read back: it is held in memory.
+/// Largest recording that is read back, also of its records unpacked: it is held in memory.
 pub const FILE_BYTES_MAX: u64 = 4 << 30;
+/// Largest record and largest chunk, unpacked, that is read: whatever length a file states, no more is set aside for it.
+pub const RECORD_BYTES_MAX: usize = 64 << 20;
 
 /// Attachments that hold a moment have names that begin so.
 const MOMENT_FILES: &str = "moment-";
@@ -44,7 +47,7 @@ pub enum RecordingError {
         path: PathBuf,
     },
     /// The file is larger than [`FILE_BYTES_MAX`].
-    #[error("the recording {path} has more than {FILE_BYTES_MAX} bytes; split it by `mcap filter`")]
+    #[error("the recording {path} has more than {FILE_BYTES_MAX} bytes, unpacked; split it by `mcap filter`")]
     TooLarge {
         /// The file.
         path: PathBuf,
@@ -451,32 +454,84 @@ pub fn read(path: &Path) -> Result<Recording, RecordingError> {
     if std::fs::metadata(path).map_err(io)?.len() > FILE_BYTES_MAX {
         return Err(RecordingError::TooLarge { path: path.to_owned() });
     }
-    let bytes = std::fs::read(path).map_err(io)?;
+    decode(path, &std::fs::read(path).map_err(io)?)
+}
+
+/// Reads a recording's bytes; `path` is what errors call it.
+///
+/// # Errors
+///
+/// [`RecordingError`], for the first message that is none.
+pub fn decode(path: &Path, bytes: &[u8]) -> Result<Recording, RecordingError> {
     let mcap = |source| RecordingError::Mcap { path: path.to_owned(), source: Box::new(source) };
-    let mut messages = Vec::new();
-    for (index, message) in MessageStream::new(&bytes).map_err(mcap)?.enumerate() {
-        let message = message.map_err(mcap)?;
-        let topic = message.channel.topic.clone();
-        let decoded = original(&message.data).and_then(|bytes| Recorded::decode(&topic, &bytes));
-        let decoded =
-            decoded.map_err(|reason| RecordingError::Message { path: path.to_owned(), index, topic, reason })?;
-        messages.push((message.log_time, decoded));
-    }
-    let mut moments = Vec::new();
-    if let Some(summary) = Summary::read(&bytes).map_err(mcap)? {
-        for index in summary.attachment_indexes.iter().filter(|index| index.name.starts_with(MOMENT_FILES)) {
-            let attachment = mcap::read::attachment(&bytes, index).map_err(mcap)?;
-            let moment = Moment::from_json(&String::from_utf8_lossy(&attachment.data));
-            let moment = moment.map_err(|error| RecordingError::Message {
-                path: path.to_owned(),
-                index: 0,
-                topic: index.name.clone(),
-                reason: error.to_string(),
-            })?;
-            moments.push(moment);
+    let wrong = |index, topic: &str, reason| {
+        let (path, topic) = (path.to_owned(), topic.to_owned());
+        RecordingError::Message { path, index, topic, reason }
+    };
+    let options = LinearReaderOptions::default().with_record_length_limit(RECORD_BYTES_MAX);
+    let mut reader = LinearReader::new_with_options(options.with_validate_chunk_crcs(true));
+    let (mut recording, mut topics) = (Recording::default(), BTreeMap::new());
+    let (mut rest, mut index, mut unpacked) = (bytes, 0, 0_u64);
+    while let Some(event) = reader.next_event() {
+        let (opcode, data) = match event.map_err(mcap)? {
+            LinearReadEvent::ReadRequest(wanted) => {
+                let (next, later) = rest.split_at(wanted.min(rest.len()));
+                reader.insert(next.len()).copy_from_slice(next);
+                reader.notify_read(next.len());
+                rest = later;
+                continue;
+            }
+            LinearReadEvent::Record { opcode, data } => (opcode, data),
+        };
+        unpacked = unpacked.saturating_add(data.len() as u64);
+        if unpacked > FILE_BYTES_MAX {
+            return Err(RecordingError::TooLarge { path: path.to_owned() });
+        }
+        match opcode {
+            op::CHANNEL | op::MESSAGE => match mcap::parse_record(opcode, data).map_err(mcap)? {
+                Record::Channel(channel) => {
+                    topics.insert(channel.id, channel.topic);
+                }
+                Record::Message { header, data } => {
+                    let topic = topics.get(&header.channel_id);
+                    let topic = topic.ok_or(McapError::UnknownChannel(header.sequence, header.channel_id));
+                    let topic = topic.map_err(mcap)?;
+                    let decoded = original(&data).and_then(|bytes| Recorded::decode(topic, &bytes));
+                    let decoded = decoded.map_err(|reason| wrong(index, topic, reason))?;
+                    recording.messages.push((header.log_time, decoded));
+                    index += 1;
+                }
+                _ => {}
+            },
+            op::ATTACHMENT => {
+                let (name, data) = attachment(data).ok_or(McapError::UnexpectedEof).map_err(mcap)?;
+                if name.starts_with(MOMENT_FILES) {
+                    let moment = Moment::from_json(&String::from_utf8_lossy(data));
+                    recording.moments.push(moment.map_err(|error| wrong(0, &name, error.to_string()))?);
+                }
+            }
+            // Schemas, statistics and indexes: the messages say it all.
+            _ => {}
         }
     }
-    Ok(Recording { messages, moments })
+    Ok(recording)
+}
+
+/// Name and content of an attachment's record, with its checksum compared. By hand, because the crate's own way takes the record to be as
+/// long as it should be.
+fn attachment(record: &[u8]) -> Option<(String, &[u8])> {
+    let (content, checksum) = record.split_last_chunk()?;
+    // Two times lie before the name.
+    let (_times, rest) = content.split_at_checked(16)?;
+    let (length, rest) = rest.split_first_chunk()?;
+    let (name, rest) = rest.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)?;
+    let (length, rest) = rest.split_first_chunk()?;
+    let (_media_type, rest) = rest.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)?;
+    let (length, data) = rest.split_first_chunk()?;
+    let whole = u64::from_le_bytes(*length) == data.len() as u64;
+    let checksum = u32::from_le_bytes(*checksum);
+    (whole && (checksum == 0 || checksum == crc32fast::hash(content)))
+        .then(|| (String::from_utf8_lossy(name).into_owned(), data))
 }
 
 /// The field `bytes` of a recorded message.
@@ -542,7 +597,7 @@ mod tests {
         for ((_, a), (_, b)) in back.iter().zip(messages()) {
             assert_eq!(a.to_bytes(), b.to_bytes());
         }
-        let summary = Summary::read(&std::fs::read(&path).unwrap()).unwrap().unwrap();
+        let summary = mcap::Summary::read(&std::fs::read(&path).unwrap()).unwrap().unwrap();
         assert_eq!(summary.stats.unwrap().message_count, 5);
         assert!(summary.schemas.values().all(|schema| schema.encoding == "jsonschema"));
     }
@@ -573,5 +628,28 @@ mod tests {
         recorder.finish().unwrap();
         let error = read(&path).unwrap_err().to_string();
         assert!(error.contains("2 bytes are no roomcast.NarrationV1"), "{error}");
+    }
+
+    /// Row "MCAP with a hostile length" of the attacks: every length of a small recording, replaced by ones that no file has.
+    #[test]
+    fn hostile_lengths_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("small.mcap");
+        let mut recorder = Recorder::create(&path).unwrap();
+        let message =
+            NarrationV1 { source: 1, epoch: 1, sequence: 1, ..NarrationV1::new(1, "[Grab] <mug> (1)").unwrap() };
+        recorder.write(&Recorded::Narration(Box::new(message)), 7).unwrap();
+        recorder.finish().unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        assert_eq!(decode(&path, &whole).unwrap().messages.len(), 1);
+        let mut refused = 0;
+        for at in 0..whole.len() - 8 {
+            for hostile in [u64::MAX, u64::MAX >> 1, 1 << 40, (1 << 32) - 1] {
+                let mut bytes = whole.clone();
+                bytes[at..at + 8].copy_from_slice(&hostile.to_le_bytes());
+                refused += u32::from(decode(&path, &bytes).is_err());
+            }
+        }
+        assert!(refused > 500, "{refused}");
     }
 }

@@ -24,6 +24,9 @@ pub const FILE_BYTES_MAX: u64 = 256 << 20;
 /// Rules that a file may have.
 const RULES_MAX: usize = 4_096;
 
+/// Bytes of a log that are looked at together; lines are shorter, as a rule.
+const LINE_BYTES: usize = 256;
+
 /// Why a log cannot be narrated at all. Single lines that are malformed are [`InputError::Sensor`].
 #[derive(Debug, thiserror::Error)]
 pub enum SensorError {
@@ -139,7 +142,12 @@ impl SensorRules {
         Self::parse(&text).map_err(|reason| SensorError::Rules { path: path.to_owned(), reason })
     }
 
-    fn parse(text: &str) -> Result<Self, String> {
+    /// Reads and checks the text of a rules file.
+    ///
+    /// # Errors
+    ///
+    /// What is wrong, with the rule's number.
+    pub fn parse(text: &str) -> Result<Self, String> {
         let rules: Self = toml::from_str(text).map_err(|error| error.to_string())?;
         if rules.rules.is_empty() || rules.rules.len() > RULES_MAX {
             return Err(format!("{} rules; give 1 to {RULES_MAX}", rules.rules.len()));
@@ -188,21 +196,19 @@ impl SensorRules {
         let mut said: Vec<(f64, usize, Item)> = Vec::new();
         let delimiter = [b'\t', b';', b','].into_iter().find(|byte| log.contains(byte)).unwrap_or(b'\t');
         let mut builder = ReaderBuilder::new();
-        builder.delimiter(delimiter).has_headers(false).flexible(true).trim(Trim::All);
-        let mut reader = builder.from_reader(log);
+        builder.delimiter(delimiter).has_headers(false).flexible(true).trim(Trim::All).buffer_capacity(LINE_BYTES);
         let mut record = ByteRecord::new();
         let mut first = true;
-        loop {
-            let line = reader.position().line();
-            match reader.read_byte_record(&mut record) {
-                Ok(false) => break,
+        // Line by line: a stray quotation mark spoils its own line, and does not swallow those behind it.
+        for (line, bytes) in (1..).zip(log.split(|byte| *byte == b'\n')) {
+            match builder.from_reader(bytes).read_byte_record(&mut record) {
+                Ok(false) => continue,
                 Ok(true) => {}
                 Err(error) => {
                     narrated.items.push(Err(InputError::Sensor { line, reason: error.to_string() }));
                     continue;
                 }
             }
-            let line = record.position().map_or(line, csv::Position::line);
             let underline = record.iter().flatten().all(|byte| matches!(byte, b'-' | b' '));
             let heading =
                 std::mem::take(&mut first) && record.get(0).is_some_and(|field| seconds(&text(field)).is_none());
@@ -411,5 +417,20 @@ mod tests {
         for wrong in ["", "noon", "2024-13-01 00:00:00", "2024-03-01", "2024-03-01 25:00:00", "inf"] {
             assert_eq!(seconds(wrong), None, "{wrong}");
         }
+    }
+
+    /// Row "a stray quotation mark in a sensor log" of the attacks.
+    #[test]
+    fn a_stray_quotation_mark_costs_its_own_line_alone() {
+        let rules = SensorRules::parse("[[rule]]\nsay = \"They open the {sensor}.\"").unwrap();
+        let mut lines: Vec<_> = (0..500).map(|n| format!("{n}\t{n}\tdoor{n}\tmagnetic\thall")).collect();
+        lines[100] = "100\t\"100\tdoor100\tmagnetic\thall".to_owned();
+        let narrated = rules.narrate(lines.join("\r\n").as_bytes());
+        let (said, wrong): (Vec<_>, Vec<_>) = narrated.items.iter().partition(|item| item.is_ok());
+        assert_eq!((said.len(), wrong.len()), (499, 1));
+        assert!(wrong[0].as_ref().unwrap_err().to_string().starts_with("line 101:"), "{wrong:?}");
+        // A quoted field may hold the separator, as before.
+        let quoted = rules.narrate(b"1,2,\"door, left\",magnetic,hall\n");
+        assert_eq!(quoted.items[0].as_ref().unwrap().text, "They open the door, left.");
     }
 }

@@ -37,7 +37,7 @@ def narration(text: str = "They grab the mug.") -> layouts.NarrationV1:
 
 def scores(sequence: int = 1, **rooms: float) -> layouts.RoomScoresV1:
     rooms = rooms or {"kitchen": 0.75, "bathroom": 0.25, "attic": 0.0}
-    message = layouts.RoomScoresV1(epoch=3, sequence=sequence, computed_ns=time.monotonic_ns(), label_mass=0.8, room_count=len(rooms))
+    message = layouts.RoomScoresV1(epoch=3, sequence=sequence, computed_ns=time.clock_gettime_ns(time.CLOCK_BOOTTIME), label_mass=0.8, room_count=len(rooms))
     message.published_ns = message.computed_ns
     message.source_count = 1
     message.included[0] = layouts.IncludedV1(source=7, epoch=1, sequence=4, observed_ns=5, accepted=4)
@@ -63,7 +63,7 @@ def person_scores(sequence: int = 1) -> layouts.PersonScoresV1:
 
 
 def forecast(sequence: int = 1) -> layouts.ForecastV1:
-    message = layouts.ForecastV1(epoch=3, sequence=sequence, computed_ns=time.monotonic_ns(), room_count=2, horizon_count=3)
+    message = layouts.ForecastV1(epoch=3, sequence=sequence, computed_ns=time.clock_gettime_ns(time.CLOCK_BOOTTIME), room_count=2, horizon_count=3)
     message.horizon_s[:3] = [10.0, 60.0, 600.0]
     for room, (name, row) in enumerate({"kitchen": [0.75, 0.5, 0.25], "bathroom": [0.25, 0.5, 0.75]}.items()):
         layouts.write_text("room id", message.id[room], name)

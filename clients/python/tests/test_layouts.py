@@ -82,7 +82,7 @@ def test_texts_that_do_not_fit_are_refused() -> None:
     assert layouts.read_text("text", message.text) == "They grab the mug."
     with pytest.raises(MessageError, match="text of 1025 bytes, at most 1024 fit; shorten it"):
         layouts.write_text("text", message.text, "a" * 1025)
-    for hidden in ["two\nlines", "\x9b2J", "left\u202eright", "\ufeffmark", "two\u2028lines", "a\0b"]:
+    for hidden in ["two\nlines", "\x9b2J", "left\u202eright", "zero\u200bwidth", "tag\U000e0041", "\ufeffmark", "two\u2028lines", "a\0b"]:
         with pytest.raises(MessageError, match="control character U"):
             layouts.write_text("text", message.text, hidden)
     with pytest.raises(MessageError, match="half a character"):

@@ -1,5 +1,6 @@
 //! Atomic actions in VirtualHome's notation, `[PutBack] <plate> (1) <table> (2)`, and the sentence each stands for.
 
+use crate::text::is_hidden;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::OnceLock;
@@ -130,7 +131,7 @@ impl Action {
         if line.len() > LINE_BYTES_MAX {
             return Err(ActionError::TooLong { bytes: line.len() });
         }
-        if let Some(c) = line.chars().find(|c| c.is_control() && *c != '\t') {
+        if let Some(c) = line.chars().find(|c| is_hidden(*c) && *c != '\t') {
             return Err(ActionError::Control { code: c.into() });
         }
         let mut cursor = Cursor { line, rest: line };

@@ -3,6 +3,7 @@
 //! Three kinds of observation become sentences: atomic actions in VirtualHome's notation ([`Action`]), device states
 //! ([`DeviceState`]) and plain sentences of any captioning source ([`Sentence`]). An action is observed when it is complete.
 
+use crate::text::is_hidden;
 use std::fmt;
 
 pub mod action;
@@ -53,7 +54,7 @@ impl Sentence {
         if text.len() > SENTENCE_BYTES_MAX {
             return Err(SentenceError::TooLong { bytes: text.len() });
         }
-        if let Some(c) = text.chars().find(|c| c.is_control() && !c.is_whitespace()) {
+        if let Some(c) = text.chars().find(|c| is_hidden(*c) && !c.is_whitespace()) {
             return Err(SentenceError::Control { code: c.into() });
         }
         if !text.contains(char::is_alphanumeric) {

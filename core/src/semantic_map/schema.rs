@@ -1,5 +1,6 @@
 //! The scene file, version 1: reading, checking, writing. `scenes/README.md` documents it field by field.
 
+use crate::text::is_hidden;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::File;
 use std::io::{self, Read};
@@ -15,7 +16,7 @@ pub const MAX_FILE_BYTES: u64 = 64 << 20;
 /// Most items in a map.
 pub const MAX_ITEMS: usize = 100_000;
 /// Most rooms in a map; of parts, groups and doors there may be ten times as many.
-pub const MAX_ROOMS: usize = 1_000;
+pub const MAX_ROOMS: usize = 64;
 /// Longest id, label, name or alias, in bytes of UTF-8.
 pub const MAX_TEXT_BYTES: usize = 128;
 
@@ -231,7 +232,7 @@ fn check_prose(text: &str, longest_bytes: usize) -> Result<(), String> {
     if text.len() > longest_bytes {
         return Err(format!("is {} bytes long, more than {longest_bytes}", text.len()));
     }
-    match text.chars().find(|character| character.is_control()) {
+    match text.chars().find(|character| is_hidden(*character)) {
         Some(character) => Err(format!("has the control character {character:?}")),
         None => Ok(()),
     }
@@ -698,6 +699,8 @@ mod tests {
             ("/rooms/0/box/max_m", json!([0, 0, 0]), "rooms[0] (\"kitchen\"), `box`: has no volume"),
             ("/items/0/label", json!("  mug"), "items[0] (\"mug-1\"), `label`"),
             ("/items/0/label", json!("mug\u{7}"), "control character"),
+            ("/items/0/label", json!("mug\u{202e}"), "control character"),
+            ("/items/0/label", json!("m\u{200b}ug"), "control character"),
             ("/items/0/label", json!("m".repeat(129)), "is 129 bytes long, more than 128"),
             ("/items/0/box/min_m", json!([9, 9, 9]), "exceeds max_m"),
             ("/items/0/box/min_m", json!([0, 0]), "items[0].box.min_m: invalid length 2"),

@@ -264,8 +264,9 @@ impl Config {
         let Self { model, scoring, history, daemon, planner, metrics, narrator, .. } = self;
         let row =
             |key, value: &dyn std::fmt::Display, holds, remedy| Limit { key, value: value.to_string(), holds, remedy };
-        let is_name =
-            |name: &str| !name.trim().is_empty() && name.len() <= NAME_BYTES && !name.contains(char::is_control);
+        let is_name = |name: &str| {
+            !name.trim().is_empty() && name.len() <= NAME_BYTES && !name.contains(roomcast_core::text::is_hidden)
+        };
         let is_sum = |sum: &String| sum.len() == 64 && sum.bytes().all(|digit| digit.is_ascii_hexdigit());
         let is_free = |directory: &PathBuf| !directory.as_os_str().is_empty();
         let cores = format!("{:?}", model.cores);

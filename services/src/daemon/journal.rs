@@ -116,6 +116,7 @@ impl Journal {
             Err(rustix::io::Errno::WOULDBLOCK) => return Err(JournalError::Locked { path: current }),
             Err(error) => return Err(failed(&current, "lock")(error.into())),
         }
+        sync_folder(&current).map_err(failed(directory, "sync"))?;
         let boot_id = boot_id();
         let mut recovered = Recovered::default();
         let mut older_length = 0;
@@ -153,6 +154,9 @@ impl Journal {
             older_length,
             open: open_file,
             unwritten: Vec::new(),
+            unsynced: Vec::new(),
+            synced: bytes.len() as u64,
+            sync_data: File::sync_data,
             last,
             half_bytes: (options.bytes_max / 2).max(4096),
             sync_every: Duration::from_millis(options.sync_ms.max(1)),
@@ -241,6 +245,12 @@ struct Writer {
     open: fn(&Path) -> io::Result<File>,
     /// Records that the disk refused, tried again with the next ones: a full disk may have room again.
     unwritten: Vec<u8>,
+    /// Records that were written since the last sync. The system takes for written what a sync has failed with, so they are written again.
+    unsynced: Vec<u8>,
+    /// Where they begin.
+    synced: u64,
+    /// [`File::sync_data`], or a disk that fails.
+    sync_data: fn(&File) -> io::Result<()>,
     /// Per source its last record, and whether the current half has it. What it has not is carried over at the next rotation.
     last: BTreeMap<u64, (Vec<u8>, bool)>,
     half_bytes: u64,
@@ -278,14 +288,35 @@ impl Writer {
                 Err(RecvTimeoutError::Disconnected) => break,
             }
             if dirty && synced.elapsed() >= self.sync_every {
-                let done = self.file.sync_data();
+                let done = self.sync();
+                dirty = done.is_err();
                 self.note(done);
                 synced = Instant::now();
-                dirty = false;
             }
         }
-        let done = self.file.sync_data();
+        let done = self.sync().or_else(|_| self.sync());
         self.note(done);
+    }
+
+    /// Brings what was written to the disk; what that fails with is written again, for the next sync.
+    fn sync(&mut self) -> io::Result<()> {
+        if let Err(error) = (self.sync_data)(&self.file) {
+            self.rewind()?;
+            self.write(&[])?;
+            return Err(error);
+        }
+        self.synced = self.length;
+        self.unsynced.clear();
+        Ok(())
+    }
+
+    /// Back to what is on the disk; the rest is to be written again.
+    fn rewind(&mut self) -> io::Result<()> {
+        self.file.set_len(self.synced)?;
+        self.length = self.synced;
+        let later = std::mem::replace(&mut self.unwritten, std::mem::take(&mut self.unsynced));
+        self.unwritten.extend_from_slice(&later);
+        Ok(())
     }
 
     /// Writes what was refused before, then `batch`; what is refused now is kept, as much of it as a half may hold.
@@ -310,7 +341,7 @@ impl Writer {
             self.last.insert(source_of(record), (record.to_vec(), true));
             rest = after;
         }
-        self.unwritten.clear();
+        self.unsynced.append(&mut self.unwritten);
         self.progress.bytes.store(self.older_length + self.length, Ordering::Relaxed);
         Ok(())
     }
@@ -318,7 +349,10 @@ impl Writer {
     /// The full half becomes the old one, whose predecessor goes, but for the last words of sources that only it knew. The lock moves to the
     /// new file before the old one lets go.
     fn rotate(&mut self) -> io::Result<()> {
-        self.file.sync_data()?;
+        if let Err(error) = (self.sync_data)(&self.file) {
+            self.rewind()?;
+            return Err(error);
+        }
         let quiet: Vec<u64> =
             self.last.iter().filter(|(_, (_, current))| !current).map(|(source, _)| *source).collect();
         // More than the daemon knows, and of sources that it has forgotten.
@@ -339,9 +373,12 @@ impl Writer {
         }
         self.older_length = self.length;
         let file = (self.open)(&self.current)?;
+        sync_folder(&self.current)?;
         rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
         self.file = file;
         self.length = 0;
+        self.synced = 0;
+        self.unsynced.clear();
         // The new half has nothing yet. What is carried goes first into it, and is tried again like everything that the disk refuses.
         self.last.values_mut().for_each(|(_, in_current)| *in_current = false);
         self.unwritten.splice(..0, carried);
@@ -356,6 +393,11 @@ impl Writer {
             }
         }
     }
+}
+
+/// Brings the names of a file's folder to the disk: without it a power loss may undo a rename.
+pub(super) fn sync_folder(file: &Path) -> io::Result<()> {
+    File::open(file.parent().unwrap_or(Path::new(".")))?.sync_all()
 }
 
 fn open_file(path: &Path) -> io::Result<File> {
@@ -554,6 +596,26 @@ mod tests {
         }
     }
 
+    /// A writer of an empty journal.
+    fn writer(current: &Path, older: &Path, half_bytes: u64) -> Writer {
+        Writer {
+            file: open_file(current).unwrap(),
+            current: current.to_owned(),
+            older: older.to_owned(),
+            length: 0,
+            older_length: 0,
+            open: open_file,
+            unwritten: Vec::new(),
+            unsynced: Vec::new(),
+            synced: 0,
+            sync_data: File::sync_data,
+            last: BTreeMap::new(),
+            half_bytes,
+            sync_every: Duration::from_secs(1),
+            progress: Arc::default(),
+        }
+    }
+
     /// The disk is full just when the last words of a quiet source are carried over: they come with what is written next.
     #[test]
     fn a_quiet_source_stays_known_when_the_disk_is_full_at_a_rotation() {
@@ -561,19 +623,7 @@ mod tests {
         let (current, older) =
             (directory.path().join("narration.journal"), directory.path().join("narration.journal.old"));
         let boot = [0; 16];
-        let mut writer = Writer {
-            file: open_file(&current).unwrap(),
-            current: current.clone(),
-            older: older.clone(),
-            length: 0,
-            older_length: 0,
-            open: open_file,
-            unwritten: Vec::new(),
-            last: BTreeMap::new(),
-            half_bytes: 4096,
-            sync_every: Duration::from_secs(1),
-            progress: Arc::default(),
-        };
+        let mut writer = writer(&current, &older, 4096);
         let quiet = Observation { source: 99, ..observation(41) };
         writer.write(&encode(&quiet, &boot)).unwrap();
         let mut sequence = 0;
@@ -656,5 +706,37 @@ mod tests {
             read_records(&bytes, &[0; 16], &mut recovered);
             prop_assert!(recovered.damaged_bytes as usize <= bytes.len());
         }
+    }
+
+    /// Row "fsync that fails once" of the attacks: what was written before it is lost with the power, if it is not written again.
+    #[test]
+    fn what_a_sync_fails_with_is_written_again() {
+        use std::os::unix::fs::FileExt;
+
+        /// Fails, and forgets all that it was given: the pages count as written.
+        fn failing(file: &File) -> io::Result<()> {
+            let length = usize::try_from(file.metadata()?.len()).unwrap_or_default();
+            // The file appends, so it is overwritten through another descriptor.
+            let lost = OpenOptions::new()
+                .write(true)
+                .open(format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(file)))?;
+            lost.write_all_at(&vec![0; length], 0)?;
+            Err(io::Error::from(io::ErrorKind::StorageFull))
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let current = folder.path().join("narration.journal");
+        let older = folder.path().join("narration.journal.old");
+        let mut writer = Writer { sync_data: failing, ..writer(&current, &older, 1 << 16) };
+        for sequence in 1..=3 {
+            writer.write(&encode(&observation(sequence), &[7; 16])).unwrap();
+        }
+        assert!(writer.sync().is_err());
+        writer.sync_data = File::sync_data;
+        writer.write(&encode(&observation(4), &[7; 16])).unwrap();
+        writer.sync().unwrap();
+        let mut recovered = Recovered::default();
+        read_records(&fs::read(&current).unwrap(), &[7; 16], &mut recovered);
+        let sequences: Vec<_> = recovered.observations.iter().map(|observation| observation.sequence).collect();
+        assert_eq!((sequences, recovered.damaged_bytes), (vec![1, 2, 3, 4], 0));
     }
 }

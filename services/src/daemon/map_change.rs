@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::journal::sync_folder;
+
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::semantic_map::delta::MapChange;
 
@@ -154,7 +156,7 @@ impl KeptMap {
         file.write_all(text.as_bytes())?;
         file.as_file().sync_all()?;
         file.persist(&self.path).map_err(|error| error.error)?;
-        Ok(())
+        sync_folder(&self.path)
     }
 }
 

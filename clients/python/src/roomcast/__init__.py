@@ -254,7 +254,7 @@ class Narrator(_Participant):
         message = layouts.NarrationV1(source=self.source, epoch=self.epoch, sequence=self.sequence + 1, person=self.person, kind=kind)
         message.text_bytes = layouts.write_text("text", message.text, text)
         layouts.write_text("source_name", message.source_name, self.name)
-        message.observed_ns, message.observed_unix_ns = time.monotonic_ns(), time.time_ns()
+        message.observed_ns, message.observed_unix_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME), time.time_ns()
         self._publisher.send(message)
         self.sequence += 1
 
@@ -309,7 +309,7 @@ class Planner(_Participant):
         if not 0 <= stay_s <= 1e9:
             raise ValueError(f"stay_s is {stay_s}; give seconds from 0 to 1e9")
         message = layouts.DecisionV1(robot=self.robot, epoch=self.epoch, sequence=self.sequence + 1, action=int(room != self.room))
-        message.decided_ns, message.decided_unix_ns = time.monotonic_ns(), time.time_ns()
+        message.decided_ns, message.decided_unix_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME), time.time_ns()
         message.stay_ns = round(stay_s * 1e9)
         if self._last is not None:
             message.scores_epoch, message.scores_sequence = self._last.epoch, self._last.sequence

@@ -1,7 +1,7 @@
 """The messages between processes, byte for byte as `roomcast-ipc` lays them out, and judged as it judges them.
 
 `cargo run -p roomcast-ipc --example layout` prints the layouts, and a test compares the two; another compares them with
-`clients/c/roomcast.h`. Texts are UTF-8 and zero padded, `*_ns` is the monotonic clock (`time.monotonic_ns()`), scores are in nats.
+`clients/c/roomcast.h`. Texts are UTF-8 and zero padded, `*_ns` is the boot clock (`CLOCK_BOOTTIME`), scores are in nats.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ NO_PARTITION = 0xFFFFFFFF
 
 _Name = ctypes.c_uint8 * NAME_BYTES
 # Control characters, and those that make text look like other text.
-_HIDDEN = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ufeff]")
+_HIDDEN = re.compile(
+    "[\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\U000e0000-\U000e007f]"
+)
 
 
 class MessageError(ValueError):

@@ -1,4 +1,4 @@
-"""What the messages say, as dataclasses. Times `*_ns` are of the monotonic clock, `*_unix_ns` are for people."""
+"""What the messages say, as dataclasses. Times `*_ns` are of the boot clock (`CLOCK_BOOTTIME`, which counts suspension), `*_unix_ns` are for people."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class RoomScores:
     @property
     def age_s(self) -> float:
         """Seconds since the scores were computed."""
-        return (time.monotonic_ns() - self.computed_ns) / 1e9
+        return (time.clock_gettime_ns(time.CLOCK_BOOTTIME) - self.computed_ns) / 1e9
 
     @property
     def heartbeat(self) -> bool:
