@@ -141,7 +141,7 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
             "the recorded scores are of a map with the fingerprint {wanted}, {name} is another one; give --scene FILE"
         )));
     }
-    let model = setup::load_model(model, &options)?;
+    let model = super::model::load(model, &options)?;
     if hex::encode(&model.info().fingerprint) != wanted.1 {
         let (name, wanted) = (&model.info().name, &wanted.1);
         return Err(Failure::new(
