@@ -311,7 +311,8 @@ impl LlamaModel {
         }
         let fingerprint = file_sha256(path).map_err(|e| fail(e.to_string()))?;
         let backend = backend().map_err(fail)?;
-        let parameters = LlamaModelParams::default().with_use_mmap(true).with_use_mlock(options.lock_memory);
+        // Read, not mapped: of a mapped file, what is cut off while it is in use ends this process (SIGBUS).
+        let parameters = LlamaModelParams::default().with_use_mmap(false).with_use_mlock(options.lock_memory);
         let weights = Weights::load_from_file(backend, path, &parameters).map_err(|e| fail(e.to_string()))?;
         let text = |key: &str| weights.meta_val_str(key).ok();
         let context_tokens = options.positions(weights.n_ctx_train());

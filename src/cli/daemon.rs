@@ -46,9 +46,8 @@ pub fn run(args: &Args) -> CommandResult {
         config.daemon.state.clone_from(&args.state);
     }
     config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
-    // A pinned file is known to be good.
-    if let (Some(path), None, false) = (&config.model.path, &config.model.sha256, args.no_model) {
-        model::try_elsewhere(path)?;
+    if !args.no_model {
+        model::try_configured(&config)?;
     }
     let ended = if args.no_model {
         daemon::run(&config, &domain, &stop, |_| Ok(NoModel::default()))

@@ -265,6 +265,10 @@ fn scene(config: &Config) -> (Finding, Option<SemanticMap>) {
 }
 
 fn model(config: &Config) -> (Finding, Option<LlamaModel>) {
+    let remedy = "roomcast model check FILE; without model.path the embedded household model is used";
+    if let Err(failure) = super::model::try_configured(config) {
+        return (Finding::wrong("model", failure.to_string(), remedy), None);
+    }
     let loading = Instant::now();
     match setup::configured_model(config) {
         Ok(model) => {
@@ -279,10 +283,7 @@ fn model(config: &Config) -> (Finding, Option<LlamaModel>) {
             );
             (Finding::good("model", found), Some(model))
         }
-        Err(error) => {
-            let remedy = "roomcast model check FILE; without model.path the embedded household model is used";
-            (Finding::wrong("model", chain(&error), remedy), None)
-        }
+        Err(error) => (Finding::wrong("model", chain(&error), remedy), None),
     }
 }
 

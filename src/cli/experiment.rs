@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 
 use super::choice::{CorrectionArgs, choice};
-use super::{CommandResult, Failure, count, ranges};
+use super::{CommandResult, Failure, count, model, ranges};
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::narration::history::HistoryLimits;
@@ -101,9 +101,8 @@ impl ModelArgs {
     fn source(&self, grounding: &Grounding) -> Result<ScoreSource<LlamaModel>, ExperimentError> {
         let default = LlamaOptions::default();
         let threads = if self.threads == 0 { default.threads } else { self.threads };
-        let model =
-            setup::load_model(self.model.as_deref(), &LlamaOptions { threads, cache: self.kv_cache, ..default })
-                .map_err(|error| ExperimentError::Model(Box::new(error)))?;
+        let model = model::load(self.model.as_deref(), &LlamaOptions { threads, cache: self.kv_cache, ..default })
+            .map_err(|failure| ExperimentError::Model(failure.error))?;
         let labels = grounding.label_texts();
         // Scores of another arithmetic are others.
         let folder = self.cache().map(|folder| match self.kv_cache {

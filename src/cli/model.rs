@@ -1,11 +1,13 @@
 //! `roomcast model`: what a model file is, whether it works here, and how to get another.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::process::Command as Process;
+use std::process::{Command as Process, Stdio};
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use super::choice::choice;
 use super::{CommandResult, Failure, print};
 use crate::exit_code;
 #[cfg(feature = "pull")]
@@ -15,7 +17,9 @@ use roomcast_core::scorer::correction::{Continuation, Correction};
 use roomcast_core::scorer::{LabelScores, LanguageModel, Method, Scorer, Token, Tokenisation};
 use roomcast_llama::gguf::Header;
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
+use roomcast_services::config::Config;
 use roomcast_services::embedded::{self, ModelFile};
+use roomcast_services::setup;
 
 /// Arguments of `roomcast model`.
 #[derive(Debug, clap::Args)]
@@ -47,12 +51,18 @@ enum Command {
         /// Print JSON.
         #[arg(long)]
         json: bool,
+        /// In this process, which llama.cpp may end: the check starts itself so.
+        #[arg(long, hide = true)]
+        here: bool,
     },
-    /// Load a model and score one label, nothing else: what a service does in a process of its own before it loads a file.
+    /// Load a model and score one label, nothing else: what a command does in a process of its own before it loads a file.
     #[command(hide = true)]
     Rehearse {
         /// A GGUF file.
         file: PathBuf,
+        /// How the key-value cache is stored.
+        #[arg(long, value_parser = choice::<CacheType>(), default_value_t = CacheType::default())]
+        kv_cache: CacheType,
     },
     #[cfg(feature = "pull")]
     /// Download a GGUF file from a model hub into the user's cache; an interrupted download is continued.
@@ -83,10 +93,11 @@ enum Command {
 pub fn run(args: &Args) -> CommandResult {
     match &args.command {
         Command::Info { file, json } => info(file.as_deref(), *json),
-        Command::Check { file, case, record, json } => {
+        Command::Check { file: Some(file), here: false, .. } => check_elsewhere(file),
+        Command::Check { file, case, record, json, here: _ } => {
             check(file.as_deref(), case.as_deref(), record.as_deref(), *json)
         }
-        Command::Rehearse { file } => rehearse(file),
+        Command::Rehearse { file, kv_cache } => rehearse(file, *kv_cache),
         #[cfg(feature = "pull")]
         Command::Pull { repository, file, endpoint, sha256, cache, token_file, json } => {
             let token = token_file.as_deref().map(read_token).transpose()?;
@@ -357,9 +368,10 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
 }
 
 /// Everything that llama.cpp does with a model, once.
-fn rehearse(file: &Path) -> CommandResult {
+fn rehearse(file: &Path, cache: CacheType) -> CommandResult {
     let model_failure = |error: &dyn std::fmt::Display| Failure::new(exit_code::MODEL, error.to_string());
-    let model = LlamaModel::load(file, &LlamaOptions::default()).map_err(|error| model_failure(&error))?;
+    let options = LlamaOptions { cache, ..LlamaOptions::default() };
+    let model = LlamaModel::load(file, &options).map_err(|error| model_failure(&error))?;
     let binding = BindingSequence::default();
     let mut scorer = Scorer::new(model);
     let prepared = scorer.prepare(&["washing machine", "mug"], &binding, Tokenisation::Joint, Correction::default());
@@ -370,30 +382,68 @@ fn rehearse(file: &Path) -> CommandResult {
     scorer.score(&prepared, &prompt, Method::Trie, &mut scores).map_err(|error| model_failure(&error))
 }
 
-/// Lets a process of its own try a model file, so that one on which llama.cpp gives up, which ends its process, is an error here
-/// and not the end of a service.
+/// Loads the model file at `path`, or the embedded one: what every command does that loads a file by its path. A process of its own
+/// tries the file first.
+///
+/// # Errors
+///
+/// When that process dies or the file cannot be loaded.
+pub(super) fn load(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaModel, Failure> {
+    if let Some(path) = path {
+        try_elsewhere(path, options)?;
+    }
+    Ok(setup::load_model(path, options)?)
+}
+
+/// Lets a process of its own try the model file that a configuration names. A pinned file is known to be good.
 ///
 /// # Errors
 ///
 /// When that process dies or cannot load the model, with what it said.
-pub(super) fn try_elsewhere(file: &Path) -> CommandResult {
+pub(super) fn try_configured(config: &Config) -> CommandResult {
+    match (&config.model.path, &config.model.sha256) {
+        (Some(path), None) => try_elsewhere(path, &config.model.llama_options()),
+        _ => Ok(()),
+    }
+}
+
+fn try_elsewhere(file: &Path, options: &LlamaOptions) -> CommandResult {
+    let cache = options.cache.to_string();
+    let arguments = ["model", "rehearse", "--kv-cache", cache.as_str()].map(OsString::from);
+    elsewhere(arguments.into_iter().chain([file.into()]), file)
+}
+
+/// The check in a process of its own: the one that judges does not die of what it judges.
+fn check_elsewhere(file: &Path) -> CommandResult {
+    elsewhere(std::env::args_os().skip(1).chain(["--here".into()]), file)
+}
+
+/// Runs this program on a model file in a process of its own, so that a file on which llama.cpp gives up, which ends its process, is an
+/// error here.
+fn elsewhere(arguments: impl Iterator<Item = OsString>, file: &Path) -> CommandResult {
     let failed = |why: String| Failure::new(exit_code::MODEL, why);
     let own = std::env::current_exe();
-    let tried = own.and_then(|own| Process::new(own).args(["model", "rehearse"]).arg(file).output());
+    let tried = own.and_then(|own| Process::new(own).args(arguments).stdin(Stdio::null()).output());
     let tried = tried.map_err(|error| failed(format!("cannot try the model {}: {error}", file.display())))?;
-    if tried.status.success() {
-        return Ok(());
-    }
+    print(&String::from_utf8_lossy(&tried.stdout))?;
     let said = String::from_utf8_lossy(&tried.stderr);
-    let said = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or_default();
-    Err(failed(match tried.status.code() {
-        Some(_) => said.trim_start_matches("roomcast: ").to_owned(),
-        None => format!(
-            "llama.cpp gave up on the model {} ({}; {said}): the file is damaged or unusable; get it again from its source, and pin it by model.sha256",
-            file.display(),
-            tried.status
-        ),
-    }))
+    match tried.status.code().and_then(|code| u8::try_from(code).ok()) {
+        Some(exit_code::OK) => Ok(()),
+        Some(code @ exit_code::FAILURE..=exit_code::CHECK) => {
+            // The error is its last word, behind what was logged.
+            let said =
+                said.strip_prefix("roomcast: ").or_else(|| Some(said.rsplit_once("\nroomcast: ")?.1)).unwrap_or(&said);
+            Err(Failure::new(code, said.trim().to_owned()))
+        }
+        _ => {
+            let said = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or_default();
+            Err(failed(format!(
+                "llama.cpp gave up on the model {} ({}; {said}): the file is damaged or unusable; get it again from its source",
+                file.display(),
+                tried.status
+            )))
+        }
+    }
 }
 
 /// Whether the tokens of each label spell the label.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::choice::{CorrectionArgs, choice};
-use super::{CommandResult, Failure, count, ranges};
+use super::{CommandResult, Failure, count, model, ranges};
 use crate::bar::bar;
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
@@ -145,7 +145,7 @@ pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap),
     let map = setup::load_map(args.scene.as_deref())?;
     let grounding = Grounding::new(&map, &args.grounding()).map_err(|e| Failure::new(exit_code::INPUT, e))?;
     let observations = observations(args)?;
-    let model = setup::load_model(args.model.as_deref(), &args.llama_options())?;
+    let model = model::load(args.model.as_deref(), &args.llama_options())?;
     let options = PipelineOptions {
         binding: args.binding(),
         tokenisation: args.tokenisation,
