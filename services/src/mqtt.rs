@@ -445,13 +445,14 @@ struct Subscriptions {
 
 impl Subscriptions {
     /// Begins at the first filter.
-    fn start(&mut self, client: &AsyncClient) -> Result<(), ClientError> {
+    fn start(&mut self, client: &AsyncClient) -> Result<(), Box<ClientError>> {
         (self.answered, self.granted) = (0, 0);
         self.ask(client)
     }
 
-    fn ask(&self, client: &AsyncClient) -> Result<(), ClientError> {
-        self.filters.get(self.answered).map_or(Ok(()), |filter| client.try_subscribe(filter, QoS::AtLeastOnce))
+    fn ask(&self, client: &AsyncClient) -> Result<(), Box<ClientError>> {
+        let Some(filter) = self.filters.get(self.answered) else { return Ok(()) };
+        client.try_subscribe(filter, QoS::AtLeastOnce).map_err(Box::new)
     }
 
     /// Takes the broker's answer to the filter asked for last.

@@ -165,13 +165,8 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
             "the recorded scores are of a map with the fingerprint {wanted}, {name} is another one; give --scene FILE"
         )));
     }
-<<<<<<< HEAD
-    let model = setup::load_model(model, &options)?;
-    if hex::encode(model.info().fingerprint) != wanted.1 {
-=======
     let model = super::model::load(model, &options)?;
-    if hex::encode(&model.info().fingerprint) != wanted.1 {
->>>>>>> ecd22dda6e695bbba84ab3a8a7d2b7775ba4eda1
+    if hex::encode(model.info().fingerprint) != wanted.1 {
         let (name, wanted) = (&model.info().name, &wanted.1);
         return Err(Failure::new(
             exit_code::MODEL,
