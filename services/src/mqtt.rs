@@ -32,7 +32,7 @@ use std::time::{Duration, Instant};
 
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{Packet, Publish, SubAck, SubscribeReasonCode};
-use rumqttc::v5::{AsyncClient, ClientError, ConnectionError, Event, EventLoop, MqttOptions};
+use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions};
 use rumqttc::{Outgoing, TlsConfiguration, Transport};
 use rustls::pki_types::CertificateDer;
 use rustls::pki_types::pem::PemObject;
@@ -445,14 +445,16 @@ struct Subscriptions {
 
 impl Subscriptions {
     /// Begins at the first filter.
-    fn start(&mut self, client: &AsyncClient) -> Result<(), Box<ClientError>> {
+    fn start(&mut self, client: &AsyncClient) -> Result<(), MqttError> {
         (self.answered, self.granted) = (0, 0);
         self.ask(client)
     }
 
-    fn ask(&self, client: &AsyncClient) -> Result<(), Box<ClientError>> {
-        let Some(filter) = self.filters.get(self.answered) else { return Ok(()) };
-        client.try_subscribe(filter, QoS::AtLeastOnce).map_err(Box::new)
+    fn ask(&self, client: &AsyncClient) -> Result<(), MqttError> {
+        match self.filters.get(self.answered) {
+            Some(filter) => client.try_subscribe(filter, QoS::AtLeastOnce).map_err(failed),
+            None => Ok(()),
+        }
     }
 
     /// Takes the broker's answer to the filter asked for last.
@@ -474,7 +476,7 @@ impl Subscriptions {
                 }
             }
         }
-        self.ask(client).map_err(failed)
+        self.ask(client)
     }
 }
 
@@ -552,7 +554,7 @@ impl<W: Write> Connection<W> {
                 self.listener.first_connection = *connections == 1;
                 tracing::info!(broker = self.broker, connections, "connected");
                 // Again at every connection: a broker that lost its sessions would say nothing any more.
-                self.subscriptions.start(&self.client).map_err(failed)?;
+                self.subscriptions.start(&self.client)?;
             }
             Event::Incoming(Packet::SubAck(answer)) => self.subscriptions.take(answer, &self.client, &self.broker)?,
             Event::Incoming(Packet::Publish(message)) => {
