@@ -640,12 +640,11 @@ fn together(persons: &[Person], scores: &mut Scores) {
     if persons.iter().all(|person| person.partial().is_none()) {
         return;
     }
-    for partition in 0..partitions {
-        // Rounding must not put the score itself outside.
-        let lower = anybody(&|person| person.probability_bounds(partition).0).ln();
-        scores.lower_log_score_nats[partition] = lower.min(score[partition]);
-        let upper = anybody(&|person| person.probability_bounds(partition).1).ln();
-        scores.upper_log_score_nats[partition] = upper.max(score[partition]);
+    let (lower, upper) = (&mut scores.lower_log_score_nats, &mut scores.upper_log_score_nats);
+    for (partition, (lower, upper)) in lower.iter_mut().zip(upper).enumerate() {
+        // Both begin as the score itself: rounding must not put it outside.
+        *lower = lower.min(anybody(&|person| person.probability_bounds(partition).0).ln());
+        *upper = upper.max(anybody(&|person| person.probability_bounds(partition).1).ln());
     }
     // What is certain of each person is not of all together: only the intervals tell.
     let (lower, upper) = (&scores.lower_log_score_nats, &scores.upper_log_score_nats);

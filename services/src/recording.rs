@@ -139,7 +139,7 @@ impl Recorded {
                         "id": id, "probability": probability, "log_score_nats": finite(nats),
                     })).collect::<Vec<_>>(),
                 })).collect::<Vec<_>>(),
-                "map": hex::encode(&message.map_fingerprint),
+                "map": hex::encode(message.map_fingerprint),
             }),
             Self::Forecast(message) => json!({
                 "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence,
