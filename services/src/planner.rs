@@ -558,7 +558,7 @@ mod tests {
                 let now_ns = 3600 * S + (8 * round + slot) * stay_ns;
                 sleeper.tell(&mut planner, now_ns);
                 let decision = planner.decide(now_ns, 0).unwrap().unwrap();
-                let planned = format!("first of {} slots", 8 - slot);
+                let planned = format!("first of {} slot", 8 - slot);
                 assert!(decision.reason().contains(&planned), "slot {slot}: {}", decision.reason());
                 if slot > 2 {
                     let said = decision.reason().contains("waits in a room that is done")
