@@ -460,7 +460,8 @@ typedef struct RoomcastDecisionV1 {
   // Bit i: room i has been covered.
   // (Offset 72.)
   uint64_t covered;
-  // The score of the room gone to, 0 to 1.
+  // How likely somebody is in the room gone to, 0 to 1: by the forecast over the stay, where the policy plans by it; else the
+  // room's score.
   // (Offset 80.)
   double probability;
   // How long the robot will stay there, in nanoseconds.

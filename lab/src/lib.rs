@@ -7,14 +7,11 @@
 //! use roomcast_core::semantic_map::SemanticMap;
 //! use roomcast_lab::drawing;
 //!
-//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! # let scene = r#"{"format": "roomcast-scene", "version": 1, "name": "flat", "items": [],
-//! #     "rooms": [{"id": "kitchen", "label": "kitchen", "min_m": [0, 0, 0], "max_m": [4, 4, 3]}]}"#;
-//! let map = SemanticMap::from_json(scene)?;
+//! let map = SemanticMap::from_json(include_str!("../../core/example.json"))?;
 //! let grounding = Grounding::new(&map, &GroundingOptions::default())?;
-//! # let _ = (&map, &grounding);
-//! # Ok(())
-//! # }
+//! let plan = drawing::svg(&map, &grounding, None)?;
+//! assert!(plan.contains("<svg"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 pub mod drawing;

@@ -22,7 +22,7 @@ use crate::config::{Config, PlannerConfig};
 use crate::logging::Limiter;
 use crate::notify::notify;
 use crate::stop::Stop;
-use roomcast_core::policy::{Policy, PolicyError, RobotState};
+use roomcast_core::policy::{Policy, PolicyError, PolicyName, RobotState};
 use roomcast_core::semantic_map::PartitionId;
 
 /// How often connections are renewed.
@@ -239,9 +239,13 @@ impl Planner {
         let choice = self.policy.choose(&state, &likely, &mut self.rng)?;
         let to = choice.partition.0 as usize;
         let decision = self.decision(now_ns, now_unix_ns, Some(to), &format!("{ended}{}", choice.reason));
+        // What a policy that plans by the forecast acts on: the expected share of the stay that somebody is there.
+        let planned = (self.policy.name() == PolicyName::CoverageAware).then(|| expected_shared_s.get(to)).flatten();
+        let forecast = planned.map(|shared_s| (shared_s / (self.room_time_ns as f64 / 1e9)).clamp(0.0, 1.0));
         self.room = Some(to);
         self.free_ns = now_ns.saturating_add(self.room_time_ns).max(1);
         Ok(Some(DecisionV1 {
+            probability: forecast.unwrap_or(decision.probability),
             action: action::GO,
             stay_ns: self.room_time_ns,
             flags: decision.flags | flags,
@@ -437,7 +441,6 @@ fn interpolate(grid: &[f32], values: &[f32], at: f64) -> f64 {
 mod tests {
     use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
     use roomcast_core::grounding::{Grounding, GroundingOptions};
-    use roomcast_core::policy::PolicyName;
     use roomcast_core::semantic_map::SemanticMap;
 
     use super::*;

@@ -52,7 +52,8 @@ layout! {
         64 => observed_ns: u64,
         /// Bit i: room i has been covered.
         72 => covered: u64,
-        /// The score of the room gone to, 0 to 1.
+        /// How likely somebody is in the room gone to, 0 to 1: by the forecast over the stay, where the policy plans by it; else the
+        /// room's score.
         80 => probability: f64,
         /// How long the robot will stay there, in nanoseconds.
         88 => stay_ns: u64,

@@ -295,7 +295,8 @@ class Decision:
     observed_ns: int
     #: Bit i: room i has been covered.
     covered: int
-    #: The probability of the room gone to, as the scores had it: how likely the person goes there next. 0 without scores.
+    #: How likely somebody is in the room gone to: by the forecast over the stay, where the policy plans by it; else the room's score.
+    #: 0 without scores.
     probability: float
     stay_ns: int
     action: Action
