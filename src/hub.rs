@@ -24,10 +24,11 @@ pub const SIZE_MAX_BYTES: u64 = 64 << 30;
 /// How often a hub may send the request elsewhere.
 const REDIRECTS_MAX: usize = 5;
 
-/// How long a hub may take to connect, and how long to begin its answer.
+/// How long a hub may take to connect, to begin its answer, and to send some more of it.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// A transfer that is slower than this on the whole has failed; what arrived stays for the next try.
+/// A largest file at this rate takes as long as any transfer may. One that stands still for longer than [`PATIENCE`] has failed; what
+/// arrived stays for the next try.
 const BYTES_PER_SECOND_MIN: u64 = 32 << 10;
 
 /// Why a model could not be fetched.
@@ -255,6 +256,13 @@ impl Hub {
             Err(TryLockError::WouldBlock) => return Err(HubError::Locked(part)),
             Err(TryLockError::Error(error)) => return Err(HubError::Cache { path: part, error }),
         }
+        // Whoever had the lock may have given the file its final name meanwhile.
+        let same = |there: std::fs::Metadata| {
+            content.metadata().is_ok_and(|ours| (ours.dev(), ours.ino()) == (there.dev(), there.ino()))
+        };
+        if !part.symlink_metadata().is_ok_and(same) {
+            return Err(HubError::Locked(part));
+        }
         let mut hasher = Sha256::new();
         let mut buffer = vec![0; 1 << 16];
         let mut kept = 0;
@@ -287,6 +295,12 @@ impl Hub {
             (Some(sum), _) | (None, Some(sum)) => sum.clone(),
             (None, None) => return Err(HubError::NoChecksum { endpoint: endpoint.into(), file: file.into() }),
         };
+        if file_sha256(&path).is_ok_and(|found| hex::encode(found) == wanted) {
+            // It is here already; what was begun of it is of no use.
+            let header = Header::read_language_model(&path)?;
+            std::fs::remove_file(&part).map_err(failed(&part))?;
+            return Ok(Pulled { path, sha256: wanted, pinned: pinned.is_some(), header });
+        }
         if answer.from == 0 {
             hasher = Sha256::new();
             content.set_len(0).map_err(failed(&part))?;
@@ -345,7 +359,6 @@ impl Hub {
         let protocol = |reason: String| HubError::Protocol { endpoint: endpoint.into(), reason };
         let unreachable =
             |error: ureq::Error| HubError::Unreachable { endpoint: endpoint.into(), reason: error.to_string() };
-        // A whole file at the slowest rate allowed; the connection, not the caller, decides how much of it is used.
         let patience = PATIENCE + Duration::from_secs(SIZE_MAX_BYTES / BYTES_PER_SECOND_MIN);
         let agent: ureq::Agent = ureq::Agent::config_builder()
             .max_redirects(0)
@@ -355,6 +368,7 @@ impl Hub {
             .timeout_connect(Some(PATIENCE))
             .timeout_recv_response(Some(PATIENCE))
             .timeout_recv_body(Some(patience))
+            .timeout_per_read(Some(PATIENCE))
             .build()
             .into();
         let mut address = url.clone();

@@ -76,6 +76,7 @@ impl Default for GroundingOptions {
 
 /// Why a map or its scores cannot be grounded.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum GroundingError {
     /// Nothing to score.
     #[error(

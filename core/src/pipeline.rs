@@ -23,6 +23,7 @@ pub const SOURCES_MAX: usize = 64;
 
 /// A pipeline that cannot be set up, or a step that failed. Histories are complete all the same.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum PipelineError {
     /// The scorer failed.
     #[error(transparent)]
@@ -631,7 +632,9 @@ fn together(persons: &[Person], scores: &mut Scores) {
     scores.label_log_prob_nats.extend((0..first.scores.log_prob_nats.len()).map(label));
 
     let partitions = first.grounded.partition_probability.len();
-    let anybody = |of: &dyn Fn(&Person) -> f64| 1.0 - persons.iter().map(|person| 1.0 - of(person)).product::<f64>();
+    // 1 - prod(1 - p), exact for small p too.
+    let anybody =
+        |of: &dyn Fn(&Person) -> f64| -persons.iter().map(|person| (-of(person)).ln_1p()).sum::<f64>().exp_m1();
     scores.grounded.set(label_mass, (0..partitions).map(|j| anybody(&|p| p.grounded.partition_probability[j])));
     let score = &scores.grounded.partition_log_score_nats;
     scores.lower_log_score_nats.clone_from(score);

@@ -21,6 +21,7 @@ pub const BINDING_BYTES_MAX: usize = 1024;
 
 /// A binding sequence that cannot be used.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum BindingError {
     /// Nothing but white space.
     #[error(

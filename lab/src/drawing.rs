@@ -79,6 +79,7 @@ impl Heat {
 
 /// Why a drawing failed.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum DrawingError {
     /// The heat is of another map or another level.
     #[error(

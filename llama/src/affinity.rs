@@ -4,6 +4,7 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// Cores that cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum AffinityError {
     /// A core that this process may not run on.
     #[error("model.cores names core {core}, but this process may run on {allowed:?} only: name some of these, or none")]

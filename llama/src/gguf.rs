@@ -29,6 +29,7 @@ const ALIGNMENT_BYTES_DEFAULT: u64 = 32;
 
 /// Why a file is not a usable GGUF model.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum GgufError {
     /// The file cannot be opened or read.
     #[error("failed to read model file {path}: {source}; check the path and its permissions")]

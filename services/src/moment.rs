@@ -20,6 +20,7 @@ pub const VERSION: u32 = 1;
 
 /// Why a moment cannot be explained.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum MomentError {
     /// Not a moment's JSON.
     #[error("the moment is malformed: {0}; do both sides have the same version of Roomcast?")]

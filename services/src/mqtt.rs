@@ -63,6 +63,7 @@ const SESSION_EXPIRY_S: u32 = u32::MAX;
 
 /// Why MQTT cannot be narrated.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum MqttError {
     /// A file cannot be read.
     #[error("failed to read {path}: {source}")]

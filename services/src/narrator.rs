@@ -46,6 +46,7 @@ pub struct Item {
 
 /// A line or file that is no narration.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum InputError {
     /// It cannot be read.
     #[error("cannot read {name}: {source}")]

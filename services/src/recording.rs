@@ -31,6 +31,7 @@ const MOMENT_FILES: &str = "moment-";
 
 /// Why a recording cannot be written or read.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum RecordingError {
     /// The file cannot be opened, read or written.
     #[error("failed to use the recording {path}: {source}; check the path, its permissions and the room on the disk")]

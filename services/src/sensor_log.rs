@@ -29,6 +29,7 @@ const LINE_BYTES: usize = 256;
 
 /// Why a log cannot be narrated at all. Single lines that are malformed are [`InputError::Sensor`].
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum SensorError {
     /// A file cannot be read.
     #[error("failed to read {path}: {source}")]

@@ -16,6 +16,7 @@ use roomcast_llama::{LlamaModel, LlamaOptions, file_sha256};
 
 /// What kept the service from becoming ready.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum SetupError {
     /// The configuration.
     #[error(transparent)]

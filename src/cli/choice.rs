@@ -14,11 +14,18 @@ where
     let shown = |&choice: &T| {
         let value = PossibleValue::new(choice.into());
         match choice.get_documentation() {
-            Some(documentation) => value.help(documentation.lines().next().unwrap_or_default().to_owned()),
+            Some(documentation) => value.help(first_sentence(documentation)),
             None => value,
         }
     };
     PossibleValuesParser::new(T::VARIANTS.iter().map(shown).collect::<Vec<_>>()).try_map(|name| name.parse::<T>())
+}
+
+/// The first sentence of a documentation comment, without the marks of links.
+fn first_sentence(documentation: &str) -> String {
+    let line = documentation.replace('\n', " ").replace("[`Self::", "").replace("`]", "").replace('`', "");
+    let end = line.find(". ").map_or(line.len(), |end| end + 1);
+    line[..end].trim_end_matches('.').to_owned()
 }
 
 /// How scores are corrected.

@@ -62,7 +62,7 @@ fn mqtt_failure(error: MqttError) -> Failure {
     let code = match error {
         MqttError::Address { .. } | MqttError::Scheme { .. } => exit_code::USAGE,
         MqttError::Read { .. } | MqttError::Rules { .. } | MqttError::Authority { .. } => exit_code::INPUT,
-        MqttError::Refused { .. } | MqttError::Client { .. } => exit_code::FAILURE,
+        _ => exit_code::FAILURE,
     };
     Failure::new(code, error)
 }

@@ -18,6 +18,7 @@ pub const OBJECTS_MAX: usize = 2;
 
 /// Why a line is no action.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum ActionError {
     /// The line is longer than [`LINE_BYTES_MAX`].
     #[error("the line has {bytes} bytes, more than {LINE_BYTES_MAX}: one action per line is expected")]

@@ -21,6 +21,7 @@ pub const SENTENCE_BYTES_MAX: usize = 1024;
 
 /// Why a text is no sentence.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum SentenceError {
     /// Nothing but space and punctuation.
     #[error("the sentence holds no letter or digit: say what was observed, such as `They open the fridge.`")]
@@ -138,6 +139,7 @@ pub enum Observed {
 
 /// Why a text is no observation.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum ObservedError {
     /// It opens with `[` and so claims to be an action.
     #[error(transparent)]

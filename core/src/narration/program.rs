@@ -11,6 +11,7 @@ pub const STEPS_MAX: usize = 10_000;
 
 /// Why a text is no program.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ProgramError {
     /// The file cannot be read.
     #[error("failed to read the activity program {path}: {source}")]

@@ -48,6 +48,7 @@ pub struct Choice {
 
 /// Why no decision can be taken.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum PolicyError {
     /// There is no partition to go to.
     #[error("there is no partition to choose from: the scene needs at least one room")]

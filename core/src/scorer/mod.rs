@@ -47,6 +47,7 @@ pub struct ModelInfo {
 
 /// A model that failed.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ModelError {
     /// The file is no sound model; names it, and says what to do.
     #[error(transparent)]
@@ -248,6 +249,7 @@ pub enum Tokenisation {
 
 /// A failed scoring.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ScoreError {
     /// The model failed.
     #[error(transparent)]

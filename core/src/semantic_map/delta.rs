@@ -62,6 +62,7 @@ pub struct NewDoor(DoorEntry);
 
 /// Why changes cannot be applied.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum DeltaError {
     /// Not a list of changes.
     #[error(

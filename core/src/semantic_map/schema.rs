@@ -29,6 +29,7 @@ const FARTHEST_M: f64 = 10_000.0;
 
 /// Why a scene cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum SceneError {
     /// The error lies in this file.
     #[error("scene {}", path.display())]

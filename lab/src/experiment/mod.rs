@@ -22,6 +22,7 @@ pub use scores::{ScoreSource, ScoresError};
 
 /// What keeps an experiment from its result.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ExperimentError {
     /// A file or folder.
     #[error("failed to read {path}: {source}")]

@@ -74,6 +74,7 @@ pub struct Report {
 
 /// A report that could not be written.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ReportError {
     /// The disk refused.
     #[error("failed to write {path}: {source}; choose another folder with --out")]

@@ -21,6 +21,7 @@ use roomcast_core::scorer::{
 
 /// What scores can fail by.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ScoresError {
     /// The scorer.
     #[error(transparent)]

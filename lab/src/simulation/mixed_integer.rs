@@ -6,6 +6,7 @@ use super::world::Cost;
 
 /// Why the solver gives no optimum.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum SolverError {
     /// The solver gave up.
     #[error("HiGHS ended with {status:?} on a program of {slots} slots and {rooms} rooms")]

@@ -18,6 +18,7 @@ pub const STEPS_MAX: usize = 4 * 24 * 3600;
 
 /// Why there is no timeline.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum TimelineError {
     /// No action could be carried out.
     #[error("the timeline of `{title}` is empty: the scene `{scene}` has none of its objects ({missing})")]

@@ -10,6 +10,7 @@ use roomcast_core::semantic_map::{PartitionId, SemanticMap};
 
 /// Why a simulation cannot be run.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum WorldError {
     /// Nobody there.
     #[error("no person is in the simulation: give at least one activity program")]

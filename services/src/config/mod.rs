@@ -32,6 +32,7 @@ const JOURNAL_BYTES_MIN: u64 = 8192;
 
 /// A configuration that cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ConfigError {
     /// The file cannot be read.
     #[error("failed to read the configuration {path}: {source}")]

@@ -20,6 +20,7 @@ use roomcast_core::semantic_map::SemanticMap;
 
 /// A map that messages cannot carry.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum BoardError {
     /// More partitions than a message has places.
     #[error(
@@ -43,6 +44,7 @@ pub enum BoardError {
 
 /// A map that cannot take the place of the one in use.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum MapError {
     /// Messages cannot carry it.
     #[error(transparent)]
@@ -219,6 +221,11 @@ impl<M: LanguageModel> Board<M> {
                 followed.forecaster.observe(at_s, mention, grounding, &[]);
             }
         }
+    }
+
+    /// Whether the scores are of the map in use: not while a changed map waits for its first ones.
+    pub(super) fn is_scored(&self) -> bool {
+        self.next_rooms.is_none()
     }
 
     /// All that is behind the newest scores.

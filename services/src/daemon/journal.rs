@@ -14,6 +14,8 @@
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -48,6 +50,7 @@ pub struct JournalOptions {
 
 /// A journal that cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum JournalError {
     /// A file operation failed.
     #[error("journal {}: cannot {operation} it: {source}; check owner, mode and space of the state directory", path.display())]
@@ -294,6 +297,10 @@ impl Writer {
                 synced = Instant::now();
             }
         }
+        if !self.unwritten.is_empty() {
+            let written = self.write(&[]);
+            self.note(written);
+        }
         let done = self.sync().or_else(|_| self.sync());
         self.note(done);
     }
@@ -301,8 +308,7 @@ impl Writer {
     /// Brings what was written to the disk; what that fails with is written again, for the next sync.
     fn sync(&mut self) -> io::Result<()> {
         if let Err(error) = (self.sync_data)(&self.file) {
-            self.rewind()?;
-            self.write(&[])?;
+            self.write_again()?;
             return Err(error);
         }
         self.synced = self.length;
@@ -310,24 +316,35 @@ impl Writer {
         Ok(())
     }
 
-    /// Back to what is on the disk; the rest is to be written again.
-    fn rewind(&mut self) -> io::Result<()> {
-        self.file.set_len(self.synced)?;
-        self.length = self.synced;
-        let later = std::mem::replace(&mut self.unwritten, std::mem::take(&mut self.unsynced));
-        self.unwritten.extend_from_slice(&later);
-        Ok(())
+    /// Writes what may not be on the disk once more, in its place: at no time is anything gone from the file.
+    fn write_again(&self) -> io::Result<()> {
+        // The file appends, so it is written to through another descriptor.
+        let again = format!("/proc/self/fd/{}", self.file.as_raw_fd());
+        OpenOptions::new().write(true).open(again)?.write_all_at(&self.unsynced, self.synced)
+    }
+
+    /// Drops the oldest of what the disk refuses, so that the rest fits into a half; last words that are carried over go last.
+    fn trim_unwritten(&mut self) {
+        while self.unwritten.len() as u64 > self.half_bytes {
+            let mut from = 0;
+            while self.unwritten[from..].starts_with(&MAGIC_CARRIED) {
+                from += record_bytes(&self.unwritten[from..]);
+            }
+            if from >= self.unwritten.len() {
+                from = 0;
+            }
+            let until = from + record_bytes(&self.unwritten[from..]);
+            self.unwritten.drain(from..until);
+        }
     }
 
     /// Writes what was refused before, then `batch`; what is refused now is kept, as much of it as a half may hold.
     fn write(&mut self, batch: &[u8]) -> io::Result<()> {
         self.unwritten.extend_from_slice(batch);
-        while self.unwritten.len() as u64 > self.half_bytes {
-            let first = record_bytes(&self.unwritten);
-            self.unwritten.drain(..first);
-        }
+        self.trim_unwritten();
         if self.length + self.unwritten.len() as u64 > self.half_bytes && self.length > 0 {
             self.rotate()?;
+            self.trim_unwritten();
         }
         if let Err(error) = self.file.write_all(&self.unwritten) {
             // Part of it may have been taken: cut it off again. If that fails too, reading steps over it.
@@ -350,7 +367,7 @@ impl Writer {
     /// new file before the old one lets go.
     fn rotate(&mut self) -> io::Result<()> {
         if let Err(error) = (self.sync_data)(&self.file) {
-            self.rewind()?;
+            self.write_again()?;
             return Err(error);
         }
         let quiet: Vec<u64> =
@@ -366,14 +383,12 @@ impl Writer {
         }
         // In a journal of the least size it is the newest narration that counts.
         carried.truncate(if carried.len() as u64 > self.half_bytes / 4 { 0 } else { carried.len() });
-        match fs::rename(&self.current, &self.older) {
-            // A rotation that got no further before: the old half is in place.
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-            renamed => renamed?,
+        // A rotation that got no further before has put the full half in place already: another file has its name now, or none.
+        if names_file(&self.current, &self.file)? {
+            fs::rename(&self.current, &self.older)?;
         }
         self.older_length = self.length;
         let file = (self.open)(&self.current)?;
-        sync_folder(&self.current)?;
         rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
         self.file = file;
         self.length = 0;
@@ -382,6 +397,7 @@ impl Writer {
         // The new half has nothing yet. What is carried goes first into it, and is tried again like everything that the disk refuses.
         self.last.values_mut().for_each(|(_, in_current)| *in_current = false);
         self.unwritten.splice(..0, carried);
+        self.note(sync_folder(&self.current));
         Ok(())
     }
 
@@ -392,6 +408,19 @@ impl Writer {
                 tracing::warn!(%error, failures, path = %self.current.display(), "the journal cannot be written; the history in memory is complete");
             }
         }
+    }
+}
+
+/// Whether `path` names the open file.
+fn names_file(path: &Path, file: &File) -> io::Result<bool> {
+    use std::os::unix::fs::MetadataExt;
+    match fs::symlink_metadata(path) {
+        Ok(there) => {
+            let ours = file.metadata()?;
+            Ok((there.dev(), there.ino()) == (ours.dev(), ours.ino()))
+        }
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(error) => Err(error),
     }
 }
 
@@ -708,18 +737,44 @@ mod tests {
         }
     }
 
+    /// A rotation that fails after the new half was made loses nothing at the next one.
+    #[test]
+    fn a_rotation_that_fails_half_way_keeps_both_halves() {
+        fn made_and_failed(path: &Path) -> io::Result<File> {
+            open_file(path)?;
+            Err(io::Error::from(io::ErrorKind::StorageFull))
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let current = folder.path().join("narration.journal");
+        let older = folder.path().join("narration.journal.old");
+        let mut writer = writer(&current, &older, 4096);
+        let mut sequence = 0;
+        let mut next = || {
+            sequence += 1;
+            encode(&observation(sequence), &[0; 16])
+        };
+        while !older.exists() {
+            writer.write(&next()).unwrap();
+        }
+        let before = writer.last.len();
+        writer.open = made_and_failed;
+        while writer.write(&next()).is_ok() {}
+        let full = fs::read(&older).unwrap();
+        assert!(full.len() > 2048 && fs::read(&current).unwrap().is_empty());
+        writer.open = open_file;
+        writer.write(&next()).unwrap();
+        assert_eq!(fs::read(&older).unwrap(), full);
+        assert_eq!(writer.last.len(), before);
+    }
+
     /// Row "fsync that fails once" of the attacks: what was written before it is lost with the power, if it is not written again.
     #[test]
     fn what_a_sync_fails_with_is_written_again() {
-        use std::os::unix::fs::FileExt;
-
         /// Fails, and forgets all that it was given: the pages count as written.
         fn failing(file: &File) -> io::Result<()> {
             let length = usize::try_from(file.metadata()?.len()).unwrap_or_default();
             // The file appends, so it is overwritten through another descriptor.
-            let lost = OpenOptions::new()
-                .write(true)
-                .open(format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(file)))?;
+            let lost = OpenOptions::new().write(true).open(format!("/proc/self/fd/{}", file.as_raw_fd()))?;
             lost.write_all_at(&vec![0; length], 0)?;
             Err(io::Error::from(io::ErrorKind::StorageFull))
         }

@@ -70,6 +70,7 @@ fn journal_options(config: &DaemonConfig) -> Option<JournalOptions> {
 
 /// Why the daemon ended, or did not begin.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum DaemonError {
     /// Model, map or configuration.
     #[error(transparent)]
@@ -478,7 +479,10 @@ impl<M: LanguageModel> Scoring<M> {
                 self.cycle.score_again();
             }
             self.status.answer(|| self.tally())?;
-            self.moments.answer(|_| serde_json::to_string(&self.cycle.board().moment()).unwrap_or_default())?;
+            // Whoever asks meanwhile waits for the first scores of a changed map.
+            if self.cycle.board().is_scored() {
+                self.moments.answer(|_| serde_json::to_string(&self.cycle.board().moment()).unwrap_or_default())?;
+            }
             if self.queue.is_empty() {
                 self.cycle.tidy();
             }

@@ -25,6 +25,7 @@ pub struct Imported {
 
 /// Why a map of another format cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ImportError {
     /// Not JSON, or not of the format: a missing key, a wrong type.
     #[error("{}{message}; expected {expected}", schema::place(.element))]
