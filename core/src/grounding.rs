@@ -407,7 +407,7 @@ impl Grounding {
 
     /// Whether the list holds labels that nothing bears any more.
     #[must_use]
-    pub(crate) fn has_idle_labels(&self) -> bool {
+    pub fn has_idle_labels(&self) -> bool {
         self.idle_labels
     }
 

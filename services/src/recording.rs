@@ -3,7 +3,7 @@
 //! Every message is a JSON object under a JSON schema, so that Foxglove and other tools of robotics read it; its field `bytes` holds the
 //! message as it lay in shared memory, in hexadecimal, so that what is replayed is what was recorded, bit for bit. Numbers that
 //! JavaScript cannot hold (epochs, sources) are hexadecimal texts. Attachments hold what the daemon told of itself: the map in use,
-//! and the narration that came before the recording ([`roomcast_services::moment`]).
+//! and the narration that came before the recording ([`crate::moment`]).
 
 use std::collections::BTreeMap;
 use std::fs::File;

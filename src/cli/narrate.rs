@@ -27,7 +27,7 @@ pub struct Args {
     /// Make a FIFO there and publish the lines written into it, for ever.
     #[arg(long, value_name = "PATH")]
     fifo: Option<PathBuf>,
-    /// Publish what an MQTT broker's devices say: mqtt://HOST[:PORT], or mqtts://HOST[:PORT] with --mqtt-ca.
+    /// Publish what an MQTT broker's devices say: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca.
     #[cfg(feature = "mqtt")]
     #[arg(long, value_name = "URL", conflicts_with_all = ["input", "fifo", "sensors"], requires = "rules")]
     mqtt: Option<String>,

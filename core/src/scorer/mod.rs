@@ -502,7 +502,7 @@ impl<M: LanguageModel> Scorer<M> {
     ///
     /// # Errors
     /// When the model fails.
-    pub(crate) fn learn_prior(&mut self, prepared: &mut PreparedLabels) -> Result<(), ScoreError> {
+    pub fn learn_prior(&mut self, prepared: &mut PreparedLabels) -> Result<(), ScoreError> {
         let Correction { prior, .. } = prepared.correction;
         if prior > 0.0 {
             let mut blank = String::new();

@@ -122,7 +122,7 @@ impl<M: LanguageModel> Cycle<M> {
     /// Whether there is something to send: new scores, a heartbeat, or claims that had to wait for the journal. `written` is how far the
     /// journal is.
     #[must_use]
-    pub(crate) fn message_due(&self, now_ns: u64, written: u64) -> bool {
+    pub fn message_due(&self, now_ns: u64, written: u64) -> bool {
         let confirmation =
             now_ns.saturating_sub(self.sent_ns) >= self.heartbeat_ns || (self.held_back && self.durable(written));
         self.board.snapshot().sequence > 0 && (self.fresh || confirmation)
