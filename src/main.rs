@@ -1,5 +1,10 @@
 //! The `roomcast` binary: the command line, and what only people at a terminal need.
 
+#![cfg_attr(
+    not(all(feature = "demo", feature = "lab", feature = "latency", feature = "recordings")),
+    allow(dead_code, reason = "commands that a smaller build leaves out use it")
+)]
+
 use std::process::ExitCode;
 
 mod bar;
