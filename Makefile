@@ -53,6 +53,10 @@ unit:
 	@echo "test: unit, property and multi-process tests"
 	cargo test --release --locked --workspace --features optimum
 
+.PHONY: nightly
+nightly: ## An hour of faults by seed: simulation, killed processes, mutated input.
+	ROOMCAST_SEEDS=60000 ROOMCAST_CHAOS_CYCLES=1000 ROOMCAST_CHAOS_SEED=$$(date +%j) ROOMCAST_FUZZ_RUNS=3000000 cargo test --release --locked --workspace --features optimum --test simulated --test chaos --test killed --test fuzzed -- --nocapture
+
 .PHONY: docs
 docs:
 	@echo "test: documentation"

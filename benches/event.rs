@@ -31,7 +31,9 @@ use roomcast_core::scorer::certified::Effort;
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::scorer::{LanguageModel, Token};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{Domain, ForecastV1, NarrationV1, Publisher, RoomScoresV1, Subscriber, clock, narration_kind};
+use roomcast_ipc::{
+    Domain, ForecastV1, NarrationV1, Publisher, RoomScoresV1, Sender, Subscriber, clock, narration_kind,
+};
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions, backend};
 use roomcast_services::config::IntakeLimits;
 use roomcast_services::daemon::{Board, Cycle, Entry, Intake, Taken};
@@ -181,7 +183,7 @@ impl Ours {
         let board = Board::new(pipeline, map.clone(), GroundingOptions::default(), 1).expect("the rooms fit a message");
         let node = domain.open("bench").expect("the domain is private");
         Self {
-            intake: Intake::new(IntakeLimits { rate_per_s: 0.0, ..IntakeLimits::default() }),
+            intake: Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 }),
             cycle: Cycle::new(board, u64::MAX / 2),
             forecasts: node.publisher().expect("a port is free"),
             scores: node.publisher().expect("a port is free"),
@@ -196,9 +198,9 @@ impl Ours {
         let now_ns = clock::monotonic_ns();
         let message = NarrationV1 { source: 1, epoch: 1, sequence: self.sequence, observed_ns: now_ns, ..message };
         let start = Instant::now();
-        let taken = self.intake.receive(Ok(&message), now_ns);
+        let taken = self.intake.receive(Ok(&message), Sender::simulated(1), now_ns);
         if let Taken::Accepted { observation, .. } = taken {
-            self.cycle.enter(Entry { observation, received_ns: now_ns, after_gap: false }, 0);
+            self.cycle.enter(Entry::new(observation, now_ns), 0);
         }
         let intake = nanoseconds(start);
         self.cycle.step(now_ns, now_ns).expect("the model scores");

@@ -48,7 +48,7 @@ fn event(cycle: &mut Cycle<LlamaModel>, sequence: u64, sentence: &Sentence) -> [
     let now_ns = clock::monotonic_ns();
     let observation = Observation { observed_ns: now_ns, ..Observation::of(sequence, sentence.clone()) };
     let start = Instant::now();
-    cycle.enter(Entry { observation, received_ns: now_ns, after_gap: false }, 0);
+    cycle.enter(Entry::new(observation, now_ns), 0);
     cycle.step(now_ns, now_ns).expect("the model scores");
     std::hint::black_box(cycle.board_mut().forecast(now_ns));
     std::hint::black_box(cycle.message(now_ns, u64::MAX, false));

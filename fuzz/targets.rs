@@ -10,19 +10,22 @@
 
 use std::io::Write;
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::label_trie::{LabelTrie, PROMPT, TokenTree};
 use roomcast_core::narration::Program;
 use roomcast_core::scorer::Token;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonScoresV1, RoomScoresV1};
+use roomcast_ipc::{
+    ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonScoresV1, RobotReportV1, RoomScoresV1,
+    Sender, sequence,
+};
 use roomcast_llama::gguf::Header;
-use roomcast_services::config::Config;
-use roomcast_services::config::{IntakeLimits, PlannerConfig};
+use roomcast_services::config::{Config, IntakeLimits, PlannerConfig};
 use roomcast_services::daemon::{Intake, Recovered, Taken, journal};
 use roomcast_services::mqtt::{Listener, Rules};
-use roomcast_services::narrator::line_item;
+use roomcast_services::narrator::{Who, line_item};
 use roomcast_services::planner::Planner;
 use roomcast_services::recording;
 use roomcast_services::sensor_log::SensorRules;
@@ -69,11 +72,11 @@ pub fn program(bytes: &[u8]) {
 /// A line that is accepted becomes a message that the daemon accepts.
 pub fn line(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
-    let Ok(item) = line_item(text, 1, 0) else { return };
+    let Ok(item) = line_item(text, &Who::Somebody) else { return };
     let message = NarrationV1::new(item.kind, &item.text).expect("what the narrator accepts is a message");
     let message = NarrationV1 { source: 1, epoch: 1, sequence: 1, ..message };
     message.check().expect("what the narrator sends passes the daemon's check");
-    let taken = Intake::new(IntakeLimits::default()).take(&message, 1);
+    let taken = Intake::new(IntakeLimits::default()).take(&message, Sender::simulated(1), 1);
     assert!(matches!(taken, Taken::Accepted { .. }), "{taken:?}");
 }
 
@@ -112,17 +115,17 @@ fn image<M: ByteImage + Layout>(bytes: &[u8]) -> M {
 /// Any bytes in shared memory may be looked at; those that pass the check are used without harm.
 pub fn message(bytes: &[u8]) {
     let Some((kind, bytes)) = bytes.split_first() else { return };
-    match kind % 5 {
+    match kind % 6 {
         0 => {
             let message: NarrationV1 = image(bytes);
             let mut intake = Intake::new(IntakeLimits::default());
             let checked = message.check();
             let passed = checked.is_ok();
-            match intake.receive(checked.map(|()| &message), 5) {
+            match intake.receive(checked.map(|()| &message), Sender::simulated(1), 5) {
                 Taken::Accepted { observation, .. } => {
                     assert!(passed && observation.observed_ns <= 5);
-                    assert!(!observation.sentence.as_str().contains(char::is_control));
-                    assert_eq!(intake.take(&message, 6), Taken::Duplicate);
+                    assert!(!observation.said.to_string().contains(char::is_control));
+                    assert_eq!(intake.take(&message, Sender::simulated(1), 6), Taken::Duplicate);
                 }
                 Taken::Malformed(why) => assert!(!why.is_empty()),
                 other => panic!("{other:?}"),
@@ -138,6 +141,22 @@ pub fn message(bytes: &[u8]) {
                 planner.take(&scores);
                 planner.take_forecast(&ForecastV1 { epoch: scores.epoch, ..ForecastV1::default() });
                 for now_ns in [0, scores.published_ns, scores.published_ns.saturating_add(1 << 40)] {
+                    if let Ok(Some(decision)) = planner.decide(now_ns, 0) {
+                        decision.check().expect("the planner's decisions pass the check");
+                    }
+                }
+            }
+        }
+        5 => {
+            let report: RobotReportV1 = image(bytes);
+            if report.check().is_ok() {
+                let config = PlannerConfig { robot: "robot".to_owned(), ..PlannerConfig::default() };
+                let mut planner = Planner::new(&config, 1);
+                planner.take(&RoomScoresV1 { room_count: 2, ..RoomScoresV1::default() });
+                let own = RobotReportV1 { robot: sequence::source_of_name("robot"), ..report };
+                // A room that the map lacks is a fault of the report alone.
+                let _placed = planner.take_report(&own, 5);
+                for now_ns in [0, 5, 1 << 40] {
                     if let Ok(Some(decision)) = planner.decide(now_ns, 0) {
                         decision.check().expect("the planner's decisions pass the check");
                     }
@@ -223,14 +242,18 @@ pub fn gguf(bytes: &[u8]) {
 /// Messages of any topic and payload, with zeros between them: what is said is a line of JSON that the narrator reads or refuses.
 pub fn mqtt(bytes: &[u8]) {
     const RULES: &str = "[[rule]]\ntopic = \"home/+/state\"\nsay = \"They use the {1}: {value}.\"\n\
-        [[rule]]\ntopic = \"json/#\"\nfield = \"/state\"\nsay = \"the lamp is {value}\"\nretained = true";
+        [[rule]]\ntopic = \"json/#\"\nfield = \"/state\"\nsay = \"the lamp is {value}\"\nretained = true\n\
+        [[rule]]\ntopic = \"motion/+\"\npresence = \"present\"\nroom = \"{1}\"\nperson = \"{value}\"\n\
+        [[rule]]\ntopic = \"#\"\npresence = \"away\"\nperson = \"{value}\"\nquiet_s = 1.0";
     let mut listener = Listener::new(Rules::parse(RULES).unwrap());
     let mut parts = bytes.split(|byte| *byte == 0);
     while let (Some(topic), Some(payload)) = (parts.next(), parts.next()) {
         for retained in [false, true] {
-            if let Some(line) = listener.hear(topic, payload, retained) {
+            let now = Instant::now();
+            let said = listener.hear(topic, payload, retained, now);
+            for line in said.into_iter().chain(listener.due(now + Duration::from_secs(1))) {
                 assert!(!line.contains('\n') && line.starts_with('{'));
-                let _refused = line_item(&line, 1, 0);
+                let _refused = line_item(&line, &Who::Somebody);
             }
         }
     }
@@ -246,11 +269,12 @@ pub fn recording(bytes: &[u8]) {
 /// Any bytes as a sensor log: each line is narrated, passed over or refused by itself.
 pub fn sensors(bytes: &[u8]) {
     const RULES: &str = "[[rule]]\nsay = \"They open the {sensor} for {seconds} seconds.\"\nshortest_s = 1.0\nagain_s = 2.0\n\
-        [[rule]]\nat = \"end\"\nkind = \"door\"\nsay = \"They close the {sensor} in the {place}.\"";
-    let narrated = SensorRules::parse(RULES).unwrap().narrate(bytes);
+        [[rule]]\nat = \"end\"\nkind = \"door\"\nsay = \"They close the {sensor} in the {place}.\"\n\
+        [[rule]]\npresence = \"away\"\nperson = \"{sensor}\"\nquiet_s = 3.0";
+    let narrated = SensorRules::parse(RULES).unwrap().narrate(bytes, &Who::Somebody);
     let lines = bytes.split(|byte| *byte == b'\n').count();
     let (said, refused): (Vec<_>, Vec<_>) = narrated.items.iter().partition(|item| item.is_ok());
-    assert!(said.len() + refused.len() <= 2 * lines, "two sentences a line at most");
+    assert!(said.len() + refused.len() <= 3 * lines, "a line for each rule at most");
     for item in said.into_iter().flatten() {
         assert!(item.duration_s >= 0.0, "time does not go back");
         NarrationV1::new(item.kind, &item.text).expect("what is narrated is a message");

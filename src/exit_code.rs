@@ -18,4 +18,4 @@ pub const IPC: u8 = 6;
 pub const CHECK: u8 = 7;
 /// Interrupted by ctrl-C or a termination signal before the work was done, or by a second signal. A service that is asked to stop
 /// has done its work: it ends with [`OK`].
-pub const INTERRUPTED: u8 = roomcast_services::stop::INTERRUPTED;
+pub const INTERRUPTED: u8 = 130;

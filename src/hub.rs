@@ -192,6 +192,8 @@ struct Answer {
     size_bytes: u64,
     /// Where in the file the bytes begin.
     from: u64,
+    /// Whether the hub says that the file has nothing behind what is kept (416).
+    nothing_more: bool,
     body: Box<dyn Read>,
 }
 
@@ -275,12 +277,15 @@ impl Hub {
             kept += length as u64;
         }
 
-        let answer = self.ask(endpoint, &url, kept, request).inspect_err(|error| {
-            // What is kept is at least as long as the file: it cannot be continued.
-            if matches!(error, HubError::Refused { status: 416, .. }) {
-                let _ = std::fs::remove_file(&part);
+        let answer = self.ask(endpoint, &url, kept, request)?;
+        if answer.nothing_more {
+            // What is kept is at least as long as the file: it is all of it, or it cannot be continued.
+            let whole = hex::encode(hasher.clone().finalize());
+            if pinned.as_ref().or(answer.stated.as_ref()) != Some(&whole) {
+                std::fs::remove_file(&part).map_err(failed(&part))?;
+                return Err(refused(endpoint, StatusCode::RANGE_NOT_SATISFIABLE, request));
             }
-        })?;
+        }
         let wanted = match (&pinned, &answer.stated) {
             (Some(pinned), Some(stated)) if pinned != stated => {
                 let remedy = "the hub has another file by this name";
@@ -398,6 +403,10 @@ impl Hub {
                     .ok_or_else(|| protocol(format!("a redirect to {target:?}, which is not allowed")))?;
                 continue;
             }
+            if status == StatusCode::RANGE_NOT_SATISFIABLE && kept > 0 {
+                let body = Box::new(std::io::empty());
+                return Ok(Answer { stated, size_bytes: kept, from: kept, nothing_more: true, body });
+            }
             if !status.is_success() {
                 return Err(refused(endpoint, status, request));
             }
@@ -449,7 +458,7 @@ fn body(
     }
     // The default limit is 10 MB; how much is read is bounded by the size above.
     let body = answer.into_body().into_with_config().limit(SIZE_MAX_BYTES).reader();
-    Ok(Answer { stated, size_bytes, from, body: Box::new(body) })
+    Ok(Answer { stated, size_bytes, from, nothing_more: false, body: Box::new(body) })
 }
 
 fn refused(endpoint: &str, status: StatusCode, request: &Request<'_>) -> HubError {
@@ -543,6 +552,9 @@ mod tests {
                     ),
                     Vec::new(),
                 ),
+                "/content" if from as usize >= content.len() => {
+                    ("HTTP/1.1 416 Range Not Satisfiable\r\nContent-Length: 0".into(), Vec::new())
+                }
                 "/content" => {
                     let body = &content[from as usize..];
                     let head = match from {
@@ -627,6 +639,26 @@ mod tests {
         let pulled = pull(&hub, &TINY).unwrap();
         assert_eq!(std::fs::read(&pulled.path).unwrap(), content);
         assert_eq!(*server.ranges.lock().unwrap(), [0, 100]);
+    }
+
+    /// A process that is killed between the last byte and the renaming leaves such a file.
+    #[test]
+    fn a_download_that_is_whole_already_is_used() {
+        let (content, sum) = content();
+        for (rest, whole) in [(&content[100..], true), (&[7; 10_000][..], false)] {
+            let server = Server::start(content.clone(), sum.clone(), Some(100));
+            let cache = tempfile::tempdir().unwrap();
+            let hub = server.hub(cache.path());
+            pull(&hub, &TINY).unwrap_err();
+            let part = files(cache.path()).pop().unwrap();
+            OpenOptions::new().append(true).open(&part).unwrap().write_all(rest).unwrap();
+            match pull(&hub, &TINY) {
+                Ok(pulled) if whole => assert_eq!(std::fs::read(&pulled.path).unwrap(), content),
+                Err(HubError::Refused { status: 416, .. }) if !whole => {}
+                other => panic!("{other:?}"),
+            }
+            assert!(!part.exists());
+        }
     }
 
     #[test]

@@ -9,12 +9,13 @@ use ratatui::style::{Color, Style, Stylize};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph};
 use roomcast_ipc::{
-    DecisionV1, ItemScores, NarrationV1, PersonScoresV1, RoomScoresV1, StatusResponseV1, decision_flags, person_flags,
-    reached, score_flags,
+    DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, RoomScoresV1,
+    StatusResponseV1, decision_flags, forecast_flags, presence, reached, score_flags,
 };
 
 use crate::bar::bar;
-use roomcast_services::message_text::sentence_of;
+use roomcast_services::daemon::{flag_words, presence_word};
+use roomcast_services::message_text::said_of;
 
 /// Points of a room's line over time that are kept; the widest terminal shows them all.
 const HISTORY_POINTS: usize = 512;
@@ -24,6 +25,70 @@ const NARRATIONS: usize = 256;
 pub const POINT_NS: u64 = 500_000_000;
 /// Silence after which the daemon counts as gone, in nanoseconds: some heartbeats.
 const SILENCE_NS: u64 = 1_500_000_000;
+/// A person's line looks ahead to the first horizon of at least so many seconds.
+const AHEAD_S: f32 = 3600.0;
+
+/// The names of the bits that are set, of those that a message has.
+fn set(flags: u32, names: &[(u32, &'static str)]) -> Vec<&'static str> {
+    names.iter().filter(|(flag, _)| flags & flag != 0).map(|(_, name)| *name).collect()
+}
+
+/// Names for the bits of room scores.
+#[must_use]
+pub fn score_flag_names(flags: u32) -> Vec<&'static str> {
+    set(
+        flags,
+        &[
+            (score_flags::HEARTBEAT, "heartbeat"),
+            (score_flags::NO_NARRATION, "no-narration"),
+            (score_flags::BEHIND, "behind"),
+            (score_flags::GAP, "gap"),
+            (score_flags::SOURCES_CUT, "sources-cut"),
+            (score_flags::SCORER_FAILED, "scorer-failed"),
+            (score_flags::NOBODY_HOME, "nobody-home"),
+        ],
+    )
+}
+
+/// Names for the bits of a forecast.
+#[must_use]
+pub fn forecast_flag_names(flags: u32) -> Vec<&'static str> {
+    set(
+        flags,
+        &[
+            (forecast_flags::NOT_KNOWN, "not-known"),
+            (forecast_flags::RESTORED, "restored"),
+            (forecast_flags::NOBODY_HOME, "nobody-home"),
+        ],
+    )
+}
+
+/// Names for the bits of a decision.
+#[must_use]
+pub fn decision_flag_names(flags: u32) -> Vec<&'static str> {
+    set(
+        flags,
+        &[
+            (decision_flags::FALLBACK, "fallback"),
+            (decision_flags::STALE, "stale"),
+            (decision_flags::NO_SCORES, "no-scores"),
+            (decision_flags::DAEMON_SILENT, "daemon-silent"),
+            (decision_flags::COVERED, "covered"),
+            (decision_flags::INTERRUPTED, "interrupted"),
+            (decision_flags::REPORTED, "reported"),
+            (decision_flags::DEADLINE, "deadline"),
+            (decision_flags::NOT_KNOWN, "not-known"),
+            (decision_flags::NOBODY_HOME, "nobody-home"),
+            (decision_flags::ROBOT_SILENT, "robot-silent"),
+        ],
+    )
+}
+
+/// Who a message speaks of: a name where there is one.
+#[must_use]
+pub fn who(person: u32, name: &str) -> String {
+    if name.is_empty() { format!("person {person}") } else { name.to_owned() }
+}
 
 /// A room's scores over time, one point per [`POINT_NS`].
 #[derive(Debug, Clone, Default)]
@@ -38,8 +103,9 @@ struct Room {
 pub struct View {
     scores: Option<RoomScoresV1>,
     rooms: Vec<Room>,
-    /// Of several persons, each one's line.
+    /// Each person's line, where it says more than the rooms do.
     persons: Vec<String>,
+    forecasts: Option<Box<PersonForecastsV1>>,
     narration: VecDeque<(String, String)>,
     labels: Vec<(String, f64)>,
     decision: Option<DecisionV1>,
@@ -79,9 +145,13 @@ impl View {
             self.narration.pop_front();
         }
         // As the model reads it; what is no observation is shown as it came.
-        let sentence = sentence_of(narration.kind, narration.text());
-        let text = sentence.map_or_else(|_| narration.text().to_owned(), |sentence| sentence.as_str().to_owned());
-        self.narration.push_back((narration.source_name().to_owned(), text));
+        let said = said_of(narration.kind, narration.text());
+        let text = said.map_or_else(|_| narration.text().to_owned(), |said| said.to_string());
+        let source = match narration.person_name() {
+            "" => narration.source_name().to_owned(),
+            name => format!("{} of {name}", narration.source_name()),
+        };
+        self.narration.push_back((source, text));
     }
 
     /// Takes in item scores: the labels with the highest sum over their items.
@@ -98,23 +168,42 @@ impl View {
         self.labels = labels;
     }
 
-    /// Takes in each person's scores: where they are likeliest next. Of one person the rooms say it.
+    /// Takes in each person's scores: whether they are there, where they are now as far as forecasts tell, and where they are likeliest
+    /// next. Of one who is in the house and has no name, the rooms say it.
     pub fn persons(&mut self, scores: &PersonScoresV1) {
         self.persons.clear();
-        if scores.persons().len() < 2 {
+        let plain = |persons: &[roomcast_ipc::PersonV1]| {
+            persons.iter().all(|person| person.name().is_empty() && person.presence <= presence::PRESENT)
+        };
+        if scores.persons().len() < 2 && plain(scores.persons()) {
             return;
         }
+        let forecasts = self.forecasts.as_deref().filter(|forecasts| forecasts.epoch == scores.epoch);
         for person in scores.persons() {
+            let own = forecasts.and_then(|told| told.persons().iter().find(|own| own.person == person.person));
+            let mut line = format!("{}: {}", who(person.person, person.name()), presence_word(person.presence));
+            if let (Some(told), Some(own)) = (forecasts, own) {
+                line.push_str(&forecast_words(told, own));
+            }
             let likeliest = scores.probabilities(person).max_by(|a, b| a.1.total_cmp(&b.1));
-            let Some((room, probability)) = likeliest else { continue };
-            let restored = if person.has(person_flags::RESTORED) { ", not observed since the start" } else { "" };
-            let line = format!("person {}: {room} {:.1} %{restored}", person.person, 100.0 * probability);
+            if let Some((room, probability)) = likeliest.filter(|_| person.presence <= presence::PRESENT) {
+                line.push_str(&format!(", next {room} {:.1} %", 100.0 * probability));
+            }
+            for word in flag_words(person.flags) {
+                line.push_str(if word == "restored" { ", not observed since the start" } else { ", " });
+                line.push_str(if word == "restored" { "" } else { word });
+            }
             self.persons.push(line);
         }
         let left_out = (scores.persons as usize).saturating_sub(scores.persons().len());
         if left_out > 0 {
             self.persons.push(format!("and {left_out} more"));
         }
+    }
+
+    /// Takes in each person's forecast, which the next scores are shown with.
+    pub fn forecasts(&mut self, forecasts: &PersonForecastsV1) {
+        self.forecasts = Some(Box::new(*forecasts));
     }
 
     /// Takes in a decision.
@@ -240,16 +329,8 @@ impl View {
                 decision.policy()
             )),
         ];
-        for (flag, name) in [
-            (decision_flags::FALLBACK, "fallback"),
-            (decision_flags::STALE, "scores too old"),
-            (decision_flags::NO_SCORES, "no scores"),
-            (decision_flags::DAEMON_SILENT, "daemon silent"),
-            (decision_flags::COVERED, "every room covered"),
-        ] {
-            if decision.has(flag) {
-                first.push(Span::from(format!("  {name}")).yellow());
-            }
+        for name in decision_flag_names(decision.flags) {
+            first.push(Span::from(format!("  {}", name.replace('-', " "))).yellow());
         }
         vec![Line::from(first), Line::from(decision.reason().to_owned())]
     }
@@ -269,16 +350,8 @@ impl View {
                 step_ns as f64 / 1e6,
                 100.0 * scores.label_mass
             )));
-            for (flag, name) in [
-                (score_flags::NO_NARRATION, "no narration yet"),
-                (score_flags::BEHIND, "behind"),
-                (score_flags::GAP, "narration lost"),
-                (score_flags::SOURCES_CUT, "too many sources"),
-                (score_flags::SCORER_FAILED, "scorer failed"),
-            ] {
-                if scores.has(flag) {
-                    first.push(Span::from(format!("  {name}")).yellow());
-                }
+            for name in score_flag_names(scores.flags & !score_flags::HEARTBEAT) {
+                first.push(Span::from(format!("  {}", name.replace('-', " "))).yellow());
             }
         }
         let second = match &self.status {
@@ -309,6 +382,21 @@ impl View {
         };
         vec![Line::from(first), second]
     }
+}
+
+/// Where a person is now, and how likely they are elsewhere later.
+fn forecast_words(told: &PersonForecastsV1, own: &PersonForecastV1) -> String {
+    let now = told.rooms().zip(&own.probability).map(|(room, row)| (room, row[0]));
+    let now = now.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| own.presence <= presence::PRESENT);
+    let mut words = now.map_or_else(String::new, |(room, p)| format!(", now {room} {:.1} %", 100.0 * p));
+    let ahead = told.horizons_s().iter().position(|horizon_s| *horizon_s >= AHEAD_S);
+    if let Some((horizon, elsewhere)) =
+        ahead.map(|horizon| (horizon, own.elsewhere[horizon])).filter(|ahead| ahead.1 > 0.0)
+    {
+        let minutes = told.horizons_s()[horizon] / 60.0;
+        words.push_str(&format!(", elsewhere in {minutes:.0} min {:.1} %", 100.0 * elsewhere));
+    }
+    words
 }
 
 fn titled(title: &'static str) -> Block<'static> {
@@ -459,10 +547,12 @@ mod tests {
             (narration_kind::DEVICE, "oven on"),
             (narration_kind::SENTENCE, "[Grab] <mug> (1)"),
             (narration_kind::SENTENCE, "the oven is on"),
+            (narration_kind::SENTENCE, "They leave the house."),
+            (narration_kind::PRESENCE, "present in the kitchen"),
         ] {
             let mut view = View::default();
             view.narration(&NarrationV1::new(kind, text).unwrap());
-            assert_eq!(view.narration[0].1, sentence_of(kind, text).unwrap().as_str(), "{kind} {text}");
+            assert_eq!(view.narration[0].1, said_of(kind, text).unwrap().to_string(), "{kind} {text}");
         }
     }
 
@@ -475,17 +565,61 @@ mod tests {
         for (number, (person, kitchen)) in (3..).zip(scores.person.iter_mut().zip([0.75, 0.1])) {
             (person.person, person.probability[0], person.probability[1]) = (number, kitchen, 1.0 - kitchen);
         }
-        scores.person[1].flags = person_flags::RESTORED;
+        scores.person[1].flags = roomcast_ipc::person_flags::RESTORED;
         view.persons(&scores);
         let text = drawn(&view, 80, 24, 1_100_000_000);
-        for line in
-            ["person 3: kitchen 75.0 %", "person 4: bathroom 90.0 %, not observed since the start", "and 7 more"]
-        {
+        for line in [
+            "person 3: unknown, next kitchen 75.0 %",
+            "person 4: unknown, next bathroom 90.0 %, not observed since the start",
+            "and 7 more",
+        ] {
             assert!(text.contains(line), "{line:?} is missing:\n{text}");
         }
         scores.person_count = 1;
         view.persons(&scores);
         assert!(!drawn(&view, 80, 24, 1_100_000_000).contains("person 3"));
+    }
+
+    /// Names, presence, where everybody is now and whether they will be elsewhere stand in one line each.
+    #[test]
+    fn persons_are_shown_by_name_with_their_presence() {
+        let mut view = full();
+        let mut scores = PersonScoresV1 { epoch: 1, room_count: 2, persons: 2, person_count: 2, ..Default::default() };
+        let mut forecasts = PersonForecastsV1 { epoch: 1, room_count: 2, person_count: 2, ..Default::default() };
+        (forecasts.horizon_count, forecasts.horizon_s[1]) = (2, 3600.0);
+        for (place, id) in ["kitchen", "bathroom"].into_iter().enumerate() {
+            (scores.id[place], forecasts.id[place]) =
+                (text::encode("id", id).unwrap(), text::encode("id", id).unwrap());
+        }
+        for (number, name) in [(1, "ada"), (2, "ben")] {
+            let place = number as usize - 1;
+            (scores.person[place].person, forecasts.person[place].person) = (number, number);
+            scores.person[place].name = text::encode("name", name).unwrap();
+            scores.person[place].presence = number;
+        }
+        forecasts.person[1].presence = presence::AWAY;
+        (scores.person[0].probability[1], scores.person[0].flags) = (0.5, roomcast_ipc::person_flags::ASLEEP);
+        forecasts.person[0].probability[0][0] = 0.875;
+        (forecasts.person[1].elsewhere[0], forecasts.person[1].elsewhere[1]) = (1.0, 0.625);
+        view.forecasts(&forecasts);
+        view.persons(&scores);
+        let text = drawn(&view, 80, 24, 1_100_000_000);
+        for line in
+            ["ada: present, now kitchen 87.5 %, next bathroom 50.0 %, asleep", "ben: away, elsewhere in 60 min 62.5 %"]
+        {
+            assert!(text.contains(line), "{line:?} is missing:\n{text}");
+        }
+        // One person alone has a line too where it says more than the rooms.
+        (scores.person_count, scores.persons) = (1, 1);
+        view.persons(&scores);
+        assert!(drawn(&view, 80, 24, 1_100_000_000).contains("ada: present"));
+    }
+
+    #[test]
+    fn flags_have_names() {
+        assert_eq!(score_flag_names(score_flags::GAP | score_flags::NOBODY_HOME), ["gap", "nobody-home"]);
+        assert_eq!(forecast_flag_names(u32::MAX).len(), 3);
+        assert_eq!(decision_flag_names(u32::MAX).len(), 11);
     }
 
     #[test]

@@ -45,7 +45,7 @@ fn allocations(effort: Effort) -> Vec<[u64; 4]> {
             let sentence = Sentence::new(sentence).unwrap();
             let observation = Observation { observed_ns: now_ns, ..Observation::of(sequence, sentence) };
             let scored = allocation_counter::measure(|| {
-                cycle.enter(Entry { observation, received_ns: now_ns, after_gap: false }, 0);
+                cycle.enter(Entry::new(observation, now_ns), 0);
                 cycle.step(now_ns, now_ns).unwrap();
             });
             let (mut forecast, mut message) = (None, None);

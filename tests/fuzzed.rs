@@ -12,7 +12,7 @@ use std::process::Command;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast_core::narration::{Observation, Sentence};
+use roomcast_core::narration::{Observation, PresenceStatement, SOMEBODY, Said, Sentence};
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::correction::Correction;
 use roomcast_core::scorer::{LabelScores, Method, Scorer, Tokenisation};
@@ -50,7 +50,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         "configuration" => seeds.push(roomcast_services::config::DEFAULT_TOML.as_bytes().to_vec()),
         "program" => seeds.extend(embedded::PROGRAMS.iter().map(|program| program.text.as_bytes().to_vec())),
         "scene" => seeds.push(embedded::SCENES[0].text.as_bytes().to_vec()),
-        "journal" => seeds.push((1..6).flat_map(|number| journal::encode(&observation(number), &[7; 16])).collect()),
+        "journal" => seeds.push(journal_bytes()),
         "message" => seeds.extend([narration(), scores(), persons()]),
         "recording" => seeds.push(recording()),
         "sensors" => seeds.push(include_bytes!("data/sensors.tsv").to_vec()),
@@ -61,15 +61,34 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
 }
 
 fn observation(sequence: u64) -> Observation {
-    Observation {
-        person: 0,
-        source: 7,
-        epoch: 1,
-        sequence,
-        observed_ns: sequence,
-        observed_unix_ns: sequence,
-        sentence: Sentence::new(&format!("They do thing {sequence}.")).unwrap(),
-    }
+    let sentence = Sentence::new(&format!("They do thing {sequence}.")).unwrap();
+    let (observed_ns, observed_unix_ns) = (sequence, sequence);
+    Observation { source: 7, epoch: 1, observed_ns, observed_unix_ns, ..Observation::of(sequence, sentence) }
+}
+
+/// Records of every kind.
+fn journal_bytes() -> Vec<u8> {
+    let away = Said::Presence(PresenceStatement::parse("away").unwrap());
+    let told = [
+        observation(1),
+        Observation { name: Some("ada".into()), ..observation(2) },
+        Observation { said: away, person: SOMEBODY, ..observation(3) },
+        Observation { by_fit: true, ..observation(4) },
+    ];
+    let outcome = |by_fit: bool, probability: &'static [f64]| {
+        let (person, map) = (4, 9);
+        journal::encode_outcome(&journal::Outcome {
+            source: 7,
+            epoch: 1,
+            sequence: 3,
+            person,
+            by_fit,
+            map,
+            probability,
+        })
+    };
+    let records = told.iter().map(|observation| journal::encode(observation, &[7; 16]));
+    records.chain([outcome(true, &[]), outcome(false, &[0.25, 0.75])]).flatten().collect()
 }
 
 fn recording() -> Vec<u8> {

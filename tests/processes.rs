@@ -4,15 +4,19 @@
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
 
 use std::fs::File;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use iceoryx2::prelude::ZeroCopySend;
+use roomcast_core::narration::{Observation, Sentence};
 use roomcast_ipc::{
-    DecisionV1, Domain, Field, Layout, Message, MessageError, NarrationV1, Node, RoomScoresV1, ServiceQuality,
-    StatusResponseV1, Subscriber, action, narration_kind, sequence,
+    ALL_PERSONS, DecisionV1, Domain, Field, Layout, MAX_ITEMS, Message, MessageError, NarrationV1, Node,
+    PersonForecastsV1, RobotReportV1, RoomScoresV1, ServiceQuality, StatusResponseV1, Subscriber, action,
+    decision_flags, narration_kind, question, score_flags, sequence,
 };
+use roomcast_services::daemon::journal;
 use rustix::process::{Pid, Signal, kill_process};
 
 #[expect(dead_code, reason = "a test needs some of them")]
@@ -242,7 +246,7 @@ fn a_narrator_faster_than_the_scorer_loses_nothing() {
     world.start_daemon();
     let lines: String = (0..600).map(|number| format!("They do thing {number}.\n")).collect();
     let (code, outcome) = world.narrate("fast", &lines);
-    assert_eq!((code, outcome), (0, serde_json::json!({"sent": 600, "confirmed": 600, "refused": 0})));
+    assert_eq!((code, outcome), (0, serde_json::json!({"sent": 600, "confirmed": 600, "dropped": 0, "refused": 0})));
     let node = world.domain.open("test").unwrap();
     let status = world.status(&node);
     assert_eq!((status.accepted, status.missed, status.duplicates), (600, 0, 0));
@@ -282,6 +286,260 @@ fn a_hostile_narrator_is_counted_and_the_daemon_goes_on() {
     narration.send(&NarrationV1 { source, epoch: 1, sequence: 2, ..token }).unwrap();
     scores_with(&scores, "control tokens as text", |scores| includes(scores, "test", 2));
     world.assert_alive();
+}
+
+/// Persons have names, come and go, are renamed and forgotten, and a killed daemon's successor knows the same of them.
+#[test]
+fn persons_are_named_and_forgotten_over_a_kill() {
+    let mut world = World::new("persons");
+    let daemon = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let forecasts = node.subscriber::<PersonForecastsV1>().unwrap();
+    let narration = node.publisher::<NarrationV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let mut sequence = 0;
+    let mut tell = |person: u32, name: &str, kind: u32, text: &str| {
+        sequence += 1;
+        let message = NarrationV1::new(kind, text).unwrap();
+        let source = sequence::source_of_name("test");
+        let person_name = roomcast_ipc::text::encode("name", name).unwrap();
+        narration.send(&NarrationV1 { source, epoch: 1, sequence, person, person_name, ..message }).unwrap();
+        scores_with(&scores, text, |scores| includes(scores, "test", sequence))
+    };
+    tell(0, "Ada", narration_kind::SENTENCE, "They open the fridge.");
+    tell(7, "", narration_kind::SENTENCE, "They lie on the bed.");
+    tell(ALL_PERSONS, "", narration_kind::SENTENCE, "They close the fridge.");
+    let told = tell(7, "", narration_kind::PRESENCE, "away");
+    assert!(told.persons == 2 && !told.has(score_flags::NOBODY_HOME));
+    assert!(tell(0, "ada", narration_kind::SENTENCE, "Ada leaves the house.").has(score_flags::NOBODY_HOME));
+    let forecast = eventually("the persons' forecasts", || {
+        forecasts.newest().unwrap().filter(|told| told.persons().iter().all(|person| person.elsewhere[0] == 1.0))
+    });
+    assert_eq!(forecast.persons().len(), 2);
+
+    let ask = |world: &World, arguments: &[&str]| {
+        let output = world.command(&[&["person"], arguments, &["--json"]].concat()).output().unwrap();
+        let answer: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap_or_default();
+        (output.status.code().unwrap(), answer, String::from_utf8(output.stderr).unwrap())
+    };
+    let persons = |answer: &serde_json::Value| -> Vec<(String, String, String)> {
+        let text = |value: &serde_json::Value| value.as_str().unwrap_or_default().to_owned();
+        let line =
+            |line: &serde_json::Value| (line["person"].to_string(), text(&line["name"]), text(&line["presence"]));
+        answer["persons"].as_array().unwrap().iter().map(line).collect()
+    };
+    let ada = roomcast_core::narration::person_number("ada").to_string();
+    let row = |number: &str, name: &str, presence: &str| (number.to_owned(), name.to_owned(), presence.to_owned());
+    let (code, answer, _) = ask(&world, &["list"]);
+    assert_eq!((code, persons(&answer)), (0, vec![row("7", "", "away"), row(&ada, "ada", "away")]));
+    let (code, answer, errors) = ask(&world, &["rename", "7", "Ben"]);
+    assert_eq!((code, &answer["kept"]), (0, &serde_json::json!(true)), "{errors}");
+    let (code, _, errors) = ask(&world, &["rename", "7", "ADA"]);
+    assert!(code == 3 && errors.contains(&format!("ADA is person {ada} already")), "{errors}");
+    assert_eq!(ask(&world, &["forget", "eve"]).0, 3);
+
+    world.signal(daemon, Signal::KILL);
+    world.wait(daemon);
+    let daemon = world.start_daemon();
+    let (_, answer, _) = ask(&world, &["list"]);
+    assert_eq!(persons(&answer), [row("7", "Ben", "away"), row(&ada, "ada", "away")]);
+    let (code, answer, errors) = ask(&world, &["forget", "ada"]);
+    assert_eq!((code, persons(&answer)), (0, vec![row("7", "Ben", "away")]), "{errors}");
+    let journal = std::fs::read(world.state().join("narration.journal")).unwrap();
+    let journal = String::from_utf8_lossy(&journal);
+    // What named nobody and was found to be hers, too.
+    assert!(!journal.to_lowercase().contains("ada") && !journal.contains("fridge"), "{journal}");
+    assert!(journal.contains("They lie on the bed."));
+    world.signal(daemon, Signal::KILL);
+    world.wait(daemon);
+    world.start_daemon();
+    let (_, answer, _) = ask(&world, &["list"]);
+    assert_eq!(persons(&answer), [row("7", "Ben", "away")]);
+}
+
+/// A configuration whose window holds few tokens, in `world`'s directory.
+fn small_window(world: &World) -> String {
+    let path = world.directory.path().join("small.toml");
+    std::fs::write(&path, "[history]\ntokens = 256\n").unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+/// Row "a sentence of one kilobyte that makes some 1 000 tokens" of the attacks: it is refused before it reaches the journal, said once
+/// and counted, and its narrator is told. A journal that has such a sentence, from an older version, stops and blinds nobody.
+#[test]
+fn a_sentence_that_costs_more_than_the_window_harms_nobody() {
+    let mut world = World::new("costly");
+    let (config, state) = (small_window(&world), world.state());
+    std::fs::create_dir(&state).unwrap();
+    let costly = format!("They say {}.", "x9 ".repeat(330));
+    let sentence = Sentence::new(&costly).unwrap();
+    let observed = Observation { source: 5, epoch: 5, sequence: 5, ..Observation::of(5, sentence) };
+    std::fs::write(state.join("narration.journal"), journal::encode(&observed, &[0; 16])).unwrap();
+    let arguments = ["daemon", "--state", state.to_str().unwrap(), "--config", &config];
+    let daemon = world.start(&arguments);
+    let lines = format!("They walk to the kitchen.\n{costly}\n{costly}\nThey grab the mug.\n{costly}\n");
+    let (code, outcome) = world.narrate("camera", &lines);
+    let expected = serde_json::json!({"sent": 5, "confirmed": 2, "dropped": 3, "refused": 0});
+    assert_eq!((code, outcome), (i32::from(exit_code::IPC), expected));
+    let node = world.domain.open("test").unwrap();
+    let status = world.status(&node);
+    assert_eq!((status.costly, status.accepted, status.failed_steps, status.missed), (3, 2, 0, 0));
+    world.signal(daemon, Signal::TERM);
+    let (_, log) = world.wait(daemon);
+    assert_eq!(log.matches("costs more tokens than a window holds").count(), 1, "{log}");
+    assert!(log.contains("the journal has sentences of more than the 256 tokens"), "{log}");
+
+    world.start(&arguments);
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let after = scores_with(&scores, "scores after the restart", |scores| includes(scores, "camera", 4));
+    assert_eq!((after.window, after.has(score_flags::SCORER_FAILED)), (2, false));
+}
+
+/// Row "an honest narrator's source and epoch with sequence 2^64 - 1" of the attacks.
+#[test]
+fn what_a_stranger_says_in_a_narrators_name_is_dropped_and_counted() {
+    let mut world = World::new("forged");
+    world.start_daemon();
+    let (node, stranger) = (world.domain.open("honest").unwrap(), world.domain.open("stranger").unwrap());
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let (honest, forging) = (node.publisher::<NarrationV1>().unwrap(), stranger.publisher::<NarrationV1>().unwrap());
+    let said = NarrationV1::new(narration_kind::SENTENCE, "They sit on the sofa.").unwrap();
+    let said = NarrationV1 { source: sequence::source_of_name("honest"), epoch: 9, sequence: 1, ..said };
+    honest.send(&said).unwrap();
+    scores_with(&scores, "the first sentence", |scores| includes(scores, "honest", 1));
+    for sequence in [2, u64::MAX] {
+        forging.send(&NarrationV1 { sequence, ..said }).unwrap();
+    }
+    eventually("the forged ones are counted", || (world.status(&node).forged == 2).then_some(()));
+    honest.send(&NarrationV1 { sequence: 2, ..said }).unwrap();
+    let named = scores_with(&scores, "the next sentence", |scores| includes(scores, "honest", 2));
+    assert_eq!((named.included()[0].sequence, named.included()[0].accepted, named.window), (2, 2, 2));
+    assert_eq!(world.status(&node).missed, 0);
+}
+
+/// Row "two narrators of one name (the default's)" of the attacks.
+#[test]
+fn two_narrators_of_one_name_are_both_heard() {
+    let mut world = World::new("namesakes");
+    world.start_daemon();
+    let file = world.directory.path().join("lines.txt");
+    std::fs::write(&file, "They sit.\nThey stand up.\nThey sit.\nThey stand up.\nThey sit.\nThey sleep.\n").unwrap();
+    let arguments = ["narrate", file.to_str().unwrap(), "--pace", "0.2", "--linger", "100"];
+    let both = [world.start(&arguments), world.start(&arguments)];
+    for narrator in both {
+        let (status, log) = world.wait(narrator);
+        assert!(status.success(), "{log}");
+    }
+    let status = world.status(&world.domain.open("test").unwrap());
+    assert_eq!((status.accepted, status.missed, status.forged, status.duplicates), (12, 0, 0, 0));
+}
+
+/// Row "64 invented sources" of the attacks.
+#[test]
+fn invented_sources_lock_nobody_out() {
+    let mut world = World::new("invented");
+    let daemon = world.start_daemon();
+    let lines: String = (0..4).map(|person| format!("{{\"text\": \"They sit.\", \"person\": {person}}}\n")).collect();
+    assert_eq!(world.narrate("honest", &lines).0, 0);
+    let node = world.domain.open("hostile").unwrap();
+    let narration = node.publisher::<NarrationV1>().unwrap();
+    let said = NarrationV1::new(narration_kind::SENTENCE, "They dance.").unwrap();
+    let before = world.status(&node).received;
+    for number in 1..=1000_u32 {
+        let source = u64::from(number);
+        narration.send(&NarrationV1 { source, epoch: 1, sequence: 1, person: 0, ..said }).unwrap();
+        // No more than the port's buffer holds, so that all of them arrive.
+        if number % 100 == 0 {
+            let all = before + source;
+            eventually("they are received", || (world.status(&node).received == all).then_some(()));
+        }
+    }
+    // Narrators that have ended keep what nobody needs; the hostile one has no more than its eight.
+    let status = world.status(&node);
+    assert!(status.sources <= 9 && (status.persons, status.limited) == (4, 0), "{} sources", status.sources);
+    assert_eq!(world.narrate("newcomer", "They sit.\n").0, 0);
+    world.signal(daemon, Signal::KILL);
+    world.wait(daemon);
+    drop((narration, node));
+    world.start_daemon();
+    assert_eq!(world.narrate("another", "They sit.\nThey stand up.\n").0, 0);
+}
+
+/// How often the threads of a process went to sleep by themselves.
+fn sleeps(process: u32) -> u64 {
+    let tasks = std::fs::read_dir(format!("/proc/{process}/task")).unwrap().flatten();
+    let status = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("status")).ok());
+    let count = |status: String| {
+        let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:").map(str::to_owned));
+        line.unwrap().trim().parse::<u64>().unwrap()
+    };
+    status.map(count).sum()
+}
+
+#[test]
+fn an_idle_daemon_and_planner_wake_seldom() {
+    let mut world = World::new("idle");
+    let both = [world.start_daemon(), world.start(&["planner"])];
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let decisions = node.subscriber::<DecisionV1>().unwrap();
+    scores_with(&scores, "scores", |_| true);
+    eventually("a decision", || decisions.newest().unwrap());
+    drop((scores, decisions, node));
+    let ids = both.map(|process| world.children[process].child.id());
+    // Some time to settle, then a time to count in: what is counted is a rate.
+    std::thread::sleep(Duration::from_secs(2));
+    let (before, start) = (ids.map(sleeps), Instant::now());
+    std::thread::sleep(Duration::from_secs(8));
+    let seconds = start.elapsed().as_secs_f64();
+    let rates: Vec<f64> = ids.iter().zip(before).map(|(id, before)| (sleeps(*id) - before) as f64 / seconds).collect();
+    println!("wake-ups a second of daemon and planner: {rates:.1?}");
+    assert!(rates.iter().sum::<f64>() < 20.0, "{rates:?}");
+}
+
+/// A map of `count` items in four rooms, in `world`'s directory, and a configuration with it.
+fn large_map(world: &World, count: usize) -> String {
+    let room = |n: usize| {
+        format!(r#"{{"id": "r{n}", "label": "room {n}", "box": {{"min_m": [{n}, 0, 0], "max_m": [{}, 1, 1]}}}}"#, n + 1)
+    };
+    let item = |n: usize| {
+        let x = (n % 4) as f64 + 0.5;
+        format!(
+            r#"{{"id": "i{n}", "label": "thing {}", "position_m": [{x}, 0.5, 0.5], "box": {{"min_m": [{x}, 0.4, 0.4], "max_m": [{}, 0.6, 0.6]}}}}"#,
+            n % 50,
+            x + 0.1
+        )
+    };
+    let (rooms, items): (Vec<_>, Vec<_>) = ((0..4).map(room).collect(), (0..count).map(item).collect());
+    let scene = format!(
+        r#"{{"format": "roomcast-scene", "version": 1, "name": "large", "rooms": [{}], "items": [{}]}}"#,
+        rooms.join(","),
+        items.join(",")
+    );
+    let (path, config) = (world.directory.path().join("large.json"), world.directory.path().join("large.toml"));
+    std::fs::write(&path, scene).unwrap();
+    std::fs::write(&config, format!("[scene]\npath = {path:?}\n")).unwrap();
+    config.to_str().unwrap().to_owned()
+}
+
+/// Row "`top` on a map of 20 000 items with 64 MB of shared memory" of the attacks.
+#[test]
+fn what_is_sent_of_a_large_map_is_bounded() {
+    let mut world = World::new("large");
+    let config = large_map(&world, 20_000);
+    world.start(&["daemon", "--config", &config]);
+    let node = world.domain.open("test").unwrap();
+    let items = node.item_scores_subscriber().unwrap();
+    let best = eventually("item scores", || items.newest().unwrap());
+    assert_eq!((best.header.items, best.items.len()), (20_000, MAX_ITEMS));
+    let moment = node.question_port(question::MOMENT).unwrap().ask("{}", PATIENCE).unwrap();
+    assert!(moment.len() > 1 << 20, "an answer of {} bytes", moment.len());
+    let size = |name: &String| std::fs::metadata(format!("/dev/shm/{name}")).map_or(0, |about| about.len());
+    let bytes: u64 = world.shared_memory_files().iter().map(size).sum();
+    assert!(bytes < 48 << 20, "{bytes} bytes of shared memory");
+    assert_eq!(world.narrate("newcomer", "They sit.\n").0, 0);
 }
 
 /// The scores of a later version under the old service's name.
@@ -508,7 +766,7 @@ fn a_stopped_daemon_makes_the_planner_stay() {
     let flagged = |wanted: bool| {
         eventually("a decision", || {
             let decision = decisions.receive().unwrap()?.unwrap();
-            (decision.has(roomcast_ipc::decision_flags::FALLBACK) == wanted).then_some(decision)
+            (decision.has(decision_flags::FALLBACK) == wanted).then_some(decision)
         })
     };
     assert_eq!(flagged(false).action, action::GO);
@@ -526,7 +784,7 @@ fn lines_that_are_no_narration_are_named_and_the_others_go_through() {
     world.start_daemon();
     let (code, outcome) = world.narrate("lines", "They sit.\n[Fly] <moon> (1)\n{\"txt\": 1}\nThey stand up.\n");
     assert_eq!(code, i32::from(exit_code::INPUT));
-    assert_eq!(outcome, serde_json::json!({"sent": 2, "confirmed": 2, "refused": 2}));
+    assert_eq!(outcome, serde_json::json!({"sent": 2, "confirmed": 2, "dropped": 0, "refused": 2}));
 }
 
 const MOVED: &str = r#"[{"change": "move-item", "id": "fridge-1", "position_m": [0.5, 0.5, 0.5],
@@ -767,7 +1025,7 @@ fn a_sensor_log_is_narrated() {
     let output =
         command.arg("--sensors").arg(&log).arg("--rules").arg(data.join("sensor-rules.toml")).output().unwrap();
     let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(outcome, serde_json::json!({"sent": 7, "confirmed": 7, "refused": 1}));
+    assert_eq!(outcome, serde_json::json!({"sent": 7, "confirmed": 7, "dropped": 0, "refused": 1}));
     assert_eq!(output.status.code(), Some(i32::from(exit_code::INPUT)));
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("line 12") && said.contains("at noon"), "{said}");
@@ -893,6 +1151,126 @@ fn errors_name_the_file_and_the_remedy_once() {
 }
 
 #[test]
+fn a_number_that_does_not_fit_is_answered_with_what_does() {
+    let cases: [(&[&str], &str); 13] = [
+        (&["narrate", "--pace", "-1"], "give a number from 0 to 1000000000"),
+        (&["narrate", "--pace", "soon"], "give a number from 0 to 1000000000"),
+        (&["narrate", "--speed", "-2"], "give a number above 0, at most 1000000000"),
+        (&["narrate", "--person", "-1"], "give a number from 0 to 4294967294, or a name"),
+        (&["replay", "day.mcap", "--speed", "fast"], "give a number above 0"),
+        (&["replay", "day.mcap", "--linger", "-1"], "give a whole number from 0"),
+        (&["record", "day.mcap", "--seconds", "0"], "give a whole number from 1"),
+        (&["planner", "--room-time", "-1"], "give a number from 0 to 1000000000"),
+        (&["top", "--snapshots", "-1"], "give a whole number from 0"),
+        (&["score", "--prior", "-0.5", "--narration", "x"], "give a number from 0 to 1"),
+        (&["score", "--threads", "many", "--narration", "x"], "give a whole number from 0 to"),
+        (&["scene", "draw", "studio", "--scale", "-1"], "give a number from 0.1 to 8"),
+        (&["experiment", "table2", "--seed", "-1"], "give a whole number from 0"),
+    ];
+    for (arguments, remedy) in cases {
+        let output = roomcast(arguments).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(i32::from(exit_code::USAGE)), "{arguments:?}: {said}");
+        assert!(said.contains(remedy), "{arguments:?}: {said}");
+    }
+    // What has no effect is refused, too.
+    for arguments in [
+        &["narrate", "--mqtt", "mqtt://127.0.0.1", "--rules", "rules.toml", "--speed", "2"][..],
+        &["narrate", "--fifo", "/tmp/narration", "--speed", "2"],
+    ] {
+        let output = roomcast(arguments).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(i32::from(exit_code::USAGE)), "{arguments:?}: {said}");
+        assert!(said.contains("cannot be used with"), "{arguments:?}: {said}");
+    }
+}
+
+#[test]
+fn recordings_that_cannot_be_are_refused_before_anything_is_written() {
+    let world = World::new("record-where");
+    let ended = |arguments: &[&str]| {
+        let output = world.command(arguments).current_dir(world.directory.path()).output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (code, said) = ended(&["record", "-", "--seconds", "1"]);
+    assert_eq!(code, Some(i32::from(exit_code::USAGE)), "{said}");
+    assert!(said.contains("not to standard output") && !world.directory.path().join("-").exists(), "{said}");
+    std::fs::write(world.directory.path().join("day.mcap"), "precious").unwrap();
+    let (there, said) = ended(&["record", "day.mcap", "--seconds", "1"]);
+    assert!(said.contains("exists already"), "{said}");
+    let (missing, said) = ended(&["replay", "night.mcap"]);
+    assert!(said.contains("night.mcap"), "{said}");
+    assert_eq!((there, missing), (Some(i32::from(exit_code::INPUT)), Some(i32::from(exit_code::INPUT))));
+}
+
+#[test]
+fn a_configuration_is_held_to_what_this_machine_has() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("roomcast.toml");
+    let check = |text: &str| {
+        std::fs::write(&path, text).unwrap();
+        let output = roomcast(&["config", "--check", path.to_str().unwrap()]).output().unwrap();
+        (output.status.success(), String::from_utf8(output.stderr).unwrap())
+    };
+    assert_eq!(check("[scene]\npath = \"ward\"\n"), (true, String::new()));
+    for (text, part) in [
+        ("[scene]\npath = \"/nowhere/flat.json\"", "no scene /nowhere/flat.json"),
+        ("[model]\npath = \"/nowhere/model.gguf\"", "/nowhere/model.gguf"),
+        ("[model]\ncores = [100000]", "model.cores names core 100000"),
+        (&format!("[model]\nsha256 = \"{}\"", "0".repeat(64)), "model.sha256 pins 0000"),
+    ] {
+        let (fine, said) = check(text);
+        assert!(!fine && said.contains(part), "{text}: {said}");
+    }
+}
+
+#[test]
+fn maps_that_are_odd_are_told_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let whole = include_str!("data/two_rooms.json");
+    let mut odd: serde_json::Value = serde_json::from_str(whole).unwrap();
+    odd["doors"][0]["position_m"] = serde_json::json!([90, 90, 1]);
+    odd["items"][0]["position_m"] = serde_json::json!([90, 90, 1]);
+    let odd = file("odd.json", &odd.to_string());
+    let output = roomcast(&["scene", "check", &odd, &file("half.json", &whole[..whole.len() / 2])]).output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.contains("doors[0] (") && said.contains("m from \"kitchen\""), "{said}");
+    assert!(said.contains("items[0] (\"mug-1\"): position_m lies"), "{said}");
+    assert!(said.contains("half.json: ends too early, in line"), "{said}");
+
+    let polygon =
+        r#"{"rooms": [{"name": "studio", "vertices": [[0, 0], [4, 0], [4, 3], [2, 4], [0, 3]]}], "objects": []}"#;
+    let map = file("polygon.json", polygon);
+    let out = folder.path().join("out.json");
+    let arguments = ["scene", "import", "--format", "open-vocabulary", &map, "--out", out.to_str().unwrap()];
+    let output = roomcast(&arguments).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        output.status.success() && said.contains("\"studio\"") && said.contains("box around its polygon"),
+        "{said}"
+    );
+}
+
+/// Every example of the manual is taken by a real daemon.
+#[test]
+fn the_examples_of_json_lines_are_narrated() {
+    let manual = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/json-lines.md")).unwrap();
+    let blocks = manual.split("```json narration\n").skip(1);
+    let lines: String = blocks.map(|block| block.split("```").next().unwrap()).collect();
+    let mut world = World::new("json-lines");
+    world.start_daemon();
+    let (code, outcome) = world.narrate("manual", &lines);
+    let count = lines.lines().count();
+    assert_eq!((code, &outcome["sent"], &outcome["refused"]), (0, &count.into(), &0.into()), "{outcome}");
+    assert!(count >= 8);
+}
+
+#[test]
 fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_them() {
     let mut world = World::new("record");
     world.start_daemon();
@@ -951,6 +1329,12 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     eventually("the recorder listens", || (other_scores.subscribers() > 1).then_some(()));
     let replayed = other.command(&["replay", file.to_str().unwrap(), "--speed", "50"]).output().unwrap();
     assert!(replayed.status.success(), "{replayed:?}");
+    let said = String::from_utf8(replayed.stderr).unwrap();
+    assert!(said.contains(&format!("4 of {} messages replayed", recording.messages.len())), "{said}");
+    assert!(
+        said.contains("the others are scores, forecasts, decisions and reports") && !said.contains("before"),
+        "{said}"
+    );
     let last = scores_with(&other_scores, "all of it", |scores| includes(scores, "camera-3", 1));
     other.signal(recorder, Signal::TERM);
     assert!(other.wait(recorder).0.success());
@@ -960,6 +1344,9 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     for (a, b) in recorded.rooms().iter().zip(last.rooms()) {
         assert!((a.probability - b.probability).abs() < 5e-3 && a.id == b.id, "{} {}", a.probability, b.probability);
     }
+    let twice = other.command(&["replay", file.to_str().unwrap(), "--speed", "50"]).output().unwrap();
+    let said = String::from_utf8(twice.stderr).unwrap();
+    assert!(said.contains("the daemon has taken in 4 of them before and takes none twice"), "{said}");
 }
 
 #[test]
@@ -1004,5 +1391,105 @@ fn the_readme_shows_what_the_command_prints() {
     assert!(!shown.is_empty() && found.len() >= shown.len(), "{printed}");
     for ((room, shown), (found_room, found)) in shown.iter().zip(&found) {
         assert!(room == found_room && (shown - found).abs() < 1.0, "{room} {shown} %, now {found_room} {found} %");
+    }
+}
+
+/// What `roomcast report` ends with, and what it says.
+fn report(world: &World, arguments: &[&str], input: &str) -> (i32, String) {
+    let mut command = world.command(&[&["report"], arguments].concat());
+    let mut child = command.stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    child.stdin.take().unwrap().write_all(input.as_bytes()).unwrap();
+    let output = child.wait_with_output().unwrap();
+    (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
+}
+
+/// The next decision that satisfies a condition.
+fn decision_with(decisions: &Subscriber<DecisionV1>, what: &str, holds: impl Fn(&DecisionV1) -> bool) -> DecisionV1 {
+    eventually(what, || {
+        let next = decisions.receive().unwrap()?.unwrap();
+        holds(&next).then_some(next)
+    })
+}
+
+/// The robot's own word says what is done, and the round outlives the planner.
+#[test]
+fn a_planner_that_is_killed_in_a_round_goes_on_with_what_its_robot_has_done() {
+    let mut world = World::new("robot");
+    let config = world.directory.path().join("roomcast.toml");
+    let text = format!(
+        "[scene]\npath = \"apartment-e0\"\n[daemon]\nstate = {:?}\n[planner]\nrobot = \"vacuum\"\ninterrupt = false\n",
+        world.state()
+    );
+    std::fs::write(&config, text).unwrap();
+    let config = config.to_str().unwrap();
+    let node = world.domain.open("test").unwrap();
+    let decisions = node.subscriber::<DecisionV1>().unwrap();
+    world.start(&["daemon", "--config", config]);
+    let planner = world.start(&["planner", "--config", config]);
+    let first = decision_with(&decisions, "the first decision", |decision| decision.action == action::GO);
+    assert!(!first.has(decision_flags::REPORTED));
+    let (code, said) = report(
+        &world,
+        &["finished", "--config", config, "--room", first.to(), "--decision", &first.sequence.to_string()],
+        "",
+    );
+    assert_eq!((code, said.as_str()), (0, ""));
+    let second = decision_with(&decisions, "the second decision", |decision| decision.sequence > first.sequence);
+    assert!(second.has(decision_flags::REPORTED) && second.covered.count_ones() == 1, "{}", second.reason());
+    // The file is written after the decision.
+    let kept = format!("planner-{:016x}.json", sequence::source_of_name("vacuum"));
+    let second_is_kept = |text: &str| text.contains(second.to()) && text.contains(first.to());
+    eventually("the round is kept", || {
+        std::fs::read_to_string(world.state().join(&kept)).ok().filter(|text| second_is_kept(text))
+    });
+
+    world.children[planner].child.kill().unwrap();
+    world.children[planner].child.wait().unwrap();
+    world.start(&["planner", "--config", config]);
+    let again = decision_with(&decisions, "the next planner's decision", |decision| decision.epoch != first.epoch);
+    assert_eq!((again.to(), again.covered), (second.to(), second.covered), "{}", again.reason());
+    assert!(again.has(decision_flags::REPORTED), "{}", again.reason());
+
+    // As lines: one is malformed, the others count, and the answer may name the decision of the planner before.
+    let lines = format!(
+        "{{\"report\": \"done\"}}\n{{\"report\": \"position\", \"position\": [1, 1, 0]}}\n\
+         {{\"report\": \"finished\", \"decision\": {}, \"battery\": 0.1}}\n",
+        second.sequence
+    );
+    let (code, said) = report(&world, &["-", "--config", config], &lines);
+    assert_eq!(code, i32::from(exit_code::INPUT), "{said}");
+    assert!(said.contains("line 1: report: unknown variant `done`, expected one of"), "{said}");
+    let third = decision_with(&decisions, "the robot charges", |decision| decision.sequence > again.sequence);
+    assert_eq!((third.action, third.covered.count_ones()), (action::PAUSE, 2), "{}", third.reason());
+    let (code, _) = report(&world, &["battery", "--config", config, "--battery", "0.9"], "");
+    assert_eq!(code, 0);
+    let fourth = decision_with(&decisions, "the robot is ready", |decision| decision.sequence > third.sequence);
+    assert_eq!((fourth.action, fourth.covered), (action::GO, third.covered), "{}", fourth.reason());
+}
+
+#[test]
+fn a_report_that_nobody_can_hear_or_understand_says_so() {
+    let world = World::new("report");
+    let (code, said) = report(&world, &["finished", "--wait", "0.1"], "");
+    assert_eq!(code, i32::from(exit_code::IPC), "{said}");
+    assert!(said.contains("nobody listens to 1 report of the robot `robot`"), "{said}");
+    let other = world.domain.open("other").unwrap();
+    let reports = other.subscriber::<RobotReportV1>().unwrap();
+    let mut command = world.command(&["report", "docked", "--wait", "0.1", "--note", "home"]);
+    let docked = command.stderr(Stdio::piped()).spawn().unwrap();
+    assert_eq!(eventually("the report", || reports.newest().unwrap()).note(), "home");
+    let output = docked.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && said.contains("no planner of the robot `robot`"), "{said}");
+    for (arguments, code, part) in [
+        (&["battery"][..], exit_code::INPUT, "needs `battery`: give 0 (empty) to 1 (full)"),
+        (&["finishd"], exit_code::USAGE, "[possible values: position, started, finished"),
+        (&["docked", "--battery", "80"], exit_code::USAGE, "give a number from 0 to 1"),
+        (&["position", "--position", "1,2"], exit_code::USAGE, "give three numbers in metres"),
+        (&["-", "--room", "hall"], exit_code::USAGE, "--room is for one report"),
+    ] {
+        let (found, said) = report(&world, arguments, "");
+        assert_eq!(found, i32::from(code), "{arguments:?}: {said}");
+        assert!(said.contains(part), "{arguments:?}: {said}");
     }
 }

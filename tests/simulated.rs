@@ -2,12 +2,17 @@
 //! when, what the transport drops, delays, doubles and reorders, and who is killed. After every step the invariants are checked:
 //!
 //! - every narration that was accepted is in the history, also after a restart, and none is in it twice;
+//! - what a stranger says in a narrator's name, and what costs more tokens than a window holds, is in no history, and costs the narrators
+//!   nothing;
 //! - scores are those of exactly the narration that they contain, and claim no other;
 //! - each person's scores are those that they would have alone, and all together say where somebody is;
 //! - scores and forecasts are of one map, the one that the last good step scored, also when steps fail after a change;
-//! - a restarted daemon believes everybody about where they were;
+//! - whoever is away or gone is in no room, nobody is known whom nobody named, and what lies before a gap is in no window;
+//! - a restarted daemon believes everybody where they were, to the last digits, and takes what named nobody for the same person's;
 //! - no decision rests on scores past their deadline;
 //! - the coverage-aware planner never waits while a room that it has to do is free;
+//! - of a robot that reports, a room counts as done only when it has said so, and no room whose work it ended otherwise;
+//! - a robot at work is left alone until it says that it is done, falls silent, or somebody comes; one that charges is not sent out;
 //! - where the transport is faithful, all that living narrators say is confirmed in the end.
 //!
 //! The processes are the product's own: [`Account`], [`Intake`], [`Cycle`] with [`Board`], the journal's records, [`Planner`].
@@ -18,26 +23,30 @@
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::rc::Rc;
+use std::sync::Arc;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
 use roomcast_core::label_trie::TokenTree;
-use roomcast_core::narration::{HistoryLimits, Observation};
+use roomcast_core::narration::{HistoryLimits, Observation, Presence, SOMEBODY, Said, Sentence, person_number};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::policy::PolicyName;
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::scorer::{DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::{
-    ForecastV1, NarrationV1, RoomScoresV1, action, decision_flags, forecast_flags, narration_kind, score_flags,
+    DecisionV1, ForecastV1, MAX_PERSONS, Message, NarrationV1, PersonForecastV1, RobotReportV1, RoomScoresV1, Sender,
+    action, decision_flags, forecast_flags, narration_kind, person_flags, presence, report_kind, score_flags,
 };
-use roomcast_services::config::{IntakeLimits, PlannerConfig};
-use roomcast_services::daemon::{Board, Cycle, Entry, Intake, Recovered, Taken, journal};
-use roomcast_services::narrator::{Account, Item};
+use roomcast_services::config::{IntakeLimits, PersonsConfig, PlannerConfig};
+use roomcast_services::daemon::{
+    Board, Cycle, Entry, Intake, Persons, PersonsFile, Recovered, SentenceCost, Taken, journal,
+};
+use roomcast_services::narrator::{Account, Item, Who};
 use roomcast_services::planner::Planner;
+use roomcast_services::reporter::{Kind, Report, Reporter};
 
 const MS: u64 = 1_000_000;
 const SEEDS: u64 = 1000;
@@ -50,6 +59,10 @@ const HISTORY: usize = 32;
 const BUFFER: usize = 2;
 const GROUNDING: GroundingOptions = GroundingOptions { level: PartitionLevel::Room, room_labels: false };
 const BOOT: [u8; 16] = [7; 16];
+/// Silence after which a visitor is gone.
+const VISITOR_S: f64 = 0.4;
+/// Persons whom narrators name.
+const NAMES: [&str; 2] = ["ada", "ben"];
 const SCENE: &str = r#"{"format": "roomcast-scene", "version": 1, "name": "two", "rooms": [
   {"id": "a", "label": "a", "box": {"min_m": [0, 0, 0], "max_m": [1, 1, 1]}},
   {"id": "b", "label": "b", "box": {"min_m": [1, 0, 0], "max_m": [2, 1, 1]}}], "items": [
@@ -82,8 +95,16 @@ enum Planted {
     NoDeduplicationAfterRestart,
     /// A restarted daemon does not know when its narration was observed.
     NoTimesAfterRestart,
+    /// A restarted daemon does not know for whose it took what named nobody.
+    NoAttributionsAfterRestart,
+    /// A restarted daemon does not know who has left.
+    NoPresenceAfterRestart,
     /// The transport shows the rooms of a changed map before there are scores of it.
     MapBeforeScores,
+    /// The daemon does not ask which port a message came by.
+    OnePort,
+    /// The intake does not ask what a sentence costs.
+    NoCost,
 }
 
 /// A model whose scores depend on every token of the prompt, so that one narration more or less shows. Fails when told to.
@@ -133,14 +154,19 @@ impl LanguageModel for WholePrompt {
     fn tidy(&mut self, _keep: usize) {}
 }
 
+/// What a sentence of the simulation may cost in tokens, of which a byte makes one.
+const TOKENS: usize = 300;
+/// What a stranger says holds this word.
+const FORGED: &str = "attic";
+
 /// Where the daemon's pieces are between two steps.
 struct Daemon {
     intake: Intake,
     cycle: Cycle<WholePrompt>,
     /// From the ear to the scoring loop.
     queue: VecDeque<(Entry, u64)>,
-    /// From the ear to the journal's writer.
-    records: VecDeque<Vec<u8>>,
+    /// To the journal's writer, and whether it is an observation from the ear.
+    records: VecDeque<(Vec<u8>, bool)>,
     appended: u64,
     written: u64,
     /// Stopped until then, as by SIGSTOP.
@@ -148,6 +174,10 @@ struct Daemon {
     /// How many of the accepted observations the cycle has entered, and the scores contain.
     entered: usize,
     scored: usize,
+    /// What the model read for the newest scores.
+    read: Vec<(u32, String)>,
+    /// Starts of narrators that this run of the daemon has heard, so that their ports are known.
+    heard: BTreeSet<(u64, u64)>,
     /// Which of the maps is in use, and which one the scores are of.
     map: usize,
     scored_map: usize,
@@ -155,8 +185,15 @@ struct Daemon {
     restarted: bool,
 }
 
+/// A daemon that was killed when all that it knew was in the journal: what would it say now?
+struct Ghost {
+    board: Board<WholePrompt>,
+    accepted: usize,
+}
+
 struct Narrator {
     name: String,
+    port: Sender,
     account: Account,
     /// What the service keeps for a daemon that joins.
     history: VecDeque<NarrationV1>,
@@ -172,6 +209,38 @@ struct Robot {
     /// The newest forecast: in each room the same chance at all times.
     forecast: ForecastV1,
     free: bool,
+    /// The last decision of this planner.
+    last: Option<DecisionV1>,
+    /// The rooms of the scores that it knows.
+    rooms: Vec<String>,
+}
+
+/// The machine itself, which outlives planners.
+struct Body {
+    /// None of a robot that says nothing.
+    reporter: Option<Reporter>,
+    /// What it was told last and works on, and whether it has said that it began.
+    work: Option<(DecisionV1, bool)>,
+    /// Every decision's room, by epoch and sequence.
+    told: BTreeMap<(u64, u64), String>,
+    /// What lies between it and the planner; and what the service keeps for one that joins.
+    wire: VecDeque<RobotReportV1>,
+    history: VecDeque<RobotReportV1>,
+    /// It says nothing more of what it does.
+    silent: bool,
+    /// Rooms of which it has said since the round's begin that they are done, and that it could not do them.
+    finished: BTreeSet<String>,
+    failed: BTreeSet<String>,
+    /// The planner has heard that the battery is low, and nothing else since.
+    charges: bool,
+}
+
+impl Body {
+    /// The room that a report of its speaks of.
+    fn room_of(&self, report: &RobotReportV1) -> String {
+        let told = self.told.get(&(report.decision_epoch, report.decision_sequence));
+        if report.room().is_empty() { told.cloned().unwrap_or_default() } else { report.room().to_owned() }
+    }
 }
 
 struct World {
@@ -180,6 +249,8 @@ struct World {
     /// Whether the transport is iceoryx2's: in order, nothing lost between living participants.
     faithful: bool,
     persons: u32,
+    /// Who lives here; anybody else is a visitor, unless it is empty.
+    residents: Vec<String>,
     maps: [SemanticMap; 2],
     options: PipelineOptions,
     failures: Rc<Cell<u32>>,
@@ -187,14 +258,20 @@ struct World {
     epochs: u64,
     said: u64,
     daemon: Option<Daemon>,
+    ghost: Option<Ghost>,
     narrators: Vec<Narrator>,
     robot: Robot,
+    body: Body,
     last_sent: Option<RoomScoresV1>,
+    /// What a stranger says, by a port of its own.
+    strangers: VecDeque<NarrationV1>,
     /// Nobody is killed any more.
     calm: bool,
     disk: Vec<u8>,
-    /// What must be in the history, in order.
+    /// What must be in the history, in order, as it came.
     accepted: Vec<Observation>,
+    /// Whose the daemon said that is which named nobody, and of these what the journal has.
+    attributed: BTreeMap<(u64, u64, u64), u32>,
     taken: BTreeSet<(u64, u64, u64)>,
     /// What damage to the journal took, which may be lost, and be taken again.
     damaged: BTreeSet<(u64, u64, u64)>,
@@ -211,6 +288,8 @@ struct Tally {
     duplicates: u64,
     missed: u64,
     malformed: u64,
+    forged: u64,
+    costly: u64,
     scored: u64,
     held_back: u64,
     failed: u64,
@@ -223,6 +302,17 @@ struct Tally {
     several: u64,
     map_changes: u64,
     restored: u64,
+    by_fit: u64,
+    away: u64,
+    nobody_home: u64,
+    visitors_gone: u64,
+    windows_ended: u64,
+    finished: u64,
+    failed_rooms: u64,
+    interrupted: u64,
+    silent: u64,
+    paused: u64,
+    kept: u64,
 }
 
 type Check = Result<(), String>;
@@ -237,11 +327,14 @@ impl World {
         let persons = rng.random_range(1..=2);
         // With two persons the window is exact, so that the oracle need not know when it was compacted.
         let slack = if persons == 1 { rng.random_range(0..4) } else { 0 };
-        let history = HistoryLimits { observations: rng.random_range(1..6), slack, tokens: 1024 };
+        let gap_s = rng.random_range(0..2);
+        let history = HistoryLimits { observations: rng.random_range(1..6), slack, gap_s, tokens: TOKENS };
+        let residents: &[&str] = if rng.random_bool(0.5) { &[] } else { &["0", "ada"] };
         let mut world = Self {
             planted,
             faithful: rng.random_bool(0.5),
             persons,
+            residents: residents.iter().map(|name| (*name).to_owned()).collect(),
             maps: [SCENE, LARGER_SCENE].map(|scene| SemanticMap::from_json(scene).unwrap()),
             options: PipelineOptions { history, ..Default::default() },
             failures: Rc::default(),
@@ -249,6 +342,7 @@ impl World {
             epochs: 0,
             said: 0,
             daemon: None,
+            ghost: None,
             narrators: Vec::new(),
             robot: Robot {
                 planner: Planner::new(&PlannerConfig::default(), 1),
@@ -256,11 +350,26 @@ impl World {
                 heard: BTreeMap::new(),
                 forecast: ForecastV1::default(),
                 free: true,
+                last: None,
+                rooms: Vec::new(),
+            },
+            body: Body {
+                reporter: rng.random_bool(0.6).then(|| Reporter::new("robot", 1).unwrap()),
+                work: None,
+                told: BTreeMap::new(),
+                wire: VecDeque::new(),
+                history: VecDeque::new(),
+                silent: false,
+                finished: BTreeSet::new(),
+                failed: BTreeSet::new(),
+                charges: false,
             },
             last_sent: None,
+            strangers: VecDeque::new(),
             calm: false,
             disk: Vec::new(),
             accepted: Vec::new(),
+            attributed: BTreeMap::new(),
             taken: BTreeSet::new(),
             damaged: BTreeSet::new(),
             claimed: BTreeSet::new(),
@@ -270,9 +379,10 @@ impl World {
         };
         for number in 0..NARRATORS {
             let name = format!("narrator-{number}");
-            let account = Account::new(&name, world.epoch());
+            let epoch = world.epoch();
+            let account = Account::new(&name, epoch);
             let (history, wire, scores) = Default::default();
-            world.narrators.push(Narrator { name, account, history, wire, scores });
+            world.narrators.push(Narrator { name, port: Sender::simulated(epoch), account, history, wire, scores });
         }
         world.start_planner();
         world
@@ -301,12 +411,14 @@ impl World {
     fn step(&mut self) -> Check {
         self.now_ns += self.rng.random_range(0..8 * MS);
         match self.rng.random_range(0..1000) {
-            0..200 => self.narrate(),
+            0..190 => self.narrate(),
+            190..200 => self.intrude(),
             200..400 => return self.ingest(),
             400..500 => self.write(),
             500..680 => return self.score(),
             680..780 => self.confirm(),
-            780..960 => return self.plan(),
+            780..900 => return self.plan(),
+            900..960 => self.act(),
             960..970 => self.now_ns += self.rng.random_range(0..600) * MS,
             970..976 => self.hang(),
             976..979 => self.failures.set(self.rng.random_range(1..4)),
@@ -325,7 +437,12 @@ impl World {
             return;
         }
         self.said += 1;
-        let (kind, text) = match self.rng.random_range(0..3) {
+        let (kind, text) = match self.rng.random_range(0..4) {
+            3 if self.rng.random_bool(0.4) => {
+                let statement = ["away", "gone", "present", "present in the a", "present in the b"];
+                (narration_kind::PRESENCE, statement[self.rng.random_range(0..5)].to_owned())
+            }
+            3 if self.rng.random_bool(0.1) => (narration_kind::SENTENCE, "They leave the house.".to_owned()),
             0 => (narration_kind::ACTION, format!("[Grab] <thing_{}> (1)", self.said)),
             1 => (narration_kind::DEVICE, format!("the lamp {} is on", self.said)),
             _ => {
@@ -333,8 +450,13 @@ impl World {
                 (narration_kind::SENTENCE, format!("They do thing {} with the {thing}.", self.said))
             }
         };
-        let person = self.rng.random_range(0..self.persons);
-        let item = Item { kind, text, person, duration_s: 0.0 };
+        // By number, by name, or nobody in particular.
+        let who_did = match self.rng.random_range(0..10) {
+            0..6 => Who::Number(self.rng.random_range(0..self.persons)),
+            6..8 => Who::Name(NAMES[self.rng.random_range(0..NAMES.len())].to_owned()),
+            _ => Who::Somebody,
+        };
+        let item = Item::new(kind, text, who_did);
         let now_ns = self.now_ns;
         let narrator = &mut self.narrators[who];
         let message = narrator.account.next(&item, now_ns, now_ns).unwrap();
@@ -349,9 +471,40 @@ impl World {
         self.note(|| format!("narrator {who} says {}: {:?}", message.sequence, message.text()));
     }
 
-    /// The next message of some narrator's wire, as the transport gives it.
-    fn delivered(&mut self) -> Option<NarrationV1> {
+    /// A stranger, with a port of its own, speaks in a narrator's name, or says what no window holds.
+    fn intrude(&mut self) {
         let who = self.rng.random_range(0..self.narrators.len());
+        let Some(last) = self.narrators[who].history.back().copied() else { return };
+        let known = self.daemon.as_ref().is_some_and(|daemon| daemon.heard.contains(&(last.source, last.epoch)));
+        let long = self.rng.random_bool(0.3);
+        let text = if long {
+            format!("They tidy the {FORGED}{}", " a b".repeat(90))
+        } else {
+            format!("They go to the {FORGED}.")
+        };
+        let message = NarrationV1::new(narration_kind::SENTENCE, &text).unwrap();
+        let sequence = [last.sequence + 1, u64::MAX][self.rng.random_range(0..2)];
+        let (source, epoch) = if known && !long { (last.source, last.epoch) } else { (99, 1 + self.said) };
+        if long || known {
+            let observed_ns = self.now_ns;
+            self.strangers.push_back(NarrationV1 { source, epoch, sequence, observed_ns, ..message });
+            self.note(|| format!("a stranger says {sequence} of source {source:x}, epoch {epoch}"));
+        }
+    }
+
+    /// The next message of some narrator's wire, as the transport gives it, and the port that it comes by.
+    fn delivered(&mut self) -> Option<(NarrationV1, Sender)> {
+        if self.rng.random_bool(0.3)
+            && let Some(message) = self.strangers.pop_front()
+        {
+            return Some((message, Sender::simulated(u64::MAX)));
+        }
+        let who = self.rng.random_range(0..self.narrators.len());
+        let port = self.narrators[who].port;
+        self.transported(who).map(|message| (message, port))
+    }
+
+    fn transported(&mut self, who: usize) -> Option<NarrationV1> {
         let wire = &mut self.narrators[who].wire;
         if self.faithful || wire.is_empty() {
             return wire.pop_front();
@@ -378,27 +531,33 @@ impl World {
         if !self.awake() {
             return Ok(());
         }
-        let Some(message) = self.delivered() else { return Ok(()) };
+        let Some((message, port)) = self.delivered() else { return Ok(()) };
+        let port = if self.planted == Planted::OnePort { Sender::simulated(0) } else { port };
         let now_ns = self.now_ns;
         let Some(daemon) = &mut self.daemon else { return Ok(()) };
         if self.planted == Planted::NoDeduplication {
             daemon.intake = Intake::new(IntakeLimits::default());
         }
-        let checked = roomcast_ipc::Message::check(&message).map(|()| &message);
-        let taken = daemon.intake.receive(checked, now_ns);
+        let checked = Message::check(&message).map(|()| &message);
+        let taken = daemon.intake.receive(checked, port, now_ns);
         let counted = daemon.intake.counters();
-        ensure(
-            counted.received == counted.accepted + counted.duplicates + counted.limited + counted.malformed,
-            || format!("the counters do not add up: {counted:?}"),
-        )?;
+        let refused = counted.limited + counted.malformed + counted.forged + counted.costly;
+        ensure(counted.received == counted.accepted + counted.duplicates + refused, || {
+            format!("the counters do not add up: {counted:?}")
+        })?;
         match taken {
-            Taken::Accepted { observation, missed } => {
+            Taken::Accepted { observation, missed, voice, leaves } => {
+                ensure(!observation.said.to_string().contains(FORGED), || {
+                    format!("a stranger is heard: {}", observation.said)
+                })?;
                 daemon.appended += 1;
-                daemon.records.push_back(journal::encode(&observation, &BOOT));
-                let entry = Entry { observation: observation.clone(), received_ns: now_ns, after_gap: missed > 0 };
+                daemon.records.push_back((journal::encode(&observation, &BOOT), true));
+                let after_gap = missed > 0;
+                let entry = Entry { observation: observation.clone(), received_ns: now_ns, after_gap, voice, leaves };
                 daemon.queue.push_back((entry, daemon.appended));
                 self.tally.accepted += 1;
                 self.tally.missed += missed;
+                daemon.heard.insert((observation.source, observation.epoch));
                 let name = (observation.source, observation.epoch, observation.sequence);
                 ensure(self.taken.insert(name), || format!("taken twice: {name:?}"))?;
                 // Damage to the journal may have taken a narration that nobody sends again.
@@ -409,6 +568,11 @@ impl World {
             }
             Taken::Duplicate => self.tally.duplicates += 1,
             Taken::Malformed(_) => self.tally.malformed += 1,
+            Taken::Forged => self.tally.forged += 1,
+            Taken::Costly { .. } => {
+                self.tally.costly += 1;
+                daemon.cycle.pass_over(message.source, message.epoch, message.sequence);
+            }
             Taken::Limited => {}
         }
         Ok(())
@@ -421,7 +585,7 @@ impl World {
         }
         let Some(daemon) = &mut self.daemon else { return };
         let count = self.rng.random_range(0..=daemon.records.len());
-        for record in daemon.records.drain(..count) {
+        for (record, _) in daemon.records.drain(..count) {
             self.disk.extend_from_slice(&record);
             daemon.written += 1;
         }
@@ -458,8 +622,23 @@ impl World {
             match daemon.cycle.step(now_ns, now_ns) {
                 Ok(()) => {
                     daemon.scored = contained;
+                    let read = daemon.cycle.board().pipeline().read_sentences();
+                    daemon.read = read.map(|(person, sentence)| (person, sentence.to_owned())).collect();
                     daemon.scored_map = daemon.map;
                     self.tally.scored += 1;
+                    let Daemon { cycle, records, appended, .. } = daemon;
+                    let mut attributed = 0;
+                    cycle.board_mut().tell_outcomes(|outcome| {
+                        *appended += 1;
+                        records.push_back((journal::encode_outcome(outcome), false));
+                        if outcome.by_fit {
+                            attributed = *appended;
+                            let name = (outcome.source, outcome.epoch, outcome.sequence);
+                            self.attributed.insert(name, outcome.person);
+                            self.tally.by_fit += 1;
+                        }
+                    });
+                    cycle.rests_on(attributed);
                 }
                 Err(error) => {
                     ensure(failing, || format!("scoring failed: {error}"))?;
@@ -469,7 +648,7 @@ impl World {
         }
         // The loop waits for the journal a moment; mostly that is enough.
         if self.rng.random_bool(0.8) {
-            while let Some(record) = daemon.records.pop_front() {
+            while let Some((record, _)) = daemon.records.pop_front() {
                 self.disk.extend_from_slice(&record);
                 daemon.written += 1;
             }
@@ -527,123 +706,191 @@ impl World {
     fn check_scores(&mut self, message: &RoomScoresV1) -> Check {
         let daemon = self.daemon.as_ref().unwrap();
         let contained = &self.accepted[..daemon.scored];
-        for claim in message.included() {
-            let newest = contained.iter().rev().find(|o| o.source == claim.source);
-            let holds = newest.is_some_and(|o| o.epoch != claim.epoch || claim.sequence <= o.sequence)
-                && contained.iter().any(|o| (o.epoch, o.sequence) == (claim.epoch, claim.sequence));
-            ensure(holds, || format!("scores {} claim {claim:?}, which they do not contain", message.sequence))?;
+        for claim in message.included().iter().filter(|claim| claim.accepted > 0) {
+            let name = (claim.source, claim.epoch, claim.sequence);
+            ensure(contained.iter().any(|o| (o.source, o.epoch, o.sequence) == name), || {
+                format!("scores {} claim {claim:?}, which they do not contain", message.sequence)
+            })?;
         }
-        // With a window that is cut now and then, the message says how much of the past it holds.
-        let (shown, history) = if self.persons == 1 {
-            let window = usize::try_from(message.window).unwrap_or(usize::MAX);
-            ensure(window <= contained.len(), || format!("a window of {window} of {} narrations", contained.len()))?;
-            (&contained[contained.len() - window..], HistoryLimits { observations: 1000, ..self.options.history })
-        } else {
-            (contained, self.options.history)
-        };
         let fingerprint = self.maps[daemon.scored_map].fingerprint();
         ensure(message.map_fingerprint == fingerprint, || format!("scores {} of another map", message.sequence))?;
-        let mut oracle = self.pipeline(daemon.scored_map, history, &Rc::default());
-        let expected = oracle.step(shown.iter().cloned()).unwrap();
-        let rooms = expected.grounded.partition_log_score_nats.len();
-        ensure(message.rooms().len() == rooms, || format!("scores {} of other rooms", message.sequence))?;
-        for (room, expected) in message.rooms().iter().zip(&expected.grounded.partition_log_score_nats) {
-            ensure((room.log_score_nats - expected).abs() < 1e-9, || {
-                format!(
-                    "scores {} are not those of the {} narrations they contain: {} has {}, which is {expected}",
-                    message.sequence,
-                    contained.len(),
-                    room.id(),
-                    room.log_score_nats
-                )
-            })?;
+        if daemon.entered != daemon.scored {
+            // Whose it is that names nobody is told with scores.
+            return Ok(());
         }
         // Every accepted narration that was entered is in the histories, as far as their windows reach.
         let entered = &self.accepted[..daemon.entered];
         for (person, history) in daemon.cycle.board().pipeline().histories().iter() {
-            let expected = entered.iter().filter(|o| o.person == person).rev();
-            let held = history.observations().rev();
-            ensure(held.zip(expected).all(|(held, expected)| held == expected), || {
-                format!("the history of person {person} lacks accepted narration")
-            })?;
+            let is_theirs = |o: &&Observation| o.sentence().is_some() && self.person_of(o) == Some(person);
+            let said: Vec<_> = entered.iter().filter(is_theirs).map(name_of).collect();
+            let held: Vec<_> = history.observations().map(name_of).collect();
+            // In their order, the newest among them; where one narrator speaks alone, the newest are all of them.
+            let mut rest = said.iter();
+            let alone = said.iter().all(|name| (name.0, name.1) == (said[0].0, said[0].1));
+            let right = held.iter().all(|held| rest.any(|said| said == held))
+                && (held.is_empty() || held.last() == said.last())
+                && (!alone || said.ends_with(&held));
+            ensure(right, || format!("the history of person {person} lacks accepted narration"))?;
         }
         Ok(())
     }
 
-    /// Each person's scores are those that they would have alone.
+    /// Whose an observation is, as far as the daemon has said that of one that names nobody.
+    fn person_of(&self, observation: &Observation) -> Option<u32> {
+        match &observation.name {
+            Some(name) => Some(person_number(name)),
+            None if observation.person == SOMEBODY => self.attributed.get(&name_of(observation)).copied(),
+            None => Some(observation.person),
+        }
+    }
+
+    /// Each person's scores are those that they would have alone, of as much of what they did as their window holds; all together say
+    /// where somebody is.
     fn check_persons(&mut self, message: &RoomScoresV1) -> Check {
-        let (now_ns, history) = (self.now_ns, HistoryLimits { observations: 1000, ..self.options.history });
+        let (now_ns, limits) = (self.now_ns, self.options.history);
+        let history = HistoryLimits { observations: 1000, gap_s: 0, ..limits };
         let Some(daemon) = &mut self.daemon else { return Ok(()) };
-        let told = *daemon.cycle.board_mut().persons(now_ns);
+        let told = *daemon.cycle.board_mut().person_scores(now_ns);
         let forecast = *daemon.cycle.board_mut().forecast(now_ns);
-        let (map, scored) = (daemon.scored_map, daemon.scored);
+        let forecasts = *daemon.cycle.board_mut().person_forecasts(now_ns);
+        let (map, scored, all_read) = (daemon.scored_map, daemon.scored, daemon.read.clone());
+        for checked in [told.check(), forecast.check(), forecasts.check(), message.check()] {
+            checked.map_err(|error| format!("a message is malformed: {error}"))?;
+        }
         ensure((told.epoch, told.sequence) == (message.epoch, message.sequence), || {
             "persons of other scores".to_owned()
         })?;
         ensure(forecast.room_count == message.room_count, || "a forecast of other rooms".to_owned())?;
+        let rooms = message.rooms().len();
+        for own in forecasts.persons() {
+            for horizon in 0..forecasts.horizons_s().len() {
+                let sum: f32 = own.probability.iter().map(|row| row[horizon]).sum::<f32>() + own.elsewhere[horizon];
+                ensure((sum - 1.0).abs() < 1e-4, || format!("person {} is somewhere with {sum}", own.person))?;
+            }
+        }
         let contained = &self.accepted[..scored];
-        let mut nobody = vec![1.0; message.rooms().len()];
+        let named = contained.iter().any(|o| o.name.is_some() || o.person != SOMEBODY);
+        let (mut nobody, mut present) = (vec![1.0; rooms], Vec::new());
         for person in told.persons() {
-            let own: Vec<_> = contained.iter().filter(|o| o.person == person.person).collect();
-            let window = usize::try_from(person.window).unwrap_or(usize::MAX).min(own.len());
+            let number = person.person;
+            let own: Vec<_> = contained.iter().filter(|o| self.person_of(o) == Some(number)).collect();
+            let told_by_name = |o: &&Observation| o.name.is_some() || o.person != SOMEBODY;
+            let is_named = own.iter().any(told_by_name) || (number == 0 && !own.is_empty()) || !named;
+            // Damage may have taken where they were named.
+            ensure(is_named || self.tally.damaged > 0, || format!("nobody named person {number}"))?;
+            let last = own.last().map_or(Presence::Unknown, |o| o.said.presence());
+            let expired = person.presence == presence::GONE && last != Presence::Gone;
+            self.tally.visitors_gone += u64::from(expired);
+            let as_told = [presence::UNKNOWN, presence::PRESENT, presence::AWAY, presence::GONE];
+            ensure(expired || person.presence == as_told[last as usize], || {
+                format!("person {number} was last said to be {last:?}, and has the presence {}", person.presence)
+            })?;
+            let sentences: Vec<_> = own.iter().copied().filter(|o| o.sentence().is_some()).collect();
+            let since = own.iter().rposition(|o| o.said.presence() != Presence::Present).map_or(0, |place| place + 1);
+            let window = usize::try_from(person.window).unwrap_or(usize::MAX);
+            let most = own[since..].iter().filter(|o| o.sentence().is_some()).count();
+            ensure(window <= most.min(limits.observations + limits.slack), || {
+                format!("the window of person {number} holds {window} of {most} sentences since they were away")
+            })?;
+            // Since then no sentence was said twice.
+            let read: BTreeSet<_> =
+                all_read.iter().filter(|(who, _)| *who == number).map(|(_, said)| &**said).collect();
+            let is_read = |o: &&Observation| o.sentence().is_some_and(|sentence| read.contains(sentence));
+            let shown: Vec<_> = own[since..].iter().copied().filter(is_read).collect();
+            ensure(shown.len() == window, || {
+                format!("the window of person {number} holds {window} sentences, of which {} are theirs", shown.len())
+            })?;
+            // What is told late does not lie after a gap when something else of its time was there, in the window or not any more.
+            let silent_s = |until_ns: u64, before: &[&Observation]| {
+                let newest_ns = before.iter().map(|o| o.observed_ns).max();
+                newest_ns.map_or(0.0, |newest_ns| until_ns.saturating_sub(newest_ns) as f64 / 1e9)
+            };
+            let is_first = |o: &&Observation| shown.first().is_some_and(|first| name_of(first) == name_of(o));
+            let first = sentences.iter().position(is_first).unwrap_or(sentences.len());
+            let inner = first + 1..sentences.len();
+            let mut gaps = inner.map(|place| silent_s(sentences[place].observed_ns, &sentences[..place]));
+            let has_ended = window > 0 && limits.is_gap(silent_s(message.computed_ns, &sentences));
+            ensure(!gaps.any(|gap_s| limits.is_gap(gap_s)) && !has_ended, || {
+                format!("the window of person {number} holds what lies before a gap")
+            })?;
+            self.tally.windows_ended += u64::from(window == 0 && most > 0);
+            if person.presence != presence::PRESENT {
+                self.tally.away += 1;
+                let nowhere = person.probability.iter().all(|p| *p == 0.0) && person.elsewhere == 1.0;
+                ensure(nowhere, || format!("person {number} is away, and in a room"))?;
+                continue;
+            }
+            ensure(person.elsewhere == 0.0, || format!("person {number} is here and elsewhere"))?;
             let mut oracle = self.pipeline(map, history, &Rc::default());
-            let alone = oracle.step(own[own.len() - window..].iter().copied().cloned()).unwrap();
+            let alone =
+                oracle.step(shown.iter().map(|o| Observation { person: 0, name: None, ..(*o).clone() })).unwrap();
             for ((told, alone), nobody) in
                 person.probability.iter().zip(&alone.grounded.partition_probability).zip(&mut nobody)
             {
                 ensure((told - alone).abs() < 1e-9, || {
-                    format!("scores {}: person {} has {told}, alone {alone}", message.sequence, person.person)
+                    format!("scores {}: person {number} has {told}, alone {alone}, of {window}", message.sequence)
                 })?;
                 *nobody *= 1.0 - told;
             }
+            present.push(number);
         }
-        if !told.persons().is_empty() {
+        let known = told.persons().iter().filter(|person| person.presence != presence::GONE).count();
+        let nobody_home = known > 0 && present.is_empty();
+        self.tally.nobody_home += u64::from(nobody_home);
+        ensure(message.has(score_flags::NOBODY_HOME) == nobody_home, || format!("the flags are {}", message.flags))?;
+        ensure(message.has(score_flags::NO_NARRATION) == (known == 0), || format!("the flags are {}", message.flags))?;
+        ensure(message.persons as usize == known && known <= MAX_PERSONS, || format!("{known} persons are known"))?;
+        if known > 0 {
             for (room, nobody) in message.rooms().iter().zip(nobody) {
                 ensure((room.probability - (1.0 - nobody)).abs() < 1e-12, || {
                     format!("scores {}: somebody is in {} with {}", message.sequence, room.id(), room.probability)
                 })?;
             }
         }
-        self.tally.several += u64::from(told.persons().len() > 1);
+        self.tally.several += u64::from(present.len() > 1);
         Ok(())
     }
 
-    /// A restarted daemon's first forecast is that of all the narration that its scores contain, with its times.
+    /// A restarted daemon's first forecast is that of the one before it, had it lived on.
     fn check_restored(&mut self) -> Check {
-        let now_ns = self.now_ns;
+        let (now_ns, failing) = (self.now_ns, self.failures.get() > 0);
         let Some(daemon) = &mut self.daemon else { return Ok(()) };
-        // Where the map was changed meanwhile, the histories alone are understood by it.
-        if !std::mem::take(&mut daemon.restarted) || daemon.scored_map != 0 {
+        if !std::mem::take(&mut daemon.restarted) {
             return Ok(());
         }
-        let contained = &self.accepted[..daemon.scored];
         let forecast = *daemon.cycle.board_mut().forecast(now_ns);
-        ensure(forecast.has(forecast_flags::NOT_KNOWN) == contained.is_empty(), || {
+        let known = daemon.cycle.board().snapshot().persons > 0;
+        ensure(forecast.has(forecast_flags::NOT_KNOWN) != known, || {
             format!("the first forecast after a start has the flags {}", forecast.flags)
         })?;
-        if contained.is_empty() {
+        let Some(mut ghost) = self.ghost.take() else { return Ok(()) };
+        // Where the map was changed meanwhile, the histories alone are understood by it.
+        if ghost.accepted != daemon.scored || daemon.scored_map != 0 || failing {
             return Ok(());
         }
-        let grounding = Grounding::new(&self.maps[0], &GROUNDING).unwrap();
-        let mut mentions = Mentions::new(&self.maps[0], &grounding);
-        let rooms = grounding.partitions().len();
-        let mut nobody = vec![1.0; rooms];
-        for person in daemon.cycle.board_mut().persons(now_ns).persons() {
-            let own: Vec<_> = contained.iter().filter(|o| o.person == person.person).collect();
-            let at_s = |o: &Observation| o.observed_ns as f64 / 1e9;
-            let mut forecaster = Forecaster::new(rooms, ForecastOptions::default(), at_s(own[0]));
-            for observation in own {
-                let mention = mentions.last(observation.sentence.as_str());
-                forecaster.observe(at_s(observation), mention, &grounding, &[]);
-            }
-            forecaster.expect(&person.probability[..rooms]);
-            let at = forecaster.at(now_ns as f64 / 1e9, 0.0);
-            nobody.iter_mut().zip(at).for_each(|(nobody, p)| *nobody *= 1.0 - p);
-        }
-        for (own, nobody) in forecast.probability.iter().zip(nobody) {
-            ensure((f64::from(own[0]) - (1.0 - nobody)).abs() < 1e-5, || {
-                format!("after a restart a room is occupied with {}, by the narration with {}", own[0], 1.0 - nobody)
+        ghost.board.step([], now_ns, now_ns).unwrap();
+        let before = *ghost.board.person_forecasts(now_ns);
+        let after = *daemon.cycle.board_mut().person_forecasts(now_ns);
+        // Where a window was cut while there was nothing else to do, it may hold less than what the journal gives back; and whose voice
+        // was whose is not known any more.
+        let same_windows = ghost.board.pipeline().read_sentences().eq(daemon.cycle.board().pipeline().read_sentences());
+        // A visitor of whom something is told late was gone meanwhile, or not, depending on who looked.
+        let stays = |own: &&PersonForecastV1| own.presence != presence::GONE && own.flags & person_flags::VISITOR == 0;
+        for own in before.persons().iter().filter(stays) {
+            let again = after.persons().iter().find(|again| again.person == own.person);
+            let again = again.ok_or_else(|| format!("after a restart person {} is not known", own.person))?;
+            ensure((again.presence, again.name) == (own.presence, own.name), || {
+                format!(
+                    "after a restart person {} has the presence {}, before {}",
+                    own.person, again.presence, own.presence
+                )
             })?;
+            let rows = own.probability.iter().zip(&again.probability).chain([(&own.elsewhere, &again.elsewhere)]);
+            for (before, after) in rows.flat_map(|(before, after)| before.iter().zip(after)) {
+                ensure(!same_windows || (before - after).abs() < 1e-4, || {
+                    format!("after a restart person {} is in a room with {after}, before with {before}", own.person)
+                })?;
+            }
         }
         self.tally.restored += 1;
         Ok(())
@@ -669,14 +916,22 @@ impl World {
         let Some(daemon) = self.daemon.take() else { return Ok(()) };
         self.tally.daemon_kills += 1;
         // The record that was being written may be torn.
-        if let Some(record) = daemon.records.front()
+        if let Some((record, _)) = daemon.records.front()
             && self.rng.random_bool(0.5)
         {
             self.disk.extend_from_slice(&record[..self.rng.random_range(0..record.len())]);
             self.tally.torn += 1;
         }
         // What the journal did not get is lost, and may be: nothing claimed it, so its narrator still has it.
-        let kept = self.accepted.len() - daemon.records.len();
+        let kept = self.accepted.len() - daemon.records.iter().filter(|(_, is_observation)| *is_observation).count();
+        // Only what the journal has and scores contain is known to the next one, too.
+        let whole =
+            daemon.records.is_empty() && daemon.scored == self.accepted.len() && daemon.map == daemon.scored_map;
+        let accepted = self.accepted.len();
+        // What the model said on another map is of other rooms.
+        let ghost =
+            (whole && self.tally.map_changes == 0).then(|| Ghost { board: daemon.cycle.into_board(), accepted });
+        self.ghost = ghost;
         for lost in self.accepted.split_off(kept) {
             let name = (lost.source, lost.epoch, lost.sequence);
             ensure(!self.claimed.contains(&name), || {
@@ -684,6 +939,7 @@ impl World {
             })?;
             self.taken.remove(&name);
         }
+        self.strangers.clear();
         for narrator in &mut self.narrators {
             narrator.wire.clear();
         }
@@ -701,6 +957,7 @@ impl World {
         }
         let at = self.rng.random_range(0..self.disk.len());
         self.disk[at] ^= 1 << self.rng.random_range(0..8);
+        self.ghost = None;
         self.tally.damaged += 1;
         self.note(|| format!("byte {at} of the journal is damaged"));
         if self.planted == Planted::NoChecksum {
@@ -713,23 +970,41 @@ impl World {
             return Ok(());
         }
         let pipeline = self.pipeline(0, self.options.history, &self.failures);
-        let board = Board::new(pipeline, self.maps[0].clone(), GROUNDING, self.epoch()).unwrap();
+        let config =
+            PersonsConfig { residents: self.residents.clone(), visitor_s: VISITOR_S, ..PersonsConfig::default() };
+        let persons = Persons::new(config, PersonsFile::default());
+        let board = Board::new(pipeline, self.maps[0].clone(), GROUNDING, self.epoch()).unwrap().with_persons(persons);
         let mut cycle = Cycle::new(board, HEARTBEAT_NS);
         let mut intake = Intake::new(IntakeLimits::default());
+        if self.planted != Planted::NoCost {
+            intake = intake.with_cost(SentenceCost::new(Arc::new(str::len), Arc::new(TOKENS.into())));
+        }
         let mut recovered = Recovered::default();
         if self.planted != Planted::NoJournal {
             journal::read_records(&self.disk, &BOOT, &mut recovered);
         }
         self.note(|| format!("daemon starts with {} narrations", recovered.observations.len()));
         self.check_recovered(&recovered)?;
-        self.accepted.clone_from(&recovered.observations);
+        self.accepted = recovered.observations.iter().map(as_it_came).collect();
+        self.attributed.clear();
+        let by_fit = recovered.observations.iter().filter(|o| o.by_fit);
+        self.attributed.extend(by_fit.map(|o| (name_of(o), o.person)));
+        if self.planted == Planted::NoAttributionsAfterRestart {
+            // All of them are the same person's.
+            recovered.observations.iter_mut().filter(|o| o.by_fit).for_each(|o| o.person = 1);
+        }
+        if self.planted == Planted::NoPresenceAfterRestart {
+            let stays = || Said::Sentence(Sentence::new("They stay.").unwrap());
+            recovered.observations.iter_mut().filter(|o| o.sentence().is_none()).for_each(|o| o.said = stays());
+        }
         let (entered, scored) = (self.accepted.len(), self.accepted.len());
         let mut forgetful = Intake::new(IntakeLimits::default());
         let known = if self.planted == Planted::NoDeduplicationAfterRestart { &mut forgetful } else { &mut intake };
         if self.planted == Planted::NoTimesAfterRestart {
             (recovered.observations.iter_mut()).for_each(|o| (o.observed_ns, o.observed_unix_ns) = (0, 0));
         }
-        cycle.restore(recovered.observations, known, self.now_ns, self.now_ns);
+        let costly = cycle.restore(recovered, known, self.now_ns, self.now_ns);
+        ensure(costly == 0, || format!("{costly} sentences of the journal cannot be scored"))?;
         let (queue, records) = Default::default();
         self.daemon = Some(Daemon {
             intake,
@@ -741,6 +1016,8 @@ impl World {
             hung_ns: 0,
             entered,
             scored,
+            read: Vec::new(),
+            heard: BTreeSet::new(),
             map: 0,
             scored_map: 0,
             restarted: true,
@@ -756,9 +1033,16 @@ impl World {
         let mut back = recovered.observations.iter().peekable();
         let mut lost = Vec::new();
         for accepted in &self.accepted {
-            if back.next_if(|o| *o == accepted).is_none() {
-                lost.push((accepted.source, accepted.epoch, accepted.sequence));
-            }
+            let Some(again) = back.next_if(|o| as_it_came(o) == *accepted) else {
+                lost.push(name_of(accepted));
+                continue;
+            };
+            // What was claimed was said to be somebody's; damage may have taken that.
+            let name = name_of(again);
+            let forgotten = !again.by_fit && self.claimed.contains(&name) && self.attributed.contains_key(&name);
+            ensure(!forgotten || self.tally.damaged > 0, || format!("whose {name:?} is was claimed and is forgotten"))?;
+            let other = again.by_fit && self.attributed.get(&name).is_some_and(|person| *person != again.person);
+            ensure(!other, || format!("{name:?} is somebody else's after a restart"))?;
         }
         ensure(back.peek().is_none(), || format!("the journal gives back what was never accepted: {:?}", back.peek()))?;
         // Damage happens while the daemon is down; each flips a single bit.
@@ -778,6 +1062,7 @@ impl World {
         let reached = self.rng.random_range(0..=self.narrators[who].wire.len());
         let narrator = &mut self.narrators[who];
         narrator.account = Account::new(&narrator.name, epoch);
+        narrator.port = Sender::simulated(epoch);
         narrator.history.clear();
         // What was sent and not received dies with its sender, from some message on.
         narrator.wire.truncate(reached);
@@ -794,12 +1079,117 @@ impl World {
             room_time_s,
             round_s: self.rng.random_bool(0.5).then(|| room_time_s * self.rng.random_range(1.0..5.0)),
             deadline_ms: if self.planted == Planted::NoDeadline { 1 << 40 } else { DEADLINE_MS },
+            interrupt_after_s: 0.01,
+            report_timeout_s: 0.3,
             ..Default::default()
         };
-        let planner = Planner::new(&config, self.epoch());
+        let mut planner = Planner::new(&config, self.epoch());
+        // Most planners find what the one before has kept.
+        self.body.charges = false;
+        if let Some(kept) = self.robot.planner.kept("").filter(|_| self.rng.random_bool(0.7)) {
+            planner = planner.with_kept(kept);
+            self.tally.kept += 1;
+        }
+        self.body.wire = self.body.history.clone();
         let scores = self.last_sent.filter(|_| self.daemon.is_some()).into_iter().collect();
-        self.robot = Robot { planner, scores, heard: BTreeMap::new(), forecast: ForecastV1::default(), free: true };
+        let forecast = ForecastV1::default();
+        self.robot =
+            Robot { planner, scores, heard: BTreeMap::new(), forecast, free: true, last: None, rooms: Vec::new() };
         self.note(|| "planner starts".to_owned());
+    }
+
+    /// What the robot does of itself, and says of it.
+    fn act(&mut self) {
+        if self.body.reporter.is_none() {
+            return;
+        }
+        let low = Report { battery: Some(0.1), ..Report::new(Kind::Docked) };
+        let charged = Report { battery: Some(0.9), ..Report::new(Kind::Battery) };
+        let Some((decision, started)) = self.body.work else {
+            let report = if self.rng.random_bool(0.5) { charged } else { Report::new(Kind::Docked) };
+            self.report(&report, 0);
+            return;
+        };
+        let room = decision.to().to_owned();
+        let named = self.rng.random_bool(0.5);
+        let of =
+            |kind| Report { room: named.then(|| room.clone()), decision: Some(decision.sequence), ..Report::new(kind) };
+        match self.rng.random_range(0..10) {
+            0..3 if !started => {
+                self.body.work = Some((decision, true));
+                self.report(&of(Kind::Started), decision.epoch);
+            }
+            0..6 => {
+                self.body.work = None;
+                self.report(&of(Kind::Finished), decision.epoch);
+            }
+            6 => {
+                self.body.work = None;
+                self.report(&low, 0);
+            }
+            7 => {
+                self.body.silent = true;
+                self.note(|| "robot falls silent".to_owned());
+            }
+            _ => {
+                self.body.work = None;
+                let kind = [Kind::Failed, Kind::Blocked, Kind::Cancelled][self.rng.random_range(0..3)];
+                self.report(&of(kind), decision.epoch);
+            }
+        }
+    }
+
+    fn report(&mut self, report: &Report, decision_epoch: u64) {
+        let body = &mut self.body;
+        let (Some(reporter), false) = (&mut body.reporter, body.silent) else { return };
+        let message = reporter.message(report, self.now_ns, self.now_ns).unwrap();
+        // The decision is named whole, as a robot does that hears decisions.
+        let message = RobotReportV1 { decision_epoch, ..message };
+        if body.history.len() == 8 {
+            body.history.pop_front();
+        }
+        body.history.push_back(message);
+        body.wire.push_back(message);
+        self.note(|| format!("robot says {:?} {:?}", report.kind, report.room));
+    }
+
+    /// What the robot makes of a decision.
+    fn obey(&mut self, decision: &DecisionV1) {
+        self.body.work = (decision.action == action::GO).then_some((*decision, false));
+        self.body.told.insert((decision.epoch, decision.sequence), decision.to().to_owned());
+        if self.body.silent && self.rng.random_bool(0.3) {
+            self.body.silent = false;
+        }
+    }
+
+    /// What decisions may say of a robot that reports.
+    fn check_robot(&mut self, decision: &DecisionV1) -> Check {
+        let body = &mut self.body;
+        let before = self.robot.last;
+        let since = before.filter(|before| before.covered & !decision.covered == 0);
+        if let Some(before) = since.filter(|before| before.has(decision_flags::REPORTED)) {
+            for room in (0..64).filter(|room| decision.covered & !before.covered & (1 << room) != 0) {
+                let id = self.robot.rooms.get(room).cloned().unwrap_or_default();
+                ensure(body.finished.contains(&id), || {
+                    format!("the room {id} counts as done, and the robot has not said so: {:?}", body.finished)
+                })?;
+            }
+        }
+        if since.is_none() {
+            // Another round, map, or planner: what counts is what is said from now on.
+            body.failed.clear();
+        }
+        body.finished.clear();
+        if decision.has(decision_flags::ROBOT_SILENT) {
+            body.failed.extend(before.map(|before| before.to().to_owned()));
+            self.tally.silent += 1;
+        }
+        self.tally.interrupted += u64::from(decision.has(decision_flags::INTERRUPTED));
+        self.tally.paused += u64::from(decision.action == action::PAUSE);
+        ensure(decision.action != action::GO || !body.charges, || "a robot that charges is sent out".to_owned())?;
+        ensure(decision.cancels == 0 || before.is_some_and(|before| before.sequence >= decision.cancels), || {
+            format!("decision {} cancels {}, which was not taken", decision.sequence, decision.cancels)
+        })
     }
 
     /// What the planner does in one round.
@@ -808,6 +1198,7 @@ impl World {
         let robot = &mut self.robot;
         while let Some(scores) = robot.scores.pop_front() {
             robot.planner.take(&scores);
+            robot.rooms = scores.rooms().iter().map(|room| room.id().to_owned()).collect();
             let name = (scores.epoch, scores.sequence);
             let heard = robot.heard.entry(name).or_default();
             if scores.published_ns >= heard.0 {
@@ -828,9 +1219,38 @@ impl World {
             robot.planner.take_forecast(&forecast);
             robot.forecast = forecast;
         }
-        let free = now_ns >= robot.planner.free_ns();
+        while robot.planner.knows_rooms()
+            && let Some(report) = self.body.wire.pop_front()
+        {
+            let heard = robot.planner.take_report(&report, now_ns);
+            let room = self.body.room_of(&report);
+            match report.kind {
+                report_kind::FINISHED => self.tally.finished += u64::from(self.body.finished.insert(room)),
+                report_kind::STARTED => {}
+                report_kind::FAILED | report_kind::BLOCKED | report_kind::CANCELLED => {
+                    self.tally.failed_rooms += u64::from(self.body.failed.insert(room));
+                }
+                _ => self.body.failed.extend(robot.last.map(|last| last.to().to_owned())),
+            }
+            if let Some(battery) = report.battery() {
+                self.body.charges = battery < 0.5;
+            }
+            // A room of a map that was is no room.
+            ensure(heard.is_ok() || self.tally.map_changes > 0 || self.tally.daemon_kills > 0, || {
+                format!("{heard:?}")
+            })?;
+        }
+        let free = robot.planner.is_free(now_ns);
         let Some(decision) = robot.planner.decide(now_ns, now_ns).unwrap() else { return Ok(()) };
-        ensure(free, || "a decision of a robot that is not free".to_owned())?;
+        // After a restart the planner says once more what the robot was sent to do, as soon as there are scores.
+        let nothing_yet = robot.last.is_none_or(|last| last.has(decision_flags::FALLBACK));
+        let again = nothing_yet && decision.reason().starts_with("goes on");
+        let given_up = decision.has(decision_flags::ROBOT_SILENT | decision_flags::INTERRUPTED);
+        ensure(free || again || given_up || decision.cancels != 0, || {
+            format!("a robot that is not free is sent: {decision:?}")
+        })?;
+        self.check_robot(&decision)?;
+        let robot = &mut self.robot;
         let deadline_ns = DEADLINE_MS * MS;
         self.tally.decisions += 1;
         if decision.has(decision_flags::FALLBACK) {
@@ -846,18 +1266,23 @@ impl World {
             });
             ensure(fresh, || format!("a decision on stale scores {name:?}: {heard:?} at {now_ns}"))?;
             let known = &robot.forecast;
-            let planned = decision.policy() == PolicyName::CoverageAware.as_str()
+            let planned = !again
+                && decision.policy() == PolicyName::CoverageAware.as_str()
                 && decision.stay_ns > 0
                 && known.epoch == decision.scores_epoch
                 && now_ns - known.published_ns <= deadline_ns;
             let rooms = (0..known.room_count as usize).map(|room| (room, known.probability[room][0]));
-            let mut to_do = rooms.filter(|(room, _)| decision.covered & (1 << room) == 0);
+            // A room that could not be done comes after the others, and not at once.
+            let failed = |room: usize| known.room(room).is_some_and(|(id, _)| self.body.failed.contains(id));
+            let mut to_do = rooms.filter(|(room, _)| decision.covered & (1 << room) == 0 && !failed(*room));
             let waits = || (0..64).any(|room| decision.covered & (1 << room) != 0 && known.id[room] == decision.to);
             let put_off = planned && to_do.any(|(_, probability)| probability == 0.0) && waits();
             ensure(!put_off, || format!("free work is put off: {decision:?}"))?;
             self.tally.planned += u64::from(planned);
         }
         robot.free = !decision.has(decision_flags::FALLBACK);
+        robot.last = Some(decision);
+        self.obey(&decision);
         self.note(|| format!("planner decides {:?}: {}", decision.to(), decision.reason()));
         Ok(())
     }
@@ -881,9 +1306,23 @@ impl World {
         for (who, narrator) in self.narrators.iter().enumerate() {
             let under_way = narrator.account.under_way();
             ensure(under_way == 0, || format!("{under_way} narrations of narrator {who} are never confirmed"))?;
+            let outcome = narrator.account.outcome();
+            let lost = outcome.dropped as usize > self.damaged.len();
+            ensure(!lost, || format!("narrator {who} was not heard: {outcome:?}"))?;
         }
         ensure(self.robot.free, || "the planner never leaves its fallback".to_owned())
     }
+}
+
+/// What names an observation for good.
+fn name_of(observation: &Observation) -> (u64, u64, u64) {
+    (observation.source, observation.epoch, observation.sequence)
+}
+
+/// An observation without what the daemon made of it.
+fn as_it_came(observation: &Observation) -> Observation {
+    let person = if observation.by_fit { SOMEBODY } else { observation.person };
+    Observation { person, by_fit: false, ..observation.clone() }
 }
 
 /// Makes every checksum of the journal fit what it holds, which is what a reader without checksums sees.
@@ -892,7 +1331,7 @@ fn seal(disk: &mut [u8]) {
     while let Some(header) = disk.get(at..at + 12) {
         let length = u32::from_le_bytes(header[4..8].try_into().unwrap()) as usize;
         match disk.get(at + 12..at + 12 + length) {
-            Some(payload) if header[..4] == *b"RCJ1" => {
+            Some(payload) if header.starts_with(b"RCJ") => {
                 let checksum = crc32fast::hash(payload);
                 disk[at + 8..at + 12].copy_from_slice(&checksum.to_le_bytes());
                 at += 12 + length;
@@ -938,6 +1377,8 @@ fn no_seed_violates_an_invariant() {
                 total.duplicates += tally.duplicates;
                 total.missed += tally.missed;
                 total.malformed += tally.malformed;
+                total.forged += tally.forged;
+                total.costly += tally.costly;
                 total.scored += tally.scored;
                 total.held_back += tally.held_back;
                 total.failed += tally.failed;
@@ -950,6 +1391,17 @@ fn no_seed_violates_an_invariant() {
                 total.several += tally.several;
                 total.map_changes += tally.map_changes;
                 total.restored += tally.restored;
+                total.by_fit += tally.by_fit;
+                total.away += tally.away;
+                total.nobody_home += tally.nobody_home;
+                total.visitors_gone += tally.visitors_gone;
+                total.windows_ended += tally.windows_ended;
+                total.finished += tally.finished;
+                total.failed_rooms += tally.failed_rooms;
+                total.interrupted += tally.interrupted;
+                total.silent += tally.silent;
+                total.paused += tally.paused;
+                total.kept += tally.kept;
             }
             Err(what) => {
                 println!("{}", what.lines().next().unwrap_or_default());
@@ -965,14 +1417,25 @@ fn no_seed_violates_an_invariant() {
             total.duplicates,
             total.missed,
             total.malformed,
+            total.forged,
+            total.costly,
             total.held_back,
             total.failed,
             total.fallbacks,
             total.planned,
+            total.finished,
+            total.failed_rooms,
+            total.interrupted,
+            total.silent,
+            total.paused,
+            total.kept,
         ] {
             assert!(reached > 0, "{total:?}");
         }
         assert!(total.several > 0 && total.map_changes > 0 && total.restored > 0, "{total:?}");
+        let (by_fit, away, visitors_gone) = (total.by_fit, total.away, total.visitors_gone);
+        assert!(by_fit > 0 && away > 0 && visitors_gone > 0, "{total:?}");
+        assert!(total.nobody_home > 0 && total.windows_ended > 0, "{total:?}");
         assert!(total.torn > 0 && total.damaged > 0 && total.daemon_kills > 0, "{total:?}");
     }
 }
@@ -987,7 +1450,11 @@ fn planted_faults_are_found() {
         (Planted::NoJournal, "missing from the history"),
         (Planted::NoDeduplicationAfterRestart, "taken twice"),
         (Planted::NoTimesAfterRestart, "after a"),
+        (Planted::NoAttributionsAfterRestart, "after a restart"),
+        (Planted::NoPresenceAfterRestart, "was last said to be"),
         (Planted::MapBeforeScores, "of another map"),
+        (Planted::OnePort, "a stranger is heard"),
+        (Planted::NoCost, "a stranger is heard"),
     ] {
         let found = (0..500).into_par_iter().filter_map(|seed| play(seed, planted).err()).collect::<Vec<_>>();
         let as_expected = found.iter().filter(|what| what.lines().next().unwrap_or("").contains(violation)).count();

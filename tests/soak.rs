@@ -11,10 +11,10 @@ use std::time::{Duration, Instant};
 use hdrhistogram::Histogram;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
-use roomcast_ipc::{DecisionV1, Domain, NarrationV1, RoomScoresV1, clock, narration_kind, sequence};
+use roomcast_ipc::{DecisionV1, Domain, NarrationV1, RoomScoresV1, Sender, clock, narration_kind, sequence};
 use roomcast_services::config::{IntakeLimits, PlannerConfig};
 use roomcast_services::daemon::{Board, Cycle, Entry, Intake, Journal, JournalOptions, Taken};
-use roomcast_services::narrator::{Account, Item};
+use roomcast_services::narrator::{Account, Item, Who};
 use roomcast_services::no_model::NoModel;
 use roomcast_services::planner::Planner;
 use roomcast_services::setup;
@@ -62,7 +62,7 @@ fn memory_and_descriptors_stay_flat() {
     let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
     let pipeline = Pipeline::new(NoModel::default(), grounding, PipelineOptions::default()).unwrap();
     let mut cycle = Cycle::new(Board::new(pipeline, map, GroundingOptions::default(), 1).unwrap(), 250_000_000);
-    let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, ..IntakeLimits::default() });
+    let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
     let options = JournalOptions { directory: directory.path().join("state"), bytes_max: 1 << 20, sync_ms: 1000 };
     let (mut journal, _) = Journal::open(&options).unwrap();
     let handle = journal.handle();
@@ -76,17 +76,19 @@ fn memory_and_descriptors_stay_flat() {
     for event in 0..events {
         let sent = Instant::now();
         let text = format!("They do thing {event}.");
-        let item = Item { kind: narration_kind::SENTENCE, text, person: (event % 3) as u32, duration_s: 0.0 };
+        let item = Item::new(narration_kind::SENTENCE, text, Who::Number((event % 3) as u32));
         let message = account.next(&item, clock::monotonic_ns(), clock::unix_ns()).unwrap();
         narration_out.send(&message).unwrap();
         narration_in.wait(Duration::from_secs(1)).unwrap();
         while let Some(received) = narration_in.receive().unwrap() {
             let now_ns = clock::monotonic_ns();
-            let Taken::Accepted { observation, missed: 0 } = intake.take(&received.unwrap(), now_ns) else {
+            let Taken::Accepted { observation, missed: 0, .. } =
+                intake.take(&received.unwrap(), Sender::simulated(1), now_ns)
+            else {
                 panic!("{event}")
             };
             let record = journal.append(&observation);
-            cycle.enter(Entry { observation, received_ns: now_ns, after_gap: false }, record);
+            cycle.enter(Entry::new(observation, now_ns), record);
         }
         cycle.step(clock::monotonic_ns(), clock::unix_ns()).unwrap();
         assert!(handle.wait_for(cycle.scored_record(), Duration::from_secs(60)), "the journal stands still");
@@ -136,7 +138,7 @@ fn memory_and_descriptors_stay_flat() {
     assert_eq!(intake.counters().accepted, events);
     drop((journal, handle));
     let (_, recovered) = Journal::open(&options).unwrap();
-    let newest = recovered.observations.last().unwrap().sentence.as_str();
+    let newest = recovered.observations.last().unwrap().sentence().unwrap();
     assert_eq!(newest, format!("They do thing {}.", events - 1), "what the journal holds after all");
     drop((narration_out, narration_in, scores_out, scores_in, decisions, node));
     assert!(domain.clean_up().unwrap());

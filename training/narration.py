@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-ACTIONS = tomllib.loads((ROOT / "src/narration/actions.toml").read_text())
-NAMES = tomllib.loads((ROOT / "src/semantic_map/names.toml").read_text())
+ACTIONS = tomllib.loads((ROOT / "core/src/narration/actions.toml").read_text())
+NAMES = tomllib.loads((ROOT / "core/src/names.toml").read_text())
 WORDS, ALIASES = NAMES["words"], NAMES["aliases"]
 
 DEFAULT_BINDING = "Next, the human will go to the"

@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 # Freed memory is kept: a training step allocates and frees the same few hundred megabytes, and asking the system
-# for fresh pages costs more than the arithmetic. Python's hashes are fixed too, lest an order depend on them. All are read at
+# for fresh pages costs more than the arithmetic. Python's hashes are fixed too, so that no order depends on them. All are read at
 # start-up, hence the restart.
 SURROUNDINGS = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": "100000000000", "MALLOC_TOP_PAD_": "268435456", "PYTHONHASHSEED": "0"}
 if __name__ == "__main__" and any(os.environ.get(name) != value for name, value in SURROUNDINGS.items()):
@@ -120,7 +120,7 @@ def write_manifest(given, corpus, programs, model, shipped: Path) -> None:
     inputs = sorted(
         [p for folder in ("virtualhome/programs", "virtualhome/scenes", "homer_plus") for p in (given.shared / folder).rglob("*") if p.is_file()]
     )
-    here = sorted(p for pattern in ("training/*.py", "training/*.toml", "training/routines/*.toml", "training/things/*.toml", "src/narration/actions.toml", "src/semantic_map/names.toml", "scenes/*.json") for p in ROOT.glob(pattern))
+    here = sorted(p for pattern in ("training/*.py", "training/*.toml", "training/routines/*.toml", "training/things/*.toml", "core/src/narration/actions.toml", "core/src/names.toml", "scenes/*.json") for p in ROOT.glob(pattern))
     manifest = {
         "model": {"file": shipped.name, "sha256": data.sha256(shipped), "bytes": shipped.stat().st_size, "parameters": model.parameter_count(), "shape": model.shape.to_dict()},
         "command": f"python training/run.py --shared SHARED --seed {given.seed}" + (" --dev" if given.dev else "") + (f" --short {given.short}" if given.short else ""),

@@ -75,7 +75,7 @@ def texts() -> Iterator[str]:
     """Narrations and labels of what Roomcast ships: words that a general vocabulary would hold whole. No documents, whose other words
     would take the labels' place, so that every new page made another trie."""
     labels = sorted({item["label"] for path in ROOT.glob("scenes/*.json") for item in json.loads(path.read_text())["items"]})
-    actions = tomllib.loads((ROOT / "src/narration/actions.toml").read_text())
+    actions = tomllib.loads((ROOT / "core/src/narration/actions.toml").read_text())
     for action in actions.values():
         for tail in action["tails"]:
             for subject, verb in (("They", action["base"]), ("She", action["third"])):

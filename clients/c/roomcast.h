@@ -1,4 +1,6 @@
-/* Roomcast's contract between processes, made by cbindgen from the crate roomcast-ipc: `make c-header`. Do not edit. */
+/* Roomcast's contract between processes, made by cbindgen from the crate roomcast-ipc: `make c-header`. Do not edit.
+ *
+ * Monotonic nanoseconds (`*_ns`) are of CLOCK_BOOTTIME, which counts suspension; `*_unix_ns` is wall clock, for people. */
 
 #ifndef ROOMCAST_H
 #define ROOMCAST_H
@@ -19,6 +21,9 @@
 
 // A device's state: "the oven is on".
 #define ROOMCAST_NARRATION_KIND_DEVICE 2
+
+// Where a person is, without an action that a language model could read: present, present in the kitchen, away, gone.
+#define ROOMCAST_NARRATION_KIND_PRESENCE 3
 
 // Most rooms (partitions) in one message. A map with more cannot be served by the daemon.
 #define ROOMCAST_MAX_ROOMS 64
@@ -60,14 +65,42 @@
 // they are of. A later attempt scores what this one could not.
 #define ROOMCAST_SCORE_FLAGS_SCORER_FAILED (1 << 5)
 
+// Everybody who is known is away: no room is likely, and their scores are -inf.
+#define ROOMCAST_SCORE_FLAGS_NOBODY_HOME (1 << 6)
+
 // Most persons in one message; the longest silent ones are left out, and PersonScoresV1::persons says how many there are.
 #define ROOMCAST_MAX_PERSONS 8
 
 // All that is known of the person was observed before the daemon's start.
 #define ROOMCAST_PERSON_FLAGS_RESTORED 1
 
+// Nothing for long, on a bed: possibly asleep.
+#define ROOMCAST_PERSON_FLAGS_ASLEEP (1 << 1)
+
+// The newest narration named nobody, and fitted this person best.
+#define ROOMCAST_PERSON_FLAGS_BY_FIT (1 << 2)
+
+// Not of the household: forgotten after a silence.
+#define ROOMCAST_PERSON_FLAGS_VISITOR (1 << 3)
+
+// Nothing was observed of the person.
+#define ROOMCAST_PRESENCE_UNKNOWN 0
+
+// In the house.
+#define ROOMCAST_PRESENCE_PRESENT 1
+
+// Out of the house, and expected back.
+#define ROOMCAST_PRESENCE_AWAY 2
+
+// Out of the house, and not expected back.
+#define ROOMCAST_PRESENCE_GONE 3
+
 // Value of ItemScoreV1::partition: the item lies in none.
 #define ROOMCAST_NO_PARTITION UINT32_MAX
+
+// Most items of a message: of a larger map the best. Shared memory is set aside for every message that may be under way, each as long as
+// the longest.
+#define ROOMCAST_MAX_ITEMS 1024
 
 // Most points in time of a forecast.
 #define ROOMCAST_MAX_HORIZONS 16
@@ -78,6 +111,9 @@
 // Of somebody, all that is known was observed before the daemon's start.
 #define ROOMCAST_FORECAST_FLAGS_RESTORED (1 << 1)
 
+// Everybody who is known is away now.
+#define ROOMCAST_FORECAST_FLAGS_NOBODY_HOME (1 << 2)
+
 // Most bytes of a decision's reason.
 #define ROOMCAST_REASON_TEXT_BYTES 256
 
@@ -86,6 +122,9 @@
 
 // The robot goes to to and works there.
 #define ROOMCAST_ACTION_GO 1
+
+// The robot stops its work and waits where it disturbs nobody, at its dock if it has one.
+#define ROOMCAST_ACTION_PAUSE 2
 
 // Not the policy's choice but the safe fallback.
 #define ROOMCAST_DECISION_FLAGS_FALLBACK 1
@@ -101,6 +140,57 @@
 
 // Every room has been covered.
 #define ROOMCAST_DECISION_FLAGS_COVERED (1 << 4)
+
+// A person came into the room that the robot was in: what it did there is not done.
+#define ROOMCAST_DECISION_FLAGS_INTERRUPTED (1 << 5)
+
+// covered counts what the robot reported as finished; without this bit, the clock.
+#define ROOMCAST_DECISION_FLAGS_REPORTED (1 << 6)
+
+// The round's deadline leaves no later slot for this room.
+#define ROOMCAST_DECISION_FLAGS_DEADLINE (1 << 7)
+
+// Nothing is known of anybody: the room scores say nothing about persons.
+#define ROOMCAST_DECISION_FLAGS_NOT_KNOWN (1 << 8)
+
+// Everybody who is known is away.
+#define ROOMCAST_DECISION_FLAGS_NOBODY_HOME (1 << 9)
+
+// The robot has reported before and has been silent for longer than allowed.
+#define ROOMCAST_DECISION_FLAGS_ROBOT_SILENT (1 << 10)
+
+// Most bytes of a report's note.
+#define ROOMCAST_NOTE_TEXT_BYTES 120
+
+// Where the robot is.
+#define ROOMCAST_REPORT_KIND_POSITION 0
+
+// It is in the room and has begun to work there.
+#define ROOMCAST_REPORT_KIND_STARTED 1
+
+// The work in the room is done.
+#define ROOMCAST_REPORT_KIND_FINISHED 2
+
+// The work in the room failed; the robot is free again.
+#define ROOMCAST_REPORT_KIND_FAILED 3
+
+// It does not get into the room; the robot is free again.
+#define ROOMCAST_REPORT_KIND_BLOCKED 4
+
+// It is at its dock, and charges.
+#define ROOMCAST_REPORT_KIND_DOCKED 5
+
+// How full the battery is.
+#define ROOMCAST_REPORT_KIND_BATTERY 6
+
+// Somebody, or the robot itself, took the decision back; the robot is free again.
+#define ROOMCAST_REPORT_KIND_CANCELLED 7
+
+// position_m says where the robot is.
+#define ROOMCAST_REPORT_FLAGS_HAS_POSITION 1
+
+// battery says how full the battery is.
+#define ROOMCAST_REPORT_FLAGS_HAS_BATTERY (1 << 1)
 
 // One observation of a person, from a narrator: an action that is complete, a device state, or a sentence.
 //
@@ -121,7 +211,8 @@ typedef struct RoomcastNarrationV1 {
   // When it was observed: Unix nanoseconds, for people.
   // (Offset 32.)
   uint64_t observed_unix_ns;
-  // Which person; each has a history of its own.
+  // Which person, where person_name is empty; each has a history of its own. ALL_PERSONS is somebody: the daemon
+  // takes the person whom the text fits best.
   // (Offset 40.)
   uint32_t person;
   // One of narration_kind.
@@ -130,21 +221,25 @@ typedef struct RoomcastNarrationV1 {
   // Bytes of text that follow in text, 1 to 1 024.
   // (Offset 48.)
   uint32_t text_bytes;
-  // Minor version of the layout: 0.
+  // Minor version of the layout: 1, which has person_name, narration_kind::PRESENCE and somebody.
   // (Offset 52.)
   uint32_t minor;
   // The narrator's name, for people.
   // (Offset 56.)
   uint8_t source_name[ROOMCAST_NAME_BYTES];
-  // Zero.
+  // The person's name, UTF-8, zero padded; empty where person says who it is.
   // (Offset 104.)
-  uint8_t reserved[88];
+  uint8_t person_name[ROOMCAST_NAME_BYTES];
+  // Zero.
+  // (Offset 152.)
+  uint8_t reserved[40];
   // The text, UTF-8, the rest zero.
   // (Offset 192.)
   uint8_t text[ROOMCAST_NARRATION_TEXT_BYTES];
 } RoomcastNarrationV1;
 
-// The newest narration of one source that a message's scores contain.
+// The newest narration of one start of a source that a message's scores contain, or that was dealt with otherwise. Several
+// processes may use one source at once, each with an epoch of its own.
 typedef struct RoomcastIncludedV1 {
   // The narrator.
   // (Offset 0.)
@@ -152,13 +247,13 @@ typedef struct RoomcastIncludedV1 {
   // Its epoch.
   // (Offset 8.)
   uint64_t epoch;
-  // Highest sequence number contained; all accepted ones below it went through the history too.
+  // Highest sequence number dealt with; all accepted ones up to it went through the history.
   // (Offset 16.)
   uint64_t sequence;
   // When that was observed: monotonic nanoseconds.
   // (Offset 24.)
   uint64_t observed_ns;
-  // Narrations of this source that the daemon has accepted since it started or recovered.
+  // Narrations of this source in this epoch that the daemon has accepted, those of its journal included.
   // (Offset 32.)
   uint64_t accepted;
 } RoomcastIncludedV1;
@@ -240,7 +335,7 @@ typedef struct RoomcastRoomScoresV1 {
   // Person whose next room this is, or ALL_PERSONS.
   // (Offset 176.)
   uint32_t person;
-  // Persons with a history.
+  // Persons known.
   // (Offset 180.)
   uint32_t persons;
   // Rooms in rooms, at most 64.
@@ -289,20 +384,32 @@ typedef struct RoomcastPersonV1 {
   // Bits of person_flags.
   // (Offset 32.)
   uint32_t flags;
-  // Zero.
+  // One of presence.
   // (Offset 36.)
-  uint8_t reserved[28];
+  uint32_t presence;
+  // That the person is elsewhere next, outside the map's rooms, 0 to 1: 1 while away or gone.
+  // (Offset 40.)
+  double elsewhere;
+  // Since when presence holds: monotonic nanoseconds, 0 where that was before the machine's start.
+  // (Offset 48.)
+  uint64_t since_ns;
+  // The person's name, UTF-8, zero padded; empty for one who has a number only.
+  // (Offset 56.)
+  uint8_t name[ROOMCAST_NAME_BYTES];
+  // Zero.
+  // (Offset 104.)
+  uint8_t reserved[24];
   // Per room Equation 2's sum over its items, in nats; -inf when it has none.
-  // (Offset 64.)
+  // (Offset 128.)
   double log_score_nats[ROOMCAST_MAX_ROOMS];
   // Per room, the true value lies at or above this, in nats.
-  // (Offset 576.)
+  // (Offset 640.)
   double lower_log_score_nats[ROOMCAST_MAX_ROOMS];
   // Per room, the true value lies at or below this, in nats.
-  // (Offset 1088.)
+  // (Offset 1152.)
   double upper_log_score_nats[ROOMCAST_MAX_ROOMS];
-  // Per room the score's share of all rooms' scores, 0 to 1: that the person is there next. They sum to one.
-  // (Offset 1600.)
+  // Per room the score's share of all rooms' scores, 0 to 1: that the person is there next. With elsewhere they sum to one.
+  // (Offset 1664.)
   double probability[ROOMCAST_MAX_ROOMS];
 } RoomcastPersonV1;
 
@@ -357,12 +464,15 @@ typedef struct RoomcastItemScoresHeaderV1 {
   // When they were computed: monotonic nanoseconds.
   // (Offset 16.)
   uint64_t computed_ns;
-  // Minor version of the layout: 0.
+  // Minor version of the layout: 1, which has items.
   // (Offset 24.)
   uint32_t minor;
-  // Zero.
+  // Items of the map. Where they are more than the message has, it has the MAX_ITEMS with the best scores.
   // (Offset 28.)
-  uint8_t reserved[36];
+  uint32_t items;
+  // Zero.
+  // (Offset 32.)
+  uint8_t reserved[32];
 } RoomcastItemScoresHeaderV1;
 
 // The score of one item of the map. Sent only while somebody subscribes.
@@ -407,26 +517,109 @@ typedef struct RoomcastForecastV1 {
   // Person, or ALL_PERSONS.
   // (Offset 40.)
   uint32_t person;
-  // Minor version of the layout: 1, which has flags; they are 0 in minor version 0.
+  // Minor version of the layout: 1 has flags, 2 has elsewhere; they are 0 before.
   // (Offset 44.)
   uint32_t minor;
   // Bits of forecast_flags.
   // (Offset 48.)
   uint32_t flags;
-  // Zero.
+  // Per horizon that everybody is elsewhere, outside the map's rooms, 0 to 1.
   // (Offset 52.)
-  uint8_t reserved[76];
+  float elsewhere[ROOMCAST_MAX_HORIZONS];
+  // Zero.
+  // (Offset 116.)
+  uint8_t reserved[12];
   // The horizons in seconds, rising.
   // (Offset 128.)
   float horizon_s[ROOMCAST_MAX_HORIZONS];
   // The rooms' ids, UTF-8, zero padded.
   // (Offset 192.)
   uint8_t id[ROOMCAST_MAX_ROOMS][ROOMCAST_NAME_BYTES];
-  // probability[room][horizon], 0 to 1: that somebody is there. A horizon's column sums to one for one person, to at most
-  // their number for several; a room's row to nothing.
+  // probability[room][horizon], 0 to 1: that somebody is there. A horizon's column and elsewhere sum to one for one person,
+  // the column to at most their number for several; a room's row sums to nothing that means anything.
   // (Offset 3264.)
   float probability[ROOMCAST_MAX_ROOMS][ROOMCAST_MAX_HORIZONS];
 } RoomcastForecastV1;
+
+// Where one person will be: P(room at computed_ns + horizon), and P(elsewhere), which together sum to one per horizon.
+typedef struct RoomcastPersonForecastV1 {
+  // The person's number.
+  // (Offset 0.)
+  uint32_t person;
+  // One of presence.
+  // (Offset 4.)
+  uint32_t presence;
+  // Bits of person_flags.
+  // (Offset 8.)
+  uint32_t flags;
+  // Zero.
+  // (Offset 12.)
+  uint8_t reserved_a[4];
+  // The person's name, UTF-8, zero padded; empty for one who has a number only.
+  // (Offset 16.)
+  uint8_t name[ROOMCAST_NAME_BYTES];
+  // Per horizon that the person is elsewhere, outside the map's rooms, 0 to 1.
+  // (Offset 64.)
+  float elsewhere[ROOMCAST_MAX_HORIZONS];
+  // Per horizon the smallest set of rooms that holds the person with the coverage below; bit i is room i.
+  // (Offset 128.)
+  uint64_t room_set[ROOMCAST_MAX_HORIZONS];
+  // The coverage that the sets are for, 0 to 1; 0 where there are no sets.
+  // (Offset 256.)
+  float set_coverage;
+  // Bit h: elsewhere belongs to the set of horizon h.
+  // (Offset 260.)
+  uint32_t set_elsewhere;
+  // Zero.
+  // (Offset 264.)
+  uint8_t reserved[56];
+  // probability[room][horizon], 0 to 1.
+  // (Offset 320.)
+  float probability[ROOMCAST_MAX_ROOMS][ROOMCAST_MAX_HORIZONS];
+} RoomcastPersonForecastV1;
+
+// Where each person will be. Sent only while somebody subscribes.
+typedef struct RoomcastPersonForecastsV1 {
+  // Epoch of the room scores that it follows from.
+  // (Offset 0.)
+  uint64_t epoch;
+  // Sequence of those room scores.
+  // (Offset 8.)
+  uint64_t sequence;
+  // When it was computed: monotonic nanoseconds.
+  // (Offset 16.)
+  uint64_t computed_ns;
+  // When this message was sent: monotonic nanoseconds.
+  // (Offset 24.)
+  uint64_t published_ns;
+  // Rooms, at most 64.
+  // (Offset 32.)
+  uint32_t room_count;
+  // Horizons, at most 16.
+  // (Offset 36.)
+  uint32_t horizon_count;
+  // Persons known; person names at most 8 of them.
+  // (Offset 40.)
+  uint32_t persons;
+  // Entries in person, at most 8.
+  // (Offset 44.)
+  uint32_t person_count;
+  // Minor version of the layout: 0.
+  // (Offset 48.)
+  uint32_t minor;
+  // Zero.
+  // (Offset 52.)
+  uint8_t reserved[76];
+  // The horizons in seconds, rising.
+  // (Offset 128.)
+  float horizon_s[ROOMCAST_MAX_HORIZONS];
+  // The rooms' ids in the map's order, UTF-8, zero padded.
+  // (Offset 192.)
+  uint8_t id[ROOMCAST_MAX_ROOMS][ROOMCAST_NAME_BYTES];
+  // The persons, in the order of their numbers; unused entries zero.
+  // (Offset 3264.)
+  struct RoomcastPersonForecastV1 person[ROOMCAST_MAX_PERSONS];
+} RoomcastPersonForecastsV1;
 
 // Where a robot goes next, and why.
 typedef struct RoomcastDecisionV1 {
@@ -473,7 +666,7 @@ typedef struct RoomcastDecisionV1 {
   // Bits of decision_flags.
   // (Offset 100.)
   uint32_t flags;
-  // Minor version of the layout: 0.
+  // Minor version of the layout: 1, which has action::PAUSE and cancels.
   // (Offset 104.)
   uint32_t minor;
   // Zero.
@@ -491,10 +684,68 @@ typedef struct RoomcastDecisionV1 {
   // Why, in words, UTF-8, zero padded, cut to fit.
   // (Offset 256.)
   uint8_t reason[ROOMCAST_REASON_TEXT_BYTES];
-  // Zero.
+  // Sequence of the decision of this epoch that does not hold any more, 0 for none.
   // (Offset 512.)
-  uint8_t reserved[256];
+  uint64_t cancels;
+  // Zero.
+  // (Offset 520.)
+  uint8_t reserved[248];
 } RoomcastDecisionV1;
+
+// What a robot says of itself: where it is, and what became of a decision.
+typedef struct RoomcastRobotReportV1 {
+  // The robot, by the number that decisions name it with.
+  // (Offset 0.)
+  uint64_t robot;
+  // Random per start of the reporter.
+  // (Offset 8.)
+  uint64_t epoch;
+  // 1, 2, 3, ... within the epoch.
+  // (Offset 16.)
+  uint64_t sequence;
+  // When it was so: monotonic nanoseconds.
+  // (Offset 24.)
+  uint64_t reported_ns;
+  // The same in Unix nanoseconds, for people.
+  // (Offset 32.)
+  uint64_t reported_unix_ns;
+  // Epoch of the decision that it answers, 0 for none.
+  // (Offset 40.)
+  uint64_t decision_epoch;
+  // Sequence of that decision, 0 for none.
+  // (Offset 48.)
+  uint64_t decision_sequence;
+  // Where the robot is, in the map's metres; it counts with report_flags::HAS_POSITION.
+  // (Offset 56.)
+  double position_m[3];
+  // How full the battery is, 0 to 1; it counts with report_flags::HAS_BATTERY.
+  // (Offset 80.)
+  double battery;
+  // One of report_kind.
+  // (Offset 88.)
+  uint32_t kind;
+  // Bits of report_flags.
+  // (Offset 92.)
+  uint32_t flags;
+  // Minor version of the layout: 0.
+  // (Offset 96.)
+  uint32_t minor;
+  // Zero.
+  // (Offset 100.)
+  uint8_t reserved_a[4];
+  // The robot's name, UTF-8, zero padded.
+  // (Offset 104.)
+  uint8_t robot_name[ROOMCAST_NAME_BYTES];
+  // The room that it speaks of, UTF-8, zero padded; empty where the position or the decision tells.
+  // (Offset 152.)
+  uint8_t room[ROOMCAST_NAME_BYTES];
+  // Why, in words, UTF-8, zero padded.
+  // (Offset 200.)
+  uint8_t note[ROOMCAST_NOTE_TEXT_BYTES];
+  // Zero.
+  // (Offset 320.)
+  uint8_t reserved[192];
+} RoomcastRobotReportV1;
 
 // Asks the daemon how it is.
 typedef struct RoomcastStatusRequestV1 {
@@ -583,7 +834,7 @@ typedef struct RoomcastStatusResponseV1 {
   // Persons known.
   // (Offset 232.)
   uint32_t persons;
-  // Minor version of the layout: 0.
+  // Minor version of the layout: 1, which has forged, costly and learned.
   // (Offset 236.)
   uint32_t minor;
   // Version of the daemon, UTF-8, zero padded.
@@ -601,9 +852,18 @@ typedef struct RoomcastStatusResponseV1 {
   // Journal: failed writes.
   // (Offset 392.)
   uint64_t journal_failures;
-  // Zero.
+  // Narrations in the name of a source that another port uses.
   // (Offset 400.)
-  uint8_t reserved[112];
+  uint64_t forged;
+  // Narrations refused because their tokens do not fit the window.
+  // (Offset 408.)
+  uint64_t costly;
+  // Observations that the habits rest on.
+  // (Offset 416.)
+  uint64_t learned;
+  // Zero.
+  // (Offset 424.)
+  uint8_t reserved[88];
 } RoomcastStatusResponseV1;
 
 #endif  /* ROOMCAST_H */
@@ -616,7 +876,9 @@ typedef struct RoomcastStatusResponseV1 {
 #define ROOMCAST_TYPE_NAME_ITEMSCOREV1 "roomcast.ItemScoreV1"
 #define ROOMCAST_TYPE_NAME_ITEMSCORESHEADERV1 "roomcast.ItemScoresHeaderV1"
 #define ROOMCAST_TYPE_NAME_FORECASTV1 "roomcast.ForecastV1"
+#define ROOMCAST_TYPE_NAME_PERSONFORECASTSV1 "roomcast.PersonForecastsV1"
 #define ROOMCAST_TYPE_NAME_DECISIONV1 "roomcast.DecisionV1"
+#define ROOMCAST_TYPE_NAME_ROBOTREPORTV1 "roomcast.RobotReportV1"
 #define ROOMCAST_TYPE_NAME_STATUSREQUESTV1 "roomcast.StatusRequestV1"
 #define ROOMCAST_TYPE_NAME_STATUSRESPONSEV1 "roomcast.StatusResponseV1"
 
@@ -641,11 +903,21 @@ typedef struct RoomcastStatusResponseV1 {
 #define ROOMCAST_FORECAST_MAX_SUBSCRIBERS 16
 #define ROOMCAST_FORECAST_BUFFER_SIZE 2
 #define ROOMCAST_FORECAST_HISTORY_SIZE 1
+#define ROOMCAST_SERVICE_PERSON_FORECASTS "roomcast/v1/person-forecasts"
+#define ROOMCAST_PERSON_FORECASTS_MAX_PUBLISHERS 1
+#define ROOMCAST_PERSON_FORECASTS_MAX_SUBSCRIBERS 16
+#define ROOMCAST_PERSON_FORECASTS_BUFFER_SIZE 2
+#define ROOMCAST_PERSON_FORECASTS_HISTORY_SIZE 1
 #define ROOMCAST_SERVICE_DECISION "roomcast/v1/decision"
 #define ROOMCAST_DECISION_MAX_PUBLISHERS 8
 #define ROOMCAST_DECISION_MAX_SUBSCRIBERS 16
 #define ROOMCAST_DECISION_BUFFER_SIZE 16
 #define ROOMCAST_DECISION_HISTORY_SIZE 1
+#define ROOMCAST_SERVICE_ROBOT_REPORT "roomcast/v1/robot-report"
+#define ROOMCAST_ROBOT_REPORT_MAX_PUBLISHERS 8
+#define ROOMCAST_ROBOT_REPORT_MAX_SUBSCRIBERS 8
+#define ROOMCAST_ROBOT_REPORT_BUFFER_SIZE 64
+#define ROOMCAST_ROBOT_REPORT_HISTORY_SIZE 8
 
 #if defined(__STDC_VERSION__) && __STDC_VERSION__ >= 201112L
 #include <stddef.h>
@@ -660,7 +932,8 @@ _Static_assert(offsetof(RoomcastNarrationV1, kind) == 44, "RoomcastNarrationV1.k
 _Static_assert(offsetof(RoomcastNarrationV1, text_bytes) == 48, "RoomcastNarrationV1.text_bytes");
 _Static_assert(offsetof(RoomcastNarrationV1, minor) == 52, "RoomcastNarrationV1.minor");
 _Static_assert(offsetof(RoomcastNarrationV1, source_name) == 56, "RoomcastNarrationV1.source_name");
-_Static_assert(offsetof(RoomcastNarrationV1, reserved) == 104, "RoomcastNarrationV1.reserved");
+_Static_assert(offsetof(RoomcastNarrationV1, person_name) == 104, "RoomcastNarrationV1.person_name");
+_Static_assert(offsetof(RoomcastNarrationV1, reserved) == 152, "RoomcastNarrationV1.reserved");
 _Static_assert(offsetof(RoomcastNarrationV1, text) == 192, "RoomcastNarrationV1.text");
 _Static_assert(sizeof(RoomcastIncludedV1) == 40, "RoomcastIncludedV1");
 _Static_assert(offsetof(RoomcastIncludedV1, source) == 0, "RoomcastIncludedV1.source");
@@ -701,19 +974,23 @@ _Static_assert(offsetof(RoomcastRoomScoresV1, minor) == 200, "RoomcastRoomScores
 _Static_assert(offsetof(RoomcastRoomScoresV1, reserved) == 204, "RoomcastRoomScoresV1.reserved");
 _Static_assert(offsetof(RoomcastRoomScoresV1, included) == 256, "RoomcastRoomScoresV1.included");
 _Static_assert(offsetof(RoomcastRoomScoresV1, room) == 896, "RoomcastRoomScoresV1.room");
-_Static_assert(sizeof(RoomcastPersonV1) == 2112, "RoomcastPersonV1");
+_Static_assert(sizeof(RoomcastPersonV1) == 2176, "RoomcastPersonV1");
 _Static_assert(offsetof(RoomcastPersonV1, person) == 0, "RoomcastPersonV1.person");
 _Static_assert(offsetof(RoomcastPersonV1, reached) == 4, "RoomcastPersonV1.reached");
 _Static_assert(offsetof(RoomcastPersonV1, observed_ns) == 8, "RoomcastPersonV1.observed_ns");
 _Static_assert(offsetof(RoomcastPersonV1, window) == 16, "RoomcastPersonV1.window");
 _Static_assert(offsetof(RoomcastPersonV1, label_mass) == 24, "RoomcastPersonV1.label_mass");
 _Static_assert(offsetof(RoomcastPersonV1, flags) == 32, "RoomcastPersonV1.flags");
-_Static_assert(offsetof(RoomcastPersonV1, reserved) == 36, "RoomcastPersonV1.reserved");
-_Static_assert(offsetof(RoomcastPersonV1, log_score_nats) == 64, "RoomcastPersonV1.log_score_nats");
-_Static_assert(offsetof(RoomcastPersonV1, lower_log_score_nats) == 576, "RoomcastPersonV1.lower_log_score_nats");
-_Static_assert(offsetof(RoomcastPersonV1, upper_log_score_nats) == 1088, "RoomcastPersonV1.upper_log_score_nats");
-_Static_assert(offsetof(RoomcastPersonV1, probability) == 1600, "RoomcastPersonV1.probability");
-_Static_assert(sizeof(RoomcastPersonScoresV1) == 20096, "RoomcastPersonScoresV1");
+_Static_assert(offsetof(RoomcastPersonV1, presence) == 36, "RoomcastPersonV1.presence");
+_Static_assert(offsetof(RoomcastPersonV1, elsewhere) == 40, "RoomcastPersonV1.elsewhere");
+_Static_assert(offsetof(RoomcastPersonV1, since_ns) == 48, "RoomcastPersonV1.since_ns");
+_Static_assert(offsetof(RoomcastPersonV1, name) == 56, "RoomcastPersonV1.name");
+_Static_assert(offsetof(RoomcastPersonV1, reserved) == 104, "RoomcastPersonV1.reserved");
+_Static_assert(offsetof(RoomcastPersonV1, log_score_nats) == 128, "RoomcastPersonV1.log_score_nats");
+_Static_assert(offsetof(RoomcastPersonV1, lower_log_score_nats) == 640, "RoomcastPersonV1.lower_log_score_nats");
+_Static_assert(offsetof(RoomcastPersonV1, upper_log_score_nats) == 1152, "RoomcastPersonV1.upper_log_score_nats");
+_Static_assert(offsetof(RoomcastPersonV1, probability) == 1664, "RoomcastPersonV1.probability");
+_Static_assert(sizeof(RoomcastPersonScoresV1) == 20608, "RoomcastPersonScoresV1");
 _Static_assert(offsetof(RoomcastPersonScoresV1, epoch) == 0, "RoomcastPersonScoresV1.epoch");
 _Static_assert(offsetof(RoomcastPersonScoresV1, sequence) == 8, "RoomcastPersonScoresV1.sequence");
 _Static_assert(offsetof(RoomcastPersonScoresV1, computed_ns) == 16, "RoomcastPersonScoresV1.computed_ns");
@@ -731,7 +1008,8 @@ _Static_assert(offsetof(RoomcastItemScoresHeaderV1, epoch) == 0, "RoomcastItemSc
 _Static_assert(offsetof(RoomcastItemScoresHeaderV1, sequence) == 8, "RoomcastItemScoresHeaderV1.sequence");
 _Static_assert(offsetof(RoomcastItemScoresHeaderV1, computed_ns) == 16, "RoomcastItemScoresHeaderV1.computed_ns");
 _Static_assert(offsetof(RoomcastItemScoresHeaderV1, minor) == 24, "RoomcastItemScoresHeaderV1.minor");
-_Static_assert(offsetof(RoomcastItemScoresHeaderV1, reserved) == 28, "RoomcastItemScoresHeaderV1.reserved");
+_Static_assert(offsetof(RoomcastItemScoresHeaderV1, items) == 28, "RoomcastItemScoresHeaderV1.items");
+_Static_assert(offsetof(RoomcastItemScoresHeaderV1, reserved) == 32, "RoomcastItemScoresHeaderV1.reserved");
 _Static_assert(sizeof(RoomcastItemScoreV1) == 112, "RoomcastItemScoreV1");
 _Static_assert(offsetof(RoomcastItemScoreV1, id) == 0, "RoomcastItemScoreV1.id");
 _Static_assert(offsetof(RoomcastItemScoreV1, label) == 48, "RoomcastItemScoreV1.label");
@@ -748,10 +1026,37 @@ _Static_assert(offsetof(RoomcastForecastV1, horizon_count) == 36, "RoomcastForec
 _Static_assert(offsetof(RoomcastForecastV1, person) == 40, "RoomcastForecastV1.person");
 _Static_assert(offsetof(RoomcastForecastV1, minor) == 44, "RoomcastForecastV1.minor");
 _Static_assert(offsetof(RoomcastForecastV1, flags) == 48, "RoomcastForecastV1.flags");
-_Static_assert(offsetof(RoomcastForecastV1, reserved) == 52, "RoomcastForecastV1.reserved");
+_Static_assert(offsetof(RoomcastForecastV1, elsewhere) == 52, "RoomcastForecastV1.elsewhere");
+_Static_assert(offsetof(RoomcastForecastV1, reserved) == 116, "RoomcastForecastV1.reserved");
 _Static_assert(offsetof(RoomcastForecastV1, horizon_s) == 128, "RoomcastForecastV1.horizon_s");
 _Static_assert(offsetof(RoomcastForecastV1, id) == 192, "RoomcastForecastV1.id");
 _Static_assert(offsetof(RoomcastForecastV1, probability) == 3264, "RoomcastForecastV1.probability");
+_Static_assert(sizeof(RoomcastPersonForecastV1) == 4416, "RoomcastPersonForecastV1");
+_Static_assert(offsetof(RoomcastPersonForecastV1, person) == 0, "RoomcastPersonForecastV1.person");
+_Static_assert(offsetof(RoomcastPersonForecastV1, presence) == 4, "RoomcastPersonForecastV1.presence");
+_Static_assert(offsetof(RoomcastPersonForecastV1, flags) == 8, "RoomcastPersonForecastV1.flags");
+_Static_assert(offsetof(RoomcastPersonForecastV1, reserved_a) == 12, "RoomcastPersonForecastV1.reserved_a");
+_Static_assert(offsetof(RoomcastPersonForecastV1, name) == 16, "RoomcastPersonForecastV1.name");
+_Static_assert(offsetof(RoomcastPersonForecastV1, elsewhere) == 64, "RoomcastPersonForecastV1.elsewhere");
+_Static_assert(offsetof(RoomcastPersonForecastV1, room_set) == 128, "RoomcastPersonForecastV1.room_set");
+_Static_assert(offsetof(RoomcastPersonForecastV1, set_coverage) == 256, "RoomcastPersonForecastV1.set_coverage");
+_Static_assert(offsetof(RoomcastPersonForecastV1, set_elsewhere) == 260, "RoomcastPersonForecastV1.set_elsewhere");
+_Static_assert(offsetof(RoomcastPersonForecastV1, reserved) == 264, "RoomcastPersonForecastV1.reserved");
+_Static_assert(offsetof(RoomcastPersonForecastV1, probability) == 320, "RoomcastPersonForecastV1.probability");
+_Static_assert(sizeof(RoomcastPersonForecastsV1) == 38592, "RoomcastPersonForecastsV1");
+_Static_assert(offsetof(RoomcastPersonForecastsV1, epoch) == 0, "RoomcastPersonForecastsV1.epoch");
+_Static_assert(offsetof(RoomcastPersonForecastsV1, sequence) == 8, "RoomcastPersonForecastsV1.sequence");
+_Static_assert(offsetof(RoomcastPersonForecastsV1, computed_ns) == 16, "RoomcastPersonForecastsV1.computed_ns");
+_Static_assert(offsetof(RoomcastPersonForecastsV1, published_ns) == 24, "RoomcastPersonForecastsV1.published_ns");
+_Static_assert(offsetof(RoomcastPersonForecastsV1, room_count) == 32, "RoomcastPersonForecastsV1.room_count");
+_Static_assert(offsetof(RoomcastPersonForecastsV1, horizon_count) == 36, "RoomcastPersonForecastsV1.horizon_count");
+_Static_assert(offsetof(RoomcastPersonForecastsV1, persons) == 40, "RoomcastPersonForecastsV1.persons");
+_Static_assert(offsetof(RoomcastPersonForecastsV1, person_count) == 44, "RoomcastPersonForecastsV1.person_count");
+_Static_assert(offsetof(RoomcastPersonForecastsV1, minor) == 48, "RoomcastPersonForecastsV1.minor");
+_Static_assert(offsetof(RoomcastPersonForecastsV1, reserved) == 52, "RoomcastPersonForecastsV1.reserved");
+_Static_assert(offsetof(RoomcastPersonForecastsV1, horizon_s) == 128, "RoomcastPersonForecastsV1.horizon_s");
+_Static_assert(offsetof(RoomcastPersonForecastsV1, id) == 192, "RoomcastPersonForecastsV1.id");
+_Static_assert(offsetof(RoomcastPersonForecastsV1, person) == 3264, "RoomcastPersonForecastsV1.person");
 _Static_assert(sizeof(RoomcastDecisionV1) == 768, "RoomcastDecisionV1");
 _Static_assert(offsetof(RoomcastDecisionV1, robot) == 0, "RoomcastDecisionV1.robot");
 _Static_assert(offsetof(RoomcastDecisionV1, epoch) == 8, "RoomcastDecisionV1.epoch");
@@ -773,7 +1078,26 @@ _Static_assert(offsetof(RoomcastDecisionV1, from) == 112, "RoomcastDecisionV1.fr
 _Static_assert(offsetof(RoomcastDecisionV1, to) == 160, "RoomcastDecisionV1.to");
 _Static_assert(offsetof(RoomcastDecisionV1, policy) == 208, "RoomcastDecisionV1.policy");
 _Static_assert(offsetof(RoomcastDecisionV1, reason) == 256, "RoomcastDecisionV1.reason");
-_Static_assert(offsetof(RoomcastDecisionV1, reserved) == 512, "RoomcastDecisionV1.reserved");
+_Static_assert(offsetof(RoomcastDecisionV1, cancels) == 512, "RoomcastDecisionV1.cancels");
+_Static_assert(offsetof(RoomcastDecisionV1, reserved) == 520, "RoomcastDecisionV1.reserved");
+_Static_assert(sizeof(RoomcastRobotReportV1) == 512, "RoomcastRobotReportV1");
+_Static_assert(offsetof(RoomcastRobotReportV1, robot) == 0, "RoomcastRobotReportV1.robot");
+_Static_assert(offsetof(RoomcastRobotReportV1, epoch) == 8, "RoomcastRobotReportV1.epoch");
+_Static_assert(offsetof(RoomcastRobotReportV1, sequence) == 16, "RoomcastRobotReportV1.sequence");
+_Static_assert(offsetof(RoomcastRobotReportV1, reported_ns) == 24, "RoomcastRobotReportV1.reported_ns");
+_Static_assert(offsetof(RoomcastRobotReportV1, reported_unix_ns) == 32, "RoomcastRobotReportV1.reported_unix_ns");
+_Static_assert(offsetof(RoomcastRobotReportV1, decision_epoch) == 40, "RoomcastRobotReportV1.decision_epoch");
+_Static_assert(offsetof(RoomcastRobotReportV1, decision_sequence) == 48, "RoomcastRobotReportV1.decision_sequence");
+_Static_assert(offsetof(RoomcastRobotReportV1, position_m) == 56, "RoomcastRobotReportV1.position_m");
+_Static_assert(offsetof(RoomcastRobotReportV1, battery) == 80, "RoomcastRobotReportV1.battery");
+_Static_assert(offsetof(RoomcastRobotReportV1, kind) == 88, "RoomcastRobotReportV1.kind");
+_Static_assert(offsetof(RoomcastRobotReportV1, flags) == 92, "RoomcastRobotReportV1.flags");
+_Static_assert(offsetof(RoomcastRobotReportV1, minor) == 96, "RoomcastRobotReportV1.minor");
+_Static_assert(offsetof(RoomcastRobotReportV1, reserved_a) == 100, "RoomcastRobotReportV1.reserved_a");
+_Static_assert(offsetof(RoomcastRobotReportV1, robot_name) == 104, "RoomcastRobotReportV1.robot_name");
+_Static_assert(offsetof(RoomcastRobotReportV1, room) == 152, "RoomcastRobotReportV1.room");
+_Static_assert(offsetof(RoomcastRobotReportV1, note) == 200, "RoomcastRobotReportV1.note");
+_Static_assert(offsetof(RoomcastRobotReportV1, reserved) == 320, "RoomcastRobotReportV1.reserved");
 _Static_assert(sizeof(RoomcastStatusRequestV1) == 16, "RoomcastStatusRequestV1");
 _Static_assert(offsetof(RoomcastStatusRequestV1, minor) == 0, "RoomcastStatusRequestV1.minor");
 _Static_assert(offsetof(RoomcastStatusRequestV1, reserved) == 4, "RoomcastStatusRequestV1.reserved");
@@ -809,5 +1133,8 @@ _Static_assert(offsetof(RoomcastStatusResponseV1, map) == 288, "RoomcastStatusRe
 _Static_assert(offsetof(RoomcastStatusResponseV1, model) == 336, "RoomcastStatusResponseV1.model");
 _Static_assert(offsetof(RoomcastStatusResponseV1, journal_bytes) == 384, "RoomcastStatusResponseV1.journal_bytes");
 _Static_assert(offsetof(RoomcastStatusResponseV1, journal_failures) == 392, "RoomcastStatusResponseV1.journal_failures");
-_Static_assert(offsetof(RoomcastStatusResponseV1, reserved) == 400, "RoomcastStatusResponseV1.reserved");
+_Static_assert(offsetof(RoomcastStatusResponseV1, forged) == 400, "RoomcastStatusResponseV1.forged");
+_Static_assert(offsetof(RoomcastStatusResponseV1, costly) == 408, "RoomcastStatusResponseV1.costly");
+_Static_assert(offsetof(RoomcastStatusResponseV1, learned) == 416, "RoomcastStatusResponseV1.learned");
+_Static_assert(offsetof(RoomcastStatusResponseV1, reserved) == 424, "RoomcastStatusResponseV1.reserved");
 #endif

@@ -18,15 +18,24 @@
 //! exponential whose rate is uncertain; `m` is learned from the intervals watched so far, over a prior worth a few of them. Silence ages what
 //! is known as much as narration does, but for the length of one action, which is observed only when complete.
 //!
+//! Beside the rooms there is one more place, elsewhere: the person is out of the house. Whoever has left is elsewhere for sure, and comes
+//! back by a survival function of the same shape, with the mean of the absences watched so far over a prior of hours; who has come back is
+//! where they are in the long run. Whoever is in the house is not elsewhere at any horizon: nothing here knows when they leave.
+//!
+//! Whoever follows a person needs [`Forecaster::observe`], [`Forecaster::enter`], [`Forecaster::leave`], [`Forecaster::expect`], and to ask
+//! [`Forecaster::at`] and [`Forecaster::elsewhere`], and nothing else of it.
+//!
 //! Pure: time comes in with the calls.
 
 use std::collections::HashMap;
 
 use crate::grounding::Grounding;
-use crate::semantic_map::{Names, SemanticMap, plain_words};
+use crate::names::{Names, plain_words};
+use crate::semantic_map::SemanticMap;
 
 /// What the forecast assumes before it has watched the home.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct ForecastOptions {
     /// Mean time from one object to the next, in seconds.
     pub object_s: f64,
@@ -38,11 +47,23 @@ pub struct ForecastOptions {
     pub strength: f64,
     /// Probability that an observation was made in a room where the map has nothing of what it mentions.
     pub misplaced: f64,
+    /// Probability that a person is not in the room where they are said to be.
+    pub mistaken: f64,
+    /// Mean time out of the house, in seconds.
+    pub away_s: f64,
 }
 
 impl Default for ForecastOptions {
     fn default() -> Self {
-        Self { object_s: 40.0, stay_s: 120.0, action_s: 2.0, strength: 3.0, misplaced: 0.02 }
+        Self {
+            object_s: 40.0,
+            stay_s: 120.0,
+            action_s: 2.0,
+            strength: 3.0,
+            misplaced: 0.02,
+            mistaken: 0.01,
+            away_s: 4.0 * 3600.0,
+        }
     }
 }
 
@@ -80,6 +101,9 @@ pub struct Forecaster {
     spent_s: Vec<f64>,
     to_object: Learned,
     stay: Learned,
+    away: Learned,
+    /// When the person left the house, for one who is out.
+    away_since_s: Option<f64>,
     /// When the object in hand was turned to, and which it is.
     object_since_s: f64,
     object: Option<usize>,
@@ -102,6 +126,8 @@ impl Forecaster {
             scores: even,
             to_object: prior(options.object_s),
             stay: prior(options.stay_s),
+            away: prior(options.away_s),
+            away_since_s: None,
             object_since_s: now_s,
             object: None,
             room_since_s: now_s,
@@ -109,7 +135,7 @@ impl Forecaster {
         }
     }
 
-    /// Where the person is believed to be now.
+    /// In which room the person is believed to be, or, of one who is out of the house, to have been.
     #[must_use]
     pub fn belief(&self) -> &[f64] {
         &self.belief
@@ -117,44 +143,98 @@ impl Forecaster {
 
     /// Takes in a completed observation at `at_s`: which label it mentions, if any, and the room probabilities that the
     /// model then gives. Times before the last observation count as that one's; scores of another length are ignored.
+    /// Whoever does something is in the house.
     pub fn observe(&mut self, at_s: f64, mention: Option<usize>, grounding: &Grounding, scores: &[f64]) {
         let rooms = self.belief.len();
-        let at_s = at_s.max(self.updated_s);
-        let elapsed_s = at_s - self.updated_s;
+        let at_s = self.come_home(at_s);
+        let mentioned =
+            mention.filter(|label| *label < grounding.weights.nrows() && grounding.weights.ncols() == rooms);
+        // P(label | room) is in proportion to the share of the label's items there.
+        let misplaced = self.options.misplaced;
+        let share =
+            |label: usize, room: usize| misplaced / rooms as f64 + (1.0 - misplaced) * grounding.weights[(label, room)];
+        self.update(at_s, mentioned.map(|label| move |room: usize| share(label, room)));
+        if let Some(label) = mentioned
+            && self.object != Some(label)
+        {
+            self.to_object.add((at_s - self.object_since_s).max(self.options.action_s));
+            self.object_since_s = at_s;
+            self.object = Some(label);
+        }
+        self.expect(scores);
+    }
+
+    /// Takes in that the person is in the house at `at_s`, and in `room` if that is known: strong evidence for it, from a sensor for instance.
+    pub fn enter(&mut self, at_s: f64, room: Option<usize>) {
+        let rooms = self.belief.len();
+        let at_s = self.come_home(at_s);
+        let Some(entered) = room.filter(|room| *room < rooms) else { return };
         let before = likeliest(&self.belief);
+        let mistaken = self.options.mistaken;
+        let seen = |room: usize| mistaken / rooms as f64 + (1.0 - mistaken) * f64::from(u8::from(room == entered));
+        self.update(at_s, Some(seen));
+        if likeliest(&self.belief) != before {
+            // Whatever was in hand is in another room.
+            (self.object, self.object_since_s) = (None, at_s);
+        }
+    }
+
+    /// Takes in that the person is out of the house from `at_s` on.
+    pub fn leave(&mut self, at_s: f64) {
+        if self.away_since_s.is_some() {
+            return;
+        }
+        let at_s = at_s.max(self.updated_s);
+        self.spend(at_s);
+        (self.away_since_s, self.updated_s) = (Some(at_s), at_s);
+    }
+
+    /// Whoever was out of the house is back, in the rooms where they are in the long run. Gives `at_s`, not before the last observation.
+    fn come_home(&mut self, at_s: f64) -> f64 {
+        let at_s = at_s.max(self.updated_s);
+        if let Some(since_s) = self.away_since_s.take() {
+            self.away.add((at_s - since_s).max(self.options.action_s));
+            let spent_s: f64 = self.spent_s.iter().sum();
+            self.belief.clear();
+            self.belief.extend(self.spent_s.iter().map(|room_s| room_s / spent_s));
+            (self.object, self.object_since_s) = (None, at_s);
+            (self.room_since_s, self.updated_s) = (at_s, at_s);
+        }
+        at_s
+    }
+
+    /// Counts the time since the last observation.
+    fn spend(&mut self, at_s: f64) {
+        let elapsed_s = at_s - self.updated_s;
         for (spent, p) in self.spent_s.iter_mut().zip(&self.belief) {
             *spent += p * elapsed_s;
         }
-        let mut predicted = std::mem::take(&mut self.predicted);
-        predicted.clear();
-        // At one instant nobody would have moved, and what was told last would count for little.
-        predicted.extend(self.at(at_s.max(self.updated_s + self.options.action_s), 0.0));
-        let mentioned =
-            mention.filter(|label| *label < grounding.weights.nrows() && grounding.weights.ncols() == rooms);
-        if let Some(label) = mentioned {
-            // P(label | room) is in proportion to the share of the label's items there.
-            let misplaced = self.options.misplaced;
+    }
+
+    /// Moves the belief on to `at_s`, and weighs it with the likelihood of what was observed there per room, if that says anything.
+    fn update(&mut self, at_s: f64, likelihood: Option<impl Fn(usize) -> f64>) {
+        let before = likeliest(&self.belief);
+        self.spend(at_s);
+        if let Some(likelihood) = likelihood {
+            let mut predicted = std::mem::take(&mut self.predicted);
+            predicted.clear();
+            // At one instant nobody would have moved, and what was told last would count for little.
+            predicted.extend(self.at(at_s.max(self.updated_s + self.options.action_s), 0.0));
             for (room, p) in predicted.iter_mut().enumerate() {
-                *p *= misplaced / rooms as f64 + (1.0 - misplaced) * grounding.weights[(label, room)];
+                *p *= likelihood(room);
             }
             let total: f64 = predicted.iter().sum();
             if total > 0.0 {
                 predicted.iter_mut().for_each(|p| *p /= total);
                 std::mem::swap(&mut self.belief, &mut predicted);
             }
-            if self.object != mentioned {
-                self.to_object.add((at_s - self.object_since_s).max(self.options.action_s));
-                self.object_since_s = at_s;
-                self.object = mentioned;
-            }
+            self.predicted = predicted;
         }
-        self.predicted = predicted;
         if likeliest(&self.belief) != before {
             self.stay.add((at_s - self.room_since_s).max(self.options.action_s));
             self.room_since_s = at_s;
         }
         self.updated_s = at_s;
-        self.expect(scores);
     }
 
     /// Takes in the room probabilities that the model gives after the last observation; those of another length are ignored.
@@ -164,8 +244,9 @@ impl Forecaster {
         }
     }
 
-    /// Per room the probability that the person is in it at `now_s + horizon_s`; sums to one.
+    /// Per room the probability that the person is in it at `now_s + horizon_s`; with [`Forecaster::elsewhere`] they sum to one.
     pub fn at(&self, now_s: f64, horizon_s: f64) -> impl ExactSizeIterator<Item = f64> {
+        let back = 1.0 - self.elsewhere(now_s, horizon_s);
         // Silence is evidence that nothing else was done, except for its last part, which an action still in progress may
         // fill: that part belongs to the horizon of what was known before it.
         let silence_s = (now_s - self.updated_s).max(0.0);
@@ -175,11 +256,22 @@ impl Forecaster {
         let same_object = self.to_object.survival(object_age_s, horizon_s);
         let same_stay = self.stay.survival(0.0, horizon_s);
         let spent_s: f64 = self.spent_s.iter().sum();
+        let is_away = self.away_since_s.is_some();
         (0..self.belief.len()).map(move |room| {
             let long_run = self.spent_s[room] / spent_s;
+            if is_away {
+                return back * long_run;
+            }
             let after = same_stay * self.scores[room] + (1.0 - same_stay) * long_run;
             same_object * self.belief[room] + (1.0 - same_object) * after
         })
+    }
+
+    /// The probability that the person is out of the house at `now_s + horizon_s`.
+    #[must_use]
+    pub fn elsewhere(&self, now_s: f64, horizon_s: f64) -> f64 {
+        let gone_s = |since_s: f64| (now_s - since_s).max(0.0);
+        self.away_since_s.map_or(0.0, |since_s| self.away.survival(gone_s(since_s), horizon_s.max(0.0)))
     }
 
     /// Per room the expected time the person spends in it between `from_s` and `to_s` after `now_s`, in seconds.
@@ -333,6 +425,57 @@ mod tests {
         assert!(long.at(3000.0, 60.0).nth(here) > short.at(5.0, 60.0).nth(here));
     }
 
+    /// Who is out of the house is in no room, comes back within hours, and sooner where absences were short.
+    #[test]
+    fn who_has_left_is_elsewhere_and_comes_back() {
+        let (map, grounding) = studio();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let bed = mentions.last("They lie on the bed.");
+        let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
+        forecaster.observe(5.0, bed, &grounding, &[1.0 / 3.0; 3]);
+        assert_eq!(forecaster.elsewhere(5.0, 3600.0), 0.0);
+        forecaster.leave(100.0);
+        forecaster.leave(200.0);
+        let rooms = |forecaster: &Forecaster, now_s: f64, t: f64| forecaster.at(now_s, t).sum::<f64>();
+        assert_eq!((forecaster.elsewhere(100.0, 0.0), rooms(&forecaster, 100.0, 0.0)), (1.0, 0.0));
+        let hours = |count: f64| forecaster.elsewhere(100.0, count * 3600.0);
+        assert!(hours(1.0) > 0.6 && hours(4.0) < 0.3 && hours(100.0) < 0.01, "{} {}", hours(1.0), hours(4.0));
+        // Nothing was heard for long: they will stay away for longer.
+        assert_eq!(forecaster.elsewhere(50_000.0, 0.0), 1.0);
+        assert!(forecaster.elsewhere(50_000.0, 3600.0) > hours(1.0));
+        let mut quick = forecaster.clone();
+        let mut at_s = 100.0;
+        for _ in 0..10 {
+            quick.enter(at_s + 300.0, None);
+            assert_eq!(quick.elsewhere(at_s + 300.0, 1e6), 0.0);
+            at_s += 1000.0;
+            quick.leave(at_s);
+        }
+        assert!(quick.elsewhere(at_s, 3600.0) < hours(1.0));
+        // Back, where they are in the long run; an action says where.
+        forecaster.enter(4000.0, None);
+        assert!((rooms(&forecaster, 4000.0, 0.0) - 1.0).abs() < 1e-9);
+        forecaster.leave(4100.0);
+        forecaster.observe(5000.0, bed, &grounding, &[]);
+        assert!(forecaster.at(5000.0, 0.0).fold(0.0, f64::max) > 0.8);
+    }
+
+    #[test]
+    fn a_sensor_says_where_somebody_is() {
+        let (map, grounding) = studio();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
+        forecaster.observe(5.0, mentions.last("They lie on the bed."), &grounding, &[1.0 / 3.0; 3]);
+        let bed = likeliest(forecaster.belief()).unwrap();
+        for room in (0..3).filter(|room| *room != bed) {
+            let mut seen = forecaster.clone();
+            seen.enter(60.0, Some(room));
+            assert!(seen.belief()[room] > 0.9, "{:?}", seen.belief());
+            seen.enter(61.0, Some(7));
+            assert!(seen.belief()[room] > 0.9, "no such room");
+        }
+    }
+
     #[test]
     fn mentions_are_found_through_aliases_and_the_last_one_counts() {
         let (map, grounding) = studio();
@@ -394,6 +537,37 @@ mod tests {
                 let p: Vec<f64> = forecaster.at(now_s, horizon_s).collect();
                 prop_assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9);
                 prop_assert!(p.iter().all(|p| *p >= 0.0));
+            }
+        }
+
+        /// Rooms and elsewhere sum to one at every horizon, whatever happens; who was never away is never elsewhere.
+        #[test]
+        fn a_person_is_in_a_room_or_elsewhere(
+            events in prop::collection::vec((-5.0..9000.0f64, 0usize..4, 0usize..60), 0..30),
+            wait_s in 0.0..1e5f64,
+        ) {
+            let (_, grounding) = studio();
+            let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
+            let (mut now_s, mut left) = (0.0, false);
+            for (pause_s, what, which) in events {
+                now_s += pause_s;
+                match what {
+                    0 => forecaster.leave(now_s),
+                    1 => forecaster.enter(now_s, None),
+                    2 => forecaster.enter(now_s, Some(which % 4)),
+                    _ => forecaster.observe(now_s, Some(which), &grounding, &[0.2, 0.8, 0.0]),
+                }
+                left |= what == 0;
+                let mut before = 1.0;
+                for horizon_s in [0.0, 30.0, 3600.0, 1e6] {
+                    let elsewhere = forecaster.elsewhere(now_s + wait_s, horizon_s);
+                    let rooms: Vec<f64> = forecaster.at(now_s + wait_s, horizon_s).collect();
+                    prop_assert!((rooms.iter().sum::<f64>() + elsewhere - 1.0).abs() < 1e-9);
+                    prop_assert!(rooms.iter().chain([&elsewhere]).all(|p| (0.0..=1.0 + 1e-12).contains(p)));
+                    prop_assert!(elsewhere <= before && (left || elsewhere == 0.0));
+                    before = elsewhere;
+                }
+                prop_assert_eq!(forecaster.elsewhere(now_s, 0.0), f64::from(u8::from(what == 0)));
             }
         }
     }

@@ -86,7 +86,7 @@ pub enum GroundingError {
         /// The map's name.
         map: String,
     },
-    /// More than [`MAX_WEIGHTS`] entries.
+    /// More than 2^25 entries.
     #[error(
         "the map `{map}` has {labels} labels and {partitions} partitions, a matrix of more than {MAX_WEIGHTS} entries; \
          merge labels or split the building into several maps"
@@ -265,6 +265,11 @@ impl GroundedScores {
         self.label_mass = other.label_mass;
     }
 
+    /// The scores of somebody who is in none of so many partitions.
+    pub(crate) fn nowhere(&mut self, partitions: usize) {
+        self.set(0.0, std::iter::repeat_n(0.0, partitions));
+    }
+
     /// Takes probabilities as they are, and their logarithms as scores.
     pub(crate) fn set(&mut self, label_mass: f64, probability: impl Iterator<Item = f64>) {
         self.partition_probability.clear();
@@ -325,7 +330,7 @@ impl Grounding {
     /// The same for a changed map, whose labels keep their places in the list, so that a model prepared for the old list
     /// still serves. Labels of the new map come after the old ones; labels that nothing bears any more stay, without
     /// weight. When [`Regrouped::new_labels`] is 0, scores of the old list by Equation 1 are scores of the new one; corrected ones
-    /// ([`crate::scorer::correction`]) also depend on which labels there are ([`Grounding::has_idle_labels`]).
+    /// ([`crate::scorer::correction`]) also depend on which labels there are.
     ///
     /// # Errors
     /// As [`Grounding::new`].
@@ -407,7 +412,7 @@ impl Grounding {
 
     /// Whether the list holds labels that nothing bears any more.
     #[must_use]
-    pub fn has_idle_labels(&self) -> bool {
+    pub(crate) fn has_idle_labels(&self) -> bool {
         self.idle_labels
     }
 

@@ -15,7 +15,7 @@ pub const PROMPT: u32 = u32::MAX;
 
 /// Stands behind the last token of a label that begins another one, in [`LabelTrie::distinct_prefixes`]: the label ends here. It is no
 /// token of any vocabulary, and always a leaf.
-pub const END: Token = Token(-1);
+pub(crate) const END: Token = Token(-1);
 
 /// One node of the trie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,7 +72,7 @@ impl LabelTrie {
     }
 
     /// The trie of the paths that tell labels apart: a label ends where it parts from all others, and one that begins another has the
-    /// child [`END`]. Labels of equal tokens, which nothing tells apart, keep all of them.
+    /// child `END`. Labels of equal tokens, which nothing tells apart, keep all of them.
     #[must_use]
     pub fn distinct_prefixes<L: AsRef<[Token]>>(labels: &[L]) -> Self {
         let whole = Self::new(labels);
@@ -165,9 +165,9 @@ impl LabelTrie {
         &self.label_end
     }
 
-    /// The trie as an indented drawing, one node a line, for people and tests.
-    #[must_use]
-    pub fn draw(&self, mut token_text: impl FnMut(Token) -> String, labels: &[&str]) -> String {
+    /// The trie as an indented drawing, one node a line.
+    #[cfg(test)]
+    fn draw(&self, mut token_text: impl FnMut(Token) -> String, labels: &[&str]) -> String {
         let mut out = String::new();
         for (index, node) in self.nodes.iter().enumerate() {
             out.push_str(&"  ".repeat(node.depth as usize - 1));

@@ -6,7 +6,7 @@
 //! observation -> narration -> prompt -> label trie -> label scores -> item scores -> partition scores -> policy -> decision
 //! ```
 //!
-//! Everything here is pure: no clock, no port, no network, no C. A language model comes in as [`scorer::LanguageModel`]; the crate
+//! No clock, no port, no network, no process, no C; only the `load` functions read a file. A language model comes in as [`scorer::LanguageModel`]; the crate
 //! `roomcast-llama` has one on llama.cpp, and a reader may bring another, as below.
 //!
 //! The method is that of GG-LLM (Graule and Isler, "Geometrically Grounding Large Language Models for Zero-shot Human Activity
@@ -65,6 +65,8 @@
 // In the order of the flow, not of the alphabet; the empty lines keep rustfmt from sorting them.
 pub mod text;
 
+pub mod names;
+
 pub mod narration;
 
 pub mod prompt;
@@ -78,6 +80,8 @@ pub mod semantic_map;
 pub mod grounding;
 
 pub mod forecast;
+
+pub mod habits;
 
 pub mod policy;
 

@@ -3,22 +3,25 @@
 //! Every person is scored and grounded by themselves, as if they were alone. The scores of all together say for each partition
 //! that somebody is there next: `1 - prod over persons (1 - p)`, which is `p` for one person.
 //!
+//! Whoever is out of the house is in no partition: their probabilities are 0, and the others' scores are as if those others were alone. What
+//! they did before they left does not say what they do when they are back.
+//!
 //! The pipeline owns every buffer and does no I/O; the daemon, `roomcast score`, the experiments and the replay all run
 //! this one.
 
 use crate::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions, Regrouped};
-use crate::narration::Observation;
-use crate::narration::history::{Histories, History, HistoryLimits};
+use crate::narration::history::{Histories, History, HistoryLimits, Voice};
+use crate::narration::{Observation, Presence};
 use crate::prompt::{BindingSequence, write_prompt};
 use crate::scorer::certified::{Bounds, Certified, Effort};
 use crate::scorer::correction::{Correction, CorrectionChoice};
 use crate::scorer::{
     DecodeStats, LabelScores, LanguageModel, Method, ModelInfo, PreparedLabels, ScoreError, Scorer, TextStart,
-    Tokenisation,
+    TokenCounter, Tokenisation,
 };
 use crate::semantic_map::SemanticMap;
 
-/// Most narration sources that scores name; the one heard longest ago makes room for a new one.
+/// Most starts of narration sources that scores name; the one heard longest ago makes room for a new one.
 pub const SOURCES_MAX: usize = 64;
 
 /// A pipeline that cannot be set up, or a step that failed. Histories are complete all the same.
@@ -76,7 +79,7 @@ impl Default for PipelineOptions {
     }
 }
 
-/// The last narration of one source that scores include.
+/// The last narration of one start of a source that scores include.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct Included {
     /// The source.
@@ -87,6 +90,12 @@ pub struct Included {
     pub sequence: u64,
     /// When it was observed, monotonic nanoseconds.
     pub observed_ns: u64,
+    /// How many narrations of this epoch went into the histories.
+    pub accepted: u64,
+    /// The number of the voice that it was heard as ([`Voice`]).
+    pub voice: u64,
+    /// Grows with every narration of any source.
+    pub turn: u64,
 }
 
 /// What a changed map asked of the model.
@@ -127,7 +136,7 @@ pub struct Scores {
     /// Per partition: of one person. Of several, the probability that somebody is there next, its logarithm as the score, and the mean
     /// label mass.
     pub grounded: GroundedScores,
-    /// Per source, the last narration that these scores include.
+    /// Per start of a source, the last narration that these scores include.
     pub included: Vec<Included>,
     /// When the newest of it was observed, monotonic nanoseconds; 0 before the first.
     pub newest_observed_ns: u64,
@@ -150,6 +159,8 @@ pub struct Scores {
 pub struct PersonScores<'a> {
     /// Who.
     pub person: u32,
+    /// In the house. Otherwise they are in no partition.
+    pub at_home: bool,
     /// Narrations that the scores were computed from; the history may have been cut since.
     pub window: usize,
     /// Per label `ln s_c` in nats, corrected.
@@ -177,6 +188,7 @@ enum Due {
 #[derive(Debug)]
 struct Person {
     id: u32,
+    at_home: bool,
     scores: LabelScores,
     grounded: GroundedScores,
     lower_log_score_nats: Vec<f64>,
@@ -194,6 +206,7 @@ impl Person {
     fn new(id: u32) -> Self {
         Self {
             id,
+            at_home: true,
             scores: LabelScores::default(),
             grounded: GroundedScores::default(),
             lower_log_score_nats: Vec::new(),
@@ -234,7 +247,15 @@ impl Person {
 
     /// Sums the labels' scores per partition.
     fn ground(&mut self, grounding: &Grounding) -> Result<(), GroundingError> {
-        grounding.ground(&self.scores.log_prob_nats, &mut self.grounded)?;
+        if self.at_home {
+            grounding.ground(&self.scores.log_prob_nats, &mut self.grounded)?;
+        } else {
+            self.scores.log_prob_nats.clear();
+            self.scores.log_prob_nats.resize(grounding.scored_labels().len(), f64::NEG_INFINITY);
+            self.grounded.nowhere(grounding.partitions().len());
+            self.certified = None;
+            (self.window, self.prompt, self.sentence_ends) = Default::default();
+        }
         let (mut lower, mut upper) =
             (std::mem::take(&mut self.lower_log_score_nats), std::mem::take(&mut self.upper_log_score_nats));
         lower.clear();
@@ -271,6 +292,7 @@ impl Person {
     fn view(&self) -> PersonScores<'_> {
         PersonScores {
             person: self.id,
+            at_home: self.at_home,
             window: self.window,
             label_log_prob_nats: &self.scores.log_prob_nats,
             grounded: &self.grounded,
@@ -303,6 +325,8 @@ pub struct Pipeline<M> {
     prompt: String,
     /// The person whose prompt the model has read last.
     read: Option<u32>,
+    /// Narrations included so far.
+    turns: u64,
     scores: Scores,
 }
 
@@ -328,6 +352,7 @@ impl<M: LanguageModel> Pipeline<M> {
             nobody: Person::new(0),
             prompt: String::new(),
             read: None,
+            turns: 0,
             scores: Scores::default(),
         })
     }
@@ -416,6 +441,12 @@ impl<M: LanguageModel> Pipeline<M> {
         self.persons().find(|scores| scores.person == person)
     }
 
+    /// Counts the tokens that a sentence costs, on any thread; with the one behind it that is held against
+    /// [`HistoryLimits::tokens`] of [`Pipeline::options`].
+    pub fn token_counter(&self) -> TokenCounter {
+        self.scorer.model().token_counter()
+    }
+
     /// A token's text, for people.
     pub fn token_text(&self, token: crate::scorer::Token) -> String {
         self.scorer.model().token_text(token)
@@ -426,7 +457,7 @@ impl<M: LanguageModel> Pipeline<M> {
     #[must_use]
     pub fn token_log_prob_nats(&self, label: usize) -> Option<Vec<f64>> {
         let exact_trie = self.options.method == Method::Trie && self.options.effort == Effort::Exact;
-        if exact_trie && self.persons.len() <= 1 {
+        if exact_trie && self.persons.len() <= 1 && self.persons.iter().all(|person| person.at_home) {
             self.scorer.token_log_prob_nats(&self.prepared, label)
         } else {
             None
@@ -455,46 +486,126 @@ impl<M: LanguageModel> Pipeline<M> {
         self.prepared.gain_nats().get(label).map_or(0.0, |gain_nats| gain_nats + person.scores.scale_nats)
     }
 
-    /// Enters observations into the histories without scoring: nothing can fail here, and nothing is lost when the
-    /// scoring after it does.
-    pub fn observe(&mut self, observations: impl IntoIterator<Item = Observation>) {
-        for observation in observations {
-            let included = Included {
-                source: observation.source,
-                epoch: observation.epoch,
-                sequence: observation.sequence,
-                observed_ns: observation.observed_ns,
-            };
-            let person = observation.person;
-            self.scores.newest_observed_ns = self.scores.newest_observed_ns.max(observation.observed_ns);
-            let text = observation.sentence.as_str();
-            let tokens = match self.scorer.sentence_tokens(text) {
-                Ok(tokens) => tokens + 1,
-                // A safe bound; scoring will name the failure.
-                Err(_) => text.len(),
-            };
-            self.histories.push(observation, tokens);
-            match self.persons.binary_search_by_key(&person, |known| known.id) {
-                Ok(place) => self.persons[place].due = Due::Scoring,
-                Err(place) => self.persons.insert(place, Person::new(person)),
-            }
-            self.include(included);
-        }
-        self.persons.retain(|p| self.histories.get(p.id).is_some());
+    /// Enters observations into the histories without scoring, each source for itself: nothing can fail here, and nothing is lost when the
+    /// scoring after it does. Who is said to leave loses their window, and who is gone is forgotten. Gives how many sentences cost more
+    /// tokens than a window holds; those are left out, since nothing could be scored with them.
+    pub fn observe(&mut self, observations: impl IntoIterator<Item = Observation>) -> usize {
+        self.hear(observations.into_iter().map(|observation| (Voice::of_source(observation.source), observation)))
     }
 
-    fn include(&mut self, included: Included) {
+    /// As [`Pipeline::observe`], each for its voice.
+    pub fn hear(&mut self, observations: impl IntoIterator<Item = (Voice, Observation)>) -> usize {
+        let mut costly = 0;
+        for (voice, observation) in observations {
+            let tokens = observation.sentence().map(|text| self.tokens_of(text));
+            if tokens.is_some_and(|tokens| tokens > self.options.history.tokens) {
+                costly += 1;
+                self.pass_over(observation.source, observation.epoch, observation.sequence);
+                continue;
+            }
+            self.include(&observation, voice);
+            let (person, presence) = (observation.person, observation.said.presence());
+            if presence == Presence::Gone {
+                self.forget_person(person);
+                continue;
+            }
+            let at_home = presence != Presence::Away;
+            let history = self.histories.known(person);
+            let changed = match tokens {
+                Some(tokens) => {
+                    history.hear(observation, voice, tokens);
+                    true
+                }
+                None => !at_home && history.end() > 0,
+            };
+            let place = self.persons.binary_search_by_key(&person, |known| known.id);
+            let place = place.unwrap_or_else(|place| {
+                self.persons.insert(place, Person::new(person));
+                place
+            });
+            let own = &mut self.persons[place];
+            if own.at_home != at_home {
+                // Until the next step says where they are.
+                own.grounded = GroundedScores::default();
+            }
+            if changed || own.at_home != at_home {
+                own.at_home = at_home;
+                own.due = if at_home { Due::Scoring } else { Due::Grounding };
+            }
+        }
+        self.persons.retain(|p| self.histories.get(p.id).is_some());
+        costly
+    }
+
+    /// Whether a sentence alone costs more tokens than a window holds, so that nothing could be scored with it.
+    pub fn is_costly(&mut self, observation: &Observation) -> bool {
+        let most = self.options.history.tokens;
+        // No tokeniser makes more tokens than bytes, a space before the sentence, and the one behind it.
+        observation.sentence().is_some_and(|text| text.len() + 2 > most && self.tokens_of(text) > most)
+    }
+
+    /// What a sentence costs in a window.
+    fn tokens_of(&mut self, sentence: &str) -> usize {
+        match self.scorer.sentence_tokens(sentence) {
+            Ok(tokens) => tokens + 1,
+            // A safe bound; scoring will name the failure.
+            Err(_) => sentence.len(),
+        }
+    }
+
+    /// All that was heard so far is of a former run: whose voice it was is not known any more.
+    pub fn forget_voices(&mut self) {
+        self.histories.forget_voices();
+    }
+
+    /// Ends a person's window: nothing was observed of them for so long that it does not say what comes next. Returns whether that changes
+    /// their scores, which the next step computes.
+    pub fn end_window(&mut self, person: u32) -> bool {
+        let ended = self.histories.get_mut(person).is_some_and(|history| history.end() > 0);
+        if let Some(own) = self.persons.iter_mut().find(|own| ended && own.id == person) {
+            own.due = Due::Scoring;
+        }
+        ended
+    }
+
+    /// Takes note that a narration was dealt with and is in no history, so that its narrator does not wait for it.
+    pub fn pass_over(&mut self, source: u64, epoch: u64, sequence: u64) {
+        let included = self.included(source, epoch);
+        included.sequence = included.sequence.max(sequence);
+    }
+
+    /// Takes note of an observation that the next scores contain.
+    fn include(&mut self, observation: &Observation, voice: Voice) {
+        let observed_ns = observation.observed_ns;
+        self.scores.newest_observed_ns = self.scores.newest_observed_ns.max(observed_ns);
+        self.turns += 1;
+        let turn = self.turns;
+        let included = self.included(observation.source, observation.epoch);
+        // What was refused after it may be named already.
+        included.sequence = included.sequence.max(observation.sequence);
+        included.accepted += 1;
+        (included.observed_ns, included.voice, included.turn) = (observed_ns, voice.number, turn);
+    }
+
+    /// The place of one start of a source, known or new.
+    fn included(&mut self, source: u64, epoch: u64) -> &mut Included {
         let sources = &mut self.scores.included;
-        if let Some(known) = sources.iter_mut().find(|i| i.source == included.source) {
-            *known = included;
-            return;
-        }
-        if sources.len() >= SOURCES_MAX
-            && let Some(oldest) = (0..sources.len()).min_by_key(|&i| sources[i].observed_ns)
-        {
-            sources.swap_remove(oldest);
-        }
-        sources.push(included);
+        let known = sources.iter().position(|i| (i.source, i.epoch) == (source, epoch));
+        let place = known.unwrap_or_else(|| {
+            if sources.len() >= SOURCES_MAX
+                && let Some(oldest) = (0..sources.len()).min_by_key(|&i| sources[i].turn)
+            {
+                sources.swap_remove(oldest);
+            }
+            sources.push(Included { source, epoch, sequence: 0, observed_ns: 0, accepted: 0, voice: 0, turn: 0 });
+            sources.len() - 1
+        });
+        &mut sources[place]
+    }
+
+    /// Forgets a start of a source, which gave way to another one.
+    pub fn forget_source(&mut self, source: u64, epoch: u64) {
+        self.scores.included.retain(|i| (i.source, i.epoch) != (source, epoch));
     }
 
     /// Forgets a person, for instance one who has left the map.
@@ -518,7 +629,7 @@ impl<M: LanguageModel> Pipeline<M> {
             [] => std::slice::from_mut(&mut self.nobody),
             persons => persons,
         };
-        for person in persons.iter_mut().filter(|p| p.due == Due::Scoring) {
+        for person in persons.iter_mut().filter(|p| p.due == Due::Scoring && p.at_home) {
             let writing = now();
             person.write_prompt(self.histories.get(person.id), &self.options);
             timing.tokenise_ns += now().saturating_sub(writing);
@@ -546,7 +657,7 @@ impl<M: LanguageModel> Pipeline<M> {
             self.scores.stats += person.scores.stats;
         }
         let grounding = now();
-        for person in persons.iter_mut().filter(|p| p.due == Due::Grounding) {
+        for person in persons.iter_mut().filter(|p| p.due != Due::Nothing) {
             person.ground(&self.grounding)?;
             person.due = Due::Nothing;
         }
@@ -608,10 +719,12 @@ fn prepare<M: LanguageModel>(
     Ok((prepared, context - needed))
 }
 
-/// The scores of all persons together.
+/// The scores of all persons who are in the house together; without anybody there, no partition is likely.
 fn together(persons: &[Person], scores: &mut Scores) {
-    let Some((first, others)) = persons.split_first() else { return };
-    if others.is_empty() {
+    let at_home = || persons.iter().filter(|person| person.at_home);
+    let count = at_home().count();
+    let Some(first) = at_home().next().or(persons.first()) else { return };
+    if count <= 1 {
         scores.label_log_prob_nats.clone_from(&first.scores.log_prob_nats);
         scores.grounded.copy_from(&first.grounded);
         scores.lower_log_score_nats.clone_from(&first.lower_log_score_nats);
@@ -619,28 +732,27 @@ fn together(persons: &[Person], scores: &mut Scores) {
         scores.reached = first.reached();
         return;
     }
-    let count = persons.len() as f64;
-    let label_mass = persons.iter().map(|person| person.grounded.label_mass).sum::<f64>() / count;
+    let count = count as f64;
+    let label_mass = at_home().map(|person| person.grounded.label_mass).sum::<f64>() / count;
     let label = |label: usize| {
         let share = |person: &Person| match person.grounded.label_mass {
             mass if mass > 0.0 => person.scores.log_prob_nats[label].exp() / mass,
             _ => 0.0,
         };
-        (persons.iter().map(share).sum::<f64>() / count * label_mass).ln()
+        (at_home().map(share).sum::<f64>() / count * label_mass).ln()
     };
     scores.label_log_prob_nats.clear();
     scores.label_log_prob_nats.extend((0..first.scores.log_prob_nats.len()).map(label));
 
     let partitions = first.grounded.partition_probability.len();
     // 1 - prod(1 - p), exact for small p too.
-    let anybody =
-        |of: &dyn Fn(&Person) -> f64| -persons.iter().map(|person| (-of(person)).ln_1p()).sum::<f64>().exp_m1();
+    let anybody = |of: &dyn Fn(&Person) -> f64| -at_home().map(|person| (-of(person)).ln_1p()).sum::<f64>().exp_m1();
     scores.grounded.set(label_mass, (0..partitions).map(|j| anybody(&|p| p.grounded.partition_probability[j])));
     let score = &scores.grounded.partition_log_score_nats;
     scores.lower_log_score_nats.clone_from(score);
     scores.upper_log_score_nats.clone_from(score);
     scores.reached = Effort::Exact;
-    if persons.iter().all(|person| person.partial().is_none()) {
+    if at_home().all(|person| person.partial().is_none()) {
         return;
     }
     for (partition, &score) in score.iter().enumerate() {
@@ -670,7 +782,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::narration::Sentence;
+    use crate::narration::{PresenceStatement, Said, Sentence};
     use crate::scorer::correction::Continuation;
     use crate::scorer::table::TableModel;
     use crate::semantic_map::delta::MapChange;
@@ -779,6 +891,57 @@ mod tests {
         assert!((mass - together.label_mass).abs() < 1e-12);
     }
 
+    fn presence(sequence: u64, person: u32, text: &str) -> Observation {
+        Observation { said: Said::Presence(PresenceStatement::parse(text).unwrap()), ..observation(sequence, person) }
+    }
+
+    /// Who is out of the house is in no room and hides nobody; what they did before does not say what they do when they are back.
+    #[test]
+    fn who_is_away_is_in_no_room() {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let fresh = || pipeline(&map, Effort::Exact, CORRECTED);
+        let mut both = fresh();
+        both.step([observation(1, 0), observation(2, 1)]).unwrap();
+        both.step([presence(3, 0, "away")]).unwrap();
+        let away = both.person(0).unwrap();
+        assert!(!away.at_home && away.window == 0 && away.grounded.partition_probability == [0.0; 2]);
+        assert_eq!(away.lower_log_score_nats, [f64::NEG_INFINITY; 2]);
+        let mut alone = fresh();
+        alone.step([observation(2, 1)]).unwrap();
+        assert_eq!(both.scores().label_log_prob_nats, alone.scores().label_log_prob_nats);
+        assert_eq!(both.scores().grounded.partition_probability, alone.scores().grounded.partition_probability);
+        // Nobody is home: no room is likely.
+        both.step([presence(4, 1, "away")]).unwrap();
+        let nobody = both.scores();
+        assert_eq!(nobody.grounded.partition_probability, [0.0; 2]);
+        assert_eq!(nobody.grounded.partition_log_score_nats, [f64::NEG_INFINITY; 2]);
+        assert!(nobody.grounded.label_mass == 0.0 && nobody.included.len() == 1 && nobody.included[0].sequence == 4);
+        assert!(both.token_log_prob_nats(0).is_none());
+        // Back: as nobody whom anything is known of.
+        both.step([presence(5, 0, "present in the kitchen")]).unwrap();
+        let unknown = fresh().score().unwrap().grounded.partition_probability.clone();
+        assert_eq!(both.scores().grounded.partition_probability, unknown);
+        both.step([presence(6, 1, "gone")]).unwrap();
+        assert_eq!(both.persons().map(|own| own.person).collect::<Vec<_>>(), [0]);
+    }
+
+    /// Silence ends a window as a late observation does, and the person is scored once more.
+    #[test]
+    fn what_lies_hours_back_leaves_the_prompt() {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let mut silent = pipeline(&map, Effort::Exact, CORRECTED);
+        let mut unknown = pipeline(&map, Effort::Exact, CORRECTED);
+        silent.step([observation(1, 0), observation(2, 0)]).unwrap();
+        assert!(silent.end_window(0) && !silent.end_window(0) && !silent.end_window(1));
+        silent.score().unwrap();
+        unknown.score().unwrap();
+        assert_eq!(silent.person(0).unwrap().window, 0);
+        assert_eq!(silent.scores().grounded.partition_probability, unknown.scores().grounded.partition_probability);
+        assert_eq!(silent.scores().stats.calls, 1, "one person was scored");
+        silent.score().unwrap();
+        assert_eq!(silent.scores().stats.calls, 0, "and once");
+    }
+
     /// Scores of one person: labels, probabilities, scores and both bounds.
     fn values(scores: PersonScores) -> (Vec<u64>, Effort) {
         let GroundedScores { partition_log_score_nats, partition_probability, label_mass, .. } = scores.grounded;
@@ -797,7 +960,7 @@ mod tests {
         /// A person's scores are those that they have alone, to the bit; one person's are those of all together.
         #[test]
         fn a_persons_scores_are_those_of_that_person_alone(
-            steps in prop::collection::vec(prop::collection::vec(0u32..4, 0..4), 1..8),
+            steps in prop::collection::vec((0u64..4000, prop::collection::vec((0u32..4, 0usize..12), 0..4)), 1..8),
             effort in prop::sample::select(vec![Effort::Exact, Effort::Ranking, Effort::Top]),
             corrected: bool,
             gone in prop::option::of(0usize..4),
@@ -807,13 +970,29 @@ mod tests {
             let gone = gone.and_then(|item| map.items.get(item));
             let after = gone.map(|item| map.changed(vec![MapChange::RemoveItem { id: item.id.clone() }]).unwrap());
             let mut together = pipeline(&map, effort, correction);
-            let mut alone = std::collections::BTreeMap::new();
-            let mut sequence = 0;
-            for (number, persons) in steps.iter().enumerate() {
-                let said: Vec<_> = persons.iter().map(|&person| {
+            let mut alone = std::collections::BTreeMap::<u32, Pipeline<TableModel>>::new();
+            let (mut sequence, mut at_s) = (0, 1);
+            for (number, (pause_s, persons)) in steps.iter().enumerate() {
+                at_s += pause_s;
+                let said: Vec<_> = persons.iter().map(|&(person, what)| {
                     sequence += 1;
-                    observation(sequence, person)
+                    let said = match what {
+                        0 => presence(sequence, person, "away"),
+                        1 => presence(sequence, person, "present"),
+                        2 => presence(sequence, person, "present in the kitchen"),
+                        3 => presence(sequence, person, "gone"),
+                        _ => observation(sequence, person),
+                    };
+                    Observation { observed_ns: at_s * 1_000_000_000, ..said }
                 }).collect();
+                // Silence ends a window.
+                if *pause_s % 5 == 0 {
+                    together.end_window(2);
+                    if let Some(own) = alone.get_mut(&2) {
+                        own.end_window(2);
+                        own.score().unwrap();
+                    }
+                }
                 together.step(said.clone()).unwrap();
                 for person in said.iter().map(|o| o.person).collect::<std::collections::BTreeSet<_>>() {
                     let own = alone.entry(person).or_insert_with(|| pipeline(&map, effort, correction));
@@ -829,6 +1008,7 @@ mod tests {
                     }
                 }
             }
+            alone.retain(|_, own| own.persons().next().is_some());
             prop_assert_eq!(together.persons().count(), alone.len());
             for (person, own) in &alone {
                 let own_scores = values(own.person(*person).unwrap());
@@ -838,6 +1018,7 @@ mod tests {
                     (&own.scores().lower_log_score_nats[..], &own.scores().upper_log_score_nats[..]);
                 let all = PersonScores {
                     person: *person,
+                    at_home: true,
                     window: 0,
                     label_log_prob_nats,
                     grounded,

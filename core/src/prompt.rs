@@ -28,7 +28,7 @@ pub enum BindingError {
         "the binding sequence is empty: give words that cue the next object, such as \"Next, they will go to the \""
     )]
     Empty,
-    /// Longer than [`BINDING_BYTES_MAX`].
+    /// Longer than 1024 bytes.
     #[error("the binding sequence has {bytes} bytes, more than {BINDING_BYTES_MAX}: shorten it")]
     TooLong {
         /// Its length.

@@ -1,8 +1,9 @@
 //! Prints every message's layout, for other languages.
 
 use roomcast_ipc::{
-    DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout, NarrationV1, PersonScoresV1,
-    PersonV1, RoomScoresV1, RoomV1, StatusRequestV1, StatusResponseV1,
+    DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout, NarrationV1, PersonForecastV1,
+    PersonForecastsV1, PersonScoresV1, PersonV1, RobotReportV1, RoomScoresV1, RoomV1, StatusRequestV1,
+    StatusResponseV1,
 };
 
 fn print<T: Layout>() {
@@ -22,7 +23,10 @@ fn main() {
     print::<ItemScoresHeaderV1>();
     print::<ItemScoreV1>();
     print::<ForecastV1>();
+    print::<PersonForecastV1>();
+    print::<PersonForecastsV1>();
     print::<DecisionV1>();
+    print::<RobotReportV1>();
     print::<StatusRequestV1>();
     print::<StatusResponseV1>();
 }

@@ -45,7 +45,7 @@ const JOINED_WITHIN: Duration = Duration::from_secs(10);
 /// [`OPEN_FOR`], so that whoever opens it gets through.
 const MADE_WITHIN: Duration = Duration::from_secs(2);
 /// How often a participant looks for shared memory that nobody will finish.
-const WATCH_EVERY: Duration = Duration::from_millis(500);
+const WATCH_EVERY: Duration = Duration::from_secs(1);
 
 /// A private world of services: participants see one another when root path and name are equal, and nobody else.
 ///
@@ -560,6 +560,12 @@ impl Node {
                 self.domain.remove_dead(id);
             }
         }
+    }
+
+    /// Where answers of a service lie that are too long for shared memory.
+    pub(crate) fn answer_file(&self, service: &str) -> PathBuf {
+        let name = service.rsplit('/').next().unwrap_or(service);
+        self.domain.root.join(format!("{}{name}.answer", self.domain.prefix()))
     }
 
     pub(crate) fn inner(&self) -> &iceoryx2::node::Node<Flavour> {

@@ -1,9 +1,11 @@
 //! The contract between Roomcast's processes: services, messages and ports over iceoryx2.
 //!
-//! A planner of somebody else's needs this crate alone. Three contracts, one direction:
+//! A planner of somebody else's needs this crate alone. Three contracts, one direction, and the robot's
+//! reports back to the planner:
 //!
 //! ```text
-//! narrator --(narration)--> daemon --(room, person and item scores, forecast)--> planner --(decision)--> whoever listens
+//! narrator --(narration)--> daemon --(room, person and item scores, forecasts)--> planner --(decision)--> robot
+//!                                                                                 planner <--(report)---- robot
 //! ```
 //!
 //! | service | payload | publishers | subscribers | buffer | history |
@@ -13,10 +15,13 @@
 //! | `roomcast/v1/person-scores` | [`PersonScoresV1`], those of each person | 1 | 16 | 2 | 1 |
 //! | `roomcast/v1/item-scores` | slice of [`ItemScoreV1`] with [`ItemScoresHeaderV1`] | 1 | 8 | 2 | 1 |
 //! | `roomcast/v1/forecast` | [`ForecastV1`] | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/person-forecasts` | [`PersonForecastsV1`], those of each person | 1 | 16 | 2 | 1 |
 //! | `roomcast/v1/decision` | [`DecisionV1`] | 8 | 16 | 16 | 1 |
+//! | `roomcast/v1/robot-report` | [`RobotReportV1`] | 8 | 8 | 64 | 8 |
 //! | `roomcast/v1/status` | [`StatusRequestV1`] to [`StatusResponseV1`] | 1 server | 8 clients | 2 | - |
 //! | `roomcast/v1/map-change` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //! | `roomcast/v1/moment` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
+//! | `roomcast/v1/person` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //!
 //! All publish-subscribe services overflow safely: a publisher never waits for a slow subscriber, and what was overwritten
 //! shows as a gap in the sequence numbers ([`sequence`]). Each has an event service of the same name, so that a
@@ -28,7 +33,7 @@
 //!   stand in each field's documentation, are asserted at compile time, and are listed by `cargo run -p roomcast-ipc
 //!   --example layout` for other languages. The iceoryx2 type name is the message's `TYPE_NAME`.
 //! - Text is UTF-8 in a fixed array, zero padded, without control characters ([`text`]).
-//! - `*_ns` is `CLOCK_MONOTONIC` ([`clock::monotonic_ns`]), for ages; `*_unix_ns` is wall clock, for people only.
+//! - `*_ns` is `CLOCK_BOOTTIME` ([`clock::monotonic_ns`]), monotonic and counting suspension, for ages; `*_unix_ns` is wall clock, for people only.
 //! - An epoch is random per process start; a sequence starts at 1 and grows by 1 within an epoch.
 //! - Scores are f64 in nats. `-inf` says that nothing of the map's labels lies there.
 //! - Reserved bytes are zero; a minor number in each message grows when one of them gets a meaning. A breaking change is a new
@@ -69,12 +74,15 @@ pub use domain::{Domain, Node};
 pub use error::{IpcError, MessageError};
 pub use message::{
     ALL_PERSONS, ByteImage, DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout,
-    MAX_HORIZONS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES, NARRATION_TEXT_BYTES, NO_PARTITION,
-    NarrationV1, PersonScoresV1, PersonV1, REASON_TEXT_BYTES, RoomScoresV1, RoomV1, ServiceQuality, StatusRequestV1,
-    StatusResponseV1, action, decision_flags, forecast_flags, narration_kind, person_flags, reached, score_flags,
+    MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES, NARRATION_TEXT_BYTES,
+    NO_PARTITION, NOTE_TEXT_BYTES, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1,
+    REASON_TEXT_BYTES, RobotReportV1, RoomScoresV1, RoomV1, ServiceQuality, StatusRequestV1, StatusResponseV1, action,
+    decision_flags, forecast_flags, narration_kind, person_flags, presence, reached, report_flags, report_kind,
+    score_flags,
 };
 pub use port::{
-    ItemScores, ItemScoresPublisher, ItemScoresSubscriber, Publisher, StatusClient, StatusServer, Subscriber,
+    ItemScores, ItemScoresPublisher, ItemScoresSubscriber, Judged, Publisher, Sender, StatusClient, StatusServer,
+    Subscriber,
 };
 pub use question::{AnswerPort, QuestionPort};
 

@@ -25,7 +25,10 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
 use crate::domain::{Flavour, Node, OpenFailure, shown};
-use crate::message::{ItemScoreV1, ItemScoresHeaderV1, Layout, Message, StatusRequestV1, StatusResponseV1};
+use crate::message::{
+    DecisionV1, ItemScoreV1, ItemScoresHeaderV1, Layout, MAX_ITEMS, Message, NarrationV1, RobotReportV1, RoomScoresV1,
+    StatusRequestV1, StatusResponseV1,
+};
 use crate::{ICEORYX2_VERSION, IpcError, MessageError};
 
 /// Event ids on every event service.
@@ -41,7 +44,7 @@ pub(crate) const MAX_NODES: usize = 32;
 const LEFT_BEHIND: usize = 64;
 /// The longest sleep without a look at the listener. iceoryx2 leaves out wake-ups of a listener that it believes awake; a notifier that
 /// stands still between two of its steps could make it believe so of one that sleeps.
-const SLICE: Duration = Duration::from_millis(100);
+const SLICE: Duration = Duration::from_millis(250);
 
 const ITEM_SCORES: &str = "roomcast/v1/item-scores";
 const STATUS: &str = "roomcast/v1/status";
@@ -122,6 +125,22 @@ impl<M: Message> Publisher<M> {
         self.factory.dynamic_config().number_of_subscribers()
     }
 
+    /// Whether a participant of this name is among them.
+    #[must_use]
+    pub fn reaches(&self, participant: &str) -> bool {
+        let holders = subscribers(&self.factory);
+        let mut found = false;
+        // A list that fails names nobody else, and whoever asks asks again.
+        let _listed = self.factory.nodes(|state| {
+            if let NodeState::Alive(node) = state {
+                let named = node.details().as_ref().is_some_and(|details| details.name().as_str() == participant);
+                found |= named && holders.contains(node.id());
+            }
+            CallbackProgression::Continue
+        });
+        found
+    }
+
     /// A wake-up that fails is not worth failing for: the message lies in the buffer, and a subscriber that waits looks there
     /// when its time-out ends.
     fn wake(&self) {
@@ -142,6 +161,22 @@ pub struct Subscriber<M: Message> {
 /// What a [`Subscriber`] took: a good message, or why it was dropped.
 pub type Received<M> = Result<M, MessageError>;
 
+/// Whether a message that was copied is good, or why it was dropped, and the port that it came by.
+pub type Judged = (Result<(), MessageError>, Sender);
+
+/// The port that a message came by: another one for every publisher that was ever opened in a domain, and so for every process. It tells
+/// who speaks apart as far as participants use this crate; the user id is the boundary for all others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Sender(u128);
+
+impl Sender {
+    /// A sender without a port, for simulations and tests: a port's own comes with what it sent.
+    #[must_use]
+    pub const fn simulated(number: u64) -> Self {
+        Self(number as u128)
+    }
+}
+
 impl<M: Message> Subscriber<M> {
     pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
         let quality = M::SERVICE;
@@ -152,6 +187,7 @@ impl<M: Message> Subscriber<M> {
         let subscriber = factory.subscriber_builder().buffer_size(quality.buffer).create();
         let subscriber = subscriber
             .map_err(|_| occupied(&factory, &subscribers(&factory), quality.name, "subscriber", quality.subscribers))?;
+        wake(waker(node, quality.name).as_ref());
         Ok(Self { subscriber, factory, listener, woken: Cell::new(false) })
     }
 
@@ -162,30 +198,16 @@ impl<M: Message> Subscriber<M> {
     ///
     /// [`IpcError::Port`].
     pub fn wait(&self, timeout: Duration) -> Result<bool, IpcError> {
-        // Without an end where it lies beyond what a clock can say.
-        let end = Instant::now().checked_add(timeout);
-        loop {
-            // What woke the last wait is taken off the listener only now, so that whoever was woken had its message sooner, by some
-            // system calls.
-            let woken = self.woken.take();
-            let (news, others) = self.told()?;
-            if others || (news && (!woken || self.has_messages()?)) {
-                return Ok(true);
-            }
-            let left = end.map_or(SLICE, |end| end.saturating_duration_since(Instant::now()));
-            if left.is_zero() {
-                return Ok(false);
-            }
-            match self.sleep(left.min(SLICE)) {
-                Ok(true) => {
-                    self.woken.set(true);
-                    return Ok(true);
-                }
-                Ok(false) => {}
-                Err(Errno::INTR) => return Ok(false),
-                Err(error) => return Err(port(M::SERVICE.name, "wait", &error)),
-            }
-        }
+        wait_for_any(&[self], timeout)
+    }
+
+    /// As [`Subscriber::wait`], for news of this or of another subscriber.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn wait_with<N: Message>(&self, other: &Subscriber<N>, timeout: Duration) -> Result<bool, IpcError> {
+        wait_for_any(&[self, other], timeout)
     }
 
     /// Takes what the listener was told: whether there was anything, and whether anything but messages.
@@ -201,16 +223,6 @@ impl<M: Message> Subscriber<M> {
 
     fn has_messages(&self) -> Result<bool, IpcError> {
         self.subscriber.has_samples().map_err(|error| port(M::SERVICE.name, "wait", &error))
-    }
-
-    /// Sleeps until the listener is told something; whether it was.
-    fn sleep(&self, timeout: Duration) -> Result<bool, Errno> {
-        let timeout = Timespec::try_from(timeout).map_err(|_| Errno::INVAL)?;
-        #[expect(unsafe_code, reason = "iceoryx2 gives the number of its descriptor and no safe form of it")]
-        // SAFETY: the descriptor is the listener's, which is borrowed for longer than this and closes it when it is dropped; its number is
-        // not kept.
-        let descriptor = unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) };
-        Ok(poll(&mut [PollFd::new(&descriptor, PollFlags::IN)], Some(&timeout))? > 0)
     }
 
     /// Takes the oldest message that waits, if any: a good one, or why it was dropped.
@@ -245,12 +257,22 @@ impl<M: Message> Subscriber<M> {
     ///
     /// [`IpcError::Port`].
     pub fn receive_into(&self, message: &mut M) -> Result<Option<Result<(), MessageError>>, IpcError> {
+        Ok(self.receive_from(message)?.map(|(checked, _)| checked))
+    }
+
+    /// As [`Subscriber::receive_into`], with the port that the message came by.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Port`].
+    pub fn receive_from(&self, message: &mut M) -> Result<Option<Judged>, IpcError> {
         let sample = self.subscriber.receive().map_err(|error| port(M::SERVICE.name, "receive", &error))?;
         Ok(sample.map(|sample| {
             // Its sender can still write to the sample. What is checked must be what is used: copy first; the black box keeps the
             // compiler from reading the shared memory a second time.
             *message = *sample.payload();
-            black_box(message).check()
+            // The connection's own number, not the one in the sample's header, which its sender can write to.
+            (black_box(message).check(), Sender(sample.origin().value()))
         }))
     }
 
@@ -273,6 +295,17 @@ impl<M: Message> Subscriber<M> {
         self.factory.dynamic_config().number_of_publishers()
     }
 
+    /// The ports of the publishers connected to the service.
+    #[must_use]
+    pub fn senders(&self) -> Vec<Sender> {
+        let mut senders = Vec::new();
+        self.factory.dynamic_config().list_publishers(|publisher| {
+            senders.push(Sender(publisher.publisher_id.value()));
+            CallbackProgression::Continue
+        });
+        senders
+    }
+
     /// Subscribers of the service, this one included.
     #[must_use]
     pub fn subscribers(&self) -> usize {
@@ -280,12 +313,89 @@ impl<M: Message> Subscriber<M> {
     }
 }
 
+/// What can be slept at.
+trait Awaited {
+    /// Its service.
+    fn service(&self) -> &'static str;
+    /// Whether there is news that was not looked after yet.
+    fn has_news(&self) -> Result<bool, IpcError>;
+    /// The descriptor that can be read when the listener is told something.
+    fn descriptor(&self) -> BorrowedFd<'_>;
+    /// The sleep has ended with news that the listener still holds.
+    fn woken(&self);
+}
+
+impl<M: Message> Awaited for Subscriber<M> {
+    fn service(&self) -> &'static str {
+        M::SERVICE.name
+    }
+
+    fn has_news(&self) -> Result<bool, IpcError> {
+        // What woke the last wait is taken off the listener only now, so that whoever was woken had its message sooner, by some
+        // system calls.
+        let woken = self.woken.take();
+        let (news, others) = self.told()?;
+        Ok(others || (news && (!woken || self.has_messages()?)))
+    }
+
+    #[expect(unsafe_code, reason = "iceoryx2 gives the number of its descriptor and no safe form of it")]
+    fn descriptor(&self) -> BorrowedFd<'_> {
+        // SAFETY: the descriptor is the listener's, which is borrowed for longer than this and closes it when it is dropped; its number is
+        // not kept.
+        unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) }
+    }
+
+    fn woken(&self) {
+        self.woken.set(true);
+    }
+}
+
+/// Sleeps until any has news or `timeout` is over; whether one had.
+fn wait_for_any(awaited: &[&dyn Awaited], timeout: Duration) -> Result<bool, IpcError> {
+    // Without an end where it lies beyond what a clock can say.
+    let end = Instant::now().checked_add(timeout);
+    loop {
+        for one in awaited {
+            if one.has_news()? {
+                return Ok(true);
+            }
+        }
+        let left = end.map_or(SLICE, |end| end.saturating_duration_since(Instant::now()));
+        if left.is_zero() {
+            return Ok(false);
+        }
+        match sleep(awaited, left.min(SLICE)) {
+            Ok(true) => return Ok(true),
+            Ok(false) => {}
+            Err(Errno::INTR) => return Ok(false),
+            Err(error) => return Err(port(awaited.first().map_or("", |first| first.service()), "wait", &error)),
+        }
+    }
+}
+
+/// Sleeps until a listener is told something; whether one was.
+fn sleep(awaited: &[&dyn Awaited], timeout: Duration) -> Result<bool, Errno> {
+    let timeout = Timespec::try_from(timeout).map_err(|_| Errno::INVAL)?;
+    let descriptors: Vec<BorrowedFd<'_>> = awaited.iter().map(|one| one.descriptor()).collect();
+    let mut polled: Vec<PollFd<'_>> =
+        descriptors.iter().map(|descriptor| PollFd::new(descriptor, PollFlags::IN)).collect();
+    if poll(&mut polled, Some(&timeout))? == 0 {
+        return Ok(false);
+    }
+    for (one, polled) in awaited.iter().zip(&polled) {
+        if !polled.revents().is_empty() {
+            one.woken();
+        }
+    }
+    Ok(true)
+}
+
 /// A snapshot of all items' scores.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ItemScores {
     /// Which room scores they belong to.
     pub header: ItemScoresHeaderV1,
-    /// One per item, in the map's order.
+    /// One per item, in the map's order; of a map with more than [`MAX_ITEMS`] those with the best scores.
     pub items: Vec<ItemScoreV1>,
 }
 
@@ -320,16 +430,21 @@ impl ItemScoresPublisher {
         self.factory.dynamic_config().number_of_subscribers()
     }
 
-    /// Sends the scores of all items.
+    /// Sends the scores of all items, or of the best.
     ///
     /// # Errors
     ///
-    /// [`IpcError::Port`].
+    /// [`IpcError::Refused`] where they are more than [`MAX_ITEMS`]; [`IpcError::Port`].
     pub fn send(
         &self,
         header: ItemScoresHeaderV1,
         items: impl ExactSizeIterator<Item = ItemScoreV1>,
     ) -> Result<(), IpcError> {
+        if items.len() > MAX_ITEMS {
+            let (value, allowed) = (items.len() as f64, "0 to 1024");
+            let source = MessageError::OutOfRange { field: "items", value, allowed };
+            return Err(IpcError::Refused { service: ITEM_SCORES, source });
+        }
         let sample = self.publisher.loan_slice_uninit(items.len());
         let mut sample = sample.map_err(|error| port(ITEM_SCORES, "send", &error))?;
         *sample.user_header_mut() = header;
@@ -364,6 +479,7 @@ impl ItemScoresSubscriber {
         let subscriber = factory.subscriber_builder().create();
         let subscriber =
             subscriber.map_err(|_| occupied(&factory, &subscribers(&factory), ITEM_SCORES, "subscriber", 8))?;
+        wake(waker(node, ITEM_SCORES).as_ref());
         Ok(Self { subscriber })
     }
 
@@ -421,13 +537,14 @@ impl StatusServer {
 #[derive(Debug)]
 pub struct StatusClient {
     client: Client<Flavour, StatusRequestV1, (), StatusResponseV1, ()>,
+    waker: Option<Notifier<Flavour>>,
 }
 
 impl StatusClient {
     pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
         let factory = open_status(node)?;
         let client = factory.client_builder().create().map_err(|error| passing(STATUS, &error))?;
-        Ok(Self { client })
+        Ok(Self { client, waker: waker(node, STATUS) })
     }
 
     /// Asks, and waits for the answer.
@@ -441,6 +558,7 @@ impl StatusClient {
         while start.elapsed() < timeout {
             let pending = self.client.send_copy(StatusRequestV1::default());
             let pending = pending.map_err(|error| port(STATUS, "send", &error))?;
+            wake(self.waker.as_ref());
             let sent = Instant::now();
             while sent.elapsed() < Duration::from_millis(300) && start.elapsed() < timeout {
                 if let Some(response) = pending.receive().map_err(|error| port(STATUS, "receive", &error))? {
@@ -450,6 +568,25 @@ impl StatusClient {
             }
         }
         Err(IpcError::NoAnswer { service: STATUS, waited_ms: timeout.as_millis() })
+    }
+}
+
+/// Wakes whoever serves a service for somebody who joined or asks, so that it need not look after newcomers all the time: it sleeps on the
+/// news of another service. None where nobody is to be woken; then, and where waking fails, a newcomer waits some hundred milliseconds.
+pub(crate) fn waker(node: &Node, service: &'static str) -> Option<Notifier<Flavour>> {
+    let heard = match service {
+        name if name == DecisionV1::SERVICE.name => RoomScoresV1::SERVICE,
+        name if name == NarrationV1::SERVICE.name || name == RobotReportV1::SERVICE.name => return None,
+        _ => NarrationV1::SERVICE,
+    };
+    let events = open_event(node, heard.name, heard.publishers, heard.subscribers).ok()?;
+    events.notifier_builder().default_event_id(EventId::new(CREATED)).create().ok()
+}
+
+/// Wakes them.
+pub(crate) fn wake(waker: Option<&Notifier<Flavour>>) {
+    if let Some(waker) = waker {
+        let _listeners_woken = waker.notify();
     }
 }
 

@@ -4,19 +4,28 @@
 //! | --- | --- | --- |
 //! | `roomcast/v1/map-change` | changes to the map in use | what became of them, or why not |
 //! | `roomcast/v1/moment` | nothing (`{}`) | the map in use, the narration in the windows, every label's tokens with their log-probabilities |
+//! | `roomcast/v1/person` | who is known; to forget a person, to give them a name | who is known then, and what became of the change |
 //!
-//! Both are request-response services of `[u8]`, UTF-8. The daemon is the one server. A question may be asked again when no answer
+//! All are request-response services of `[u8]`, UTF-8. The daemon is the one server. A question may be asked again when no answer
 //! came, so whoever asks for a change names it, and the daemon does a change of the same name once.
+//!
+//! Shared memory is set aside for every answer that may be under way, each as long as the longest. So an answer of more than
+//! [`ANSWER_BYTES_MAX`] bytes lies in a file of the domain's root path, and what comes by the service is [`ANSWER_IN_FILE`].
 
+use std::fs;
+use std::io::{self, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::client::Client;
+use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::server::Server;
 use iceoryx2::prelude::{AllocationStrategy, CallbackProgression, PortFactory};
 use iceoryx2::service::port_factory::request_response;
 
 use crate::domain::{Flavour, Node, OpenFailure};
-use crate::port::{described, occupied, passing, port, request_response, request_response_failure};
+use crate::port::{described, occupied, passing, port, request_response, request_response_failure, wake, waker};
 use crate::{IpcError, MessageError};
 
 /// Changes to the map in use.
@@ -24,8 +33,18 @@ pub const MAP_CHANGE: &str = "roomcast/v1/map-change";
 /// All that is behind the scores of this moment.
 pub const MOMENT: &str = "roomcast/v1/moment";
 
+/// Who is known, and changes to that.
+pub const PERSON: &str = "roomcast/v1/person";
+
 /// Most bytes of a question. An answer's length is the daemon's own affair.
 pub const QUESTION_BYTES_MAX: usize = 1 << 20;
+
+/// Most bytes of an answer in shared memory.
+pub const ANSWER_BYTES_MAX: usize = 1 << 16;
+
+/// The answer that says: it lies in the file `NAME_SERVICE.answer` of the root path, with the domain's name and the last part of the
+/// service's. It is replaced whole by the next one that is too long.
+pub const ANSWER_IN_FILE: &str = r#"{"answer":"in-file"}"#;
 
 const CLIENTS: usize = 8;
 /// A daemon that starts after a question was sent never gets it: it is asked again after this.
@@ -39,6 +58,15 @@ type Factory = request_response::PortFactory<Flavour, [u8], (), [u8], ()>;
 pub struct AnswerPort {
     server: Server<Flavour, [u8], (), [u8], ()>,
     service: &'static str,
+    /// For answers that are too long.
+    file: PathBuf,
+}
+
+impl Drop for AnswerPort {
+    fn drop(&mut self) {
+        // Mostly there is none.
+        let _gone = fs::remove_file(&self.file);
+    }
 }
 
 impl AnswerPort {
@@ -59,7 +87,7 @@ impl AnswerPort {
             });
             occupied(&factory, &servers, service, "server", 1)
         })?;
-        Ok(Self { server, service })
+        Ok(Self { server, service, file: node.answer_file(service) })
     }
 
     /// Answers all questions that wait, each copied out of shared memory and checked; returns how many. What is no text, or too
@@ -80,7 +108,14 @@ impl AnswerPort {
                 std::str::from_utf8(&copy)
                     .map_err(|error| MessageError::NotUtf8 { field: "question", at: error.valid_up_to() })
             };
-            let answer = respond(question);
+            let mut answer = respond(question);
+            if answer.len() > ANSWER_BYTES_MAX {
+                // Where the disk is full, whoever asks gets no answer; the daemon goes on.
+                if write_whole(&self.file, &answer).is_err() {
+                    continue;
+                }
+                ANSWER_IN_FILE.clone_into(&mut answer);
+            }
             let response = request.loan_slice_uninit(answer.len());
             let sent = response.map(|response| response.write_from_slice(answer.as_bytes()).send());
             // An asker that has gone away meanwhile is no failure of the daemon.
@@ -95,6 +130,8 @@ impl AnswerPort {
 pub struct QuestionPort {
     client: Client<Flavour, [u8], (), [u8], ()>,
     service: &'static str,
+    file: PathBuf,
+    waker: Option<Notifier<Flavour>>,
 }
 
 impl QuestionPort {
@@ -105,7 +142,7 @@ impl QuestionPort {
             .allocation_strategy(AllocationStrategy::PowerOfTwo)
             .create()
             .map_err(|error| passing(service, &error))?;
-        Ok(Self { client, service })
+        Ok(Self { client, service, file: node.answer_file(service), waker: waker(node, service) })
     }
 
     /// Asks, and waits for the answer; asks again now and then while none comes.
@@ -127,10 +164,14 @@ impl QuestionPort {
             let request = request.map_err(|error| port(service, "send", &error))?;
             let pending = request.write_from_slice(question.as_bytes()).send();
             let pending = pending.map_err(|error| port(service, "send", &error))?;
+            wake(self.waker.as_ref());
             let sent = Instant::now();
             while sent.elapsed() < ASK_AGAIN && start.elapsed() < timeout {
                 if let Some(answer) = pending.receive().map_err(|error| port(service, "receive", &error))? {
-                    let copy = answer.payload().to_vec();
+                    let mut copy = answer.payload().to_vec();
+                    if copy == ANSWER_IN_FILE.as_bytes() {
+                        copy = fs::read(&self.file).map_err(|error| port(service, "read the answer of", &error))?;
+                    }
                     return String::from_utf8(copy).map_err(|error| {
                         refused(MessageError::NotUtf8 { field: "answer", at: error.utf8_error().valid_up_to() })
                     });
@@ -140,6 +181,16 @@ impl QuestionPort {
         }
         Err(IpcError::NoAnswer { service, waited_ms: timeout.as_millis() })
     }
+}
+
+/// Replaces a file at once, so that nobody reads half of it.
+fn write_whole(path: &Path, text: &str) -> io::Result<()> {
+    let unfinished = path.with_extension("unfinished");
+    // One that a killed daemon left.
+    let _gone = fs::remove_file(&unfinished);
+    let mut file = fs::OpenOptions::new().write(true).create_new(true).mode(0o600).open(&unfinished)?;
+    file.write_all(text.as_bytes())?;
+    fs::rename(&unfinished, path)
 }
 
 fn open(node: &Node, service: &'static str) -> Result<Factory, OpenFailure> {

@@ -12,7 +12,13 @@ pub enum Arrival {
     },
     /// Seen before, or older than what was seen: not to be taken again.
     Duplicate,
+    /// Further ahead than [`JUMP_MAX`]: no source has lost so many, and taking it would make duplicates of all that it says next. Nothing
+    /// is noted.
+    TooFar,
 }
+
+/// Most numbers that a source may skip at once.
+pub const JUMP_MAX: u64 = 1 << 32;
 
 /// Follows one source: its epoch and the highest sequence number taken.
 ///
@@ -48,6 +54,9 @@ impl Follower {
                 return Arrival::Duplicate;
             }
             let missed = if self.sequence == 0 { 0 } else { sequence - self.sequence - 1 };
+            if missed > JUMP_MAX {
+                return Arrival::TooFar;
+            }
             self.sequence = sequence;
             return if missed == 0 { Arrival::New } else { Arrival::AfterGap { missed } };
         }
@@ -113,6 +122,16 @@ mod tests {
         }
         assert!(follower.left.len() <= Follower::LEFT);
         assert_eq!(follower.take(998, 9), Arrival::Duplicate);
+    }
+
+    /// Row "sequence 2^64 - 1" of the attacks.
+    #[test]
+    fn a_jump_without_measure_hides_nothing_that_follows() {
+        let mut follower = Follower::default();
+        assert_eq!(follower.take(7, 4), Arrival::New);
+        assert_eq!(follower.take(7, u64::MAX), Arrival::TooFar);
+        assert_eq!(follower.take(7, 5), Arrival::New);
+        assert_eq!(follower.take(7, 6 + JUMP_MAX), Arrival::AfterGap { missed: JUMP_MAX });
     }
 
     #[test]

@@ -9,15 +9,26 @@ use std::process::Command;
 
 use roomcast_ipc::{
     ByteImage, DecisionV1, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout, Message, NarrationV1,
-    PersonScoresV1, PersonV1, RoomScoresV1, RoomV1, StatusRequestV1, StatusResponseV1, text,
+    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, RobotReportV1, RoomScoresV1, RoomV1,
+    StatusRequestV1, StatusResponseV1, action, clock, report_kind, text,
 };
 
 #[path = "../../tests/support/skipped.rs"]
 mod skipped;
 use skipped::skipped;
 
-const SOURCES: [&str; 8] =
-    ["mod", "narration", "room_scores", "person_scores", "item_scores", "forecast", "decision", "status"];
+const SOURCES: [&str; 10] = [
+    "mod",
+    "narration",
+    "room_scores",
+    "person_scores",
+    "item_scores",
+    "forecast",
+    "person_forecasts",
+    "decision",
+    "robot_report",
+    "status",
+];
 
 fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
@@ -81,13 +92,14 @@ fn plain_rust() -> String {
 /// A field's type with C's names for constants and structures.
 fn c_kind(kind: &str) -> String {
     let mut kind = kind.to_owned();
-    for name in ["IncludedV1", "RoomV1", "PersonV1"] {
+    for name in ["IncludedV1", "RoomV1", "PersonV1", "PersonForecastV1"] {
         kind = kind.replace(name, &c_type(name));
     }
     for name in [
         "NAME_BYTES",
         "NARRATION_TEXT_BYTES",
         "REASON_TEXT_BYTES",
+        "NOTE_TEXT_BYTES",
         "MAX_ROOMS",
         "MAX_PERSONS",
         "MAX_SOURCES",
@@ -131,7 +143,9 @@ fn names() -> String {
     type_name::<ItemScoreV1>(&mut out);
     type_name::<ItemScoresHeaderV1>(&mut out);
     type_name::<ForecastV1>(&mut out);
+    type_name::<PersonForecastsV1>(&mut out);
     type_name::<DecisionV1>(&mut out);
+    type_name::<RobotReportV1>(&mut out);
     type_name::<StatusRequestV1>(&mut out);
     type_name::<StatusResponseV1>(&mut out);
     out.push_str("\n/* Publish-subscribe services and their quality; every participant states all of it. Safe overflow is on. */\n");
@@ -139,7 +153,9 @@ fn names() -> String {
     service::<RoomScoresV1>(&mut out);
     service::<PersonScoresV1>(&mut out);
     service::<ForecastV1>(&mut out);
+    service::<PersonForecastsV1>(&mut out);
     service::<DecisionV1>(&mut out);
+    service::<RobotReportV1>(&mut out);
     out
 }
 
@@ -158,7 +174,10 @@ fn header() -> String {
     assertions::<ItemScoresHeaderV1>(&mut trailer);
     assertions::<ItemScoreV1>(&mut trailer);
     assertions::<ForecastV1>(&mut trailer);
+    assertions::<PersonForecastV1>(&mut trailer);
+    assertions::<PersonForecastsV1>(&mut trailer);
     assertions::<DecisionV1>(&mut trailer);
+    assertions::<RobotReportV1>(&mut trailer);
     assertions::<StatusRequestV1>(&mut trailer);
     assertions::<StatusResponseV1>(&mut trailer);
     trailer.push_str("#endif\n");
@@ -169,7 +188,8 @@ fn header() -> String {
         no_includes: true,
         sys_includes: vec!["stdint.h".to_owned()],
         header: Some(
-            "/* Roomcast's contract between processes, made by cbindgen from the crate roomcast-ipc: `make c-header`. Do not edit. */"
+            "/* Roomcast's contract between processes, made by cbindgen from the crate roomcast-ipc: `make c-header`. Do not edit.\n \
+             *\n * Monotonic nanoseconds (`*_ns`) are of CLOCK_BOOTTIME, which counts suspension; `*_unix_ns` is wall clock, for people. */"
                 .to_owned(),
         ),
         trailer: Some(trailer),
@@ -206,22 +226,54 @@ fn the_c_header_is_what_the_messages_are() {
     }
 }
 
-#[test]
-fn a_c_program_reads_what_rust_wrote() {
-    let folder = tempfile::tempdir().unwrap();
-    let program = folder.path().join("rooms");
-    let sources = repository().join("clients/c");
+/// Compiles one of the examples; none where there is no compiler.
+fn compiled(folder: &Path, name: &str, standard: &str) -> Option<PathBuf> {
+    let (program, sources) = (folder.join(name), repository().join("clients/c"));
     let mut compiler = Command::new("cc");
     compiler
-        .args(["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-o"])
+        .arg(standard)
+        .args(["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-o"])
         .arg(&program)
         .arg("-I")
         .arg(&sources);
-    let Ok(compiled) = compiler.arg(sources.join("rooms.c")).output() else {
+    let Ok(compiled) = compiler.arg(sources.join(format!("{name}.c"))).output() else {
         skipped("there is no C compiler (apt-get install gcc)");
-        return;
+        return None;
     };
     assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
+    Some(program)
+}
+
+#[test]
+fn a_c_robot_answers_its_decision() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(program) = compiled(folder.path(), "report", "-std=gnu11") else { return };
+    let decision = DecisionV1 {
+        robot: 9,
+        epoch: 7,
+        sequence: 3,
+        action: action::GO,
+        to: text::encode("to", "kitchen").unwrap(),
+        ..Default::default()
+    };
+    let (from, to) = (folder.path().join("decision"), folder.path().join("report.bin"));
+    let run = |decision: DecisionV1| {
+        std::fs::write(&from, decision.to_bytes()).unwrap();
+        Command::new(&program).arg(&from).arg(&to).output().unwrap()
+    };
+    assert!(run(decision).status.success());
+    let report = RobotReportV1::from_bytes(&std::fs::read(&to).unwrap()).unwrap();
+    report.check().unwrap();
+    assert_eq!((report.robot, report.decision_epoch, report.decision_sequence), (9, 7, 3));
+    assert_eq!((report.kind, report.room(), report.battery()), (report_kind::FINISHED, "kitchen", Some(0.8)));
+    assert!(report.reported_ns <= clock::monotonic_ns(), "the clock is the contract's");
+    assert!(!run(DecisionV1 { action: action::PAUSE, ..decision }).status.success());
+}
+
+#[test]
+fn a_c_program_reads_what_rust_wrote() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(program) = compiled(folder.path(), "rooms", "-std=c11") else { return };
 
     let mut scores = RoomScoresV1 { epoch: 7, sequence: 3, room_count: 2, label_mass: 0.5, ..Default::default() };
     for (room, (id, probability)) in scores.room.iter_mut().zip([("kitchen", 0.75), ("living-room", 0.25)]) {

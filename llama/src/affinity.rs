@@ -36,6 +36,20 @@ pub fn bind(cores: &[usize]) -> Result<(), AffinityError> {
         return Ok(());
     }
     let refused = |source| AffinityError::Refused { cores: cores.to_vec(), source };
+    sched_setaffinity(None, &chosen(cores)?).map_err(refused)
+}
+
+/// Whether this process may run on `cores`, without binding anything.
+///
+/// # Errors
+///
+/// As [`bind`].
+pub fn check(cores: &[usize]) -> Result<(), AffinityError> {
+    chosen(cores).map(|_| ())
+}
+
+fn chosen(cores: &[usize]) -> Result<CpuSet, AffinityError> {
+    let refused = |source| AffinityError::Refused { cores: cores.to_vec(), source };
     let allowed = sched_getaffinity(None).map_err(refused)?;
     let mut chosen = CpuSet::new();
     for &core in cores {
@@ -45,7 +59,7 @@ pub fn bind(cores: &[usize]) -> Result<(), AffinityError> {
         }
         chosen.set(core);
     }
-    sched_setaffinity(None, &chosen).map_err(refused)
+    Ok(chosen)
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use std::cell::RefCell;
 use std::io::Read;
 use std::num::NonZeroU32;
 use std::path::Path;
-use std::sync::{LazyLock, Mutex, OnceLock};
+use std::sync::{Arc, LazyLock, Mutex, OnceLock};
 use std::time::Instant;
 
 use llama_cpp_2::context::LlamaContext;
@@ -29,7 +29,7 @@ use sha2::{Digest, Sha256};
 use roomcast_core::label_trie::TokenTree;
 use roomcast_core::scorer::correction::Correction;
 use roomcast_core::scorer::{
-    Clock, DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token, common_prefix,
+    Clock, DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token, TokenCounter, common_prefix,
 };
 
 use crate::gguf::Header;
@@ -154,9 +154,9 @@ impl LlamaOptions {
 }
 
 self_cell::self_cell!(
-    /// A context borrows its weights; both live and move together.
+    /// A context borrows its weights; both live and move together. Who counts tokens on another thread shares the weights.
     struct Loaded {
-        owner: Weights,
+        owner: Arc<Weights>,
         #[not_covariant]
         dependent: LlamaContext,
     }
@@ -345,7 +345,7 @@ impl LlamaModel {
         let start_token = Token(vocabulary.bos().0);
         let context = options.context_parameters(weights.n_ctx_train());
         let batch_tokens = context.n_batch();
-        let loaded = Loaded::try_new(weights, |weights| weights.new_context(backend, context))
+        let loaded = Loaded::try_new(Arc::new(weights), |weights| weights.new_context(backend, context))
             .map_err(|e| fail(e.to_string()))?;
         Ok(Self {
             loaded,
@@ -363,12 +363,6 @@ impl LlamaModel {
             rows: Vec::new(),
             tokens: RefCell::new(Vec::with_capacity(context_tokens as usize)),
         })
-    }
-
-    /// A metadata value of the file, as text.
-    #[must_use]
-    pub fn metadata(&self, key: &str) -> Option<String> {
-        self.loaded.borrow_owner().meta_val_str(key).ok()
     }
 
     fn with_context<T>(&mut self, run: impl FnOnce(&mut LlamaContext<'_>) -> T) -> T {
@@ -464,6 +458,11 @@ impl LanguageModel for LlamaModel {
 
     fn sentences_apart(&self) -> bool {
         self.sentences_apart
+    }
+
+    fn token_counter(&self) -> TokenCounter {
+        let weights = Arc::clone(self.loaded.borrow_owner());
+        Arc::new(move |text| weights.vocab().tokenize(text.as_bytes(), false, false).len())
     }
 
     fn token_text(&self, token: Token) -> String {

@@ -35,6 +35,10 @@ pub mod moment;
 
 pub mod daemon;
 
+mod line;
+
+mod rule;
+
 pub mod narrator;
 
 pub mod sensor_log;
@@ -43,6 +47,8 @@ pub mod sensor_log;
 pub mod mqtt;
 
 pub mod planner;
+
+pub mod reporter;
 
 #[cfg(feature = "recording")]
 pub mod recording;

@@ -1,6 +1,6 @@
 //! What a narration message says: its text, read as its kind.
 
-use roomcast_core::narration::{Action, DeviceState, Observed, ObservedError, Sentence};
+use roomcast_core::narration::{Action, DeviceState, Observed, ObservedError, PresenceStatement, Said, Sentence};
 use roomcast_ipc::narration_kind;
 
 /// The sentence that a message's text becomes, read as its kind says ([`narration_kind`]): the kind is the narrator's word, so a sentence
@@ -9,7 +9,7 @@ use roomcast_ipc::narration_kind;
 ///
 /// # Errors
 /// The text's fault, as that kind.
-pub fn sentence_of(kind: u32, text: &str) -> Result<Sentence, ObservedError> {
+fn sentence_of(kind: u32, text: &str) -> Result<Sentence, ObservedError> {
     if kind == narration_kind::ACTION {
         return Ok(Observed::Action(Action::parse(text)?).sentence()?);
     }
@@ -21,9 +21,39 @@ pub fn sentence_of(kind: u32, text: &str) -> Result<Sentence, ObservedError> {
     Ok(Sentence::new(text)?)
 }
 
+/// What a message's text says, read as its kind says: presence, or a sentence, which may say in plain words that its person leaves.
+///
+/// # Errors
+/// The text's fault, as that kind.
+pub fn said_of(kind: u32, text: &str) -> Result<Said, ObservedError> {
+    if kind == narration_kind::PRESENCE {
+        return Ok(Said::Presence(PresenceStatement::parse(text)?));
+    }
+    Ok(Said::of(sentence_of(kind, text)?))
+}
+
 #[cfg(test)]
 mod tests {
-    use roomcast_core::{semantic_map, text};
+    use roomcast_core::{narration, semantic_map, text};
+
+    use super::*;
+
+    #[test]
+    fn the_kind_says_how_a_text_is_read() {
+        let said = |kind: u32, text: &str| said_of(kind, text).map(|said| said.to_string());
+        assert_eq!(said(narration_kind::PRESENCE, "present in the kitchen").unwrap(), "present in the kitchen");
+        assert_eq!(said(narration_kind::SENTENCE, "present in the kitchen").unwrap(), "Present in the kitchen.");
+        assert_eq!(said(narration_kind::SENTENCE, "Ada leaves the house.").unwrap(), "away");
+        assert_eq!(said(narration_kind::ACTION, "[Grab] <mug> (1)").unwrap(), "They grab the mug.");
+        let error = said(narration_kind::PRESENCE, "in the kitchen").unwrap_err().to_string();
+        assert!(error.contains("say `present`"), "{error}");
+    }
+
+    /// Somebody has one number in messages and in the core.
+    #[test]
+    fn somebody_is_somebody() {
+        assert_eq!(narration::SOMEBODY, roomcast_ipc::ALL_PERSONS);
+    }
 
     /// Row "bidirectional and zero-width labels" of the attacks: what messages refuse, maps and sentences refuse, and no other character.
     #[test]

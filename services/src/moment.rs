@@ -4,11 +4,14 @@
 //! per label its tokens with their log-probabilities. Everything else (items, rooms) follows from these by the pure functions
 //! of [`roomcast_core::grounding`] and [`roomcast_core::explanation`], so whoever has a moment can recompute every number of it.
 
+use std::collections::BTreeMap;
+
 use roomcast_ipc::RoomScoresV1;
 use serde::{Deserialize, Serialize};
 
 use roomcast_core::explanation::{self, Evidence, Explanation, TokenReason};
 use roomcast_core::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions};
+use roomcast_core::narration::same_name;
 use roomcast_core::pipeline::{PersonScores, Pipeline};
 use roomcast_core::prompt::{BindingError, BindingSequence};
 use roomcast_core::scorer::correction::Correction;
@@ -42,6 +45,12 @@ pub enum MomentError {
         /// Who is known.
         known: Vec<u32>,
     },
+    /// Nobody of that name.
+    #[error("the moment knows nobody of the name {0:?}; give a number, or see `roomcast person list`")]
+    NoName(String),
+    /// Everybody is out of the house.
+    #[error("everybody who is known is away: no room is likely, and there is nothing to explain")]
+    NobodyHome,
     /// A label of the map has no score.
     #[error(
         "the moment has no score for the label {0:?} of its map; its scoring failed, ask again after the next event"
@@ -131,6 +140,12 @@ pub struct Moment {
     /// Of several persons, what it said for each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub persons: Vec<PersonLabels>,
+    /// The names of those who have one, by number.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub names: BTreeMap<u32, String>,
+    /// Everybody who is known is out of the house: no label has a score.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub nobody_home: bool,
     /// The map, as its scene file.
     pub scene: serde_json::Value,
 }
@@ -184,8 +199,9 @@ impl Moment {
                 })
                 .collect(),
         };
-        let several = pipeline.persons().count() > 1;
-        let persons = pipeline.persons().filter(|_| several).map(own_labels).collect();
+        let at_home = || pipeline.persons().filter(|own| own.at_home);
+        let several = at_home().count() > 1;
+        let persons = at_home().filter(|_| several).map(own_labels).collect();
         let narration = pipeline.read_sentences();
         Self {
             version: VERSION,
@@ -210,6 +226,8 @@ impl Moment {
                 .collect(),
             labels: labels.collect(),
             persons,
+            names: BTreeMap::new(),
+            nobody_home: pipeline.persons().next().is_some() && at_home().next().is_none(),
             scene: serde_json::from_str(&map.to_json()).unwrap_or_default(),
         }
     }
@@ -230,6 +248,21 @@ impl Moment {
         persons.sort_unstable();
         persons.dedup();
         persons
+    }
+
+    /// Who a person is, for people: the name where there is one.
+    #[must_use]
+    pub fn name_of(&self, person: u32) -> String {
+        self.names.get(&person).cloned().unwrap_or_else(|| format!("person {person}"))
+    }
+
+    /// The number of a name or of a number.
+    ///
+    /// # Errors
+    /// When nobody has that name.
+    pub fn find(&self, who: &str) -> Result<u32, MomentError> {
+        let named = || self.names.iter().find(|(_, name)| same_name(name, who)).map(|(number, _)| *number);
+        who.trim().parse().ok().or_else(named).ok_or_else(|| MomentError::NoName(who.to_owned()))
     }
 
     /// The moment as it is for one person alone.
@@ -260,6 +293,9 @@ impl Moment {
     /// # Errors
     /// When the map is malformed, or the scores are not of its labels.
     pub fn explain(&self, most_labels: usize) -> Result<Explained, MomentError> {
+        if self.nobody_home {
+            return Err(MomentError::NobodyHome);
+        }
         let map = SemanticMap::from_json(&self.scene.to_string())?;
         let grounding = Grounding::new(&map, &self.grounding)?;
         let known: std::collections::HashMap<&str, &LabelScore> =
@@ -274,7 +310,7 @@ impl Moment {
         let several = self.narration.iter().any(|sentence| sentence.person != self.narration[0].person);
         let narration: Vec<String> = (self.narration.iter())
             .map(|sentence| match several {
-                true => format!("(person {}) {}", sentence.person, sentence.text),
+                true => format!("({}) {}", self.name_of(sentence.person), sentence.text),
                 false => sentence.text.clone(),
             })
             .collect();
@@ -328,11 +364,15 @@ mod tests {
             alone.step([observation.clone()]).unwrap();
             let explained = moment.of_person(person).unwrap().explain(3).unwrap();
             assert_eq!(explained.scores.partition_probability, alone.scores().grounded.partition_probability);
-            assert_eq!(explained.explanation.narration, [observation.sentence.as_str()]);
+            assert_eq!(explained.explanation.narration, [observation.sentence().unwrap()]);
             let own = Moment::of(&alone, &map, &options, None);
             assert!(own.persons.is_empty());
             assert_eq!(own.of_person(person).unwrap(), own);
         }
+        let named = Moment { names: [(4, "Ada".to_owned())].into(), ..moment.clone() };
+        assert_eq!(named.explain(3).unwrap().explanation.narration[1], "(Ada) They sit on the sofa.");
+        assert_eq!((named.find("ada").unwrap(), named.find("0").unwrap()), (4, 0));
+        assert!(named.find("ben").unwrap_err().to_string().contains("\"ben\""));
         let unknown = moment.of_person(3).unwrap_err().to_string();
         assert_eq!(unknown, "the moment knows nothing of person 3; it knows [0, 4]");
     }

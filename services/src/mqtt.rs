@@ -10,12 +10,25 @@
 //! topic = "home/+/+/state"
 //! field = "/state"                                 # a JSON pointer into the payload; without it the payload is the value
 //! say = "the {2} is {value}"                       # {1}, {2}: what the + stand for, underscores as spaces
-//! person = 1
+//! person = "ada"                                   # a name or a number; somebody where left out
+//!
+//! [[rule]]
+//! topic = "home/motion/+/state"
+//! when = "on"
+//! presence = "present"                             # or "away", "gone": no sentence, but who is where
+//! room = "{1}"
+//!
+//! [[rule]]
+//! topic = "home/binary_sensor/front_door/state"
+//! when = "off"
+//! presence = "away"
+//! quiet_s = 600.0                                  # said when nothing else was said for so long
 //! ```
 //!
-//! The first rule that fits a message speaks; a message that no rule fits is counted. A value that a topic repeats says nothing new
-//! and is left out. A retained message tells how things are, not what has just happened: at the first connection it is remembered
-//! and not said, unless its rule has `retained = true`; after a reconnection it is said if it differs from what was heard before.
+//! The first rule that fits a message speaks, and each that fits and has `quiet_s` begins to wait; a message that no rule fits is
+//! counted. A value that a topic repeats says nothing new and is left out. A retained message tells how things are, not what has just
+//! happened: at the first connection it is remembered and not said, unless its rule has `retained = true`; after a reconnection it is
+//! said if it differs from what was heard before.
 //!
 //! The session is persistent, so that the broker keeps what arrives while this process or the connection is away; order is the broker's.
 //! A message is acknowledged with the few that were read with it, and each that was acknowledged is handed on before this process ends,
@@ -36,11 +49,13 @@ use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions};
 use rumqttc::{Outgoing, TlsConfiguration, Transport};
 use rustls::pki_types::CertificateDer;
 use rustls::pki_types::pem::PemObject;
-use serde_json::json;
 use sha2::{Digest, Sha256};
 use tokio::time::{timeout, timeout_at};
 
+use crate::line::Who;
+use crate::rule::{Keys, Saying};
 use crate::stop::Stop;
+use roomcast_core::narration::Presence;
 
 /// Messages that the broker may send before the first of them is acknowledged: MQTT's receive maximum.
 pub const MESSAGES_AHEAD_MAX: u16 = 32;
@@ -52,6 +67,8 @@ pub const PAYLOAD_BYTES_MAX: usize = 64 << 10;
 pub const TOPICS_MAX: usize = 65_536;
 /// Rules that a file may have.
 pub const RULES_MAX: usize = 4_096;
+/// Lines that wait for silence at the same time; further ones are not said.
+const WAITING_MAX: usize = 4_096;
 /// How long the connection is listened to before the wish to stop is looked at.
 const POLL: Duration = Duration::from_millis(200);
 /// Pause before a lost connection is tried again.
@@ -74,7 +91,7 @@ pub enum MqttError {
         source: std::io::Error,
     },
     /// The rules are malformed.
-    #[error("the rules {path} are malformed: {reason}")]
+    #[error("the rules {path} are malformed: {reason}; docs/mqtt.md shows what they look like")]
     Rules {
         /// The file.
         path: PathBuf,
@@ -133,34 +150,50 @@ pub struct Broker {
 }
 
 /// The rules by which messages become narration.
-#[derive(Debug, Clone, PartialEq, serde::Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rules(Vec<Rule>);
+
+/// A rules file.
+#[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Rules {
+struct RulesFile {
     #[serde(rename = "rule")]
-    rules: Vec<Rule>,
+    rules: Vec<RuleKeys>,
 }
 
-#[derive(Debug, Clone, PartialEq, serde::Deserialize)]
+/// A rule as it stands in the file.
+#[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
+struct RuleKeys {
+    topic: String,
+    field: Option<String>,
+    when: Option<String>,
+    #[serde(default)]
+    retained: bool,
+    say: Option<String>,
+    presence: Option<Presence>,
+    room: Option<String>,
+    person: Option<Who>,
+    quiet_s: Option<f64>,
+}
+
+#[derive(Debug, Clone, PartialEq)]
 struct Rule {
     topic: String,
     field: Option<String>,
     when: Option<String>,
-    say: String,
-    #[serde(default)]
-    person: u32,
-    #[serde(default)]
     retained: bool,
+    saying: Saying,
 }
 
-/// What a rule says about a message.
+/// What a rule makes of a message.
 #[derive(Debug, Clone, PartialEq)]
 struct Said {
-    /// None where the rules speak of other values only: the value is remembered, so that the next one they speak of is news.
-    text: Option<String>,
-    person: u32,
+    /// A line of JSON. None where the rule speaks of other values only: the value is remembered, so that the next one it speaks of is news.
+    line: Option<String>,
     value: String,
     retained: bool,
+    quiet: Option<Duration>,
 }
 
 impl Rules {
@@ -180,50 +213,52 @@ impl Rules {
     ///
     /// What is wrong, with the rule's number.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let rules: Self = toml::from_str(text).map_err(|error| error.to_string())?;
-        if rules.rules.is_empty() || rules.rules.len() > RULES_MAX {
-            return Err(format!("{} rules; give 1 to {RULES_MAX}", rules.rules.len()));
+        let file: RulesFile = toml::from_str(text).map_err(|error| error.to_string())?;
+        if file.rules.is_empty() || file.rules.len() > RULES_MAX {
+            return Err(format!("{} rules; give 1 to {RULES_MAX}", file.rules.len()));
         }
-        for (number, rule) in (1..).zip(&rules.rules) {
-            let levels: Vec<_> = rule.topic.split('/').collect();
-            let wild = |level: &&str| level.contains(['+', '#']) && level.len() > 1;
-            if rule.topic.is_empty()
-                || levels.iter().any(wild)
-                || levels.iter().rev().skip(1).any(|level| *level == "#")
-            {
-                return Err(format!(
-                    "rule {number}: the topic {:?} is no MQTT filter (+ and # stand alone, # at the end)",
-                    rule.topic
-                ));
-            }
-            if rule.say.trim().is_empty() {
-                return Err(format!("rule {number}: say is empty"));
-            }
-            if rule.field.as_ref().is_some_and(|field| !field.starts_with('/')) {
-                return Err(format!(
-                    "rule {number}: field is a JSON pointer and begins with a slash, as in \"/state\""
-                ));
-            }
-        }
-        Ok(rules)
+        let rules = (1..).zip(file.rules).map(|(number, keys)| {
+            let rule = Rule::new(keys);
+            rule.map_err(|fault: String| format!("rule {number}: {fault}"))
+        });
+        rules.collect::<Result<_, _>>().map(Self)
     }
 
     /// Filters to subscribe to, each once.
     fn filters(&self) -> Vec<String> {
-        let mut filters: Vec<_> = self.rules.iter().map(|rule| rule.topic.clone()).collect();
+        let mut filters: Vec<_> = self.0.iter().map(|rule| rule.topic.clone()).collect();
         filters.sort();
         filters.dedup();
         filters
     }
 
-    /// The first rule that speaks of the message, else the first that can read it.
-    fn say(&self, topic: &str, payload: &[u8]) -> Option<Said> {
-        let readings = || self.rules.iter().filter_map(|rule| rule.say(topic, payload));
-        readings().find(|said| said.text.is_some()).or_else(|| readings().next())
+    /// What the rules make of a message: the first that speaks of it at once, else the first that can read it; and those that wait.
+    fn say(&self, topic: &str, payload: &[u8]) -> (Option<Said>, Vec<Said>) {
+        let readings = self.0.iter().filter_map(|rule| rule.say(topic, payload));
+        let (waiting, mut at_once): (Vec<_>, Vec<_>) = readings.partition(|said| said.quiet.is_some());
+        let first = at_once.iter().position(|said| said.line.is_some()).unwrap_or(0);
+        (if first < at_once.len() { Some(at_once.swap_remove(first)) } else { None }, waiting)
     }
 }
 
 impl Rule {
+    fn new(keys: RuleKeys) -> Result<Self, String> {
+        let RuleKeys { topic, field, when, retained, say, presence, room, person, quiet_s } = keys;
+        let levels: Vec<_> = topic.split('/').collect();
+        let wild = |level: &&str| level.contains(['+', '#']) && level.len() > 1;
+        if topic.is_empty() || levels.iter().any(wild) || levels.iter().rev().skip(1).any(|level| *level == "#") {
+            return Err(format!("the topic {topic:?} is no MQTT filter (+ and # stand alone, # at the end)"));
+        }
+        if field.as_ref().is_some_and(|field| !field.starts_with('/')) {
+            return Err("field is a JSON pointer and begins with a slash, as in \"/state\"".to_owned());
+        }
+        let places = levels.iter().filter(|level| **level == "+").count();
+        let names: Vec<_> = std::iter::once("value".to_owned()).chain((1..=places).map(|n| n.to_string())).collect();
+        let (say, room, person) = (say.as_deref(), room.as_deref(), person.as_ref());
+        let saying = Saying::new(Keys { say, presence, room, person, quiet_s }, &names)?;
+        Ok(Self { topic, field, when, retained, saying })
+    }
+
     fn say(&self, topic: &str, payload: &[u8]) -> Option<Said> {
         let places = matches(&self.topic, topic)?;
         let value = match &self.field {
@@ -233,15 +268,15 @@ impl Rule {
                 other => other.to_string(),
             },
         };
-        let (person, retained) = (self.person, self.retained);
+        let (retained, quiet) = (self.retained, self.saying.quiet());
         if self.when.as_ref().is_some_and(|when| !when.eq_ignore_ascii_case(&value)) {
-            return Some(Said { text: None, person, value, retained });
+            return Some(Said { line: None, value, retained, quiet });
         }
-        let mut text = self.say.replace("{value}", &value);
-        for (number, place) in (1..).zip(places) {
-            text = text.replace(&format!("{{{number}}}"), &place.replace('_', " "));
-        }
-        Some(Said { text: Some(text), person, value, retained })
+        let line = self.saying.line(|name| match name.parse::<usize>() {
+            Ok(number) => places.get(number.wrapping_sub(1)).map(|place| place.replace('_', " ")).unwrap_or_default(),
+            Err(_) => value.clone(),
+        });
+        Some(Said { line: Some(line), value, retained, quiet })
     }
 }
 
@@ -283,12 +318,22 @@ fn fingerprint(text: &[u8]) -> Fingerprint {
     Sha256::digest(text).into()
 }
 
-/// Decides which messages are said.
+/// What is said unless something else is said before.
+#[derive(Debug)]
+struct Waiting {
+    line: String,
+    since: Instant,
+    quiet: Duration,
+}
+
+/// Decides which messages are said. Pure: time comes in.
 #[derive(Debug)]
 pub struct Listener {
     rules: Rules,
     /// The last value of each topic.
     last: HashMap<Fingerprint, Fingerprint>,
+    /// What rules with `quiet_s` have to say, each line once.
+    waiting: Vec<Waiting>,
     /// Whether what is retained now was retained before this process first listened.
     first_connection: bool,
     heard: Heard,
@@ -298,11 +343,11 @@ impl Listener {
     /// One that has heard nothing yet.
     #[must_use]
     pub fn new(rules: Rules) -> Self {
-        Self { rules, last: HashMap::new(), first_connection: true, heard: Heard::default() }
+        Self { rules, last: HashMap::new(), waiting: Vec::new(), first_connection: true, heard: Heard::default() }
     }
 
-    /// The narration of a message, if it is to be said, as a line of JSON; `retained` is what the broker calls it.
-    pub fn hear(&mut self, topic: &[u8], payload: &[u8], retained: bool) -> Option<String> {
+    /// The narration of a message, if it is to be said at once, as a line of JSON; `retained` is what the broker calls it.
+    pub fn hear(&mut self, topic: &[u8], payload: &[u8], retained: bool, now: Instant) -> Option<String> {
         let Ok(topic) = std::str::from_utf8(topic) else {
             self.heard.unfit += 1;
             return None;
@@ -321,26 +366,59 @@ impl Listener {
             }
             return None;
         }
-        let Some(said) = self.rules.say(topic, payload) else {
+        let (said, waiting) = self.rules.say(topic, payload);
+        let Some(reading) = said.as_ref().or(waiting.first()) else {
             self.heard.unfit += 1;
             return None;
         };
-        let (place, value) = (fingerprint(topic.as_bytes()), fingerprint(said.value.as_bytes()));
+        let (place, value) = (fingerprint(topic.as_bytes()), fingerprint(reading.value.as_bytes()));
         let known = self.last.get(&place).copied();
         if known.is_some() || self.last.len() < TOPICS_MAX {
             self.last.insert(place, value);
         }
-        let Some(text) = said.text else {
+        if said.iter().chain(&waiting).all(|said| said.line.is_none()) {
             self.heard.unfit += 1;
             return None;
-        };
-        let stale = retained && !said.retained && (self.first_connection || known.is_none());
-        if known == Some(value) || stale {
-            self.heard.silent += 1;
-            return None;
         }
-        self.heard.said += 1;
-        Some(json!({"text": text, "person": said.person}).to_string())
+        let unknown = self.first_connection || known.is_none();
+        let news = |said: Said| said.line.filter(|_| known != Some(value) && !(retained && !said.retained && unknown));
+        let line = said.and_then(news);
+        if line.is_some() {
+            self.heard.said += 1;
+            self.waiting.clear();
+        }
+        let mut waits = false;
+        for said in waiting {
+            if let Some(quiet) = said.quiet
+                && let Some(line) = news(said)
+            {
+                waits = true;
+                self.wait(Waiting { line, since: now, quiet });
+            }
+        }
+        self.heard.silent += u64::from(line.is_none() && !waits);
+        line
+    }
+
+    /// Begins to wait; the same line begins again.
+    fn wait(&mut self, waiting: Waiting) {
+        self.waiting.retain(|other| other.line != waiting.line);
+        if self.waiting.len() < WAITING_MAX {
+            self.waiting.push(waiting);
+        }
+    }
+
+    /// What it was quiet for long enough to say, as lines of JSON.
+    pub fn due(&mut self, now: Instant) -> Vec<String> {
+        let due = |waiting: &mut Waiting| now.saturating_duration_since(waiting.since) >= waiting.quiet;
+        let lines: Vec<_> = self.waiting.extract_if(.., due).map(|waiting| waiting.line).collect();
+        self.heard.said += lines.len() as u64;
+        lines
+    }
+
+    /// Silence counts from now on: before, nothing could be heard.
+    fn listen_from(&mut self, now: Instant) {
+        self.waiting.iter_mut().for_each(|waiting| waiting.since = now);
     }
 }
 
@@ -501,6 +579,10 @@ enum Turn {
     Unread,
 }
 
+fn write_line(out: &mut impl Write, line: &str) -> std::io::Result<()> {
+    writeln!(out, "{line}").and_then(|()| out.flush())
+}
+
 impl<W: Write> Connection<W> {
     fn new(options: MqttOptions, rules: Rules, out: W) -> Self {
         let (host, port) = options.broker_address();
@@ -522,10 +604,12 @@ impl<W: Write> Connection<W> {
 
     async fn listen(mut self, stop: &Stop) -> Result<Heard, MqttError> {
         let mut connections = 0_u64;
-        while let Some(event) = self.next(stop).await {
-            let turn = match event {
-                Ok(event) => self.take(&event, &mut connections)?,
-                Err(error) => self.lost(&error, &mut connections, stop).await?,
+        loop {
+            let turn = match self.next(stop).await {
+                Ok(Some(Ok(event))) => self.take(&event, &mut connections)?,
+                Ok(Some(Err(error))) => self.lost(&error, &mut connections, stop).await?,
+                Ok(None) => break,
+                Err(_) => Turn::Unread,
             };
             if matches!(turn, Turn::Unread) {
                 return Ok(self.listener.heard);
@@ -535,16 +619,20 @@ impl<W: Write> Connection<W> {
         Ok(self.listener.heard)
     }
 
-    /// The next event; none when it is time to stop. Looking at the wish to stop breaks off nothing that is under way: a slow broker
-    /// has the client's own limit to answer in.
-    async fn next(&mut self, stop: &Stop) -> Option<Result<Event, ConnectionError>> {
-        let mut poll = pin!(self.events.poll());
+    /// The next event; none when it is time to stop, an error when nobody reads any more. Looking at the wish to stop, and saying what it was quiet for long enough to say, breaks off nothing that is under
+    /// way: a slow broker has the client's own limit to answer in.
+    async fn next(&mut self, stop: &Stop) -> std::io::Result<Option<Result<Event, ConnectionError>>> {
+        let Self { events, listener, out, connected, .. } = self;
+        let mut poll = pin!(events.poll());
         while !stop.requested() {
+            // Without a connection nothing can be heard, which is no silence.
+            let due = if *connected { listener.due(Instant::now()) } else { Vec::new() };
+            due.iter().try_for_each(|line| write_line(out, line))?;
             if let Ok(event) = timeout(POLL, poll.as_mut()).await {
-                return Some(event);
+                return Ok(Some(event));
             }
         }
-        None
+        Ok(None)
     }
 
     fn take(&mut self, event: &Event, connections: &mut u64) -> Result<Turn, MqttError> {
@@ -553,6 +641,7 @@ impl<W: Write> Connection<W> {
                 *connections += 1;
                 self.connected = true;
                 self.listener.first_connection = *connections == 1;
+                self.listener.listen_from(Instant::now());
                 tracing::info!(broker = self.broker, connections, "connected");
                 // Again at every connection: a broker that lost its sessions would say nothing any more.
                 self.subscriptions.start(&self.client)?;
@@ -560,8 +649,9 @@ impl<W: Write> Connection<W> {
             Event::Incoming(Packet::SubAck(answer)) => self.subscriptions.take(answer, &self.client, &self.broker)?,
             Event::Incoming(Packet::Publish(message)) => {
                 if !self.recent.again(*connections, message)
-                    && let Some(line) = self.listener.hear(&message.topic, &message.payload, message.retain)
-                    && writeln!(self.out, "{line}").and_then(|()| self.out.flush()).is_err()
+                    && let Some(line) =
+                        self.listener.hear(&message.topic, &message.payload, message.retain, Instant::now())
+                    && write_line(&mut self.out, &line).is_err()
                 {
                     return Ok(Turn::Unread);
                 }
@@ -625,6 +715,7 @@ mod tests {
     use rumqttc::v5::Client;
     use std::io::{BufRead, BufReader, Read};
     use std::process::{Child, Command, Stdio};
+    use std::sync::{Mutex, PoisonError};
 
     const NO_BROKER: &str = "mosquitto is not installed (apt-get install mosquitto)";
 
@@ -643,19 +734,68 @@ mod tests {
     "#;
 
     fn hear(listener: &mut Listener, topic: &str, payload: &str, retained: bool) -> Option<String> {
-        listener.hear(topic.as_bytes(), payload.as_bytes(), retained)
+        listener.hear(topic.as_bytes(), payload.as_bytes(), retained, Instant::now())
     }
 
     #[test]
     fn rules_make_sentences() {
         let rules = Rules::parse(RULES).unwrap();
-        let said = rules.say("home/binary_sensor/fridge_door/state", b"ON").unwrap();
-        assert_eq!((said.text.as_deref(), said.person), (Some("They open the fridge."), 0));
-        assert_eq!(rules.say("home/binary_sensor/fridge_door/state", b"off").unwrap().text, None);
-        let said = rules.say("home/switch/coffee_maker/json", br#"{"state": {"power": "on"}}"#).unwrap();
-        assert_eq!((said.text.as_deref(), said.person), (Some("the coffee maker is on"), 1));
-        assert!(rules.say("home/switch/coffee_maker/json", b"{").is_none());
-        assert!(rules.say("elsewhere", b"\xff\xfe").is_none());
+        let line = |topic: &str, payload: &[u8]| rules.say(topic, payload).0.and_then(|said| said.line);
+        let fridge = line("home/binary_sensor/fridge_door/state", b"ON").unwrap();
+        assert_eq!(fridge, r#"{"text":"They open the fridge."}"#);
+        assert_eq!(rules.say("home/binary_sensor/fridge_door/state", b"off").0.unwrap().line, None);
+        let coffee = line("home/switch/coffee_maker/json", br#"{"state": {"power": "on"}}"#).unwrap();
+        assert_eq!(coffee, r#"{"person":1,"text":"the coffee maker is on"}"#);
+        assert!(rules.say("home/switch/coffee_maker/json", b"{").0.is_none());
+        assert!(rules.say("elsewhere", b"\xff\xfe").0.is_none());
+    }
+
+    #[test]
+    fn rules_say_who_is_where() {
+        let rules = "[[rule]]\ntopic = \"motion/+\"\nwhen = \"on\"\npresence = \"present\"\nroom = \"{1}\"\n\
+            [[rule]]\ntopic = \"phone/+\"\nwhen = \"not_home\"\npresence = \"away\"\nperson = \"{1}\"";
+        let mut listener = Listener::new(Rules::parse(rules).unwrap());
+        let mut said = |topic, payload| hear(&mut listener, topic, payload, false);
+        assert_eq!(said("motion/living_room", "on").unwrap(), r#"{"presence":"present","room":"living room"}"#);
+        assert_eq!(said("phone/ada", "not_home").unwrap(), r#"{"person":"ada","presence":"away"}"#);
+        assert_eq!(said("phone/ada", "home"), None);
+    }
+
+    #[test]
+    fn silence_after_the_front_door_says_that_they_are_away() {
+        let rules = "[[rule]]\ntopic = \"door\"\nwhen = \"closed\"\nsay = \"They close the front door.\"\n\
+            [[rule]]\ntopic = \"door\"\nwhen = \"closed\"\npresence = \"away\"\nperson = \"ada\"\nquiet_s = 600.0\n\
+            [[rule]]\ntopic = \"door\"\nwhen = \"closed\"\npresence = \"away\"\nperson = \"ben\"\nquiet_s = 900.0\n\
+            [[rule]]\ntopic = \"motion\"\nwhen = \"on\"\npresence = \"present\"";
+        let mut listener = Listener::new(Rules::parse(rules).unwrap());
+        let start = Instant::now();
+        let at = |seconds| start + Duration::from_secs(seconds);
+        let door = |listener: &mut Listener, value: &str, seconds| {
+            listener.hear(b"door", value.as_bytes(), false, at(seconds)).is_some()
+        };
+        assert!(door(&mut listener, "closed", 0));
+        assert!(listener.hear(b"motion", b"on", false, at(300)).is_some());
+        assert_eq!(listener.due(at(10_000)), Vec::<String>::new(), "somebody moved");
+        // Opening it says nothing, so it breaks no silence; closing it begins the silence again.
+        assert!(!door(&mut listener, "open", 20_000) && door(&mut listener, "closed", 20_100));
+        assert!(!door(&mut listener, "open", 20_200) && door(&mut listener, "closed", 20_300));
+        assert!(!door(&mut listener, "closed", 20_400), "a value that repeats says nothing new");
+        assert_eq!(listener.due(at(20_899)), Vec::<String>::new());
+        // One silence does not end the other.
+        assert_eq!(listener.due(at(20_900)), [r#"{"person":"ada","presence":"away"}"#]);
+        assert_eq!(listener.due(at(21_200)), [r#"{"person":"ben","presence":"away"}"#]);
+        assert_eq!(listener.due(at(99_999)), Vec::<String>::new());
+        // Time without a connection is no silence.
+        assert!(!door(&mut listener, "open", 100_000) && door(&mut listener, "closed", 100_000));
+        listener.listen_from(at(100_599));
+        assert_eq!(listener.due(at(101_198)), Vec::<String>::new());
+        assert_eq!(listener.due(at(101_199)).len(), 1);
+        // What is retained from before this process is no event.
+        listener.first_connection = true;
+        assert!(listener.hear(b"door", b"open", true, at(200_000)).is_none());
+        assert!(listener.hear(b"door", b"closed", true, at(200_000)).is_none());
+        assert_eq!(listener.due(at(300_000)).len(), 1, "ben's silence of before");
+        assert_eq!(listener.heard, Heard { said: 9, unfit: 4, silent: 2, oversized: 0 });
     }
 
     #[test]
@@ -672,13 +812,24 @@ mod tests {
         for (text, part) in [
             ("[[rule]]\ntopic = \"a/b#\"\nsay = \"x\"", "rule 1: the topic"),
             ("[[rule]]\ntopic = \"#/b\"\nsay = \"x\"", "rule 1: the topic"),
-            ("[[rule]]\ntopic = \"a\"\nsay = \" \"", "say is empty"),
+            ("[[rule]]\ntopic = \"a\"\nsay = \" \"", "rule 1: say is empty"),
+            ("[[rule]]\ntopic = \"a/+\"\nsay = \"the {2} is {value}\"", "rule 1: say has {2}; it knows {value}, {1}"),
+            (
+                "[[rule]]\ntopic = \"a\"\npresence = \"present\"\nroom = \"{1}\"",
+                "rule 1: room has {1}; it knows {value}",
+            ),
+            ("[[rule]]\ntopic = \"a\"\npresence = \"home\"", "unknown variant `home`"),
+            ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nperson = -1", "expected a person's number"),
+            ("[[rule]]\ntopic = \"a\"", "rule 1: give say or presence"),
             ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nfield = \"state\"", "JSON pointer"),
             ("[[rule]]\ntopic = \"a\"\nsays = \"x\"", "unknown field"),
         ] {
             let error = Rules::parse(text).unwrap_err();
             assert!(error.contains(part), "{text}: {error}");
         }
+        let folder = tempfile::tempdir().unwrap();
+        let error = Rules::load(&pem(folder.path(), "rules.toml", "")).unwrap_err().to_string();
+        assert!(error.ends_with("docs/mqtt.md shows what they look like"), "{error}");
     }
 
     #[test]
@@ -918,6 +1069,9 @@ mod tests {
         assert_eq!((heard.said, heard.unfit), (101, 0));
     }
 
+    /// Held by tests that look at the memory of this process: one must not see what the other's messages take.
+    static MEMORY: Mutex<()> = Mutex::new(());
+
     /// Memory that this process has, in bytes.
     fn resident() -> u64 {
         let text = std::fs::read_to_string("/proc/self/status").unwrap();
@@ -968,6 +1122,7 @@ mod tests {
     #[test]
     fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
         const BACKLOG: u32 = 5_000;
+        let _alone = MEMORY.lock().unwrap_or_else(PoisonError::into_inner);
         let restarts = std::env::var("ROOMCAST_MQTT_RESTARTS").map_or(6, |text| text.parse().unwrap());
         let port = free_port();
         let Some(mut broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
@@ -1025,9 +1180,31 @@ mod tests {
         assert!(largest < 64 << 20, "{largest} bytes more");
     }
 
+    #[test]
+    fn silence_behind_a_real_broker_is_said_when_it_has_lasted() {
+        let port = free_port();
+        let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+            skipped(NO_BROKER);
+            return;
+        };
+        let door = "[[rule]]\ntopic = \"home/door\"\nwhen = \"closed\"\npresence = \"away\"\nquiet_s = 1.0";
+        broker.publish(&[("home/step", "first".into(), true)]);
+        let mut listening = Listening::start(port, &format!("{STEPS}\nretained = true\n{door}"));
+        assert!(listening.next().unwrap().contains("step first"));
+        // A step that follows breaks the silence of the first closing, and nothing that of the second.
+        broker.publish(&[("home/door", "closed".into(), false), ("home/step", "next".into(), false)]);
+        assert!(listening.next().unwrap().contains("step next"));
+        broker.publish(&[("home/door", "open".into(), false), ("home/door", "closed".into(), false)]);
+        let closed = Instant::now();
+        assert_eq!(listening.next().unwrap(), r#"{"presence":"away"}"#);
+        assert!(closed.elapsed() > Duration::from_millis(500), "it waited: {:?}", closed.elapsed());
+        assert_eq!(listening.end().0, Vec::<String>::new());
+    }
+
     /// Row "MQTT payloads of 10 MB" of the attacks.
     #[test]
     fn oversized_messages_are_refused_by_name_and_passed_over() {
+        let _alone = MEMORY.lock().unwrap_or_else(PoisonError::into_inner);
         let port = free_port();
         let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
             skipped(NO_BROKER);

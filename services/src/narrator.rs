@@ -18,166 +18,28 @@ use roomcast_ipc::{
 use sd_notify::NotifyState;
 
 use crate::config::{IntakeLimits, NarratorConfig};
-use crate::message_text::sentence_of;
+use crate::line::LINE_BYTES_MAX;
+pub use crate::line::{InputError, Item, LineError, Who, WhoError, line_item};
 use crate::notify::notify;
 use crate::setup;
 use crate::stop::Stop;
 use crate::token_bucket::TokenBucket;
-use roomcast_core::narration::{Observed, ObservedError, Program, ProgramError};
+use roomcast_core::narration::Program;
 
 /// Narrations that may be under way unconfirmed: what the service's history holds for a daemon that restarts.
 const UNDER_WAY: u64 = NarrationV1::SERVICE.history as u64;
 const TICK: Duration = Duration::from_millis(100);
-/// Longest line of input, in bytes.
-const LINE_BYTES_MAX: u64 = 8192;
-
-/// One narration to be.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Item {
-    /// One of [`narration_kind`].
-    pub kind: u32,
-    /// The text, in the notation of its kind.
-    pub text: String,
-    /// The person observed.
-    pub person: u32,
-    /// How long it takes in reality: time that passes before it is observed.
-    pub duration_s: f64,
-}
-
-/// A line or file that is no narration.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum InputError {
-    /// It cannot be read.
-    #[error("cannot read {name}: {source}")]
-    Read {
-        /// The file, or "standard input".
-        name: String,
-        /// The system's word.
-        source: io::Error,
-    },
-    /// What is to be a FIFO is something else.
-    #[error("{path} is there and is no named pipe: remove it, give another path, or leave out --fifo to read it once")]
-    NoFifo {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The program is malformed.
-    #[error(transparent)]
-    Program(#[from] ProgramError),
-    /// A line is no observation.
-    #[error("line {line}: {source}")]
-    Line {
-        /// From 1.
-        line: u64,
-        /// Why.
-        source: ObservedError,
-    },
-    /// A line cannot be a message.
-    #[error("line {line}: {source}")]
-    Message {
-        /// From 1.
-        line: u64,
-        /// Why.
-        source: MessageError,
-    },
-    /// A line of JSON is malformed.
-    #[error(
-        "line {line}: {reason}; expected {{\"text\": \"...\"}}, with \"person\": number and \"kind\": \"sentence\", \"action\" or \"device\" if you like"
-    )]
-    Json {
-        /// From 1.
-        line: u64,
-        /// Why, and in which column.
-        reason: String,
-    },
-    /// A line of a sensor log is malformed.
-    #[error("line {line}: {reason}")]
-    Sensor {
-        /// From 1.
-        line: u64,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A line is too long, or not UTF-8.
-    #[error("line {line}: not a line of UTF-8 with at most {LINE_BYTES_MAX} bytes")]
-    NoLine {
-        /// From 1.
-        line: u64,
-    },
-}
-
-/// A line of JSON.
-#[derive(Debug, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
-struct JsonLine {
-    text: String,
-    person: Option<u32>,
-    kind: Option<JsonKind>,
-}
-
-#[derive(Debug, Clone, Copy, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum JsonKind {
-    Sentence,
-    Action,
-    Device,
-}
+/// How far a time of observation may lie ahead: clocks differ, and a number of seconds is rounded.
+const AHEAD_NS: u64 = 1_000_000_000;
 
 /// The items of a program, each with the duration that its action takes.
 #[must_use]
-pub(crate) fn program_items(program: &Program, person: u32) -> Vec<Item> {
+fn program_items(program: &Program, person: &Who) -> Vec<Item> {
     let items = program.steps.iter().map(|action| Item {
-        kind: narration_kind::ACTION,
-        text: action.to_string(),
-        person,
         duration_s: action.entry().duration_s,
+        ..Item::new(narration_kind::ACTION, action.to_string(), person.clone())
     });
     items.collect()
-}
-
-/// One line as an item: JSON if it opens with `{`, an action if with `[`, a device state or a sentence otherwise.
-///
-/// # Errors
-///
-/// [`InputError`] names the line.
-pub fn line_item(text: &str, line: u64, person: u32) -> Result<Item, InputError> {
-    let text = text.trim();
-    let item = if text.starts_with('{') {
-        let json: JsonLine = serde_json::from_str(text).map_err(|error| json_error(line, &error))?;
-        let kind = match json.kind {
-            Some(JsonKind::Sentence) => narration_kind::SENTENCE,
-            Some(JsonKind::Action) => narration_kind::ACTION,
-            Some(JsonKind::Device) => narration_kind::DEVICE,
-            None => kind_of(&json.text, line)?,
-        };
-        Item { kind, text: json.text.trim().to_owned(), person: json.person.unwrap_or(person), duration_s: 0.0 }
-    } else {
-        Item { kind: kind_of(text, line)?, text: text.to_owned(), person, duration_s: 0.0 }
-    };
-    // What the daemon would refuse is refused here, where somebody sees it.
-    NarrationV1::new(item.kind, &item.text).map_err(|source| InputError::Message { line, source })?;
-    sentence_of(item.kind, &item.text).map_err(|source| InputError::Line { line, source })?;
-    Ok(item)
-}
-
-/// The parser saw one line only, and calls it the first.
-fn json_error(line: u64, error: &serde_json::Error) -> InputError {
-    let said = error.to_string();
-    let position = format!(" at line {} column {}", error.line(), error.column());
-    let reason = match said.strip_suffix(&position) {
-        Some(reason) => format!("{reason} at column {}", error.column()),
-        None => said,
-    };
-    InputError::Json { line, reason }
-}
-
-fn kind_of(text: &str, line: u64) -> Result<u32, InputError> {
-    Ok(match Observed::parse(text).map_err(|source| InputError::Line { line, source })? {
-        Observed::Action(_) => narration_kind::ACTION,
-        Observed::Device(_) => narration_kind::DEVICE,
-        Observed::Sentence(_) => narration_kind::SENTENCE,
-    })
 }
 
 /// Where narration comes from.
@@ -193,7 +55,7 @@ pub enum Input {
         /// The stream.
         stream: Box<dyn Read + Send>,
         /// The person when a line names none.
-        person: u32,
+        person: Who,
     },
 }
 
@@ -204,13 +66,13 @@ impl Input {
     /// # Errors
     ///
     /// [`InputError`] when it cannot be read.
-    pub fn open(path: &Path, person: u32) -> Result<Self, InputError> {
+    pub fn open(path: &Path, person: Who) -> Result<Self, InputError> {
         let name = path.display().to_string();
         if name == "-" {
             return Ok(Self::Lines { name: "standard input".to_owned(), stream: Box::new(io::stdin()), person });
         }
         if let Some(shipped) = setup::shipped_program(path) {
-            return Ok(Self::Items(program_items(&shipped?, person)));
+            return Ok(Self::Items(program_items(&shipped?, &person)));
         }
         let read = |source| InputError::Read { name: name.clone(), source };
         if std::fs::metadata(path).map_err(read)?.file_type().is_fifo() {
@@ -220,7 +82,7 @@ impl Input {
         }
         let mut stream = File::open(path).map_err(read)?;
         if Self::is_program(&mut stream).map_err(read)? {
-            return Ok(Self::Items(program_items(&Program::load(path)?, person)));
+            return Ok(Self::Items(program_items(&Program::load(path)?, &person)));
         }
         let stream = File::open(path).map_err(read)?;
         Ok(Self::Lines { name: name.clone(), stream: Box::new(stream), person })
@@ -265,6 +127,8 @@ pub struct Outcome {
     pub sent: u64,
     /// Of these, contained in the daemon's scores.
     pub confirmed: u64,
+    /// Of these, received by the daemon or lost before it, and not taken: too costly, too fast, or said by somebody else in this name.
+    pub dropped: u64,
     /// Lines that were no narration.
     pub refused: u64,
 }
@@ -276,6 +140,8 @@ pub struct Account {
     source_name: [u8; 48],
     epoch: u64,
     outcome: Outcome,
+    /// The newest that scores named: their epoch, the highest number dealt with, and how many narrations of this epoch they contain.
+    named: Option<(u64, u64, u64)>,
 }
 
 impl Account {
@@ -287,6 +153,7 @@ impl Account {
             source_name: text::encode_cut(name),
             epoch,
             outcome: Outcome::default(),
+            named: None,
         }
     }
 
@@ -296,15 +163,16 @@ impl Account {
     ///
     /// [`MessageError`] when the text cannot be a message; no number is used up then.
     pub fn next(&mut self, item: &Item, now_ns: u64, now_unix_ns: u64) -> Result<NarrationV1, MessageError> {
-        let message = NarrationV1::new(item.kind, &item.text)?;
+        let message = item.message()?;
+        // What was observed before the machine's start has no monotonic time: 0, as the contract has it.
+        let age_ns = item.observed_unix_ns.map_or(0, |observed_ns| now_unix_ns.saturating_sub(observed_ns));
         self.outcome.sent += 1;
         Ok(NarrationV1 {
             source: self.source,
             epoch: self.epoch,
             sequence: self.outcome.sent,
-            observed_ns: now_ns,
-            observed_unix_ns: now_unix_ns,
-            person: item.person,
+            observed_ns: now_ns.saturating_sub(age_ns),
+            observed_unix_ns: now_unix_ns.saturating_sub(age_ns),
             source_name: self.source_name,
             ..message
         })
@@ -313,17 +181,36 @@ impl Account {
     /// Takes note of what checked scores contain.
     pub fn confirm(&mut self, scores: &RoomScoresV1) {
         for included in scores.included() {
-            if (included.source, included.epoch) == (self.source, self.epoch) {
-                let confirmed = included.sequence.min(self.outcome.sent);
-                self.outcome.confirmed = self.outcome.confirmed.max(confirmed);
+            if (included.source, included.epoch) != (self.source, self.epoch) {
+                continue;
             }
+            let (_, before, taken_before) = self.named.unwrap_or_default();
+            let same_daemon = self.named.is_none_or(|(epoch, ..)| epoch == scores.epoch);
+            let sequence = included.sequence.min(self.outcome.sent);
+            if sequence < before || (same_daemon && sequence == before) {
+                continue;
+            }
+            let (dealt_with, dropped) = (sequence - before, sequence.saturating_sub(included.accepted));
+            // What was named before is settled. A restarted daemon may know less of it than it did: then nobody can say more than that all
+            // since was taken.
+            let dropped = dropped.saturating_sub(before.saturating_sub(taken_before));
+            let dropped = if same_daemon || dropped <= dealt_with { dropped.min(dealt_with) } else { 0 };
+            self.outcome.dropped += dropped;
+            self.outcome.confirmed += dealt_with - dropped;
+            self.named = Some((scores.epoch, sequence, included.accepted));
         }
     }
 
-    /// Narrations sent and not confirmed.
+    /// What became of the narrations so far.
+    #[must_use]
+    pub fn outcome(&self) -> Outcome {
+        self.outcome
+    }
+
+    /// Narrations sent that the daemon has not dealt with.
     #[must_use]
     pub fn under_way(&self) -> u64 {
-        self.outcome.sent - self.outcome.confirmed
+        self.outcome.sent - self.outcome.confirmed - self.outcome.dropped
     }
 
     /// Whether one more may be under way without being lost when the daemon restarts.
@@ -343,7 +230,8 @@ impl Throttle {
     /// For a daemon with these limits, as full as it gets.
     #[must_use]
     pub fn new(limits: IntakeLimits, now_ns: u64) -> Self {
-        let limits = IntakeLimits { rate_per_s: 0.9 * limits.rate_per_s, burst: (0.5 * limits.burst).max(1.0) };
+        let (rate_per_s, burst) = (0.9 * limits.rate_per_s, (0.5 * limits.burst).max(1.0));
+        let limits = IntakeLimits { rate_per_s, burst };
         Self(TokenBucket::full(limits, now_ns))
     }
 
@@ -415,7 +303,7 @@ pub fn run(
     let reader = move || match input {
         Input::Items(list) => list.into_iter().map(Ok).try_for_each(|item| items_in.send(item)).is_ok(),
         Input::Log(list) => list.into_iter().try_for_each(|item| items_in.send(item)).is_ok(),
-        Input::Lines { name, stream, person } => read_lines(&name, stream, person, &items_in),
+        Input::Lines { name, stream, person } => read_lines(&name, stream, &person, &items_in),
     };
     let reader = std::thread::Builder::new().name("reader".to_owned()).spawn(reader);
     if let Err(error) = reader {
@@ -489,7 +377,12 @@ fn next(
 }
 
 /// Returns whether the whole stream was read.
-fn read_lines(name: &str, stream: Box<dyn Read + Send>, person: u32, items: &Sender<Result<Item, InputError>>) -> bool {
+fn read_lines(
+    name: &str,
+    stream: Box<dyn Read + Send>,
+    person: &Who,
+    items: &Sender<Result<Item, InputError>>,
+) -> bool {
     let mut stream = BufReader::new(stream);
     let mut bytes = Vec::new();
     for line in 1.. {
@@ -502,23 +395,36 @@ fn read_lines(name: &str, stream: Box<dyn Read + Send>, person: u32, items: &Sen
                     let _gone = items.send(Err(InputError::Read { name: name.to_owned(), source }));
                     return false;
                 }
-                Err(InputError::NoLine { line })
+                Err(LineError::NoLine)
             }
             Ok(_) => match std::str::from_utf8(&bytes) {
                 Ok(text) if text.trim().is_empty() => continue,
-                Ok(text) => line_item(text, line, person),
-                Err(_) => Err(InputError::NoLine { line }),
+                Ok(text) => line_item(text, person).and_then(|item| observed_by(item, clock::unix_ns())),
+                Err(_) => Err(LineError::NoLine),
             },
             Err(source) => {
                 let _gone = items.send(Err(InputError::Read { name: name.to_owned(), source }));
                 return false;
             }
         };
-        if items.send(item).is_err() {
+        if items.send(item.map_err(|source| InputError::Line { line, source })).is_err() {
             return false;
         }
     }
     true
+}
+
+/// The item, unless it was observed later than now.
+fn observed_by(item: Item, now_unix_ns: u64) -> Result<Item, LineError> {
+    match item.observed_unix_ns {
+        Some(observed_ns) if observed_ns > now_unix_ns.saturating_add(AHEAD_NS) => {
+            let ahead_s = (observed_ns - now_unix_ns) as f64 / 1e9;
+            Err(LineError::Json {
+                reason: format!("\"observed_unix_s\" lies {ahead_s:.0} s ahead; give a time in the past"),
+            })
+        }
+        _ => Ok(item),
+    }
 }
 
 /// Makes a FIFO that only this user can write to; one that is there stays.
@@ -541,6 +447,8 @@ pub fn make_fifo(path: &PathBuf) -> Result<(), InputError> {
 
 #[cfg(test)]
 mod tests {
+    use roomcast_ipc::Sender;
+
     use super::*;
 
     #[test]
@@ -549,7 +457,7 @@ mod tests {
         let limits = IntakeLimits::default();
         let (mut throttle, mut intake) = (Throttle::new(limits, 0), Intake::new(limits));
         let mut account = Account::new("test", 1);
-        let item = Item { kind: narration_kind::SENTENCE, text: "They sit.".to_owned(), person: 0, duration_s: 0.0 };
+        let item = Item::new(narration_kind::SENTENCE, "They sit.", Who::Somebody);
         let (mut now_ns, mut arrived_ns) = (0, 0);
         for number in 0..20_000_u64 {
             loop {
@@ -564,27 +472,61 @@ mod tests {
             // The daemon gets them up to a second late and 32 at once.
             arrived_ns =
                 u64::max(arrived_ns, now_ns + if number < 64 { 1_000_000_000 } else { (31 - number % 32) * 900_000 });
-            assert!(matches!(intake.take(&message, arrived_ns), Taken::Accepted { missed: 0, .. }), "{number}");
+            let taken = intake.take(&message, Sender::simulated(1), arrived_ns);
+            assert!(matches!(taken, Taken::Accepted { missed: 0, .. }), "{number}");
         }
         assert!(now_ns > 15_000_000_000, "20 000 take 20 s, less the burst: {now_ns} ns");
-        assert_eq!(Throttle::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 }, 0).wait(0), Duration::ZERO);
+        assert_eq!(Throttle::new(IntakeLimits { rate_per_s: 0.0, ..limits }, 0).wait(0), Duration::ZERO);
+    }
+
+    /// Rows "sequence 2^64 - 1" and "a sentence of one kilobyte" of the attacks: what was not taken is not confirmed.
+    #[test]
+    fn what_the_daemon_dropped_is_not_confirmed() {
+        let mut account = Account::new("test", 5);
+        let item = Item::new(narration_kind::SENTENCE, "They sit.", Who::Number(0));
+        let scores = |daemon, sequence, accepted| {
+            let mut scores = RoomScoresV1 { epoch: daemon, source_count: 1, ..Default::default() };
+            let source = sequence::source_of_name("test");
+            scores.included[0] = roomcast_ipc::IncludedV1 { source, epoch: 5, sequence, accepted, observed_ns: 0 };
+            scores
+        };
+        let figures = |account: &Account| (account.outcome.confirmed, account.outcome.dropped, account.under_way());
+        for _ in 0..10 {
+            account.next(&item, 1, 1).unwrap();
+        }
+        account.confirm(&scores(1, 4, 3));
+        assert_eq!(figures(&account), (3, 1, 6));
+        account.confirm(&scores(1, 4, 3));
+        account.confirm(&scores(1, 6, 5));
+        assert_eq!(figures(&account), (5, 1, 4));
+        // A restarted daemon with all of the journal, and one whose journal has let go of most.
+        account.confirm(&scores(2, 8, 6));
+        assert_eq!(figures(&account), (6, 2, 2));
+        account.confirm(&scores(3, 9, 1));
+        assert_eq!(figures(&account), (7, 2, 1));
+        account.confirm(&scores(3, u64::MAX, 1));
+        assert_eq!(figures(&account), (7, 3, 0));
     }
 
     #[test]
-    fn every_form_of_line_becomes_an_item() {
-        let item = |text| line_item(text, 1, 3).map(|item| (item.kind, item.text, item.person));
-        let sentence = |text: &str| (narration_kind::SENTENCE, text.to_owned(), 3);
-        assert_eq!(item("They sit down.").unwrap(), sentence("They sit down."));
-        assert_eq!(item("[Grab] <mug> (1)").unwrap(), (narration_kind::ACTION, "[Grab] <mug> (1)".to_owned(), 3));
-        assert_eq!(item("the oven is on").unwrap(), (narration_kind::DEVICE, "the oven is on".to_owned(), 3));
-        let json = item(r#"{"text": "They sit down.", "person": 9}"#).unwrap();
-        assert_eq!(json, (narration_kind::SENTENCE, "They sit down.".to_owned(), 9));
-        let kinds = [r#"{"text": ".", "kind": "sentence"}"#, r#"{"text": "They sit.", "kind": "action"}"#];
-        for bad in ["{\"text\": 3}", "{\"txt\": \"a\"}", "[Fly] <mug> (1)", "...", "a\u{7}b"].into_iter().chain(kinds) {
-            assert!(item(bad).unwrap_err().to_string().starts_with("line 1: "), "{bad}");
-        }
-        let error = line_item("{\"txt\": \"a\"}", 8, 0).unwrap_err().to_string();
-        assert!(error.starts_with("line 8: unknown field") && !error.contains("line 1"), "{error}");
+    fn what_was_observed_before_is_sent_with_its_time() {
+        let mut account = Account::new("test", 1);
+        let sat = |observed_unix_ns| Item {
+            observed_unix_ns,
+            ..Item::new(narration_kind::SENTENCE, "They sit.", Who::Somebody)
+        };
+        let mut times = |item: &Item, now_ns, now_unix_ns| {
+            let message = account.next(item, now_ns, now_unix_ns).unwrap();
+            (message.observed_ns, message.observed_unix_ns)
+        };
+        assert_eq!(times(&sat(None), 500, 10_000), (500, 10_000));
+        assert_eq!(times(&sat(Some(9_900)), 500, 10_000), (400, 9_900));
+        // Before the machine's start, and a little ahead by another clock.
+        assert_eq!(times(&sat(Some(1_000)), 500, 10_000), (0, 1_000));
+        assert_eq!(times(&sat(Some(10_001)), 500, 10_000), (500, 10_000));
+        let error = observed_by(sat(Some(61_000_000_000)), 1_000_000_000).unwrap_err().to_string();
+        assert!(error.contains("\"observed_unix_s\" lies 60 s ahead; give a time in the past"), "{error}");
+        observed_by(sat(Some(1_500_000_000)), 1_000_000_000).unwrap();
     }
 
     #[test]
@@ -592,7 +534,7 @@ mod tests {
         let long = "a".repeat(20_000);
         let text = format!("They sit.\n\n{long}\nThey stand up.\n[Fly] <mug> (1)\nThey leave.");
         let (items_in, items) = bounded(100);
-        assert!(read_lines("test", Box::new(io::Cursor::new(text)), 0, &items_in));
+        assert!(read_lines("test", Box::new(io::Cursor::new(text)), &Who::Somebody, &items_in));
         drop(items_in);
         let read: Vec<_> =
             items.iter().map(|item| item.map(|item| item.text).map_err(|error| error.to_string())).collect();
@@ -604,14 +546,16 @@ mod tests {
 
     #[test]
     fn shipped_programs_go_by_name_and_programs_by_content() {
-        let Input::Items(items) = Input::open(Path::new("p0-breakfast-and-television"), 2).unwrap() else { panic!() };
-        assert!(items.iter().all(|item| item.person == 2 && item.duration_s > 0.0));
+        let Input::Items(items) = Input::open(Path::new("p0-breakfast-and-television"), 2.into()).unwrap() else {
+            panic!()
+        };
+        assert!(items.iter().all(|item| item.person == Who::Number(2) && item.duration_s > 0.0));
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join("a.txt");
         std::fs::write(&file, "Make coffee\n\n[Walk] <kitchen> (1)\n").unwrap();
-        assert!(matches!(Input::open(&file, 0).unwrap(), Input::Items(items) if items.len() == 1));
+        assert!(matches!(Input::open(&file, Who::Somebody).unwrap(), Input::Items(items) if items.len() == 1));
         std::fs::write(&file, "They walk to the kitchen.\nThey sit.\n").unwrap();
-        assert!(matches!(Input::open(&file, 0).unwrap(), Input::Lines { .. }));
+        assert!(matches!(Input::open(&file, Who::Somebody).unwrap(), Input::Lines { .. }));
     }
 
     #[test]

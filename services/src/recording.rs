@@ -13,13 +13,16 @@ use std::path::{Path, PathBuf};
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
-use roomcast_ipc::{ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonScoresV1, RoomScoresV1};
+use roomcast_ipc::{
+    ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, PersonV1,
+    RobotReportV1, RoomScoresV1, Sender, person_flags,
+};
 use serde_json::{Value, json};
 
 use crate::config::IntakeLimits;
-use crate::daemon::{Intake, Taken};
+use crate::daemon::{Intake, Taken, presence_word};
 use crate::moment::Moment;
-use roomcast_core::narration::Sentence;
+use roomcast_core::narration::{Presence, SOMEBODY, Said, Sentence, person_number};
 
 /// Largest recording that is read back, also of its records unpacked: it is held in memory.
 pub const FILE_BYTES_MAX: u64 = 4 << 30;
@@ -88,8 +91,12 @@ pub enum Recorded {
     PersonScores(Box<PersonScoresV1>),
     /// Forecast.
     Forecast(Box<ForecastV1>),
+    /// Each person's forecast.
+    PersonForecasts(Box<PersonForecastsV1>),
     /// Decision.
     Decision(Box<DecisionV1>),
+    /// Robot's report.
+    RobotReport(Box<RobotReportV1>),
 }
 
 impl Recorded {
@@ -101,7 +108,9 @@ impl Recorded {
             Self::RoomScores(_) => RoomScoresV1::SERVICE.name,
             Self::PersonScores(_) => PersonScoresV1::SERVICE.name,
             Self::Forecast(_) => ForecastV1::SERVICE.name,
+            Self::PersonForecasts(_) => PersonForecastsV1::SERVICE.name,
             Self::Decision(_) => DecisionV1::SERVICE.name,
+            Self::RobotReport(_) => RobotReportV1::SERVICE.name,
         }
     }
 
@@ -113,7 +122,9 @@ impl Recorded {
             Self::RoomScores(message) => message.to_bytes(),
             Self::PersonScores(message) => message.to_bytes(),
             Self::Forecast(message) => message.to_bytes(),
+            Self::PersonForecasts(message) => message.to_bytes(),
             Self::Decision(message) => message.to_bytes(),
+            Self::RobotReport(message) => message.to_bytes(),
         }
     }
 
@@ -121,7 +132,8 @@ impl Recorded {
     fn readable(&self) -> Value {
         match self {
             Self::Narration(message) => json!({
-                "source": message.source_name(), "person": message.person, "kind": message.kind, "text": message.text(),
+                "source": message.source_name(), "person": message.person, "person_name": message.person_name(),
+                "kind": message.kind, "text": message.text(),
                 "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence,
                 "observed": time(message.observed_unix_ns),
             }),
@@ -138,7 +150,9 @@ impl Recorded {
             Self::PersonScores(message) => json!({
                 "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence, "persons": message.persons,
                 "person": message.persons().iter().map(|person| json!({
-                    "person": person.person, "flags": person.flags, "label_mass": person.label_mass,
+                    "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+                    "since_ns": person.since_ns, "elsewhere": person.elsewhere, "flags": person.flags,
+                    "label_mass": person.label_mass,
                     "rooms": message.probabilities(person).zip(person.log_score_nats).map(|((id, probability), nats)| json!({
                         "id": id, "probability": probability, "log_score_nats": finite(nats),
                     })).collect::<Vec<_>>(),
@@ -148,8 +162,20 @@ impl Recorded {
             Self::Forecast(message) => json!({
                 "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence,
                 "flags": message.flags, "horizon_s": message.horizon_s.get(..message.horizon_count as usize),
+                "elsewhere": message.elsewhere.get(..message.horizon_count as usize),
                 "rooms": (0..message.room_count as usize).filter_map(|index| message.room(index)).map(|(id, row)| json!({
                     "id": id, "probability": row,
+                })).collect::<Vec<_>>(),
+            }),
+            Self::PersonForecasts(message) => json!({
+                "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence, "persons": message.persons,
+                "horizon_s": message.horizons_s(),
+                "person": message.persons().iter().map(|person| json!({
+                    "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+                    "flags": person.flags, "elsewhere": person.elsewhere.get(..message.horizon_count as usize),
+                    "rooms": message.rooms().zip(&person.probability).map(|(id, row)| json!({
+                        "id": id, "probability": row.get(..message.horizon_count as usize),
+                    })).collect::<Vec<_>>(),
                 })).collect::<Vec<_>>(),
             }),
             Self::Decision(message) => json!({
@@ -157,6 +183,13 @@ impl Recorded {
                 "policy": message.policy(), "reason": message.reason(), "probability": message.probability,
                 "stay_s": message.stay_ns as f64 / 1e9, "flags": message.flags, "sequence": message.sequence,
                 "scores_sequence": message.scores_sequence, "decided": time(message.decided_unix_ns),
+                "action": message.action, "cancels": message.cancels,
+            }),
+            Self::RobotReport(message) => json!({
+                "robot": format!("{:016x}", message.robot), "robot_name": message.robot_name(), "kind": message.kind,
+                "room": message.room(), "position_m": message.position_m(), "battery": message.battery(), "note": message.note(),
+                "decision_sequence": message.decision_sequence, "epoch": format!("{:016x}", message.epoch),
+                "sequence": message.sequence, "reported": time(message.reported_unix_ns),
             }),
         }
     }
@@ -167,7 +200,9 @@ impl Recorded {
             Self::RoomScores(message) => message.sequence,
             Self::PersonScores(message) => message.sequence,
             Self::Forecast(message) => message.sequence,
+            Self::PersonForecasts(message) => message.sequence,
             Self::Decision(message) => message.sequence,
+            Self::RobotReport(message) => message.sequence,
         }
     }
 
@@ -183,7 +218,9 @@ impl Recorded {
             topic if topic == RoomScoresV1::SERVICE.name => Self::RoomScores(message(bytes)?),
             topic if topic == PersonScoresV1::SERVICE.name => Self::PersonScores(message(bytes)?),
             topic if topic == ForecastV1::SERVICE.name => Self::Forecast(message(bytes)?),
+            topic if topic == PersonForecastsV1::SERVICE.name => Self::PersonForecasts(message(bytes)?),
             topic if topic == DecisionV1::SERVICE.name => Self::Decision(message(bytes)?),
+            topic if topic == RobotReportV1::SERVICE.name => Self::RobotReport(message(bytes)?),
             other => return Err(format!("the service {other:?} is unknown")),
         })
     }
@@ -200,7 +237,7 @@ fn finite(value: f64) -> Option<f64> {
 }
 
 /// Services with the JSON schema of their messages.
-fn schemas() -> [(&'static str, &'static str, Value); 5] {
+fn schemas() -> [(&'static str, &'static str, Value); 7] {
     let object = |title: &str, properties: Value| {
         let mut properties = properties;
         properties["bytes"] = json!({"type": "string", "description": "the message as in shared memory, hexadecimal"});
@@ -210,8 +247,9 @@ fn schemas() -> [(&'static str, &'static str, Value); 5] {
     let point = json!({"type": "object", "title": "time", "properties": {"sec": integer, "nsec": integer}});
     let room = json!({"type": "array", "items": {"type": "object", "properties":
         {"id": text, "probability": number, "log_score_nats": {"type": ["number", "null"]}}}});
-    let course = json!({"type": "array", "items": {"type": "object", "properties":
-        {"id": text, "probability": {"type": "array", "items": number}}}});
+    let numbers = json!({"type": "array", "items": number});
+    let course =
+        json!({"type": "array", "items": {"type": "object", "properties": {"id": text, "probability": numbers}}});
     [
         (
             NarrationV1::SERVICE.name,
@@ -219,7 +257,7 @@ fn schemas() -> [(&'static str, &'static str, Value); 5] {
             object(
                 NarrationV1::TYPE_NAME,
                 json!({
-                    "source": text, "person": integer, "kind": integer, "text": text, "epoch": text, "sequence": integer, "observed": point,
+                    "source": text, "person": integer, "person_name": text, "kind": integer, "text": text, "epoch": text, "sequence": integer, "observed": point,
                 }),
             ),
         ),
@@ -242,7 +280,8 @@ fn schemas() -> [(&'static str, &'static str, Value); 5] {
                 json!({
                     "epoch": text, "sequence": integer, "persons": integer, "map": text,
                     "person": {"type": "array", "items": {"type": "object", "properties":
-                        {"person": integer, "flags": integer, "label_mass": number, "rooms": room}}},
+                        {"person": integer, "name": text, "presence": text, "since_ns": integer, "elsewhere": number,
+                            "flags": integer, "label_mass": number, "rooms": room}}},
                 }),
             ),
         ),
@@ -252,7 +291,20 @@ fn schemas() -> [(&'static str, &'static str, Value); 5] {
             object(
                 ForecastV1::TYPE_NAME,
                 json!({
-                    "epoch": text, "sequence": integer, "flags": integer, "horizon_s": {"type": "array", "items": number}, "rooms": course,
+                    "epoch": text, "sequence": integer, "flags": integer, "horizon_s": numbers, "elsewhere": numbers, "rooms": course,
+                }),
+            ),
+        ),
+        (
+            PersonForecastsV1::SERVICE.name,
+            PersonForecastsV1::TYPE_NAME,
+            object(
+                PersonForecastsV1::TYPE_NAME,
+                json!({
+                    "epoch": text, "sequence": integer, "persons": integer, "horizon_s": numbers,
+                    "person": {"type": "array", "items": {"type": "object", "properties":
+                        {"person": integer, "name": text, "presence": text, "flags": integer, "elsewhere": numbers,
+                            "rooms": course}}},
                 }),
             ),
         ),
@@ -263,7 +315,19 @@ fn schemas() -> [(&'static str, &'static str, Value); 5] {
                 DecisionV1::TYPE_NAME,
                 json!({
                     "robot": text, "from": text, "to": text, "policy": text, "reason": text, "probability": number, "stay_s": number,
-                    "flags": integer, "sequence": integer, "scores_sequence": integer, "decided": point,
+                    "flags": integer, "sequence": integer, "scores_sequence": integer, "decided": point, "action": integer, "cancels": integer,
+                }),
+            ),
+        ),
+        (
+            RobotReportV1::SERVICE.name,
+            RobotReportV1::TYPE_NAME,
+            object(
+                RobotReportV1::TYPE_NAME,
+                json!({
+                    "robot": text, "robot_name": text, "kind": integer, "room": text,
+                    "position_m": {"type": ["array", "null"], "items": number}, "battery": {"type": ["number", "null"]}, "note": text,
+                    "decision_sequence": integer, "epoch": text, "sequence": integer, "reported": point,
                 }),
             ),
         ),
@@ -432,9 +496,22 @@ impl Recording {
             if let Recorded::Narration(message) = message
                 && contained(message)
                 && !already(message)
-                && let Taken::Accepted { observation, .. } = intake.take(message, 0)
+                && let Taken::Accepted { observation, .. } = intake.take(message, Sender::simulated(message.source), 0)
             {
-                narration.push((observation.person, observation.sentence));
+                let person = match observation.name.as_deref() {
+                    Some(name) => person_number(name),
+                    None if observation.person == SOMEBODY => {
+                        let last = || narration.last().map(|(person, _)| *person);
+                        self.fitted(message, scores.epoch).or_else(last).unwrap_or_default()
+                    }
+                    None => observation.person,
+                };
+                match observation.said {
+                    Said::Sentence(sentence) => narration.push((person, sentence)),
+                    // Who leaves begins a new window.
+                    said if said.presence() != Presence::Present => narration.retain(|(of, _)| *of != person),
+                    Said::Presence(_) => {}
+                }
             }
         }
         if scores.persons <= 1 {
@@ -442,6 +519,18 @@ impl Recording {
             narration.drain(..narration.len().saturating_sub(window));
         }
         Some(RecordedMoment { scores, at_s: seconds(time), base, narration })
+    }
+
+    /// Whose a narration is that named nobody, by the daemon's word. It tells of the newest one in a step; none for the others.
+    fn fitted(&self, message: &NarrationV1, epoch: u64) -> Option<u32> {
+        self.messages.iter().find_map(|(_, told)| match told {
+            Recorded::PersonScores(told) if told.epoch == epoch => {
+                let by_fit =
+                    |person: &&PersonV1| person.has(person_flags::BY_FIT) && person.observed_ns == message.observed_ns;
+                told.persons().iter().find(by_fit).map(|person| person.person)
+            }
+            _ => None,
+        })
     }
 }
 
@@ -568,14 +657,22 @@ mod tests {
         for (number, person) in (0..2).zip(&mut persons.person) {
             (person.person, person.probability[0]) = (number, 1.0);
         }
+        let mut forecasts =
+            PersonForecastsV1 { epoch: 3, room_count: 1, horizon_count: 2, person_count: 1, ..Default::default() };
+        forecasts.id[0] = text::encode("id", "kitchen").unwrap();
+        forecasts.person[0].name = text::encode("name", "ada").unwrap();
+        (forecasts.person[0].probability[0][1], forecasts.person[0].elsewhere[0]) = (0.5, 1.0);
         let decision =
             DecisionV1 { to: text::encode("to", "bathroom").unwrap(), probability: 0.25, ..Default::default() };
+        let report = RobotReportV1 { robot: 1, epoch: 2, sequence: 3, ..Default::default() };
         vec![
             (1_000, Recorded::Narration(Box::new(narration))),
             (2_000, Recorded::RoomScores(Box::new(scores))),
             (2_200, Recorded::PersonScores(Box::new(persons))),
             (2_500, Recorded::Forecast(Box::new(ForecastV1 { room_count: 1, horizon_count: 2, ..Default::default() }))),
+            (2_600, Recorded::PersonForecasts(Box::new(forecasts))),
             (3_000, Recorded::Decision(Box::new(decision))),
+            (3_100, Recorded::RobotReport(Box::new(report))),
         ]
     }
 
@@ -599,7 +696,7 @@ mod tests {
             assert_eq!(a.to_bytes(), b.to_bytes());
         }
         let summary = mcap::Summary::read(&std::fs::read(&path).unwrap()).unwrap().unwrap();
-        assert_eq!(summary.stats.unwrap().message_count, 5);
+        assert_eq!(summary.stats.unwrap().message_count, messages().len() as u64);
         assert!(summary.schemas.values().all(|schema| schema.encoding == "jsonschema"));
     }
 

@@ -8,6 +8,13 @@
 //! sensor = "fridge"                  # whatever its case; any where left out, as with kind and place
 //! at = "start"                       # or "end"
 //! say = "They open the {sensor}."    # {sensor}, {kind}, {place}, {seconds}
+//!
+//! [[rule]]
+//! sensor = "front door"
+//! at = "end"
+//! presence = "away"                  # or "present", with a room, or "gone": no sentence, but who is where
+//! person = "ada"                     # a name or a number
+//! quiet_s = 600.0                    # said where no rule fits anything for so long
 //! ```
 //!
 //! Pure: from the texts of log and rules to items with the times between them.
@@ -17,17 +24,18 @@ use std::path::{Path, PathBuf};
 
 use csv::{ByteRecord, ReaderBuilder, Trim};
 
-use crate::narrator::{InputError, Item, line_item};
+use crate::line::{InputError, Item, LineError, Who, line_item};
+use crate::rule::{Keys, Saying};
+use roomcast_core::narration::Presence;
 
 /// Largest log that is read, in bytes: it is held in memory.
 pub const FILE_BYTES_MAX: u64 = 256 << 20;
 /// Rules that a file may have.
 const RULES_MAX: usize = 4_096;
-
 /// Bytes of a log that are looked at together; lines are shorter, as a rule.
 const LINE_BYTES: usize = 256;
 
-/// Why a log cannot be narrated at all. Single lines that are malformed are [`InputError::Sensor`].
+/// Why a log cannot be narrated at all. Single lines that are malformed are [`LineError::Sensor`].
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SensorError {
@@ -80,44 +88,102 @@ enum Edge {
 }
 
 /// The rules by which intervals become narration.
-#[derive(Debug, Clone, PartialEq, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct SensorRules {
+    columns: Vec<Column>,
+    rules: Vec<Rule>,
+}
+
+/// A rules file.
+#[derive(Debug, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RulesFile {
     #[serde(default = "default_columns")]
     columns: Vec<Column>,
     #[serde(rename = "rule")]
-    rules: Vec<Rule>,
+    rules: Vec<RuleKeys>,
 }
 
 fn default_columns() -> Vec<Column> {
     vec![Column::Start, Column::End, Column::Sensor, Column::Kind, Column::Place]
 }
 
-#[derive(Debug, Clone, PartialEq, serde::Deserialize)]
+/// A rule as it stands in the file.
+#[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Rule {
+struct RuleKeys {
     sensor: Option<String>,
     kind: Option<String>,
     place: Option<String>,
     #[serde(default)]
     at: Edge,
-    say: String,
-    #[serde(default)]
-    person: u32,
     #[serde(default)]
     shortest_s: f64,
     #[serde(default)]
     again_s: f64,
+    say: Option<String>,
+    presence: Option<Presence>,
+    room: Option<String>,
+    person: Option<Who>,
+    quiet_s: Option<f64>,
 }
+
+#[derive(Debug, Clone, PartialEq)]
+struct Rule {
+    sensor: Option<String>,
+    kind: Option<String>,
+    place: Option<String>,
+    at: Edge,
+    shortest_s: f64,
+    again_s: f64,
+    saying: Saying,
+}
+
+impl Rule {
+    fn new(keys: RuleKeys) -> Result<Self, String> {
+        let RuleKeys { sensor, kind, place, at, shortest_s, again_s, say, presence, room, person, quiet_s } = keys;
+        if !(shortest_s >= 0.0 && again_s >= 0.0) {
+            return Err("shortest_s and again_s are 0 or more".to_owned());
+        }
+        let (say, room, person) = (say.as_deref(), room.as_deref(), person.as_ref());
+        let saying = Saying::new(Keys { say, presence, room, person, quiet_s }, &NAMES.map(str::to_owned))?;
+        Ok(Self { sensor, kind, place, at, shortest_s, again_s, saying })
+    }
+
+    fn fits(&self, edge: Edge, interval: &Interval) -> bool {
+        let fits =
+            |wanted: &Option<String>, own: &str| wanted.as_ref().is_none_or(|wanted| wanted.eq_ignore_ascii_case(own));
+        self.at == edge
+            && fits(&self.sensor, &interval.sensor)
+            && fits(&self.kind, &interval.kind)
+            && fits(&self.place, &interval.place)
+    }
+}
+
+/// What stands for the interval's words in a rule.
+const NAMES: [&str; 4] = ["sensor", "kind", "place", "seconds"];
 
 /// One line of a log.
 #[derive(Debug, Clone, Default, PartialEq)]
-struct Interval {
-    start_s: f64,
-    end_s: f64,
-    sensor: String,
-    kind: String,
-    place: String,
+pub struct Interval {
+    /// When it began, in seconds since 1970 without regard to time zones, or as the log counts seconds.
+    pub start_s: f64,
+    /// When it ended; not before it began.
+    pub end_s: f64,
+    /// Which sensor.
+    pub sensor: String,
+    /// Of which kind.
+    pub kind: String,
+    /// In which place.
+    pub place: String,
+}
+
+/// What a rule makes of one edge of an interval.
+#[derive(Debug)]
+struct Said<'a> {
+    at_s: f64,
+    rule: &'a Rule,
+    item: Item,
 }
 
 /// A log as narration.
@@ -125,9 +191,11 @@ struct Interval {
 pub struct SensorLog {
     /// What is said, in the order of time, and the lines that are malformed, before all else.
     pub items: Vec<Result<Item, InputError>>,
+    /// When the first of it is said, as [`Interval::start_s`].
+    pub begins_s: Option<f64>,
     /// Intervals that no rule fits.
     pub unfit: u64,
-    /// Sentences left out, because the interval was too short or the same was said shortly before.
+    /// What was left out: the interval was too short, the same was said shortly before, or there was no silence to say it after.
     pub silent: u64,
 }
 
@@ -149,85 +217,61 @@ impl SensorRules {
     ///
     /// What is wrong, with the rule's number.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let rules: Self = toml::from_str(text).map_err(|error| error.to_string())?;
-        if rules.rules.is_empty() || rules.rules.len() > RULES_MAX {
-            return Err(format!("{} rules; give 1 to {RULES_MAX}", rules.rules.len()));
+        let file: RulesFile = toml::from_str(text).map_err(|error| error.to_string())?;
+        if file.rules.is_empty() || file.rules.len() > RULES_MAX {
+            return Err(format!("{} rules; give 1 to {RULES_MAX}", file.rules.len()));
         }
         for wanted in [Column::Start, Column::Sensor] {
-            let count = rules.columns.iter().filter(|column| **column == wanted).count();
+            let count = file.columns.iter().filter(|column| **column == wanted).count();
             if count != 1 {
                 return Err(format!("columns names {wanted:?} {count} times; name it once"));
             }
         }
-        for (number, rule) in (1..).zip(&rules.rules) {
-            let mut said = rule.say.clone();
-            for name in ["{sensor}", "{kind}", "{place}", "{seconds}"] {
-                said = said.replace(name, "1");
-            }
-            if said.contains(['{', '}']) {
-                return Err(format!("rule {number}: say knows {{sensor}}, {{kind}}, {{place}} and {{seconds}}"));
-            }
-            // What can be narrated at all is checked here, where the rule can be named.
-            line_item(&said, 1, 0).map_err(|error| format!("rule {number}: {error}"))?;
-            if !(rule.shortest_s >= 0.0 && rule.again_s >= 0.0) {
-                return Err(format!("rule {number}: shortest_s and again_s are 0 or more"));
-            }
-        }
-        Ok(rules)
+        let rules = (1..).zip(file.rules).map(|(number, keys)| {
+            let rule = Rule::new(keys);
+            rule.map_err(|fault: String| format!("rule {number}: {fault}"))
+        });
+        Ok(Self { columns: file.columns, rules: rules.collect::<Result<_, _>>()? })
     }
 
-    /// Reads a log's file.
+    /// Reads a log's file; see [`Self::narrate`].
     ///
     /// # Errors
     ///
     /// [`SensorError::Read`], [`SensorError::TooLarge`].
-    pub fn narrate_file(&self, path: &Path) -> Result<SensorLog, SensorError> {
+    pub fn narrate_file(&self, path: &Path, person: &Who) -> Result<SensorLog, SensorError> {
         let read = |source| SensorError::Read { path: path.to_owned(), source };
         if std::fs::metadata(path).map_err(read)?.len() > FILE_BYTES_MAX {
             return Err(SensorError::TooLarge { path: path.to_owned() });
         }
-        Ok(self.narrate(&std::fs::read(path).map_err(read)?))
+        Ok(self.narrate(&std::fs::read(path).map_err(read)?, person))
     }
 
-    /// The narration of a log: tab-, semicolon- or comma-separated; heading and underline are passed over.
+    /// The narration of a log: tab-, semicolon- or comma-separated; heading and underline are passed over. What a rule without a person
+    /// says is of `person`.
     #[must_use]
-    pub fn narrate(&self, log: &[u8]) -> SensorLog {
+    pub fn narrate(&self, log: &[u8], person: &Who) -> SensorLog {
         let mut narrated = SensorLog::default();
-        // When, which rule, what, by whom.
-        let mut said: Vec<(f64, usize, Item)> = Vec::new();
-        let delimiter = [b'\t', b';', b','].into_iter().find(|byte| log.contains(byte)).unwrap_or(b'\t');
-        let mut builder = ReaderBuilder::new();
-        builder.delimiter(delimiter).has_headers(false).flexible(true).trim(Trim::All).buffer_capacity(LINE_BYTES);
-        let mut record = ByteRecord::new();
-        let mut first = true;
-        // Line by line: a stray quotation mark spoils its own line, and does not swallow those behind it.
-        for (line, bytes) in (1..).zip(log.split(|byte| *byte == b'\n')) {
-            match builder.from_reader(bytes).read_byte_record(&mut record) {
-                Ok(false) => continue,
-                Ok(true) => {}
-                Err(error) => {
-                    narrated.items.push(Err(InputError::Sensor { line, reason: error.to_string() }));
-                    continue;
+        let mut said: Vec<Said<'_>> = Vec::new();
+        for (line, interval) in self.lines(log) {
+            match interval {
+                Ok(interval) => self.say(&interval, person, line, &mut narrated, &mut said),
+                Err(reason) => {
+                    narrated.items.push(Err(InputError::Line { line, source: LineError::Sensor { reason } }));
                 }
             }
-            let underline = record.iter().flatten().all(|byte| matches!(byte, b'-' | b' '));
-            let heading =
-                std::mem::take(&mut first) && record.get(0).is_some_and(|field| seconds(&text(field)).is_none());
-            if underline || heading {
-                continue;
-            }
-            match self.interval(&record, delimiter == b'\t') {
-                Ok(interval) => self.say(&interval, line, &mut narrated, &mut said),
-                Err(reason) => narrated.items.push(Err(InputError::Sensor { line, reason })),
-            }
         }
-        said.sort_by(|a, b| a.0.total_cmp(&b.0));
+        said.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+        let all = said.len();
+        let mut said = after_silence(said);
+        narrated.silent += (all - said.len()) as u64;
+        said.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+        narrated.begins_s = said.first().map(|said| said.at_s);
         let mut before_s = None;
-        let mut last: HashMap<(u32, String), f64> = HashMap::new();
-        for (at_s, rule, item) in said {
-            let again_s = self.rules[rule].again_s;
-            let same = last.insert((item.person, item.text.clone()), at_s);
-            if same.is_some_and(|same_s| at_s - same_s < again_s) {
+        let mut last: HashMap<(Who, String), f64> = HashMap::new();
+        for Said { at_s, rule, item } in said {
+            let same = last.insert((item.person.clone(), item.text.clone()), at_s);
+            if same.is_some_and(|same_s| at_s - same_s < rule.again_s) {
                 narrated.silent += 1;
                 continue;
             }
@@ -235,6 +279,40 @@ impl SensorRules {
             narrated.items.push(Ok(Item { duration_s, ..item }));
         }
         narrated
+    }
+
+    /// The intervals of a log that can be read, in its order, whether or not a rule fits them.
+    #[must_use]
+    pub fn intervals(&self, log: &[u8]) -> Vec<Interval> {
+        self.lines(log).into_iter().filter_map(|(_, interval)| interval.ok()).collect()
+    }
+
+    /// Every line with its number; heading and underline are passed over.
+    fn lines(&self, log: &[u8]) -> Vec<(u64, Result<Interval, String>)> {
+        let delimiter = [b'\t', b';', b','].into_iter().find(|byte| log.contains(byte)).unwrap_or(b'\t');
+        let mut builder = ReaderBuilder::new();
+        builder.delimiter(delimiter).has_headers(false).flexible(true).trim(Trim::All).buffer_capacity(LINE_BYTES);
+        let mut record = ByteRecord::new();
+        let mut first = true;
+        let mut lines = Vec::new();
+        // Line by line: a stray quotation mark spoils its own line, and does not swallow those behind it.
+        for (line, bytes) in (1..).zip(log.split(|byte| *byte == b'\n')) {
+            match builder.from_reader(bytes).read_byte_record(&mut record) {
+                Ok(false) => continue,
+                Ok(true) => {}
+                Err(error) => {
+                    lines.push((line, Err(error.to_string())));
+                    continue;
+                }
+            }
+            let underline = record.iter().flatten().all(|byte| matches!(byte, b'-' | b' '));
+            let heading =
+                std::mem::take(&mut first) && record.get(0).is_some_and(|field| seconds(&text(field)).is_none());
+            if !(underline || heading) {
+                lines.push((line, self.interval(&record, delimiter == b'\t')));
+            }
+        }
+        lines
     }
 
     fn interval(&self, record: &ByteRecord, tabs: bool) -> Result<Interval, String> {
@@ -266,42 +344,113 @@ impl SensorRules {
         Ok(interval)
     }
 
-    /// All rules that fit, one per edge: the first for each of start and end.
-    fn say(&self, interval: &Interval, line: u64, narrated: &mut SensorLog, said: &mut Vec<(f64, usize, Item)>) {
-        let fits =
-            |wanted: &Option<String>, own: &str| wanted.as_ref().is_none_or(|wanted| wanted.eq_ignore_ascii_case(own));
+    /// What the rules say of both edges: the first that fits and says it at once, and each that fits and waits for silence.
+    fn say<'a>(
+        &'a self,
+        interval: &Interval,
+        person: &Who,
+        line: u64,
+        narrated: &mut SensorLog,
+        said: &mut Vec<Said<'a>>,
+    ) {
         let length_s = interval.end_s - interval.start_s;
         let mut some = false;
-        for edge in [Edge::Start, Edge::End] {
-            let found = self.rules.iter().enumerate().find(|(_, rule)| {
-                rule.at == edge
-                    && fits(&rule.sensor, &interval.sensor)
-                    && fits(&rule.kind, &interval.kind)
-                    && fits(&rule.place, &interval.place)
-            });
-            let Some((number, rule)) = found else { continue };
-            some = true;
-            if length_s < rule.shortest_s {
-                narrated.silent += 1;
-                continue;
-            }
-            let words = |name: &str| name.replace('_', " ").to_lowercase();
-            let text = (rule.say.replace("{sensor}", &words(&interval.sensor)))
-                .replace("{kind}", &words(&interval.kind))
-                .replace("{place}", &words(&interval.place))
-                .replace("{seconds}", &format!("{length_s:.0}"));
-            let at_s = if edge == Edge::Start { interval.start_s } else { interval.end_s };
-            match line_item(&text, line, rule.person) {
-                Ok(item) => said.push((at_s, number, Item { person: rule.person, ..item })),
-                Err(error) => narrated.items.push(Err(error)),
+        for (edge, at_s) in [(Edge::Start, interval.start_s), (Edge::End, interval.end_s)] {
+            let fitting = self.rules.iter().filter(|rule| rule.fits(edge, interval));
+            let (waiting, at_once): (Vec<_>, Vec<_>) = fitting.partition(|rule| rule.saying.quiet().is_some());
+            for rule in at_once.into_iter().take(1).chain(waiting) {
+                some = true;
+                if length_s < rule.shortest_s {
+                    narrated.silent += 1;
+                    continue;
+                }
+                let words = |name: &str| name.replace('_', " ").to_lowercase();
+                let json = rule.saying.line(|name| match name {
+                    "sensor" => words(&interval.sensor),
+                    "kind" => words(&interval.kind),
+                    "place" => words(&interval.place),
+                    _ => format!("{length_s:.0}"),
+                });
+                match line_item(&json, person) {
+                    Ok(item) => said.push(Said { at_s, rule, item }),
+                    Err(source) => narrated.items.push(Err(InputError::Line { line, source })),
+                }
             }
         }
         narrated.unfit += u64::from(!some);
     }
 }
 
+/// Of what waits for silence, that which has it, at its end; all else as it was. The order is that of time, before.
+fn after_silence(said: Vec<Said<'_>>) -> Vec<Said<'_>> {
+    // Going back in time: when something is said at once next, and when the same line begins to wait again.
+    let mut next_s = f64::INFINITY;
+    let mut again: HashMap<(Who, String), f64> = HashMap::new();
+    let mut kept = Vec::with_capacity(said.len());
+    for said in said.into_iter().rev() {
+        let Some(quiet) = said.rule.saying.quiet() else {
+            next_s = said.at_s;
+            kept.push(said);
+            continue;
+        };
+        let end_s = said.at_s + quiet.as_secs_f64();
+        let same = again.insert((said.item.person.clone(), said.item.text.clone()), said.at_s);
+        if next_s.min(same.unwrap_or(f64::INFINITY)) >= end_s {
+            kept.push(Said { at_s: end_s, ..said });
+        }
+    }
+    kept.reverse();
+    kept
+}
+
 fn text(field: &[u8]) -> String {
     String::from_utf8_lossy(field).into_owned()
+}
+
+/// Times in which nobody was at home, from a log of intervals with two or more columns, when each began and ended and what it was:
+/// all intervals if the third column is missing; else those that say so (away, out, gone, elsewhere, leaving the house), or, where
+/// none does, what lies between those that say the person was at home (present, home, in).
+///
+/// # Errors
+/// The line that cannot be read, or that no interval says who was where.
+pub fn absences(log: &[u8]) -> Result<Vec<(f64, f64)>, String> {
+    let columns = vec![Column::Start, Column::End];
+    let reader = SensorRules { columns: columns.clone(), rules: Vec::new() };
+    let named = SensorRules { columns: [columns, vec![Column::Sensor]].concat(), rules: Vec::new() };
+    let (mut all, mut away, mut home) = (Vec::new(), Vec::new(), Vec::new());
+    let mut some_named = false;
+    for ((line, interval), (_, with_name)) in reader.lines(log).into_iter().zip(named.lines(log)) {
+        let Interval { start_s, end_s, .. } = interval.map_err(|reason| format!("line {line}: {reason}"))?;
+        all.push((start_s, end_s));
+        let Ok(Interval { sensor, .. }) = with_name else { continue };
+        some_named = true;
+        let words = sensor.to_lowercase().replace(['_', '-'], " ");
+        let says = |words_of: &[&str]| words.split_whitespace().any(|word| words_of.contains(&word));
+        if says(&["away", "out", "gone", "absent", "elsewhere", "outside", "leave", "leaving", "left"]) {
+            away.push((start_s, end_s));
+        } else if says(&["present", "home", "in", "inside"]) {
+            home.push((start_s, end_s));
+        }
+    }
+    if all.is_empty() || !some_named {
+        return Ok(all);
+    }
+    if !away.is_empty() || home.is_empty() {
+        return if away.is_empty() {
+            Err("no interval says away or present in its third column".to_owned())
+        } else {
+            Ok(away)
+        };
+    }
+    home.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut until_s = home[0].1;
+    for (start_s, end_s) in &home[1..] {
+        if *start_s > until_s {
+            away.push((until_s, *start_s));
+        }
+        until_s = until_s.max(*end_s);
+    }
+    Ok(away)
 }
 
 /// Seconds of `2024-03-01 08:15:00` (with `T`, `/` and fractions as well) since 1970, without regard to time zones and leap seconds;
@@ -343,7 +492,7 @@ mod tests {
 
     #[test]
     fn the_documented_example_is_narrated_in_the_order_of_time() {
-        let log = SensorRules::parse(RULES).unwrap().narrate(LOG.as_bytes());
+        let log = SensorRules::parse(RULES).unwrap().narrate(LOG.as_bytes(), &Who::Somebody);
         let sentences: Vec<String> = said(&log).into_iter().map(|(text, _)| text).collect();
         assert_eq!(
             sentences,
@@ -358,7 +507,7 @@ mod tests {
             ]
         );
         // The bed is left at 07:12:40; 20 seconds later somebody is in the bathroom.
-        assert_eq!(said(&log)[1].1, 20.0);
+        assert_eq!((log.begins_s, said(&log)[1].1), (seconds("2024-03-01 07:12:40"), 20.0));
         assert_eq!((log.unfit, log.silent), (1, 2));
         assert_eq!(log.items.iter().filter(|item| item.is_err()).count(), 0);
     }
@@ -368,7 +517,7 @@ mod tests {
         let rules = SensorRules::parse("[[rule]]\nsay = \"They open the {sensor}.\"").unwrap();
         let log = "start,end,sensor,kind,place\n2024-03-01 08:00:00,2024-03-01 08:00:05,fridge,door,kitchen\nyesterday,,fridge,door,kitchen\n\
                    2024-03-01 08:00:09,2024-03-01 08:00:05,fridge,door,kitchen\n10,20\n30,40,oven,door,kitchen\n50,60,a\u{7}b,door,kitchen\n";
-        let narrated = rules.narrate(log.as_bytes());
+        let narrated = rules.narrate(log.as_bytes(), &Who::Somebody);
         let errors: Vec<String> =
             narrated.items.iter().filter_map(|item| item.as_ref().err()).map(|error| error.to_string()).collect();
         assert_eq!(errors.len(), 4, "{errors:?}");
@@ -386,19 +535,51 @@ mod tests {
     #[test]
     fn columns_can_stand_in_any_order_and_some_can_be_left_out() {
         let rules = "columns = [\"-\", \"sensor\", \"start\"]\n[[rule]]\nsensor = \"Front_Door\"\nperson = 2\nsay = \"They leave by the {sensor}.\"";
-        let narrated = SensorRules::parse(rules).unwrap().narrate(b"1;front_door;100\n2;FRONT_DOOR;160.5\n");
+        let narrated =
+            SensorRules::parse(rules).unwrap().narrate(b"1;front_door;100\n2;FRONT_DOOR;160.5\n", &Who::Somebody);
         assert_eq!(
             said(&narrated),
             [("They leave by the front door.".to_owned(), 0.0), ("They leave by the front door.".to_owned(), 60.5)]
         );
-        assert!(narrated.items.iter().all(|item| item.as_ref().unwrap().person == 2));
+        assert!(narrated.items.iter().all(|item| item.as_ref().unwrap().person == Who::Number(2)));
+    }
+
+    #[test]
+    fn sensors_say_who_is_where() {
+        let rules = "[[rule]]\nkind = \"PIR\"\npresence = \"present\"\nroom = \"{place}\"\nagain_s = 300.0\n\
+            [[rule]]\nsensor = \"front_door\"\nat = \"end\"\npresence = \"away\"\nperson = \"ada\"\nquiet_s = 600.0";
+        let rules = SensorRules::parse(rules).unwrap();
+        let log = "0,5,ceiling,PIR,Living_Room\n100,110,front_door,Magnetic,Hall\n200,205,ceiling,PIR,Living_Room\n\
+            1000,1010,front_door,Magnetic,Hall\n1300,1310,front_door,Magnetic,Hall\n5000,5001,ceiling,PIR,Kitchen\n\
+            5100,5110,front_door,Magnetic,Hall\n";
+        let log = rules.narrate(log.as_bytes(), &Who::Number(4));
+        let said: Vec<_> = log.items.iter().map(|item| item.as_ref().unwrap()).collect();
+        let ada = Who::Name("ada".to_owned());
+        let told: Vec<_> = said.iter().map(|item| (item.text.as_str(), item.person.clone(), item.duration_s)).collect();
+        assert_eq!(
+            told,
+            [
+                ("present in the living room", Who::Number(4), 0.0),
+                // At 110 the door closes, and at 200 somebody moves, which was not worth saying again.
+                ("away", ada.clone(), 1910.0),
+                ("present in the kitchen", Who::Number(4), 3090.0),
+                ("away", ada, 710.0),
+            ]
+        );
+        assert!(said.iter().all(|item| item.kind == roomcast_ipc::narration_kind::PRESENCE));
+        assert_eq!((log.unfit, log.silent), (0, 3));
     }
 
     #[test]
     fn malformed_rules_are_named() {
         for (text, part) in [
             ("", "missing field `rule`"),
-            ("[[rule]]\nsay = \"They {value}.\"", "rule 1: say knows"),
+            (
+                "[[rule]]\nsay = \"They {value}.\"",
+                "rule 1: say has {value}; it knows {sensor}, {kind}, {place}, {seconds}",
+            ),
+            ("[[rule]]\npresence = \"away\"\nroom = \"hall\"", "rule 1: room goes with"),
+            ("[[rule]]\npresence = \"away\"\nquiet_s = -1", "rule 1: quiet_s is -1"),
             ("[[rule]]\nsay = \"\"", "rule 1"),
             ("[[rule]]\nsay = \"They sit.\"\nshortest_s = -1.0", "rule 1: shortest_s"),
             ("columns = [\"sensor\"]\n[[rule]]\nsay = \"They sit.\"", "columns names Start 0 times"),
@@ -407,6 +588,18 @@ mod tests {
             let error = SensorRules::parse(text).unwrap_err();
             assert!(error.contains(part), "{text}: {error}");
         }
+    }
+
+    #[test]
+    fn absences_are_read_from_intervals_of_either_kind() {
+        assert_eq!(absences(b"10\t20\n30\t40\n").unwrap(), [(10.0, 20.0), (30.0, 40.0)]);
+        let mixed = b"start;end;what\n10;20;Sleeping\n20;40;Leaving\n50;60;leave-house\n";
+        assert_eq!(absences(mixed).unwrap(), [(20.0, 40.0), (50.0, 60.0)]);
+        let home = b"start,end,what\n50,60,present\n0,20,at home\n15,30,present\n";
+        assert_eq!(absences(home).unwrap(), [(30.0, 50.0)]);
+        assert!(absences(b"10,20,Sleeping\n").unwrap_err().contains("third column"));
+        assert!(absences(b"10,20,x\nnoon,20,x\n").unwrap_err().starts_with("line 2"));
+        assert_eq!(absences(b"").unwrap(), []);
     }
 
     #[test]
@@ -426,12 +619,12 @@ mod tests {
         let rules = SensorRules::parse("[[rule]]\nsay = \"They open the {sensor}.\"").unwrap();
         let mut lines: Vec<_> = (0..500).map(|n| format!("{n}\t{n}\tdoor{n}\tmagnetic\thall")).collect();
         lines[100] = "100\t\"100\tdoor100\tmagnetic\thall".to_owned();
-        let narrated = rules.narrate(lines.join("\r\n").as_bytes());
+        let narrated = rules.narrate(lines.join("\r\n").as_bytes(), &Who::Somebody);
         let (said, wrong): (Vec<_>, Vec<_>) = narrated.items.iter().partition(|item| item.is_ok());
         assert_eq!((said.len(), wrong.len()), (499, 1));
         assert!(wrong[0].as_ref().unwrap_err().to_string().starts_with("line 101:"), "{wrong:?}");
         // A quoted field may hold the separator, as before.
-        let quoted = rules.narrate(b"1,2,\"door, left\",magnetic,hall\n");
+        let quoted = rules.narrate(b"1,2,\"door, left\",magnetic,hall\n", &Who::Somebody);
         assert_eq!(quoted.items[0].as_ref().unwrap().text, "They open the door, left.");
     }
 }

@@ -154,18 +154,31 @@ pub fn open_with<M: LanguageModel>(
 /// When it cannot be loaded, or is not the one that is pinned.
 pub fn configured_model(config: &Config) -> Result<LlamaModel, SetupError> {
     check_pin(config)?;
-    load_model(config.model.path.as_deref(), &config.model.llama_options())
+    let model = load_model(config.model.path.as_deref(), &config.model.llama_options())?;
+    // The file may have been exchanged between the check and the loading.
+    compare_pin(config, model.info().fingerprint)?;
+    Ok(model)
 }
 
 /// Holds the model file to the checksum that the configuration pins, before llama.cpp sees any of it.
-fn check_pin(config: &Config) -> Result<(), SetupError> {
-    let Some(pinned) = &config.model.sha256 else { return Ok(()) };
-    let (path, fingerprint) = match &config.model.path {
-        None => ("(embedded)".to_owned(), Ok(Sha256::digest(embedded::MODEL).into())),
-        Some(path) => (path.display().to_string(), file_sha256(path)),
+///
+/// # Errors
+/// When it cannot be read, or is another file.
+pub fn check_pin(config: &Config) -> Result<(), SetupError> {
+    if config.model.sha256.is_none() {
+        return Ok(());
+    }
+    let fingerprint = match &config.model.path {
+        None => Ok(Sha256::digest(embedded::MODEL).into()),
+        Some(path) => file_sha256(path)
+            .map_err(|error| ModelError::Load { path: path.display().to_string(), reason: error.to_string() }),
     };
-    let fingerprint =
-        fingerprint.map_err(|error| ModelError::Load { path: path.clone(), reason: error.to_string() })?;
+    compare_pin(config, fingerprint?)
+}
+
+fn compare_pin(config: &Config, fingerprint: [u8; 32]) -> Result<(), SetupError> {
+    let Some(pinned) = &config.model.sha256 else { return Ok(()) };
+    let path = config.model.path.as_ref().map_or_else(|| "(embedded)".to_owned(), |path| path.display().to_string());
     let found = hex::encode(fingerprint);
     if pinned.eq_ignore_ascii_case(&found) {
         Ok(())
@@ -188,4 +201,23 @@ pub(crate) fn pipeline_options(config: &Config) -> Result<PipelineOptions, Confi
         deadline_ns: config.scoring.deadline_ms.saturating_mul(1_000_000),
         history: config.history,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pin_is_held_against_what_was_loaded() {
+        let mut config = Config::default();
+        compare_pin(&config, [7; 32]).unwrap();
+        config.model.sha256 = Some("07".repeat(32));
+        compare_pin(&config, [7; 32]).unwrap();
+        // As when the file was exchanged after it was checked.
+        let error = compare_pin(&config, [8; 32]).unwrap_err().to_string();
+        assert!(
+            error.contains("(embedded) has the SHA-256 0808") && error.contains("model.sha256 pins 0707"),
+            "{error}"
+        );
+    }
 }

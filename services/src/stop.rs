@@ -1,47 +1,62 @@
 //! A clean stop on ctrl-C and on a termination signal; one more, from somebody who has waited, ends at once.
 
+use std::convert::Infallible;
 use std::io;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
+
+use crossbeam::channel::{Receiver, Sender, bounded};
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use signal_hook::{flag, low_level};
 
-/// The exit code of a process that a second signal ends.
-pub const INTERRUPTED: u8 = 130;
-
-/// Signals closer together are one wish to stop: `timeout` and terminals send theirs to a process and again to its group.
-const ONE_WISH: Duration = Duration::from_millis(500);
+/// Signals closer together are one request: `timeout` and terminals send theirs to a process and again to its group.
+const SAME_REQUEST: Duration = Duration::from_millis(500);
 
 /// Whether somebody has asked this process to stop.
-#[derive(Debug, Clone, Default)]
-pub struct Stop(Arc<AtomicBool>);
+#[derive(Debug, Clone)]
+pub struct Stop {
+    asked: Arc<AtomicBool>,
+    /// Gone once it was asked: that wakes whoever waits for [`Stop::woken`].
+    awake: Arc<Mutex<Option<Sender<Infallible>>>>,
+    woken: Receiver<Infallible>,
+}
+
+impl Default for Stop {
+    fn default() -> Self {
+        Self::new()
+    }
+}
 
 impl Stop {
     /// One that only [`Stop::request`] sets.
     #[must_use]
     pub fn new() -> Self {
-        Self::default()
+        let (awake, woken) = bounded(0);
+        Self { asked: Arc::default(), awake: Arc::new(Mutex::new(Some(awake))), woken }
     }
 
-    /// One that SIGINT and SIGTERM set; a further signal half a second later or more ends the process with [`INTERRUPTED`].
+    /// One that SIGINT and SIGTERM set; a further signal half a second later or more ends the process with the exit code
+    /// `second_signal`.
     ///
     /// # Errors
     ///
     /// When the system refuses the handlers, or the thread that waits for further signals.
-    pub fn on_signals() -> io::Result<Self> {
+    pub fn on_signals(second_signal: u8) -> io::Result<Self> {
         let stop = Self::new();
         for signal in [SIGINT, SIGTERM] {
-            flag::register(signal, Arc::clone(&stop.0))?;
+            flag::register(signal, Arc::clone(&stop.asked))?;
         }
         let mut signals = Signals::new([SIGINT, SIGTERM])?;
+        let asked = stop.clone();
         let wait = move || {
             let mut first = None;
             for _signal in &mut signals {
-                if first.get_or_insert_with(Instant::now).elapsed() >= ONE_WISH {
-                    low_level::exit(i32::from(INTERRUPTED));
+                asked.request();
+                if first.get_or_insert_with(Instant::now).elapsed() >= SAME_REQUEST {
+                    low_level::exit(i32::from(second_signal));
                 }
             }
         };
@@ -51,12 +66,36 @@ impl Stop {
 
     /// Asks to stop.
     pub fn request(&self) {
-        self.0.store(true, Ordering::SeqCst);
+        self.asked.store(true, Ordering::SeqCst);
+        drop(self.awake.lock().unwrap_or_else(PoisonError::into_inner).take());
+    }
+
+    /// Never gives anything, and is disconnected once somebody has asked: for a thread that waits for that among other things.
+    #[must_use]
+    pub fn woken(&self) -> &Receiver<Infallible> {
+        &self.woken
     }
 
     /// Whether it was asked.
     #[must_use]
     pub fn requested(&self) -> bool {
-        self.0.load(Ordering::SeqCst)
+        self.asked.load(Ordering::SeqCst)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crossbeam::channel::RecvTimeoutError;
+
+    use super::*;
+
+    #[test]
+    fn who_waits_for_a_stop_is_woken() {
+        let stop = Stop::new();
+        assert_eq!(stop.woken().recv_timeout(Duration::ZERO), Err(RecvTimeoutError::Timeout));
+        let other = stop.clone();
+        std::thread::spawn(move || other.request());
+        assert_eq!(stop.woken().recv_timeout(Duration::from_secs(60)), Err(RecvTimeoutError::Disconnected));
+        assert!(stop.requested());
     }
 }

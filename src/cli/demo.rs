@@ -1,10 +1,13 @@
 //! `roomcast demo`: the whole system on this machine, three processes in a private domain, one activity in one apartment.
 //!
+//! The robot hears the planner's decisions and reports what it does, both over the real services.
+//!
 //! The person is the simulation's, as in the experiments: the laboratory's timeline says where the person is and when what is
 //! observed, and its cost function counts what the robot shared with them. Beside the figures of the robot that ran stand those of
 //! simulated robots in the same home.
 
 use std::collections::VecDeque;
+use std::ffi::OsString;
 use std::fmt::Write as _;
 use std::io::{self, IsTerminal, PipeWriter, Write};
 use std::path::{Path, PathBuf};
@@ -13,10 +16,11 @@ use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, ItemScoresSubscriber, NarrationV1, Node, RoomScoresV1, Subscriber, action, clock,
-    decision_flags, score_flags,
+    DecisionV1, Domain, IpcError, ItemScoresSubscriber, NarrationV1, Node, RobotReportV1, RoomScoresV1, Subscriber,
+    action, clock, decision_flags, report_kind, score_flags,
 };
 
+use super::demo_robot::DemoRobot;
 use super::stage::Stage;
 use super::{CommandResult, Failure, count, ranges, service, table};
 use crate::bar::bar;
@@ -38,6 +42,8 @@ use roomcast_services::stop::Stop;
 /// Loading the model is the slow part of the start.
 const START_WITHIN: Duration = Duration::from_secs(120);
 const ITEMS_WITHIN: Duration = Duration::from_millis(200);
+/// How long somebody is in the robot's room before it is interrupted, in the person's time.
+const INTERRUPT_AFTER_S: f64 = 2.0;
 const BAR_WIDTH: usize = 30;
 const TOP_OBJECTS: usize = 5;
 
@@ -57,7 +63,7 @@ pub struct Args {
     #[arg(long, value_name = "POLICY", default_value_t = PolicyName::CoverageAware)]
     policy: PolicyName,
     /// Seed of every draw: of the robot's policy, of the person, and of the simulated robots.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = ranges::any())]
     seed: u64,
     /// How long the activity plays, in seconds; real time is sped up to fit.
     #[arg(long, value_name = "SECONDS", default_value_t = 24.0, value_parser = ranges::positive)]
@@ -65,6 +71,9 @@ pub struct Args {
     /// T_r: seconds of the person's time that the robot spends in a room.
     #[arg(long, value_name = "SECONDS", default_value_t = 25, value_parser = ranges::room_time_s())]
     room_time: usize,
+    /// Let somebody who comes into the robot's room end its work there. The simulated robots of the table stay.
+    #[arg(long)]
+    interrupt: bool,
 }
 
 /// Plays the activity and prints what happens, and a summary.
@@ -109,7 +118,9 @@ pub fn run(args: &Args) -> CommandResult {
         daemon.extend(["--model".into(), model.clone().into_os_string()]);
     }
     stage.start("daemon", &daemon)?;
+    let robot = DemoRobot::start(&domain, Duration::from_secs_f64(args.room_time as f64 / speed))?;
     let result = play(args, &mut stage, &mut show, speed, &stop);
+    let result = result.and(robot.end());
     show.close();
     // The ports go before the domain can be removed.
     let (summary, unheard) = (show.summary(args, &plot, map.name()), show.unheard);
@@ -136,11 +147,22 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
     // The narrator waits for what is observed: it is there before the person's time begins.
     let failed = |error: io::Error| Failure::new(exit_code::FAILURE, format!("cannot speak to the narrator: {error}"));
     let (ear, mouth) = io::pipe().map_err(failed)?;
-    stage.start_with("narrate", &["-".into(), "--name".into(), "person".into()], Stdio::from(ear), Stdio::null())?;
+    stage.start_with(
+        "narrate",
+        &["-".into(), "--name".into(), "person".into(), "--person".into(), "0".into()],
+        Stdio::from(ear),
+        Stdio::null(),
+    )?;
     let (policy, seed) = (args.policy.to_string().into(), args.seed.to_string().into());
     let real = |person_s: usize| (person_s as f64 / speed).to_string().into();
-    let times = ["--room-time".into(), real(args.room_time), "--round".into(), real(show.timeline.len())];
-    stage.start("planner", &[["--policy".into(), policy, "--seed".into(), seed], times].concat())?;
+    // The experiments' robots enter where the policy says so, and stay.
+    let mut planner: Vec<OsString> = vec!["--policy".into(), policy, "--seed".into(), seed];
+    planner.extend(["--room-time".into(), real(args.room_time), "--round".into(), real(show.timeline.len())]);
+    planner.extend(["--reports", "always", "--forced", "enter", "--scene"].map(OsString::from));
+    planner.push(args.scene.clone().into_os_string());
+    planner.extend(["--interrupt".into(), args.interrupt.to_string().into()]);
+    planner.extend(["--interrupt-after".into(), (INTERRUPT_AFTER_S / speed).to_string().into()]);
+    stage.start("planner", &planner)?;
     while !stop.requested() && !show.unheard && show.begin_ns.is_none() {
         stage.check()?;
         show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))?;
@@ -234,6 +256,7 @@ struct Show<'a> {
     scores: Subscriber<RoomScoresV1>,
     items: ItemScoresSubscriber,
     decisions: Subscriber<DecisionV1>,
+    reports: Subscriber<RobotReportV1>,
     timeline: &'a Timeline,
     names: Vec<String>,
     ids: Vec<String>,
@@ -244,6 +267,8 @@ struct Show<'a> {
     /// Narration that no scores contain yet, with the time of its observation.
     sentences: VecDeque<(u64, String)>,
     untold: VecDeque<DecisionV1>,
+    /// Decisions that the robot has reported as carried out, and when.
+    finished: VecDeque<(u64, u64)>,
     decision: Option<DecisionV1>,
     top: Vec<(String, f64)>,
     /// Where the robot was, in the person's time.
@@ -268,6 +293,7 @@ impl<'a> Show<'a> {
             scores: node.subscriber()?,
             items: node.item_scores_subscriber()?,
             decisions: node.subscriber()?,
+            reports: node.subscriber()?,
             timeline,
             names: grounding.partition_names(),
             ids: grounding.partitions().iter().map(|partition| partition.id.clone()).collect(),
@@ -276,6 +302,7 @@ impl<'a> Show<'a> {
             scores_seen: 0,
             sentences: VecDeque::new(),
             untold: VecDeque::new(),
+            finished: VecDeque::new(),
             decision: None,
             top: Vec::new(),
             robot: Vec::new(),
@@ -314,6 +341,12 @@ impl<'a> Show<'a> {
 
     /// Takes what lies in the ports: first the decisions, so that whatever was narrated before them is there, too.
     fn hear(&mut self) -> Result<(), IpcError> {
+        while let Some(received) = self.reports.receive()? {
+            let Ok(report) = received else { continue };
+            if report.kind == report_kind::FINISHED {
+                self.finished.push_back((report.decision_sequence, report.reported_ns));
+            }
+        }
         while let Some(received) = self.decisions.receive()? {
             let Ok(decision) = received else { continue };
             self.begin_ns.get_or_insert(decision.decided_ns);
@@ -354,6 +387,17 @@ impl<'a> Show<'a> {
     }
 
     fn decided(&mut self, decision: &DecisionV1) {
+        // Its end was reported before the robot was sent elsewhere.
+        while let Some((sequence, at_ns)) =
+            self.finished.front().copied().filter(|(_, at_ns)| *at_ns <= decision.decided_ns)
+        {
+            self.finished.pop_front();
+            let before = self.decision.filter(|before| before.sequence == sequence);
+            let room = before.and_then(|before| self.ids.iter().position(|id| id == before.to()));
+            if let Some(room) = room {
+                self.say(&[format!("{:6} s  report: work in the {} is finished", self.at_s(at_ns), self.names[room])]);
+            }
+        }
         let room = self.ids.iter().position(|id| id == decision.to());
         let at_s = self.at_s(decision.decided_ns);
         self.robot.push(Stay { from_s: at_s, room, works: decision.action == action::GO });

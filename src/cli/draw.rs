@@ -35,8 +35,8 @@ pub struct Args {
 }
 
 fn parse_scale(text: &str) -> Result<f32, String> {
-    let scale = text.parse().map_err(|error| format!("{error}"))?;
-    if (0.1..=8.0).contains(&scale) { Ok(scale) } else { Err("give a number from 0.1 to 8".to_owned()) }
+    let scale = text.parse().ok().filter(|scale| (0.1..=8.0).contains(scale));
+    scale.ok_or_else(|| "give a number from 0.1 to 8".to_owned())
 }
 
 /// The part of `roomcast score --json` that a drawing needs.

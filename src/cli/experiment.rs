@@ -21,6 +21,7 @@ use roomcast_lab::simulation::binding::ItemChoice;
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast_services::setup;
 
+mod habits;
 mod study;
 
 /// Arguments of `roomcast experiment`.
@@ -44,6 +45,8 @@ enum Experiment {
     Pareto(study::ParetoArgs),
     /// How well the forecast says where the person will be, by horizon.
     Horizon(study::StudyArgs),
+    /// How well a home is learned, day by day: every forecast is made first and learned from then.
+    Habits(habits::HabitsArgs),
 }
 
 /// What all experiments share: model, window and cache.
@@ -76,7 +79,7 @@ struct ModelArgs {
     #[arg(long, conflicts_with = "cache")]
     no_cache: bool,
     /// Seed of every draw: the same seed gives the same table.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = ranges::any())]
     seed: u64,
 }
 
@@ -171,6 +174,7 @@ pub fn run(args: &Args) -> CommandResult {
         Experiment::Ablation(args) => study::run_ablation(args),
         Experiment::Pareto(args) => study::run_pareto(args),
         Experiment::Horizon(args) => study::run_horizon(args),
+        Experiment::Habits(args) => habits::run(args),
     }
 }
 

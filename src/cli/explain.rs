@@ -9,6 +9,7 @@ use roomcast_ipc::question;
 
 use super::{CommandResult, Failure, count, draw, ranges, score, service};
 use crate::exit_code;
+use roomcast_core::explanation::Explanation;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::Observation;
 use roomcast_core::narration::history::HistoryLimits;
@@ -55,11 +56,11 @@ pub struct Args {
     #[arg(long, value_name = "SECONDS", requires = "recording", conflicts_with_all = ["sequence", "live"], conflicts_with_all = OF_A_NARRATION, value_parser = ranges::time_s)]
     at: Option<f64>,
     /// The scores' sequence number.
-    #[arg(long, value_name = "N", requires = "recording", conflicts_with = "live", conflicts_with_all = OF_A_NARRATION)]
+    #[arg(long, value_name = "N", requires = "recording", conflicts_with = "live", conflicts_with_all = OF_A_NARRATION, value_parser = ranges::any())]
     sequence: Option<u64>,
     /// Explain the scores of this person alone. Without it, those of each person, one after the other.
-    #[arg(long, value_name = "N")]
-    person: Option<u32>,
+    #[arg(long, value_name = "WHO")]
+    person: Option<String>,
     /// Also draw the plan with the heat of every room and item; the ending, `.svg` or `.png`, decides the format.
     #[arg(long, value_name = "FILE")]
     plan: Option<PathBuf>,
@@ -95,7 +96,10 @@ pub fn run(args: &Args) -> CommandResult {
     };
     let failed = |error| Failure::new(exit_code::FAILURE, error);
     let unknown = |error| Failure::new(exit_code::INPUT, error);
-    let moment = args.person.map_or_else(|| Ok(moment.clone()), |person| moment.of_person(person)).map_err(unknown)?;
+    let moment = match &args.person {
+        Some(who) => moment.find(who).and_then(|person| moment.of_person(person)).map_err(unknown)?,
+        None => moment,
+    };
     let explained = moment.explain(args.score.top()).map_err(failed)?;
     if let Some(path) = &args.plan {
         draw_plan(&explained, path)?;
@@ -110,8 +114,11 @@ pub fn run(args: &Args) -> CommandResult {
         let mut value =
             serde_json::to_value(&explained.explanation).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
         if !persons.is_empty() {
-            let person = |(person, explanation)| serde_json::json!({"person": person, "explanation": explanation});
-            value["persons"] = persons.iter().map(|(a, b)| person((a, b))).collect();
+            let person = |(person, explanation): &(u32, Explanation)| {
+                let name = moment.names.get(person);
+                serde_json::json!({"person": person, "name": name, "explanation": explanation})
+            };
+            value["persons"] = persons.iter().map(person).collect();
         }
         return super::print_json(&value);
     }
@@ -120,7 +127,9 @@ pub fn run(args: &Args) -> CommandResult {
         let _ = write!(text, "{}", explained.explanation);
     }
     for (person, explanation) in &persons {
-        let _ = write!(text, "Person {person}\n\n{explanation}\n");
+        let name = moment.name_of(*person);
+        let heading = name.chars().take(1).flat_map(char::to_uppercase).chain(name.chars().skip(1));
+        let _ = write!(text, "{}\n\n{explanation}\n", heading.collect::<String>());
     }
     super::print(&text)
 }
@@ -180,7 +189,7 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
     let binding = binding.map_err(|error| input(error.to_string()))?;
     let grounded = Grounding::new(&map, &grounding).map_err(|error| input(error.to_string()))?;
     // What is given is the window: nothing of it is to be cut.
-    let history = HistoryLimits { observations: narration.len().max(1), slack: 0, tokens: usize::MAX };
+    let history = HistoryLimits { observations: narration.len().max(1), slack: 0, tokens: usize::MAX, gap_s: 0 };
     let correction = base.map_or_else(CorrectionChoice::default, |moment| CorrectionChoice::exactly(moment.correction));
     let tokenisation = base.map_or_else(Default::default, |moment| moment.tokenisation);
     let options = PipelineOptions { binding, history, correction, tokenisation, ..PipelineOptions::default() };
@@ -190,10 +199,8 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
         person,
         source: 1,
         epoch: 1,
-        sequence,
         observed_ns: sequence,
-        observed_unix_ns: 0,
-        sentence,
+        ..Observation::of(sequence, sentence)
     });
     let observations: Vec<_> = observations.collect();
     let window = observations.len() as u64;

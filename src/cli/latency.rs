@@ -10,7 +10,7 @@ use roomcast_ipc::{DecisionV1, Domain, Node, RoomScoresV1};
 use serde::Serialize;
 
 use super::stage::Stage;
-use super::{CommandResult, Failure, print_json, service};
+use super::{CommandResult, Failure, print_json, ranges, service};
 use crate::exit_code;
 use crate::latency::{self, LatencyError, Narrator, Path, Probe, Row};
 use roomcast_core::narration::Program;
@@ -23,10 +23,10 @@ const START_WITHIN: Duration = Duration::from_secs(120);
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Samples per path.
-    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = ranges::some())]
     samples: u64,
     /// Milliseconds of silence before each sample, in which the processes fall asleep.
-    #[arg(long, value_name = "MS", default_value_t = 5)]
+    #[arg(long, value_name = "MS", default_value_t = 5, value_parser = ranges::any())]
     pause: u64,
     /// Which scorer: the model, none (every word is as likely), or both in turn.
     #[arg(long, value_enum, default_value_t = Scorer::Both)]

@@ -7,7 +7,7 @@ use std::fmt;
 use std::io::Write;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use roomcast_services::daemon::DaemonError;
 use roomcast_services::setup::SetupError;
@@ -21,6 +21,8 @@ mod config;
 mod daemon;
 #[cfg(feature = "demo")]
 mod demo;
+#[cfg(feature = "demo")]
+mod demo_robot;
 mod doctor;
 #[cfg(feature = "lab")]
 mod draw;
@@ -38,12 +40,14 @@ mod model;
 mod narrate;
 #[cfg(feature = "mqtt")]
 mod narrate_mqtt;
+mod person;
 mod planner;
 mod ranges;
 #[cfg(feature = "recordings")]
 mod record;
 #[cfg(feature = "recordings")]
 mod replay;
+mod report;
 mod scene;
 mod scene_files;
 mod score;
@@ -149,7 +153,7 @@ asks to stop ends with 0.
 Services log to the journal under systemd, else to standard error. ROOMCAST_LOG says what is told: warn, info (the default), or \
 info,roomcast=debug for a line per step.";
 
-/// Which room a person will be in next, in time for the robot to be elsewhere.
+/// Predicts which rooms people will be in next, so that a robot works somewhere else.
 #[derive(Debug, Parser)]
 #[command(name = "roomcast", version, propagate_version = true, after_help = CODES_AND_LOGS)]
 pub struct Cli {
@@ -194,6 +198,8 @@ enum Command {
     Model(model::Args),
     /// Publish what a person does: activity programs, JSON lines, plain sentences.
     Narrate(narrate::Args),
+    /// Say who a running daemon knows, forget somebody, or give somebody a name.
+    Person(person::Args),
     /// Decide where the robot goes: the service that applies a policy to the scores.
     Planner(planner::Args),
     /// Record everything on the services into an MCAP file.
@@ -202,6 +208,8 @@ enum Command {
     /// Replay a recording, bit for bit, at any speed.
     #[cfg(feature = "recordings")]
     Replay(replay::Args),
+    /// Tell a robot's planner what the robot does: started, finished, failed, position, battery.
+    Report(report::Args),
     /// Import, check, show and draw semantic maps.
     Scene(scene::Args),
     /// Score every label, item and partition of a scene once.
@@ -227,10 +235,25 @@ impl Command {
     }
 }
 
+/// The commands. A number after an option is its value where it is negative, too, so that the error says what is allowed.
+fn commands() -> clap::Command {
+    fn take_negative_numbers(command: clap::Command) -> clap::Command {
+        let values = |arg: clap::Arg| {
+            let option = arg.get_action().takes_values() && !arg.is_positional();
+            if option { arg.allow_negative_numbers(true) } else { arg }
+        };
+        command.mut_args(values).mut_subcommands(take_negative_numbers)
+    }
+    take_negative_numbers(Cli::command())
+}
+
 /// Parses the command line, runs it and gives the exit code; prints an error once, on standard error.
 #[must_use]
 pub fn main() -> ExitCode {
-    let command = Cli::parse().command;
+    let command = match Cli::from_arg_matches(&commands().get_matches()) {
+        Ok(cli) => cli.command,
+        Err(error) => error.format(&mut commands()).exit(),
+    };
     if command.only_prints() {
         // Output into a pipe that closes (`| head -1`) ends the command as it ends any other.
         sigpipe::reset();
@@ -257,11 +280,13 @@ pub fn main() -> ExitCode {
         Command::Metrics(args) => metrics::run(&args),
         Command::Model(args) => model::run(&args),
         Command::Narrate(args) => narrate::run(&args),
+        Command::Person(args) => person::run(&args),
         Command::Planner(args) => planner::run(&args),
         #[cfg(feature = "recordings")]
         Command::Record(args) => record::run(&args),
         #[cfg(feature = "recordings")]
         Command::Replay(args) => replay::run(&args),
+        Command::Report(args) => report::run(&args),
         Command::Scene(args) => scene::run(&args),
         Command::Score(args) => score::run(&args),
         #[cfg(feature = "top")]

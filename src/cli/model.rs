@@ -325,6 +325,9 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
             }
         }
     }
+    if let Some(damaged) = file.and_then(copy_of_embedded) {
+        checked.push(damaged);
+    }
     let mass: f64 = scores[0].iter().map(|log_prob_nats| log_prob_nats.exp()).sum();
     checked.push(Checked {
         check: "scores are probabilities",
@@ -332,6 +335,7 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
         ok: scores.iter().flatten().all(|score| score.is_finite() && *score <= 1e-6) && mass <= 1.0 + 1e-6,
         found: format!("{} labels, together {:.1} %", labels.len(), 100.0 * mass),
     });
+    checked.push(expects(mass));
     checked.push(Checked {
         check: "methods agree",
         ok: worst <= METHODS_TOLERANCE_NATS_PER_TOKEN,
@@ -462,6 +466,34 @@ fn tokenises(scorer: &Scorer<LlamaModel>, labels: &[String], tokens: &[Vec<Token
     }
 }
 
+/// Whether the model expects such labels at all, by the probability of all of them together.
+fn expects(mass: f64) -> Checked {
+    /// Twelve common things of a home; with less, scores are noise.
+    const MASS_MIN: f64 = 1e-3;
+    let ok = mass >= MASS_MIN;
+    let remedy = if ok { "" } else { ": it does not know how such a sentence goes on; take another model" };
+    Checked { check: "labels are expected", ok, found: format!("{mass:.1e} in all, {MASS_MIN:.0e} needed{remedy}") }
+}
+
+/// Whether the file is the embedded model but for a few bytes: damage that a model may not show. None where it is another model.
+fn copy_of_embedded(file: &Path) -> Option<Checked> {
+    /// Another model of the same size differs nearly everywhere.
+    const SHARE_MAX: f64 = 0.01;
+    if std::fs::metadata(file).ok()?.len() != embedded::MODEL.len() as u64 {
+        return None;
+    }
+    let bytes = std::fs::read(file).ok()?;
+    let different = bytes.iter().zip(embedded::MODEL).filter(|(a, b)| a != b).count();
+    (different as f64 <= SHARE_MAX * embedded::MODEL.len() as f64).then(|| Checked {
+        check: "is a whole copy",
+        ok: different == 0,
+        found: match different {
+            0 => "of the embedded model, byte for byte".to_owned(),
+            _ => format!("{different} bytes differ from the embedded model's: damaged on the way; copy it again"),
+        },
+    })
+}
+
 fn compare(case: &KnownCase, sha256: &str, scores: &[f64]) -> Checked {
     let worst =
         case.labels.iter().zip(scores).map(|(known, score)| (known.log_prob_nats - score).abs()).fold(0.0, f64::max);
@@ -532,6 +564,26 @@ mod tests {
                 "{failure}; after a change of the model run `roomcast model check --record models/household-check.json`"
             );
         }
+    }
+
+    #[test]
+    fn a_model_that_expects_no_label_fails_its_check() {
+        assert!(expects(0.2).ok && !expects(1e-9).ok && !expects(0.0).ok);
+    }
+
+    #[test]
+    fn a_copy_with_one_flipped_byte_fails_its_check() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let mut copy = embedded::MODEL.to_vec();
+        std::fs::write(file.path(), &copy).unwrap();
+        check(Some(file.path()), None, None, true).unwrap();
+        // A byte of a weight near the end, which changes hardly a score.
+        let at = copy.len() - 1000;
+        copy[at] ^= 1;
+        std::fs::write(file.path(), &copy).unwrap();
+        let failure = check(Some(file.path()), None, None, true).unwrap_err();
+        assert_eq!(failure.code, exit_code::CHECK);
+        assert!(copy_of_embedded(file.path()).unwrap().found.starts_with("1 bytes differ"));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use roomcast_services::config::Config;
 use roomcast_services::logging;
 #[cfg(feature = "mqtt")]
 use roomcast_services::mqtt::Broker;
-use roomcast_services::narrator::{self, Input, Outcome, Pace};
+use roomcast_services::narrator::{self, Input, Outcome, Pace, Who};
 use roomcast_services::sensor_log::SensorRules;
 use roomcast_services::stop::Stop;
 
@@ -21,20 +21,20 @@ use crate::exit_code;
 pub struct Args {
     #[command(flatten)]
     service: service::Args,
-    /// An activity program (or a shipped one's name), JSON lines, or plain lines; `-` is standard input.
+    /// An activity program (or a shipped one's name), JSON lines (docs/json-lines.md), or plain lines; `-` is standard input.
     #[arg(value_name = "FILE", default_value = "-", conflicts_with = "fifo")]
     input: PathBuf,
     /// Make a FIFO there and publish the lines written into it, for ever.
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, value_name = "PATH", conflicts_with = "speed")]
     fifo: Option<PathBuf>,
     /// Publish what an MQTT broker's devices say: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca.
     #[cfg(feature = "mqtt")]
-    #[arg(long, value_name = "URL", conflicts_with_all = ["input", "fifo", "sensors"], requires = "rules")]
+    #[arg(long, value_name = "URL", conflicts_with_all = ["input", "fifo", "sensors", "speed"], requires = "rules")]
     mqtt: Option<String>,
     /// Publish a sensor log: intervals with sensor, kind and place, as public smart-home data sets have them.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["input", "fifo"], requires = "rules")]
     sensors: Option<PathBuf>,
-    /// The rules by which MQTT messages or sensors' intervals become sentences; see docs/mqtt.md and docs/sensors.md.
+    /// The rules by which MQTT messages or sensors' intervals become narration; see docs/mqtt.md and docs/sensors.md.
     #[arg(long, value_name = "FILE")]
     rules: Option<PathBuf>,
     /// A file with the broker's user name and password, a line each.
@@ -48,9 +48,9 @@ pub struct Args {
     /// This source's name, in place of the configuration's; it must differ between narrators.
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
-    /// The person that is observed, when the input does not say.
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    person: u32,
+    /// The person that is observed, by number or name, when the input does not say; without it somebody, whom the daemon makes out.
+    #[arg(long, value_name = "N|NAME")]
+    person: Option<Who>,
     /// Seconds before each narration; 0 is as fast as the daemon takes them.
     #[arg(long, value_name = "SECONDS", conflicts_with = "speed", value_parser = ranges::time_s)]
     pace: Option<f64>,
@@ -81,6 +81,7 @@ pub fn run(args: &Args) -> CommandResult {
     narrator.linger_s = args.linger.unwrap_or(narrator.linger_s);
     config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
     let pace = args.pace.map_or(Pace::Speed(args.speed), Pace::Seconds);
+    let person = args.person.clone().unwrap_or_default();
     let input = |error| Failure::new(exit_code::INPUT, error);
     if let Some(fifo) = &args.fifo {
         narrator::make_fifo(fifo).map_err(input)?;
@@ -94,7 +95,7 @@ pub fn run(args: &Args) -> CommandResult {
             authority: args.mqtt_ca.clone(),
         };
         let rules = args.rules.as_deref().unwrap_or(Path::new("rules.toml"));
-        let (lines, listener) = narrate_mqtt::listen(&broker, rules, args.person, &stop)?;
+        let (lines, listener) = narrate_mqtt::listen(&broker, rules, person, &stop)?;
         // First the broker is left, then what it is told to be done with is published.
         let patience = narrate_mqtt::patience(&stop)?;
         let outcome = publish(&config, &domain, lines, pace, &patience)?;
@@ -104,11 +105,11 @@ pub fn run(args: &Args) -> CommandResult {
         return report(args, &outcome, &domain);
     }
     let source = match &args.sensors {
-        Some(log) => read_sensors(log, args.rules.as_deref().unwrap_or(Path::new("rules.toml")))?,
+        Some(log) => read_sensors(log, args.rules.as_deref().unwrap_or(Path::new("rules.toml")), &person)?,
         None if args.rules.is_some() => {
             return Err(Failure::new(exit_code::USAGE, "--rules are for --mqtt or --sensors; give one of them"));
         }
-        None => Input::open(args.fifo.as_ref().unwrap_or(&args.input), args.person).map_err(input)?,
+        None => Input::open(args.fifo.as_ref().unwrap_or(&args.input), person).map_err(input)?,
     };
     report(args, &publish(&config, &domain, source, pace, &stop)?, &domain)
 }
@@ -122,10 +123,17 @@ fn report(args: &Args, outcome: &Outcome, domain: &Domain) -> CommandResult {
     if args.json {
         print_json(outcome)?;
     }
-    let unconfirmed = outcome.sent - outcome.confirmed;
+    let unconfirmed = outcome.sent - outcome.confirmed - outcome.dropped;
     if outcome.refused > 0 {
         let refused = outcome.refused;
         return Err(Failure::new(exit_code::INPUT, format!("{refused} lines were no narration; the log names them")));
+    }
+    if outcome.dropped > 0 {
+        let (dropped, sent) = (outcome.dropped, outcome.sent);
+        return Err(Failure::new(
+            exit_code::IPC,
+            format!("the daemon dropped {dropped} of {sent} narrations; its log says why, for each source"),
+        ));
     }
     if unconfirmed > 0 {
         let sent = outcome.sent;
@@ -141,9 +149,9 @@ fn report(args: &Args, outcome: &Outcome, domain: &Domain) -> CommandResult {
 }
 
 /// Makes narration of a sensor log.
-fn read_sensors(log: &Path, rules: &Path) -> Result<Input, Failure> {
+fn read_sensors(log: &Path, rules: &Path, person: &Who) -> Result<Input, Failure> {
     let input = |error| Failure::new(exit_code::INPUT, error);
-    let narrated = SensorRules::load(rules).and_then(|rules| rules.narrate_file(log)).map_err(input)?;
+    let narrated = SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, person)).map_err(input)?;
     let (lines, unfit, silent) = (narrated.items.len(), narrated.unfit, narrated.silent);
     tracing::info!(lines, unfit, silent, log = %log.display(), "sensor log read");
     Ok(Input::Log(narrated.items))

@@ -5,7 +5,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use roomcast_services::mqtt::{self, Broker, Heard, MqttError, Rules};
-use roomcast_services::narrator::Input;
+use roomcast_services::narrator::{Input, Who};
 use roomcast_services::stop::Stop;
 
 use super::{CommandResult, Failure};
@@ -17,7 +17,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Listens to the broker in a thread of its own; its lines come through a pipe, whose small buffer holds it back while the daemon is
 /// behind: what is in it is acknowledged, and goes with this process if that is killed.
-pub(super) fn listen(broker: &Broker, rules: &Path, person: u32, stop: &Stop) -> Result<(Input, Listener), Failure> {
+pub(super) fn listen(broker: &Broker, rules: &Path, person: Who, stop: &Stop) -> Result<(Input, Listener), Failure> {
     let rules = Rules::load(rules).map_err(mqtt_failure)?;
     let options = broker.options().map_err(mqtt_failure)?;
     let (reader, writer) = std::io::pipe().map_err(|error| Failure::new(exit_code::FAILURE, error))?;

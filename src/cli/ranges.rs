@@ -1,6 +1,8 @@
 //! What numbers on the command line may be, in one place: clap refuses the others and names the argument.
 
-use clap::builder::RangedU64ValueParser;
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+use std::str::FromStr;
 
 use roomcast_core::narration::history::OBSERVATIONS_MAX;
 use roomcast_llama::THREADS_MAX;
@@ -12,28 +14,59 @@ const TIME_S_MAX: f64 = 1e9;
 const ACT_S_MAX: f64 = 86_400.0;
 
 /// Threads of one decoder call; 0 leaves the choice to the program.
-pub fn threads() -> RangedU64ValueParser<usize> {
-    RangedU64ValueParser::new().range(0..=THREADS_MAX as u64)
+pub fn threads() -> impl WholeParser<usize> {
+    whole(0..=THREADS_MAX)
 }
 
 /// Observations in a history window.
-pub fn observations() -> RangedU64ValueParser<usize> {
-    RangedU64ValueParser::new().range(1..=OBSERVATIONS_MAX as u64)
+pub fn observations() -> impl WholeParser<usize> {
+    whole(1..=OBSERVATIONS_MAX)
 }
 
 /// Time for an answer, in milliseconds.
-pub fn deadline_ms() -> RangedU64ValueParser<u64> {
-    RangedU64ValueParser::new().range(1..=DEADLINE_MS_MAX)
+pub fn deadline_ms() -> impl WholeParser<u64> {
+    whole(1..=DEADLINE_MS_MAX)
 }
 
 /// How long a robot works in a room of a simulation, which goes second by second.
-pub fn room_time_s() -> RangedU64ValueParser<usize> {
-    RangedU64ValueParser::new().range(1..=ACT_S_MAX as u64)
+pub fn room_time_s() -> impl WholeParser<usize> {
+    whole(1..=ACT_S_MAX as usize)
+}
+
+/// A seed, or another number that may be any.
+pub fn any() -> impl WholeParser<u64> {
+    whole(0..=u64::MAX)
+}
+
+/// A count, or a time in seconds or milliseconds, that cannot be none.
+pub fn some() -> impl WholeParser<u64> {
+    whole(1..=TIME_S_MAX as u64)
+}
+
+/// What clap takes for a parser of whole numbers.
+pub trait WholeParser<T>: Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static {}
+
+impl<T, F: Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static> WholeParser<T> for F {}
+
+/// A whole number within a range; whatever else is given, the error says the range.
+pub fn whole<T>(range: RangeInclusive<T>) -> impl WholeParser<T>
+where
+    T: FromStr + PartialOrd + Display + Clone + Send + Sync + 'static,
+{
+    move |text: &str| {
+        let number = text.parse().ok().filter(|number| range.contains(number));
+        number.ok_or_else(|| format!("give a whole number from {} to {}", range.start(), range.end()))
+    }
 }
 
 /// A time, or a weight in seconds, that may be none.
 pub fn time_s(text: &str) -> Result<f64, String> {
     number(text, |seconds| (0.0..=TIME_S_MAX).contains(&seconds), "give a number from 0 to 1000000000")
+}
+
+/// A share of a whole.
+pub fn share(text: &str) -> Result<f64, String> {
+    number(text, |share| (0.0..=1.0).contains(&share), "give a number from 0 to 1")
 }
 
 /// A factor, or a time that cannot be none.
@@ -63,11 +96,16 @@ mod tests {
     #[test]
     fn what_is_no_number_or_out_of_range_fits_nowhere() {
         for text in ["nan", "inf", "-inf", "-1", "1e10", "", "x"] {
-            for parse in [time_s, positive, act_s, act_s_or_none] {
+            for parse in [time_s, positive, act_s, act_s_or_none, share] {
                 assert!(parse(text).is_err(), "{text}");
             }
         }
+        assert!(share("1.01").is_err() && share("1") == Ok(1.0));
         assert_eq!((time_s("0"), act_s_or_none("0"), positive("1e-3")), (Ok(0.0), Ok(0.0), Ok(1e-3)));
+        for text in ["0", "9", "-1", "1.5", "x", "", "99999999999999999999"] {
+            assert_eq!(whole(1..=8_u64)(text), Err("give a whole number from 1 to 8".to_owned()), "{text}");
+        }
+        assert_eq!((whole(1..=8)("8"), any()("0"), some()("0").is_err()), (Ok(8), Ok(0), true));
         assert!(positive("0").is_err() && act_s("0.5").is_err() && act_s_or_none("86401").is_err());
     }
 }

@@ -5,14 +5,14 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::bounded;
 use roomcast_ipc::{
-    DecisionV1, ForecastV1, Message, NarrationV1, PersonScoresV1, RoomScoresV1, Subscriber, clock, question,
-    score_flags,
+    DecisionV1, ForecastV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1, RoomScoresV1,
+    Subscriber, clock, question, score_flags,
 };
 
-use super::{CommandResult, Failure, service};
+use super::{CommandResult, Failure, ranges, service};
 use roomcast_services::logging;
 use roomcast_services::moment::Moment;
-use roomcast_services::recording::{Recorded, Recorder};
+use roomcast_services::recording::{Recorded, Recorder, RecordingError};
 
 use crate::exit_code;
 
@@ -28,7 +28,7 @@ pub struct Args {
     #[arg(long)]
     heartbeats: bool,
     /// Stop after so many seconds; without it, at ctrl-C.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = ranges::some())]
     seconds: Option<u64>,
 }
 
@@ -45,6 +45,10 @@ const PATIENCE: Duration = Duration::from_secs(5);
 ///
 /// When a service cannot be opened, or the file cannot be written.
 pub fn run(args: &Args) -> CommandResult {
+    if args.file.as_os_str() == "-" {
+        let why = "a recording goes into a file, not to standard output: its index is written last and points back; give a file's name";
+        return Err(Failure::new(exit_code::USAGE, why));
+    }
     let stop = service::stop()?;
     let _log = logging::init();
     let (_, domain) = args.service.load()?;
@@ -54,8 +58,16 @@ pub fn run(args: &Args) -> CommandResult {
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
     let persons = node.subscriber::<PersonScoresV1>().map_err(ipc)?;
     let forecast = node.subscriber::<ForecastV1>().map_err(ipc)?;
+    let forecasts = node.subscriber::<PersonForecastsV1>().map_err(ipc)?;
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
-    let output = |error| Failure::new(exit_code::FAILURE, error);
+    let reports = node.subscriber::<RobotReportV1>().map_err(ipc)?;
+    let output = |error| {
+        let code = match error {
+            RecordingError::Exists { .. } => exit_code::INPUT,
+            _ => exit_code::FAILURE,
+        };
+        Failure::new(code, error)
+    };
     let mut recorder = Recorder::create(&args.file).map_err(output)?;
     // The daemon is asked by a thread of its own, so that nothing is missed meanwhile.
     let port = node.question_port(question::MOMENT).map_err(ipc)?;
@@ -71,7 +83,7 @@ pub fn run(args: &Args) -> CommandResult {
         }
     });
     let mut known = None;
-    let mut persons_known = None;
+    let (mut persons_known, mut forecasts_known) = (None, None);
     let (started, mut flushed) = (Instant::now(), Instant::now());
     let mut malformed = 0;
     while !stop.requested() && args.seconds.is_none_or(|seconds| started.elapsed() < Duration::from_secs(seconds)) {
@@ -81,7 +93,9 @@ pub fn run(args: &Args) -> CommandResult {
         take(&scores, &mut news, &mut malformed, |message| Recorded::RoomScores(Box::new(message)))?;
         take(&persons, &mut news, &mut malformed, |message| Recorded::PersonScores(Box::new(message)))?;
         take(&forecast, &mut news, &mut malformed, |message| Recorded::Forecast(Box::new(message)))?;
+        take(&forecasts, &mut news, &mut malformed, |message| Recorded::PersonForecasts(Box::new(message)))?;
         take(&decisions, &mut news, &mut malformed, |message| Recorded::Decision(Box::new(message)))?;
+        take(&reports, &mut news, &mut malformed, |message| Recorded::RobotReport(Box::new(message)))?;
         let received_unix_ns = clock::unix_ns();
         for message in &news {
             let repeated = match message {
@@ -89,6 +103,10 @@ pub fn run(args: &Args) -> CommandResult {
                 Recorded::PersonScores(scores) => {
                     let name = Some((scores.epoch, scores.sequence));
                     std::mem::replace(&mut persons_known, name) == name
+                }
+                Recorded::PersonForecasts(forecasts) => {
+                    let name = Some((forecasts.epoch, forecasts.sequence));
+                    std::mem::replace(&mut forecasts_known, name) == name
                 }
                 _ => false,
             };

@@ -4,10 +4,11 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use roomcast_ipc::{
-    DecisionV1, ForecastV1, IpcError, Message, NarrationV1, Node, PersonScoresV1, Publisher, RoomScoresV1,
+    DecisionV1, ForecastV1, IpcError, Message, NarrationV1, Node, PersonForecastsV1, PersonScoresV1, Publisher,
+    RobotReportV1, RoomScoresV1, Subscriber,
 };
 
-use super::{CommandResult, Failure, service};
+use super::{CommandResult, Failure, ranges, service};
 use crate::exit_code;
 use roomcast_services::recording::{self, Recorded};
 use roomcast_services::stop::Stop;
@@ -21,14 +22,14 @@ pub struct Args {
     #[arg(value_name = "FILE")]
     file: PathBuf,
     /// So many times faster than it was recorded.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = ranges::positive)]
     speed: f64,
-    /// Replay scores, forecasts and decisions too, for a domain without a daemon and a planner. Without it only the narration is
+    /// Replay scores, forecasts, decisions and robots' reports too, for a domain without a daemon and a planner. Without it only the narration is
     /// replayed, and a daemon that has not heard it before scores it again.
     #[arg(long)]
     all: bool,
     /// Seconds to wait at the end until a daemon has taken in the last narration.
-    #[arg(long, value_name = "SECONDS", default_value_t = 10)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 10, value_parser = ranges::any())]
     linger: u64,
 }
 
@@ -42,12 +43,14 @@ struct Publishers {
     others: Option<Others>,
 }
 
-/// What daemon and planner send.
+/// What daemon, planner and robots send.
 struct Others {
     scores: Publisher<RoomScoresV1>,
     persons: Publisher<PersonScoresV1>,
     forecast: Publisher<ForecastV1>,
+    person_forecasts: Publisher<PersonForecastsV1>,
     decisions: Publisher<DecisionV1>,
+    reports: Publisher<RobotReportV1>,
 }
 
 impl Others {
@@ -56,7 +59,9 @@ impl Others {
             scores: node.publisher()?,
             persons: node.publisher()?,
             forecast: node.publisher()?,
+            person_forecasts: node.publisher()?,
             decisions: node.publisher()?,
+            reports: node.publisher()?,
         })
     }
 }
@@ -74,7 +79,9 @@ impl Publishers {
             (Recorded::RoomScores(message), Some(others)) => others.scores.send(message)?,
             (Recorded::PersonScores(message), Some(others)) => others.persons.send(message)?,
             (Recorded::Forecast(message), Some(others)) => others.forecast.send(message)?,
+            (Recorded::PersonForecasts(message), Some(others)) => others.person_forecasts.send(message)?,
             (Recorded::Decision(message), Some(others)) => others.decisions.send(message)?,
+            (Recorded::RobotReport(message), Some(others)) => others.reports.send(message)?,
             _ => return Ok(false),
         }
         Ok(true)
@@ -82,11 +89,13 @@ impl Publishers {
 
     fn tick(&self) -> Result<(), IpcError> {
         self.narration.tick()?;
-        if let Some(Others { scores, persons, forecast, decisions }) = &self.others {
+        if let Some(Others { scores, persons, forecast, person_forecasts, decisions, reports }) = &self.others {
             scores.tick()?;
             persons.tick()?;
             forecast.tick()?;
+            person_forecasts.tick()?;
             decisions.tick()?;
+            reports.tick()?;
         }
         Ok(())
     }
@@ -98,9 +107,6 @@ impl Publishers {
 ///
 /// When the recording is malformed, a service cannot be opened, or no daemon took in the narration.
 pub fn run(args: &Args) -> CommandResult {
-    if !args.speed.is_finite() || args.speed <= 0.0 {
-        return Err(Failure::new(exit_code::USAGE, "--speed must be more than 0 and finite"));
-    }
     let stop = service::stop()?;
     let (_, domain) = args.service.load()?;
     let messages = recording::read(&args.file).map_err(|error| Failure::new(exit_code::INPUT, error))?.messages;
@@ -108,6 +114,8 @@ pub fn run(args: &Args) -> CommandResult {
     let node = domain.open("roomcast-replay").map_err(ipc)?;
     let publishers = Publishers::open(&node, args.all).map_err(ipc)?;
     let heard = (!args.all).then(|| node.subscriber::<RoomScoresV1>()).transpose().map_err(ipc)?;
+    let known =
+        heard.as_ref().map(|heard| known_before(heard, &messages)).transpose().map_err(ipc)?.unwrap_or_default();
     let start_unix_ns = messages.first().map_or(0, |(time, _)| *time);
     let started = Instant::now();
     let mut sent = 0_u64;
@@ -126,7 +134,13 @@ pub fn run(args: &Args) -> CommandResult {
             last = Some((message.source, message.epoch, message.sequence));
         }
     }
-    eprintln!("{sent} of {} messages replayed in {:.1} s", messages.len(), started.elapsed().as_secs_f64());
+    let (of, seconds) = (messages.len(), started.elapsed().as_secs_f64());
+    let others =
+        if args.all { "" } else { "; the others are scores, forecasts, decisions and reports, which --all replays" };
+    eprintln!("{sent} of {of} messages replayed in {seconds:.1} s{others}");
+    if known > 0 {
+        eprintln!("the daemon has taken in {known} of them before and takes none twice; a fresh one would score them");
+    }
     let (Some(heard), Some(last)) = (heard, last) else { return Ok(()) };
     // What waits in shared memory dies with its publisher, so this one lives until the daemon has it.
     let deadline = Instant::now() + Duration::from_secs(args.linger);
@@ -149,6 +163,21 @@ pub fn run(args: &Args) -> CommandResult {
             service::shown(&domain)
         ),
     ))
+}
+
+/// How many of the narrations the daemon's newest scores contain already.
+fn known_before(heard: &Subscriber<RoomScoresV1>, messages: &[(u64, Recorded)]) -> Result<usize, IpcError> {
+    heard.wait(TICK)?;
+    let Some(scores) = heard.newest()? else { return Ok(0) };
+    let contained = |message: &NarrationV1| {
+        let newest = scores.included().iter().find(|i| (i.source, i.epoch) == (message.source, message.epoch));
+        newest.is_some_and(|newest| newest.sequence >= message.sequence)
+    };
+    let narrations = messages.iter().filter(|(_, message)| match message {
+        Recorded::Narration(message) => contained(message),
+        _ => false,
+    });
+    Ok(narrations.count())
 }
 
 fn sleep_until(started: Instant, due: Duration, publishers: &Publishers, stop: &Stop) -> Result<(), IpcError> {

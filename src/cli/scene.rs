@@ -14,7 +14,7 @@ use super::choice::choice;
 #[cfg(feature = "lab")]
 use super::draw;
 use super::scene_files::{in_file, input, load, read, write};
-use super::{CommandResult, Failure, count, print, service};
+use super::{CommandResult, Failure, count, print, ranges, service};
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use roomcast_core::semantic_map::delta;
@@ -100,7 +100,7 @@ struct Apply {
     #[arg(long, value_name = "HEX")]
     expect: Option<String>,
     /// Seconds to wait for the daemon.
-    #[arg(long, value_name = "SECONDS", default_value_t = 10)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 10, value_parser = ranges::any())]
     patience: u64,
     /// Print the daemon's answer as JSON.
     #[arg(long)]
@@ -172,7 +172,15 @@ fn import(args: &Import) -> CommandResult {
             if args.keep_spellings { imported } else { imported.merge_spellings().map_err(in_first)? }
         }
     };
-    let Imported { map, notes } = imported;
+    let Imported { map, notes, boxed } = imported;
+    if !boxed.is_empty() {
+        let rooms: Vec<_> = boxed.iter().map(|room| format!("{room:?}")).collect();
+        eprintln!(
+            "roomcast: no box in the map: {}; a scene has boxes, so each of these rooms is the box around its polygon now; look at them with \
+             `roomcast scene draw`",
+            rooms.join(", ")
+        );
+    }
     write(&args.out, map.to_json().as_bytes())?;
     let mut text = format!(
         "{}: {}, {}, {}, {}\n",
@@ -284,6 +292,11 @@ fn map_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     Ok(files)
 }
 
+/// How far a door may lie from the rooms that it joins, in metres: walls have a thickness.
+const DOOR_OFF_M: f64 = 0.5;
+/// How far an item's point may lie outside its box, in metres: numbers are rounded.
+const ITEM_OFF_M: f64 = 0.05;
+
 /// What a person should know about a map that is well formed.
 fn warnings(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
     let mut warnings = Vec::new();
@@ -297,6 +310,20 @@ fn warnings(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
     for (index, room) in (0u32..).zip(map.rooms()).skip(1) {
         if map.path(RoomId(0), RoomId(index)).is_none() {
             warnings.push(format!("no way through doors leads from {:?} to {:?}", map.rooms()[0].id, room.id));
+        }
+    }
+    for (index, door) in map.doors().iter().enumerate() {
+        for room in door.rooms.map(|RoomId(room)| &map.rooms()[room as usize]) {
+            let distance_m = room.bounds.distance_m(&door.position_m);
+            if distance_m > DOOR_OFF_M {
+                warnings.push(format!("doors[{index}] ({:?}) lies {distance_m:.2} m from {:?}", door.id, room.id));
+            }
+        }
+    }
+    for (index, item) in map.items().iter().enumerate() {
+        let distance_m = item.bounds.distance_m(&item.position_m);
+        if distance_m > ITEM_OFF_M {
+            warnings.push(format!("items[{index}] ({:?}): position_m lies {distance_m:.2} m outside its box", item.id));
         }
     }
     for (index, partition) in (0u32..).zip(grounding.partitions()) {

@@ -25,7 +25,9 @@ pub(super) fn read(what: &str, path: &Path) -> Result<String, Failure> {
 /// Writes beside the target and renames, so that no reader sees half a file.
 pub(super) fn write(path: &Path, bytes: &[u8]) -> CommandResult {
     let fail = |error: std::io::Error| {
-        let path = path.display();
+        // tempfile's errors end with the name of its file, which nobody has asked for.
+        let said = error.to_string();
+        let (path, error) = (path.display(), said.rsplit_once(" at path ").map_or(&said[..], |(said, _)| said));
         Failure::new(exit_code::FAILURE, format!("cannot write {path}: {error}; check the folder and its permissions"))
     };
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -45,4 +47,19 @@ pub(super) fn load(path: &Path, level: PartitionLevel) -> Result<(SemanticMap, G
     let map = setup::load_map(Some(path))?;
     let grounding = Grounding::new(&map, &GroundingOptions { level, room_labels: true }).map_err(input)?;
     Ok((map, grounding))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_names_the_file_that_was_asked_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("nowhere/plan.svg");
+        let error = write(&path, b"<svg/>").unwrap_err().to_string();
+        let path = path.display();
+        let fault = "No such file or directory (os error 2); check the folder and its permissions";
+        assert_eq!(error, format!("cannot write {path}: {fault}"));
+    }
 }

@@ -34,7 +34,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
     /// How many steps of the program were done; all when left out.
-    #[arg(long, value_name = "N", requires = "program", conflicts_with = "narration")]
+    #[arg(long, value_name = "N", requires = "program", conflicts_with = "narration", value_parser = ranges::whole(0..=usize::MAX))]
     steps: Option<usize>,
     /// The binding sequence: default, p0 to p5, or a text of your own; default when left out.
     #[arg(long, value_name = "TEXT")]
@@ -72,7 +72,7 @@ pub struct Args {
     #[arg(long, value_parser = choice::<CacheType>(), default_value_t)]
     cache: CacheType,
     /// How many labels and items the tables show.
-    #[arg(long, value_name = "N", default_value_t = 10)]
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = ranges::whole(0..=usize::MAX))]
     top: usize,
     /// Print everything as one JSON object.
     #[arg(long)]

@@ -66,7 +66,7 @@ pub fn shown(domain: &Domain) -> String {
 ///
 /// When the system refuses the handlers.
 pub fn stop() -> Result<Stop, Failure> {
-    let stop = Stop::on_signals();
+    let stop = Stop::on_signals(exit_code::INTERRUPTED);
     stop.and_then(|stop| stage::leave_with_parent().map(|()| stop))
         .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot handle signals: {error}")))
 }

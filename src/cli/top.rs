@@ -4,12 +4,16 @@ use std::io::IsTerminal;
 use std::time::Duration;
 
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
-use roomcast_ipc::{DecisionV1, Domain, NarrationV1, PersonScoresV1, PersonV1, RoomScoresV1, clock};
-use serde_json::json;
+use roomcast_ipc::{
+    DecisionV1, Domain, ForecastV1, NarrationV1, Node, PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1,
+    RoomScoresV1, Subscriber, clock,
+};
+use serde_json::{Value, json};
 
-use super::{CommandResult, Failure, service};
+use super::{CommandResult, Failure, ranges, service};
 use crate::exit_code;
-use crate::top::{POINT_NS, View};
+use crate::top::{POINT_NS, View, decision_flag_names, forecast_flag_names, score_flag_names};
+use roomcast_services::daemon::{flag_words, presence_word};
 use roomcast_services::stop::Stop;
 
 /// Arguments of `roomcast top`.
@@ -21,7 +25,7 @@ pub struct Args {
     #[arg(long)]
     json: bool,
     /// Leave after so many snapshots.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = ranges::any())]
     snapshots: Option<u64>,
 }
 
@@ -59,6 +63,7 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
     let narration = node.subscriber::<NarrationV1>().map_err(ipc)?;
     let persons = node.subscriber::<PersonScoresV1>().map_err(ipc)?;
+    let forecasts = node.subscriber::<PersonForecastsV1>().map_err(ipc)?;
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
     let items = node.item_scores_subscriber().map_err(ipc)?;
     let status = node.status_client().map_err(ipc)?;
@@ -85,6 +90,9 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
                     }
                     Err(_) => view.malformed(),
                 }
+            }
+            if let Some(message) = forecasts.newest().map_err(ipc)? {
+                view.forecasts(&message);
             }
             if let Some(message) = persons.newest().map_err(ipc)? {
                 view.persons(&message);
@@ -136,7 +144,7 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
 fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>) -> CommandResult {
     let node = domain.open("roomcast-top").map_err(ipc)?;
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
-    let persons = node.subscriber::<PersonScoresV1>().map_err(ipc)?;
+    let others = Others::open(&node).map_err(ipc)?;
     let mut taken = None;
     let mut count = 0;
     while !stop.requested() && limit.is_none_or(|limit| count < limit) {
@@ -152,24 +160,113 @@ fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>) -> CommandResult {
                 |room| json!({"id": room.id(), "probability": room.probability, "log_score_nats": room.log_score_nats}),
             )
             .collect();
-        // They come before the scores that they go with; whoever has just joined may lack the first ones.
-        let of_persons = persons.newest().map_err(ipc)?;
-        let of_persons = of_persons.filter(|told| (told.epoch, told.sequence) == (snapshot.epoch, snapshot.sequence));
-        let of_persons = of_persons.as_ref().map(|told| {
-            let person = |person: &PersonV1| {
-                let rooms = told.probabilities(person).map(|(id, p)| json!({"id": id, "probability": p}));
-                json!({"person": person.person, "rooms": rooms.collect::<Vec<_>>()})
-            };
-            told.persons().iter().map(person).collect::<Vec<_>>()
-        });
-        let line = json!({
+        let mut line = json!({
             "epoch": snapshot.epoch, "sequence": snapshot.sequence, "age_ns": snapshot.age_ns(clock::monotonic_ns()),
-            "rooms": rooms, "persons": of_persons, "label_mass": snapshot.label_mass, "flags": snapshot.flags,
+            "rooms": rooms, "label_mass": snapshot.label_mass, "flags": score_flag_names(snapshot.flags),
             "model": hex::encode(snapshot.model_fingerprint), "map": hex::encode(snapshot.map_fingerprint),
             "timing_ns": {"wait": snapshot.wait_ns, "tokenise": snapshot.tokenise_ns, "prefix": snapshot.prefix_ns,
                 "trie": snapshot.trie_ns, "ground": snapshot.ground_ns},
         });
+        for (key, value) in others.since_the_last_line((snapshot.epoch, snapshot.sequence)).map_err(ipc)? {
+            line[key] = value;
+        }
         super::print(&format!("{line}\n"))?;
     }
     Ok(())
+}
+
+/// What a line tells beside the room scores.
+struct Others {
+    persons: Subscriber<PersonScoresV1>,
+    forecast: Subscriber<ForecastV1>,
+    forecasts: Subscriber<PersonForecastsV1>,
+    narration: Subscriber<NarrationV1>,
+    decisions: Subscriber<DecisionV1>,
+}
+
+impl Others {
+    fn open(node: &Node) -> Result<Self, roomcast_ipc::IpcError> {
+        Ok(Self {
+            persons: node.subscriber()?,
+            forecast: node.subscriber()?,
+            forecasts: node.subscriber()?,
+            narration: node.subscriber()?,
+            decisions: node.subscriber()?,
+        })
+    }
+
+    /// Persons and forecasts that go with the scores of this epoch and sequence (they come before them; whoever has just joined may lack the
+    /// first ones), and the narration and the decisions that came since the last line.
+    fn since_the_last_line(&self, of: (u64, u64)) -> Result<[(&'static str, Value); 5], roomcast_ipc::IpcError> {
+        let persons = self.persons.newest()?.filter(|told| (told.epoch, told.sequence) == of);
+        let forecast = self.forecast.newest()?.filter(|told| (told.epoch, told.sequence) == of);
+        let forecasts = self.forecasts.newest()?.filter(|told| (told.epoch, told.sequence) == of);
+        let (mut narration, mut decisions) = (Vec::new(), Vec::new());
+        while let Some(received) = self.narration.receive()? {
+            narration.extend(received.iter().map(narration_json));
+        }
+        while let Some(received) = self.decisions.receive()? {
+            decisions.extend(received.iter().map(decision_json));
+        }
+        Ok([
+            ("persons", persons.as_ref().map_or(Value::Null, persons_json)),
+            ("forecast", forecast.as_ref().map_or(Value::Null, forecast_json)),
+            ("person_forecasts", forecasts.as_ref().map_or(Value::Null, forecasts_json)),
+            ("narration", narration.into()),
+            ("decisions", decisions.into()),
+        ])
+    }
+}
+
+fn persons_json(told: &PersonScoresV1) -> Value {
+    let person = |person: &PersonV1| {
+        let rooms = told.probabilities(person).map(|(id, p)| json!({"id": id, "probability": p}));
+        json!({
+            "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+            "since_ns": person.since_ns, "observed_ns": person.observed_ns, "elsewhere": person.elsewhere,
+            "flags": flag_words(person.flags).collect::<Vec<_>>(), "rooms": rooms.collect::<Vec<_>>(),
+        })
+    };
+    told.persons().iter().map(person).collect()
+}
+
+fn forecast_json(told: &ForecastV1) -> Value {
+    let horizons = told.horizon_count as usize;
+    let rooms = (0..told.room_count as usize).filter_map(|index| told.room(index));
+    let rooms = rooms.map(|(id, row)| json!({"id": id, "probability": row}));
+    json!({
+        "horizon_s": told.horizon_s.get(..horizons), "elsewhere": told.elsewhere.get(..horizons),
+        "flags": forecast_flag_names(told.flags), "rooms": rooms.collect::<Vec<_>>(),
+    })
+}
+
+fn forecasts_json(told: &PersonForecastsV1) -> Value {
+    let horizons = told.horizons_s().len();
+    let person = |person: &PersonForecastV1| {
+        let rooms = told.rooms().zip(&person.probability);
+        let rooms = rooms.map(|(id, row)| json!({"id": id, "probability": row.get(..horizons)}));
+        json!({
+            "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+            "flags": flag_words(person.flags).collect::<Vec<_>>(), "elsewhere": person.elsewhere.get(..horizons),
+            "rooms": rooms.collect::<Vec<_>>(),
+        })
+    };
+    json!({
+        "horizon_s": told.horizons_s(), "persons": told.persons().iter().map(person).collect::<Vec<_>>(),
+    })
+}
+
+fn narration_json(told: &NarrationV1) -> Value {
+    json!({
+        "source": told.source_name(), "person": told.person, "name": told.person_name(), "kind": told.kind,
+        "text": told.text(), "observed_ns": told.observed_ns,
+    })
+}
+
+fn decision_json(told: &DecisionV1) -> Value {
+    json!({
+        "robot": format!("{:016x}", told.robot), "sequence": told.sequence, "action": told.action, "from": told.from(),
+        "to": told.to(), "probability": told.probability, "policy": told.policy(), "reason": told.reason(),
+        "cancels": told.cancels, "flags": decision_flag_names(told.flags), "decided_ns": told.decided_ns,
+    })
 }

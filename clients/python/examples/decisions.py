@@ -1,11 +1,13 @@
 """Prints every robot's decisions, and says so when none came for a minute."""
 
-from roomcast import Decision, Subscription
+from roomcast import Action, Decision, Subscription
 
 with Subscription(Decision, "example-decisions") as subscription:
     while True:
         decision = subscription.next(timeout_s=60)
         if decision is None:
             print("no decision for a minute", flush=True)
-        else:
-            print(f"robot {decision.robot:016x} goes to {decision.to_room or 'no room'}: {decision.reason}", flush=True)
+            continue
+        does = "pauses in" if decision.action == Action.PAUSE else "goes to"
+        instead = f", instead of decision {decision.cancels}" if decision.cancels else ""
+        print(f"robot {decision.robot:016x} {does} {decision.to_room or 'no room'}{instead}: {decision.reason}", flush=True)

@@ -1,4 +1,4 @@
-"""Prints, for each person, the room that they most likely go to next."""
+"""Prints, for each person, whether they are at home, and the room that they most likely go to next."""
 
 from roomcast import PersonScores, Subscription
 
@@ -6,4 +6,5 @@ with Subscription(PersonScores, "example-persons") as subscription:
     for scores in subscription:
         for person in scores.persons:
             room = max(person.rooms, key=lambda room: room.probability)
-            print(f"person {person.person}: {room.id} with {room.probability:.0%}", flush=True)
+            place = room.id if room.probability > person.elsewhere else "elsewhere"
+            print(f"{person.name or person.person} is {person.presence.name.lower()}: {place} next", flush=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import pathlib
@@ -10,16 +11,22 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from roomcast import Domain, layouts
+from roomcast import Domain, layouts, source_of_name
 
 ROOMCAST = os.environ.get("ROOMCAST", "")
+_NUMBERS = itertools.count()
+
+
+def now_ns() -> int:
+    """The clock of the messages."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
 
 
 @contextmanager
 def private_domain() -> Iterator[Domain]:
     """A domain of the test's own, of which nothing is left behind."""
     with tempfile.TemporaryDirectory(prefix="rc-", dir="/tmp") as root:
-        name = f"py-{os.getpid()}-{time.monotonic_ns() % 100000}"
+        name = f"py-{os.getpid()}-{next(_NUMBERS)}"
         try:
             yield Domain(root, name)
         finally:
@@ -37,7 +44,7 @@ def narration(text: str = "They grab the mug.") -> layouts.NarrationV1:
 
 def scores(sequence: int = 1, **rooms: float) -> layouts.RoomScoresV1:
     rooms = rooms or {"kitchen": 0.75, "bathroom": 0.25, "attic": 0.0}
-    message = layouts.RoomScoresV1(epoch=3, sequence=sequence, computed_ns=time.clock_gettime_ns(time.CLOCK_BOOTTIME), label_mass=0.8, room_count=len(rooms))
+    message = layouts.RoomScoresV1(epoch=3, sequence=sequence, computed_ns=now_ns(), label_mass=0.8, room_count=len(rooms))
     message.published_ns = message.computed_ns
     message.source_count = 1
     message.included[0] = layouts.IncludedV1(source=7, epoch=1, sequence=4, observed_ns=5, accepted=4)
@@ -50,20 +57,25 @@ def scores(sequence: int = 1, **rooms: float) -> layouts.RoomScoresV1:
 
 
 def person_scores(sequence: int = 1) -> layouts.PersonScoresV1:
-    message = layouts.PersonScoresV1(epoch=3, sequence=sequence, computed_ns=time.monotonic_ns(), room_count=2, persons=2, person_count=2)
+    """Person 0 is at home, and person 1, whose name is Ada, is not."""
+    message = layouts.PersonScoresV1(epoch=3, sequence=sequence, computed_ns=now_ns(), room_count=2, persons=2, person_count=2)
     for room, name in enumerate(["kitchen", "bathroom"]):
         layouts.write_text("room id", message.id[room], name)
     for number, kitchen in enumerate([0.75, 0.0]):
         person = message.person[number]
+        person.presence = 1 + number
         person.person, person.label_mass, person.window, person.flags = number, 0.8, 4, number
-        person.probability[:2] = [kitchen, 1 - kitchen]
+        person.probability[:2] = [kitchen, 0.25 if kitchen else 0.0]
         for field in ("log_score_nats", "lower_log_score_nats", "upper_log_score_nats"):
-            getattr(person, field)[:2] = [math.log(kitchen) if kitchen else -math.inf, math.log(1 - kitchen)]
+            getattr(person, field)[:2] = [math.log(each) if each else -math.inf for each in person.probability[:2]]
+    ada = message.person[1]
+    ada.elsewhere, ada.since_ns = 1.0, 5
+    layouts.write_text("name", ada.name, "Ada")
     return message
 
 
 def forecast(sequence: int = 1) -> layouts.ForecastV1:
-    message = layouts.ForecastV1(epoch=3, sequence=sequence, computed_ns=time.clock_gettime_ns(time.CLOCK_BOOTTIME), room_count=2, horizon_count=3)
+    message = layouts.ForecastV1(epoch=3, sequence=sequence, computed_ns=now_ns(), room_count=2, horizon_count=3)
     message.horizon_s[:3] = [10.0, 60.0, 600.0]
     for room, (name, row) in enumerate({"kitchen": [0.75, 0.5, 0.25], "bathroom": [0.25, 0.5, 0.75]}.items()):
         layouts.write_text("room id", message.id[room], name)
@@ -71,11 +83,35 @@ def forecast(sequence: int = 1) -> layouts.ForecastV1:
     return message
 
 
+def person_forecasts(sequence: int = 1) -> layouts.PersonForecastsV1:
+    """Ada is in the kitchen, and leaves the house within ten minutes, more likely than not."""
+    message = layouts.PersonForecastsV1(epoch=3, sequence=sequence, computed_ns=now_ns(), room_count=2, horizon_count=2, persons=1, person_count=1)
+    message.horizon_s[:2] = [0.0, 600.0]
+    ada = message.person[0]
+    ada.person, ada.presence, ada.set_coverage, ada.set_elsewhere = 7, 1, 0.9, 0b10
+    layouts.write_text("name", ada.name, "Ada")
+    for room, (name, row) in enumerate({"kitchen": [1.0, 0.25], "bathroom": [0.0, 0.125]}.items()):
+        layouts.write_text("room id", message.id[room], name)
+        ada.probability[room][:2] = row
+    ada.elsewhere[:2] = [0.0, 0.625]
+    ada.room_set[:2] = [0b01, 0b11]
+    return message
+
+
 def decision(sequence: int = 1) -> layouts.DecisionV1:
-    message = layouts.DecisionV1(robot=9, epoch=2, sequence=sequence, action=1, probability=0.25, stay_ns=60_000_000_000)
+    message = layouts.DecisionV1(robot=source_of_name("robot"), epoch=2, sequence=sequence, action=1, probability=0.25, stay_ns=60_000_000_000)
     layouts.write_text("to", message.to, "bathroom")
     layouts.write_text("policy", message.policy, "calm-planner")
     layouts.write_text("reason", message.reason, "the person is least likely to go there next")
+    return message
+
+
+def robot_report(sequence: int = 1) -> layouts.RobotReportV1:
+    message = layouts.RobotReportV1(robot=source_of_name("robot"), epoch=4, sequence=sequence, kind=2, decision_epoch=2, decision_sequence=1)
+    message.flags, message.battery, message.position_m[:] = 3, 0.5, [1.0, 2.0, 0.0]
+    layouts.write_text("robot_name", message.robot_name, "robot")
+    layouts.write_text("room", message.room, "bathroom")
+    layouts.write_text("note", message.note, "the carpet too")
     return message
 
 
@@ -92,5 +128,7 @@ GOOD = {
     layouts.RoomScoresV1: scores,
     layouts.PersonScoresV1: person_scores,
     layouts.ForecastV1: forecast,
+    layouts.PersonForecastsV1: person_forecasts,
     layouts.DecisionV1: decision,
+    layouts.RobotReportV1: robot_report,
 }

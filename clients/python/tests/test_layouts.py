@@ -9,6 +9,7 @@ import subprocess
 
 import pytest
 
+import roomcast
 from roomcast import MessageError, layouts, ports
 from samples import ROOMCAST
 
@@ -52,7 +53,18 @@ def test_every_field_is_where_c_has_it(message: type[layouts.Layout]) -> None:
     assert size and ctypes.sizeof(message) == int(size[1])
 
 
-@pytest.mark.parametrize("service", [ports.NARRATION, ports.ROOM_SCORES, ports.PERSON_SCORES, ports.FORECAST, ports.DECISION], ids=lambda s: s.name)
+SERVICES = [
+    ports.NARRATION,
+    ports.ROOM_SCORES,
+    ports.PERSON_SCORES,
+    ports.FORECAST,
+    ports.PERSON_FORECASTS,
+    ports.DECISION,
+    ports.ROBOT_REPORT,
+]
+
+
+@pytest.mark.parametrize("service", SERVICES, ids=lambda service: service.name)
 def test_every_service_is_as_in_the_c_header(service: ports.Service) -> None:
     defined = dict(re.findall(r"#define ROOMCAST_(\w+) (.+)", HEADER.read_text()))
     name = service.name.rsplit("/", 1)[1].upper().replace("-", "_")
@@ -68,12 +80,36 @@ def test_the_limits_are_those_of_the_c_header() -> None:
         "NAME_BYTES": layouts.NAME_BYTES,
         "NARRATION_TEXT_BYTES": layouts.TEXT_BYTES,
         "REASON_TEXT_BYTES": layouts.REASON_BYTES,
+        "NOTE_TEXT_BYTES": layouts.NOTE_BYTES,
         "MAX_ROOMS": layouts.MAX_ROOMS,
         "MAX_PERSONS": layouts.MAX_PERSONS,
         "MAX_SOURCES": layouts.MAX_SOURCES,
         "MAX_HORIZONS": layouts.MAX_HORIZONS,
     }.items():
         assert int(defined[name]) == own
+
+
+@pytest.mark.parametrize(
+    "prefix, own",
+    [
+        ("ACTION", roomcast.Action),
+        ("DECISION_FLAGS", roomcast.DecisionFlags),
+        ("FORECAST_FLAGS", roomcast.ForecastFlags),
+        ("NARRATION_KIND", {"SENTENCE": roomcast.SENTENCE, "ACTION": roomcast.ACTION, "DEVICE": roomcast.DEVICE, "PRESENCE": roomcast.PRESENCE}),
+        ("PERSON_FLAGS", roomcast.PersonFlags),
+        ("PRESENCE", roomcast.Presence),
+        ("REACHED", roomcast.Reached),
+        ("REPORT_FLAGS", {"HAS_POSITION": layouts.HAS_POSITION, "HAS_BATTERY": layouts.HAS_BATTERY}),
+        ("REPORT_KIND", roomcast.ReportKind),
+        ("SCORE_FLAGS", roomcast.ScoreFlags),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_the_values_are_those_of_the_c_header(prefix: str, own: object) -> None:
+    defined = re.findall(rf"#define ROOMCAST_{prefix}_(\w+) (?:\(1 << )?(\d+)(\)?)", HEADER.read_text())
+    values = {name: 1 << int(number) if shifted else int(number) for name, number, shifted in defined}
+    named = own if isinstance(own, dict) else {member.name: member.value for member in own}  # type: ignore[attr-defined]
+    assert values == named
 
 
 def test_texts_that_do_not_fit_are_refused() -> None:

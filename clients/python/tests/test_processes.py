@@ -16,8 +16,15 @@ from roomcast import (
     Domain,
     Forecast,
     ItemScoresSubscription,
+    MessageError,
     Narrator,
+    PersonForecasts,
+    PersonScores,
     Planner,
+    Presence,
+    ReportKind,
+    Robot,
+    RobotReport,
     RoomcastError,
     RoomScores,
     StatusSubscription,
@@ -69,9 +76,101 @@ def test_what_is_refused_leaves_no_gap(domain: Domain) -> None:
         with pytest.raises(ValueError):
             narrator.say(text)
     assert narrator.sequence == 0
-    for person in (-1, 1 << 32):
-        with pytest.raises(ValueError, match="give a number from 0 to 4294967295"):
-            Narrator("py-narrator", domain, person)
+    for person in (-1, (1 << 32) - 1, 1 << 32, "", "...", "4294967295", True, 1.5):
+        with pytest.raises(ValueError, match="give a number from 0 to 4294967294, or a name"):
+            Narrator("py-narrator", domain, person)  # type: ignore[arg-type]
+        with pytest.raises(ValueError, match="give a number from 0 to 4294967294, or a name"):
+            narrator.say("They sit.", person=person)  # type: ignore[arg-type]
+    for name in ("a" * 49, "left\u202eright"):
+        with pytest.raises(MessageError, match="person_name"):
+            narrator.say("They sit.", person=name)
+    for presence in ("home", "unknown", Presence.UNKNOWN):
+        with pytest.raises(ValueError, match="give 'present', 'away' or 'gone'"):
+            narrator.presence(presence)
+    for presence, room in (("away", "kitchen"), ("present", "")):
+        with pytest.raises(ValueError, match="give a room's name, with presence 'present' alone"):
+            narrator.presence(presence, room)
+    assert narrator.sequence == 0
+    with Robot("robot", domain) as robot:
+        for level in (1.5, -0.1, float("nan")):
+            with pytest.raises(MessageError, match="battery"):
+                robot.battery(level)
+        with pytest.raises(MessageError, match="position_m"):
+            robot.position((0.0, float("inf"), 0.0))
+        with pytest.raises(MessageError, match="room"):
+            robot.started("a" * 49)
+        assert robot.sequence == 0
+
+
+def test_a_narrator_says_of_whom(domain: Domain) -> None:
+    heard: ports.Subscriber[layouts.NarrationV1] = ports.Subscriber(domain.open("daemon"), ports.NARRATION, lambda message: message)
+
+    def told() -> tuple[int, str, int, str]:
+        heard.wait(1)
+        message = heard.receive()
+        assert message is not None
+        message.check()
+        return message.person, layouts.read_text("name", message.person_name), message.kind, layouts.read_text("text", message.text)
+
+    somebody = layouts.ALL_PERSONS
+    narrator = Narrator("py-narrator", domain)
+    narrator.say("They sit.")
+    assert told() == (somebody, "", 0, "They sit.")
+    narrator.say("They sit.", person=3)
+    assert told() == (3, "", 0, "They sit.")
+    narrator.act("[Grab] <mug> (1)", person=" Ada ")
+    assert told() == (somebody, "Ada", 1, "[Grab] <mug> (1)")
+    narrator.person = "Ben"
+    narrator.device("the oven is on")
+    assert told() == (somebody, "Ben", 2, "the oven is on")
+    narrator.presence("away")
+    assert told() == (somebody, "Ben", 3, "away")
+    narrator.presence(Presence.PRESENT, room="living room", person="0")
+    assert told() == (0, "", 3, "present in the living room")
+
+
+def test_a_robot_follows_its_decisions_and_reports(domain: Domain) -> None:
+    with (
+        Planner("robot", domain) as planner,
+        Planner("another", domain) as another,
+        Subscription(RobotReport, "watcher", domain) as reports,
+        Robot("robot", domain) as robot,
+    ):
+        assert robot.next(timeout_s=0) is None
+        another.decide("hall", "not for this robot")
+        planner.decide("kitchen", "nobody is there")
+        decision = robot.next(timeout_s=1)
+        assert decision is not None and decision.to_room == "kitchen" and robot.decision is decision
+        assert robot.next(timeout_s=0.1) is None
+        robot.started()
+        robot.position((1.0, 2.0, 0.0), room="hall")
+        robot.finished(note="a" * 200)
+        robot.failed("hall", note="the door is closed")
+        robot.docked(battery=0.25)
+        told = [report for _, report in zip(range(5), reports, strict=False)]
+    answered = (decision.epoch, decision.sequence)
+    assert [(report.sequence, report.kind, report.room) for report in told] == [
+        (1, ReportKind.STARTED, "kitchen"),
+        (2, ReportKind.POSITION, "hall"),
+        (3, ReportKind.FINISHED, "kitchen"),
+        (4, ReportKind.FAILED, "hall"),
+        (5, ReportKind.DOCKED, ""),
+    ]
+    assert [(report.decision_epoch, report.decision_sequence) for report in told] == [answered, (0, 0), answered, (0, 0), (0, 0)]
+    assert [report.battery for report in told] == [None, None, None, None, 0.25]
+    assert (told[1].position_m, told[2].note) == ((1, 2, 0), "a" * 120)
+    assert all(report.robot == source_of_name("robot") and report.robot_name == "robot" for report in told)
+
+
+def test_every_kind_is_waited_for(domain: Domain) -> None:
+    node = domain.open("daemon")
+    for kind in (RoomScores, PersonScores, Forecast, PersonForecasts, Decision, RobotReport):
+        with Subscription(kind, "watcher", domain) as subscription:
+            assert subscription.next(timeout_s=0) is None
+            publisher = ports.Publisher(node, kind.SERVICE)
+            publisher.send(samples.GOOD[kind.SERVICE.payload]())
+            told = subscription.next(timeout_s=1)
+            assert isinstance(told, kind) and told.sequence == 1 and subscription.malformed == 0
 
 
 def test_malformed_messages_are_dropped_and_counted(domain: Domain) -> None:

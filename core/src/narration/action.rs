@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 
 use serde::Deserialize;
 
-use crate::semantic_map::Names;
+use crate::names::Names;
 
 /// Longest line that is read, in bytes. A VirtualHome step has fewer than 100.
 pub const LINE_BYTES_MAX: usize = 1024;

@@ -10,6 +10,31 @@ use super::Observation;
 pub const PERSONS_MAX: usize = 64;
 /// Most observations that a window can be asked for.
 pub const OBSERVATIONS_MAX: usize = 1000;
+/// For so long a narrator keeps its places in a window against others, in nanoseconds of observed time: ten minutes.
+pub const KEPT_NS: u64 = 600_000_000_000;
+
+/// For whom an observation counts in a window that several narrators fill.
+///
+/// While one voice speaks alone, the oldest observation leaves a full window. Otherwise the voice that holds most places for its share
+/// loses its oldest, so that each voice keeps what it said in the last [`KEPT_NS`], up to its share of the places, whatever the others say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Voice {
+    /// Which.
+    pub number: u64,
+    /// So many places for each one of a voice of share 1; at least 1.
+    pub share: u32,
+}
+
+impl Voice {
+    /// Whoever spoke before a restart: nobody keeps places for it.
+    const EARLIER: Self = Self { number: 0, share: 1 };
+
+    /// Each source for itself, where nothing else is known of it.
+    #[must_use]
+    pub fn of_source(source: u64) -> Self {
+        Self { number: source, share: 1 }
+    }
+}
 
 /// How much of the past a prompt holds.
 ///
@@ -23,32 +48,53 @@ pub struct HistoryLimits {
     pub observations: usize,
     /// How many more may gather before the window is cut back.
     pub slack: usize,
-    /// Most tokens of all sentences together; the newest observation stays even if it alone exceeds them.
+    /// Most tokens of all sentences together. A sentence that alone exceeds them never enters: nothing could be scored with it.
     pub tokens: usize,
+    /// What lies further apart than so many seconds does not belong together: an observation that comes later begins a new window. 0 for no
+    /// such limit.
+    pub gap_s: u64,
 }
 
 impl HistoryLimits {
-    /// The paper's window of exactly the last `observations`, however long they are.
+    /// The paper's window of exactly the last `observations`, however long they are and however long ago.
     #[must_use]
     pub fn exact(observations: usize) -> Self {
-        Self { observations, slack: 0, tokens: usize::MAX }
+        Self { observations, slack: 0, tokens: usize::MAX, gap_s: 0 }
     }
 }
 
 impl Default for HistoryLimits {
-    /// 12 to 16 observations, the length that the shipped model was trained on, and 1024 tokens.
+    /// 12 to 16 observations, the length that the shipped model was trained on, 1024 tokens, and an hour.
     fn default() -> Self {
-        Self { observations: 12, slack: 4, tokens: 1024 }
+        Self { observations: 12, slack: 4, tokens: 1024, gap_s: 3600 }
     }
 }
 
-/// The window of one person. Observations enter at the end and leave at the front, whole.
+impl HistoryLimits {
+    /// Whether so long a time is a gap.
+    #[must_use]
+    pub fn is_gap(&self, seconds: f64) -> bool {
+        self.gap_s > 0 && seconds > self.gap_s as f64
+    }
+}
+
+#[derive(Debug, Clone)]
+struct Held {
+    observation: Observation,
+    tokens: usize,
+    voice: Voice,
+}
+
+/// The window of one person. Observations enter at the end and leave whole: at the front, or where a narrator holds more than its share
+/// ([`Voice`]).
 #[derive(Debug, Clone)]
 pub struct History {
     limits: HistoryLimits,
-    window: VecDeque<(Observation, usize)>,
+    window: VecDeque<Held>,
     tokens: usize,
     left: u64,
+    /// Working memory of a cut: each voice, how many places it holds, and where its oldest is.
+    voices: Vec<(Voice, u64, usize)>,
 }
 
 impl History {
@@ -56,20 +102,50 @@ impl History {
     #[must_use]
     pub fn new(limits: HistoryLimits) -> Self {
         let limits = HistoryLimits { observations: limits.observations.max(1), ..limits };
-        Self { limits, window: VecDeque::new(), tokens: 0, left: 0 }
+        Self { limits, window: VecDeque::new(), tokens: 0, left: 0, voices: Vec::new() }
+    }
+
+    /// Appends an observation of its source's own voice; see [`History::hear`].
+    pub fn push(&mut self, observation: Observation, tokens: usize) -> usize {
+        let voice = Voice::of_source(observation.source);
+        self.hear(observation, voice, tokens)
     }
 
     /// Appends an observation whose sentence costs `tokens`; without a tokeniser its length in bytes is a safe bound.
-    /// Gives how many observations left the window.
-    pub fn push(&mut self, observation: Observation, tokens: usize) -> usize {
-        self.window.push_back((observation, tokens));
+    /// Gives how many observations left the window, this one included when it costs more than the window holds.
+    pub fn hear(&mut self, observation: Observation, voice: Voice, tokens: usize) -> usize {
+        if tokens > self.limits.tokens {
+            return 1;
+        }
+        // What is told late does not lie after a gap when something else of that time is there.
+        let apart = self.window.iter().filter_map(|held| observation.seconds_after(&held.observation)).reduce(f64::min);
+        let ended = if apart.is_some_and(|seconds| self.limits.is_gap(seconds)) { self.end() } else { 0 };
+        self.window.push_back(Held { observation, tokens, voice });
         self.tokens = self.tokens.saturating_add(tokens);
-        self.cut()
+        ended + self.cut()
+    }
+
+    /// Empties the window: what comes next does not follow from it. Gives how many observations left.
+    pub fn end(&mut self) -> usize {
+        let left = self.window.len();
+        self.window.clear();
+        self.tokens = 0;
+        self.left += left as u64;
+        left
+    }
+
+    /// From here on, all that the window holds is kept for nobody: whose voice it was is not known any more.
+    fn forget_voices(&mut self) {
+        self.window.iter_mut().for_each(|held| held.voice = Voice::EARLIER);
     }
 
     /// Sets how many tokens the window may hold, and cuts it at once if it holds more.
     fn limit_tokens(&mut self, tokens: usize) {
         self.limits.tokens = tokens;
+        let before = self.window.len();
+        self.window.retain(|held| held.tokens <= tokens);
+        self.left += (before - self.window.len()) as u64;
+        self.tokens = self.window.iter().map(|held| held.tokens).sum();
         self.cut();
     }
 
@@ -86,13 +162,51 @@ impl History {
         while self.window.len() > 1
             && (self.window.len() > self.limits.observations || (over_tokens && self.tokens as u128 > tokens_low))
         {
-            if let Some((_, tokens)) = self.window.pop_front() {
-                self.tokens -= tokens;
+            self.drop_one();
+        }
+        before - self.window.len()
+    }
+
+    /// Drops what is to leave next.
+    fn drop_one(&mut self) {
+        let place = self.next_to_leave();
+        if let Some(gone) = self.window.remove(place) {
+            self.tokens -= gone.tokens;
+            self.left += 1;
+        }
+    }
+
+    /// What leaves next: what nobody has a right to any more, else the oldest of the voice that holds most for its share. Never the newest.
+    fn next_to_leave(&mut self) -> usize {
+        let Some(first) = self.window.front().map(|held| held.voice) else { return 0 };
+        if self.window.iter().all(|held| held.voice.number == first.number) {
+            return 0;
+        }
+        let observed_ns = |held: &Held| held.observation.observed_ns;
+        let newest_ns = self.window.iter().map(observed_ns).max().unwrap_or_default();
+        let others = self.window.len() - 1;
+        let expired = |held: &Held| held.voice == Voice::EARLIER || newest_ns - observed_ns(held) > KEPT_NS;
+        if let Some(place) = self.window.iter().take(others).position(expired) {
+            return place;
+        }
+        self.voices.clear();
+        for (place, held) in self.window.iter().enumerate() {
+            match self.voices.iter_mut().find(|(voice, ..)| voice.number == held.voice.number) {
+                Some((_, places, _)) => *places += 1,
+                None => self.voices.push((held.voice, 1, place)),
             }
         }
-        let left = before - self.window.len();
-        self.left += left as u64;
-        left
+        let mut most: Option<(Voice, u64, usize)> = None;
+        for &(voice, places, oldest) in self.voices.iter().filter(|(.., oldest)| *oldest < others) {
+            // Of equal ones, the one that spoke first.
+            let more = |(than, held, _): &(Voice, u64, usize)| {
+                places * u64::from(than.share.max(1)) > held * u64::from(voice.share.max(1))
+            };
+            if most.as_ref().is_none_or(more) {
+                most = Some((voice, places, oldest));
+            }
+        }
+        most.map_or(0, |(.., oldest)| oldest)
     }
 
     /// Cuts a window that is full now rather than at the next observation, so that the work this makes is done while
@@ -103,21 +217,18 @@ impl History {
             return 0;
         }
         let left = self.window.len() - self.limits.observations;
-        for (_, tokens) in self.window.drain(..left) {
-            self.tokens -= tokens;
-        }
-        self.left += left as u64;
+        (0..left).for_each(|_| self.drop_one());
         left
     }
 
     /// The sentences, oldest first.
     pub fn sentences(&self) -> impl DoubleEndedIterator<Item = &str> + ExactSizeIterator {
-        self.window.iter().map(|(observation, _)| observation.sentence.as_str())
+        self.window.iter().map(|held| held.observation.sentence().unwrap_or_default())
     }
 
     /// The observations, oldest first.
     pub fn observations(&self) -> impl DoubleEndedIterator<Item = &Observation> + ExactSizeIterator {
-        self.window.iter().map(|(observation, _)| observation)
+        self.window.iter().map(|held| &held.observation)
     }
 
     /// How many observations the window holds.
@@ -156,8 +267,22 @@ impl Histories {
 
     /// Appends to the history of the observation's person; see [`History::push`].
     pub fn push(&mut self, observation: Observation, tokens: usize) -> usize {
+        let voice = Voice::of_source(observation.source);
+        self.hear(observation, voice, tokens)
+    }
+
+    /// The same of a voice; see [`History::hear`].
+    pub fn hear(&mut self, observation: Observation, voice: Voice, tokens: usize) -> usize {
+        if tokens > self.limits.tokens {
+            // It must not make room for its person either.
+            return 1;
+        }
+        self.known(observation.person).hear(observation, voice, tokens)
+    }
+
+    /// The history of a person, who is known from now on.
+    pub fn known(&mut self, person: u32) -> &mut History {
         self.pushes += 1;
-        let person = observation.person;
         if self.by_person.len() >= PERSONS_MAX && !self.by_person.contains_key(&person) {
             let oldest = self.by_person.iter().min_by_key(|(_, (seen, _))| *seen).map(|(person, _)| *person);
             if let Some(oldest) = oldest {
@@ -166,7 +291,7 @@ impl Histories {
         }
         let (seen, history) = self.by_person.entry(person).or_insert_with(|| (0, History::new(self.limits)));
         *seen = self.pushes;
-        history.push(observation, tokens)
+        history
     }
 
     /// The history of a person, if anything of them is known.
@@ -175,7 +300,7 @@ impl Histories {
         self.by_person.get(&person).map(|(_, history)| history)
     }
 
-    /// The history of a person, to compact it.
+    /// The history of a person, to compact or to end it.
     pub fn get_mut(&mut self, person: u32) -> Option<&mut History> {
         self.by_person.get_mut(&person).map(|(_, history)| history)
     }
@@ -191,6 +316,11 @@ impl Histories {
         self.by_person.values_mut().for_each(|(_, history)| history.limit_tokens(tokens));
     }
 
+    /// All that is known now was said before a restart; see [`Voice`].
+    pub(crate) fn forget_voices(&mut self) {
+        self.by_person.values_mut().for_each(|(_, history)| history.forget_voices());
+    }
+
     /// Forgets a person, for instance one who has left.
     pub fn remove(&mut self, person: u32) -> Option<History> {
         self.by_person.remove(&person).map(|(_, history)| history)
@@ -204,14 +334,15 @@ mod tests {
     use proptest::prelude::*;
 
     fn observation(person: u32, sequence: u64) -> Observation {
+        let sentence = Sentence::new(&format!("They do thing {sequence}")).unwrap();
+        let (observed_ns, observed_unix_ns) = (sequence, sequence);
         Observation {
             person,
             source: 1,
             epoch: 1,
-            sequence,
-            observed_ns: sequence,
-            observed_unix_ns: sequence,
-            sentence: Sentence::new(&format!("They do thing {sequence}")).unwrap(),
+            observed_ns,
+            observed_unix_ns,
+            ..Observation::of(sequence, sentence)
         }
     }
 
@@ -230,21 +361,123 @@ mod tests {
 
     #[test]
     fn with_slack_it_is_cut_back_seldom() {
-        let mut history = History::new(HistoryLimits { observations: 3, slack: 2, tokens: 1000 });
+        let mut history = History::new(HistoryLimits { observations: 3, slack: 2, tokens: 1000, gap_s: 0 });
         let left: Vec<usize> = (0..9).map(|i| history.push(observation(0, i), 5)).collect();
         assert_eq!(left, [0, 0, 0, 0, 0, 3, 0, 0, 3]);
         assert_eq!(sequences(&history), [6, 7, 8]);
         assert_eq!(history.left(), 6);
     }
 
+    /// What lies hours back does not say what comes next.
     #[test]
-    fn one_overlong_observation_stays_alone() {
-        let mut history = History::new(HistoryLimits { observations: 8, slack: 0, tokens: 20 });
+    fn a_gap_in_time_begins_a_new_window() {
+        const S: u64 = 1_000_000_000;
+        let at = |sequence: u64, monotonic_s: u64, unix_s: u64| Observation {
+            observed_ns: monotonic_s * S,
+            observed_unix_ns: unix_s * S,
+            ..observation(0, sequence)
+        };
+        let mut history = History::new(HistoryLimits { gap_s: 60, ..HistoryLimits::default() });
+        let after = [
+            (at(1, 10, 0), vec![1]),
+            (at(2, 70, 0), vec![1, 2]),
+            (at(3, 131, 500), vec![3]),
+            // The machine was started meanwhile: only the wall clock tells.
+            (at(4, 0, 550), vec![3, 4]),
+            (at(5, 5, 611), vec![5]),
+            // No clock tells.
+            (at(6, 0, 0), vec![5, 6]),
+            // It does of what came before that.
+            (at(7, 9000, 9000), vec![7]),
+            // The wall clock was put back: the monotonic one counts.
+            (at(8, 9030, 1), vec![7, 8]),
+            // Told late, and then in time again.
+            (at(9, 8900, 1), vec![7, 8, 9]),
+            (at(10, 9040, 1), vec![7, 8, 9, 10]),
+        ];
+        for (observation, held) in after {
+            history.push(observation, 5);
+            assert_eq!(sequences(&history), held);
+        }
+        assert_eq!((history.end(), history.len(), history.left()), (4, 0, 10));
+        let mut patient = History::new(HistoryLimits { gap_s: 0, ..HistoryLimits::default() });
+        patient.push(at(1, 10, 10), 5);
+        assert_eq!(patient.push(at(2, 1_000_000, 1_000_000), 5), 0);
+    }
+
+    /// Row "a sentence of one kilobyte" of the attacks: what cannot be scored costs the others nothing.
+    #[test]
+    fn what_costs_more_than_the_window_holds_never_enters() {
+        let mut history = History::new(HistoryLimits { observations: 8, slack: 0, tokens: 20, gap_s: 0 });
         history.push(observation(0, 0), 5);
-        assert_eq!(history.push(observation(0, 1), 500), 1);
-        assert_eq!(sequences(&history), [1]);
-        assert_eq!(history.push(observation(0, 2), 5), 1);
-        assert_eq!(sequences(&history), [2]);
+        assert_eq!(history.push(observation(0, 1), 21), 1);
+        assert_eq!(history.push(observation(0, 2), 5), 0);
+        assert_eq!(sequences(&history), [0, 2]);
+        // A map with more labels leaves less room.
+        history.limit_tokens(4);
+        assert!(history.is_empty());
+        let mut histories = Histories::new(HistoryLimits { observations: 8, slack: 0, tokens: 20, gap_s: 0 });
+        histories.push(observation(7, 0), 21);
+        assert!(histories.get(7).is_none());
+    }
+
+    fn said(source: u64, sequence: u64) -> Observation {
+        Observation { source, ..observation(0, sequence) }
+    }
+
+    fn sources(history: &History) -> Vec<u64> {
+        history.observations().map(|o| o.source).collect()
+    }
+
+    /// Row "one narrator with many permitted sentences" of the attacks.
+    #[test]
+    fn who_floods_a_window_leaves_the_others_their_part() {
+        let mut history = History::new(HistoryLimits::default());
+        for n in 0..8 {
+            history.push(said(1, n), 5);
+        }
+        for n in 8..1000 {
+            history.push(said(2, n), 5);
+        }
+        let honest = sources(&history).iter().filter(|source| **source == 1).count();
+        assert!(honest >= 6, "{honest} of {} places are left", history.len());
+        // The flood has its newest, and what the honest one says next is in too.
+        assert_eq!(history.observations().next_back().unwrap().sequence, 999);
+        history.push(said(1, 1000), 5);
+        assert_eq!(history.observations().next_back().unwrap().sequence, 1000);
+    }
+
+    #[test]
+    fn what_is_older_than_ten_minutes_is_kept_for_nobody() {
+        let mut history = History::new(HistoryLimits::exact(4));
+        for n in 0..2 {
+            history.push(said(1, n), 5);
+        }
+        let later = |n| Observation { observed_ns: KEPT_NS + 10 + n, ..said(2, n) };
+        for n in 2..6 {
+            history.push(later(n), 5);
+        }
+        assert_eq!(sequences(&history), [2, 3, 4, 5]);
+    }
+
+    #[test]
+    fn a_larger_share_keeps_more_places() {
+        let mut history = History::new(HistoryLimits::exact(12));
+        let (named, other) = (Voice { number: 1, share: 3 }, Voice { number: 2, share: 1 });
+        for n in 0..12 {
+            history.hear(said(1, n), named, 5);
+        }
+        for n in 12..100 {
+            history.hear(said(2, n), other, 5);
+        }
+        assert_eq!(sources(&history).iter().filter(|source| **source == 1).count(), 9);
+        // After a restart nobody knows whose they are: the oldest go first.
+        let before = sequences(&history);
+        history.forget_voices();
+        for n in 100..105 {
+            history.hear(said(3, n), Voice::of_source(3), 5);
+        }
+        assert_eq!(sequences(&history)[..7], before[5..]);
     }
 
     #[test]
@@ -268,17 +501,37 @@ mod tests {
             observations in 0usize..6, slack in 0usize..6, tokens in 0usize..60,
             costs in prop::collection::vec(0usize..20, 1..80),
         ) {
-            let mut history = History::new(HistoryLimits { observations, slack, tokens });
+            let mut history = History::new(HistoryLimits { observations, slack, tokens, gap_s: 0 });
             for (i, cost) in costs.iter().enumerate() {
                 let before = history.len();
                 let left = history.push(observation(0, i as u64), *cost);
                 prop_assert_eq!(history.len(), before + 1 - left);
-                let first = (i + 1 - history.len()) as u64;
-                prop_assert_eq!(sequences(&history), (first..=i as u64).collect::<Vec<_>>());
-                prop_assert_eq!(history.left(), first);
+                let fit: Vec<u64> = (0..=i as u64).filter(|i| costs[*i as usize] <= tokens).collect();
+                let first = fit.len() - history.len();
+                prop_assert_eq!(sequences(&history), &fit[first..]);
+                prop_assert_eq!(history.left(), first as u64);
                 prop_assert!(history.len() <= observations.max(1) + slack);
-                let held: usize = costs[first as usize..=i].iter().sum();
-                prop_assert!(held <= tokens || history.len() == 1);
+                let held: usize = fit[first..].iter().map(|i| costs[*i as usize]).sum();
+                prop_assert!(held <= tokens);
+            }
+        }
+
+        /// However the others flood, a voice keeps its newest observations up to its share of the places, less one for the rounding.
+        #[test]
+        fn a_voice_keeps_its_share(
+            observations in 1usize..20, slack in 0usize..6, voices in 2u64..5,
+            said_by in prop::collection::vec(0u64..5, 1..200),
+        ) {
+            let mut history = History::new(HistoryLimits { observations, slack, tokens: 10_000, gap_s: 0 });
+            for (i, voice) in said_by.iter().enumerate() {
+                history.push(said(1 + voice % voices, i as u64), 5);
+            }
+            for voice in 0..voices {
+                let own: Vec<u64> = (0..).zip(&said_by).filter(|(_, by)| **by % voices == voice).map(|(i, _)| i).collect();
+                let held: Vec<u64> = history.observations().filter(|o| o.source == 1 + voice).map(|o| o.sequence).collect();
+                prop_assert!(own.ends_with(&held), "{own:?} {held:?}");
+                let share = observations / voices as usize;
+                prop_assert!(held.len() >= own.len().min(share), "{held:?} of {own:?}, a share of {share}");
             }
         }
     }

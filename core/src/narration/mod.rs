@@ -8,12 +8,16 @@ use std::fmt;
 
 pub mod action;
 pub mod history;
+mod person;
+mod presence;
 pub mod program;
 
 pub use action::{
     Action, ActionEntry, ActionError, LINE_BYTES_MAX, NAME_BYTES_MAX, OBJECTS_MAX, ObjectRef, table as action_table,
 };
-pub use history::{Histories, History, HistoryLimits, PERSONS_MAX};
+pub use history::{Histories, History, HistoryLimits, PERSONS_MAX, Voice};
+pub use person::{SOMEBODY, person_number, same_name};
+pub use presence::{Presence, PresenceError, PresenceStatement};
 pub use program::{PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
 
 /// Longest sentence of one observation, in bytes of UTF-8; the narration message holds as many.
@@ -147,6 +151,9 @@ pub enum ObservedError {
     /// It is no sentence either.
     #[error(transparent)]
     Sentence(#[from] SentenceError),
+    /// It claims to say who is there.
+    #[error(transparent)]
+    Presence(#[from] PresenceError),
 }
 
 impl Observed {
@@ -175,11 +182,62 @@ impl Observed {
     }
 }
 
-/// One observation: who, from where, when, and the sentence it became.
+/// What an observation says.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub enum Said {
+    /// What was done: it enters the prompt, and whoever does something is in the house.
+    Sentence(Sentence),
+    /// Where the person is. It is no sentence for the language model.
+    Presence(PresenceStatement),
+}
+
+impl Said {
+    /// What a sentence says: one that says in plain words that its person leaves the house is a statement, any other is done in the house.
+    #[must_use]
+    pub fn of(sentence: Sentence) -> Self {
+        match PresenceStatement::of_sentence(sentence.as_str()) {
+            Some(statement) if statement.presence() == Presence::Away => Self::Presence(statement),
+            _ => Self::Sentence(sentence),
+        }
+    }
+
+    /// The sentence for the prompt, if it is one.
+    #[must_use]
+    pub fn sentence(&self) -> Option<&Sentence> {
+        match self {
+            Self::Sentence(sentence) => Some(sentence),
+            Self::Presence(_) => None,
+        }
+    }
+
+    /// What it makes of its person.
+    #[must_use]
+    pub fn presence(&self) -> Presence {
+        match self {
+            Self::Sentence(_) => Presence::Present,
+            Self::Presence(statement) => statement.presence(),
+        }
+    }
+}
+
+impl fmt::Display for Said {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Sentence(sentence) => sentence.fmt(f),
+            Self::Presence(statement) => statement.fmt(f),
+        }
+    }
+}
+
+/// One observation: who, from where, when, and what it says.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Observation {
-    /// The person observed; each has a history of their own.
+    /// The person observed; each has a history of their own. [`SOMEBODY`] until it is decided whom it fits.
     pub person: u32,
+    /// The name that the narrator gave the person, which counts before the number.
+    pub name: Option<Box<str>>,
+    /// The narrator named nobody, and `person` is whom it fitted best.
+    pub by_fit: bool,
     /// The narrator that sent it.
     pub source: u64,
     /// Random number of the narrator's process start: a new one begins a new count of sequences.
@@ -190,15 +248,38 @@ pub struct Observation {
     pub observed_ns: u64,
     /// Wall clock, in nanoseconds since 1970, for people.
     pub observed_unix_ns: u64,
-    /// What enters the prompt.
-    pub sentence: Sentence,
+    /// What is said.
+    pub said: Said,
 }
 
 impl Observation {
     /// What a text says rather than a port: of person 0, by source 0 in its epoch 0, at no known time.
     #[must_use]
     pub fn of(sequence: u64, sentence: Sentence) -> Self {
-        Self { person: 0, source: 0, epoch: 0, sequence, observed_ns: 0, observed_unix_ns: 0, sentence }
+        let said = Said::Sentence(sentence);
+        let (person, name, by_fit) = (0, None, false);
+        Self { person, name, by_fit, source: 0, epoch: 0, sequence, observed_ns: 0, observed_unix_ns: 0, said }
+    }
+
+    /// The sentence for the prompt; none where only presence is said.
+    #[must_use]
+    pub fn sentence(&self) -> Option<&str> {
+        self.said.sentence().map(Sentence::as_str)
+    }
+
+    /// Seconds from `earlier` to this observation by the clock that both have, the monotonic one first; none where there is none, 0 where
+    /// they come in the other order. Where the monotonic clock goes back and the wall clock does not, the machine was started between them.
+    #[must_use]
+    pub fn seconds_after(&self, earlier: &Self) -> Option<f64> {
+        let between = |from_ns: u64, to_ns: u64| (from_ns > 0 && to_ns > 0).then(|| to_ns.checked_sub(from_ns));
+        let monotonic = between(earlier.observed_ns, self.observed_ns);
+        let unix = between(earlier.observed_unix_ns, self.observed_unix_ns);
+        let nanoseconds = match (monotonic, unix) {
+            (Some(Some(after)), _) | (Some(None) | None, Some(Some(after))) => after,
+            (None, None) => return None,
+            _ => 0,
+        };
+        Some(nanoseconds as f64 / 1e9)
     }
 }
 
@@ -218,6 +299,14 @@ mod tests {
         assert_eq!(normal("a\u{0}b"), Err(SentenceError::Control { code: 0 }));
         assert_eq!(normal(&"a".repeat(1025)), Err(SentenceError::TooLong { bytes: 1025 }));
         assert_eq!(normal(&"a".repeat(1024)), Err(SentenceError::TooLong { bytes: 1025 }));
+    }
+
+    #[test]
+    fn who_says_that_they_leave_says_nothing_to_the_model() {
+        let of = |text: &str| Said::of(Sentence::new(text).unwrap());
+        assert_eq!(of("They leave the house."), Said::Presence(PresenceStatement::parse("away").unwrap()));
+        assert_eq!(of("They come home").sentence().map(Sentence::as_str), Some("They come home."));
+        assert_eq!(of("They grab the mug").presence(), Presence::Present);
     }
 
     #[test]

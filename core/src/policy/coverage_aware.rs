@@ -16,7 +16,7 @@ pub const WEIGHT_DEFAULT_SLOTS: f64 = 0.4;
 
 /// A difference of less than this share of a slot counts as none: where the chance to meet the person rounds to 0 %, the robot
 /// works at no cost.
-pub const FREE_SHARE: f64 = 0.005;
+pub(crate) const FREE_SHARE: f64 = 0.005;
 
 /// Differences of less than this many seconds are rounding.
 const TIE_S: f64 = 1e-6;
@@ -28,7 +28,7 @@ const WEIGHT_MAX_S: f64 = 1e9;
 /// every decision.
 ///
 /// The plan minimises the expected time shared with the person plus `weight_s` for each room that stays undone. Work is never
-/// put off for a gain of less than [`FREE_SHARE`] of a slot, so while a room to do is free, the robot works. Without a forecast
+/// put off for a gain of less than half a percent of a slot, so while a room to do is free, the robot works. Without a forecast
 /// or a horizon it does as [`UncoveredFirst`].
 #[derive(Debug, Clone, Copy)]
 pub struct CoverageAware {
@@ -67,30 +67,37 @@ impl Policy for CoverageAware {
     fn choose(&mut self, state: &RobotState<'_>, scores: &[f64], rng: &mut dyn Rng) -> Result<Choice, PolicyError> {
         check(state, scores)?;
         let weight_s = self.weight_s(state);
-        let Some(plan) = plan(state.expected_shared_s, state.covered, weight_s, self.free_share * state.room_time_s)
-        else {
+        // The plan knows only the rooms that are open.
+        let open: Vec<usize> = state.open(scores.len()).collect();
+        let slots = state.expected_shared_s.chunks(scores.len());
+        let shared_s: Vec<f64> = slots.flat_map(|slot| open.iter().map(|p| slot[*p])).collect();
+        let covered: Vec<bool> = open.iter().map(|p| state.covered[*p]).collect();
+        let Some(plan) = plan(&shared_s, &covered, weight_s, self.free_share * state.room_time_s) else {
             return UncoveredFirst.choose(state, scores, rng);
         };
-        let partition = plan.partitions.first().copied().ok_or(PolicyError::NoPartitions)?;
+        let first = plan.partitions.first().copied().ok_or(PolicyError::NoPartitions)?;
         // Keep the generator in step with the policies that draw.
         let _: f64 = rand::RngExt::random(rng);
-        let to_do = state.covered.iter().filter(|done| !**done).count();
-        let slots = plan.partitions.len();
-        let s = if slots == 1 { "" } else { "s" };
-        let now = match (to_do, state.covered[partition]) {
-            (0, _) => "all rooms are done: in the room least likely to be shared",
-            (_, true) => "waits in a room that is done",
-            (_, false) => "works in a room to do",
+        let to_do = covered.iter().filter(|done| !**done).count();
+        let stays = plan.partitions.len();
+        let s = if stays == 1 { "" } else { "s" };
+        let all_done = state.covered.iter().all(|done| *done);
+        let now = match (all_done, covered[first]) {
+            (true, _) => "all rooms are done: keeps where it is least likely to meet somebody",
+            (false, true) => "waits in a room that is done",
+            (false, false) => "works in a room to do",
         };
         let shared_s = plan.shared_s;
+        let rooms = if plan.undone == 1 { "1 room".to_owned() } else { format!("{} rooms", plan.undone) };
         let end = match plan.undone {
-            0 => "every room done".to_owned(),
-            undone if to_do > slots => format!("{undone} left undone, since more do not fit"),
-            undone => format!("{undone} left undone, since each would cost more than {weight_s:.0} s"),
+            0 if to_do == state.covered.iter().filter(|done| !**done).count() => "every room done".to_owned(),
+            0 => "every other room done".to_owned(),
+            _ if to_do > stays => format!("{rooms} left undone, since more do not fit"),
+            _ => format!("{rooms} left undone, where it would share more than {weight_s:.0} s of a stay"),
         };
         Ok(Choice {
-            partition: partition_id(partition),
-            reason: format!("{now}; first of {slots} slot{s} planned, {shared_s:.0} s of disturbance expected, {end}"),
+            partition: partition_id(open[first]),
+            reason: format!("{now}; plan for {stays} stay{s}: {shared_s:.0} s in a room with somebody, {end}"),
         })
     }
 }
@@ -271,7 +278,7 @@ mod tests {
     }
 
     fn choose(covered: &[bool], shared_s: &[f64], room_time_s: f64, weight_s: Option<f64>) -> Choice {
-        let state = RobotState { partition: None, covered, room_time_s, expected_shared_s: shared_s };
+        let state = RobotState { covered, room_time_s, expected_shared_s: shared_s, ..RobotState::default() };
         let scores = vec![0.5; covered.len()];
         CoverageAware::new(weight_s).choose(&state, &scores, &mut ChaCha8Rng::seed_from_u64(1)).unwrap()
     }
@@ -373,10 +380,34 @@ mod tests {
         let plan = plan(&[5.0, 1.0, 3.0], &[false; 3], f64::INFINITY, 0.0).unwrap();
         assert_eq!((plan.partitions, plan.undone), (vec![1], 2));
         let few = choose(&[false; 3], &[5.0, 1.0, 3.0], 600.0, None);
-        assert!(few.reason.ends_with("2 left undone, since more do not fit"), "{}", few.reason);
+        assert!(few.reason.ends_with("2 rooms left undone, since more do not fit"), "{}", few.reason);
         let dear = choose(&[false, true], &[590.0, 10.0], 600.0, None);
         assert!(dear.reason.starts_with("waits in a room that is done"), "{}", dear.reason);
-        assert!(dear.reason.ends_with("1 left undone, since each would cost more than 240 s"), "{}", dear.reason);
+        let left = "1 room left undone, where it would share more than 240 s of a stay";
+        assert!(dear.reason.ends_with(left), "{}", dear.reason);
+    }
+
+    #[test]
+    fn a_closed_room_is_planned_around_and_keeps_its_people_in_the_price() {
+        // Somebody is in room 0. Room 1 costs 120 s: less than the 240 s that the time of one person is worth.
+        let (covered, closed, shared_s) = ([false, false, true], [true, false, false], [480.0, 120.0, 0.0]);
+        let state = RobotState {
+            covered: &covered,
+            closed: &closed,
+            room_time_s: 600.0,
+            expected_shared_s: &shared_s,
+            ..RobotState::default()
+        };
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let choice = CoverageAware::new(None).choose(&state, &[0.5; 3], &mut rng).unwrap();
+        assert_eq!(
+            (choice.partition.0, choice.reason.ends_with("every other room done")),
+            (1, true),
+            "{}",
+            choice.reason
+        );
+        let only_done = RobotState { closed: &[true, true, false], ..state };
+        assert_eq!(CoverageAware::new(None).choose(&only_done, &[0.5; 3], &mut rng).unwrap().partition.0, 2);
     }
 
     #[test]

@@ -13,7 +13,7 @@ impl Policy for GreedyAvoidance {
 
     fn choose(&mut self, state: &RobotState<'_>, scores: &[f64], rng: &mut dyn Rng) -> Result<Choice, PolicyError> {
         check(state, scores)?;
-        let best = least(0..scores.len(), scores);
+        let best = least(state.open(scores.len()), scores);
         let partition = uniform(&best, rng).ok_or(PolicyError::NoPartitions)?;
         Ok(Choice { partition: partition_id(partition), reason: "least likely to be occupied".to_owned() })
     }

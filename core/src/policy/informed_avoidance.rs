@@ -17,7 +17,8 @@ impl Policy for InformedAvoidance {
         let greatest = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let tied: Vec<usize> = (0..scores.len()).filter(|p| scores[*p] == greatest).collect();
         let avoided = uniform(&tied, rng);
-        let others: Vec<usize> = (0..scores.len()).filter(|p| scores.len() == 1 || Some(*p) != avoided).collect();
+        let open: Vec<usize> = state.open(scores.len()).collect();
+        let others: Vec<usize> = open.iter().copied().filter(|p| open.len() == 1 || Some(*p) != avoided).collect();
         let partition = uniform(&others, rng).ok_or(PolicyError::NoPartitions)?;
         Ok(Choice {
             partition: partition_id(partition),

@@ -15,21 +15,21 @@ mod informed_avoidance;
 mod naive;
 mod uncovered_first;
 
-pub use coverage_aware::{
-    CoverageAware, DP_PARTITIONS_MAX, FREE_SHARE, Plan, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS, plan,
-};
+pub use coverage_aware::{CoverageAware, DP_PARTITIONS_MAX, Plan, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS, plan};
 pub use greedy_avoidance::GreedyAvoidance;
 pub use informed_avoidance::InformedAvoidance;
 pub use naive::Naive;
 pub use uncovered_first::UncoveredFirst;
 
 /// What a policy may know of the robot when it is free to choose.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct RobotState<'a> {
     /// Where it is; `None` outside every partition.
     pub partition: Option<PartitionId>,
     /// Per partition: its work there is done.
     pub covered: &'a [bool],
+    /// Per partition: it is not to be gone to now, as one that somebody has just come into. Empty where all may be.
+    pub closed: &'a [bool],
     /// T_r: the length of a slot, in which it does one partition, in seconds.
     pub room_time_s: f64,
     /// How long robot and person are expected to share each partition in each of the slots left, in seconds: slots times
@@ -50,8 +50,8 @@ pub struct Choice {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PolicyError {
-    /// There is no partition to go to.
-    #[error("there is no partition to choose from: the scene needs at least one room")]
+    /// There is no partition to go to, or all are closed.
+    #[error("there is no partition to choose from: the scene needs at least one room that is not closed to the robot")]
     NoPartitions,
     /// Inputs are of different sizes.
     #[error(
@@ -79,13 +79,26 @@ pub enum PolicyError {
     },
 }
 
+impl RobotState<'_> {
+    /// Whether the robot may go to a partition now.
+    #[must_use]
+    pub fn is_open(&self, partition: usize) -> bool {
+        !self.closed.get(partition).copied().unwrap_or(false)
+    }
+
+    /// The partitions that it may go to, of so many.
+    fn open(&self, partitions: usize) -> impl Iterator<Item = usize> + Clone {
+        (0..partitions).filter(|partition| self.is_open(*partition))
+    }
+}
+
 /// Chooses the next partition.
 pub trait Policy: fmt::Debug + Send {
     /// Its name on the command line.
     fn name(&self) -> PolicyName;
 
     /// Chooses among `scores.len()` partitions; a greater score is a likelier presence of the person (S_j of Equation 3 or
-    /// its normalised probability: only the order matters to the paper's policies).
+    /// its normalised probability: only the order matters to the paper's policies). It chooses none that is closed.
     ///
     /// # Errors
     /// [`PolicyError`] when there is nothing to choose from or the inputs do not fit together.
@@ -155,9 +168,9 @@ impl FromStr for PolicyName {
     }
 }
 
-/// Checks what every policy relies on: some partitions, comparable scores, one `covered` entry each.
+/// Checks what every policy relies on: some partitions that are open, comparable scores, one `covered` entry each.
 fn check(state: &RobotState<'_>, scores: &[f64]) -> Result<(), PolicyError> {
-    if scores.is_empty() {
+    if state.open(scores.len()).next().is_none() {
         return Err(PolicyError::NoPartitions);
     }
     if let Some(partition) = scores.iter().position(|score| score.is_nan()) {
@@ -165,6 +178,9 @@ fn check(state: &RobotState<'_>, scores: &[f64]) -> Result<(), PolicyError> {
     }
     if state.covered.len() != scores.len() {
         return Err(PolicyError::Shape { what: "covered", found: state.covered.len(), expected: scores.len() });
+    }
+    if !state.closed.is_empty() && state.closed.len() != scores.len() {
+        return Err(PolicyError::Shape { what: "closed", found: state.closed.len(), expected: scores.len() });
     }
     if !state.expected_shared_s.len().is_multiple_of(scores.len()) {
         return Err(PolicyError::Shape {
@@ -205,7 +221,7 @@ mod tests {
     fn shares(name: PolicyName, covered: &[bool], scores: &[f64]) -> Vec<f64> {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let mut policy = name.policy();
-        let state = RobotState { partition: None, covered, room_time_s: 60.0, expected_shared_s: &[] };
+        let state = RobotState { covered, room_time_s: 60.0, ..RobotState::default() };
         let mut counts = vec![0.0; scores.len()];
         for _ in 0..20_000 {
             counts[policy.choose(&state, scores, &mut rng).unwrap().partition.0 as usize] += 1.0 / 20_000.0;
@@ -244,7 +260,7 @@ mod tests {
     fn faults_are_named() {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let mut choose = |covered: &[bool], expected_shared_s: &[f64], scores: &[f64]| {
-            let state = RobotState { partition: None, covered, room_time_s: 60.0, expected_shared_s };
+            let state = RobotState { covered, room_time_s: 60.0, expected_shared_s, ..RobotState::default() };
             Naive.choose(&state, scores, &mut rng).unwrap_err().to_string()
         };
         assert!(choose(&[], &[], &[]).contains("at least one room"));
@@ -263,12 +279,18 @@ mod tests {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             let covered: Vec<bool> = scores.iter().map(|_| rng.random()).collect();
             let expected: Vec<f64> = (0..slots * scores.len()).map(|_| rng.random()).collect();
-            let state = RobotState { partition: None, covered: &covered, room_time_s: 60.0, expected_shared_s: &expected };
+            let mut closed: Vec<bool> = scores.iter().map(|_| rng.random()).collect();
+            closed[0] &= closed.contains(&false) && scores.len() > 1;
+            let state = RobotState {
+                partition: None, covered: &covered, closed: &closed, room_time_s: 60.0, expected_shared_s: &expected,
+            };
             for name in PolicyName::ALL {
                 prop_assert_eq!(name.as_str().parse::<PolicyName>(), Ok(name));
                 let choice = name.policy().choose(&state, &scores, &mut rng).unwrap();
-                prop_assert!((choice.partition.0 as usize) < scores.len());
+                prop_assert!((choice.partition.0 as usize) < scores.len() && !closed[choice.partition.0 as usize]);
             }
+            let all_closed = RobotState { closed: &vec![true; scores.len()], ..state };
+            prop_assert_eq!(Naive.choose(&all_closed, &scores, &mut rng), Err(PolicyError::NoPartitions));
         }
     }
 }

@@ -13,7 +13,7 @@ impl Policy for Naive {
 
     fn choose(&mut self, state: &RobotState<'_>, scores: &[f64], rng: &mut dyn Rng) -> Result<Choice, PolicyError> {
         check(state, scores)?;
-        let all: Vec<usize> = (0..scores.len()).collect();
+        let all: Vec<usize> = state.open(scores.len()).collect();
         let partition = uniform(&all, rng).ok_or(PolicyError::NoPartitions)?;
         Ok(Choice { partition: partition_id(partition), reason: "any room, by chance".to_owned() })
     }

@@ -13,13 +13,16 @@ impl Policy for UncoveredFirst {
 
     fn choose(&mut self, state: &RobotState<'_>, scores: &[f64], rng: &mut dyn Rng) -> Result<Choice, PolicyError> {
         check(state, scores)?;
-        let all_done = state.covered.iter().all(|done| *done);
-        let best = least((0..scores.len()).filter(|p| all_done || !state.covered[*p]), scores);
+        let open = state.open(scores.len());
+        let all_done = open.clone().all(|p| state.covered[p]);
+        let best = least(open.filter(|p| all_done || !state.covered[*p]), scores);
         let partition = uniform(&best, rng).ok_or(PolicyError::NoPartitions)?;
-        let reason = if all_done {
+        let reason = if !all_done {
+            "least likely to be occupied of the rooms still to do"
+        } else if state.covered.iter().all(|done| *done) {
             "all rooms are done: least likely to be occupied"
         } else {
-            "least likely to be occupied of the rooms still to do"
+            "waits in a room that is done: least likely to be occupied"
         };
         Ok(Choice { partition: partition_id(partition), reason: reason.to_owned() })
     }

@@ -19,7 +19,7 @@
 //! of the largest, so that no word gains without bound for never being said.
 //!
 //! Neither is in the paper, and both are off unless the configuration asks for them or the model file recommends them
-//! (GGUF keys [`CONTINUATION_KEY`] and [`PRIOR_KEY`]), as the embedded one does.
+//! (GGUF keys `roomcast.continuation` and `roomcast.prior`), as the embedded one does.
 
 use std::str::FromStr;
 
@@ -27,9 +27,9 @@ use super::softmax::log_sum_exp_of as log_sum_exp;
 use crate::label_trie::{LabelTrie, Token};
 
 /// GGUF key of the recommended [`Continuation`], a string: `free` or `labels`.
-pub const CONTINUATION_KEY: &str = "roomcast.continuation";
+pub(crate) const CONTINUATION_KEY: &str = "roomcast.continuation";
 /// GGUF key of the recommended prior weight, a number from 0 to 1.
-pub const PRIOR_KEY: &str = "roomcast.prior";
+pub(crate) const PRIOR_KEY: &str = "roomcast.prior";
 
 /// What a label's tokens after the first compete with.
 #[derive(

@@ -6,6 +6,8 @@
 //! [`Scorer`] holds the algorithm, [`LanguageModel`] what it needs of a model. The crate `roomcast-llama` has the real one;
 //! [`table::TableModel`] is a deterministic one whose next-token table is known by construction, for tests.
 
+use std::sync::Arc;
+
 use self::certified::{Certified, Effort};
 use self::correction::{Continuation, Correction};
 use self::cutter::Cutter;
@@ -111,6 +113,9 @@ pub enum TextStart {
 /// Nanoseconds that never go back, from any beginning.
 pub type Clock = fn() -> u64;
 
+/// How many tokens a text costs, for threads that do not have the model.
+pub type TokenCounter = Arc<dyn Fn(&str) -> usize + Send + Sync>;
+
 /// What the scoring algorithm needs of a model.
 pub trait LanguageModel {
     /// What the model says of itself.
@@ -132,6 +137,12 @@ pub trait LanguageModel {
     /// stop, an exclamation or a question mark before a space, and the space is not part of the next one.
     fn sentences_apart(&self) -> bool {
         false
+    }
+
+    /// Counts the tokens of a sentence within a prompt, on any thread. The one given here counts bytes, of which no tokeniser makes more
+    /// tokens.
+    fn token_counter(&self) -> TokenCounter {
+        Arc::new(str::len)
     }
 
     /// The text of a token, for people.
@@ -502,7 +513,7 @@ impl<M: LanguageModel> Scorer<M> {
     ///
     /// # Errors
     /// When the model fails.
-    pub fn learn_prior(&mut self, prepared: &mut PreparedLabels) -> Result<(), ScoreError> {
+    pub(crate) fn learn_prior(&mut self, prepared: &mut PreparedLabels) -> Result<(), ScoreError> {
         let Correction { prior, .. } = prepared.correction;
         if prior > 0.0 {
             let mut blank = String::new();
@@ -516,7 +527,7 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(())
     }
 
-    /// [`Scorer::cut`], then [`Scorer::learn_prior`]: all that is done once for a map, a binding sequence and a model.
+    /// [`Scorer::cut`], then the prior of the labels: all that is done once for a map, a binding sequence and a model.
     ///
     /// # Errors
     /// As those two.

@@ -223,7 +223,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever changed, the regrouped scores are those of the new map grounded afresh.
+        /// Whatever changed, the regrouped scores are those of the new map grounded from nothing.
         #[test]
         fn regrouping_agrees_with_grounding_afresh(moves in prop::collection::vec((0..9usize, 0.0..9.0f64, 0.0..3.0f64), 0..12), gone in 0..9usize) {
             let before = map();

@@ -1,14 +1,13 @@
-//! The semantic map: labelled items with boxes, rooms, parts and groups of rooms; its file format, checks, import and drawing.
+//! The semantic map: labelled items with boxes, rooms, parts and groups of rooms; its file format, checks, changes and import.
 
 use std::collections::{BTreeMap, VecDeque};
 
+use crate::names::{Names, plain_words};
+
 pub mod delta;
 pub mod import;
-mod names;
 mod schema;
 
-pub use names::Names;
-pub(crate) use names::plain_words;
 pub use schema::{MAX_FILE_BYTES, MAX_ITEMS, MAX_ROOMS, MAX_TEXT_BYTES, SceneError, read_limited};
 
 /// Index of an item in [`SemanticMap::items`].

@@ -56,6 +56,14 @@ pub enum SceneError {
         /// What the parser says, with line and column.
         message: String,
     },
+    /// The text ends before the scene does.
+    #[error("ends too early, in line {line}{}: the file is empty or was cut off; get it again, whole", within(.element))]
+    CutOff {
+        /// The last line, from 1.
+        line: usize,
+        /// Path to the element that is not whole; `.` for the whole file.
+        element: String,
+    },
     /// Another format or another version.
     #[error(
         "is `{format}` version {version}, but this program reads `{FORMAT}` version {VERSION}; \
@@ -157,6 +165,11 @@ pub(super) struct CaptionEntry {
 /// The beginning of a message about an element of a JSON file; empty where it is about the whole file.
 pub(super) fn place(element: &str) -> String {
     if element == "." { String::new() } else { format!("{element}: ") }
+}
+
+/// Where a text ends, for a message.
+fn within(element: &str) -> String {
+    if element == "." { String::new() } else { format!(", within {element}") }
 }
 
 /// Where an element stands, for errors.
@@ -305,8 +318,13 @@ impl SemanticMap {
         }
         let mut parser = serde_json::Deserializer::from_str(text);
         let json_error = |element: String, message: String| SceneError::Json { element, message };
-        let file: SceneFile = serde_path_to_error::deserialize(&mut parser)
-            .map_err(|error| json_error(error.path().to_string(), error.inner().to_string()))?;
+        let file: SceneFile = serde_path_to_error::deserialize(&mut parser).map_err(|error| {
+            if error.inner().is_eof() {
+                let (line, element) = (error.inner().line(), error.path().to_string());
+                return SceneError::CutOff { line, element };
+            }
+            json_error(error.path().to_string(), error.inner().to_string())
+        })?;
         parser.end().map_err(|error| json_error("end".to_owned(), error.to_string()))?;
         Self::check(file)
     }
@@ -587,7 +605,7 @@ fn check_items(entries: &[ItemEntry]) -> Result<(Vec<String>, Vec<Item>), SceneE
 }
 
 /// Least share of a caption.
-pub const SHARE_MIN: f64 = 1e-9;
+pub(crate) const SHARE_MIN: f64 = 1e-9;
 
 fn check_captions(place: Place, entry: &ItemEntry) -> Result<(), SceneError> {
     let captions = &entry.captions;
@@ -721,6 +739,15 @@ mod tests {
             let text = refused(pointer, value.clone());
             assert!(text.contains(expected), "{pointer} = {value}: {text}");
         }
+    }
+
+    #[test]
+    fn a_file_that_was_cut_off_is_called_so() {
+        let half = &TWO_ROOMS[..TWO_ROOMS.find("\"items\"").unwrap() + 60];
+        let text = message(&SemanticMap::from_json(half).unwrap_err());
+        assert!(text.contains("ends too early, in line ") && text.contains("within items[0]"), "{text}");
+        let text = message(&SemanticMap::from_json("").unwrap_err());
+        assert!(text.starts_with("ends too early, in line 1: the file is empty or was cut off"), "{text}");
     }
 
     #[test]

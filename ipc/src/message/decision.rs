@@ -12,6 +12,8 @@ pub mod action {
     pub const STAY: u32 = 0;
     /// The robot goes to `to` and works there.
     pub const GO: u32 = 1;
+    /// The robot stops its work and waits where it disturbs nobody, at its dock if it has one.
+    pub const PAUSE: u32 = 2;
 }
 
 /// Bits of [`DecisionV1::flags`].
@@ -26,6 +28,18 @@ pub mod decision_flags {
     pub const DAEMON_SILENT: u32 = 1 << 3;
     /// Every room has been covered.
     pub const COVERED: u32 = 1 << 4;
+    /// A person came into the room that the robot was in: what it did there is not done.
+    pub const INTERRUPTED: u32 = 1 << 5;
+    /// `covered` counts what the robot reported as finished; without this bit, the clock.
+    pub const REPORTED: u32 = 1 << 6;
+    /// The round's deadline leaves no later slot for this room.
+    pub const DEADLINE: u32 = 1 << 7;
+    /// Nothing is known of anybody: the room scores say nothing about persons.
+    pub const NOT_KNOWN: u32 = 1 << 8;
+    /// Everybody who is known is away.
+    pub const NOBODY_HOME: u32 = 1 << 9;
+    /// The robot has reported before and has been silent for longer than allowed.
+    pub const ROBOT_SILENT: u32 = 1 << 10;
 }
 
 layout! {
@@ -61,7 +75,7 @@ layout! {
         96 => action: u32,
         /// Bits of [`decision_flags`].
         100 => flags: u32,
-        /// Minor version of the layout: 0.
+        /// Minor version of the layout: 1, which has [`action::PAUSE`] and `cancels`.
         104 => minor: u32,
         /// Zero.
         108 => reserved_a: [u8; 4],
@@ -73,8 +87,10 @@ layout! {
         208 => policy: [u8; NAME_BYTES],
         /// Why, in words, UTF-8, zero padded, cut to fit.
         256 => reason: [u8; REASON_TEXT_BYTES],
+        /// Sequence of the decision of this epoch that does not hold any more, 0 for none.
+        512 => cancels: u64,
         /// Zero.
-        512 => reserved: [u8; 256],
+        520 => reserved: [u8; 248],
     }
 }
 
@@ -115,7 +131,7 @@ impl Message for DecisionV1 {
         ServiceQuality { name: "roomcast/v1/decision", publishers: 8, subscribers: 16, buffer: 16, history: 1 };
 
     fn check(&self) -> Result<(), MessageError> {
-        at_most("action", self.action, action::GO as usize, "0 or 1")?;
+        at_most("action", self.action, action::PAUSE as usize, "0 to 2")?;
         in_range("probability", self.probability, 0.0, 1.0, "0 to 1")?;
         for (field, bytes) in [("from", &self.from), ("to", &self.to), ("policy", &self.policy)] {
             text::decode(field, bytes)?;

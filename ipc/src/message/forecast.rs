@@ -12,6 +12,8 @@ pub mod forecast_flags {
     pub const NOT_KNOWN: u32 = 1;
     /// Of somebody, all that is known was observed before the daemon's start.
     pub const RESTORED: u32 = 1 << 1;
+    /// Everybody who is known is away now.
+    pub const NOBODY_HOME: u32 = 1 << 2;
 }
 
 layout! {
@@ -32,18 +34,20 @@ layout! {
         36 => horizon_count: u32,
         /// Person, or [`crate::ALL_PERSONS`].
         40 => person: u32,
-        /// Minor version of the layout: 1, which has `flags`; they are 0 in minor version 0.
+        /// Minor version of the layout: 1 has `flags`, 2 has `elsewhere`; they are 0 before.
         44 => minor: u32,
         /// Bits of [`forecast_flags`].
         48 => flags: u32,
+        /// Per horizon that everybody is elsewhere, outside the map's rooms, 0 to 1.
+        52 => elsewhere: [f32; MAX_HORIZONS],
         /// Zero.
-        52 => reserved: [u8; 76],
+        116 => reserved: [u8; 12],
         /// The horizons in seconds, rising.
         128 => horizon_s: [f32; MAX_HORIZONS],
         /// The rooms' ids, UTF-8, zero padded.
         192 => id: [[u8; NAME_BYTES]; MAX_ROOMS],
-        /// `probability[room][horizon]`, 0 to 1: that somebody is there. A horizon's column sums to one for one person, to at most
-        /// their number for several; a room's row to nothing.
+        /// `probability[room][horizon]`, 0 to 1: that somebody is there. A horizon's column and `elsewhere` sum to one for one person,
+        /// the column to at most their number for several; a room's row sums to nothing that means anything.
         3264 => probability: [[f32; MAX_HORIZONS]; MAX_ROOMS],
     }
 }
@@ -76,6 +80,9 @@ impl Message for ForecastV1 {
         let (rooms, horizons) = (self.room_count as usize, self.horizon_count as usize);
         for horizon_s in self.horizon_s.iter().take(horizons) {
             in_range("horizon_s", f64::from(*horizon_s), 0.0, f64::from(f32::MAX), "0 or more, finite")?;
+        }
+        for elsewhere in self.elsewhere.iter().take(horizons) {
+            in_range("elsewhere", f64::from(*elsewhere), 0.0, 1.0, "0 to 1")?;
         }
         for (id, row) in self.id.iter().zip(&self.probability).take(rooms) {
             text::decode("room id", id)?;

@@ -6,6 +6,10 @@ use crate::text;
 /// Value of [`ItemScoreV1::partition`]: the item lies in none.
 pub const NO_PARTITION: u32 = u32::MAX;
 
+/// Most items of a message: of a larger map the best. Shared memory is set aside for every message that may be under way, each as long as
+/// the longest.
+pub const MAX_ITEMS: usize = 1024;
+
 layout! {
     /// User header of a slice of item scores: which snapshot they belong to.
     #[type_name("roomcast.ItemScoresHeaderV1")]
@@ -16,10 +20,12 @@ layout! {
         8 => sequence: u64,
         /// When they were computed: monotonic nanoseconds.
         16 => computed_ns: u64,
-        /// Minor version of the layout: 0.
+        /// Minor version of the layout: 1, which has `items`.
         24 => minor: u32,
+        /// Items of the map. Where they are more than the message has, it has the [`MAX_ITEMS`] with the best scores.
+        28 => items: u32,
         /// Zero.
-        28 => reserved: [u8; 36],
+        32 => reserved: [u8; 32],
     }
 }
 

@@ -14,6 +14,8 @@ pub mod narration_kind {
     pub const ACTION: u32 = 1;
     /// A device's state: "the oven is on".
     pub const DEVICE: u32 = 2;
+    /// Where a person is, without an action that a language model could read: `present`, `present in the kitchen`, `away`, `gone`.
+    pub const PRESENCE: u32 = 3;
 }
 
 layout! {
@@ -32,18 +34,21 @@ layout! {
         24 => observed_ns: u64,
         /// When it was observed: Unix nanoseconds, for people.
         32 => observed_unix_ns: u64,
-        /// Which person; each has a history of its own.
+        /// Which person, where `person_name` is empty; each has a history of its own. [`crate::ALL_PERSONS`] is somebody: the daemon
+        /// takes the person whom the text fits best.
         40 => person: u32,
         /// One of [`narration_kind`].
         44 => kind: u32,
         /// Bytes of text that follow in `text`, 1 to 1 024.
         48 => text_bytes: u32,
-        /// Minor version of the layout: 0.
+        /// Minor version of the layout: 1, which has `person_name`, [`narration_kind::PRESENCE`] and somebody.
         52 => minor: u32,
         /// The narrator's name, for people.
         56 => source_name: [u8; NAME_BYTES],
+        /// The person's name, UTF-8, zero padded; empty where `person` says who it is.
+        104 => person_name: [u8; NAME_BYTES],
         /// Zero.
-        104 => reserved: [u8; 88],
+        152 => reserved: [u8; 40],
         /// The text, UTF-8, the rest zero.
         192 => text: [u8; NARRATION_TEXT_BYTES],
     }
@@ -71,13 +76,19 @@ impl NarrationV1 {
         let text = text::encode("text", content)?;
         #[expect(clippy::cast_possible_truncation, reason = "it fits into 1024 bytes")]
         let text_bytes = content.len() as u32;
-        Ok(Self { kind, text, text_bytes, ..Self::default() })
+        Ok(Self { kind, text, text_bytes, minor: 1, ..Self::default() })
     }
 
     /// The text of a checked message; empty when it was not checked and is malformed.
     #[must_use]
     pub fn text(&self) -> &str {
         text::checked(&self.text)
+    }
+
+    /// The person's name of a checked message; empty where `person` says who it is.
+    #[must_use]
+    pub fn person_name(&self) -> &str {
+        text::checked(&self.person_name)
     }
 
     /// The narrator's name of a checked message.
@@ -97,7 +108,7 @@ impl Message for NarrationV1 {
                 return Err(MessageError::OutOfRange { field, value: 0.0, allowed: "not 0" });
             }
         }
-        super::at_most("kind", self.kind, narration_kind::DEVICE as usize, "0 to 2")?;
+        super::at_most("kind", self.kind, narration_kind::PRESENCE as usize, "0 to 3")?;
         super::at_most("text_bytes", self.text_bytes, NARRATION_TEXT_BYTES, "1 to 1024")?;
         let content = text::decode("text", &self.text)?;
         if content.is_empty() {
@@ -111,6 +122,7 @@ impl Message for NarrationV1 {
             });
         }
         text::decode("source_name", &self.source_name)?;
+        text::decode("person_name", &self.person_name)?;
         Ok(())
     }
 }

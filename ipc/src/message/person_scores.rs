@@ -10,12 +10,30 @@ pub const MAX_PERSONS: usize = 8;
 pub mod person_flags {
     /// All that is known of the person was observed before the daemon's start.
     pub const RESTORED: u32 = 1;
+    /// Nothing for long, on a bed: possibly asleep.
+    pub const ASLEEP: u32 = 1 << 1;
+    /// The newest narration named nobody, and fitted this person best.
+    pub const BY_FIT: u32 = 1 << 2;
+    /// Not of the household: forgotten after a silence.
+    pub const VISITOR: u32 = 1 << 3;
+}
+
+/// Values of [`PersonV1::presence`].
+pub mod presence {
+    /// Nothing was observed of the person.
+    pub const UNKNOWN: u32 = 0;
+    /// In the house.
+    pub const PRESENT: u32 = 1;
+    /// Out of the house, and expected back.
+    pub const AWAY: u32 = 2;
+    /// Out of the house, and not expected back.
+    pub const GONE: u32 = 3;
 }
 
 layout! {
     /// One person's scores: those that they would have alone.
     #[type_name("roomcast.PersonV1")]
-    pub struct PersonV1 [2112] {
+    pub struct PersonV1 [2176] {
         /// The person's number, as narrators give it.
         0 => person: u32,
         /// How their scores were reached, as in room scores.
@@ -28,23 +46,31 @@ layout! {
         24 => label_mass: f64,
         /// Bits of [`person_flags`].
         32 => flags: u32,
+        /// One of [`presence`].
+        36 => presence: u32,
+        /// That the person is elsewhere next, outside the map's rooms, 0 to 1: 1 while away or gone.
+        40 => elsewhere: f64,
+        /// Since when `presence` holds: monotonic nanoseconds, 0 where that was before the machine's start.
+        48 => since_ns: u64,
+        /// The person's name, UTF-8, zero padded; empty for one who has a number only.
+        56 => name: [u8; NAME_BYTES],
         /// Zero.
-        36 => reserved: [u8; 28],
+        104 => reserved: [u8; 24],
         /// Per room Equation 2's sum over its items, in nats; `-inf` when it has none.
-        64 => log_score_nats: [f64; MAX_ROOMS],
+        128 => log_score_nats: [f64; MAX_ROOMS],
         /// Per room, the true value lies at or above this, in nats.
-        576 => lower_log_score_nats: [f64; MAX_ROOMS],
+        640 => lower_log_score_nats: [f64; MAX_ROOMS],
         /// Per room, the true value lies at or below this, in nats.
-        1088 => upper_log_score_nats: [f64; MAX_ROOMS],
-        /// Per room the score's share of all rooms' scores, 0 to 1: that the person is there next. They sum to one.
-        1600 => probability: [f64; MAX_ROOMS],
+        1152 => upper_log_score_nats: [f64; MAX_ROOMS],
+        /// Per room the score's share of all rooms' scores, 0 to 1: that the person is there next. With `elsewhere` they sum to one.
+        1664 => probability: [f64; MAX_ROOMS],
     }
 }
 
 layout! {
     /// The scores of each person, which the room scores of the same epoch and sequence speak of together.
     #[type_name("roomcast.PersonScoresV1")]
-    pub struct PersonScoresV1 [20096] {
+    pub struct PersonScoresV1 [20608] {
         /// Epoch of the room scores that it goes with.
         0 => epoch: u64,
         /// Sequence of those room scores.
@@ -73,6 +99,12 @@ layout! {
 }
 
 impl PersonV1 {
+    /// The person's name, of a checked message; empty for one who has a number only.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        text::checked(&self.name)
+    }
+
     /// Whether a bit of [`person_flags`] is set.
     #[must_use]
     pub fn has(&self, flag: u32) -> bool {
@@ -121,7 +153,10 @@ impl Message for PersonScoresV1 {
         }
         for person in self.persons() {
             at_most("reached", person.reached, reached::DEADLINE as usize, "0 to 3")?;
+            at_most("presence", person.presence, presence::GONE as usize, "0 to 3")?;
             in_range("label_mass", person.label_mass, 0.0, f64::MAX, "0 or more, finite")?;
+            in_range("elsewhere", person.elsewhere, 0.0, 1.0, "0 to 1")?;
+            text::decode("name", &person.name)?;
             for probability in person.probability.iter().take(rooms) {
                 in_range("probability", *probability, 0.0, 1.0, "0 to 1")?;
             }

@@ -37,21 +37,24 @@ pub mod score_flags {
     /// The last scoring attempt failed; these are the last good scores, sent again at once, with the narration and of the map that
     /// they are of. A later attempt scores what this one could not.
     pub const SCORER_FAILED: u32 = 1 << 5;
+    /// Everybody who is known is away: no room is likely, and their scores are `-inf`.
+    pub const NOBODY_HOME: u32 = 1 << 6;
 }
 
 layout! {
-    /// The newest narration of one source that a message's scores contain.
+    /// The newest narration of one start of a source that a message's scores contain, or that was dealt with otherwise. Several
+    /// processes may use one source at once, each with an epoch of its own.
     #[type_name("roomcast.IncludedV1")]
     pub struct IncludedV1 [40] {
         /// The narrator.
         0 => source: u64,
         /// Its epoch.
         8 => epoch: u64,
-        /// Highest sequence number contained; all accepted ones below it went through the history too.
+        /// Highest sequence number dealt with; all accepted ones up to it went through the history.
         16 => sequence: u64,
         /// When that was observed: monotonic nanoseconds.
         24 => observed_ns: u64,
-        /// Narrations of this source that the daemon has accepted since it started or recovered.
+        /// Narrations of this source in this epoch that the daemon has accepted, those of its journal included.
         32 => accepted: u64,
     }
 }
@@ -116,7 +119,7 @@ layout! {
         168 => ground_ns: u64,
         /// Person whose next room this is, or [`ALL_PERSONS`].
         176 => person: u32,
-        /// Persons with a history.
+        /// Persons known.
         180 => persons: u32,
         /// Rooms in `rooms`, at most 64.
         184 => room_count: u32,

@@ -68,7 +68,7 @@ layout! {
         228 => sources: u32,
         /// Persons known.
         232 => persons: u32,
-        /// Minor version of the layout: 0.
+        /// Minor version of the layout: 1, which has `forged`, `costly` and `learned`.
         236 => minor: u32,
         /// Version of the daemon, UTF-8, zero padded.
         240 => version: [u8; NAME_BYTES],
@@ -80,8 +80,14 @@ layout! {
         384 => journal_bytes: u64,
         /// Journal: failed writes.
         392 => journal_failures: u64,
+        /// Narrations in the name of a source that another port uses.
+        400 => forged: u64,
+        /// Narrations refused because their tokens do not fit the window.
+        408 => costly: u64,
+        /// Observations that the habits rest on.
+        416 => learned: u64,
         /// Zero.
-        400 => reserved: [u8; 112],
+        424 => reserved: [u8; 88],
     }
 }
 

@@ -6,8 +6,8 @@ use serde::Deserialize;
 
 use crate::simulation::binding::Binder;
 use roomcast_core::grounding::Grounding;
+use roomcast_core::names::Names;
 use roomcast_core::narration::Program;
-use roomcast_core::semantic_map::Names;
 
 /// How often objects follow one another in activity programs, in words and bound to no map. Immediate repeats of an object
 /// are not counted, as they are no targets either.

@@ -52,8 +52,8 @@ impl Chart {
     #[must_use]
     pub fn svg(&self) -> String {
         let points = || self.series.iter().flat_map(|s| &s.points).filter(|(x, y)| x.is_finite() && y.is_finite());
-        let x = Axis::over(points().map(|p| p.0));
-        let y = Axis::over(points().map(|p| p.1));
+        let x = Axis::covering(points().map(|p| p.0));
+        let y = Axis::covering(points().map(|p| p.1));
         let (right, bottom) = (WIDTH - RIGHT, HEIGHT - BOTTOM);
         let at_x = |value: f64| LEFT + x.share(value) * (right - LEFT);
         let at_y = |value: f64| bottom - y.share(value) * (bottom - TOP);
@@ -142,7 +142,7 @@ struct Axis {
 
 impl Axis {
     /// Round limits around the values, from 0 where they are near it.
-    fn over(values: impl Iterator<Item = f64> + Clone) -> Self {
+    fn covering(values: impl Iterator<Item = f64> + Clone) -> Self {
         let low = values.clone().fold(f64::INFINITY, f64::min);
         let high = values.fold(f64::NEG_INFINITY, f64::max);
         let (low, high) = if low.is_finite() && high.is_finite() { (low, high) } else { (0.0, 1.0) };

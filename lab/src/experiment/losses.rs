@@ -5,9 +5,9 @@ use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 /// Bins of the expected calibration error, of equal width over the probability of the likeliest outcome.
-pub const ECE_BINS: usize = 15;
+pub(crate) const ECE_BINS: usize = 15;
 /// Resamples of the bootstrap.
-pub const RESAMPLES: usize = 1000;
+pub(crate) const RESAMPLES: usize = 1000;
 
 /// Sums over cases: additive, so that a bootstrap resamples groups of cases by adding their sums.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -97,7 +97,7 @@ pub struct Summary {
     pub mrr: f64,
     /// Mean Brier score over all outcomes, 0 to 2.
     pub brier: f64,
-    /// Expected calibration error of the likeliest outcome's probability, over [`ECE_BINS`] bins.
+    /// Expected calibration error of the likeliest outcome's probability, over 15 bins.
     pub ece: f64,
     /// Bootstrap intervals over groups.
     pub ci95: Intervals,

@@ -9,8 +9,9 @@ use std::collections::HashMap;
 use sha2::{Digest, Sha256};
 
 use roomcast_core::grounding::Grounding;
+use roomcast_core::names::Names;
 use roomcast_core::narration::ObjectRef;
-use roomcast_core::semantic_map::{ItemId, Names, PartitionId, RoomId, SemanticMap};
+use roomcast_core::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap};
 
 /// How one of several items of a label is chosen.
 #[derive(

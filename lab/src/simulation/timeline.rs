@@ -189,6 +189,15 @@ fn nearest_room(map: &SemanticMap, position_m: [f64; 3]) -> RoomId {
     RoomId(nearest.and_then(|index| u32::try_from(index).ok()).unwrap_or(0))
 }
 
+/// How long the person is at an action, once they stand where it is done.
+#[derive(Debug, Clone, Copy)]
+enum Lasts {
+    /// So many seconds.
+    For(f64),
+    /// Up to so many seconds after the begin.
+    Until(f64),
+}
+
 impl Timeline {
     /// Carries out a program. `binder` must have begun it; `start` draws the room in which the person begins.
     ///
@@ -202,25 +211,14 @@ impl Timeline {
         options: &PersonOptions,
         start: u64,
     ) -> Result<Self, TimelineError> {
-        let mut person = person(map, grounding, binder, options, start)?;
-        let (mut done, mut skipped) = (Vec::new(), Vec::new());
-        for action in &program.steps {
-            if !person.approach(action) {
-                skipped.push(action.to_string());
-                continue;
-            }
+        let steps = program.steps.iter().map(|action| {
             let walks = WALKS.contains(&action.verb()) && !action.objects().is_empty();
             // Even who already stands there takes a moment.
             let natural_s = if walks { 1.0 } else { action.entry().duration_s };
-            person.wait(natural_s.min(options.action_s_max));
-            person.act(action);
-            done.push(Done { at_s: person.now_s, sentence: Sentence::new(&action.sentence())? });
-        }
-        let factor = match options.mean_action_s {
-            Some(mean_s) if person.now_s > 0.0 => mean_s * done.len() as f64 / person.now_s,
-            _ => 1.0,
-        };
-        person.finish(program.title.clone(), done, skipped, factor)
+            (action, Lasts::For(natural_s.min(options.action_s_max)))
+        });
+        let person = person(map, grounding, binder, options, start)?;
+        person.carry_out(steps, program.title.clone(), options.mean_action_s)
     }
 
     /// Carries out a household's day at its own times, from its first action on. An action begins when the one before it is
@@ -237,20 +235,10 @@ impl Timeline {
         options: &PersonOptions,
         start: u64,
     ) -> Result<Self, TimelineError> {
-        let mut person = person(map, grounding, binder, options, start)?;
-        let (mut done, mut skipped) = (Vec::new(), Vec::new());
         let begin_min = day.actions.first().map_or(0.0, |action| action.done_min);
-        for timed in &day.actions {
-            if !person.approach(&timed.action) {
-                skipped.push(timed.action.to_string());
-                continue;
-            }
-            let at_s = (timed.done_min - begin_min) * 60.0;
-            person.wait((at_s - person.now_s).max(0.0));
-            person.act(&timed.action);
-            done.push(Done { at_s: person.now_s, sentence: Sentence::new(&timed.action.sentence())? });
-        }
-        person.finish(title.to_owned(), done, skipped, 1.0)
+        let steps = day.actions.iter();
+        let steps = steps.map(|timed| (&timed.action, Lasts::Until((timed.done_min - begin_min) * 60.0)));
+        person(map, grounding, binder, options, start)?.carry_out(steps, title.to_owned(), None)
     }
 
     /// T: its length in time steps.
@@ -290,6 +278,34 @@ fn person<'a, 'b>(
 }
 
 impl Person<'_, '_> {
+    /// Does one action after the other, as far as the map has what they need; stretched so that each takes `mean_action_s` on average,
+    /// walking counted, if that is given.
+    fn carry_out<'s>(
+        mut self,
+        steps: impl Iterator<Item = (&'s Action, Lasts)>,
+        title: String,
+        mean_action_s: Option<f64>,
+    ) -> Result<Timeline, TimelineError> {
+        let (mut done, mut skipped) = (Vec::new(), Vec::new());
+        for (action, lasts) in steps {
+            if !self.approach(action) {
+                skipped.push(action.to_string());
+                continue;
+            }
+            self.wait(match lasts {
+                Lasts::For(seconds) => seconds,
+                Lasts::Until(at_s) => (at_s - self.now_s).max(0.0),
+            });
+            self.act(action);
+            done.push(Done { at_s: self.now_s, sentence: Sentence::new(&action.sentence())? });
+        }
+        let factor = match mean_action_s {
+            Some(mean_s) if self.now_s > 0.0 => mean_s * done.len() as f64 / self.now_s,
+            _ => 1.0,
+        };
+        self.finish(title, done, skipped, factor)
+    }
+
     fn finish(
         self,
         title: String,

@@ -262,6 +262,7 @@ pub fn run(
             let state = RobotState {
                 partition: u32::try_from(room).ok().map(PartitionId),
                 covered: if whole { &covered } else { &all_done },
+                closed: &[],
                 room_time_s: room_time_s as f64,
                 expected_shared_s: &expected[..expected.len().min(slots * cost.rooms)],
             };

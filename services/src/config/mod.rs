@@ -6,8 +6,10 @@ use std::path::{Path, PathBuf};
 use roomcast_ipc::{Domain, IpcError, NAME_BYTES};
 use serde::{Deserialize, Serialize};
 
+use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::GroundingOptions;
 use roomcast_core::narration::history::{HistoryLimits, OBSERVATIONS_MAX};
+use roomcast_core::narration::same_name;
 use roomcast_core::pipeline::PipelineOptions;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::certified::Effort;
@@ -17,7 +19,10 @@ use roomcast_llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
 
 mod sections;
 
-pub use sections::{DaemonConfig, IntakeLimits, MetricsConfig, NarratorConfig, PlannerConfig};
+pub use sections::{
+    DaemonConfig, Forced, IntakeLimits, KnownNarrator, MetricsConfig, NarratorConfig, PersonsConfig, PlannerConfig,
+    Reports,
+};
 
 /// The commented default configuration, as a file to start from.
 pub const DEFAULT_TOML: &str = include_str!("default.toml");
@@ -26,6 +31,9 @@ pub const DEFAULT_TOML: &str = include_str!("default.toml");
 pub const FILE_BYTES_MAX: u64 = 1 << 20;
 /// Most milliseconds that a step may take under `effort = "deadline"`.
 pub const DEADLINE_MS_MAX: u64 = 60_000;
+
+/// Most entries of `[[daemon.narrator]]`.
+pub const KNOWN_NARRATORS_MAX: usize = 64;
 
 /// Least bytes of the journal: either half holds a few of the longest sentences.
 const JOURNAL_BYTES_MIN: u64 = 8192;
@@ -105,6 +113,10 @@ pub struct Config {
     pub ipc: IpcConfig,
     /// The daemon.
     pub daemon: DaemonConfig,
+    /// Who lives in the house.
+    pub persons: PersonsConfig,
+    /// What a forecast assumes before it has watched its person.
+    pub forecast: ForecastOptions,
     /// The planner.
     pub planner: PlannerConfig,
     /// The narrator.
@@ -262,7 +274,7 @@ impl Config {
 
     /// Every limit, and whether it holds.
     fn limits(&self) -> Vec<Limit> {
-        let Self { model, scoring, history, daemon, planner, metrics, narrator, .. } = self;
+        let Self { model, scoring, history, daemon, persons, forecast, planner, metrics, narrator, .. } = self;
         let row =
             |key, value: &dyn std::fmt::Display, holds, remedy| Limit { key, value: value.to_string(), holds, remedy };
         let is_name = |name: &str| {
@@ -276,13 +288,30 @@ impl Config {
         let effort = scoring.effort;
         let prior = scoring.prior.unwrap_or_default();
         let IntakeLimits { rate_per_s, burst } = daemon.intake;
+        let residents = format!("{:?}", persons.residents);
+        let each_name_once = (1..)
+            .zip(&persons.residents)
+            .all(|(next, name)| !persons.residents[next..].iter().any(|other| same_name(other, name)));
+        let known = &daemon.narrator;
+        let names = format!("{:?}", known.iter().map(|known| &known.name).collect::<Vec<_>>());
+        let each_narrator_once = (1..)
+            .zip(known)
+            .all(|(next, one)| is_name(&one.name) && known[next..].iter().all(|other| one.name != other.name));
+        let of_each = |value: &dyn Fn(&KnownNarrator) -> String| known.iter().map(value).collect::<Vec<_>>().join(", ");
+        let (trust, share) = (of_each(&|known| known.trust.to_string()), of_each(&|known| known.share.to_string()));
+        let rates = of_each(&|known| known.rate_per_s.map_or_else(String::new, |rate_per_s| rate_per_s.to_string()));
+        let is_rate = |rate_per_s: f64| rate_per_s >= 0.0 && rate_per_s.is_finite();
         let (robot, name) = (format!("{:?}", planner.robot), format!("{:?}", narrator.name));
         let listen = metrics.listen.map(|address| address.to_string()).unwrap_or_default();
         let on_loopback = metrics.listen.is_none_or(|address| address.ip().is_loopback());
         let seconds = 0.0..=1e9;
         let round_s = planner.round_s.unwrap_or_default();
         const NAME: &str = "give 1 to 48 bytes of text without control characters";
+        let means = 1e-3..=1e9;
+        const MEAN: &str = "give 0.001 to 1000000000";
         const SECONDS: &str = "give 0 to 1000000000";
+        let (low, ready) = (planner.battery_low, planner.battery_ready);
+        let (resume, interrupt) = (planner.resume_at, planner.interrupt_at);
         #[rustfmt::skip]
         let limits = vec![
             row("model.threads", &model.threads, model.threads <= THREADS_MAX, "give 0 (automatic) to 256"),
@@ -293,6 +322,7 @@ impl Config {
             row("history.observations", &history.observations, (1..=OBSERVATIONS_MAX).contains(&history.observations), "give 1 to 1000"),
             row("history.slack", &history.slack, history.slack <= 1000, "give 0 to 1000"),
             row("history.tokens", &history.tokens, history.tokens >= 16, "give 16 or more"),
+            row("history.gap_s", &history.gap_s, history.gap_s <= 1_000_000_000, "give 0 (no limit) to 1000000000"),
             row("scoring.deadline_ms", &scoring.deadline_ms, (1..=DEADLINE_MS_MAX).contains(&scoring.deadline_ms), "give 1 to 60000"),
             row("scoring.prior", &prior, PRIOR_WEIGHTS.contains(&prior), "give 0 to 1"),
             row("scoring.effort", &effort, scoring.method.allows(effort), "give \"exact\", or scoring.method = \"trie\", which alone can end early"),
@@ -300,13 +330,33 @@ impl Config {
             row("daemon.journal_bytes", &daemon.journal_bytes, daemon.journal_bytes >= JOURNAL_BYTES_MIN, "give 8192 or more"),
             row("daemon.heartbeat_ms", &daemon.heartbeat_ms, (10..=60_000).contains(&daemon.heartbeat_ms), "give 10 to 60000"),
             row("daemon.hang_s", &daemon.hang_s, daemon.hang_s >= 1, "give 1 or more"),
-            row("daemon.intake.rate_per_s", &rate_per_s, rate_per_s >= 0.0 && rate_per_s.is_finite(), "give 0 (no limit) or more"),
+            row("daemon.intake.rate_per_s", &rate_per_s, is_rate(rate_per_s), "give 0 (no limit) or more"),
             row("daemon.intake.burst", &burst, burst >= 1.0 && burst.is_finite(), "give 1 or more"),
+            row("daemon.narrator.name", &names, known.len() <= KNOWN_NARRATORS_MAX && each_narrator_once, "give at most 64 names, each once, of 1 to 48 bytes without control characters"),
+            row("daemon.narrator.trust", &trust, known.iter().all(|known| (1..=100).contains(&known.trust)), "give 1 to 100"),
+            row("daemon.narrator.share", &share, known.iter().all(|known| (1..=100).contains(&known.share)), "give 1 to 100"),
+            row("daemon.narrator.rate_per_s", &rates, known.iter().all(|known| known.rate_per_s.is_none_or(is_rate)), "give 0 (no limit) or more"),
+            row("persons.residents", &residents, persons.residents.iter().all(|name| is_name(name)) && each_name_once, "give each name or number once, 1 to 48 bytes of text without control characters"),
+            row("persons.visitor_s", &persons.visitor_s, (1.0..=1e9).contains(&persons.visitor_s), "give 1 to 1000000000"),
+            row("persons.asleep_s", &persons.asleep_s, (0.0..=1e9).contains(&persons.asleep_s), SECONDS),
+            row("forecast.object_s", &forecast.object_s, means.contains(&forecast.object_s), MEAN),
+            row("forecast.stay_s", &forecast.stay_s, means.contains(&forecast.stay_s), MEAN),
+            row("forecast.away_s", &forecast.away_s, means.contains(&forecast.away_s), MEAN),
+            row("forecast.action_s", &forecast.action_s, means.contains(&forecast.action_s), MEAN),
+            row("forecast.strength", &forecast.strength, (0.001..=1e6).contains(&forecast.strength), "give 0.001 to 1000000"),
+            row("forecast.misplaced", &forecast.misplaced, (1e-6..=1.0).contains(&forecast.misplaced), "give 0.000001 to 1"),
+            row("forecast.mistaken", &forecast.mistaken, (1e-6..=1.0).contains(&forecast.mistaken), "give 0.000001 to 1"),
             row("planner.robot", &robot, is_name(&planner.robot), NAME),
             row("narrator.name", &name, is_name(&narrator.name), NAME),
             row("planner.room_time_s", &planner.room_time_s, seconds.contains(&planner.room_time_s), SECONDS),
             row("planner.round_s", &round_s, planner.round_s.is_none_or(|round_s| (planner.room_time_s.max(f64::MIN_POSITIVE)..=1e9).contains(&round_s)), "give planner.room_time_s to 1000000000, or leave the key out"),
             row("planner.deadline_ms", &planner.deadline_ms, planner.deadline_ms > daemon.heartbeat_ms, "give more than daemon.heartbeat_ms, or every score is stale before it is confirmed"),
+            row("planner.interrupt_at", &interrupt, interrupt > 0.0 && interrupt <= 1.0, "give more than 0, at most 1"),
+            row("planner.interrupt_after_s", &planner.interrupt_after_s, seconds.contains(&planner.interrupt_after_s), SECONDS),
+            row("planner.resume_at", &resume, (0.0..interrupt).contains(&resume), "give 0 or more, less than planner.interrupt_at"),
+            row("planner.report_timeout_s", &planner.report_timeout_s, planner.report_timeout_s >= 1.0 && seconds.contains(&planner.report_timeout_s), "give 1 to 1000000000"),
+            row("planner.battery_low", &low, (0.0..=1.0).contains(&low), "give 0 to 1"),
+            row("planner.battery_ready", &ready, (low..=1.0).contains(&ready), "give planner.battery_low to 1"),
             row("metrics.listen", &listen, on_loopback, "give a loopback address, 127.0.0.1:PORT or [::1]:PORT: whoever else wants to see metrics needs a proxy"),
             row("narrator.linger_s", &narrator.linger_s, seconds.contains(&narrator.linger_s), SECONDS),
         ];
@@ -361,11 +411,29 @@ mod tests {
             ("[planner]\nrobot = \"\"", "planner.robot is \"\""),
             ("[planner]\nround_s = 599.0", "planner.round_s is 599"),
             ("[planner]\nround_s = nan", "planner.round_s is NaN"),
+            ("[planner]\ninterrupt_at = 0.0", "planner.interrupt_at is 0"),
+            ("[planner]\nresume_at = 0.6", "planner.resume_at is 0.6"),
+            ("[planner]\nbattery_ready = 0.1", "planner.battery_ready is 0.1"),
+            ("[planner]\nbattery_low = nan", "planner.battery_low is NaN"),
+            ("[planner]\nreport_timeout_s = 0.0", "planner.report_timeout_s is 0"),
             ("[narrator]\nname = \" \"", "narrator.name is \" \""),
             ("[narrator]\nlinger_s = nan", "narrator.linger_s is NaN"),
             ("[model]\ncores = [0, 1, 0]", "model.cores is [0, 1, 0]"),
             ("[daemon]\nstate = \"\"", "daemon.state is empty"),
             ("[daemon]\njournal_bytes = 1", "daemon.journal_bytes is 1"),
+            (
+                "[[daemon.narrator]]\nname = \"a\"\n[[daemon.narrator]]\nname = \"a\"",
+                "daemon.narrator.name is [\"a\", \"a\"]",
+            ),
+            ("[[daemon.narrator]]\nname = \"a\"\nshare = 0", "daemon.narrator.share is 0"),
+            ("[[daemon.narrator]]\nname = \"a\"\ntrust = 101", "daemon.narrator.trust is 101"),
+            ("[[daemon.narrator]]\nname = \"a\"\nrate_per_s = -1.0", "daemon.narrator.rate_per_s is -1"),
+            ("[persons]\nresidents = [\"ada\", \"Ada\"]", "persons.residents is [\"ada\", \"Ada\"]"),
+            ("[forecast]\nobject_s = 0", "forecast.object_s is 0"),
+            ("[forecast]\nmistaken = 2", "forecast.mistaken is 2"),
+            ("[persons]\nasleep_s = -1", "persons.asleep_s is -1"),
+            ("[persons]\nvisitor_s = 0", "persons.visitor_s is 0"),
+            ("[history]\ngap_s = 1000000001", "history.gap_s is 1000000001"),
         ] {
             let error = toml::from_str::<Config>(toml).unwrap().check().unwrap_err().to_string();
             assert!(error.contains(part), "{toml}: {error}");

@@ -4,6 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use roomcast_core::policy::PolicyName;
+use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
 /// The section `[daemon]`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -19,8 +20,10 @@ pub struct DaemonConfig {
     pub heartbeat_ms: u64,
     /// Seconds without a step of the loop after which the daemon gives itself up, for systemd to restart it.
     pub hang_s: u64,
-    /// What one source may send.
+    /// What one narrator may send.
     pub intake: IntakeLimits,
+    /// Narrators that are known by name.
+    pub narrator: Vec<KnownNarrator>,
 }
 
 impl Default for DaemonConfig {
@@ -32,6 +35,7 @@ impl Default for DaemonConfig {
             heartbeat_ms: 250,
             hang_s: 60,
             intake: IntakeLimits::default(),
+            narrator: Vec::new(),
         }
     }
 }
@@ -45,11 +49,11 @@ impl DaemonConfig {
     }
 }
 
-/// What one source may send.
+/// What one narrator may send: everything that comes by one port.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct IntakeLimits {
-    /// Narrations per second that one source may send over time; 0 for no limit.
+    /// Narrations per second that one narrator may send over time; 0 for no limit.
     pub rate_per_s: f64,
     /// Narrations that it may send at once after a silence.
     pub burst: f64,
@@ -59,6 +63,98 @@ impl Default for IntakeLimits {
     fn default() -> Self {
         Self { rate_per_s: 1000.0, burst: 4096.0 }
     }
+}
+
+/// An entry of `[[daemon.narrator]]`.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KnownNarrator {
+    /// The source's name.
+    pub name: String,
+    /// Where places are short, what is remembered of less trusted ones goes first; 1 to 100, and 0 for whoever is not named.
+    #[serde(default = "one")]
+    pub trust: u32,
+    /// Places in a person's window that it keeps for each one of a narrator of share 1, 1 to 100.
+    #[serde(default = "one")]
+    pub share: u32,
+    /// In place of `daemon.intake.rate_per_s`.
+    pub rate_per_s: Option<f64>,
+}
+
+fn one() -> u32 {
+    1
+}
+
+/// The section `[persons]`.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PersonsConfig {
+    /// Who lives in the house, by name or by number; everybody else is a visitor. When empty, nobody is a visitor.
+    pub residents: Vec<String>,
+    /// Seconds of silence after which a visitor counts as gone.
+    pub visitor_s: f64,
+    /// Seconds of silence after which whoever was last on a bed is possibly asleep.
+    pub asleep_s: f64,
+}
+
+impl Default for PersonsConfig {
+    fn default() -> Self {
+        Self { residents: Vec::new(), visitor_s: 3.0 * 3600.0, asleep_s: 1200.0 }
+    }
+}
+
+/// Whose word the planner takes for what the robot has done.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    Eq,
+    serde::Serialize,
+    serde::Deserialize,
+    Display,
+    EnumMessage,
+    EnumString,
+    IntoStaticStr,
+    VariantArray,
+)]
+#[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
+pub enum Reports {
+    /// The clock's until the robot first reports its work, then the robot's.
+    #[default]
+    Auto,
+    /// The robot's alone.
+    Always,
+    /// The clock's alone; reports are not looked at.
+    Never,
+}
+
+/// What the planner does where the round's deadline leaves no later time for a room that somebody is likely in.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    Eq,
+    serde::Serialize,
+    serde::Deserialize,
+    Display,
+    EnumMessage,
+    EnumString,
+    IntoStaticStr,
+    VariantArray,
+)]
+#[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
+pub enum Forced {
+    /// The robot goes in where the policy says so.
+    Enter,
+    /// The room is left to the next round.
+    #[default]
+    Skip,
 }
 
 /// The section `[planner]`.
@@ -80,6 +176,24 @@ pub struct PlannerConfig {
     /// Another round of all rooms follows. Otherwise rooms that are undone at the deadline are tried again, and the robot stays when
     /// every room is covered.
     pub repeat: bool,
+    /// What the planner does where the deadline leaves no later time for a room that somebody is likely in.
+    pub forced: Forced,
+    /// A person who comes into the robot's room ends its work there.
+    pub interrupt: bool,
+    /// How likely somebody must be in a room, 0 to 1, to interrupt the robot; and to keep it out under `forced = "skip"`.
+    pub interrupt_at: f64,
+    /// Seconds for which that must hold before the robot is interrupted.
+    pub interrupt_after_s: f64,
+    /// The room is entered again when somebody is there with at most this probability; less than `interrupt_at`.
+    pub resume_at: f64,
+    /// Whose word is taken for what the robot has done.
+    pub reports: Reports,
+    /// Seconds after the end of a stay and after the robot's last report from which a robot that reports counts as silent.
+    pub report_timeout_s: f64,
+    /// A robot whose battery is below this, 0 to 1, is not sent out.
+    pub battery_low: f64,
+    /// It is sent out again when the battery is at this or above, 0 to 1.
+    pub battery_ready: f64,
 }
 
 impl Default for PlannerConfig {
@@ -92,6 +206,15 @@ impl Default for PlannerConfig {
             round_s: None,
             deadline_ms: 2000,
             repeat: true,
+            forced: Forced::default(),
+            interrupt: true,
+            interrupt_at: 0.6,
+            interrupt_after_s: 2.0,
+            resume_at: 0.3,
+            reports: Reports::default(),
+            report_timeout_s: 120.0,
+            battery_low: 0.15,
+            battery_ready: 0.5,
         }
     }
 }

@@ -4,16 +4,18 @@
 use std::cmp::Reverse;
 
 use roomcast_ipc::{
-    ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, MAX_HORIZONS, MAX_PERSONS, MAX_ROOMS,
-    MAX_SOURCES, MessageError, NAME_BYTES, NO_PARTITION, PersonScoresV1, PersonV1, RoomScoresV1, RoomV1,
-    forecast_flags, person_flags, reached, score_flags, text,
+    ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS,
+    MAX_ROOMS, MAX_SOURCES, MessageError, NAME_BYTES, NO_PARTITION, PersonForecastV1, PersonForecastsV1,
+    PersonScoresV1, PersonV1, RoomScoresV1, RoomV1, forecast_flags, reached, score_flags, text,
 };
 
+use super::journal::{Expectation, Outcome};
+use super::persons::{Persons, is_bed, message_ns, presence_value};
 use crate::moment::Moment;
 use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
-use roomcast_core::grounding::{GroundingOptions, Partition, partitions};
-use roomcast_core::narration::Observation;
-use roomcast_core::pipeline::{Included, Pipeline, PipelineError, Prepared};
+use roomcast_core::grounding::{Grounding, GroundingOptions, Partition, partitions};
+use roomcast_core::narration::{Observation, Presence, SOMEBODY, Said, Voice};
+use roomcast_core::pipeline::{Included, PersonScores, Pipeline, PipelineError, Prepared};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::certified::Effort;
 use roomcast_core::semantic_map::SemanticMap;
@@ -63,39 +65,63 @@ pub struct Entry {
     pub received_ns: u64,
     /// Whether observations of its source were lost before it.
     pub after_gap: bool,
+    /// For whom it counts in its person's window.
+    pub voice: Voice,
+    /// The start of a source, by number and epoch, that gives way to its source.
+    pub leaves: Option<(u64, u64)>,
 }
 
-/// Where one person will be.
-#[derive(Debug)]
-struct Followed {
-    forecaster: Forecaster,
-    /// Nothing was observed of the person since the daemon's start: what is known of them is from the journal.
-    restored: bool,
-}
-
-impl Followed {
-    fn new(rooms: usize, at_s: f64, restored: bool) -> Self {
-        Self { forecaster: Forecaster::new(rooms, ForecastOptions::default(), at_s), restored }
+impl Entry {
+    /// An observation after no gap, for which nobody gives way, of its source's own voice.
+    #[must_use]
+    pub fn new(observation: Observation, received_ns: u64) -> Self {
+        let voice = Voice::of_source(observation.source);
+        Self { observation, received_ns, after_gap: false, voice, leaves: None }
     }
 }
 
-/// When something was observed, in monotonic seconds; negative where that was before the machine's start, which the wall clock knows.
+/// When something was observed, on the monotonic clock; negative where that was before the machine's start, which the wall clock knows.
 /// None where no clock tells.
-fn observed_s(observation: &Observation, now_ns: u64, now_unix_ns: u64) -> Option<f64> {
+fn observed_at_ns(observation: &Observation, now_ns: u64, now_unix_ns: u64) -> Option<i64> {
+    let signed = |ns: u64| i64::try_from(ns).unwrap_or(i64::MAX);
     match (observation.observed_ns, observation.observed_unix_ns) {
         (0, 0) => None,
-        (0, unix_ns) => Some((now_ns as f64 - now_unix_ns.saturating_sub(unix_ns) as f64) / 1e9),
-        (monotonic_ns, _) => Some(monotonic_ns as f64 / 1e9),
+        (0, unix_ns) => Some(signed(now_ns).saturating_sub(signed(now_unix_ns.saturating_sub(unix_ns)))),
+        (monotonic_ns, _) => Some(signed(monotonic_ns)),
     }
+}
+
+fn seconds(ns: i64) -> f64 {
+    ns as f64 / 1e9
 }
 
 /// An observation that the forecasts do not know yet.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Seen {
     person: u32,
-    /// Monotonic.
-    observed_ns: u64,
-    sentence: String,
+    at_ns: i64,
+    presence: Presence,
+    /// What was said, where it has to be understood by the map: a sentence, or a room's name.
+    words: String,
+    is_sentence: bool,
+}
+
+/// An observation that named nobody, and whom it fitted.
+#[derive(Debug, Clone, Copy)]
+struct Attributed {
+    source: u64,
+    epoch: u64,
+    sequence: u64,
+    person: u32,
+}
+
+/// What says where somebody is.
+#[derive(Debug, Clone, Copy)]
+enum Place {
+    /// A label that was mentioned.
+    Label(usize),
+    /// A room.
+    Room(usize),
 }
 
 /// Owns the pipeline and the current snapshot.
@@ -104,6 +130,8 @@ pub struct Board<M> {
     pipeline: Pipeline<M>,
     map: SemanticMap,
     grounding: GroundingOptions,
+    /// What a forecast assumes before it has watched its person.
+    options: ForecastOptions,
     mentions: Mentions,
     snapshot: RoomScoresV1,
     /// The rooms of a changed map, until a step has scored them; the snapshot and the forecasts are of the map before it.
@@ -111,20 +139,27 @@ pub struct Board<M> {
     /// The newest forecast; what is beyond the rooms and horizons stays zero.
     forecast: Box<ForecastV1>,
     /// Each person's scores, of the same step as the snapshot.
-    persons: Box<PersonScoresV1>,
+    person_scores: Box<PersonScoresV1>,
+    /// The newest forecast of each person; what is beyond the rooms and horizons stays zero.
+    person_forecasts: Box<PersonForecastsV1>,
+    /// Who is who, and who is in the house.
+    persons: Persons,
     /// Working memory of a step: when each person was observed last, and their number.
-    newest_persons: Vec<((u64, u64), u32)>,
-    accepted: std::collections::BTreeMap<u64, u64>,
+    newest_persons: Vec<(i64, u32)>,
+    /// What the journal does not know yet: whose an observation that named nobody is, and whose scores are new.
+    attributed: Vec<Attributed>,
+    rescored: Vec<u32>,
     /// What the forecasts do not know yet are the first `unwatched` of them; the others are memory to be used again.
     seen: Vec<Seen>,
     unwatched: usize,
     /// Of the narration that no step has scored yet: when its first was received, and whether some was lost before it.
     unscored_ns: Option<u64>,
     unscored_gap: bool,
-    /// Working memory of a step: the sources that the scores name, newest first.
-    newest_sources: Vec<Included>,
+    /// Working memory of a step: the sources that the scores name, in the order of the message, each with how many newer ones of its voice
+    /// there are.
+    newest_sources: Vec<(usize, Included)>,
     /// Per person where they will be; persons unknown to the histories are forgotten.
-    followed: std::collections::BTreeMap<u32, Followed>,
+    followed: std::collections::BTreeMap<u32, Forecaster>,
 }
 
 /// Observations whose memory is used again: more come at once after a stand-still only.
@@ -161,12 +196,16 @@ impl<M: LanguageModel> Board<M> {
             pipeline,
             map,
             grounding,
+            options: ForecastOptions::default(),
             snapshot,
             next_rooms: None,
             forecast: Box::default(),
-            persons: Box::default(),
+            person_scores: Box::default(),
+            person_forecasts: Box::default(),
+            persons: Persons::default(),
             newest_persons: Vec::new(),
-            accepted: std::collections::BTreeMap::new(),
+            attributed: Vec::new(),
+            rescored: Vec::new(),
             seen: Vec::new(),
             unwatched: 0,
             unscored_ns: None,
@@ -174,6 +213,18 @@ impl<M: LanguageModel> Board<M> {
             newest_sources: Vec::new(),
             followed: std::collections::BTreeMap::new(),
         })
+    }
+
+    /// The same with the names and residents of a home.
+    #[must_use]
+    pub fn with_persons(self, persons: Persons) -> Self {
+        Self { persons, ..self }
+    }
+
+    /// The same with other assumptions about how long people stay.
+    #[must_use]
+    pub fn with_forecast(self, options: ForecastOptions) -> Self {
+        Self { options, ..self }
     }
 
     /// Takes a changed map in place of the one in use; the next step's scores are of it. Gives what it asked of the model. Until a step
@@ -188,6 +239,8 @@ impl<M: LanguageModel> Board<M> {
         let rooms = named_rooms(&partitions(&map, self.grounding.level))?;
         let prepared = self.pipeline.change_map(&map, &self.grounding)?;
         self.next_rooms = Some(Box::new(rooms));
+        self.rescored.clear();
+        self.rescored.extend(self.persons.iter().map(|(person, _)| person));
         self.mentions = Mentions::new(&map, self.pipeline.grounding());
         self.map = map;
         Ok(prepared)
@@ -209,17 +262,22 @@ impl<M: LanguageModel> Board<M> {
         }
         // What was believed of other rooms says nothing of these, but what was observed does.
         self.unwatched = 0;
-        let former = std::mem::take(&mut self.followed);
+        self.followed.clear();
         let grounding = self.pipeline.grounding();
         for (person, history) in self.pipeline.histories().iter() {
-            let restored = former.get(&person).is_some_and(|followed| followed.restored);
+            let Some(known) = self.persons.get(person) else { continue };
+            let mut own = None;
             for observation in history.observations() {
-                let Some(at_s) = observed_s(observation, now_ns, now_unix_ns) else { continue };
-                let fresh = || Followed::new(grounding.partitions().len(), at_s, restored);
-                let followed = self.followed.entry(person).or_insert_with(fresh);
-                let mention = self.mentions.last(observation.sentence.as_str());
-                followed.forecaster.observe(at_s, mention, grounding, &[]);
+                let Some(at_ns) = observed_at_ns(observation, now_ns, now_unix_ns) else { continue };
+                let own = own.get_or_insert_with(|| follower(grounding, self.options, at_ns));
+                let mention = self.mentions.last(observation.sentence().unwrap_or_default());
+                own.observe(seconds(at_ns), mention, grounding, &[]);
             }
+            let mut own = own.unwrap_or_else(|| follower(grounding, self.options, known.since_ns));
+            if known.presence == Presence::Away {
+                own.leave(seconds(known.since_ns));
+            }
+            self.followed.insert(person, own);
         }
     }
 
@@ -231,25 +289,196 @@ impl<M: LanguageModel> Board<M> {
     /// All that is behind the newest scores.
     #[must_use]
     pub fn moment(&self) -> Moment {
-        Moment::of(&self.pipeline, &self.map, &self.grounding, Some(&self.snapshot))
+        let names =
+            self.persons.iter().filter_map(|(person, _)| Some((person, self.persons.name_of(person)?.to_owned())));
+        Moment {
+            names: names.collect(),
+            ..Moment::of(&self.pipeline, &self.map, &self.grounding, Some(&self.snapshot))
+        }
     }
 
-    /// Enters observations of a former run, oldest first, without scoring: into the histories, and with their times into the forecasts.
-    pub fn restore(&mut self, observations: impl IntoIterator<Item = Observation>, now_ns: u64, now_unix_ns: u64) {
-        for observation in observations {
-            *self.accepted.entry(observation.source).or_default() += 1;
-            let grounding = self.pipeline.grounding();
-            if let Some(at_s) = observed_s(&observation, now_ns, now_unix_ns) {
-                let fresh = || Followed::new(grounding.partitions().len(), at_s, true);
-                let followed = self.followed.entry(observation.person).or_insert_with(fresh);
-                // What the model said then is gone; what it says after the last one comes with the first step.
-                let mention = self.mentions.last(observation.sentence.as_str());
-                followed.forecaster.observe(at_s, mention, grounding, &[]);
+    /// Enters observations of a former run, oldest first, without scoring: into the histories, and with their times into the forecasts,
+    /// together with what the model said after some of them, by index. Gives how many were left out, because they cost more tokens than a
+    /// window holds.
+    pub fn restore(
+        &mut self,
+        observations: impl IntoIterator<Item = Observation>,
+        mut expectations: Vec<(usize, Expectation)>,
+        now_ns: u64,
+        now_unix_ns: u64,
+    ) -> usize {
+        let (map, mut costly) = (self.map_number(), 0);
+        // What is said of several persons after one step is told in no particular order.
+        expectations.sort_by_key(|(after, _)| *after);
+        let mut expectations = expectations.iter().peekable();
+        for (index, mut observation) in observations.into_iter().enumerate() {
+            if self.pipeline.is_costly(&observation) {
+                costly += 1;
+                self.pass_over(observation.source, observation.epoch, observation.sequence);
+                // What was said of its person then rests on it.
+                while expectations.next_if(|(after, _)| *after <= index).is_some() {}
+                continue;
             }
+            let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
+            self.take(&mut observation, at_ns);
+            let person = observation.person;
             self.pipeline.observe([observation]);
+            self.follow();
+            match self.persons.get_mut(person) {
+                // They were told of.
+                Some(known) if known.presence == Presence::Gone => _ = self.persons.remove(person),
+                Some(known) => known.restored = true,
+                None => {}
+            }
+            while let Some((_, expectation)) = expectations.next_if(|(after, _)| *after <= index) {
+                let said: Vec<f64> =
+                    expectation.probability.iter().map(|probability| f64::from(*probability)).collect();
+                if let Some(own) = self.followed.get_mut(&person).filter(|_| expectation.map == map) {
+                    own.expect(&said);
+                }
+            }
         }
-        let histories = self.pipeline.histories();
-        self.followed.retain(|person, _| histories.get(*person).is_some());
+        self.pipeline.forget_voices();
+        costly
+    }
+
+    /// Takes note of a narration that was refused, so that its narrator does not wait for it.
+    pub fn pass_over(&mut self, source: u64, epoch: u64, sequence: u64) {
+        self.pipeline.pass_over(source, epoch, sequence);
+    }
+
+    /// How many tokens a sentence may cost with the map in use.
+    #[must_use]
+    pub fn sentence_tokens_max(&self) -> usize {
+        self.pipeline.options().history.tokens
+    }
+
+    /// The first bytes of the map's fingerprint.
+    fn map_number(&self) -> u64 {
+        let fingerprint = self.map.fingerprint();
+        fingerprint.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes))
+    }
+
+    /// Decides whom an observation is of, and takes note of it: also for the forecasts, where its time is known.
+    fn take(&mut self, observation: &mut Observation, at_ns: Option<i64>) {
+        let noted_ns = at_ns.unwrap_or_default();
+        match &observation.name {
+            Some(name) => observation.person = self.persons.number_of(name),
+            None if observation.person == SOMEBODY => {
+                let person = self.fitting(&observation.said, noted_ns);
+                (observation.person, observation.by_fit) = (person, true);
+                let Observation { source, epoch, sequence, .. } = *observation;
+                self.attributed.push(Attributed { source, epoch, sequence, person });
+            }
+            None => {}
+        }
+        // After such a silence a visitor was gone, whether or not anybody looked meanwhile.
+        if self.persons.has_expired(observation.person, noted_ns) {
+            self.watch();
+            self.persons.remove(observation.person);
+            self.drop_person(observation.person);
+        }
+        if let Some(dropped) = self.persons.note(observation, noted_ns) {
+            self.drop_person(dropped);
+        }
+        if !self.rescored.contains(&observation.person) {
+            self.rescored.push(observation.person);
+        }
+        let Some(at_ns) = at_ns else { return };
+        if self.unwatched == self.seen.len() {
+            let (words, presence) = (String::new(), Presence::Unknown);
+            self.seen.push(Seen { person: 0, at_ns: 0, presence, words, is_sentence: false });
+        }
+        let place = &mut self.seen[self.unwatched];
+        self.unwatched += 1;
+        (place.person, place.at_ns, place.presence) = (observation.person, at_ns, observation.said.presence());
+        place.words.clear();
+        let (words, is_sentence) = match &observation.said {
+            Said::Sentence(sentence) => (sentence.as_str(), true),
+            Said::Presence(statement) => (statement.room().unwrap_or_default(), false),
+        };
+        place.words.push_str(words);
+        place.is_sentence = is_sentence;
+    }
+
+    /// Whom an observation that names nobody fits best: where each person is believed to be, and what the model expects of them next.
+    fn fitting(&mut self, said: &Said, at_ns: i64) -> u32 {
+        /// What an expected object counts beside being where it is.
+        const NEXT: f64 = 0.5;
+        // As far as everything before it is known.
+        self.watch();
+        let Self { persons, pipeline, followed, mentions, map, next_rooms, .. } = self;
+        let grounding = pipeline.grounding();
+        let place = match said {
+            Said::Sentence(sentence) => mentions.last(sentence.as_str()).map(Place::Label),
+            Said::Presence(statement) => {
+                statement.room().and_then(|room| room_named(room, map, grounding)).map(Place::Room)
+            }
+        };
+        // Of a map that has not been scored yet nobody knows where they are.
+        let place = place.filter(|_| next_rooms.is_none());
+        persons.fitting(said, at_ns, |person| {
+            let (Some(own), Some(place)) = (followed.get(&person), place) else { return 0.0 };
+            let mut belief = own.at(seconds(at_ns), 0.0);
+            match place {
+                Place::Label(label) => {
+                    let here: f64 = belief.zip(grounding.weights().row(label).iter()).map(|(p, share)| p * share).sum();
+                    let next = pipeline.person(person).filter(|own| own.at_home && own.grounded.label_mass > 0.0);
+                    let share = |own: PersonScores<'_>| {
+                        Some(own.label_log_prob_nats.get(label)?.exp() / own.grounded.label_mass)
+                    };
+                    // Whoever has just been heard of has no scores yet.
+                    let next = next.and_then(share).unwrap_or_default();
+                    here + NEXT * next
+                }
+                Place::Room(room) => belief.nth(room).unwrap_or_default(),
+            }
+        })
+    }
+
+    /// Forgets a person altogether; the next step's scores are without them.
+    pub(super) fn forget(&mut self, person: u32) {
+        self.watch();
+        self.persons.remove(person);
+        self.attributed.retain(|attributed| attributed.person != person);
+        self.drop_person(person);
+    }
+
+    fn drop_person(&mut self, person: u32) {
+        self.pipeline.forget_person(person);
+        self.followed.remove(&person);
+    }
+
+    /// Whether time alone changes the scores: a window ends, or a visitor is gone.
+    #[must_use]
+    pub fn is_overdue(&self, now_ns: u64) -> bool {
+        let now_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
+        self.persons.expired(now_ns).is_some() || self.silent(now_ns).is_some()
+    }
+
+    /// The next person whose window is to end, because they did nothing for too long.
+    fn silent(&self, now_ns: i64) -> Option<u32> {
+        let limits = self.pipeline.options().history;
+        let mut windows = self.pipeline.histories().iter().filter(|(_, history)| !history.is_empty());
+        let silent = |person: u32| {
+            self.persons.get(person).is_some_and(|known| limits.is_gap(seconds(now_ns.saturating_sub(known.did_ns))))
+        };
+        windows.find(|(person, _)| silent(*person)).map(|(person, _)| person)
+    }
+
+    /// Does what time alone asks for.
+    fn lapse(&mut self, now_ns: u64) {
+        let now_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
+        while let Some(person) = self.silent(now_ns) {
+            self.pipeline.end_window(person);
+            if !self.rescored.contains(&person) {
+                self.rescored.push(person);
+            }
+        }
+        while let Some(person) = self.persons.expired(now_ns) {
+            self.persons.expire(person, now_ns);
+            self.drop_person(person);
+        }
     }
 
     /// Takes the scored observations into the forecasts of their persons, and each person's own scores into theirs.
@@ -258,21 +487,38 @@ impl<M: LanguageModel> Board<M> {
             // The forecasts are of the map before; what is observed waits for the first scores of the new one.
             return;
         }
-        let grounding = self.pipeline.grounding();
-        for Seen { person, observed_ns, sentence } in &self.seen[..std::mem::take(&mut self.unwatched)] {
-            let at_s = *observed_ns as f64 / 1e9;
-            let fresh = || Followed::new(grounding.partitions().len(), at_s, false);
-            let followed = self.followed.entry(*person).or_insert_with(fresh);
-            // What the model says after all of them is for what comes then, not for what lies between them.
-            followed.forecaster.observe(at_s, self.mentions.last(sentence), grounding, &[]);
-            followed.restored = false;
-        }
-        for own in self.pipeline.persons() {
+        self.follow();
+        for own in self.pipeline.persons().filter(|own| own.at_home) {
             if let Some(followed) = self.followed.get_mut(&own.person) {
-                followed.forecaster.expect(&own.grounded.partition_probability);
+                followed.expect(&own.grounded.partition_probability);
             }
         }
         self.seen.truncate(SEEN_KEPT);
+    }
+
+    /// Takes what was observed into the forecasts.
+    fn follow(&mut self) {
+        let grounding = self.pipeline.grounding();
+        for seen in &self.seen[..std::mem::take(&mut self.unwatched)] {
+            let at_s = seconds(seen.at_ns);
+            if seen.presence == Presence::Gone {
+                self.followed.remove(&seen.person);
+                continue;
+            }
+            let own = self.followed.entry(seen.person).or_insert_with(|| follower(grounding, self.options, seen.at_ns));
+            if seen.presence == Presence::Away {
+                own.leave(at_s);
+            } else if seen.is_sentence {
+                // What the model says after all of them is for what comes then, not for what lies between them.
+                let mention = self.mentions.last(&seen.words);
+                own.observe(at_s, mention, grounding, &[]);
+                if let (Some(label), Some(known)) = (mention, self.persons.get_mut(seen.person)) {
+                    known.on_bed = is_bed(&grounding.scored_labels()[label].text);
+                }
+            } else {
+                own.enter(at_s, room_named(&seen.words, &self.map, grounding));
+            }
+        }
         let histories = self.pipeline.histories();
         self.followed.retain(|person, _| histories.get(*person).is_some());
     }
@@ -293,12 +539,16 @@ impl<M: LanguageModel> Board<M> {
         (message.computed_ns, message.published_ns) = (now_ns, now_ns);
         (message.room_count, message.person) = (self.snapshot.room_count, self.snapshot.person);
         (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
-        (message.minor, message.flags) = (1, 0);
+        (message.minor, message.flags) = (2, 0);
+        let persons = || self.persons.iter().filter(|(_, known)| known.presence != Presence::Gone);
         if self.followed.is_empty() {
             message.flags |= forecast_flags::NOT_KNOWN;
         }
-        if self.followed.values().any(|followed| followed.restored) {
+        if persons().any(|(_, known)| known.restored) {
             message.flags |= forecast_flags::RESTORED;
+        }
+        if persons().next().is_some() && persons().all(|(_, known)| known.presence == Presence::Away) {
+            message.flags |= forecast_flags::NOBODY_HOME;
         }
         for (id, room) in message.id.iter_mut().zip(rooms) {
             *id = room.id;
@@ -306,15 +556,54 @@ impl<M: LanguageModel> Board<M> {
         let now_s = now_ns as f64 / 1e9;
         for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
             let mut free = [1.0; MAX_ROOMS];
-            for followed in self.followed.values() {
-                let probability = followed.forecaster.at(now_s, f64::from(*horizon_s));
+            let mut elsewhere = 1.0;
+            for own in self.followed.values() {
+                let probability = own.at(now_s, f64::from(*horizon_s));
                 free.iter_mut().zip(probability).for_each(|(free, p)| *free *= 1.0 - p);
+                elsewhere *= own.elsewhere(now_s, f64::from(*horizon_s));
             }
             for (row, free) in message.probability.iter_mut().zip(free).take(rooms.len()) {
                 let occupied = if self.followed.is_empty() { 1.0 / rooms.len() as f64 } else { 1.0 - free };
                 row[place] = occupied.clamp(0.0, 1.0) as f32;
             }
+            message.elsewhere[place] = if self.followed.is_empty() { 0.0 } else { elsewhere as f32 };
         }
+        message
+    }
+
+    /// Where each person will be, as [`Board::forecast`]; of at most [`MAX_PERSONS`], those that [`Board::persons`] names.
+    pub fn person_forecasts(&mut self, now_ns: u64) -> &PersonForecastsV1 {
+        self.watch();
+        let signed_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
+        let (message, scores) = (&mut *self.person_forecasts, &self.person_scores);
+        (message.epoch, message.sequence) = (self.snapshot.epoch, self.snapshot.sequence);
+        (message.computed_ns, message.published_ns) = (now_ns, now_ns);
+        (message.room_count, message.id) = (scores.room_count, scores.id);
+        (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
+        (message.persons, message.person_count) = (scores.persons, scores.person_count);
+        let (rooms, now_s) = (scores.room_count as usize, now_ns as f64 / 1e9);
+        let mut places = message.person.iter_mut();
+        for (person, place) in scores.persons().iter().map(|scores| scores.person).zip(&mut places) {
+            *place = PersonForecastV1 { person, name: self.persons.name_bytes(person), ..PersonForecastV1::default() };
+            let presence = self.persons.get(person).map_or(Presence::Gone, |known| known.presence);
+            (place.presence, place.flags) = (presence_value(presence), self.persons.flags(person, signed_ns));
+            for (horizon, horizon_s) in HORIZONS_S.iter().enumerate() {
+                let Some(own) = self.followed.get(&person) else {
+                    // Who is gone is followed no more; of somebody present no clock told when anything was observed.
+                    let is_here = presence == Presence::Present;
+                    let even = if is_here { 1.0 / rooms.max(1) as f32 } else { 0.0 };
+                    place.probability.iter_mut().take(rooms).for_each(|row| row[horizon] = even);
+                    place.elsewhere[horizon] = f32::from(u8::from(!is_here));
+                    continue;
+                };
+                place.elsewhere[horizon] = own.elsewhere(now_s, f64::from(*horizon_s)) as f32;
+                let probability = own.at(now_s, f64::from(*horizon_s));
+                for (row, probability) in place.probability.iter_mut().zip(probability).take(rooms) {
+                    row[horizon] = probability.clamp(0.0, 1.0) as f32;
+                }
+            }
+        }
+        places.for_each(|place| *place = PersonForecastV1::default());
         message
     }
 
@@ -337,22 +626,30 @@ impl<M: LanguageModel> Board<M> {
             // A scorer that fails on and on must not fill the memory.
             self.drop_unwatched(SEEN_KEPT);
         }
-        let (accepted, seen, unwatched) = (&mut self.accepted, &mut self.seen, &mut self.unwatched);
-        let (unscored_ns, unscored_gap) = (&mut self.unscored_ns, &mut self.unscored_gap);
-        self.pipeline.observe(entries.into_iter().map(|Entry { observation: o, received_ns: at_ns, after_gap }| {
-            *unscored_ns = Some(unscored_ns.map_or(at_ns, |first| first.min(at_ns)));
-            *unscored_gap |= after_gap;
-            *accepted.entry(o.source).or_default() += 1;
-            if *unwatched == seen.len() {
-                seen.push(Seen::default());
+        self.persons.remove_gone();
+        let mut costly = 0;
+        for Entry { mut observation, received_ns, after_gap, voice, leaves } in entries {
+            self.unscored_ns = Some(self.unscored_ns.map_or(received_ns, |first| first.min(received_ns)));
+            self.unscored_gap |= after_gap;
+            if let Some((source, epoch)) = leaves {
+                self.pipeline.forget_source(source, epoch);
             }
-            let place = &mut seen[*unwatched];
-            *unwatched += 1;
-            (place.person, place.observed_ns) = (o.person, o.observed_ns);
-            place.sentence.clear();
-            place.sentence.push_str(o.sentence.as_str());
-            o
-        }));
+            if self.pipeline.is_costly(&observation) {
+                costly += 1;
+                self.pass_over(observation.source, observation.epoch, observation.sequence);
+                continue;
+            }
+            let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
+            self.take(&mut observation, at_ns.or(i64::try_from(received_ns).ok()));
+            self.pipeline.hear([(voice, observation)]);
+        }
+        if costly > 0 {
+            tracing::warn!(
+                costly,
+                "narration that was accepted for another map costs more tokens than a window holds now, and is left out"
+            );
+        }
+        self.lapse(now_ns);
         if let Err(error) = self.pipeline.score() {
             self.snapshot.flags |= score_flags::SCORER_FAILED;
             return Err(error);
@@ -381,15 +678,41 @@ impl<M: LanguageModel> Board<M> {
 
     /// Each person's scores of the last good step as a message, to be sent at `now_ns`: of at most [`MAX_PERSONS`], those who were observed
     /// last.
-    pub fn persons(&mut self, now_ns: u64) -> &PersonScoresV1 {
+    pub fn person_scores(&mut self, now_ns: u64) -> &PersonScoresV1 {
         self.watch();
-        let message = &mut *self.persons;
+        let message = &mut *self.person_scores;
         message.published_ns = now_ns;
+        let now_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
         for person in message.person.iter_mut().take(message.person_count as usize) {
-            let restored = self.followed.get(&person.person).is_some_and(|followed| followed.restored);
-            person.flags = if restored { person_flags::RESTORED } else { 0 };
+            person.flags = self.persons.flags(person.person, now_ns);
+            person.name = self.persons.name_bytes(person.person);
         }
         message
+    }
+
+    /// Who is who, and who is in the house.
+    #[must_use]
+    pub fn persons(&self) -> &Persons {
+        &self.persons
+    }
+
+    /// The same, to give names.
+    pub(super) fn persons_mut(&mut self) -> &mut Persons {
+        &mut self.persons
+    }
+
+    /// What became of the observations of the last good step, for the journal; each is told once.
+    pub fn tell_outcomes(&mut self, mut tell: impl FnMut(&Outcome<'_>)) {
+        let map = self.map_number();
+        for Attributed { source, epoch, sequence, person } in self.attributed.drain(..) {
+            tell(&Outcome { source, epoch, sequence, person, by_fit: true, map, probability: &[] });
+        }
+        for person in self.rescored.drain(..) {
+            let Some(known) = self.persons.get(person) else { continue };
+            let Some(own) = self.pipeline.person(person).filter(|own| own.at_home) else { continue };
+            let ((source, epoch, sequence), probability) = (known.last, &own.grounded.partition_probability[..]);
+            tell(&Outcome { source, epoch, sequence, person, by_fit: false, map, probability });
+        }
     }
 
     /// The current snapshot, as it was sent last.
@@ -416,27 +739,36 @@ impl<M: LanguageModel> Board<M> {
         self.pipeline.tidy();
     }
 
-    /// The items' scores of the last step, with the header that ties them to the snapshot; none while a changed map waits for its first
-    /// scores.
+    /// The items' scores of the last step, of at most [`MAX_ITEMS`] the best, with the header that ties them to the snapshot; none while a
+    /// changed map waits for its first scores.
     pub fn items(&self) -> Option<(ItemScoresHeaderV1, impl ExactSizeIterator<Item = ItemScoreV1> + '_)> {
         if self.next_rooms.is_some() {
             return None;
         }
         let RoomScoresV1 { epoch, sequence, computed_ns, .. } = self.snapshot;
-        let header = ItemScoresHeaderV1 { epoch, sequence, computed_ns, ..Default::default() };
+        let items = self.map.items().len() as u32;
+        let header = ItemScoresHeaderV1 { epoch, sequence, computed_ns, minor: 1, items, ..Default::default() };
         let mut counts = vec![0_u32; self.map.labels().len()];
         for item in self.map.items() {
             counts[item.label.0 as usize] += 1;
         }
         let grounding = self.pipeline.grounding();
-        let scores = grounding.item_log_score_nats(&self.pipeline.scores().label_log_prob_nats);
-        let placed = self.map.items().iter().zip(grounding.item_partition()).zip(scores);
-        let items = placed.map(move |((item, partition), log_score_nats)| ItemScoreV1 {
-            id: text::encode_cut(&item.id),
-            label: text::encode_cut(&self.map.labels()[item.label.0 as usize]),
-            log_score_nats,
-            partition: partition.map_or(NO_PARTITION, |partition| partition.0),
-            label_items: counts[item.label.0 as usize],
+        let scores: Vec<f64> = grounding.item_log_score_nats(&self.pipeline.scores().label_log_prob_nats).collect();
+        let mut chosen: Vec<usize> = (0..scores.len()).collect();
+        if chosen.len() > MAX_ITEMS {
+            chosen.select_nth_unstable_by(MAX_ITEMS, |a, b| scores[*b].total_cmp(&scores[*a]).then(a.cmp(b)));
+            chosen.truncate(MAX_ITEMS);
+            chosen.sort_unstable();
+        }
+        let items = chosen.into_iter().map(move |place| {
+            let item = &self.map.items()[place];
+            ItemScoreV1 {
+                id: text::encode_cut(&item.id),
+                label: text::encode_cut(&self.map.labels()[item.label.0 as usize]),
+                log_score_nats: scores[place],
+                partition: grounding.item_partition()[place].map_or(NO_PARTITION, |partition| partition.0),
+                label_items: counts[item.label.0 as usize],
+            }
         });
         Some((header, items))
     }
@@ -465,49 +797,49 @@ impl<M: LanguageModel> Board<M> {
         snapshot.trie_ns = scores.timing.trie_ns;
         snapshot.ground_ns = scores.timing.ground_ns;
 
-        let (mut persons, mut last) = (0, ALL_PERSONS);
-        for (person, _) in self.pipeline.histories().iter() {
-            persons += 1;
-            last = person;
-        }
-        snapshot.persons = persons;
+        let (persons, present) = self.persons.count();
+        let shown = || self.pipeline.persons().filter(|own| own.at_home || present == 0).map(|own| own.person);
+        snapshot.person = if shown().count() == 1 { shown().next().unwrap_or(ALL_PERSONS) } else { ALL_PERSONS };
+        snapshot.persons = persons as u32;
         snapshot.window = self.pipeline.persons().map(|own| own.window as u64).sum();
-        snapshot.person = if persons == 1 { last } else { ALL_PERSONS };
+        snapshot.flags |= if persons > 0 && present == 0 { score_flags::NOBODY_HOME } else { 0 };
+        snapshot.flags |= if persons == 0 { score_flags::NO_NARRATION } else { 0 };
 
         self.newest_sources.clear();
-        self.newest_sources.extend_from_slice(&scores.included);
-        // By source where times are equal, so that the same step gives the same message.
-        self.newest_sources.sort_unstable_by_key(|included| (Reverse(included.observed_ns), included.source));
+        for own in &scores.included {
+            let newer =
+                scores.included.iter().filter(|other| other.voice == own.voice && other.turn > own.turn).count();
+            self.newest_sources.push((newer, *own));
+        }
+        // Each voice's newest first, so that nobody's confirmation is pushed out by another's sources; by source where all is equal, so
+        // that the same step gives the same message.
+        self.newest_sources.sort_unstable_by_key(|(newer, own)| (*newer, Reverse(own.turn), own.source, own.epoch));
         let cut = self.newest_sources.len() > MAX_SOURCES;
         self.newest_sources.truncate(MAX_SOURCES);
         snapshot.source_count = self.newest_sources.len() as u32;
         snapshot.included = Default::default();
-        for (place, included) in snapshot.included.iter_mut().zip(&self.newest_sources) {
+        for (place, (_, included)) in snapshot.included.iter_mut().zip(&self.newest_sources) {
             *place = IncludedV1 {
                 source: included.source,
                 epoch: included.epoch,
                 sequence: included.sequence,
                 observed_ns: included.observed_ns,
-                accepted: self.accepted.get(&included.source).copied().unwrap_or(0),
+                accepted: included.accepted,
             };
         }
         snapshot.flags |= if cut { score_flags::SOURCES_CUT } else { 0 };
-        snapshot.flags |= if self.newest_sources.is_empty() { score_flags::NO_NARRATION } else { 0 };
         self.fill_persons();
     }
 
     /// Copies each person's scores into their message.
     fn fill_persons(&mut self) {
         self.newest_persons.clear();
-        for (person, history) in self.pipeline.histories().iter() {
-            let newest = history.observations().next_back();
-            self.newest_persons.push((newest.map_or((0, 0), |o| (o.observed_ns, o.observed_unix_ns)), person));
-        }
-        self.newest_persons.sort_unstable_by_key(|(observed, person)| (Reverse(*observed), *person));
+        self.newest_persons.extend(self.persons.iter().map(|(person, known)| (known.heard_ns, person)));
+        self.newest_persons.sort_unstable_by_key(|(heard_ns, person)| (Reverse(*heard_ns), *person));
         self.newest_persons.truncate(MAX_PERSONS);
         self.newest_persons.sort_unstable_by_key(|(_, person)| *person);
 
-        let (message, snapshot) = (&mut *self.persons, &self.snapshot);
+        let (message, snapshot) = (&mut *self.person_scores, &self.snapshot);
         (message.epoch, message.sequence) = (snapshot.epoch, snapshot.sequence);
         (message.computed_ns, message.map_fingerprint) = (snapshot.computed_ns, snapshot.map_fingerprint);
         message.persons = snapshot.persons;
@@ -518,28 +850,65 @@ impl<M: LanguageModel> Board<M> {
         }
         let mut places = message.person.iter_mut();
         let mut count = 0;
-        for &((observed_ns, _), person) in &self.newest_persons {
-            let (Some(own), Some(place)) = (self.pipeline.person(person), places.next()) else { continue };
+        for &(heard_ns, person) in &self.newest_persons {
+            let Some(known) = self.persons.get_mut(person) else { continue };
+            let own = self.pipeline.person(person);
+            // Who is gone has no scores, and is told of all the same.
+            if own.is_none() && known.presence != Presence::Gone {
+                continue;
+            }
+            let Some(place) = places.next() else { break };
             count += 1;
-            let window = own.window as u64;
-            let label_mass = own.grounded.label_mass;
-            let reached = reached_value(own.reached);
-            (place.person, place.reached, place.observed_ns) = (person, reached, observed_ns);
-            (place.window, place.label_mass) = (window, label_mass);
+            known.told = true;
+            *place = PersonV1 {
+                person,
+                presence: presence_value(known.presence),
+                observed_ns: message_ns(heard_ns),
+                since_ns: message_ns(known.since_ns),
+                elsewhere: if known.presence == Presence::Present { 0.0 } else { 1.0 },
+                ..PersonV1::default()
+            };
+            let Some(own) = own else {
+                let rooms = snapshot.room_count as usize;
+                for row in [&mut place.log_score_nats, &mut place.lower_log_score_nats, &mut place.upper_log_score_nats]
+                {
+                    row.iter_mut().take(rooms).for_each(|score| *score = f64::NEG_INFINITY);
+                }
+                continue;
+            };
+            (place.reached, place.window) = (reached_value(own.reached), own.window as u64);
+            place.label_mass = own.grounded.label_mass;
             for (row, values) in [
                 (&mut place.log_score_nats, &own.grounded.partition_log_score_nats[..]),
                 (&mut place.lower_log_score_nats, own.lower_log_score_nats),
                 (&mut place.upper_log_score_nats, own.upper_log_score_nats),
                 (&mut place.probability, &own.grounded.partition_probability),
             ] {
-                let (used, unused) = row.split_at_mut(values.len().min(MAX_ROOMS));
-                used.copy_from_slice(&values[..used.len()]);
-                unused.fill(0.0);
+                let used = values.len().min(MAX_ROOMS);
+                row[..used].copy_from_slice(&values[..used]);
             }
         }
         places.for_each(|place| *place = PersonV1::default());
         message.person_count = count;
     }
+}
+
+/// A person who is followed from now on.
+fn follower(grounding: &Grounding, options: ForecastOptions, at_ns: i64) -> Forecaster {
+    Forecaster::new(grounding.partitions().len(), options, seconds(at_ns))
+}
+
+/// The partition that a room's name means, by its own name or as the one that the room lies in.
+fn room_named(name: &str, map: &SemanticMap, grounding: &Grounding) -> Option<usize> {
+    let partitions = grounding.partitions();
+    let own = partitions.iter().position(|partition| partition.id == name || partition.label == name);
+    own.or_else(|| {
+        let room = map.find_room(name)?;
+        let mut within = (0..).zip(partitions).filter(|(_, partition)| partition.rooms.contains(&room));
+        let (only, _) = within.next()?;
+        // A room in parts is none of them.
+        within.next().is_none().then_some(only)
+    })
 }
 
 /// How a message says how scores were reached.
@@ -692,7 +1061,7 @@ mod tests {
     }
 
     fn entry(person: u32, at_ns: u64, sentence: &str) -> Entry {
-        Entry { observation: observation(person, at_ns, sentence), received_ns: at_ns, after_gap: false }
+        Entry::new(observation(person, at_ns, sentence), at_ns)
     }
 
     fn occupied(board: &mut Board<TableModel>, room: usize, now_ns: u64) -> f32 {
@@ -725,7 +1094,7 @@ mod tests {
                 if later_boot { Observation { observed_ns: 0, ..whole } } else { whole }
             });
             let (now_ns, now_unix_ns) = (if later_boot { 2 * S } else { 80 * S }, 1_000_080 * S);
-            after.restore(kept, now_ns, now_unix_ns);
+            after.restore(kept, Vec::new(), now_ns, now_unix_ns);
             after.step([], now_ns, now_unix_ns).unwrap();
             let is = occupied(&mut after, 1, now_ns);
             assert!((was - is).abs() < 0.05, "{was} before, {is} after a restart");
@@ -771,7 +1140,7 @@ mod tests {
             let at_ns = u64::from(20 - person) * S;
             board.step([entry(person, at_ns, "They grab the mug.")], 30 * S, 30 * S).unwrap();
         }
-        let told = board.persons(30 * S);
+        let told = board.person_scores(30 * S);
         told.check().unwrap();
         assert_eq!(told.persons().iter().map(|person| person.person).collect::<Vec<_>>(), (0..8).collect::<Vec<_>>());
         assert_eq!(told.persons, 12);
@@ -787,12 +1156,12 @@ mod tests {
             both.step([entry(person, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
             alone[person as usize].step([entry(person, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
         }
-        let told = *both.persons(100 * S);
+        let told = *both.person_scores(100 * S);
         told.check().unwrap();
         assert_eq!((told.persons().len(), told.rooms().collect::<Vec<_>>()), (2, vec!["kitchen", "living-room"]));
         for (own, person) in alone.iter_mut().zip(told.persons()) {
             // To the bit, and alone also to the bit what the snapshot says.
-            let of_own = *own.persons(100 * S);
+            let of_own = *own.person_scores(100 * S);
             assert_eq!(of_own.persons(), [*person]);
             for (room, scores) in own.snapshot().rooms().iter().enumerate() {
                 assert_eq!(scores.probability.to_bits(), person.probability[room].to_bits());

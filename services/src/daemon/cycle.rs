@@ -4,8 +4,7 @@
 
 use roomcast_ipc::{IncludedV1, MAX_SOURCES, RoomScoresV1, score_flags};
 
-use super::{Board, Entry, Intake};
-use roomcast_core::narration::Observation;
+use super::{Board, Entry, Intake, Recovered};
 use roomcast_core::pipeline::PipelineError;
 use roomcast_core::scorer::LanguageModel;
 
@@ -61,12 +60,17 @@ impl<M: LanguageModel> Cycle<M> {
         }
     }
 
-    /// Takes what the journal kept of a former run into the histories, and makes `intake` know it, so that it is not taken twice.
-    pub fn restore(&mut self, observations: Vec<Observation>, intake: &mut Intake, now_ns: u64, now_unix_ns: u64) {
-        for observation in &observations {
-            intake.restore(observation, now_ns);
-        }
-        self.board.restore(observations, now_ns, now_unix_ns);
+    /// Takes what the journal kept of a former run into the histories, and makes `intake` know it, so that it is not taken twice. Gives how
+    /// many were left out, because they cost more tokens than a window holds.
+    pub fn restore(&mut self, recovered: Recovered, intake: &mut Intake, now_ns: u64, now_unix_ns: u64) -> usize {
+        recovered.taken().for_each(|observation| intake.restore(observation));
+        self.board.restore(recovered.observations, recovered.expectations, now_ns, now_unix_ns)
+    }
+
+    /// Takes note of a narration that was refused: the next scores say that it was dealt with, so that its narrator does not wait for it.
+    pub fn pass_over(&mut self, source: u64, epoch: u64, sequence: u64) {
+        self.board.pass_over(source, epoch, sequence);
+        self.due = true;
     }
 
     /// Takes an accepted observation for the next step; `record` is its number in the journal, 0 without one.
@@ -82,10 +86,11 @@ impl<M: LanguageModel> Cycle<M> {
         self.waiting.len()
     }
 
-    /// Whether a step is due: new narration at once, a failed step after a second.
+    /// Whether a step is due: new narration at once, a failed step after a second, and what time alone changes.
     #[must_use]
     pub fn step_due(&self, now_ns: u64) -> bool {
-        self.due && (now_ns >= self.retry_ns || !self.waiting.is_empty())
+        let due = self.due || self.board.is_overdue(now_ns);
+        due && (now_ns >= self.retry_ns || !self.waiting.is_empty())
     }
 
     /// Scores all that waits in one step.
@@ -113,6 +118,12 @@ impl<M: LanguageModel> Cycle<M> {
         Ok(())
     }
 
+    /// The scores rest on a record of the journal beside their narration: they claim nothing before it is written.
+    pub fn rests_on(&mut self, record: u64) {
+        self.scored_record = self.scored_record.max(record);
+        self.entered_record = self.entered_record.max(record);
+    }
+
     /// The journal's number of the newest narration that the scores contain: what [`Cycle::message`] wants written.
     #[must_use]
     pub fn scored_record(&self) -> u64 {
@@ -126,6 +137,21 @@ impl<M: LanguageModel> Cycle<M> {
         let confirmation =
             now_ns.saturating_sub(self.sent_ns) >= self.heartbeat_ns || (self.held_back && self.durable(written));
         self.board.snapshot().sequence > 0 && (self.fresh || confirmation)
+    }
+
+    /// How long there is nothing to do unless something arrives: until the next heartbeat, or until a failed step is tried again. What waits
+    /// for the journal is looked after every few milliseconds.
+    #[must_use]
+    pub fn idle_ns(&self, now_ns: u64) -> u64 {
+        const JOURNAL_NS: u64 = 50_000_000;
+        // Without scores there is nothing to confirm.
+        let heartbeat_ns = match self.board.snapshot().sequence {
+            0 => u64::MAX,
+            _ => self.sent_ns.saturating_add(self.heartbeat_ns).saturating_sub(now_ns),
+        };
+        let retry_ns = if self.due { self.retry_ns.saturating_sub(now_ns) } else { u64::MAX };
+        let journal_ns = if self.held_back { JOURNAL_NS } else { u64::MAX };
+        heartbeat_ns.min(retry_ns).min(journal_ns)
     }
 
     fn durable(&self, written: u64) -> bool {
@@ -167,6 +193,12 @@ impl<M: LanguageModel> Cycle<M> {
     /// The board, to change its map or to forecast.
     pub fn board_mut(&mut self) -> &mut Board<M> {
         &mut self.board
+    }
+
+    /// The board alone, for whoever has no use for the loop any more.
+    #[must_use]
+    pub fn into_board(self) -> Board<M> {
+        self.board
     }
 
     /// The board.

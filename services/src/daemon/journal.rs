@@ -1,11 +1,20 @@
 //! The narration history on disk, so that it outlives the daemon: an append-only file of records, each with a checksum, in two
 //! halves of bounded size. A writer thread owns the file; nothing on the way from event to scores waits for the disk.
 //!
-//! A record is `"RCJ1"`, the payload's length (u32), the CRC-32 of the payload (u32), the payload; integers little endian. The
-//! payload is source, epoch, sequence, observed_ns, observed_unix_ns (u64 each), person (u32), the machine's boot id (16 bytes)
-//! and the sentence. Reading skips what is damaged and goes on at the next record whose checksum is right.
+//! A record is four letters, the payload's length (u32), the CRC-32 of the payload (u32), the payload; integers little endian. Reading skips
+//! what is damaged and goes on at the next record whose checksum is right.
 //!
-//! When the older half goes, the last record of every source that it alone knew is carried over as `"RCJ2"`: what the source said then is
+//! | letters | payload |
+//! | --- | --- |
+//! | `RCJ1` | a sentence: source, epoch, sequence, observed_ns, observed_unix_ns (u64 each), person (u32), the machine's boot id (16 bytes), the sentence |
+//! | `RCJ3` | the same with a name, presence or an attribution: before the text come what it is (u8; bit 0: presence, bit 1: the person was found by fit) and the person's name (u8 of bytes, the bytes) |
+//! | `RCJ2`, `RCJ4` | `RCJ1` and `RCJ3` carried over, see below |
+//! | `RCJ5` | what became of an observation that was written before: its source, epoch, sequence (u64 each), the person that it is of (u32), whether that was found by fit (u8), the map's fingerprint (its first 8 bytes), and per room the probability that the model then gave (f32) |
+//!
+//! Observations are kept as they came. What the daemon made of one that names nobody, and what the model said after it, is kept beside it, so
+//! that a restarted daemon believes the same.
+//!
+//! When the older half goes, the last record of every source that it alone knew is carried over: what the source said then is
 //! history no more, but what it says again is still known.
 //!
 //! A record is handed to the system as soon as it is written, so a daemon that is killed loses nothing; what the machine loses with
@@ -25,15 +34,29 @@ use std::time::{Duration, Instant};
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use rustix::fs::FlockOperation;
 
-use super::intake::SOURCES_MAX;
-use roomcast_core::narration::{Observation, Sentence};
+use self::forget::IsTheirs;
+use roomcast_core::narration::{Observation, PresenceStatement, Said, Sentence};
+use roomcast_core::pipeline::SOURCES_MAX;
+use roomcast_ipc::{MAX_ROOMS, NAME_BYTES};
+
+mod forget;
 
 const MAGIC: [u8; 4] = *b"RCJ1";
 const MAGIC_CARRIED: [u8; 4] = *b"RCJ2";
+const MAGIC_NAMED: [u8; 4] = *b"RCJ3";
+const MAGIC_NAMED_CARRIED: [u8; 4] = *b"RCJ4";
+const MAGIC_OUTCOME: [u8; 4] = *b"RCJ5";
+/// Letters that a record may begin with.
+const MAGICS: [[u8; 4]; 5] = [MAGIC, MAGIC_CARRIED, MAGIC_NAMED, MAGIC_NAMED_CARRIED, MAGIC_OUTCOME];
 const HEADER_BYTES: usize = 12;
 const FIXED_BYTES: usize = 5 * 8 + 4 + 16;
-/// No payload is longer: a sentence has at most 1024 bytes.
-const PAYLOAD_BYTES_MAX: usize = FIXED_BYTES + roomcast_core::narration::SENTENCE_BYTES_MAX;
+/// No payload is longer: a sentence has at most 1024 bytes, and a name comes with two more.
+const PAYLOAD_BYTES_MAX: usize = FIXED_BYTES + 2 + NAME_BYTES + roomcast_core::narration::SENTENCE_BYTES_MAX;
+/// What `RCJ5` holds beside the rooms.
+const OUTCOME_BYTES: usize = 3 * 8 + 4 + 1 + 8;
+/// Bits of what a named record is.
+const IS_PRESENCE: u8 = 1;
+const IS_BY_FIT: u8 = 1 << 1;
 /// Records that may wait for the disk before the sender does.
 const QUEUE: usize = 65_536;
 
@@ -75,10 +98,42 @@ pub enum JournalError {
 pub struct Recovered {
     /// The observations, oldest first.
     pub observations: Vec<Observation>,
-    /// The last ones of sources that have been silent since: too old for the history, but taken.
+    /// What is no history any more, but was taken: the last ones of sources that have been silent since, and what forgotten persons did.
     pub carried: Vec<Observation>,
+    /// Per carried one, before which of the observations it stands.
+    pub carried_before: Vec<usize>,
+    /// What the model said of a person after one of the observations, whose index comes first.
+    pub expectations: Vec<(usize, Expectation)>,
     /// Bytes that were no record: a torn end, or damage.
     pub damaged_bytes: u64,
+}
+
+/// What the model said of a person.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Expectation {
+    /// The first bytes of the fingerprint of the map whose rooms are meant.
+    pub map: u64,
+    /// Per room the probability that the person is there next.
+    pub probability: Vec<f32>,
+}
+
+/// What became of an observation: whom it is of, and what the model said of that person after it.
+#[derive(Debug, Clone, Copy)]
+pub struct Outcome<'a> {
+    /// The observation's source.
+    pub source: u64,
+    /// Its epoch.
+    pub epoch: u64,
+    /// Its number in that epoch.
+    pub sequence: u64,
+    /// Whom it is of.
+    pub person: u32,
+    /// Whether it named nobody, and this person was found by fit.
+    pub by_fit: bool,
+    /// The first bytes of the map's fingerprint.
+    pub map: u64,
+    /// Per room the probability that the person is there next; empty where nothing was scored.
+    pub probability: &'a [f64],
 }
 
 #[derive(Debug, Default)]
@@ -89,11 +144,38 @@ struct Progress {
     failures: AtomicU64,
 }
 
+/// What the writer is to do.
+enum Work {
+    /// Append a record.
+    Append(Vec<u8>),
+    /// Take out what a person did, and say whether that went well.
+    Forget { person: u32, is_theirs: Box<IsTheirs>, done: Sender<io::Result<()>> },
+}
+
+/// The way to the writer, for every thread that has something to write.
+#[derive(Debug)]
+struct Sink {
+    /// None once the journal is being closed.
+    work: Option<Sender<Work>>,
+    /// How many records were handed over.
+    appended: u64,
+}
+
+impl Sink {
+    fn send(&mut self, record: Vec<u8>) -> u64 {
+        if let Some(work) = &self.work
+            && work.send(Work::Append(record)).is_ok()
+        {
+            self.appended += 1;
+        }
+        self.appended
+    }
+}
+
 /// The journal of a running daemon.
 #[derive(Debug)]
 pub struct Journal {
-    records: Option<Sender<Vec<u8>>>,
-    appended: u64,
+    sink: Arc<Mutex<Sink>>,
     boot_id: [u8; 16],
     progress: Arc<Progress>,
     writer: Option<JoinHandle<()>>,
@@ -131,22 +213,22 @@ impl Journal {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
             Err(error) => return Err(failed(&older, "read")(error)),
         }
-        let mut last = BTreeMap::new();
-        let mut note = |found: &Recovered, in_current| {
-            for observation in found.carried.iter().chain(&found.observations) {
-                last.insert(observation.source, (encode(observation, &boot_id), in_current));
+        let (mut last, mut turn) = (BTreeMap::new(), 0);
+        let mut note = |carried: &[Observation], observations: &[Observation], in_current| {
+            for observation in carried.iter().chain(observations) {
+                turn += 1;
+                let record = encode(observation, &boot_id);
+                last.insert((observation.source, observation.epoch), Last { record, in_current, turn });
             }
         };
-        note(&recovered, false);
-        let (mut bytes, mut newer) = (Vec::new(), Recovered::default());
+        let (carried, observations) = (recovered.carried.len(), recovered.observations.len());
+        note(&recovered.carried, &recovered.observations, false);
+        let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).map_err(failed(&current, "read"))?;
-        read_records(&bytes, &boot_id, &mut newer);
-        note(&newer, true);
-        recovered.observations.append(&mut newer.observations);
-        recovered.carried.append(&mut newer.carried);
-        recovered.damaged_bytes += newer.damaged_bytes;
+        read_records(&bytes, &boot_id, &mut recovered);
+        note(&recovered.carried[carried..], &recovered.observations[observations..], true);
 
-        let (records, queue) = bounded(QUEUE);
+        let (work, queue) = bounded(QUEUE);
         let progress = Arc::new(Progress::default());
         progress.bytes.store(older_length + bytes.len() as u64, Ordering::Relaxed);
         let mut writer = Writer {
@@ -161,6 +243,7 @@ impl Journal {
             synced: bytes.len() as u64,
             sync_data: File::sync_data,
             last,
+            turn,
             half_bytes: (options.bytes_max / 2).max(4096),
             sync_every: Duration::from_millis(options.sync_ms.max(1)),
             progress: Arc::clone(&progress),
@@ -169,31 +252,26 @@ impl Journal {
             .name("journal".to_owned())
             .spawn(move || writer.run(&queue))
             .map_err(failed(directory, "start the writer of"))?;
-        let journal = Self { records: Some(records), appended: 0, boot_id, progress, writer: Some(writer) };
-        Ok((journal, recovered))
+        let sink = Arc::new(Mutex::new(Sink { work: Some(work), appended: 0 }));
+        Ok((Self { sink, boot_id, progress, writer: Some(writer) }, recovered))
     }
 
     /// Hands an observation to the writer; returns its number, for [`JournalHandle::wait_for`].
     pub fn append(&mut self, observation: &Observation) -> u64 {
         let record = encode(observation, &self.boot_id);
-        if let Some(records) = &self.records
-            && records.send(record).is_ok()
-        {
-            self.appended += 1;
-        }
-        self.appended
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(record)
     }
 
     /// What other threads may ask of the journal.
     #[must_use]
     pub fn handle(&self) -> JournalHandle {
-        JournalHandle { progress: Arc::clone(&self.progress) }
+        JournalHandle { sink: Arc::clone(&self.sink), progress: Arc::clone(&self.progress) }
     }
 }
 
 impl Drop for Journal {
     fn drop(&mut self) {
-        drop(self.records.take());
+        drop(self.sink.lock().unwrap_or_else(PoisonError::into_inner).work.take());
         if let Some(writer) = self.writer.take() {
             // A writer that panicked has said so; there is nothing left to do here.
             let _ended = writer.join();
@@ -204,10 +282,38 @@ impl Drop for Journal {
 /// A view of the journal's progress.
 #[derive(Debug, Clone)]
 pub struct JournalHandle {
+    sink: Arc<Mutex<Sink>>,
     progress: Arc<Progress>,
 }
 
 impl JournalHandle {
+    /// Hands to the writer what became of an observation; returns its number, for [`JournalHandle::wait_for`].
+    pub fn append(&self, outcome: &Outcome<'_>) -> u64 {
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_outcome(outcome))
+    }
+
+    /// Takes out of the journal what a person did, before and after a restart of the machine: what `is_theirs` says of observations that
+    /// name somebody, and what was found to be theirs of the others. Waits at most `patience` for it.
+    ///
+    /// # Errors
+    ///
+    /// When the disk refuses, or takes longer; the journal is whole all the same, and may hold all or part of it.
+    pub fn forget(
+        &self,
+        person: u32,
+        is_theirs: impl Fn(&Observation) -> bool + Send + 'static,
+        patience: Duration,
+    ) -> io::Result<()> {
+        let (done, answer) = bounded(1);
+        let work = self.sink.lock().unwrap_or_else(PoisonError::into_inner).work.clone();
+        let sent = work.map(|work| work.send(Work::Forget { person, is_theirs: Box::new(is_theirs), done }));
+        match sent.map(|sent| sent.map(|()| answer.recv_timeout(patience))) {
+            Some(Ok(Ok(result))) => result,
+            Some(Ok(Err(_))) => Err(io::Error::from(io::ErrorKind::TimedOut)),
+            _ => Err(io::Error::other("the journal is closed")),
+        }
+    }
+
     /// Waits until the record of that number has been handed to the system, at most `patience`; returns whether it has.
     ///
     /// Writing runs beside scoring and is over long before, so this hardly ever waits.
@@ -238,6 +344,15 @@ impl JournalHandle {
     }
 }
 
+/// The last record of one start of a source.
+struct Last {
+    record: Vec<u8>,
+    /// The current half has it.
+    in_current: bool,
+    /// Grows with every record.
+    turn: u64,
+}
+
 struct Writer {
     file: File,
     current: PathBuf,
@@ -254,33 +369,29 @@ struct Writer {
     synced: u64,
     /// [`File::sync_data`], or a disk that fails.
     sync_data: fn(&File) -> io::Result<()>,
-    /// Per source its last record, and whether the current half has it. What it has not is carried over at the next rotation.
-    last: BTreeMap<u64, (Vec<u8>, bool)>,
+    /// The last record of each start of a source. What the current half has not is carried over at the next rotation.
+    last: BTreeMap<(u64, u64), Last>,
+    /// Records written.
+    turn: u64,
     half_bytes: u64,
     sync_every: Duration,
     progress: Arc<Progress>,
 }
 
 impl Writer {
-    fn run(&mut self, queue: &Receiver<Vec<u8>>) {
+    fn run(&mut self, queue: &Receiver<Work>) {
         let mut synced = Instant::now();
         let mut dirty = false;
         loop {
-            match queue.recv_timeout(self.sync_every) {
-                Ok(record) => {
-                    let mut batch = record;
-                    let mut records = 1;
-                    // What waits already goes out in one write.
-                    for record in queue.try_iter().take(1023) {
-                        batch.extend_from_slice(&record);
-                        records += 1;
-                    }
-                    let written = self.write(&batch);
-                    self.note(written);
+            // Only what is still to be done has a time.
+            let received = match dirty || !self.unwritten.is_empty() {
+                true => queue.recv_timeout(self.sync_every),
+                false => queue.recv().map_err(|_| RecvTimeoutError::Disconnected),
+            };
+            match received {
+                Ok(work) => {
+                    self.work(work, queue);
                     dirty = true;
-                    // The number counts also when writing failed: nobody is to wait for a full disk.
-                    *self.progress.written.lock().unwrap_or_else(PoisonError::into_inner) += records;
-                    self.progress.grew.notify_all();
                 }
                 Err(RecvTimeoutError::Timeout) if !self.unwritten.is_empty() => {
                     let written = self.write(&[]);
@@ -305,6 +416,37 @@ impl Writer {
         self.note(done);
     }
 
+    /// Does some work, and what waits behind it.
+    fn work(&mut self, first: Work, queue: &Receiver<Work>) {
+        let (mut batch, mut records) = (Vec::new(), 0);
+        // What waits already goes out in one write.
+        for work in std::iter::once(first).chain(queue.try_iter().take(1023)) {
+            match work {
+                Work::Append(record) => {
+                    batch.extend_from_slice(&record);
+                    records += 1;
+                }
+                Work::Forget { person, is_theirs, done } => {
+                    self.append(&std::mem::take(&mut batch), std::mem::take(&mut records));
+                    // Whoever asked may have lost patience.
+                    let _told = done.send(self.forget(person, &*is_theirs));
+                }
+            }
+        }
+        self.append(&batch, records);
+    }
+
+    /// Writes so many records; their number counts also when that fails: nobody is to wait for a full disk.
+    fn append(&mut self, batch: &[u8], records: u64) {
+        if records == 0 {
+            return;
+        }
+        let written = self.write(batch);
+        self.note(written);
+        *self.progress.written.lock().unwrap_or_else(PoisonError::into_inner) += records;
+        self.progress.grew.notify_all();
+    }
+
     /// Brings what was written to the disk; what that fails with is written again, for the next sync.
     fn sync(&mut self) -> io::Result<()> {
         if let Err(error) = (self.sync_data)(&self.file) {
@@ -327,7 +469,7 @@ impl Writer {
     fn trim_unwritten(&mut self) {
         while self.unwritten.len() as u64 > self.half_bytes {
             let mut from = 0;
-            while self.unwritten[from..].starts_with(&MAGIC_CARRIED) {
+            while [MAGIC_CARRIED, MAGIC_NAMED_CARRIED].iter().any(|magic| self.unwritten[from..].starts_with(magic)) {
                 from += record_bytes(&self.unwritten[from..]);
             }
             if from >= self.unwritten.len() {
@@ -355,7 +497,11 @@ impl Writer {
         let mut rest = &self.unwritten[..];
         while !rest.is_empty() {
             let (record, after) = rest.split_at(record_bytes(rest));
-            self.last.insert(source_of(record), (record.to_vec(), true));
+            if !record.starts_with(&MAGIC_OUTCOME) {
+                self.turn += 1;
+                let last = Last { record: record.to_vec(), in_current: true, turn: self.turn };
+                self.last.insert(source_of(record), last);
+            }
             rest = after;
         }
         self.unsynced.append(&mut self.unwritten);
@@ -370,15 +516,18 @@ impl Writer {
             self.write_again()?;
             return Err(error);
         }
-        let quiet: Vec<u64> =
-            self.last.iter().filter(|(_, (_, current))| !current).map(|(source, _)| *source).collect();
-        // More than the daemon knows, and of sources that it has forgotten.
-        for source in quiet.iter().skip(SOURCES_MAX) {
-            self.last.remove(source);
+        let mut quiet: Vec<_> =
+            self.last.iter().filter(|(_, last)| !last.in_current).map(|(name, last)| (last.turn, *name)).collect();
+        quiet.sort_unstable();
+        // More than the daemon knows, and of sources that it has forgotten: the longest silent.
+        for (_, name) in quiet.iter().rev().skip(SOURCES_MAX) {
+            self.last.remove(name);
         }
         let mut carried: Vec<u8> = Vec::new();
-        for (record, _) in self.last.values().filter(|(_, in_current)| !in_current) {
-            carried.extend_from_slice(&MAGIC_CARRIED);
+        for last in self.last.values().filter(|last| !last.in_current) {
+            let record = &last.record;
+            let named = record.starts_with(&MAGIC_NAMED) || record.starts_with(&MAGIC_NAMED_CARRIED);
+            carried.extend_from_slice(if named { &MAGIC_NAMED_CARRIED } else { &MAGIC_CARRIED });
             carried.extend_from_slice(&record[MAGIC.len()..]);
         }
         // In a journal of the least size it is the newest narration that counts.
@@ -395,7 +544,7 @@ impl Writer {
         self.synced = 0;
         self.unsynced.clear();
         // The new half has nothing yet. What is carried goes first into it, and is tried again like everything that the disk refuses.
-        self.last.values_mut().for_each(|(_, in_current)| *in_current = false);
+        self.last.values_mut().for_each(|last| last.in_current = false);
         self.unwritten.splice(..0, carried);
         self.note(sync_folder(&self.current));
         Ok(())
@@ -448,12 +597,16 @@ fn boot_id() -> [u8; 16] {
 /// An observation as a record; `boot_id` names the boot that its monotonic times belong to.
 #[must_use]
 pub fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
-    let sentence = observation.sentence.as_str().as_bytes();
-    let length = FIXED_BYTES + sentence.len();
-    let mut record = Vec::with_capacity(HEADER_BYTES + length);
-    record.extend_from_slice(&MAGIC);
-    record.extend_from_slice(&(length as u32).to_le_bytes());
-    record.extend_from_slice(&[0; 4]);
+    let name = observation.name.as_deref().unwrap_or_default().as_bytes();
+    let presence = match &observation.said {
+        Said::Sentence(_) => None,
+        Said::Presence(statement) => Some(statement.to_string()),
+    };
+    let kind = if presence.is_some() { IS_PRESENCE } else { 0 } | if observation.by_fit { IS_BY_FIT } else { 0 };
+    let text = presence.as_deref().or(observation.sentence()).unwrap_or_default().as_bytes();
+    let named = kind != 0 || !name.is_empty();
+    let mut payload = Vec::with_capacity(HEADER_BYTES + FIXED_BYTES + 2 + name.len() + text.len());
+    payload.extend_from_slice(&[0; HEADER_BYTES]);
     for number in [
         observation.source,
         observation.epoch,
@@ -461,19 +614,50 @@ pub fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
         observation.observed_ns,
         observation.observed_unix_ns,
     ] {
-        record.extend_from_slice(&number.to_le_bytes());
+        payload.extend_from_slice(&number.to_le_bytes());
     }
-    record.extend_from_slice(&observation.person.to_le_bytes());
-    record.extend_from_slice(boot_id);
-    record.extend_from_slice(sentence);
-    let checksum = crc32fast::hash(&record[HEADER_BYTES..]);
+    payload.extend_from_slice(&observation.person.to_le_bytes());
+    payload.extend_from_slice(boot_id);
+    if named {
+        // A name has at most 48 bytes.
+        payload.extend_from_slice(&[kind, name.len() as u8]);
+        payload.extend_from_slice(name);
+    }
+    payload.extend_from_slice(text);
+    sealed(if named { MAGIC_NAMED } else { MAGIC }, payload)
+}
+
+/// What became of an observation, as a record.
+#[must_use]
+pub fn encode_outcome(outcome: &Outcome<'_>) -> Vec<u8> {
+    let mut payload = Vec::with_capacity(HEADER_BYTES + OUTCOME_BYTES + 4 * outcome.probability.len());
+    payload.extend_from_slice(&[0; HEADER_BYTES]);
+    for number in [outcome.source, outcome.epoch, outcome.sequence] {
+        payload.extend_from_slice(&number.to_le_bytes());
+    }
+    payload.extend_from_slice(&outcome.person.to_le_bytes());
+    payload.push(u8::from(outcome.by_fit));
+    payload.extend_from_slice(&outcome.map.to_le_bytes());
+    for probability in outcome.probability {
+        payload.extend_from_slice(&(*probability as f32).to_le_bytes());
+    }
+    sealed(MAGIC_OUTCOME, payload)
+}
+
+/// A record of its payload, which stands behind room for the header.
+fn sealed(magic: [u8; 4], mut record: Vec<u8>) -> Vec<u8> {
+    let (length, checksum) = ((record.len() - HEADER_BYTES) as u32, crc32fast::hash(&record[HEADER_BYTES..]));
+    record[..4].copy_from_slice(&magic);
+    record[4..8].copy_from_slice(&length.to_le_bytes());
     record[8..HEADER_BYTES].copy_from_slice(&checksum.to_le_bytes());
     record
 }
 
-/// The source of a whole record.
-fn source_of(record: &[u8]) -> u64 {
-    record.get(HEADER_BYTES..).and_then(|mut payload| take_u64(&mut payload)).unwrap_or_default()
+/// The source of a whole record, and its epoch.
+fn source_of(record: &[u8]) -> (u64, u64) {
+    let mut payload = record.get(HEADER_BYTES..).unwrap_or_default();
+    let mut number = || take_u64(&mut payload).unwrap_or_default();
+    (number(), number())
 }
 
 /// Bytes of the first of some whole records; all of them where it is none.
@@ -482,19 +666,27 @@ fn record_bytes(records: &[u8]) -> usize {
     length.map_or(records.len(), |length| (HEADER_BYTES + length as usize).min(records.len()))
 }
 
-/// Reads all records of a file's bytes; whatever is none is counted and stepped over. Monotonic times of another boot than
-/// `boot_id` become 0.
+/// Reads all records of a file's bytes after those that were read before; whatever is none is counted and stepped over. Monotonic times of
+/// another boot than `boot_id` become 0.
 pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered) {
     let mut rest = bytes;
     while !rest.is_empty() {
         match decode(rest, boot_id) {
-            Some((observation, length)) => {
-                let carried = rest.starts_with(&MAGIC_CARRIED);
-                if carried { &mut recovered.carried } else { &mut recovered.observations }.push(observation);
+            Some((record, length)) => {
+                match record {
+                    Record::Observation(observation) => recovered.observations.push(observation),
+                    Record::Carried(observation) => {
+                        recovered.carried.push(observation);
+                        recovered.carried_before.push(recovered.observations.len());
+                    }
+                    Record::Outcome { name, person, by_fit, expectation } => {
+                        recovered.note_outcome(name, person, by_fit, expectation);
+                    }
+                }
                 rest = &rest[length..];
             }
             None => {
-                let next = rest[1..].windows(MAGIC.len()).position(|window| window == MAGIC || window == MAGIC_CARRIED);
+                let next = rest[1..].windows(MAGIC.len()).position(|window| MAGICS.iter().any(|magic| window == magic));
                 let skipped = next.map_or(rest.len(), |next| next + 1);
                 recovered.damaged_bytes += skipped as u64;
                 rest = &rest[skipped..];
@@ -503,25 +695,96 @@ pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered)
     }
 }
 
-fn decode(bytes: &[u8], boot_id: &[u8; 16]) -> Option<(Observation, usize)> {
-    let mut header = bytes.strip_prefix(&MAGIC).or_else(|| bytes.strip_prefix(&MAGIC_CARRIED))?;
-    let length = take_u32(&mut header)? as usize;
-    let checksum = take_u32(&mut header)?;
-    if !(FIXED_BYTES..=PAYLOAD_BYTES_MAX).contains(&length) {
+impl Recovered {
+    /// All that was taken, in its order.
+    pub fn taken(&self) -> impl Iterator<Item = &Observation> {
+        let mut carried = self.carried_before.iter().zip(&self.carried).peekable();
+        let mut observations = self.observations.iter().enumerate().peekable();
+        std::iter::from_fn(move || {
+            let next = observations.peek().map_or(usize::MAX, |(index, _)| *index);
+            let first = carried.next_if(|(before, _)| **before <= next).map(|(_, observation)| observation);
+            first.or_else(|| observations.next().map(|(_, observation)| observation))
+        })
+    }
+
+    /// What became of an observation that was read before; of one that is gone it says nothing.
+    fn note_outcome(&mut self, name: (u64, u64, u64), person: u32, by_fit: bool, expectation: Expectation) {
+        let named = |o: &Observation| (o.source, o.epoch, o.sequence) == name;
+        let Some(index) = self.observations.iter().rposition(named) else { return };
+        if by_fit {
+            let observation = &mut self.observations[index];
+            (observation.person, observation.by_fit) = (person, true);
+        }
+        if !expectation.probability.is_empty() {
+            self.expectations.push((index, expectation));
+        }
+    }
+}
+
+/// What a record holds.
+enum Record {
+    Observation(Observation),
+    Carried(Observation),
+    Outcome { name: (u64, u64, u64), person: u32, by_fit: bool, expectation: Expectation },
+}
+
+/// The record that some bytes begin with, and how many of them it has.
+fn decode(bytes: &[u8], boot_id: &[u8; 16]) -> Option<(Record, usize)> {
+    let (&magic, mut header) = bytes.split_first_chunk::<4>()?;
+    if !MAGICS.contains(&magic) {
         return None;
     }
-    let mut payload = header.get(..length)?;
+    let length = take_u32(&mut header)? as usize;
+    let checksum = take_u32(&mut header)?;
+    if length > PAYLOAD_BYTES_MAX {
+        return None;
+    }
+    let payload = header.get(..length)?;
     if crc32fast::hash(payload) != checksum {
         return None;
     }
+    let record = match magic {
+        MAGIC_OUTCOME => decode_outcome(payload)?,
+        MAGIC | MAGIC_NAMED => Record::Observation(decode_observation(payload, magic == MAGIC_NAMED, boot_id)?),
+        _ => Record::Carried(decode_observation(payload, magic == MAGIC_NAMED_CARRIED, boot_id)?),
+    };
+    Some((record, HEADER_BYTES + length))
+}
+
+fn decode_observation(mut payload: &[u8], named: bool, boot_id: &[u8; 16]) -> Option<Observation> {
     let (source, epoch, sequence) = (take_u64(&mut payload)?, take_u64(&mut payload)?, take_u64(&mut payload)?);
     let (observed_ns, observed_unix_ns) = (take_u64(&mut payload)?, take_u64(&mut payload)?);
     let person = take_u32(&mut payload)?;
-    let (boot, sentence) = payload.split_at_checked(boot_id.len())?;
-    let sentence = Sentence::new(std::str::from_utf8(sentence).ok()?).ok()?;
+    let (boot, mut text) = payload.split_at_checked(boot_id.len())?;
+    let (mut kind, mut name) = (0, None);
+    if named {
+        let (&[what, length], rest) = text.split_first_chunk()?;
+        let (told, rest) = rest.split_at_checked(length.into())?;
+        let told = std::str::from_utf8(told).ok().filter(|told| told.len() <= NAME_BYTES)?;
+        (kind, name, text) = (what, Some(told).filter(|told| !told.is_empty()), rest);
+    }
+    let text = std::str::from_utf8(text).ok()?;
+    let said = match kind & IS_PRESENCE {
+        0 => Said::Sentence(Sentence::new(text).ok()?),
+        _ => Said::Presence(PresenceStatement::parse(text).ok()?),
+    };
     let observed_ns = if boot == boot_id { observed_ns } else { 0 };
-    let observation = Observation { person, source, epoch, sequence, observed_ns, observed_unix_ns, sentence };
-    Some((observation, HEADER_BYTES + length))
+    let (name, by_fit) = (name.map(Into::into), kind & IS_BY_FIT != 0);
+    Some(Observation { person, name, by_fit, source, epoch, sequence, observed_ns, observed_unix_ns, said })
+}
+
+fn decode_outcome(mut payload: &[u8]) -> Option<Record> {
+    let name = (take_u64(&mut payload)?, take_u64(&mut payload)?, take_u64(&mut payload)?);
+    let person = take_u32(&mut payload)?;
+    let (&by_fit, mut payload) = payload.split_first()?;
+    let map = take_u64(&mut payload)?;
+    let (rooms, rest) = payload.as_chunks();
+    let probability: Vec<f32> = rooms.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+    let sound = rest.is_empty()
+        && rooms.len() <= MAX_ROOMS
+        && probability.iter().all(|probability| (0.0..=1.0).contains(probability));
+    let expectation = Expectation { map, probability };
+    sound.then_some(Record::Outcome { name, person, by_fit: by_fit != 0, expectation })
 }
 
 fn take_u64(bytes: &mut &[u8]) -> Option<u64> {
@@ -542,14 +805,15 @@ mod tests {
     use proptest::prelude::*;
 
     fn observation(sequence: u64) -> Observation {
+        let sentence = Sentence::new(&format!("They do thing {sequence}.")).unwrap();
+        let (observed_ns, observed_unix_ns) = (100 + sequence, 5);
         Observation {
             person: 3,
             source: 7,
             epoch: 1,
-            sequence,
-            observed_ns: 100 + sequence,
-            observed_unix_ns: 5,
-            sentence: Sentence::new(&format!("They do thing {sequence}.")).unwrap(),
+            observed_ns,
+            observed_unix_ns,
+            ..Observation::of(sequence, sentence)
         }
     }
 
@@ -639,6 +903,7 @@ mod tests {
             synced: 0,
             sync_data: File::sync_data,
             last: BTreeMap::new(),
+            turn: 0,
             half_bytes,
             sync_every: Duration::from_secs(1),
             progress: Arc::default(),
@@ -688,7 +953,7 @@ mod tests {
 
     fn sequence_of(writer: &Writer) -> u64 {
         let mut recovered = Recovered::default();
-        read_records(&writer.last[&7].0, &[0; 16], &mut recovered);
+        read_records(&writer.last[&(7, 1)].record, &[0; 16], &mut recovered);
         recovered.observations[0].sequence
     }
 
@@ -698,6 +963,85 @@ mod tests {
         let options = options(directory.path(), 1 << 20);
         let _first = Journal::open(&options).unwrap();
         assert!(matches!(Journal::open(&options), Err(JournalError::Locked { .. })));
+    }
+
+    /// Nothing that a person did stays in the journal, in neither half, and what a narrator sends again does not bring it back.
+    #[test]
+    fn who_is_forgotten_leaves_no_trace() {
+        let directory = tempfile::tempdir().unwrap();
+        let options = options(directory.path(), 16_384);
+        let (mut journal, _) = Journal::open(&options).unwrap();
+        let handle = journal.handle();
+        let of = |sequence: u64, name: &str| {
+            let sentence = Sentence::new(&format!("They do secret {sequence}.")).unwrap();
+            let name = Some(name).filter(|name| !name.is_empty()).map(Into::into);
+            let person = u32::MAX;
+            Observation { person, name, source: 7, epoch: sequence / 64, ..Observation::of(sequence, sentence) }
+        };
+        for sequence in 1..=120 {
+            let name = ["ada", "ben", ""][sequence as usize % 3];
+            let mut number = journal.append(&of(sequence, name));
+            if name.is_empty() {
+                let (source, epoch, person) = (7, sequence / 64, 1 + sequence as u32 % 2);
+                let outcome = Outcome { source, epoch, sequence, person, by_fit: true, map: 1, probability: &[] };
+                number = handle.append(&outcome);
+            }
+            // More at once than a half holds would be cut.
+            assert!(handle.wait_for(number, Duration::from_secs(30)));
+        }
+        let is_ada = |o: &Observation| o.name.as_deref() == Some("ada");
+        handle.forget(1, is_ada, Duration::from_secs(30)).unwrap();
+        let last = journal.append(&of(121, "ben"));
+        assert!(handle.wait_for(last, Duration::from_secs(30)));
+        let size: u64 = fs::read_dir(directory.path()).unwrap().map(|f| f.unwrap().metadata().unwrap().len()).sum();
+        assert_eq!(handle.bytes(), size);
+        assert!(matches!(Journal::open(&options), Err(JournalError::Locked { .. })));
+        drop(journal);
+        let (_, recovered) = Journal::open(&options).unwrap();
+        let theirs = |o: &Observation| is_ada(o) || (o.by_fit && o.person == 1);
+        assert!(!recovered.observations.iter().any(theirs) && recovered.observations.len() > 50);
+        assert!(recovered.observations.iter().any(|o| o.by_fit && o.person == 2));
+        let all: Vec<u8> = ["narration.journal", "narration.journal.old"]
+            .iter()
+            .flat_map(|half| fs::read(directory.path().join(half)).unwrap())
+            .collect();
+        let all = String::from_utf8_lossy(&all);
+        assert!(!all.contains("ada") && !all.contains("secret 3.") && all.contains("secret 4."));
+        // All is still known to be taken, in its order.
+        let taken: Vec<u64> = recovered.taken().map(|o| o.sequence).collect();
+        assert!(taken.windows(2).all(|pair| pair[0] < pair[1]) && taken.last() == Some(&121), "{taken:?}");
+    }
+
+    /// Names, presence and attributions come back as they were; what the model said comes with the observation that it followed.
+    #[test]
+    fn who_was_where_comes_back() {
+        let boot = [3; 16];
+        let named = |sequence: u64, name: &str| Observation { name: Some(name.into()), ..observation(sequence) };
+        let away = Said::Presence(PresenceStatement::parse("away").unwrap());
+        let told = [
+            observation(1),
+            named(2, "Ada"),
+            Observation { said: away, ..named(3, "Éva") },
+            Observation { person: u32::MAX, ..observation(4) },
+        ];
+        let mut bytes: Vec<u8> = told.iter().flat_map(|observation| encode(observation, &boot)).collect();
+        let outcome = |sequence: u64, by_fit: bool, probability: &'static [f64]| {
+            let (person, map) = (9, 77);
+            encode_outcome(&Outcome { source: 7, epoch: 1, sequence, person, by_fit, map, probability })
+        };
+        for outcome in [outcome(2, false, &[0.25, 0.75]), outcome(4, true, &[]), outcome(99, true, &[1.0])] {
+            bytes.extend_from_slice(&outcome);
+        }
+        let mut recovered = Recovered::default();
+        read_records(&bytes, &boot, &mut recovered);
+        let attributed = Observation { person: 9, by_fit: true, ..told[3].clone() };
+        assert_eq!(recovered.observations, [told[0].clone(), told[1].clone(), told[2].clone(), attributed.clone()]);
+        assert_eq!(recovered.expectations, [(1, Expectation { map: 77, probability: vec![0.25, 0.75] })]);
+        assert_eq!(recovered.damaged_bytes, 0);
+        // An attribution that is carried over stays one.
+        let mut again = Recovered::default();
+        read_records(&encode(&attributed, &boot), &boot, &mut again);
+        assert_eq!(again.observations, [attributed]);
     }
 
     #[test]

@@ -73,18 +73,24 @@ pub struct MapAnswer {
 }
 
 /// The last answers by their questions' names.
-#[derive(Debug, Default)]
-pub struct Answered(VecDeque<(String, MapAnswer)>);
+#[derive(Debug)]
+pub struct Answered<T>(VecDeque<(String, T)>);
 
-impl Answered {
+impl<T> Default for Answered<T> {
+    fn default() -> Self {
+        Self(VecDeque::new())
+    }
+}
+
+impl<T> Answered<T> {
     /// The answer that was given to a question of this name.
     #[must_use]
-    pub fn get(&self, id: &str) -> Option<&MapAnswer> {
+    pub fn get(&self, id: &str) -> Option<&T> {
         self.0.iter().find(|(known, _)| known == id).map(|(_, answer)| answer)
     }
 
     /// Remembers an answer; the oldest gives way.
-    pub fn put(&mut self, id: String, answer: MapAnswer) {
+    pub fn put(&mut self, id: String, answer: T) {
         if self.0.len() == REMEMBERED {
             self.0.pop_front();
         }

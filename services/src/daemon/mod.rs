@@ -12,17 +12,18 @@
 //! thread, not two. Before a step that may take long it hands the inbox to the relief thread, so that nothing that arrives meanwhile is
 //! lost: it waits in a queue and becomes part of the next step. The relief thread returns the inbox soon after the step.
 
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use crossbeam::channel::{Receiver, Sender, bounded};
 use crossbeam::select;
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
-    AnswerPort, Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, Node, PersonScoresV1, Publisher,
-    RoomScoresV1, StatusResponseV1, StatusServer, Subscriber, clock, question, score_flags, sequence, text,
+    AnswerPort, Domain, ForecastV1, IpcError, ItemScoresPublisher, NarrationV1, Node, PersonForecastsV1,
+    PersonScoresV1, Publisher, RoomScoresV1, StatusResponseV1, StatusServer, Subscriber, clock, question, score_flags,
+    sequence, text,
 };
 use sd_notify::NotifyState;
 
@@ -31,6 +32,7 @@ use crate::logging::Limiter;
 use crate::notify::notify;
 use crate::setup::{self, SetupError};
 use crate::stop::Stop;
+use roomcast_core::narration::{Observation, person_number, same_name};
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_llama::affinity::{self, AffinityError};
@@ -40,25 +42,35 @@ mod cycle;
 mod intake;
 pub mod journal;
 mod map_change;
+mod person_question;
+mod persons;
+mod persons_file;
 
 pub use board::{Board, BoardError, Entry, MapError};
 pub use cycle::Cycle;
-pub use intake::{Intake, IntakeCounters, SOURCES_MAX, Taken};
+pub use intake::{Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
 pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
 pub use map_change::{Answered, KeptMap, MapAnswer, MapQuestion, Outcome};
+pub use person_question::{PersonAnswer, PersonLine, PersonQuestion};
+pub use persons::{Persons, flag_words, presence_word};
+pub use persons_file::{KeptPerson, PersonsFile, check_name};
 
 /// Observations that may wait for the scorer.
 const QUEUE: usize = 65_536;
 /// Messages taken from the port at once: a flood of them must not keep the scorer from its steps.
 const AT_ONCE: usize = 2048;
-/// How often connections are renewed: the time within which a late joiner has the scores.
-const TICK: Duration = Duration::from_millis(100);
+/// How often connections are renewed at least. Whoever joins or asks by this contract's crate wakes the daemon by itself.
+const TICK: Duration = Duration::from_millis(250);
+/// How often the main thread looks after the others.
+const SUPERVISE: Duration = Duration::from_millis(500);
 /// The relief thread has the inbox at most so long after a step; an event that comes meanwhile wakes both threads.
 const RELIEF: Duration = Duration::from_millis(5);
 /// While a step that takes less runs, the port holds what comes: waking another thread would take longer than most of it.
 const SHORT_STEP_NS: u64 = 200_000;
 /// Scores wait at most this long for the journal; after that they are sent without claiming what it does not hold yet.
 const JOURNAL_PATIENCE: Duration = Duration::from_millis(5);
+/// A question to forget somebody waits at most this long for the journal.
+const FORGET_PATIENCE: Duration = Duration::from_secs(5);
 /// How often what dead participants left is removed.
 const CLEAN_UP_NS: u64 = 1_000_000_000;
 const LOG_INTERVAL_NS: u64 = 5_000_000_000;
@@ -129,18 +141,26 @@ pub fn run<M: LanguageModel + Send + 'static>(
     let items = node.item_scores_publisher()?;
     let forecasts = node.publisher::<ForecastV1>()?;
     let persons = node.publisher::<PersonScoresV1>()?;
+    let person_forecasts = node.publisher::<PersonForecastsV1>()?;
     let status = node.status_server()?;
     let narration = node.subscriber::<NarrationV1>()?;
     let (map_changes, moments) = (node.answer_port(question::MAP_CHANGE)?, node.answer_port(question::MOMENT)?);
+    let person_questions = node.answer_port(question::PERSON)?;
     let configured = setup::load_map(config.scene.path.as_deref())?;
     let kept_map = config.daemon.state_directory().map(|directory| KeptMap::new(&directory, &configured));
     let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
     let pipeline = set_up(|| setup::open_with(config, &map, model))??;
     let model_name = pipeline.model().name.clone();
+    let (token_counter, sentence_tokens_max) = (pipeline.token_counter(), Arc::new(AtomicUsize::new(0)));
     let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?;
+    let names = config.daemon.state_directory().map(|directory| PersonsFile::load(&directory)).unwrap_or_default();
+    let board = board.with_persons(Persons::new(config.persons.clone(), names)).with_forecast(config.forecast);
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
 
-    let mut intake = Intake::new(config.daemon.intake);
+    sentence_tokens_max.store(cycle.board().sentence_tokens_max(), Ordering::Relaxed);
+    let mut intake = Intake::new(config.daemon.intake)
+        .with_narrators(&config.daemon.narrator)
+        .with_cost(SentenceCost::new(token_counter, Arc::clone(&sentence_tokens_max)));
     let (journal, restored) = match journal_options(&config.daemon) {
         Some(options) => {
             restore(&options, &mut cycle, &mut intake).map(|(journal, restored)| (Some(journal), restored))?
@@ -181,17 +201,21 @@ pub fn run<M: LanguageModel + Send + 'static>(
         items,
         forecasts,
         persons,
+        person_forecasts,
         status,
         map_changes,
         answered: Answered::default(),
         kept_map,
         moments,
+        person_questions,
+        answered_persons: Answered::default(),
         inbox: Some(Box::new(inbox)),
         inbox_lost: false,
         to_relief,
         from_relief,
         busy,
         step_ns: u64::MAX,
+        sentence_tokens_max,
         queue,
         journal: journal_handle,
         counters,
@@ -204,6 +228,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
             model_fingerprint: snapshot.model_fingerprint,
             map_fingerprint: snapshot.map_fingerprint,
             process: std::process::id(),
+            minor: 1,
             version: text::encode_cut(env!("CARGO_PKG_VERSION")),
             map: text::encode_cut(cycle.board().map().name()),
             model: text::encode_cut(&model_name),
@@ -214,12 +239,13 @@ pub fn run<M: LanguageModel + Send + 'static>(
         stop: stop.clone(),
     };
     let cores = config.model.cores.clone();
-    let scoring = spawn("scoring", move || {
+    let (ending, ended) = bounded(2);
+    let scoring = spawn("scoring", &ending, move || {
         affinity::bind(&cores)?;
         Ok::<(), DaemonError>(scoring.run()?)
     })?;
-    let relief = spawn("relief", move || relief.run())?;
-    supervise(config, &node, stop, &progress_ns, scoring, relief)
+    let relief = spawn("relief", &ending, move || relief.run())?;
+    supervise(config, &node, stop, &progress_ns, &ended, scoring, relief)
 }
 
 /// Opens the journal, and enters what a former run of the daemon wrote. Gives how many observations that were.
@@ -230,8 +256,14 @@ fn restore<M: LanguageModel>(
 ) -> Result<(Journal, u64), DaemonError> {
     let (journal, recovered) = Journal::open(options)?;
     let (restored, damaged_bytes) = (recovered.observations.len() as u64, recovered.damaged_bytes);
-    recovered.carried.iter().for_each(|observation| intake.restore(observation, clock::monotonic_ns()));
-    cycle.restore(recovered.observations, intake, clock::monotonic_ns(), clock::unix_ns());
+    let costly = cycle.restore(recovered, intake, clock::monotonic_ns(), clock::unix_ns());
+    if costly > 0 {
+        let most = cycle.board().sentence_tokens_max();
+        tracing::warn!(
+            costly,
+            "the journal has sentences of more than the {most} tokens that a window holds; they are left out: raise model.context_tokens and history.tokens to have them"
+        );
+    }
     tracing::info!(restored, damaged_bytes, directory = %options.directory.display(), "journal read");
     Ok((journal, restored))
 }
@@ -242,20 +274,28 @@ fn supervise(
     node: &Node,
     stop: &Stop,
     progress_ns: &Progress,
+    ended: &Receiver<&'static str>,
     scoring: JoinHandle<Result<(), DaemonError>>,
     relief: JoinHandle<()>,
 ) -> Result<(), DaemonError> {
     let mut cleaned_ns = 0;
     while !stop.requested() {
-        std::thread::sleep(Duration::from_millis(50));
-        if scoring.is_finished() && !stop.requested() {
+        let name = select! {
+            recv(ended) -> name => name.ok(),
+            recv(stop.woken()) -> _ => None,
+            default(SUPERVISE) => None,
+        };
+        if let Some(name) = name
+            && !stop.requested()
+        {
+            // The relief thread ends with the scoring thread, whose end is the cause then.
+            if name == "relief" && ended.recv_timeout(SUPERVISE).is_err() {
+                return Err(DaemonError::Ended { name });
+            }
             return Err(match scoring.join() {
                 Ok(Err(error)) => error,
                 _ => DaemonError::Ended { name: "scoring" },
             });
-        }
-        if relief.is_finished() && !stop.requested() {
-            return Err(DaemonError::Ended { name: "relief" });
         }
         let now_ns = clock::monotonic_ns();
         let (name, still_ns) = progress_ns.slowest(now_ns);
@@ -276,10 +316,24 @@ fn supervise(
     Ok(())
 }
 
+/// Starts a thread that says in `ending` when it ends, however it does.
 fn spawn<T: Send + 'static>(
     name: &'static str,
+    ending: &Sender<&'static str>,
     run: impl FnOnce() -> T + Send + 'static,
 ) -> Result<JoinHandle<T>, DaemonError> {
+    struct Ending(&'static str, Sender<&'static str>);
+    impl Drop for Ending {
+        fn drop(&mut self) {
+            // Each says it once, and there is room for both.
+            let _said = self.1.try_send(self.0);
+        }
+    }
+    let ending = Ending(name, ending.clone());
+    let run = move || {
+        let _ending = ending;
+        run()
+    };
     std::thread::Builder::new().name(name.to_owned()).spawn(run).map_err(|source| DaemonError::Thread { name, source })
 }
 
@@ -337,8 +391,8 @@ struct Inbox {
 }
 
 impl Inbox {
-    /// Sleeps until there is narration or `patience` has passed; gives what is there to `take`, with its number in the journal.
-    fn listen(&mut self, patience: Duration, take: impl FnMut(Entry, u64)) {
+    /// Sleeps until there is narration or `patience` has passed; gives what is there to `take`.
+    fn listen(&mut self, patience: Duration, take: impl FnMut(Heard)) {
         // The port wakes once for all that came, so nothing would wake for what was left there.
         let waited = if self.more { Ok(true) } else { self.narration.wait(patience) };
         let received = waited.and_then(|_| self.drain(take));
@@ -351,24 +405,45 @@ impl Inbox {
         }
     }
 
-    fn drain(&mut self, mut take: impl FnMut(Entry, u64)) -> Result<(), IpcError> {
+    fn drain(&mut self, mut take: impl FnMut(Heard)) -> Result<(), IpcError> {
         let mut messages = 0;
         while messages < AT_ONCE
-            && let Some(checked) = self.narration.receive_into(&mut self.message)?
+            && let Some((checked, sender)) = self.narration.receive_from(&mut self.message)?
         {
             messages += 1;
             let now_ns = clock::monotonic_ns();
             let received = checked.map(|()| &*self.message);
             let source = received.as_ref().map_or(0, |received| received.source);
-            let refused = match self.intake.receive(received, now_ns) {
-                Taken::Accepted { observation, missed } => {
+            if !self.intake.knows_port(sender) {
+                self.intake.note_alive(self.narration.senders());
+            }
+            let name = self.message.source_name();
+            let refused = match self.intake.receive(received, sender, now_ns) {
+                Taken::Accepted { observation, missed, voice, leaves } => {
                     let number = self.journal.as_mut().map_or(0, |journal| journal.append(&observation));
-                    let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0 };
-                    take(entry, number);
+                    let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0, voice, leaves };
+                    take(Heard::Entry(entry, number));
                     (missed > 0).then(|| format!("{missed} narrations before it were lost"))
                 }
                 Taken::Duplicate => None,
-                Taken::Limited => Some("its source sends too fast, or is one too many".to_owned()),
+                Taken::Limited => Some("it comes faster than daemon.intake allows, and is dropped".to_owned()),
+                Taken::Forged => Some(
+                    "another process speaks in its name, and is not heard: end one of the two, or restart the narrator"
+                        .to_owned(),
+                ),
+                Taken::Costly { tokens, most, first } => {
+                    take(Heard::PassedOver { source, epoch: self.message.epoch, sequence: self.message.sequence });
+                    if first {
+                        tracing::warn!(
+                            source,
+                            name,
+                            tokens,
+                            most,
+                            "a sentence costs more tokens than a window holds, and is dropped, as others of this source will be: shorten it, or raise model.context_tokens and history.tokens"
+                        );
+                    }
+                    None
+                }
                 Taken::Malformed(why) => Some(why),
             };
             if let Some(why) = refused
@@ -386,11 +461,19 @@ impl Inbox {
     }
 }
 
+/// What the inbox gives the scorer.
+enum Heard {
+    /// An accepted observation, with its number in the journal.
+    Entry(Entry, u64),
+    /// One that was refused for good.
+    PassedOver { source: u64, epoch: u64, sequence: u64 },
+}
+
 /// Listens while the scoring thread is busy.
 struct Relief {
     from_scoring: Receiver<Box<Inbox>>,
     to_scoring: Sender<Box<Inbox>>,
-    queue: Sender<(Entry, u64)>,
+    queue: Sender<Heard>,
     busy: Arc<AtomicBool>,
     progress: Progress,
     stop: Stop,
@@ -398,18 +481,15 @@ struct Relief {
 
 impl Relief {
     fn run(self) {
-        while !self.stop.requested() {
-            let moved = || self.progress.relief_ns.store(clock::monotonic_ns(), Ordering::Relaxed);
-            moved();
-            let mut inbox = match self.from_scoring.recv_timeout(TICK) {
-                Ok(inbox) => inbox,
-                Err(RecvTimeoutError::Timeout) => continue,
-                Err(RecvTimeoutError::Disconnected) => return,
-            };
+        let moved = |now_ns| self.progress.relief_ns.store(now_ns, Ordering::Relaxed);
+        loop {
+            // Without the inbox it has nothing to do, and so cannot stand still. It ends with the scoring thread.
+            moved(u64::MAX);
+            let Ok(mut inbox) = self.from_scoring.recv() else { return };
             loop {
+                moved(clock::monotonic_ns());
                 // It fails only when the scoring thread is gone, and the main thread sees that too.
-                inbox.listen(RELIEF, |entry, number| drop(self.queue.send((entry, number))));
-                moved();
+                inbox.listen(RELIEF, |heard| drop(self.queue.send(heard)));
                 if !self.busy.load(Ordering::Acquire) || self.stop.requested() {
                     break;
                 }
@@ -427,11 +507,14 @@ struct Scoring<M> {
     items: ItemScoresPublisher,
     forecasts: Publisher<ForecastV1>,
     persons: Publisher<PersonScoresV1>,
+    person_forecasts: Publisher<PersonForecastsV1>,
     status: StatusServer,
     map_changes: AnswerPort,
-    answered: Answered,
+    answered: Answered<MapAnswer>,
     kept_map: Option<KeptMap>,
     moments: AnswerPort,
+    person_questions: AnswerPort,
+    answered_persons: Answered<PersonAnswer>,
     /// The relief thread has it otherwise.
     inbox: Option<Box<Inbox>>,
     /// The relief thread has ended, and the inbox with it.
@@ -442,7 +525,9 @@ struct Scoring<M> {
     busy: Arc<AtomicBool>,
     /// What the last step took, as a guess at the next.
     step_ns: u64,
-    queue: Receiver<(Entry, u64)>,
+    /// What a sentence may cost with the map in use, for the intake.
+    sentence_tokens_max: Arc<AtomicUsize>,
+    queue: Receiver<Heard>,
     journal: Option<JournalHandle>,
     counters: Counters,
     progress: Progress,
@@ -458,7 +543,8 @@ impl<M: LanguageModel> Scoring<M> {
             let last = self.inbox_lost || (self.stop.requested() && self.inbox.is_some());
             // A changed map is scored at once.
             let wait = !last && !self.cycle.step_due(clock::monotonic_ns());
-            self.take(if wait { TICK } else { Duration::ZERO });
+            let idle = || Duration::from_nanos(self.cycle.idle_ns(clock::monotonic_ns())).min(TICK);
+            self.take(if wait { idle() } else { Duration::ZERO });
             let now_ns = clock::monotonic_ns();
             self.progress.scoring_ns.store(now_ns, Ordering::Relaxed);
             let events = self.cycle.waiting() as u64;
@@ -475,7 +561,7 @@ impl<M: LanguageModel> Scoring<M> {
             }
             // What comes after may wait for the scores: looking for questions alone takes as long as a small step.
             self.renew_connections()?;
-            if self.change_map()? {
+            if self.change_map()? || self.answer_about_persons()? {
                 self.cycle.score_again();
             }
             self.status.answer(|| self.tally())?;
@@ -498,17 +584,17 @@ impl<M: LanguageModel> Scoring<M> {
                     self.inbox_lost = inbox.is_err();
                     self.inbox = inbox.ok();
                 }
-                recv(self.queue) -> received => if let Ok((entry, number)) = received { self.cycle.enter(entry, number) },
+                recv(self.queue) -> received => if let Ok(heard) = received { enter(&mut self.cycle, heard) },
                 default(patience) => {}
             }
         }
         // First what the relief thread received, while it had the inbox.
-        for (entry, number) in self.queue.try_iter() {
-            self.cycle.enter(entry, number);
+        for heard in self.queue.try_iter() {
+            enter(&mut self.cycle, heard);
         }
         if let Some(inbox) = &mut self.inbox {
             let patience = if self.cycle.waiting() > 0 { Duration::ZERO } else { patience };
-            inbox.listen(patience, |entry, number| self.cycle.enter(entry, number));
+            inbox.listen(patience, |heard| enter(&mut self.cycle, heard));
         }
     }
 
@@ -522,7 +608,10 @@ impl<M: LanguageModel> Scoring<M> {
             self.forecasts.send(self.cycle.board_mut().forecast(clock::monotonic_ns()))?;
         }
         if self.persons.tick()? && self.cycle.board().snapshot().sequence > 0 {
-            self.persons.send(self.cycle.board_mut().persons(clock::monotonic_ns()))?;
+            self.persons.send(self.cycle.board_mut().person_scores(clock::monotonic_ns()))?;
+        }
+        if self.person_forecasts.tick()? && self.cycle.board().snapshot().sequence > 0 {
+            self.person_forecasts.send(self.cycle.board_mut().person_forecasts(clock::monotonic_ns()))?;
         }
         Ok(())
     }
@@ -542,6 +631,12 @@ impl<M: LanguageModel> Scoring<M> {
             }
             return;
         }
+        let (journal, mut attributed) = (&self.journal, 0);
+        self.cycle.board_mut().tell_outcomes(|outcome| {
+            let number = journal.as_ref().map_or(0, |journal| journal.append(outcome));
+            attributed = if outcome.by_fit { number } else { attributed };
+        });
+        self.cycle.rests_on(attributed);
         if let Some(journal) = &self.journal
             && !journal.wait_for(self.cycle.scored_record(), JOURNAL_PATIENCE)
             && let Some(held_back) = self.log.pass(now_ns)
@@ -566,7 +661,10 @@ impl<M: LanguageModel> Scoring<M> {
             self.forecasts.send(self.cycle.board_mut().forecast(before_ns))?;
         }
         if self.persons.subscribers() > 0 {
-            self.persons.send(self.cycle.board_mut().persons(before_ns))?;
+            self.persons.send(self.cycle.board_mut().person_scores(before_ns))?;
+        }
+        if self.person_forecasts.subscribers() > 0 {
+            self.person_forecasts.send(self.cycle.board_mut().person_forecasts(before_ns))?;
         }
         let behind = !self.queue.is_empty() || self.inbox.as_ref().is_some_and(|inbox| inbox.more);
         let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
@@ -614,7 +712,8 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Does what was asked of the map; returns whether it changed.
     fn change_map(&mut self) -> Result<bool, IpcError> {
-        let Self { cycle, answered, kept_map, map_changes, tally, inbox, to_relief, busy, .. } = self;
+        let Self { cycle, answered, kept_map, map_changes, tally, inbox, to_relief, busy, sentence_tokens_max, .. } =
+            self;
         let board = cycle.board_mut();
         let mut changed = false;
         map_changes.answer(|asked| {
@@ -630,11 +729,41 @@ impl<M: LanguageModel> Scoring<M> {
                 if answer.outcome == Outcome::Applied {
                     changed = true;
                     tally.map_fingerprint = board.map().fingerprint();
+                    sentence_tokens_max.store(board.sentence_tokens_max(), Ordering::Relaxed);
                 }
                 let MapAnswer { outcome, reason, items, new_labels, .. } = &answer;
                 tracing::info!(?outcome, reason, items, new_labels, "map change");
                 if let Some(id) = id {
                     answered.put(id, answer.clone());
+                }
+                answer
+            });
+            serde_json::to_string(&answer).unwrap_or_default()
+        })?;
+        Ok(changed)
+    }
+
+    /// Answers questions about persons; returns whether somebody was forgotten or has another name.
+    fn answer_about_persons(&mut self) -> Result<bool, IpcError> {
+        let Self { cycle, answered_persons, person_questions, journal, inbox, to_relief, busy, .. } = self;
+        let board = cycle.board_mut();
+        let mut changed = false;
+        person_questions.answer(|asked| {
+            let asked = asked.map_err(|error| error.to_string()).and_then(|text| {
+                let parser = &mut serde_json::Deserializer::from_str(text);
+                serde_path_to_error::deserialize::<_, PersonQuestion>(parser).map_err(|error| error.to_string())
+            });
+            let id = asked.as_ref().ok().and_then(PersonQuestion::id).map(str::to_owned);
+            let known = id.as_ref().and_then(|id| answered_persons.get(id)).cloned();
+            let answer = known.unwrap_or_else(|| {
+                if id.is_some() {
+                    lend_inbox(inbox, to_relief, busy);
+                }
+                let answer = answer_about_person(board, journal.as_ref(), asked);
+                if let Some(id) = id {
+                    changed |= answer.done;
+                    tracing::info!(done = answer.done, reason = answer.reason, kept = answer.kept, "person");
+                    answered_persons.put(id, answer.clone());
                 }
                 answer
             });
@@ -654,6 +783,8 @@ impl<M: LanguageModel> Scoring<M> {
             missed: counters.missed,
             malformed: counters.malformed,
             limited: counters.limited,
+            forged: counters.forged,
+            costly: counters.costly,
             sources: sources as u32,
             persons: self.cycle.board().snapshot().persons,
             waiting: self.queue.len() as u64,
@@ -667,6 +798,13 @@ impl<M: LanguageModel> Scoring<M> {
     }
 }
 
+fn enter<M: LanguageModel>(cycle: &mut Cycle<M>, heard: Heard) {
+    match heard {
+        Heard::Entry(entry, number) => cycle.enter(entry, number),
+        Heard::PassedOver { source, epoch, sequence } => cycle.pass_over(source, epoch, sequence),
+    }
+}
+
 /// Gives the inbox to the relief thread, for as long as `busy` is set, if it does not have it already.
 fn lend_inbox(inbox: &mut Option<Box<Inbox>>, to_relief: &Sender<Box<Inbox>>, busy: &AtomicBool) {
     busy.store(true, Ordering::Release);
@@ -674,6 +812,50 @@ fn lend_inbox(inbox: &mut Option<Box<Inbox>>, to_relief: &Sender<Box<Inbox>>, bu
         // It fails only when the relief thread is gone, and the main thread sees that too.
         let _handed = to_relief.send(inbox);
     }
+}
+
+/// Does what was asked about persons, and says who is known then.
+fn answer_about_person<M: LanguageModel>(
+    board: &mut Board<M>,
+    journal: Option<&JournalHandle>,
+    asked: Result<PersonQuestion, String>,
+) -> PersonAnswer {
+    let find = |board: &Board<M>, who: &str| {
+        board
+            .persons()
+            .find(who)
+            .ok_or_else(|| format!("nobody is known as {who:?}: `roomcast person list` says who is"))
+    };
+    let result = asked.and_then(|question| match question {
+        PersonQuestion::List => Ok(None),
+        PersonQuestion::Rename { who, name, .. } => {
+            let person = find(board, &who)?;
+            board.persons_mut().rename(person, &name).map(|()| None)
+        }
+        PersonQuestion::Forget { who, .. } => find(board, &who).map(|person| forget(board, journal, person)),
+    });
+    let now_ns = i64::try_from(clock::monotonic_ns()).unwrap_or(i64::MAX);
+    let (done, left) = (result.is_ok(), result.unwrap_or_else(Some));
+    let kept = done && left.is_none() && board.persons().file().is_kept();
+    PersonAnswer { done, reason: left, kept, persons: board.persons().lines(now_ns) }
+}
+
+/// Forgets a person, also on the disk; gives what could not be forgotten there.
+fn forget<M: LanguageModel>(board: &mut Board<M>, journal: Option<&JournalHandle>, person: u32) -> Option<String> {
+    let names = board.persons().file().persons().to_vec();
+    let number = move |name: &str| {
+        let kept = names.iter().find(|kept| same_name(&kept.name, name));
+        kept.map_or_else(|| person_number(name), |kept| kept.number)
+    };
+    let is_theirs = move |observation: &Observation| match &observation.name {
+        Some(name) => number(name) == person,
+        None => observation.person == person,
+    };
+    board.forget(person);
+    let in_journal = journal.map_or(Ok(()), |journal| journal.forget(person, is_theirs, FORGET_PATIENCE));
+    let in_file = board.persons_mut().file_mut().remove(person);
+    let error = in_journal.err().or(in_file.err())?;
+    Some(format!("they are forgotten until the daemon starts again: the state directory cannot be written: {error}"))
 }
 
 /// Applies a change to the board, if it can be, and says what became of it.

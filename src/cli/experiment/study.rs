@@ -45,7 +45,7 @@ pub(super) struct StudyArgs {
     #[arg(long, value_name = "SECONDS", value_parser = ranges::room_time_s())]
     room_time: Vec<usize>,
     /// Restarts per cell and policy.
-    #[arg(long, value_name = "N", default_value_t = Options::default().restarts, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = Options::default().restarts, value_parser = ranges::some())]
     restarts: u64,
     /// The binding sequence: default, p0 to p5, or a text of your own.
     #[arg(long, value_name = "TEXT", default_value = "default")]

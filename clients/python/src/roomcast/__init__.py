@@ -1,4 +1,4 @@
-"""Narrators and planners for Roomcast.
+"""Narrators, planners and robots for Roomcast.
 
     from roomcast import Planner
 
@@ -31,11 +31,17 @@ from .messages import (
     ItemScores,
     Person,
     PersonFlags,
+    PersonForecast,
+    PersonForecasts,
     PersonScores,
+    Presence,
     Reached,
+    ReportKind,
+    RobotReport,
     Room,
     RoomForecast,
     RoomScores,
+    RoomSet,
     ScoreFlags,
     Source,
     Status,
@@ -57,12 +63,19 @@ __all__ = [
     "NoAnswerError",
     "Person",
     "PersonFlags",
+    "PersonForecast",
+    "PersonForecasts",
     "PersonScores",
     "Planner",
+    "Presence",
     "Reached",
+    "ReportKind",
+    "Robot",
+    "RobotReport",
     "Room",
     "RoomForecast",
     "RoomScores",
+    "RoomSet",
     "RoomcastError",
     "ScoreFlags",
     "Source",
@@ -75,10 +88,10 @@ __all__ = [
     "status",
 ]
 
-SENTENCE, ACTION, DEVICE = 0, 1, 2
+SENTENCE, ACTION, DEVICE, PRESENCE = 0, 1, 2, 3
 
 T = TypeVar("T")
-Kind = TypeVar("Kind", RoomScores, PersonScores, Forecast, Decision)
+Kind = TypeVar("Kind", RoomScores, PersonScores, Forecast, PersonForecasts, Decision, RobotReport)
 
 
 def source_of_name(name: str) -> int:
@@ -132,7 +145,8 @@ Self = TypeVar("Self", bound=_Follows[Any])
 
 
 class Subscription(_Follows[Kind]):
-    """Follows all room scores, persons' scores, forecasts or decisions under a name for people: `Subscription(Forecast, "my-display")`.
+    """Follows all messages of a kind under a name for people: `Subscription(Forecast, "my-display")`. The kinds are `RoomScores`,
+    `PersonScores`, `Forecast`, `PersonForecasts`, `Decision` and `RobotReport`.
 
     Of scores the heartbeats are left out, which say the same again. Every loss shows as a gap in the sequence numbers.
     """
@@ -225,33 +239,69 @@ class _Participant:
         return self._scores.newest()
 
 
-class Narrator(_Participant):
-    """Tells the daemon what a person has just done. A context manager: leaving waits until the daemon has taken it in."""
+#: A person by number or by name; none is somebody, whom the daemon takes for the person that fits best.
+Who = int | str | None
 
-    def __init__(self, name: str, domain: Domain | None = None, person: int = 0) -> None:
+
+def _person(who: Who) -> tuple[int, str]:
+    """Number and name of a person as a message has them; ValueError when there is no such person."""
+    if who is None:
+        return layouts.ALL_PERSONS, ""
+    # A text of digits alone is the number, as in lines of JSON.
+    if isinstance(who, str) and who.strip().isascii() and who.strip().isdigit():
+        who = int(who)
+    if isinstance(who, int) and not isinstance(who, bool):
+        if 0 <= who < layouts.ALL_PERSONS:
+            return who, ""
+    elif isinstance(who, str) and any(character.isalnum() for character in who):
+        return layouts.ALL_PERSONS, who.strip()
+    raise ValueError(f"person {who!r}: give a number from 0 to {layouts.ALL_PERSONS - 1}, or a name with letters, or None for somebody")
+
+
+class Narrator(_Participant):
+    """Tells the daemon what persons have just done, and who is where. A context manager: leaving waits until the daemon has taken it in.
+
+    `person` is whom all is said of, by name or number; each call may name another. Without either it is somebody: the daemon takes the
+    person whom it fits best.
+    """
+
+    def __init__(self, name: str, domain: Domain | None = None, person: Who = None) -> None:
         super().__init__(name, domain)
-        if not 0 <= person < 1 << 32:
-            raise ValueError(f"person {person}: give a number from 0 to {(1 << 32) - 1}")
+        _person(person)
         self._publisher = ports.Publisher(self.node, ports.NARRATION)
         self.source = source_of_name(name)
         self.epoch = secrets.randbits(64) | 1
         self.sequence = 0
         self.person = person
 
-    def say(self, sentence: str) -> None:
+    def say(self, sentence: str, person: Who = None) -> None:
         """A plain sentence: "They grab the mug." """
-        self._send(SENTENCE, sentence)
+        self._send(SENTENCE, sentence, person)
 
-    def act(self, action: str) -> None:
+    def act(self, action: str, person: Who = None) -> None:
         """A completed action in VirtualHome's notation: "[Grab] <mug> (1)"."""
-        self._send(ACTION, action)
+        self._send(ACTION, action, person)
 
-    def device(self, state: str) -> None:
+    def device(self, state: str, person: Who = None) -> None:
         """A device's state: "the oven is on"."""
-        self._send(DEVICE, state)
+        self._send(DEVICE, state, person)
 
-    def _send(self, kind: int, text: str) -> None:
-        message = layouts.NarrationV1(source=self.source, epoch=self.epoch, sequence=self.sequence + 1, person=self.person, kind=kind)
+    def presence(self, presence: str | Presence, room: str | None = None, person: Who = None) -> None:
+        """Where a person is, as a sensor knows it: "present", with a room or without, "away" or "gone". It updates what the daemon believes,
+        and is no sentence for the language model."""
+        said = presence.name.lower() if isinstance(presence, Presence) else presence
+        if said not in ("present", "away", "gone"):
+            raise ValueError(f"presence {said!r}: give 'present', 'away' or 'gone'")
+        if room is not None:
+            if said != "present" or not any(character.isalnum() for character in room):
+                raise ValueError(f"room {room!r}: give a room's name, with presence 'present' alone")
+            said = f"present in the {room.strip()}"
+        self._send(PRESENCE, said, person)
+
+    def _send(self, kind: int, text: str, who: Who) -> None:
+        person, person_name = _person(self.person if who is None else who)
+        message = layouts.NarrationV1(source=self.source, epoch=self.epoch, sequence=self.sequence + 1, person=person, kind=kind, minor=1)
+        layouts.write_text("person_name", message.person_name, person_name)
         message.text_bytes = layouts.write_text("text", message.text, text)
         layouts.write_text("source_name", message.source_name, self.name)
         message.observed_ns, message.observed_unix_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME), time.time_ns()
@@ -329,6 +379,112 @@ class Planner(_Participant):
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         pass
+
+
+class Robot:
+    """A robot: follows the decisions for it, and reports where it is and what became of them. A context manager.
+
+    Its name is that in the planner's configuration, `planner.robot`. A report speaks of the decision that was followed last, and of its
+    room, unless it names another room. Reports are not confirmed: one that a planner has missed is made good by the next.
+    """
+
+    def __init__(self, name: str, domain: Domain | None = None) -> None:
+        self.name = name
+        self.robot = source_of_name(name)
+        self.epoch = secrets.randbits(64) | 1
+        self.sequence = 0
+        #: The decision that is followed, until one comes that replaces it.
+        self.decision: Decision | None = None
+        node = (domain or Domain.default_for_user()).open(name)
+        self._decisions: ports.Subscriber[Decision] = ports.Subscriber(node, ports.DECISION, Decision.from_message)
+        self._publisher = ports.Publisher(node, ports.ROBOT_REPORT)
+
+    def next(self, timeout_s: float | None = None) -> Decision | None:
+        """Waits for the next decision for this robot; none when the time is over."""
+        deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            while (decision := self._decisions.receive()) is not None:
+                known = self.decision
+                again = known is not None and (decision.epoch, decision.sequence) == (known.epoch, known.sequence)
+                if decision.robot == self.robot and not again:
+                    self.decision = decision
+                    return decision
+            left = deadline - time.monotonic()
+            if left <= 0:
+                return None
+            # Planners that come later get the newest reports.
+            self._publisher.tick()
+            self._decisions.wait(min(left, 0.1))
+
+    def decisions(self) -> Iterator[Decision]:
+        """All decisions for this robot as they come, without end."""
+        while (decision := self.next()) is not None:
+            yield decision
+
+    def started(self, room: str = "", note: str = "") -> None:
+        """It is in the room and has begun to work there."""
+        self.report(ReportKind.STARTED, room, note)
+
+    def finished(self, room: str = "", note: str = "") -> None:
+        """The work in the room is done."""
+        self.report(ReportKind.FINISHED, room, note)
+
+    def failed(self, room: str = "", note: str = "") -> None:
+        """The work in the room failed; the robot is free again."""
+        self.report(ReportKind.FAILED, room, note)
+
+    def blocked(self, room: str = "", note: str = "") -> None:
+        """It does not get into the room; the robot is free again."""
+        self.report(ReportKind.BLOCKED, room, note)
+
+    def cancelled(self, room: str = "", note: str = "") -> None:
+        """Somebody, or the robot itself, took the decision back; the robot is free again."""
+        self.report(ReportKind.CANCELLED, room, note)
+
+    def docked(self, battery: float | None = None) -> None:
+        """It is at its dock, and charges."""
+        self.report(ReportKind.DOCKED, battery=battery)
+
+    def battery(self, level: float) -> None:
+        """How full the battery is, 0 to 1."""
+        self.report(ReportKind.BATTERY, battery=level)
+
+    def position(self, position_m: tuple[float, float, float], room: str = "") -> None:
+        """Where the robot is, in the map's metres."""
+        self.report(ReportKind.POSITION, room, position_m=position_m)
+
+    def report(
+        self,
+        kind: ReportKind,
+        room: str = "",
+        note: str = "",
+        battery: float | None = None,
+        position_m: tuple[float, float, float] | None = None,
+    ) -> None:
+        """Sends a report; MessageError says what cannot be in it. A note that is too long is cut."""
+        message = layouts.RobotReportV1(robot=self.robot, epoch=self.epoch, sequence=self.sequence + 1, kind=kind)
+        message.reported_ns, message.reported_unix_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME), time.time_ns()
+        of_a_room = kind in (ReportKind.STARTED, ReportKind.FINISHED, ReportKind.FAILED, ReportKind.BLOCKED, ReportKind.CANCELLED)
+        if self.decision is not None and of_a_room and room in ("", self.decision.to_room):
+            message.decision_epoch, message.decision_sequence = self.decision.epoch, self.decision.sequence
+            room = self.decision.to_room
+        if battery is not None:
+            message.battery, message.flags = battery, message.flags | layouts.HAS_BATTERY
+        if position_m is not None:
+            message.position_m[:], message.flags = position_m, message.flags | layouts.HAS_POSITION
+        layouts.write_text("robot_name", message.robot_name, layouts.cut(self.name, layouts.NAME_BYTES))
+        layouts.write_text("room", message.room, room)
+        layouts.write_text("note", message.note, layouts.cut(note, layouts.NOTE_BYTES))
+        self._publisher.send(message)
+        self.sequence += 1
+
+    def __enter__(self) -> Robot:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        # What waits in shared memory dies with its publisher: a planner that has just been woken gets its chance.
+        if self.sequence:
+            time.sleep(0.1)
 
 
 def change_map(changes: list[dict[str, Any]], domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any]:

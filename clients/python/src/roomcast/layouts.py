@@ -14,12 +14,16 @@ import sys
 NAME_BYTES = 48
 TEXT_BYTES = 1024
 REASON_BYTES = 256
+NOTE_BYTES = 120
 MAX_ROOMS = 64
 MAX_PERSONS = 8
 MAX_SOURCES = 16
 MAX_HORIZONS = 16
 ALL_PERSONS = 0xFFFFFFFF
 NO_PARTITION = 0xFFFFFFFF
+# Bits of a robot report's flags: which of its numbers count.
+HAS_POSITION = 1
+HAS_BATTERY = 2
 
 _Name = ctypes.c_uint8 * NAME_BYTES
 # Control characters, and those that make text look like other text.
@@ -121,14 +125,15 @@ class NarrationV1(Message):
         ("text_bytes", ctypes.c_uint32),
         ("minor", ctypes.c_uint32),
         ("source_name", _Name),
-        ("reserved", ctypes.c_uint8 * 88),
+        ("person_name", _Name),
+        ("reserved", ctypes.c_uint8 * 40),
         ("text", ctypes.c_uint8 * TEXT_BYTES),
     ]
 
     def check(self) -> None:
         for field in ("source", "epoch", "sequence"):
             _not_zero(field, getattr(self, field))
-        _in_range("kind", self.kind, 0, 2, "0 to 2")
+        _in_range("kind", self.kind, 0, 3, "0 to 3")
         _in_range("text_bytes", self.text_bytes, 0, TEXT_BYTES, "1 to 1024")
         text = read_text("text", self.text)
         if not text:
@@ -136,6 +141,7 @@ class NarrationV1(Message):
         if len(text.encode()) != self.text_bytes:
             raise MessageError(f"text_bytes: {self.text_bytes}, allowed is the number of bytes before the first zero")
         read_text("source_name", self.source_name)
+        read_text("person_name", self.person_name)
 
 
 class IncludedV1(Layout):
@@ -222,7 +228,11 @@ class PersonV1(Layout):
         ("window", ctypes.c_uint64),
         ("label_mass", ctypes.c_double),
         ("flags", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint8 * 28),
+        ("presence", ctypes.c_uint32),
+        ("elsewhere", ctypes.c_double),
+        ("since_ns", ctypes.c_uint64),
+        ("name", _Name),
+        ("reserved", ctypes.c_uint8 * 24),
         ("log_score_nats", ctypes.c_double * MAX_ROOMS),
         ("lower_log_score_nats", ctypes.c_double * MAX_ROOMS),
         ("upper_log_score_nats", ctypes.c_double * MAX_ROOMS),
@@ -260,7 +270,10 @@ class PersonScoresV1(Message):
                 raise MessageError("room id: empty")
         for person in self.person[: self.person_count]:
             _in_range("reached", person.reached, 0, 3, "0 to 3")
+            _in_range("presence", person.presence, 0, 3, "0 to 3")
             _in_range("label_mass", person.label_mass, 0, sys.float_info.max, "0 or more, finite")
+            _in_range("elsewhere", person.elsewhere, 0, 1, "0 to 1")
+            read_text("name", person.name)
             for probability in person.probability[: self.room_count]:
                 _in_range("probability", probability, 0, 1, "0 to 1")
             for field in ("log_score_nats", "lower_log_score_nats", "upper_log_score_nats"):
@@ -276,7 +289,8 @@ class ItemScoresHeaderV1(Layout):
         ("sequence", ctypes.c_uint64),
         ("computed_ns", ctypes.c_uint64),
         ("minor", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint8 * 36),
+        ("items", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint8 * 32),
     ]
 
 
@@ -305,7 +319,8 @@ class ForecastV1(Message):
         ("person", ctypes.c_uint32),
         ("minor", ctypes.c_uint32),
         ("flags", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint8 * 76),
+        ("elsewhere", ctypes.c_float * MAX_HORIZONS),
+        ("reserved", ctypes.c_uint8 * 12),
         ("horizon_s", ctypes.c_float * MAX_HORIZONS),
         ("id", _Name * MAX_ROOMS),
         ("probability", (ctypes.c_float * MAX_HORIZONS) * MAX_ROOMS),
@@ -316,10 +331,67 @@ class ForecastV1(Message):
         _in_range("horizon_count", self.horizon_count, 0, MAX_HORIZONS, "0 to 16")
         for horizon_s in self.horizon_s[: self.horizon_count]:
             _in_range("horizon_s", horizon_s, 0, sys.float_info.max, "0 or more, finite")
+        for elsewhere in self.elsewhere[: self.horizon_count]:
+            _in_range("elsewhere", elsewhere, 0, 1, "0 to 1")
         for room in range(self.room_count):
             read_text("room id", self.id[room])
             for probability in self.probability[room][: self.horizon_count]:
                 _in_range("probability", probability, 0, 1, "0 to 1")
+
+
+class PersonForecastV1(Layout):
+    """Where one person will be."""
+
+    _fields_ = [
+        ("person", ctypes.c_uint32),
+        ("presence", ctypes.c_uint32),
+        ("flags", ctypes.c_uint32),
+        ("reserved_a", ctypes.c_uint8 * 4),
+        ("name", _Name),
+        ("elsewhere", ctypes.c_float * MAX_HORIZONS),
+        ("room_set", ctypes.c_uint64 * MAX_HORIZONS),
+        ("set_coverage", ctypes.c_float),
+        ("set_elsewhere", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint8 * 56),
+        ("probability", (ctypes.c_float * MAX_HORIZONS) * MAX_ROOMS),
+    ]
+
+
+class PersonForecastsV1(Message):
+    """Where each person will be. Sent only while somebody subscribes."""
+
+    _fields_ = [
+        ("epoch", ctypes.c_uint64),
+        ("sequence", ctypes.c_uint64),
+        ("computed_ns", ctypes.c_uint64),
+        ("published_ns", ctypes.c_uint64),
+        ("room_count", ctypes.c_uint32),
+        ("horizon_count", ctypes.c_uint32),
+        ("persons", ctypes.c_uint32),
+        ("person_count", ctypes.c_uint32),
+        ("minor", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint8 * 76),
+        ("horizon_s", ctypes.c_float * MAX_HORIZONS),
+        ("id", _Name * MAX_ROOMS),
+        ("person", PersonForecastV1 * MAX_PERSONS),
+    ]
+
+    def check(self) -> None:
+        _in_range("room_count", self.room_count, 0, MAX_ROOMS, "0 to 64")
+        _in_range("horizon_count", self.horizon_count, 0, MAX_HORIZONS, "0 to 16")
+        _in_range("person_count", self.person_count, 0, MAX_PERSONS, "0 to 8")
+        for horizon_s in self.horizon_s[: self.horizon_count]:
+            _in_range("horizon_s", horizon_s, 0, sys.float_info.max, "0 or more, finite")
+        for room in range(self.room_count):
+            if not read_text("room id", self.id[room]):
+                raise MessageError("room id: empty")
+        for person in self.person[: self.person_count]:
+            _in_range("presence", person.presence, 0, 3, "0 to 3")
+            read_text("name", person.name)
+            _in_range("set_coverage", person.set_coverage, 0, 1, "0 to 1")
+            for row in (*person.probability[: self.room_count], person.elsewhere):
+                for probability in row[: self.horizon_count]:
+                    _in_range("probability", probability, 0, 1, "0 to 1")
 
 
 class DecisionV1(Message):
@@ -346,13 +418,50 @@ class DecisionV1(Message):
         ("to", _Name),
         ("policy", _Name),
         ("reason", ctypes.c_uint8 * REASON_BYTES),
-        ("reserved", ctypes.c_uint8 * 256),
+        ("cancels", ctypes.c_uint64),
+        ("reserved", ctypes.c_uint8 * 248),
     ]
 
     def check(self) -> None:
-        _in_range("action", self.action, 0, 1, "0 or 1")
+        _in_range("action", self.action, 0, 2, "0 to 2")
         _in_range("probability", self.probability, 0, 1, "0 to 1")
         for field in ("from", "to", "policy", "reason"):
+            read_text(field, getattr(self, field))
+
+
+class RobotReportV1(Message):
+    """What a robot says of itself: where it is, and what became of a decision."""
+
+    _fields_ = [
+        ("robot", ctypes.c_uint64),
+        ("epoch", ctypes.c_uint64),
+        ("sequence", ctypes.c_uint64),
+        ("reported_ns", ctypes.c_uint64),
+        ("reported_unix_ns", ctypes.c_uint64),
+        ("decision_epoch", ctypes.c_uint64),
+        ("decision_sequence", ctypes.c_uint64),
+        ("position_m", ctypes.c_double * 3),
+        ("battery", ctypes.c_double),
+        ("kind", ctypes.c_uint32),
+        ("flags", ctypes.c_uint32),
+        ("minor", ctypes.c_uint32),
+        ("reserved_a", ctypes.c_uint8 * 4),
+        ("robot_name", _Name),
+        ("room", _Name),
+        ("note", ctypes.c_uint8 * NOTE_BYTES),
+        ("reserved", ctypes.c_uint8 * 192),
+    ]
+
+    def check(self) -> None:
+        for field in ("robot", "epoch", "sequence"):
+            _not_zero(field, getattr(self, field))
+        _in_range("kind", self.kind, 0, 7, "0 to 7")
+        if self.flags & HAS_POSITION:
+            for metres in self.position_m:
+                _in_range("position_m", metres, -sys.float_info.max, sys.float_info.max, "finite")
+        if self.flags & HAS_BATTERY:
+            _in_range("battery", self.battery, 0, 1, "0 to 1")
+        for field in ("robot_name", "room", "note"):
             read_text(field, getattr(self, field))
 
 
@@ -400,7 +509,10 @@ class StatusResponseV1(Layout):
         ("model", _Name),
         ("journal_bytes", ctypes.c_uint64),
         ("journal_failures", ctypes.c_uint64),
-        ("reserved", ctypes.c_uint8 * 112),
+        ("forged", ctypes.c_uint64),
+        ("costly", ctypes.c_uint64),
+        ("learned", ctypes.c_uint64),
+        ("reserved", ctypes.c_uint8 * 88),
     ]
 
 
@@ -414,8 +526,19 @@ LAYOUTS: tuple[type[Layout], ...] = (
     ItemScoresHeaderV1,
     ItemScoreV1,
     ForecastV1,
+    PersonForecastV1,
+    PersonForecastsV1,
     DecisionV1,
+    RobotReportV1,
     StatusRequestV1,
     StatusResponseV1,
 )
-MESSAGES: tuple[type[Message], ...] = (NarrationV1, RoomScoresV1, PersonScoresV1, ForecastV1, DecisionV1)
+MESSAGES: tuple[type[Message], ...] = (
+    NarrationV1,
+    RoomScoresV1,
+    PersonScoresV1,
+    ForecastV1,
+    PersonForecastsV1,
+    DecisionV1,
+    RobotReportV1,
+)

@@ -34,6 +34,20 @@ class ScoreFlags(enum.IntFlag):
     SOURCES_CUT = 16
     #: The last scoring attempt failed; these are the last good scores.
     SCORER_FAILED = 32
+    #: Everybody who is known is away: no room is likely, and their scores are `-inf`.
+    NOBODY_HOME = 64
+
+
+class Presence(enum.IntEnum):
+    """Whether a person is in the house."""
+
+    #: Nothing was observed of the person.
+    UNKNOWN = 0
+    PRESENT = 1
+    #: Out of the house, and expected back.
+    AWAY = 2
+    #: Out of the house, and not expected back.
+    GONE = 3
 
 
 class PersonFlags(enum.IntFlag):
@@ -41,6 +55,12 @@ class PersonFlags(enum.IntFlag):
 
     #: All that is known of the person was observed before the daemon's start.
     RESTORED = 1
+    #: Nothing for long, on a bed: possibly asleep.
+    ASLEEP = 2
+    #: The newest narration named nobody, and fitted this person best.
+    BY_FIT = 4
+    #: Not of the household: forgotten after a silence.
+    VISITOR = 8
 
 
 class ForecastFlags(enum.IntFlag):
@@ -50,13 +70,19 @@ class ForecastFlags(enum.IntFlag):
     NOT_KNOWN = 1
     #: Of somebody, all that is known was observed before the daemon's start.
     RESTORED = 2
+    #: Everybody who is known is away now.
+    NOBODY_HOME = 4
 
 
 class Action(enum.IntEnum):
     """What a robot does."""
 
+    #: It stays where it is.
     STAY = 0
+    #: It goes to `to_room` and works there.
     GO = 1
+    #: It stops its work and waits where it disturbs nobody, at its dock if it has one.
+    PAUSE = 2
 
 
 class DecisionFlags(enum.IntFlag):
@@ -72,6 +98,39 @@ class DecisionFlags(enum.IntFlag):
     DAEMON_SILENT = 8
     #: Every room has been covered.
     COVERED = 16
+    #: A person came into the room that the robot was in: what it did there is not done.
+    INTERRUPTED = 32
+    #: `covered` counts what the robot reported as finished; without this flag, the clock.
+    REPORTED = 64
+    #: The round's deadline leaves no later slot for this room.
+    DEADLINE = 128
+    #: Nothing is known of anybody: the room scores say nothing about persons.
+    NOT_KNOWN = 256
+    #: Everybody who is known is away.
+    NOBODY_HOME = 512
+    #: The robot has reported before and has been silent for longer than allowed.
+    ROBOT_SILENT = 1024
+
+
+class ReportKind(enum.IntEnum):
+    """What a robot reports."""
+
+    #: Where the robot is.
+    POSITION = 0
+    #: It is in the room and has begun to work there.
+    STARTED = 1
+    #: The work in the room is done.
+    FINISHED = 2
+    #: The work in the room failed; the robot is free again.
+    FAILED = 3
+    #: It does not get into the room; the robot is free again.
+    BLOCKED = 4
+    #: It is at its dock, and charges.
+    DOCKED = 5
+    #: How full the battery is.
+    BATTERY = 6
+    #: Somebody, or the robot itself, took the decision back; the robot is free again.
+    CANCELLED = 7
 
 
 @dataclass(frozen=True)
@@ -180,8 +239,15 @@ class Person:
     window: int
     label_mass: float
     flags: PersonFlags
-    #: How likely the person goes to each room next; the probabilities add up to 1.
+    #: How likely the person goes to each room next; with `elsewhere` the probabilities add up to 1.
     rooms: tuple[Room, ...]
+    presence: Presence = Presence.UNKNOWN
+    #: How likely the person is outside the map's rooms next; 1 while away or gone.
+    elsewhere: float = 0.0
+    #: Since when `presence` holds; 0 where that was before the machine's start.
+    since_ns: int = 0
+    #: Empty for a person who has a number only.
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -229,6 +295,10 @@ class PersonScores:
                         )
                         for room, name in enumerate(ids)
                     ),
+                    presence=Presence(each.presence),
+                    elsewhere=each.elsewhere,
+                    since_ns=each.since_ns,
+                    name=layouts.read_text("name", each.name),
                 )
                 for each in message.person[: message.person_count]
             ),
@@ -245,7 +315,8 @@ class RoomForecast:
 
 @dataclass(frozen=True)
 class Forecast:
-    """How likely each room is occupied at `computed_ns` and each of `horizons_s` seconds later."""
+    """How likely each room is occupied at `computed_ns` and each of `horizons_s` seconds later. Of one person, rooms and `elsewhere` add up
+    to 1 at each horizon."""
 
     SERVICE: ClassVar[ports.Service] = ports.FORECAST
 
@@ -257,6 +328,8 @@ class Forecast:
     horizons_s: tuple[float, ...]
     rooms: tuple[RoomForecast, ...]
     flags: ForecastFlags = ForecastFlags(0)
+    #: How likely everybody is outside the map's rooms, per horizon.
+    elsewhere: tuple[float, ...] = ()
 
     @staticmethod
     def from_message(message: layouts.ForecastV1) -> Forecast:
@@ -275,6 +348,85 @@ class Forecast:
                 for room in range(message.room_count)
             ),
             flags=ForecastFlags(message.flags),
+            elsewhere=tuple(message.elsewhere[:horizons]),
+        )
+
+
+@dataclass(frozen=True)
+class RoomSet:
+    """The smallest set of places that holds a person with a given probability."""
+
+    #: The ids of the rooms in it.
+    rooms: tuple[str, ...]
+    #: Whether outside the map's rooms belongs to it.
+    elsewhere: bool
+
+
+@dataclass(frozen=True)
+class PersonForecast:
+    """Where one person will be; rooms and `elsewhere` add up to 1 at each horizon."""
+
+    person: int
+    #: Empty for a person who has a number only.
+    name: str
+    presence: Presence
+    flags: PersonFlags
+    rooms: tuple[RoomForecast, ...]
+    #: How likely the person is outside the map's rooms, per horizon.
+    elsewhere: tuple[float, ...]
+    #: The probability that each of `sets` is for; 0 where there are none.
+    set_coverage: float
+    #: One per horizon; empty where there are none.
+    sets: tuple[RoomSet, ...]
+
+
+@dataclass(frozen=True)
+class PersonForecasts:
+    """Where each person will be at `computed_ns` and each of `horizons_s` seconds later. The daemon sends them as long as somebody follows
+    them."""
+
+    SERVICE: ClassVar[ports.Service] = ports.PERSON_FORECASTS
+
+    epoch: int
+    sequence: int
+    computed_ns: int
+    published_ns: int
+    #: How many persons are known; at most 8 are told of.
+    known: int
+    horizons_s: tuple[float, ...]
+    persons: tuple[PersonForecast, ...]
+
+    @staticmethod
+    def from_message(message: layouts.PersonForecastsV1) -> PersonForecasts:
+        """Checks and reads a message; MessageError says what is malformed."""
+        message.check()
+        horizons = message.horizon_count
+        ids = [layouts.read_text("room id", message.id[room]) for room in range(message.room_count)]
+
+        def room_set(each: layouts.PersonForecastV1, horizon: int) -> RoomSet:
+            rooms = tuple(name for room, name in enumerate(ids) if each.room_set[horizon] >> room & 1)
+            return RoomSet(rooms, bool(each.set_elsewhere >> horizon & 1))
+
+        return PersonForecasts(
+            epoch=message.epoch,
+            sequence=message.sequence,
+            computed_ns=message.computed_ns,
+            published_ns=message.published_ns,
+            known=message.persons,
+            horizons_s=tuple(message.horizon_s[:horizons]),
+            persons=tuple(
+                PersonForecast(
+                    person=each.person,
+                    name=layouts.read_text("name", each.name),
+                    presence=Presence(each.presence),
+                    flags=PersonFlags(each.flags),
+                    rooms=tuple(RoomForecast(name, tuple(each.probability[room][:horizons])) for room, name in enumerate(ids)),
+                    elsewhere=tuple(each.elsewhere[:horizons]),
+                    set_coverage=each.set_coverage,
+                    sets=tuple(room_set(each, horizon) for horizon in range(horizons)) if each.set_coverage > 0 else (),
+                )
+                for each in message.person[: message.person_count]
+            ),
         )
 
 
@@ -306,6 +458,8 @@ class Decision:
     to_room: str
     policy: str
     reason: str
+    #: Sequence of the decision of this epoch that does not hold any more; 0 for none.
+    cancels: int = 0
 
     @staticmethod
     def from_message(message: layouts.DecisionV1) -> Decision:
@@ -330,6 +484,54 @@ class Decision:
             to_room=layouts.read_text("to", message.to),
             policy=layouts.read_text("policy", message.policy),
             reason=layouts.read_text("reason", message.reason),
+            cancels=message.cancels,
+        )
+
+
+@dataclass(frozen=True)
+class RobotReport:
+    """What a robot says of itself: where it is, and what became of a decision."""
+
+    SERVICE: ClassVar[ports.Service] = ports.ROBOT_REPORT
+
+    #: The number that decisions name the robot with.
+    robot: int
+    epoch: int
+    sequence: int
+    reported_ns: int
+    reported_unix_ns: int
+    #: The decision that it answers; both are 0 for none.
+    decision_epoch: int
+    decision_sequence: int
+    kind: ReportKind
+    #: In the map's metres; none where the report does not say.
+    position_m: tuple[float, float, float] | None
+    #: 0 to 1; none where the report does not say.
+    battery: float | None
+    robot_name: str
+    #: Empty where the position or the decision tells.
+    room: str
+    note: str
+
+    @staticmethod
+    def from_message(message: layouts.RobotReportV1) -> RobotReport:
+        """Checks and reads a message; MessageError says what is malformed."""
+        message.check()
+        x, y, z = message.position_m
+        return RobotReport(
+            robot=message.robot,
+            epoch=message.epoch,
+            sequence=message.sequence,
+            reported_ns=message.reported_ns,
+            reported_unix_ns=message.reported_unix_ns,
+            decision_epoch=message.decision_epoch,
+            decision_sequence=message.decision_sequence,
+            kind=ReportKind(message.kind),
+            position_m=(x, y, z) if message.flags & layouts.HAS_POSITION else None,
+            battery=message.battery if message.flags & layouts.HAS_BATTERY else None,
+            robot_name=layouts.read_text("robot_name", message.robot_name),
+            room=layouts.read_text("room", message.room),
+            note=layouts.read_text("note", message.note),
         )
 
 
@@ -350,11 +552,13 @@ class ItemScore:
 
 @dataclass(frozen=True)
 class ItemScores:
-    """The scores of all items, which add up to the room scores of the same epoch and sequence."""
+    """The scores of the map's items, which add up to the room scores of the same epoch and sequence; of a map with more than 1 024 items
+    those of the best. `of` is how many the map has."""
 
     epoch: int
     sequence: int
     computed_ns: int
+    of: int
     items: tuple[ItemScore, ...]
 
     @staticmethod
@@ -364,6 +568,7 @@ class ItemScores:
             epoch=header.epoch,
             sequence=header.sequence,
             computed_ns=header.computed_ns,
+            of=header.items if header.minor else len(items),
             items=tuple(
                 ItemScore(
                     id=layouts.text_or_empty(item.id),
@@ -411,6 +616,9 @@ class Status:
     model: str
     journal_bytes: int
     journal_failures: int
+    forged: int
+    costly: int
+    learned: int
 
     @staticmethod
     def from_message(message: layouts.StatusResponseV1) -> Status:
@@ -446,4 +654,7 @@ class Status:
             model=layouts.text_or_empty(message.model),
             journal_bytes=message.journal_bytes,
             journal_failures=message.journal_failures,
+            forged=message.forged,
+            costly=message.costly,
+            learned=message.learned,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import errno
 import os
@@ -50,7 +51,9 @@ NARRATION = Service("roomcast/v1/narration", layouts.NarrationV1, 8, 4, 256, 32)
 ROOM_SCORES = Service("roomcast/v1/room-scores", layouts.RoomScoresV1, 1, 16, 2, 1)
 PERSON_SCORES = Service("roomcast/v1/person-scores", layouts.PersonScoresV1, 1, 16, 2, 1)
 FORECAST = Service("roomcast/v1/forecast", layouts.ForecastV1, 1, 16, 2, 1)
+PERSON_FORECASTS = Service("roomcast/v1/person-forecasts", layouts.PersonForecastsV1, 1, 16, 2, 1)
 DECISION = Service("roomcast/v1/decision", layouts.DecisionV1, 8, 16, 16, 1)
+ROBOT_REPORT = Service("roomcast/v1/robot-report", layouts.RobotReportV1, 8, 8, 64, 8)
 ITEM_SCORES = "roomcast/v1/item-scores"
 STATUS = "roomcast/v1/status"
 MAP_CHANGE = "roomcast/v1/map-change"
@@ -259,6 +262,15 @@ def _event(node: Node, service: Service) -> Any:
     )
 
 
+def _wake(node: Node, service: str) -> None:
+    """Wakes whoever serves a service for somebody who joined or asks: it sleeps on the news of another service, of which a notifier that
+    comes and goes is some. Where waking fails, a newcomer waits some hundred milliseconds."""
+    if service == NARRATION.name:
+        return
+    with contextlib.suppress(Exception):  # iceoryx2's bindings have an exception type per operation
+        _event(node, ROOM_SCORES if service == DECISION.name else NARRATION).notifier_builder().create().delete()
+
+
 class Publisher:
     """Sends messages of one service, and never waits for a slow subscriber."""
 
@@ -309,6 +321,7 @@ class Subscriber(Generic[T]):
             return listener, _publish_subscribe(node, service).subscriber_builder().buffer_size(service.buffer).create()
 
         self._listener, self._subscriber = node.retry(service.name, open_port)
+        _wake(node, service.name)
 
     def wait(self, timeout_s: float) -> None:
         """Sleeps until there is news or the time is over."""
@@ -365,6 +378,7 @@ class ItemScoresSubscriber:
 
     def __init__(self, node: Node) -> None:
         self._subscriber = node.retry(ITEM_SCORES, lambda: _item_scores(node).subscriber_builder().create())
+        _wake(node, ITEM_SCORES)
 
     def receive(self) -> tuple[layouts.ItemScoresHeaderV1, list[layouts.ItemScoreV1]] | None:
         """Takes the oldest that waits, copied."""
@@ -423,6 +437,7 @@ class StatusClient:
 
     def __init__(self, node: Node) -> None:
         request, response = layouts.StatusRequestV1, layouts.StatusResponseV1
+        self._node = node
         self._client = node.retry(STATUS, lambda: _client_builder(node, STATUS, request, response).create())
 
     def ask(self, timeout_s: float) -> layouts.StatusResponseV1:
@@ -431,7 +446,12 @@ class StatusClient:
         def read(answer: Any) -> layouts.StatusResponseV1:
             return layouts.StatusResponseV1.from_buffer_copy(bytes(answer.payload().contents))
 
-        return _answer(STATUS, lambda: self._client.send_copy(layouts.StatusRequestV1()), read, 0.3, timeout_s)
+        def send() -> Any:
+            pending = self._client.send_copy(layouts.StatusRequestV1())
+            _wake(self._node, STATUS)
+            return pending
+
+        return _answer(STATUS, send, read, 0.3, timeout_s)
 
     def close(self) -> None:
         """Gives the place to somebody else."""
@@ -439,6 +459,7 @@ class StatusClient:
 
 
 _QUESTION_BYTES_MAX = 1 << 20
+_ANSWER_IN_FILE = b'{"answer":"in-file"}'
 
 
 def ask(node: Node, service: str, question: str, timeout_s: float = 10) -> str:
@@ -457,9 +478,18 @@ def ask(node: Node, service: str, question: str, timeout_s: float = 10) -> str:
     def send() -> Any:
         request = client.loan_slice_uninit(len(data))
         ctypes.memmove(request.payload().as_ptr(), data, len(data))
-        return request.assume_init().send()
+        pending = request.assume_init().send()
+        _wake(node, service)
+        return pending
 
     answer = _answer(service, send, lambda answer: bytes(answer.payload().as_memory_view()), 0.5, timeout_s)
+    if answer == _ANSWER_IN_FILE:
+        # It is too long for shared memory.
+        path = pathlib.Path(node.domain.root, f"{node.domain.name}_{service.rsplit('/')[-1]}.answer")
+        try:
+            answer = path.read_bytes()
+        except OSError as error:
+            raise RoomcastError(f"service {service}: the answer in {path} cannot be read: {error.strerror}; ask again") from error
     try:
         return answer.decode()
     except UnicodeDecodeError as error:

@@ -4,8 +4,9 @@
 
 use std::collections::{HashMap, HashSet};
 
+use super::SemanticMap;
 use super::schema::{self, SceneError};
-use super::{Names, SemanticMap};
+use crate::names::Names;
 
 mod open_vocabulary;
 mod spelling;
@@ -21,6 +22,8 @@ pub struct Imported {
     pub map: SemanticMap,
     /// What was left out or changed, one sentence each, for people.
     pub notes: Vec<String>,
+    /// Ids of the rooms that were polygons and are the boxes around them now.
+    pub boxed: Vec<String>,
 }
 
 /// Why a map of another format cannot be used.

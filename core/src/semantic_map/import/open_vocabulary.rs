@@ -24,6 +24,8 @@ use crate::semantic_map::{Box3, MAX_TEXT_BYTES, SemanticMap};
 const EXPECTED: &str = "an open-vocabulary map: `objects` and `rooms`, or ConceptGraphs' object file";
 /// Height of a room whose polygon comes without one, in metres.
 const ROOM_HEIGHT_M: f64 = 2.5;
+/// How far a corner may lie off a box's and be one of its corners, in metres: numbers are rounded.
+const ROUNDED_M: f64 = 0.01;
 /// What captioners say when they see nothing.
 const NOTHING: [&str; 6] = ["invalid", "unknown", "none", "object", "item", "n/a"];
 
@@ -127,16 +129,32 @@ fn turned(bounds: &Box3, up: Up) -> Option<Box3> {
 }
 
 impl Room {
-    fn bounds(&self, up: Up) -> Option<Box3> {
-        if let Some(bounds) = &self.r#box {
-            return turned(bounds, up);
-        }
-        let floor = |vertex: &Vec<f64>| match (vertex[..].try_into().ok(), up) {
+    /// Its corners, with z up; none where one has fewer than two coordinates.
+    fn corners(&self, up: Up) -> Option<Vec<[f64; 3]>> {
+        let corner = |vertex: &Vec<f64>| match (vertex[..].try_into().ok(), up) {
             (Some(point), _) => Some(up.turn(point)),
             (None, Up::Z) => Some([*vertex.first()?, *vertex.get(1)?, 0.0]),
             (None, Up::Y) => Some([*vertex.first()?, -*vertex.get(1)?, 0.0]),
         };
-        let mut bounds = around(self.vertices.iter().map(floor).collect::<Option<Vec<_>>>()?.into_iter())?;
+        self.vertices.iter().map(corner).collect()
+    }
+
+    /// Whether its outline is that of the box: each of its corners is one of the box's, and each of these is one of its own.
+    fn is_box(&self, bounds: &Box3, up: Up) -> bool {
+        let near = |a: &[f64; 3], b: &[f64; 2]| (a[0] - b[0]).abs() <= ROUNDED_M && (a[1] - b[1]).abs() <= ROUNDED_M;
+        let (min, max) = (bounds.min_m, bounds.max_m);
+        let wanted = [[min[0], min[1]], [min[0], max[1]], [max[0], min[1]], [max[0], max[1]]];
+        let corners = self.corners(up).unwrap_or_default();
+        self.r#box.is_some()
+            || (corners.iter().all(|corner| wanted.iter().any(|own| near(corner, own)))
+                && wanted.iter().all(|own| corners.iter().any(|corner| near(corner, own))))
+    }
+
+    fn bounds(&self, up: Up) -> Option<Box3> {
+        if let Some(bounds) = &self.r#box {
+            return turned(bounds, up);
+        }
+        let mut bounds = around(self.corners(up)?.into_iter())?;
         if self.room_zero_level.is_some() || bounds.size_m()[2] <= 0.0 {
             bounds.min_m[2] = self.room_zero_level.unwrap_or(bounds.min_m[2]);
             bounds.max_m[2] = bounds.min_m[2] + self.room_height.unwrap_or(ROOM_HEIGHT_M);
@@ -255,7 +273,7 @@ pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, Impor
     let entry: Map<String, Value> = parse(json, EXPECTED)?;
     let File { up: own_up, rooms: room_list, objects } = parse(&Value::Object(whole(entry)).to_string(), EXPECTED)?;
     let up = own_up.unwrap_or(up);
-    let mut notes = Vec::new();
+    let (mut notes, mut boxed) = (Vec::new(), Vec::new());
 
     let mut room_ids = Ids::default();
     let mut rooms = Vec::new();
@@ -267,7 +285,11 @@ pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, Impor
         let label = room.name.as_deref().map(words).filter(|label| !label.is_empty());
         let label = label.or_else(|| id_text(room.room_id.as_ref()).map(|id| words(&format!("room {id}"))));
         let label = label.unwrap_or_else(|| "room".to_owned());
-        rooms.push(RoomEntry { id: room_ids.take(&label), label, r#box: bounds });
+        let id = room_ids.take(&label);
+        if !room.is_box(&bounds, up) {
+            boxed.push(id.clone());
+        }
+        rooms.push(RoomEntry { id, label, r#box: bounds });
     }
     if rooms.is_empty() {
         let remedy = "add `rooms` with a `name` and a `box` or `vertices`; ConceptGraphs' object files have none, so give a file of rooms, too";
@@ -308,7 +330,7 @@ pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, Impor
         aliases: BTreeMap::new(),
         items,
     };
-    Ok(Imported { map: SemanticMap::check(file)?, notes })
+    Ok(Imported { map: SemanticMap::check(file)?, notes, boxed })
 }
 
 #[cfg(test)]
@@ -336,7 +358,7 @@ mod tests {
         assert_eq!(weights, [0.75, 0.25]);
         assert!(map.items[1].captions.is_empty(), "one caption is a plain label");
         assert_eq!(map.rooms[1].bounds, Box3 { min_m: [4.0, 0.0, 0.1], max_m: [9.0, 4.0, 2.5] });
-        assert_eq!(imported.notes.len(), 2);
+        assert_eq!((imported.notes.len(), &imported.boxed[..]), (2, &["living-room".to_owned()][..]));
         assert!(Grounding::new(map, &GroundingOptions::default()).unwrap().unassigned.is_empty());
     }
 
@@ -353,7 +375,10 @@ mod tests {
 
         let room = r#"{"room_id": "0_1", "name": "bedroom", "floor_id": "0", "objects": ["0_1_3"], "vertices": [[0, 1], [4, 1], [4, 5]], "room_height": 3.2, "room_zero_level": 0.0, "embeddings": []}"#;
         let object = r#"{"object_id": "0_1_3", "room_id": "0_1", "name": "bed", "vertices": [[1, 0, 2], [3, 0.6, 4]]}"#;
-        let map = open_vocabulary(&combine([room, object]).unwrap(), "home", Up::Z).unwrap().map;
+        let Imported { map, boxed, .. } = open_vocabulary(&combine([room, object]).unwrap(), "home", Up::Z).unwrap();
+        assert_eq!(boxed, ["bedroom"], "a triangle is no box, although its corners are a box's");
+        let square = room.replace("[4, 5]]", "[4, 5], [0, 5]]");
+        assert!(open_vocabulary(&combine([&square[..]]).unwrap(), "home", Up::Z).unwrap().boxed.is_empty());
         assert_eq!(map.rooms[0].bounds, Box3 { min_m: [0.0, -5.0, 0.0], max_m: [4.0, -1.0, 3.2] });
         assert_eq!(map.items[0].bounds, Box3 { min_m: [1.0, -4.0, 0.0], max_m: [3.0, -2.0, 0.6] });
         assert!(Grounding::new(&map, &GroundingOptions::default()).unwrap().unassigned.is_empty());

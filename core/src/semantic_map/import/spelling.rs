@@ -15,7 +15,7 @@ impl Imported {
     /// # Errors
     /// When the merged scene breaks a rule of scenes.
     pub fn merge_spellings(self) -> Result<Self, ImportError> {
-        let Self { map, mut notes } = self;
+        let Self { map, mut notes, boxed } = self;
         let mut file = map.to_file();
         let stands_for = kept_labels(&file.items);
         let mut room_for = MAX_ALIASES.saturating_sub(file.aliases.values().map(Vec::len).sum());
@@ -42,7 +42,7 @@ impl Imported {
             let captions = weights.into_iter().map(|(label, weight)| CaptionEntry { label, weight });
             item.captions = if sole { Vec::new() } else { captions.collect() };
         }
-        Ok(Self { map: SemanticMap::check(file)?, notes })
+        Ok(Self { map: SemanticMap::check(file)?, notes, boxed })
     }
 }
 
@@ -103,7 +103,7 @@ mod tests {
 
     #[test]
     fn spellings_and_numbers_are_joined() {
-        let Imported { map, notes } =
+        let Imported { map, notes, .. } =
             merged(&["mug", "mugs", "mug", "dish washer", "dishwasher", "boxes", "box", "glass"]);
         assert_eq!(map.labels, ["box", "dish washer", "glass", "mug"]);
         assert_eq!(map.aliases["mug"], ["mugs"]);

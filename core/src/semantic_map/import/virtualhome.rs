@@ -102,7 +102,7 @@ pub fn virtualhome(json: &str, name: &str, equivalence: Option<&str>) -> Result<
         aliases: aliases(&items, equivalence, &mut notes)?,
         items,
     };
-    Ok(Imported { map: SemanticMap::check(file)?, notes })
+    Ok(Imported { map: SemanticMap::check(file)?, notes, boxed: Vec::new() })
 }
 
 fn doors(edges: &[Edge], node_of: &HashMap<i64, &Node>, room_of: &HashMap<i64, String>) -> Vec<DoorEntry> {

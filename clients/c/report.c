@@ -1,0 +1,50 @@
+/* A robot's answer in C: reads one message of `roomcast/v1/decision` from a file, and writes that its work is finished, a message of
+ * `roomcast/v1/robot-report`, into another; both byte for byte as they lie in shared memory. */
+#include <stdio.h>
+#include <string.h>
+#include <time.h>
+
+#include "roomcast.h"
+
+static uint64_t now_ns(clockid_t clock) {
+    struct timespec now;
+    clock_gettime(clock, &now);
+    return (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
+}
+
+int main(int argc, char **argv) {
+    RoomcastDecisionV1 decision;
+    FILE *from = argc == 3 ? fopen(argv[1], "rb") : NULL;
+    if (from == NULL) {
+        fprintf(stderr, "usage: report DECISION REPORT\n");
+        return 2;
+    }
+    size_t bytes = fread(&decision, 1, sizeof decision, from);
+    int more = fgetc(from) != EOF;
+    fclose(from);
+    if (bytes != sizeof decision || more || decision.action != ROOMCAST_ACTION_GO) {
+        fprintf(stderr, "report: this is no %s that sends a robot\n", ROOMCAST_TYPE_NAME_DECISIONV1);
+        return 1;
+    }
+    RoomcastRobotReportV1 report = {
+        .robot = decision.robot,
+        .epoch = now_ns(CLOCK_REALTIME), /* random enough per start of one robot */
+        .sequence = 1,
+        .reported_ns = now_ns(CLOCK_BOOTTIME),
+        .reported_unix_ns = now_ns(CLOCK_REALTIME),
+        .decision_epoch = decision.epoch,
+        .decision_sequence = decision.sequence,
+        .kind = ROOMCAST_REPORT_KIND_FINISHED,
+        .battery = 0.8,
+        .flags = ROOMCAST_REPORT_FLAGS_HAS_BATTERY,
+    };
+    memcpy(report.robot_name, "robot", 5);
+    memcpy(report.room, decision.to, sizeof report.room);
+    FILE *to = fopen(argv[2], "wb");
+    if (to == NULL || fwrite(&report, sizeof report, 1, to) != 1 || fclose(to) != 0) {
+        fprintf(stderr, "report: cannot write %s\n", argv[2]);
+        return 1;
+    }
+    printf("decision %llu is done\n", (unsigned long long)decision.sequence);
+    return 0;
+}

@@ -1,0 +1,7 @@
+"""Prints what robots report."""
+
+from roomcast import RobotReport, Subscription
+
+with Subscription(RobotReport, "example-reports") as subscription:
+    for report in subscription:
+        print(f"{report.robot_name}: {report.kind.name.lower()} {report.room} {report.note}", flush=True)

@@ -1,0 +1,477 @@
+//! How often what followed what: counts of symbols by context, bounded, and forgotten with a half-life.
+//!
+//! A context is an exact 64-bit key. Its row holds the decayed number of observations and a chain of (symbol, count). Decay is
+//! lazy: a row is brought up to date when it is touched, and read through a factor otherwise. At the limit a hand goes round and
+//! the least useful of the rows that it meets (fewest decayed observations) gives way, as in sampled eviction of caches. Rows and
+//! entries live in two slabs with free lists, so that nothing is allocated once they have grown to their limits.
+
+/// No further row or entry.
+const END: u32 = u32::MAX;
+/// Entries with less than this left are dropped when their row is touched.
+const FORGOTTEN: f32 = 0.02;
+/// Rows that the hand compares before the least useful gives way.
+const COMPARED: usize = 16;
+/// Rows per bucket of the hash table, at most, on average.
+const LOAD: usize = 1;
+
+/// A row as it is stored: 24 bytes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Row {
+    key: u64,
+    /// The next row of the bucket, or of the free list.
+    next: u32,
+    first: u32,
+    total: f32,
+    touched_min: u32,
+}
+
+/// A symbol's count: 12 bytes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Entry {
+    next: u32,
+    count: f32,
+    symbol: u16,
+}
+
+/// How much may be held, and for how long.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Limits {
+    pub(crate) rows: usize,
+    pub(crate) entries: usize,
+    /// Minutes after which a count is worth half; not positive for never.
+    pub(crate) half_life_min: f64,
+}
+
+/// Counts of symbols by context.
+#[derive(Debug, Clone)]
+pub(crate) struct Counts {
+    limits: Limits,
+    buckets: Vec<u32>,
+    rows: Vec<Row>,
+    entries: Vec<Entry>,
+    free_row: u32,
+    free_entry: u32,
+    live_rows: usize,
+    live_entries: usize,
+    hand: usize,
+}
+
+/// A row that is read at some time: counts times a factor.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Seen<'a> {
+    counts: &'a Counts,
+    first: u32,
+    factor: f32,
+}
+
+impl Seen<'_> {
+    /// Every symbol seen here, with its decayed count.
+    pub(crate) fn symbols(&self) -> impl Iterator<Item = (u16, f64)> {
+        let mut at = self.first;
+        std::iter::from_fn(move || {
+            let entry = self.counts.entries.get(at as usize)?;
+            at = entry.next;
+            Some((entry.symbol, f64::from(entry.count * self.factor)))
+        })
+    }
+
+    /// The decayed count of one symbol.
+    pub(crate) fn count(&self, symbol: u16) -> f64 {
+        self.symbols().find(|(other, _)| *other == symbol).map_or(0.0, |(_, count)| count)
+    }
+}
+
+fn bucket_of(key: u64, buckets: usize) -> usize {
+    // The finaliser of splitmix64; `buckets` is a power of two.
+    let mut hash = key.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    hash = (hash ^ (hash >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    hash = (hash ^ (hash >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    (hash ^ (hash >> 31)) as usize & (buckets - 1)
+}
+
+impl Counts {
+    pub(crate) fn new(limits: Limits) -> Self {
+        let limits =
+            Limits { rows: limits.rows.clamp(1, 1 << 24), entries: limits.entries.clamp(1, 1 << 24), ..limits };
+        Self {
+            limits,
+            buckets: vec![END; 16],
+            rows: Vec::new(),
+            entries: Vec::new(),
+            free_row: END,
+            free_entry: END,
+            live_rows: 0,
+            live_entries: 0,
+            hand: 0,
+        }
+    }
+
+    /// Rows and entries in use.
+    pub(crate) fn len(&self) -> (usize, usize) {
+        (self.live_rows, self.live_entries)
+    }
+
+    /// Bytes held in memory.
+    pub(crate) fn bytes(&self) -> usize {
+        self.buckets.capacity() * size_of::<u32>()
+            + self.rows.capacity() * size_of::<Row>()
+            + self.entries.capacity() * size_of::<Entry>()
+    }
+
+    fn factor(&self, touched_min: u32, now_min: u32) -> f32 {
+        let age_min = f64::from(now_min.saturating_sub(touched_min));
+        if age_min == 0.0 || self.limits.half_life_min <= 0.0 {
+            return 1.0;
+        }
+        (-age_min / self.limits.half_life_min).exp2() as f32
+    }
+
+    fn find(&self, key: u64) -> Option<u32> {
+        let mut at = self.buckets[bucket_of(key, self.buckets.len())];
+        while at != END {
+            let row = self.rows[at as usize];
+            if row.key == key {
+                return Some(at);
+            }
+            at = row.next;
+        }
+        None
+    }
+
+    /// The row of a context, if anything was seen there.
+    pub(crate) fn get(&self, key: u64, now_min: u32) -> Option<Seen<'_>> {
+        let row = self.rows[self.find(key)? as usize];
+        let factor = self.factor(row.touched_min, now_min);
+        Some(Seen { counts: self, first: row.first, factor })
+    }
+
+    /// Adds to the count of `symbol` in the context `key`. Says whether the symbol is new there.
+    pub(crate) fn add(&mut self, key: u64, symbol: u16, weight: f64, now_min: u32) -> bool {
+        let row = match self.find(key) {
+            Some(row) => row,
+            None => self.insert(key, now_min),
+        };
+        self.decay(row, now_min);
+        let weight = weight as f32;
+        self.rows[row as usize].total += weight;
+        let mut at = self.rows[row as usize].first;
+        while at != END {
+            let entry = &mut self.entries[at as usize];
+            if entry.symbol == symbol {
+                entry.count += weight;
+                return false;
+            }
+            at = entry.next;
+        }
+        let entry = self.new_entry(row);
+        let first = self.rows[row as usize].first;
+        self.entries[entry as usize] = Entry { next: first, count: weight, symbol };
+        self.rows[row as usize].first = entry;
+        true
+    }
+
+    /// Brings a row up to date, and drops what is forgotten.
+    fn decay(&mut self, row: u32, now_min: u32) {
+        let Row { touched_min, first, .. } = self.rows[row as usize];
+        let factor = self.factor(touched_min, now_min);
+        self.rows[row as usize].touched_min = touched_min.max(now_min);
+        if factor >= 1.0 {
+            return;
+        }
+        let (mut at, mut before, mut total) = (first, END, 0.0);
+        while at != END {
+            let entry = &mut self.entries[at as usize];
+            entry.count *= factor;
+            let Entry { next, count, .. } = *entry;
+            if count < FORGOTTEN {
+                match before {
+                    END => self.rows[row as usize].first = next,
+                    before => self.entries[before as usize].next = next,
+                }
+                self.give_back_entry(at);
+            } else {
+                total += count;
+                before = at;
+            }
+            at = next;
+        }
+        self.rows[row as usize].total = total;
+    }
+
+    fn insert(&mut self, key: u64, now_min: u32) -> u32 {
+        if self.free_row == END && self.rows.len() >= self.limits.rows {
+            self.evict(None, now_min);
+        }
+        let row = Row { key, next: END, first: END, total: 0.0, touched_min: now_min };
+        let at = match self.free_row {
+            END => {
+                reserve(&mut self.rows, self.limits.rows);
+                self.rows.push(row);
+                self.rows.len() as u32 - 1
+            }
+            free => {
+                self.free_row = self.rows[free as usize].next;
+                self.rows[free as usize] = row;
+                free
+            }
+        };
+        self.live_rows += 1;
+        if self.live_rows > self.buckets.len() * LOAD {
+            self.spread();
+        }
+        let bucket = bucket_of(key, self.buckets.len());
+        self.rows[at as usize].next = std::mem::replace(&mut self.buckets[bucket], at);
+        at
+    }
+
+    /// Doubles the number of buckets.
+    fn spread(&mut self) {
+        let buckets = 2 * self.buckets.len();
+        let mut wider = vec![END; buckets];
+        for head in &self.buckets {
+            let mut at = *head;
+            while at != END {
+                let row = &mut self.rows[at as usize];
+                let next = row.next;
+                row.next = std::mem::replace(&mut wider[bucket_of(row.key, buckets)], at);
+                at = next;
+            }
+        }
+        self.buckets = wider;
+    }
+
+    fn new_entry(&mut self, keep: u32) -> u32 {
+        while self.free_entry == END && self.entries.len() >= self.limits.entries {
+            if !self.evict(Some(keep), self.rows[keep as usize].touched_min) {
+                // Only the row itself is left: its own oldest entries give way.
+                self.shorten(keep);
+            }
+        }
+        self.live_entries += 1;
+        match self.free_entry {
+            END => {
+                reserve(&mut self.entries, self.limits.entries);
+                self.entries.push(Entry { next: END, count: 0.0, symbol: 0 });
+                self.entries.len() as u32 - 1
+            }
+            free => {
+                self.free_entry = self.entries[free as usize].next;
+                free
+            }
+        }
+    }
+
+    fn give_back_entry(&mut self, at: u32) {
+        self.entries[at as usize].next = std::mem::replace(&mut self.free_entry, at);
+        self.live_entries -= 1;
+    }
+
+    fn shorten(&mut self, row: u32) {
+        let first = self.rows[row as usize].first;
+        if first != END {
+            let Entry { next, count, .. } = self.entries[first as usize];
+            self.rows[row as usize].first = next;
+            self.rows[row as usize].total -= count;
+            self.give_back_entry(first);
+        }
+    }
+
+    /// Drops the least useful of the next rows; says whether there was one.
+    fn evict(&mut self, keep: Option<u32>, now_min: u32) -> bool {
+        let (mut least, mut compared) = (None, 0);
+        for _ in 0..self.rows.len() {
+            self.hand = (self.hand + 1) % self.rows.len();
+            let at = self.hand as u32;
+            let row = self.rows[self.hand];
+            if keep == Some(at) || self.find(row.key) != Some(at) {
+                continue;
+            }
+            let worth = row.total * self.factor(row.touched_min, now_min);
+            if least.is_none_or(|(_, other)| worth < other) {
+                least = Some((at, worth));
+            }
+            compared += 1;
+            if compared == COMPARED {
+                break;
+            }
+        }
+        least.map(|(at, _)| self.remove(at)).is_some()
+    }
+
+    fn remove(&mut self, at: u32) {
+        let Row { key, next, first, .. } = self.rows[at as usize];
+        let bucket = bucket_of(key, self.buckets.len());
+        if self.buckets[bucket] == at {
+            self.buckets[bucket] = next;
+        } else {
+            let mut before = self.buckets[bucket];
+            while before != END {
+                let row = &mut self.rows[before as usize];
+                if row.next == at {
+                    row.next = next;
+                    break;
+                }
+                before = row.next;
+            }
+        }
+        let mut entry = first;
+        while entry != END {
+            let next = self.entries[entry as usize].next;
+            self.give_back_entry(entry);
+            entry = next;
+        }
+        let row = &mut self.rows[at as usize];
+        // A free row has a key that no context has, so that the hand passes over it.
+        *row = Row { key: u64::MAX, next: self.free_row, first: END, total: 0.0, touched_min: 0 };
+        self.free_row = at;
+        self.live_rows -= 1;
+    }
+
+    /// Drops every row for which `wanted` is false, and every entry for which `symbol_wanted` is.
+    pub(crate) fn retain(
+        &mut self,
+        mut wanted: impl FnMut(u64) -> bool,
+        mut symbol_wanted: impl FnMut(u64, u16) -> bool,
+    ) {
+        for at in 0..self.rows.len() as u32 {
+            let Row { key, first, .. } = self.rows[at as usize];
+            if self.find(key) != Some(at) {
+                continue;
+            }
+            if !wanted(key) {
+                self.remove(at);
+                continue;
+            }
+            let (mut entry, mut before) = (first, END);
+            while entry != END {
+                let Entry { next, count, symbol } = self.entries[entry as usize];
+                if symbol_wanted(key, symbol) {
+                    before = entry;
+                } else {
+                    match before {
+                        END => self.rows[at as usize].first = next,
+                        before => self.entries[before as usize].next = next,
+                    }
+                    self.rows[at as usize].total -= count;
+                    self.give_back_entry(entry);
+                }
+                entry = next;
+            }
+        }
+    }
+
+    /// Every context with its time of the last touch and its counts as stored then, in the order of the keys.
+    pub(crate) fn rows(&self) -> Vec<StoredRow> {
+        let live = self.buckets.iter().flat_map(|head| {
+            let mut at = *head;
+            std::iter::from_fn(move || {
+                let row = self.rows.get(at as usize)?;
+                at = row.next;
+                let mut entry = row.first;
+                let symbols = std::iter::from_fn(|| {
+                    let Entry { next, count, symbol } = *self.entries.get(entry as usize)?;
+                    entry = next;
+                    Some((symbol, count))
+                });
+                Some((row.key, row.touched_min, symbols.collect()))
+            })
+        });
+        let mut rows: Vec<StoredRow> = live.collect();
+        rows.sort_by_key(|(key, ..)| *key);
+        rows.iter_mut().for_each(|(.., symbols)| symbols.sort_by_key(|(symbol, _)| *symbol));
+        rows
+    }
+}
+
+/// A context's key, the minute of its last touch, and its symbols with their counts as stored then.
+pub(crate) type StoredRow = (u64, u32, Vec<(u16, f32)>);
+
+/// Grows a slab by doubling, to its limit and not beyond.
+fn reserve<T>(slab: &mut Vec<T>, limit: usize) {
+    if slab.len() == slab.capacity() {
+        let wanted = (2 * slab.capacity()).clamp(64, limit.max(64));
+        slab.reserve_exact(wanted.saturating_sub(slab.len()).max(1));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+
+    const DAY_MIN: u32 = 1440;
+
+    fn counts(rows: usize, entries: usize, half_life_min: f64) -> Counts {
+        Counts::new(Limits { rows, entries, half_life_min })
+    }
+
+    #[test]
+    fn a_count_is_worth_half_after_the_half_life() {
+        let mut counts = counts(8, 8, f64::from(DAY_MIN));
+        assert!(counts.add(1, 7, 4.0, 0));
+        assert!(!counts.add(1, 7, 1.0, DAY_MIN));
+        let seen = counts.get(1, 2 * DAY_MIN).unwrap();
+        assert!((seen.count(7) - 1.5).abs() < 1e-6);
+        assert!(counts.get(2, 0).is_none());
+    }
+
+    #[test]
+    fn the_least_used_context_gives_way() {
+        let mut counts = counts(8, 64, 0.0);
+        for _ in 0..10 {
+            (0..7).for_each(|key| {
+                counts.add(key, 1, 1.0, 0);
+            });
+        }
+        counts.add(100, 1, 1.0, 0);
+        counts.add(101, 1, 1.0, 0);
+        assert!(counts.get(100, 0).is_none() && counts.get(101, 0).is_some());
+        assert!((0..7).all(|key| counts.get(key, 0).is_some()));
+    }
+
+    proptest! {
+        /// As a map of maps would count, whatever is added, and never more than the limits.
+        #[test]
+        fn it_counts_as_maps_do(adds in prop::collection::vec((0..40u64, 0..30u16, 0..3000u32), 0..300)) {
+            let mut counts = counts(64, 2048, 0.0);
+            let mut maps: BTreeMap<u64, BTreeMap<u16, f64>> = BTreeMap::new();
+            for (key, symbol, minute) in adds {
+                let new = counts.add(key, symbol, 1.0, minute);
+                let count = maps.entry(key).or_default().entry(symbol).or_default();
+                prop_assert_eq!(new, *count == 0.0);
+                *count += 1.0;
+            }
+            for (key, map) in &maps {
+                let seen = counts.get(*key, 0).unwrap();
+                let found: BTreeMap<u16, f64> = seen.symbols().collect();
+                prop_assert_eq!(&found, map);
+            }
+            prop_assert_eq!(counts.rows().len(), maps.len());
+        }
+
+        #[test]
+        fn limits_hold_and_totals_are_sums(
+            adds in prop::collection::vec((0..500u64, 0..30u16, 0..200_000u32), 0..400),
+            rows in 1..20usize, entries in 1..30usize,
+        ) {
+            let mut counts = counts(rows, entries, 10_000.0);
+            for (key, symbol, minute) in adds {
+                counts.add(key, symbol, 1.0, minute);
+                let (live_rows, live_entries) = counts.len();
+                prop_assert!(live_rows <= rows && live_entries <= entries);
+                prop_assert!(counts.get(key, minute).is_some_and(|seen| seen.count(symbol) >= 0.9));
+            }
+            let stored = counts.rows();
+            prop_assert_eq!(stored.len(), counts.len().0);
+            prop_assert_eq!(stored.iter().map(|(.., symbols)| symbols.len()).sum::<usize>(), counts.len().1);
+            for (key, touched_min, symbols) in stored {
+                let total: f32 = symbols.iter().map(|(_, count)| count).sum();
+                let row = counts.rows[counts.find(key).unwrap() as usize];
+                prop_assert!((row.total - total).abs() < 1e-3 && row.touched_min == touched_min);
+            }
+            counts.retain(|key| key % 2 == 0, |_, symbol| symbol < 10);
+            prop_assert!(counts.rows().iter().all(|(key, _, s)| key % 2 == 0 && s.iter().all(|(s, _)| *s < 10)));
+        }
+    }
+}

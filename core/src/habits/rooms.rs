@@ -1,0 +1,211 @@
+//! The next room: whether the person leaves this one, and where to if so, by six forecasts each.
+//!
+//! | expert | what it knows |
+//! | --- | --- |
+//! | model | the language model's room probabilities |
+//! | habit | which rooms followed this room and the last one to three objects, backed off to the base |
+//! | short | the same of this room and the last object alone |
+//! | objects | the mixture's next object, and in which room it was found before |
+//! | hour | which rooms followed this one at this part of the day, over short |
+//! | staying | the share of times that the person stayed, and else the model |
+//!
+//! The base is the model mixed with even chances, as for objects. Staying and destination are mixed apart from one another: who knows best that somebody leaves need not know best where to.
+
+use super::counts::Counts;
+use super::frame::Frame;
+use super::key::{Kind, NONE, key, with_times};
+use super::mixture::FixedShare;
+use super::moment;
+use super::whose::Whose;
+
+pub(crate) const EXPERTS: usize = 6;
+pub(crate) const GATES: usize = 2;
+pub(crate) const PRIOR: [f64; EXPERTS] = [0.5, 0.15, 0.15, 0.1, 0.05, 0.05];
+pub(crate) const SHARE: f64 = 0.01;
+const DISCOUNT: f64 = 0.5;
+const CONCENTRATIONS: [f64; 4] = [2.0, 2.0, 1.0, 1.0];
+/// Of the model and of even chances in the base.
+const BASE: [f64; 2] = [0.9, 0.1];
+/// How many observations what the map says of a thing's room is worth.
+const MAP_STRENGTH: f64 = 1.0;
+
+/// The rooms that one person goes to.
+#[derive(Debug, Clone)]
+pub(crate) struct Rooms {
+    pub(crate) staying: [FixedShare<EXPERTS>; GATES],
+    pub(crate) destination: [FixedShare<EXPERTS>; GATES],
+    pub(crate) base: FixedShare<2>,
+    /// How often the person stayed, of how many times.
+    pub(crate) stayed: f64,
+    pub(crate) turned: f64,
+    /// The latest forecast: experts row by row.
+    experts: Vec<f64>,
+    rooms: usize,
+    here: Option<usize>,
+    gate: usize,
+    pub(crate) mixed: Vec<f64>,
+}
+
+impl Rooms {
+    pub(crate) fn new() -> Self {
+        Self {
+            staying: [FixedShare::new(PRIOR); GATES],
+            destination: [FixedShare::new(PRIOR); GATES],
+            base: FixedShare::new(BASE),
+            stayed: 1.0,
+            turned: 2.0,
+            experts: Vec::new(),
+            rooms: 0,
+            here: None,
+            gate: 0,
+            mixed: Vec::new(),
+        }
+    }
+
+    /// Another map: the last forecast says nothing of its rooms.
+    pub(crate) fn forget_forecast(&mut self) {
+        self.rooms = 0;
+        self.mixed.clear();
+    }
+
+    /// Forecasts the room of the next object, from the model's room probabilities and the mixture's next object.
+    pub(crate) fn forecast(
+        &mut self,
+        whose: Whose<'_>,
+        frame: &Frame,
+        here: Option<usize>,
+        (last, times): ([u16; 3], u8),
+        at_s: f64,
+        (model, objects): (&[f64], &[f64]),
+    ) {
+        let rooms = model.len();
+        (self.rooms, self.here) = (rooms, here.filter(|here| *here < rooms));
+        self.experts.clear();
+        self.experts.resize(EXPERTS * rooms, 0.0);
+        let (own, rest) = self.experts.split_at_mut(rooms);
+        let (habit, rest) = rest.split_at_mut(rooms);
+        let (short, rest) = rest.split_at_mut(rooms);
+        let (by_object, rest) = rest.split_at_mut(rooms);
+        let (hour, staying) = rest.split_at_mut(rooms);
+
+        const FLOOR: f64 = 1e-4;
+        let total: f64 = model.iter().map(|p| p.max(FLOOR)).sum();
+        own.iter_mut().zip(model).for_each(|(own, p)| *own = p.max(FLOOR) / total);
+
+        let [of_model, of_even] = *self.base.weights();
+        habit.iter_mut().zip(&*own).for_each(|(habit, p)| *habit = of_model * p + of_even / rooms as f64);
+        let index = |number| frame.room(number);
+        let at = here.and_then(|here| frame.place_number(here)).unwrap_or(NONE);
+        let [first, second, third] = last;
+        let after = [[at, NONE, NONE], [first, NONE, NONE], [first, second, NONE], [first, second, third]];
+        let again = Whose { times, ..whose };
+        let mut kept = 1.0;
+        for (order, kind) in [Kind::Room0, Kind::Room1, Kind::Room2, Kind::Room3].into_iter().enumerate() {
+            let whose = if order == 0 { whose } else { again };
+            kept *= whose.smooth(kind, after[order], DISCOUNT, CONCENTRATIONS[order], index, habit).0;
+            if order == 1 {
+                short.copy_from_slice(habit);
+            }
+        }
+        self.gate = usize::from(kept < 0.2);
+
+        for (label, p) in objects.iter().enumerate() {
+            let found =
+                frame.label_number(label).and_then(|number| whose.own(Kind::RoomOfObject, [number, NONE, NONE]));
+            let mut strength = MAP_STRENGTH;
+            if let Some(found) = found {
+                let total: f64 = found.symbols().filter(|(n, _)| index(*n).is_some()).map(|(_, count)| count).sum();
+                for (number, count) in found.symbols() {
+                    if let Some(room) = index(number) {
+                        by_object[room] += p * count / (total + MAP_STRENGTH);
+                    }
+                }
+                strength /= total + MAP_STRENGTH;
+            }
+            for (room, sum) in by_object.iter_mut().enumerate() {
+                *sum += p * strength * frame.share(label, room);
+            }
+        }
+        let total: f64 = by_object.iter().sum::<f64>() + rooms as f64 * FLOOR;
+        by_object.iter_mut().for_each(|p| *p = (*p + FLOOR) / total);
+
+        hour.copy_from_slice(short);
+        whose.smooth(Kind::RoomHour, [at, moment::part_of_day(at_s, 3), NONE], DISCOUNT, 2.0, index, hour);
+
+        staying.copy_from_slice(own);
+        if let Some(here) = self.here {
+            let stay = self.stayed / self.turned;
+            let others = (1.0 - own[here]).max(f64::MIN_POSITIVE);
+            staying.iter_mut().for_each(|p| *p *= (1.0 - stay) / others);
+            staying[here] = if rooms > 1 { stay } else { 1.0 };
+        }
+
+        self.mixed.clear();
+        self.mixed.resize(rooms, 0.0);
+        for expert in 0..EXPERTS {
+            let row = &self.experts[expert * rooms..(expert + 1) * rooms];
+            let weight = self.destination[self.gate].weights()[expert];
+            let leaves = self.here.map_or(1.0, |here| 1.0 - row[here]);
+            if leaves > 0.0 {
+                self.mixed.iter_mut().zip(row).for_each(|(mixed, p)| *mixed += weight * p / leaves);
+            }
+        }
+        if let Some(here) = self.here {
+            let stays = self.staying[self.gate].weights();
+            let stay: f64 = (0..EXPERTS).map(|expert| stays[expert] * self.experts[expert * rooms + here]).sum();
+            self.mixed[here] = 0.0;
+            let others: f64 = self.mixed.iter().sum();
+            let stay = if others > 0.0 { stay } else { 1.0 };
+            self.mixed.iter_mut().for_each(|p| *p *= (1.0 - stay) / others.max(f64::MIN_POSITIVE));
+            self.mixed[here] = stay;
+        }
+    }
+
+    /// Learns how good the latest forecast was: the next object was in `room`.
+    pub(crate) fn learn_weights(&mut self, room: usize) {
+        if room >= self.rooms {
+            return;
+        }
+        self.base.learn(&[self.experts[room], 1.0 / self.rooms as f64], &BASE, SHARE, 1.0);
+        let p = |expert: usize, room: usize| self.experts[expert * self.rooms + room];
+        let Some(here) = self.here else {
+            self.destination[self.gate].learn(&std::array::from_fn(|expert| p(expert, room)), &PRIOR, SHARE, 1.0);
+            return;
+        };
+        self.turned += 1.0;
+        if room == here {
+            self.stayed += 1.0;
+            self.staying[self.gate].learn(&std::array::from_fn(|expert| p(expert, here)), &PRIOR, SHARE, 1.0);
+        } else {
+            self.staying[self.gate].learn(&std::array::from_fn(|expert| 1.0 - p(expert, here)), &PRIOR, SHARE, 1.0);
+            let given = |expert| p(expert, room) / (1.0 - p(expert, here)).max(1e-9);
+            self.destination[self.gate].learn(&std::array::from_fn(given), &PRIOR, SHARE, 1.0);
+        }
+    }
+
+    /// Counts that the next object, `object`, was in the place `number`; the person was at `here` and had turned to `last`.
+    pub(crate) fn count(
+        &self,
+        counts: &mut Counts,
+        slot: u8,
+        number: u16,
+        (here, last, times, object): (u16, [u16; 3], u8, Option<u16>),
+        at_s: f64,
+    ) {
+        let now_min = moment::minute(at_s);
+        let [first, second, third] = last;
+        let after = [
+            (Kind::Room0, 0, [here, NONE, NONE]),
+            (Kind::Room1, times, [first, NONE, NONE]),
+            (Kind::Room2, times, [first, second, NONE]),
+            (Kind::Room3, times, [first, second, third]),
+            (Kind::RoomHour, 0, [here, moment::part_of_day(at_s, 3), NONE]),
+        ];
+        for (kind, times, after) in after {
+            counts.add(key(kind, with_times(slot, times), after), number, 1.0, now_min);
+        }
+        if let Some(object) = object {
+            counts.add(key(Kind::RoomOfObject, slot, [object, NONE, NONE]), number, 1.0, now_min);
+        }
+    }
+}

@@ -1,0 +1,595 @@
+//! When: how long people stay in a place, and where they are a time later.
+//!
+//! Five forecasts of P(place at now + t), mixed by fixed share with weights of their own at each of [`ANCHORS_S`] (between these,
+//! interpolated over the logarithm of the time):
+//!
+//! | expert | what it knows |
+//! | --- | --- |
+//! | shipped | what the forecast says without this home ([`crate::forecast`]) |
+//! | persistence | the share of times that the person was still, or again, in the same place |
+//! | semi-Markov | the hazard of leaving a place by time spent there and part of the day, and where exits led |
+//! | later, by place | where the person was that much later |
+//! | later | the same by hour and time spent there as well |
+//!
+//! Hazards are exits over time spent, each level with the next wider one as its prior: place and part of the day over place over all
+//! places over the shipped stay. What happened is known only a horizon later, and is learned then.
+
+use super::counts::Counts;
+use super::frame::{ELSEWHERE, Frame};
+use super::key::{Kind, NONE, key};
+use super::mixture::FixedShare;
+use super::moment;
+use super::sets::{AdaptiveSets, Issued, SetOptions};
+use super::whose::Whose;
+
+/// Horizons at which is learned how good each forecast is, in seconds.
+pub(crate) const ANCHORS_S: [f64; 4] = [60.0, 300.0, 900.0, 3_600.0];
+pub(crate) const EXPERTS: usize = 5;
+pub(crate) const PRIOR: [f64; EXPERTS] = [0.3, 0.25, 0.15, 0.15, 0.15];
+pub(crate) const SHARE: f64 = 0.0005;
+/// Samples as close together as the horizon say much the same; they count as if they came this often.
+const RATE_S: f64 = 60.0;
+/// A forecast is kept until its label comes at most this often.
+const SAMPLE_S: f64 = 60.0;
+/// Farther ahead than this the semi-Markov forecast no longer changes.
+const FARTHEST_S: f64 = 4.0 * 3_600.0;
+/// A longer silence of the whole system is no stay.
+const GAP_S: f64 = 36.0 * 3_600.0;
+/// Upper ends of the times spent that are told apart, in seconds.
+const DWELLS_S: [f64; 12] =
+    [15.0, 30.0, 60.0, 120.0, 240.0, 480.0, 960.0, 1_920.0, 3_840.0, 7_680.0, 15_360.0, 30_720.0];
+const DWELLS: usize = DWELLS_S.len() + 1;
+/// Symbols of the counts of stays.
+const EXITS: u16 = 0;
+const MINUTES: u16 = 1;
+/// How many exits the wider level is worth.
+const HAZARD_STRENGTH: f64 = 2.0;
+/// How many samples the wider level is worth in what is counted directly.
+const LATER_STRENGTH: [f64; 3] = [8.0, 40.0, 40.0];
+/// Mean stay that the shipped forecast begins with, in seconds, and the exponent of its survival.
+const SHIPPED_STAY_S: f64 = 120.0;
+
+fn dwell(spent_s: f64) -> usize {
+    DWELLS_S.iter().position(|end_s| spent_s < *end_s).unwrap_or(DWELLS - 1)
+}
+
+fn dwell_begin_s(bucket: usize) -> f64 {
+    bucket.checked_sub(1).map_or(0.0, |before| DWELLS_S[before])
+}
+
+/// A forecast that waits for its label.
+#[derive(Debug, Clone, Copy, Default)]
+struct Waiting {
+    at_s: f64,
+    entered_s: f64,
+    place: u16,
+    issued: Issued,
+    /// Whether the experts said something, or only the counts learn.
+    forecast: bool,
+}
+
+/// One horizon.
+#[derive(Debug, Clone)]
+pub(crate) struct Anchor {
+    pub(crate) mixture: FixedShare<EXPERTS>,
+    pub(crate) stayed: f64,
+    pub(crate) sampled: f64,
+    pub(crate) sets: AdaptiveSets,
+    waiting: Vec<Waiting>,
+    /// Of each waiting forecast, the experts' probabilities and the mixture's, row by row.
+    probabilities: Vec<f64>,
+    first: usize,
+    count: usize,
+}
+
+/// How long one person stays, and where they were.
+#[derive(Debug, Clone)]
+pub(crate) struct Stays {
+    pub(crate) place: u16,
+    entered_s: f64,
+    /// The place before, and until when.
+    before: u16,
+    updated_s: f64,
+    sampled_s: f64,
+    pub(crate) anchors: [Anchor; ANCHORS_S.len()],
+    scratch: Scratch,
+}
+
+#[derive(Debug, Clone, Default)]
+struct Scratch {
+    rows: Vec<f64>,
+    mass: Vec<f64>,
+    hazard: Vec<f64>,
+    lead: Vec<f64>,
+    leaving: Vec<f64>,
+    /// Per place and time spent, the shares that leave and that grow older in a step.
+    leave: Vec<f64>,
+    semi: Vec<f64>,
+}
+
+impl Stays {
+    pub(crate) fn new(sets: SetOptions) -> Self {
+        Self {
+            place: NONE,
+            entered_s: 0.0,
+            before: NONE,
+            updated_s: 0.0,
+            sampled_s: f64::NEG_INFINITY,
+            anchors: ANCHORS_S.map(|horizon_s| {
+                let slots = (horizon_s / SAMPLE_S) as usize + 2;
+                Anchor {
+                    mixture: FixedShare::new(PRIOR),
+                    stayed: 1.0,
+                    sampled: 2.0,
+                    sets: AdaptiveSets::new(sets),
+                    waiting: vec![Waiting::default(); slots],
+                    probabilities: Vec::new(),
+                    first: 0,
+                    count: 0,
+                }
+            }),
+            scratch: Scratch::default(),
+        }
+    }
+
+    /// Another map: waiting forecasts say nothing of its rooms.
+    pub(crate) fn forget_forecasts(&mut self) {
+        for anchor in &mut self.anchors {
+            anchor.count = 0;
+            anchor.probabilities.clear();
+        }
+    }
+
+    /// A number stands for another place from now on.
+    pub(crate) fn forget_number(&mut self, number: u16) {
+        for place in [&mut self.place, &mut self.before] {
+            if *place == number {
+                *place = NONE;
+            }
+        }
+        self.forget_forecasts();
+    }
+
+    /// Counts the time spent until now.
+    fn advance(&mut self, counts: &mut Counts, slot: u8, now_s: f64, learn: bool) {
+        let from_s = self.updated_s;
+        self.updated_s = from_s.max(now_s);
+        if self.place == NONE || !learn || now_s <= from_s || now_s - from_s > GAP_S {
+            return;
+        }
+        let mut at_s = from_s;
+        while at_s < now_s {
+            let spent_s = at_s - self.entered_s;
+            let bucket = dwell(spent_s);
+            let older_s = DWELLS_S.get(bucket).map_or(f64::INFINITY, |end_s| self.entered_s + end_s);
+            let hour_s = ((at_s / 3_600.0).floor() + 1.0) * 3_600.0;
+            // A step of at least a millisecond: rounding may not keep it from ending.
+            let until_s = now_s.min(older_s).min(hour_s).max(at_s + 1e-3);
+            self.add_stay(counts, slot, bucket, at_s, MINUTES, (until_s - at_s) / 60.0);
+            at_s = until_s;
+        }
+    }
+
+    fn add_stay(&self, counts: &mut Counts, slot: u8, bucket: usize, at_s: f64, symbol: u16, weight: f64) {
+        let (bucket, now_min) = (bucket as u16, moment::minute(at_s));
+        let part = moment::part_of_day(at_s, 3);
+        for (kind, after) in [
+            (Kind::Stay, [NONE, bucket, NONE]),
+            (Kind::StayPlace, [self.place, bucket, NONE]),
+            (Kind::StayPlaceHour, [self.place, bucket, part]),
+        ] {
+            counts.add(key(kind, slot, after), symbol, weight, now_min);
+        }
+    }
+
+    /// The person is in the place `number` at `now_s`.
+    pub(crate) fn be(&mut self, counts: &mut Counts, slot: u8, number: u16, now_s: f64, learn: bool) {
+        let now_s = now_s.max(self.updated_s);
+        self.advance(counts, slot, now_s, learn);
+        if number == self.place {
+            return;
+        }
+        if self.place != NONE && learn {
+            self.add_stay(counts, slot, dwell(now_s - self.entered_s), now_s, EXITS, 1.0);
+            let (now_min, part) = (moment::minute(now_s), moment::part_of_day(now_s, 3));
+            counts.add(key(Kind::Exit, slot, [self.place, NONE, NONE]), number, 1.0, now_min);
+            counts.add(key(Kind::ExitHour, slot, [self.place, part, NONE]), number, 1.0, now_min);
+        }
+        self.before = std::mem::replace(&mut self.place, number);
+        self.entered_s = now_s;
+        self.updated_s = now_s;
+    }
+
+    /// Whether another sample is due.
+    pub(crate) fn due(&self, now_s: f64) -> bool {
+        now_s - self.sampled_s >= SAMPLE_S
+    }
+
+    /// Counts the time spent until now, and learns from the forecasts whose time has come.
+    pub(crate) fn learn_due(&mut self, counts: &mut Counts, slot: u8, frame: &Frame, now_s: f64, learn: bool) {
+        self.advance(counts, slot, now_s, learn);
+        let places = frame.places();
+        for (index, (anchor, horizon_s)) in self.anchors.iter_mut().zip(ANCHORS_S).enumerate() {
+            let slots = anchor.waiting.len();
+            while anchor.count > 0 {
+                let at = anchor.first;
+                let Waiting { at_s, entered_s, place, issued, forecast } = anchor.waiting[at];
+                let due_s = at_s + horizon_s;
+                if due_s > now_s {
+                    break;
+                }
+                anchor.first = (at + 1) % slots;
+                anchor.count -= 1;
+                let truth = if due_s >= self.entered_s { self.place } else { self.before };
+                // What was not watched is not known.
+                if truth == NONE || place == NONE || !learn || now_s - due_s > 2.0 * SAMPLE_S {
+                    continue;
+                }
+                anchor.sampled += 1.0;
+                anchor.stayed += f64::from(u8::from(truth == place));
+                let spent = dwell(at_s - entered_s) as u16;
+                let horizon = index as u16;
+                let now_min = moment::minute(at_s);
+                let part = moment::part_of_day(at_s, 3);
+                for (kind, after) in [
+                    (Kind::Later, [place, horizon, NONE]),
+                    (Kind::LaterHour, [place, horizon, part]),
+                    (Kind::LaterDwell, [place, horizon << 8 | spent, moment::part_of_day(at_s, 2)]),
+                ] {
+                    counts.add(key(kind, slot, after), truth, 1.0, now_min);
+                }
+                let Some(truth) = frame.place(truth).filter(|_| forecast) else { continue };
+                let row = |row: usize| &anchor.probabilities[(at * (EXPERTS + 1) + row) * places..][..places];
+                let given: [f64; EXPERTS] = std::array::from_fn(|expert| row(expert)[truth].max(1e-6));
+                anchor.mixture.learn(&given, &PRIOR, SHARE, (RATE_S / horizon_s).min(1.0));
+                let mixed = &anchor.probabilities[(at * (EXPERTS + 1) + EXPERTS) * places..][..places];
+                anchor.sets.learn(mixed, issued, truth);
+            }
+        }
+    }
+
+    /// Takes a sample: what is forecast now is learned from later. `shipped` writes what the forecast says without this home.
+    pub(crate) fn sample(
+        &mut self,
+        whose: Whose<'_>,
+        frame: &Frame,
+        now_s: f64,
+        next_rooms: &[f64],
+        shipped: &mut dyn FnMut(f64, &mut [f64]),
+    ) {
+        self.sampled_s = now_s;
+        let places = frame.places();
+        let mut scratch = std::mem::take(&mut self.scratch);
+        scratch.semi.clear();
+        scratch.semi.resize(ANCHORS_S.len() * places, 0.0);
+        let forecast = self.semi_markov(whose, frame, now_s, next_rooms, &ANCHORS_S, &mut scratch);
+        for (index, horizon_s) in ANCHORS_S.into_iter().enumerate() {
+            let rows = (EXPERTS + 1) * places;
+            scratch.rows.clear();
+            scratch.rows.resize(rows, 0.0);
+            if forecast {
+                let (own, rest) = scratch.rows.split_at_mut(places);
+                shipped(horizon_s, own);
+                normalise(own);
+                rest[places..2 * places].copy_from_slice(&scratch.semi[index * places..(index + 1) * places]);
+                self.persistence(index, frame, &mut rest[..places]);
+                let (persistence, rest) = rest.split_at_mut(places);
+                let (by_place, rest) = rest[places..].split_at_mut(places);
+                self.later(whose, frame, index, now_s, persistence, by_place, &mut rest[..places]);
+                let weights = *self.anchors[index].mixture.weights();
+                mix(&weights, &mut scratch.rows, places);
+            }
+            let (place, entered_s) = (self.place, self.entered_s);
+            let anchor = &mut self.anchors[index];
+            let slots = anchor.waiting.len();
+            if anchor.probabilities.len() != slots * rows {
+                anchor.probabilities.clear();
+                anchor.probabilities.resize(slots * rows, 0.0);
+                anchor.count = 0;
+            }
+            if anchor.count == slots {
+                anchor.first = (anchor.first + 1) % slots;
+                anchor.count -= 1;
+            }
+            let at = (anchor.first + anchor.count) % slots;
+            let issued = anchor.sets.issue();
+            anchor.waiting[at] = Waiting { at_s: now_s, entered_s, place, issued, forecast };
+            anchor.probabilities[at * rows..(at + 1) * rows].copy_from_slice(&scratch.rows);
+            anchor.count += 1;
+        }
+        self.scratch = scratch;
+    }
+
+    /// Per place the probability that the person is there at `now_s + horizon_s`; `shipped` is what the forecast says without this home.
+    /// Gives the weights of the experts.
+    pub(crate) fn at(
+        &mut self,
+        whose: Whose<'_>,
+        frame: &Frame,
+        (now_s, horizon_s): (f64, f64),
+        next_rooms: &[f64],
+        shipped: &[f64],
+        out: &mut Vec<f64>,
+    ) -> [f64; EXPERTS] {
+        let places = frame.places();
+        out.clear();
+        out.extend_from_slice(&shipped[..places.min(shipped.len())]);
+        out.resize(places, 0.0);
+        normalise(out);
+        let mut scratch = std::mem::take(&mut self.scratch);
+        scratch.semi.clear();
+        scratch.semi.resize(places, 0.0);
+        if !self.semi_markov(whose, frame, now_s, next_rooms, &[horizon_s], &mut scratch) {
+            self.scratch = scratch;
+            return [1.0, 0.0, 0.0, 0.0, 0.0];
+        }
+        // Between two anchors, by the logarithm of the time; before the first one towards certainty of the present place.
+        let (lower, upper, share) = between(horizon_s);
+        scratch.rows.clear();
+        scratch.rows.resize((EXPERTS + 1) * places, 0.0);
+        let (own, rest) = scratch.rows.split_at_mut(places);
+        own.copy_from_slice(out);
+        let (persistence, rest) = rest.split_at_mut(places);
+        let (semi, rest) = rest.split_at_mut(places);
+        semi.copy_from_slice(&scratch.semi);
+        let (by_place, rest) = rest.split_at_mut(places);
+        let (later, mixed) = rest.split_at_mut(places);
+        let (own, by_own) = (&mut scratch.lead, &mut scratch.leaving);
+        own.clear();
+        own.resize(places, 0.0);
+        by_own.clear();
+        by_own.resize(places, 0.0);
+        let mut weights = [0.0; EXPERTS];
+        for (index, part) in [(lower, 1.0 - share), (Some(upper), share)] {
+            let Some(index) = index else {
+                // At once everybody is where they are.
+                if let Some(here) = frame.place(self.place) {
+                    persistence[here] += part;
+                    by_place[here] += part;
+                    later[here] += part;
+                }
+                weights.iter_mut().zip(self.anchors[upper].mixture.weights()).for_each(|(sum, w)| *sum += part * w);
+                continue;
+            };
+            self.persistence(index, frame, mixed);
+            self.later(whose, frame, index, now_s, mixed, by_own, own);
+            for (sums, p) in [(&mut *persistence, &*mixed), (&mut *by_place, &*by_own), (&mut *later, &*own)] {
+                sums.iter_mut().zip(p).for_each(|(sum, p)| *sum += part * p);
+            }
+            weights.iter_mut().zip(self.anchors[index].mixture.weights()).for_each(|(sum, w)| *sum += part * w);
+        }
+        mix(&weights, &mut scratch.rows, places);
+        out.copy_from_slice(&scratch.rows[EXPERTS * places..]);
+        self.scratch = scratch;
+        weights
+    }
+
+    /// The places of a set with the promised coverage, `horizon_s` ahead, for probabilities that [`Stays::at`] gave.
+    pub(crate) fn set(&self, horizon_s: f64, probabilities: &[f64], set: &mut Vec<bool>) {
+        let (lower, upper, share) = between(horizon_s);
+        let index = if share < 0.5 { lower.unwrap_or(upper) } else { upper };
+        let sets = &self.anchors[index].sets;
+        sets.set(probabilities, sets.issue(), set);
+    }
+
+    fn persistence(&self, index: usize, frame: &Frame, p: &mut [f64]) {
+        let anchor = &self.anchors[index];
+        let places = p.len();
+        let Some(here) = frame.place(self.place) else {
+            p.fill(1.0 / places as f64);
+            return;
+        };
+        let stay = anchor.stayed / anchor.sampled;
+        p.fill((1.0 - stay) / (places - 1).max(1) as f64);
+        p[here] = if places > 1 { stay } else { 1.0 };
+    }
+
+    /// What was counted directly, over `persistence`: by place alone, and by hour and time spent as well.
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "two rows are written, and what they are read from has nothing in common"
+    )]
+    fn later(
+        &self,
+        whose: Whose<'_>,
+        frame: &Frame,
+        index: usize,
+        now_s: f64,
+        persistence: &[f64],
+        by_place: &mut [f64],
+        p: &mut [f64],
+    ) {
+        p.copy_from_slice(persistence);
+        let spent = dwell(now_s - self.entered_s) as u16;
+        let horizon = index as u16;
+        let contexts = [
+            (Kind::Later, [self.place, horizon, NONE]),
+            (Kind::LaterHour, [self.place, horizon, moment::part_of_day(now_s, 3)]),
+            (Kind::LaterDwell, [self.place, horizon << 8 | spent, moment::part_of_day(now_s, 2)]),
+        ];
+        for ((kind, after), strength) in contexts.into_iter().zip(LATER_STRENGTH) {
+            whose.smooth(kind, after, 0.0, strength, |number| frame.place(number), p);
+            if kind == Kind::Later {
+                by_place.copy_from_slice(p);
+            }
+        }
+    }
+
+    /// The hazard of leaving a place per second, after this long there, at this part of the day.
+    fn hazard(&self, whose: Whose<'_>, place: u16, bucket: usize, part: u16) -> f64 {
+        let middle_s = match DWELLS_S.get(bucket) {
+            Some(end_s) => 0.5 * (dwell_begin_s(bucket) + end_s),
+            None => 1.5 * dwell_begin_s(bucket),
+        };
+        let mut rate = 2.0 / (SHIPPED_STAY_S + middle_s);
+        let bucket = bucket as u16;
+        for (kind, after) in [
+            (Kind::Stay, [NONE, bucket, NONE]),
+            (Kind::StayPlace, [place, bucket, NONE]),
+            (Kind::StayPlaceHour, [place, bucket, part]),
+        ] {
+            for seen in whose.of_others(kind, after).chain(whose.own(kind, after)) {
+                let (exits, spent_s) = (seen.count(EXITS), 60.0 * seen.count(MINUTES));
+                rate = (exits + HAZARD_STRENGTH) / (spent_s + HAZARD_STRENGTH / rate);
+            }
+        }
+        rate
+    }
+
+    /// Per horizon (ascending) and place, row by row, into `scratch.semi`. Says whether anything is known of where the person is.
+    fn semi_markov(
+        &self,
+        whose: Whose<'_>,
+        frame: &Frame,
+        now_s: f64,
+        next_rooms: &[f64],
+        horizons_s: &[f64],
+        scratch: &mut Scratch,
+    ) -> bool {
+        let Some(here) = frame.place(self.place) else { return false };
+        let places = frame.places();
+        let Scratch { mass, hazard, lead, leaving, leave, semi, .. } = scratch;
+        let part = moment::part_of_day(now_s, 3);
+        hazard.clear();
+        lead.clear();
+        for place in 0..places {
+            let number = frame.place_number(place).unwrap_or(NONE);
+            hazard.extend((0..DWELLS).map(|bucket| self.hazard(whose, number, bucket, part)));
+            let begin = lead.len();
+            // Where this stay leads to the mixture knows better than even chances; it knows nothing of leaving the house.
+            let others = (places - 1).max(1) as f64;
+            lead.extend((0..places).map(|_| 1.0 / others));
+            let row = &mut lead[begin..];
+            if place == here && next_rooms.len() + 1 == places {
+                let known: f64 = next_rooms.iter().enumerate().filter(|(room, _)| *room != here).map(|(_, p)| p).sum();
+                if known > 0.0 {
+                    let elsewhere = frame.elsewhere();
+                    let kept = if here == elsewhere { 1.0 } else { 1.0 - row[elsewhere] };
+                    row.iter_mut().zip(next_rooms).for_each(|(p, next)| *p = kept * next / known);
+                }
+            }
+            row[place] = 0.0;
+            normalise(row);
+            let index = |number| frame.place(number).filter(|other| *other != place);
+            whose.smooth(Kind::Exit, [number, NONE, NONE], 0.25, 2.0, index, row);
+            whose.smooth(Kind::ExitHour, [number, part, NONE], 0.25, 4.0, index, row);
+        }
+        if places == 1 {
+            semi.fill(1.0);
+            return true;
+        }
+
+        mass.clear();
+        mass.resize(places * DWELLS, 0.0);
+        leave.clear();
+        leave.resize(2 * places * DWELLS, 0.0);
+        let (mut original, mut spent_s, mut ahead_s, mut step_s) = (1.0, now_s - self.entered_s, 0.0, 0.0);
+        for (horizon, row) in horizons_s.iter().zip(semi.chunks_exact_mut(places)) {
+            let horizon_s = horizon.clamp(0.0, FARTHEST_S);
+            while ahead_s < horizon_s {
+                let wanted_s = match ahead_s {
+                    near if near < 60.0 => 5.0,
+                    near if near < 300.0 => 15.0,
+                    near if near < 3_600.0 => 30.0,
+                    _ => 120.0,
+                };
+                let next_s = f64::min(wanted_s, horizon_s - ahead_s);
+                if next_s != step_s {
+                    step_s = next_s;
+                    for (at, rate) in hazard.iter().enumerate() {
+                        let older = DWELLS_S
+                            .get(at % DWELLS)
+                            .map_or(0.0, |end_s| 1.0 - (-step_s / (end_s - dwell_begin_s(at % DWELLS))).exp());
+                        leave[2 * at] = 1.0 - (-step_s * rate).exp();
+                        leave[2 * at + 1] = older;
+                    }
+                }
+                leaving.clear();
+                leaving.resize(places, 0.0);
+                let gone = original * leave[2 * (here * DWELLS + dwell(spent_s))];
+                original -= gone;
+                leaving[here] += gone;
+                for (place, (mass, leave)) in
+                    mass.chunks_exact_mut(DWELLS).zip(leave.chunks_exact(2 * DWELLS)).enumerate()
+                {
+                    let mut older = 0.0;
+                    for (mass, leave) in mass.iter_mut().zip(leave.chunks_exact(2)) {
+                        let gone = *mass * leave[0];
+                        let aged = (*mass - gone) * leave[1];
+                        *mass += older - gone - aged;
+                        older = aged;
+                        leaving[place] += gone;
+                    }
+                }
+                for (gone, lead) in leaving.iter().zip(lead.chunks_exact(places)) {
+                    for (mass, lead) in mass.chunks_exact_mut(DWELLS).zip(lead) {
+                        mass[0] += gone * lead;
+                    }
+                }
+                ahead_s += step_s;
+                spent_s += step_s;
+            }
+            for (p, mass) in row.iter_mut().zip(mass.chunks_exact(DWELLS)) {
+                *p = mass.iter().sum();
+            }
+            row[here] += original;
+            normalise(row);
+        }
+        true
+    }
+
+    /// Whether the person is known to be elsewhere.
+    pub(crate) fn elsewhere(&self) -> bool {
+        self.place == ELSEWHERE
+    }
+}
+
+/// The anchors below and above a horizon, and the share of the latter.
+fn between(horizon_s: f64) -> (Option<usize>, usize, f64) {
+    let last = ANCHORS_S.len() - 1;
+    let Some(upper) = ANCHORS_S.iter().position(|anchor_s| horizon_s <= *anchor_s) else {
+        return (Some(last), last, 1.0);
+    };
+    match upper.checked_sub(1) {
+        None => (None, 0, (horizon_s / ANCHORS_S[0]).clamp(0.0, 1.0)),
+        Some(lower) => {
+            let share = (horizon_s / ANCHORS_S[lower]).ln() / (ANCHORS_S[upper] / ANCHORS_S[lower]).ln();
+            (Some(lower), upper, share)
+        }
+    }
+}
+
+/// The mixture of the first rows into the last one.
+fn mix(weights: &[f64; EXPERTS], rows: &mut [f64], places: usize) {
+    let (experts, mixed) = rows.split_at_mut(EXPERTS * places);
+    mixed.fill(0.0);
+    for (row, weight) in experts.chunks_exact(places).zip(weights) {
+        mixed.iter_mut().zip(row).for_each(|(mixed, p)| *mixed += weight * p);
+    }
+    normalise(mixed);
+}
+
+fn normalise(p: &mut [f64]) {
+    let total: f64 = p.iter().sum();
+    if total > 0.0 {
+        p.iter_mut().for_each(|p| *p /= total);
+    } else {
+        let even = 1.0 / p.len().max(1) as f64;
+        p.fill(even);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_between_the_anchors_are_interpolated() {
+        assert_eq!(between(0.0), (None, 0, 0.0));
+        assert_eq!(between(60.0), (None, 0, 1.0));
+        assert_eq!(between(1e9), (Some(3), 3, 1.0));
+        let (lower, upper, share) = between(150.0);
+        assert_eq!((lower, upper), (Some(0), 1));
+        assert!((0.5..0.6).contains(&share));
+    }
+}

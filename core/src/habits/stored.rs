@@ -1,0 +1,306 @@
+//! What was learned as bytes and as JSON: versioned, checksummed, bounded, and never believed before it was checked.
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::key::Kind;
+
+/// Begins every file.
+const MAGIC: &[u8; 8] = b"RCHABITS";
+/// Changes when older programs cannot read the file.
+pub(crate) const VERSION: u16 = 1;
+const CHECKSUM_BYTES: usize = 16;
+/// Largest state that is read, in bytes.
+pub const BYTES_MAX: usize = 16 << 20;
+
+/// Why a stored state cannot be used. Nothing of it is.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum StoredError {
+    /// It is not what it says.
+    #[error("this is no file of habits: it does not begin as one")]
+    Foreign,
+    /// It is larger than [`BYTES_MAX`].
+    #[error("the habits have {bytes} bytes, more than {BYTES_MAX}: they are damaged")]
+    TooLarge {
+        /// How large.
+        bytes: usize,
+    },
+    /// Another version wrote it.
+    #[error(
+        "the habits are of version {found}, this program reads version {VERSION}: use the program that wrote them, or forget them"
+    )]
+    Version {
+        /// Which.
+        found: u16,
+    },
+    /// Its checksum is wrong.
+    #[error("the habits are damaged: their checksum is wrong; restore a copy, or begin again")]
+    Checksum,
+    /// It is whole, but says something impossible.
+    #[error("the habits are malformed: {what}; restore a copy, or begin again")]
+    Malformed {
+        /// What.
+        what: String,
+    },
+}
+
+pub(crate) fn malformed(what: impl Into<String>) -> StoredError {
+    StoredError::Malformed { what: what.into() }
+}
+
+/// A name and when it was last seen, in minutes since 1970, local time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StoredName {
+    pub(crate) name: String,
+    pub(crate) seen_min: u32,
+}
+
+/// What was learned of one horizon.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StoredAnchor {
+    pub(crate) weights: Vec<f64>,
+    pub(crate) stayed: f64,
+    pub(crate) sampled: f64,
+    pub(crate) miss: f64,
+    pub(crate) outcomes: u64,
+    pub(crate) scores: Vec<f32>,
+}
+
+/// What was learned of one person.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StoredPerson {
+    pub(crate) number: u32,
+    pub(crate) slot: u8,
+    pub(crate) observations: f64,
+    pub(crate) stayed: f64,
+    pub(crate) turned: f64,
+    /// Weights of the mixtures of objects, of staying, of destinations, row by row.
+    pub(crate) weights: Vec<f64>,
+    pub(crate) anchors: Vec<StoredAnchor>,
+}
+
+/// What was counted in one context.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StoredRow {
+    pub(crate) kind: u8,
+    pub(crate) slot: u8,
+    pub(crate) after: [u16; 3],
+    pub(crate) touched_min: u32,
+    pub(crate) counts: Vec<(u16, f32)>,
+}
+
+/// Everything that was learned.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Stored {
+    pub(crate) version: u16,
+    pub(crate) mark: u64,
+    pub(crate) objects: Vec<StoredName>,
+    pub(crate) places: Vec<StoredName>,
+    pub(crate) persons: Vec<StoredPerson>,
+    pub(crate) rows: Vec<StoredRow>,
+}
+
+impl Stored {
+    pub(crate) fn to_bytes(&self) -> Vec<u8> {
+        let mut out = Writer(Vec::with_capacity(64 * self.rows.len() + 4096));
+        out.0.extend_from_slice(MAGIC);
+        out.0.extend_from_slice(&VERSION.to_le_bytes());
+        out.0.extend_from_slice(&self.mark.to_le_bytes());
+        for names in [&self.objects, &self.places] {
+            out.length(names.len());
+            for StoredName { name, seen_min } in names {
+                out.length(name.len());
+                out.0.extend_from_slice(name.as_bytes());
+                out.0.extend_from_slice(&seen_min.to_le_bytes());
+            }
+        }
+        out.length(self.persons.len());
+        for person in &self.persons {
+            out.0.extend_from_slice(&person.number.to_le_bytes());
+            out.0.push(person.slot);
+            [person.observations, person.stayed, person.turned].into_iter().for_each(|value| out.double(value));
+            out.doubles(&person.weights);
+            out.length(person.anchors.len());
+            for anchor in &person.anchors {
+                out.doubles(&anchor.weights);
+                [anchor.stayed, anchor.sampled, anchor.miss].into_iter().for_each(|value| out.double(value));
+                out.0.extend_from_slice(&anchor.outcomes.to_le_bytes());
+                out.length(anchor.scores.len());
+                anchor.scores.iter().for_each(|score| out.0.extend_from_slice(&score.to_le_bytes()));
+            }
+        }
+        out.length(self.rows.len());
+        for row in &self.rows {
+            out.0.extend_from_slice(&[row.kind, row.slot]);
+            row.after.iter().for_each(|number| out.0.extend_from_slice(&number.to_le_bytes()));
+            out.0.extend_from_slice(&row.touched_min.to_le_bytes());
+            out.length(row.counts.len());
+            for (symbol, count) in &row.counts {
+                out.0.extend_from_slice(&symbol.to_le_bytes());
+                out.0.extend_from_slice(&count.to_le_bytes());
+            }
+        }
+        let sum = checksum(&out.0);
+        out.0.extend_from_slice(&sum);
+        out.0
+    }
+
+    /// Reads and checks bytes that [`Stored::to_bytes`] wrote.
+    pub(crate) fn from_bytes(bytes: &[u8]) -> Result<Self, StoredError> {
+        if bytes.len() > BYTES_MAX {
+            return Err(StoredError::TooLarge { bytes: bytes.len() });
+        }
+        let Some((magic, rest)) = bytes.split_first_chunk::<8>() else { return Err(StoredError::Foreign) };
+        if magic != MAGIC {
+            return Err(StoredError::Foreign);
+        }
+        let Some((version, _)) = rest.split_first_chunk::<2>() else { return Err(StoredError::Checksum) };
+        let found = u16::from_le_bytes(*version);
+        if found != VERSION {
+            return Err(StoredError::Version { found });
+        }
+        let Some((body, sum)) = bytes.split_last_chunk::<CHECKSUM_BYTES>() else { return Err(StoredError::Checksum) };
+        if checksum(body) != *sum {
+            return Err(StoredError::Checksum);
+        }
+        let mut read = Reader(body.get(MAGIC.len() + 2..).unwrap_or_default());
+        let stored = read.stored().ok_or_else(|| malformed("it ends early"))?;
+        if !read.0.is_empty() {
+            return Err(malformed(format!("{} bytes are left over", read.0.len())));
+        }
+        stored.checked()
+    }
+
+    /// Nothing impossible is in it: numbers are finite and in range.
+    pub(crate) fn checked(self) -> Result<Self, StoredError> {
+        if self.version != VERSION {
+            return Err(StoredError::Version { found: self.version });
+        }
+        let positive = |value: f64| value.is_finite() && value >= 0.0;
+        for person in &self.persons {
+            let own = [person.observations, person.stayed, person.turned];
+            let of_anchors = person.anchors.iter().flat_map(|anchor| [anchor.stayed, anchor.sampled]);
+            if !own.into_iter().chain(of_anchors).all(positive) {
+                return Err(malformed(format!("a count of person {} is no count", person.number)));
+            }
+            if !(person.stayed <= person.turned
+                && person.anchors.iter().all(|a| a.stayed <= a.sampled && a.sampled > 0.0))
+            {
+                return Err(malformed(format!("person {} stayed more often than there were times", person.number)));
+            }
+        }
+        for row in &self.rows {
+            if !Kind::ALL.iter().any(|kind| *kind as u8 == row.kind) {
+                return Err(malformed(format!("unknown kind {} of counts", row.kind)));
+            }
+            if !row.counts.iter().all(|(_, count)| count.is_finite() && *count > 0.0) {
+                return Err(malformed(format!("a count of kind {} is no count", row.kind)));
+            }
+        }
+        Ok(self)
+    }
+}
+
+fn checksum(bytes: &[u8]) -> [u8; CHECKSUM_BYTES] {
+    let digest = Sha256::digest(bytes);
+    std::array::from_fn(|at| digest[at])
+}
+
+struct Writer(Vec<u8>);
+
+impl Writer {
+    fn length(&mut self, length: usize) {
+        self.0.extend_from_slice(&u32::try_from(length).unwrap_or(u32::MAX).to_le_bytes());
+    }
+
+    fn double(&mut self, value: f64) {
+        self.0.extend_from_slice(&value.to_le_bytes());
+    }
+
+    fn doubles(&mut self, values: &[f64]) {
+        self.length(values.len());
+        values.iter().for_each(|value| self.double(*value));
+    }
+}
+
+struct Reader<'a>(&'a [u8]);
+
+impl Reader<'_> {
+    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (taken, rest) = self.0.split_first_chunk::<N>()?;
+        self.0 = rest;
+        Some(*taken)
+    }
+
+    fn long(&mut self) -> Option<u32> {
+        self.take().map(u32::from_le_bytes)
+    }
+
+    fn double(&mut self) -> Option<f64> {
+        self.take().map(f64::from_le_bytes)
+    }
+
+    /// As many as are said to follow; memory is taken only for what is there.
+    fn list<T>(&mut self, mut one: impl FnMut(&mut Self) -> Option<T>) -> Option<Vec<T>> {
+        let length = self.long()?;
+        let mut list = Vec::new();
+        for _ in 0..length {
+            list.push(one(self)?);
+        }
+        Some(list)
+    }
+
+    fn name(&mut self) -> Option<StoredName> {
+        let length = self.long()? as usize;
+        let (name, rest) = self.0.split_at_checked(length)?;
+        self.0 = rest;
+        Some(StoredName { name: String::from_utf8(name.to_vec()).ok()?, seen_min: self.long()? })
+    }
+
+    fn anchor(&mut self) -> Option<StoredAnchor> {
+        Some(StoredAnchor {
+            weights: self.list(Self::double)?,
+            stayed: self.double()?,
+            sampled: self.double()?,
+            miss: self.double()?,
+            outcomes: self.take().map(u64::from_le_bytes)?,
+            scores: self.list(|read| read.take().map(f32::from_le_bytes))?,
+        })
+    }
+
+    fn person(&mut self) -> Option<StoredPerson> {
+        Some(StoredPerson {
+            number: self.long()?,
+            slot: self.take::<1>()?[0],
+            observations: self.double()?,
+            stayed: self.double()?,
+            turned: self.double()?,
+            weights: self.list(Self::double)?,
+            anchors: self.list(Self::anchor)?,
+        })
+    }
+
+    fn row(&mut self) -> Option<StoredRow> {
+        let [kind, slot] = self.take()?;
+        let number = |read: &mut Self| read.take().map(u16::from_le_bytes);
+        Some(StoredRow {
+            kind,
+            slot,
+            after: [number(self)?, number(self)?, number(self)?],
+            touched_min: self.long()?,
+            counts: self.list(|read| Some((number(read)?, read.take().map(f32::from_le_bytes)?)))?,
+        })
+    }
+
+    fn stored(&mut self) -> Option<Stored> {
+        Some(Stored {
+            version: VERSION,
+            mark: self.take().map(u64::from_le_bytes)?,
+            objects: self.list(Self::name)?,
+            places: self.list(Self::name)?,
+            persons: self.list(Self::person)?,
+            rows: self.list(Self::row)?,
+        })
+    }
+}

@@ -1,0 +1,284 @@
+use super::*;
+use proptest::prelude::*;
+
+const LABELS: [&str; 5] = ["bed", "shower", "kettle", "mug", "sofa"];
+const ROOMS: [&str; 3] = ["bedroom", "bathroom", "kitchen"];
+/// The room of each label.
+const ROOM_OF: [usize; 5] = [0, 1, 2, 2, 0];
+const DAY_S: f64 = 86_400.0;
+/// A Monday.
+const MONDAY_S: f64 = 4.0 * DAY_S;
+
+fn words(names: &[&str]) -> Vec<String> {
+    names.iter().map(|name| (*name).to_owned()).collect()
+}
+
+fn shares() -> Vec<f64> {
+    ROOM_OF.iter().flat_map(|room| (0..3).map(move |other| if other == *room { 1.0 } else { 0.0 })).collect()
+}
+
+fn home(options: HabitsOptions) -> Habits {
+    let mut habits = Habits::new(options);
+    habits.bind(words(&LABELS), words(&ROOMS), shares());
+    habits
+}
+
+fn turn(person: u32, label: usize, at_s: f64) -> Turn {
+    Turn { person, label: Some(label), room: Some(ROOM_OF[label]), at_s, mark: 0 }
+}
+
+/// The same morning on several days; gives the loss in nats per turn of each day, forecast before it is learned from.
+fn mornings(habits: &mut Habits, person: u32, days: usize) -> Vec<f64> {
+    let morning = [0, 1, 2, 3, 4, 3, 2];
+    (0..days)
+        .map(|day| {
+            let mut loss = 0.0;
+            for (step, label) in morning.into_iter().enumerate() {
+                let at_s = MONDAY_S + day as f64 * DAY_S + 7.0 * 3_600.0 + 60.0 * step as f64;
+                loss -= habits.mix(person, at_s, &[0.2; 5])[label].ln();
+                habits.next_rooms(person, at_s, &[1.0 / 3.0; 3]);
+                habits.observe(&turn(person, label, at_s));
+            }
+            loss / morning.len() as f64
+        })
+        .collect()
+}
+
+#[test]
+fn a_habit_is_learned_within_days_and_the_first_day_is_the_models() {
+    let mut habits = home(HabitsOptions::default());
+    let losses = mornings(&mut habits, 0, 10);
+    assert!(losses[0] < 5f64.ln() + 0.3, "{losses:?}");
+    assert!(losses[9] < 0.4, "{losses:?}");
+    let at_s = MONDAY_S + 10.0 * DAY_S + 7.0 * 3_600.0;
+    habits.mix(0, at_s, &[0.2; 5]);
+    habits.observe(&turn(0, 0, at_s));
+    habits.mix(0, at_s + 60.0, &[0.2; 5]);
+    let shares = habits.explain(0, 1).unwrap();
+    let total = shares.model + shares.habit + shares.recency + shares.hour + shares.staying;
+    assert!((total - 1.0).abs() < 1e-9 && shares.model < 0.3 && shares.observations[1] > 8.0, "{shares:?}");
+    let rooms = habits.next_rooms(0, at_s + 60.0, &[1.0 / 3.0; 3]);
+    assert!(rooms[1] > 0.6 && (rooms.iter().sum::<f64>() - 1.0).abs() < 1e-9, "{rooms:?}");
+}
+
+#[test]
+fn another_person_of_the_home_begins_with_what_the_first_one_does() {
+    let mut habits = home(HabitsOptions::default());
+    let first = mornings(&mut habits, 0, 10);
+    let second = mornings(&mut habits, 7, 1);
+    assert!(second[0] < first[0] - 0.3, "{first:?} {second:?}");
+    assert!(habits.forget(0) && !habits.forget(0));
+    assert_eq!((habits.learned().persons, habits.observations(7)), (1, 7.0));
+}
+
+#[test]
+fn what_was_learned_survives_another_map() {
+    let mut habits = home(HabitsOptions::default());
+    mornings(&mut habits, 0, 10);
+    // The same things in another order, in a flat with one more room.
+    let labels = ["lamp", "mug", "kettle", "sofa", "shower", "bed"];
+    habits.bind(words(&labels), words(&["hall", "kitchen", "bedroom", "bathroom"]), vec![0.25; 24]);
+    let at_s = MONDAY_S + 11.0 * DAY_S;
+    habits.observe(&Turn { person: 0, label: Some(5), room: Some(2), at_s, mark: 0 });
+    assert!(habits.mix(0, at_s + 60.0, &[1.0 / 6.0; 6])[4] > 0.5);
+    assert!(habits.next_rooms(0, at_s + 60.0, &[0.25; 4])[3] > 0.5);
+}
+
+#[test]
+fn nothing_is_learned_twice_or_when_it_may_not() {
+    let mut habits = home(HabitsOptions::default());
+    let marked = |mark| Turn { mark, ..turn(0, mark as usize % 5, MONDAY_S + 60.0 * mark as f64) };
+    (1..=10).for_each(|mark| habits.observe(&marked(mark)));
+    let mut again = Habits::from_bytes(*habits.options(), &habits.to_bytes()).unwrap();
+    again.bind(words(&LABELS), words(&ROOMS), shares());
+    // The journal tells everything once more.
+    (1..=10).for_each(|mark| again.observe(&marked(mark)));
+    assert_eq!((again.learned().counts, again.observations(0), again.mark()), (habits.learned().counts, 10.0, 10));
+    assert_eq!(again.counts.rows(), habits.counts.rows());
+    again.observe(&marked(11));
+    assert_eq!(again.observations(0), 11.0);
+
+    let mut still = home(HabitsOptions { learn: false, ..HabitsOptions::default() });
+    mornings(&mut still, 0, 2);
+    assert_eq!(still.learned().counts, 0);
+}
+
+/// Watches somebody who is in the bedroom until seven, in the bathroom for half an hour, in the kitchen for one, out until six, and in
+/// the kitchen then. Gives the losses of the last day at the horizon of an hour: of the habits, and of the present place.
+fn week(habits: &mut Habits, days: usize) -> (f64, f64) {
+    let place = |minute: usize| match minute % 1440 {
+        0..420 => Place::Room(0),
+        420..450 => Place::Room(1),
+        450..510 => Place::Room(2),
+        510..1080 => Place::Elsewhere,
+        _ => Place::Room(2),
+    };
+    let index = |place| match place {
+        Place::Room(room) => room,
+        Place::Elsewhere => 3,
+    };
+    let (mut loss, mut same, mut p) = (0.0, 0.0, Vec::new());
+    for minute in 0..days * 1440 {
+        let now_s = MONDAY_S + 60.0 * minute as f64;
+        habits.be(0, place(minute), now_s);
+        habits.tick(0, now_s, &mut |_, p| p.fill(0.25));
+        if minute >= (days - 1) * 1440 {
+            habits.at(0, now_s, 3_600.0, &[0.25; 4], &mut p);
+            assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9 && p.iter().all(|p| *p >= 0.0));
+            let truth = index(place(minute + 60));
+            loss -= p[truth].ln();
+            same += f64::from(u8::from(truth == index(place(minute))));
+        }
+    }
+    (loss / 1440.0, same / 1440.0)
+}
+
+#[test]
+fn a_day_is_learned_with_its_hours() {
+    let mut habits = home(HabitsOptions::default());
+    let (loss, same) = week(&mut habits, 14);
+    let persistence = -(same * same.ln() + (1.0 - same) * ((1.0 - same) / 3.0).ln());
+    assert!(loss < 0.6 * persistence, "{loss} against {persistence}");
+    let mut set = Vec::new();
+    let now_s = MONDAY_S + 14.0 * DAY_S + 3.0 * 3_600.0;
+    habits.be(0, Place::Room(0), now_s);
+    let mut p = Vec::new();
+    habits.at(0, now_s, 900.0, &[0.25; 4], &mut p);
+    habits.room_set(0, 900.0, &p, &mut set);
+    assert_eq!(set, [true, false, false, false], "{p:?}");
+}
+
+#[test]
+fn without_knowledge_the_forecast_is_the_shipped_one() {
+    let mut habits = home(HabitsOptions::default());
+    let shipped = [0.1, 0.2, 0.3, 0.4];
+    let mut p = Vec::new();
+    let shares = habits.at(0, MONDAY_S, 600.0, &shipped, &mut p);
+    assert_eq!((p.as_slice(), shares.shipped), (shipped.as_slice(), 1.0));
+}
+
+#[test]
+fn bytes_and_json_give_back_what_was_learned() {
+    let mut habits = home(HabitsOptions::default());
+    mornings(&mut habits, 3, 5);
+    week(&mut habits, 3);
+    let bytes = habits.to_bytes();
+    let again = Habits::from_bytes(*habits.options(), &bytes).unwrap();
+    assert!(again.to_bytes() == bytes);
+    let json = habits.to_json().unwrap();
+    assert!(Habits::from_json(*habits.options(), &json).unwrap().to_bytes() == bytes);
+    let mut later = bytes.clone();
+    later[8] = 9;
+    assert_eq!(Habits::from_bytes(*habits.options(), &later).unwrap_err(), StoredError::Version { found: 9 });
+    assert_eq!(Habits::from_bytes(*habits.options(), b"{}").unwrap_err(), StoredError::Foreign);
+    assert!(Habits::from_json(*habits.options(), &json.replace("\"slot\":0", "\"slot\":77")).is_err());
+}
+
+/// A year of two people who do much at random stays within the stated memory.
+#[test]
+fn memory_is_bounded() {
+    let mut habits = Habits::new(HabitsOptions::default());
+    let labels: Vec<String> = (0..150).map(|label| format!("thing {label}")).collect();
+    habits.bind(labels, words(&ROOMS), vec![1.0 / 3.0; 450]);
+    let mut state = 1u64;
+    for step in 0..400_000u64 {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let label = (state >> 33) as usize % 150;
+        let at_s = step as f64 * 80.0;
+        habits.observe(&Turn { person: (step % 2) as u32, label: Some(label), room: Some(label % 3), at_s, mark: 0 });
+    }
+    let learned = habits.learned();
+    assert!(learned.bytes <= 4 << 20, "{learned:?}");
+    assert!(habits.to_bytes().len() <= 4 << 20, "{}", habits.to_bytes().len());
+}
+
+fn some() -> &'static [u8] {
+    static BYTES: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
+    BYTES.get_or_init(|| {
+        let mut habits = home(HabitsOptions::default());
+        mornings(&mut habits, 0, 3);
+        habits.to_bytes()
+    })
+}
+
+proptest! {
+    #[test]
+    fn damage_is_noticed(at in any::<prop::sample::Index>(), bit in 0..8u8, cut in any::<prop::sample::Index>()) {
+        let mut bytes = some().to_vec();
+        let at = at.index(bytes.len());
+        bytes[at] ^= 1 << bit;
+        prop_assert!(Habits::from_bytes(HabitsOptions::default(), &bytes).is_err());
+        let cut = cut.index(some().len());
+        prop_assert!(Habits::from_bytes(HabitsOptions::default(), &some()[..cut]).is_err());
+    }
+
+    /// Behind a valid checksum anything may stand: it is refused or used, never a fault.
+    #[test]
+    fn nothing_behind_a_checksum_is_a_fault(
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
+    ) {
+        let mut bytes = some().to_vec();
+        let body = bytes.len() - 16;
+        for (at, value) in changes {
+            let at = 10 + at.index(body - 10);
+            bytes[at] = value;
+        }
+        let sum = <sha2::Sha256 as sha2::Digest>::digest(&bytes[..body]);
+        bytes[body..].copy_from_slice(&sum[..16]);
+        if let Ok(mut habits) = Habits::from_bytes(HabitsOptions::default(), &bytes) {
+            habits.bind(words(&LABELS), words(&ROOMS), shares());
+            mornings(&mut habits, 0, 1);
+            week(&mut habits, 1);
+        }
+    }
+
+    /// Over any day, whatever is done, the mixture is behind the model alone by no more than its bound. Each day the weights of four
+    /// gates start again.
+    #[test]
+    fn a_day_is_never_much_worse_than_the_model(
+        steps in prop::collection::vec((0..5usize, 0.01..1.0f64, 0.01..1.0f64), 1..200),
+    ) {
+        let mut habits = home(HabitsOptions::default());
+        let (mut mixture, mut model) = (0.0, 0.0);
+        let (mut at_s, mut last) = (MONDAY_S, 9);
+        for (label, one, other) in steps {
+            if label == last {
+                continue;
+            }
+            last = label;
+            let mut p = [one, other, 0.2, 0.2, 0.2];
+            let total: f64 = p.iter().sum();
+            p.iter_mut().for_each(|p| *p /= total);
+            mixture -= habits.mix(0, at_s, &p)[label].ln();
+            model -= p[label].ln();
+            habits.observe(&turn(0, label, at_s));
+            at_s += 60.0;
+            let steps = ((at_s - MONDAY_S) / 60.0) as usize;
+            let bound: f64 = objects::PRIOR
+                .iter()
+                .map(|prior| mixture::bound_nats(prior[0], objects::SHARE, 1))
+                .sum::<f64>() + steps as f64 * -(1.0 - objects::SHARE).ln();
+            prop_assert!(mixture <= model + bound + 1e-4 * steps as f64, "{mixture} {model} {bound}");
+        }
+    }
+
+    #[test]
+    fn forecasts_are_probabilities_whatever_is_told(
+        told in prop::collection::vec((0..3u32, prop::option::of(0..7usize), prop::option::of(0..5usize), -1e5..1e7f64), 0..60),
+    ) {
+        let mut habits = home(HabitsOptions { names_max: 3, contexts_max: 40, counts_max: 50, ..HabitsOptions::default() });
+        let mut p = Vec::new();
+        for (person, label, room, at_s) in told {
+            habits.observe(&Turn { person, label, room, at_s, mark: 0 });
+            if let Some(room) = room {
+                habits.be(person, if room == 4 { Place::Elsewhere } else { Place::Room(room) }, at_s);
+            }
+            habits.tick(person, at_s, &mut |_, p| p.fill(0.0));
+            let labels: f64 = habits.mix(person, at_s, &[0.0, 1.0, 0.0, 0.3, 0.0]).iter().sum();
+            let rooms: f64 = habits.next_rooms(person, at_s, &[0.5, 0.0, 0.5]).iter().sum();
+            habits.at(person, at_s, 777.0, &[0.0, 0.5, 0.5, 0.0], &mut p);
+            prop_assert!((labels - 1.0).abs() < 1e-6 && (rooms - 1.0).abs() < 1e-6);
+            prop_assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-6 && p.iter().all(|p| *p >= 0.0));
+        }
+    }
+}

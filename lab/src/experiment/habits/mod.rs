@@ -1,0 +1,695 @@
+//! How well a home is learned: every forecast is made first and learned from then, over days with times.
+//!
+//! A case is a sentence. *object* asks for the next thing with another name than the last one, which is taken out of every forecast; cases
+//! whose next thing the map lacks are left out, as in `experiment forecast`. *object-or-same* and *room* ask for the next thing that is
+//! mentioned, the same or another one, and its room; *room-if-changed* asks where to, given that the room changes. *room-at-...* asks once a minute in which place
+//! the person is that much later, elsewhere among them; its cases lie within the time that the home was watched.
+
+use std::collections::VecDeque;
+
+use serde::Serialize;
+
+use super::baselines::{Baselines, Statistics};
+use super::losses::{Intervals, Summary, Sums, difference, summarise};
+use super::scores::ScoreSource;
+use super::{ExperimentError, Progress};
+use crate::simulation::binding::{Binder, ItemChoice};
+use chains::{Chain, ORDER_MAX, Style};
+use roomcast_core::forecast::{ForecastOptions, Forecaster};
+use roomcast_core::grounding::{GroundedScores, Grounding};
+use roomcast_core::habits::{AdaptiveSets, Habits, HabitsOptions, Issued, Place, SetOptions, Turn};
+use roomcast_core::narration::history::HistoryLimits;
+use roomcast_core::prompt::BindingSequence;
+use roomcast_core::scorer::LanguageModel;
+use roomcast_core::semantic_map::SemanticMap;
+
+pub(crate) mod chains;
+pub mod trace;
+
+pub use trace::{Interval, Step, Trace};
+
+/// Who forecasts, in the order of the table.
+pub const PREDICTORS: [&str; 9] =
+    ["mixture", "model", "counts", "stay", "persistence", "markov1", "markov2", "kneser-ney-cache", "ppm"];
+/// What is forecast, in the order of the table.
+pub const TARGETS: [&str; 8] = [
+    "object",
+    "room",
+    "room-if-changed",
+    "room-at-60s",
+    "room-at-300s",
+    "room-at-900s",
+    "room-at-3600s",
+    "object-or-same",
+];
+const OBJECT: usize = 0;
+const ROOM: usize = 1;
+const ROOM_IF_CHANGED: usize = 2;
+/// The first of those with a horizon.
+const ROOM_AT: usize = 3;
+const OBJECT_OR_SAME: usize = 7;
+/// Horizons of the targets that have one, in seconds.
+pub const HORIZONS_S: [f64; 4] = [60.0, 300.0, 900.0, 3_600.0];
+const CHAINS: [Style; 4] = [Style::Markov(1), Style::Markov(2), Style::KneserNeyCache, Style::Ppm];
+/// Time from one moment to the next.
+const MOMENT_S: f64 = 60.0;
+/// Silence after which a new window of narration begins, as in the daemon.
+const GAP_S: f64 = 3_600.0;
+/// Silence after which another activity begins.
+const ACTIVITY_S: f64 = 1_800.0;
+/// Mean time out of the house that the forecast without habits begins with, in seconds.
+const OUT_S: f64 = 4.0 * 3_600.0;
+/// What is impossible for a baseline is not quite.
+const FLOOR: f64 = 1e-6;
+
+/// How the experiment is done.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// The window of narration.
+    pub history: HistoryLimits,
+    /// The binding sequence.
+    pub binding: BindingSequence,
+    /// How habits are learned.
+    pub habits: HabitsOptions,
+    /// Of the bootstrap.
+    pub seed: u64,
+}
+
+/// A day's number, or several days.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(untagged)]
+pub enum Days {
+    /// One of them, from 1.
+    One(usize),
+    /// All, the second half, or, of all, what belongs to activities that were never done in just this way before.
+    Some(&'static str),
+}
+
+/// All days.
+pub const ALL: Days = Days::Some("all");
+/// The second half of the days.
+pub const HALF: Days = Days::Some("second-half");
+/// Of all days, what belongs to activities that were never done in just this way before.
+pub const UNSEEN: Days = Days::Some("unseen-scripts");
+
+/// One line of the table.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// Which days.
+    pub day: Days,
+    /// Who forecasts.
+    pub predictor: &'static str,
+    /// What.
+    pub target: &'static str,
+    /// Cases.
+    pub n: usize,
+    /// Mean negative log-likelihood in nats.
+    pub nll_nats: f64,
+    /// Mean reciprocal rank.
+    pub mrr: f64,
+    /// Share in which the likeliest was right.
+    pub top1: f64,
+    /// Mean Brier score, 0 to 2.
+    pub brier: f64,
+    /// Expected calibration error.
+    pub ece: f64,
+    /// 95 % intervals by bootstrap over days; none for a single day.
+    pub ci95: Option<Intervals>,
+}
+
+/// The mixture's figures less another's, on the same cases, with intervals by days resampled together.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Difference {
+    /// Which days.
+    pub day: Days,
+    /// What is forecast.
+    pub target: &'static str,
+    /// Whose figures are taken from the mixture's.
+    pub less: &'static str,
+    /// In nats.
+    pub nll_nats: f64,
+    /// 95 % interval of it.
+    pub nll_ci95: [f64; 2],
+    /// Of the share in which the likeliest was right.
+    pub top1: f64,
+    /// 95 % interval of it.
+    pub top1_ci95: [f64; 2],
+}
+
+/// Sets of places of one horizon.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Sets {
+    /// How far ahead, in seconds.
+    pub horizon_s: f64,
+    /// Share of moments in which the person is to be in the set.
+    pub coverage_asked: f64,
+    /// Share in which they were.
+    pub coverage: f64,
+    /// Mean number of places in a set.
+    pub size_mean: f64,
+    /// The same for sets of the forecast without habits, with the same promise.
+    pub size_mean_shipped: f64,
+    /// Share in which sets of the forecast without habits held the person.
+    pub coverage_shipped: f64,
+    /// Of sets that always have the likeliest place, as the daemon publishes them: the share, and the mean number.
+    pub coverage_never_empty: f64,
+    /// Mean number of places of these.
+    pub size_mean_never_empty: f64,
+}
+
+/// The result.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Report {
+    /// Days with any case.
+    pub days: usize,
+    /// Cases of the target `room`.
+    pub cases: usize,
+    /// The table.
+    pub rows: Vec<Row>,
+    /// The mixture against the others, over all days and over the second half.
+    pub differences: Vec<Difference>,
+    /// The sets.
+    pub sets: Vec<Sets>,
+    /// Scores that the model computed and the cache did not have.
+    pub computed: usize,
+    /// What was learned, and what it takes.
+    pub learned: roomcast_core::habits::Learned,
+}
+
+/// Sums of losses by predictor, target and day: of all cases, and of those in activities that were never done so before.
+struct Tally {
+    sums: Vec<Vec<Sums>>,
+    unseen: Vec<Vec<Sums>>,
+}
+
+impl Tally {
+    fn add(&mut self, predictor: usize, target: usize, (day, unseen): (usize, bool), p: &[f64], truth: usize) {
+        for (sums, counts) in [(&mut self.sums, true), (&mut self.unseen, unseen)] {
+            let days = &mut sums[predictor * TARGETS.len() + target];
+            if days.len() <= day {
+                days.resize(day + 1, Sums::default());
+            }
+            if counts {
+                days[day].add(p, truth);
+            }
+        }
+    }
+}
+
+/// The same list of names, each once.
+fn once<'a>(names: impl Iterator<Item = (&'a str, &'a str)>) -> Vec<String> {
+    let names: Vec<(&str, &str)> = names.collect();
+    let several = |label: &str| names.iter().filter(|(other, _)| *other == label).count() > 1;
+    names.iter().map(|(label, id)| if several(label) { *id } else { *label }.to_owned()).collect()
+}
+
+/// Binds habits to a map: its labels, its rooms by their words (by their ids where several have the same), and what lies where.
+#[must_use]
+pub fn bound(options: HabitsOptions, grounding: &Grounding) -> Habits {
+    let mut habits = Habits::new(options);
+    let labels = grounding.label_texts().iter().map(|text| (*text).to_owned()).collect();
+    let rooms = once(grounding.partitions().iter().map(|p| (p.label.as_str(), p.id.as_str())));
+    let weights = grounding.weights();
+    let shares = (0..weights.nrows()).flat_map(|label| (0..weights.ncols()).map(move |room| (label, room)));
+    habits.bind(labels, rooms, shares.map(|cell| weights[cell]).collect());
+    habits
+}
+
+/// A case that waits for what comes next.
+struct Case {
+    day: usize,
+    unseen: bool,
+    here: Option<usize>,
+    last: Option<usize>,
+    /// Whether something was mentioned since.
+    mentioned: bool,
+    /// Per predictor its probabilities of objects and of rooms.
+    forecasts: Vec<(Vec<f64>, Vec<f64>)>,
+}
+
+/// Chains of one kind of symbols, and those who guess that nobody moves.
+struct Others {
+    chains: [Chain; CHAINS.len()],
+    stayed: f64,
+    turned: f64,
+}
+
+impl Others {
+    fn new() -> Self {
+        Self { chains: CHAINS.map(Chain::new), stayed: 1.0, turned: 2.0 }
+    }
+}
+
+fn staying(here: Option<usize>, stay: f64, places: usize) -> Vec<f64> {
+    match here {
+        Some(here) if places > 1 => {
+            let other = (1.0 - stay) / (places - 1) as f64;
+            (0..places).map(|place| if place == here { stay } else { other }).collect()
+        }
+        _ => vec![1.0 / places as f64; places],
+    }
+}
+
+fn normalise(p: &mut [f64]) {
+    let total: f64 = p.iter().map(|p| p + FLOOR).sum();
+    p.iter_mut().for_each(|p| *p = (*p + FLOOR) / total);
+}
+
+/// Given that the person leaves: the present room is taken out.
+fn without(p: &[f64], here: usize) -> Vec<f64> {
+    let mut others: Vec<f64> = p.iter().enumerate().map(|(room, p)| if room == here { 0.0 } else { *p }).collect();
+    let total: f64 = others.iter().sum();
+    let even = 1.0 / (others.len() - 1).max(1) as f64;
+    for (room, p) in others.iter_mut().enumerate() {
+        *p = if room == here {
+            0.0
+        } else if total > 0.0 {
+            *p / total
+        } else {
+            even
+        };
+    }
+    others
+}
+
+/// A forecast of places that waits for its time.
+struct Waiting {
+    due_s: f64,
+    day: usize,
+    place: u32,
+    before: Vec<u32>,
+    shipped: Vec<f64>,
+    mixture: Vec<f64>,
+    predicted: Vec<Vec<f64>>,
+    issued: [Issued; 3],
+}
+
+/// One horizon: what was forecast and not yet seen, who else forecasts, and the sets.
+struct Horizon {
+    horizon_s: f64,
+    waiting: VecDeque<Waiting>,
+    others: Others,
+    sets: [AdaptiveSets; 3],
+    held: [f64; 3],
+    size: [f64; 3],
+    moments: f64,
+}
+
+/// The home, while it is watched.
+struct Watch<'a> {
+    trace: &'a Trace,
+    grounding: &'a Grounding,
+    rooms: usize,
+    labels: usize,
+    mixture: Habits,
+    counts: Habits,
+    forecaster: Forecaster,
+    baselines: Baselines,
+    objects: Others,
+    next_rooms: Others,
+    horizons: Vec<Horizon>,
+    /// The last things, the latest first.
+    context: Vec<u32>,
+    /// The last places, the latest first.
+    places: Vec<u32>,
+    here: Option<usize>,
+    last_s: f64,
+    cases: Vec<Case>,
+    tally: Tally,
+    /// How far the places of the trace were told.
+    told: usize,
+    out_since_s: Option<f64>,
+}
+
+const PERSON: u32 = 0;
+const MIXTURE: usize = 0;
+const MODEL: usize = 1;
+const COUNTS: usize = 2;
+const STAY: usize = 3;
+const PERSISTENCE: usize = 4;
+const FIRST_CHAIN: usize = 5;
+
+impl Watch<'_> {
+    /// A sentence: what waited for it is scored and learned, then the next is forecast from the model's scores.
+    fn step(&mut self, step: &Step, scores: &[f64], grounded: &mut GroundedScores) -> Result<(), ExperimentError> {
+        if step.label.is_some() || step.room.is_some() {
+            self.resolve(step);
+        }
+        if step.lacking {
+            self.cases.clear();
+        }
+        if step.at_s - self.last_s > ACTIVITY_S {
+            self.objects.chains.iter_mut().chain(&mut self.next_rooms.chains).for_each(Chain::forget_cache);
+        }
+        self.last_s = step.at_s;
+        let turn = Turn { person: PERSON, label: step.label, room: step.room, at_s: step.at_s, mark: 0 };
+        self.mixture.observe(&turn);
+        self.counts.observe(&turn);
+        if let Some(label) = step.label {
+            self.context.insert(0, label as u32);
+            self.context.truncate(ORDER_MAX);
+        }
+        self.here = step.room.or(self.here);
+
+        self.grounding.ground(scores, grounded)?;
+        let rooms = grounded.partition_probability.clone();
+        let greatest = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let mut labels: Vec<f64> = scores.iter().map(|score| (score - greatest).exp()).collect();
+        let total: f64 = labels.iter().sum();
+        labels.iter_mut().for_each(|p| *p /= total);
+        self.forecaster.observe(step.at_s, step.label, self.grounding, &rooms);
+        let mut forecasts = vec![(Vec::new(), Vec::new()); PREDICTORS.len()];
+        let mixed = self.mixture.mix(PERSON, step.at_s, &labels).to_vec();
+        forecasts[MIXTURE] = (mixed, self.mixture.next_rooms(PERSON, step.at_s, &rooms).to_vec());
+        let even = (vec![1.0 / self.labels as f64; self.labels], vec![1.0 / self.rooms as f64; self.rooms]);
+        let counted = self.counts.mix(PERSON, step.at_s, &even.0).to_vec();
+        forecasts[COUNTS] = (counted, self.counts.next_rooms(PERSON, step.at_s, &even.1).to_vec());
+        forecasts[MODEL] = (labels, rooms);
+        let stay = self.baselines.stay(self.here, self.rooms);
+        forecasts[STAY] = (self.labels_in(&stay), stay);
+        let fitted = staying(self.here, self.next_rooms.stayed / self.next_rooms.turned, self.rooms);
+        forecasts[PERSISTENCE] = (self.labels_in(&fitted), fitted);
+        for index in 0..CHAINS.len() {
+            let mut of_objects = self.objects.chains[index].predict(&self.context, self.labels);
+            let mut of_rooms = self.next_rooms.chains[index].predict(&self.context, self.rooms);
+            normalise(&mut of_objects);
+            normalise(&mut of_rooms);
+            forecasts[FIRST_CHAIN + index] = (of_objects, of_rooms);
+        }
+        let last = self.context.first().map(|label| *label as usize).filter(|_| !step.lacking);
+        self.cases.push(Case {
+            day: self.trace.day(step.at_s),
+            unseen: step.unseen,
+            here: self.here,
+            last,
+            mentioned: false,
+            forecasts,
+        });
+        Ok(())
+    }
+
+    fn labels_in(&self, rooms: &[f64]) -> Vec<f64> {
+        let weights = self.grounding.weights();
+        let mut labels = vec![0.0; self.labels];
+        for (room, p) in rooms.iter().enumerate() {
+            let total = weights.column(room).sum();
+            if total > 0.0 {
+                labels.iter_mut().enumerate().for_each(|(label, sum)| *sum += p * weights[(label, room)] / total);
+            }
+        }
+        normalise(&mut labels);
+        labels
+    }
+
+    /// Something is mentioned: what was forecast of it is scored and learned.
+    fn resolve(&mut self, step: &Step) {
+        for mut case in std::mem::take(&mut self.cases) {
+            // What ends an activity that is new, or begins one, is new as well.
+            let day = (case.day, case.unseen || step.unseen);
+            let another = step.label.filter(|label| case.last != Some(*label));
+            for (predictor, (objects, rooms)) in case.forecasts.iter().enumerate() {
+                if let Some(label) = another {
+                    let others = case.last.map(|last| without(objects, last));
+                    self.tally.add(predictor, OBJECT, day, others.as_ref().unwrap_or(objects), label);
+                }
+                if case.mentioned {
+                    continue;
+                }
+                if let Some(label) = step.label {
+                    self.tally.add(predictor, OBJECT_OR_SAME, day, objects, label);
+                }
+                let Some(room) = step.room else { continue };
+                self.tally.add(predictor, ROOM, day, rooms, room);
+                if let Some(here) = case.here.filter(|here| *here != room && self.rooms > 1) {
+                    self.tally.add(predictor, ROOM_IF_CHANGED, day, &without(rooms, here), room);
+                }
+            }
+            case.mentioned = true;
+            if another.is_none() {
+                self.cases.push(case);
+            }
+        }
+        if let Some(label) = step.label {
+            self.objects.chains.iter_mut().for_each(|chain| chain.learn(&self.context, label));
+        }
+        if let Some(room) = step.room {
+            self.next_rooms.chains.iter_mut().for_each(|chain| chain.learn(&self.context, room));
+            if let Some(here) = self.here {
+                self.next_rooms.turned += 1.0;
+                self.next_rooms.stayed += f64::from(u8::from(here == room));
+            }
+        }
+    }
+
+    /// Where the person is, as far as it is known by now.
+    fn tell(&mut self, now_s: f64) {
+        while let Some((from_s, place)) =
+            self.trace.places.get(self.told).copied().filter(|(from_s, _)| *from_s <= now_s)
+        {
+            self.told += 1;
+            let known = if place < self.rooms { Place::Room(place) } else { Place::Elsewhere };
+            self.mixture.be(PERSON, known, from_s);
+            self.counts.be(PERSON, known, from_s);
+            self.out_since_s = (place == self.rooms).then_some(from_s);
+            self.places.insert(0, place as u32);
+            self.places.truncate(ORDER_MAX);
+        }
+    }
+
+    /// A moment: what was forecast for it is scored and learned, then later places are forecast.
+    fn moment(&mut self, now_s: f64, until_s: f64) {
+        let Some((_, here)) = self.trace.place_at(now_s) else { return };
+        let places = self.rooms + 1;
+        let Self { forecaster, out_since_s, rooms, .. } = self;
+        let mut shipped = |horizon_s: f64, p: &mut [f64]| {
+            let home = out_since_s.map_or(1.0, |since_s| {
+                let scale_s = OUT_S + now_s - since_s;
+                1.0 - (scale_s / (scale_s + horizon_s)).powi(2)
+            });
+            p.iter_mut().zip(forecaster.at(now_s, horizon_s)).for_each(|(p, own)| *p = home * own);
+            p[*rooms] = 1.0 - home;
+        };
+        self.mixture.tick(PERSON, now_s, &mut shipped);
+        let mut forecasts = Vec::new();
+        for horizon in &self.horizons {
+            let mut p = vec![0.0; places];
+            shipped(horizon.horizon_s, &mut p);
+            forecasts.push(p);
+        }
+        self.counts.tick(PERSON, now_s, &mut |_, p| p.fill(1.0));
+        let even = vec![1.0; places];
+        let day = self.trace.day(now_s);
+        for (index, (horizon, mut shipped)) in self.horizons.iter_mut().zip(forecasts).enumerate() {
+            while horizon.waiting.front().is_some_and(|waiting| waiting.due_s <= now_s) {
+                let Some(waiting) = horizon.waiting.pop_front() else { break };
+                let Some((_, truth)) = self.trace.place_at(waiting.due_s) else { continue };
+                for (predictor, p) in waiting.predicted.iter().enumerate() {
+                    self.tally.add(predictor, ROOM_AT + index, (waiting.day, false), p, truth);
+                }
+                for (which, p) in [&waiting.mixture, &waiting.shipped, &waiting.mixture].into_iter().enumerate() {
+                    let mut set = Vec::new();
+                    horizon.sets[which].set(p, waiting.issued[which], &mut set);
+                    horizon.held[which] += f64::from(u8::from(set[truth]));
+                    horizon.size[which] += set.iter().filter(|held| **held).count() as f64;
+                    horizon.sets[which].learn(p, waiting.issued[which], truth);
+                }
+                horizon.moments += 1.0;
+                horizon.others.turned += 1.0;
+                horizon.others.stayed += f64::from(u8::from(truth == waiting.place as usize));
+                horizon.others.chains.iter_mut().for_each(|chain| chain.learn(&waiting.before, truth));
+            }
+            if now_s + horizon.horizon_s > until_s {
+                continue;
+            }
+            let (mut mixture, mut counts) = (Vec::new(), Vec::new());
+            self.mixture.at(PERSON, now_s, horizon.horizon_s, &shipped, &mut mixture);
+            self.counts.at(PERSON, now_s, horizon.horizon_s, &even, &mut counts);
+            [&mut mixture, &mut counts, &mut shipped].into_iter().for_each(|p| normalise(p));
+            let fitted = staying(Some(here), horizon.others.stayed / horizon.others.turned, places);
+            let certain = staying(Some(here), 0.95, places);
+            let mut predicted = vec![mixture.clone(), shipped.clone(), counts, certain, fitted];
+            predicted.extend(horizon.others.chains.iter().map(|chain| {
+                let mut p = chain.predict(&self.places, places);
+                normalise(&mut p);
+                p
+            }));
+            let issued = std::array::from_fn(|which| horizon.sets[which].issue());
+            horizon.waiting.push_back(Waiting {
+                due_s: now_s + horizon.horizon_s,
+                day,
+                place: here as u32,
+                before: self.places.clone(),
+                shipped,
+                mixture,
+                predicted,
+                issued,
+            });
+        }
+    }
+}
+
+/// Watches a home from its first day to its last.
+///
+/// # Errors
+/// When the model, its cache or the map fails, or nothing happens.
+pub fn run<M: LanguageModel>(
+    trace: &Trace,
+    (map, grounding): (&SemanticMap, &Grounding),
+    source: &mut ScoreSource<M>,
+    statistics: &Statistics,
+    options: &Options,
+    progress: &Progress,
+) -> Result<Report, ExperimentError> {
+    let (labels, rooms) = (grounding.scored_labels().len(), grounding.partitions().len());
+    let Some(first) = trace.steps.first().filter(|_| trace.steps.iter().any(|step| step.label.is_some())) else {
+        return Err(ExperimentError::NothingBound { scene: map.name().to_owned() });
+    };
+    let mut binder = Binder::new(map, grounding, ItemChoice::default());
+    let promise = |never_empty| AdaptiveSets::new(SetOptions { never_empty, ..options.habits.sets });
+    let mut watch = Watch {
+        trace,
+        grounding,
+        rooms,
+        labels,
+        mixture: bound(options.habits, grounding),
+        counts: bound(options.habits, grounding),
+        forecaster: Forecaster::new(rooms, ForecastOptions::default(), first.at_s),
+        baselines: Baselines::new(statistics, &mut binder, grounding),
+        objects: Others::new(),
+        next_rooms: Others::new(),
+        horizons: HORIZONS_S
+            .iter()
+            .map(|horizon_s| Horizon {
+                horizon_s: *horizon_s,
+                waiting: VecDeque::new(),
+                others: Others::new(),
+                sets: [promise(false), promise(false), promise(true)],
+                held: [0.0; 3],
+                size: [0.0; 3],
+                moments: 0.0,
+            })
+            .collect(),
+        context: Vec::new(),
+        places: Vec::new(),
+        here: None,
+        last_s: f64::NEG_INFINITY,
+        cases: Vec::new(),
+        tally: Tally {
+            sums: vec![Vec::new(); PREDICTORS.len() * TARGETS.len()],
+            unseen: vec![Vec::new(); PREDICTORS.len() * TARGETS.len()],
+        },
+        told: 0,
+        out_since_s: None,
+    };
+    let mut grounded = GroundedScores::default();
+    let mut next = 0;
+    for (begin_s, end_s) in &trace.watched {
+        let mut now_s = (begin_s / MOMENT_S).floor() * MOMENT_S;
+        while now_s <= *end_s + MOMENT_S {
+            while trace.steps.get(next).is_some_and(|step| step.at_s <= now_s) {
+                // One window of narration: until the next long silence.
+                let begin = next;
+                let silent = |at: usize| trace.steps[at].at_s - trace.steps[at - 1].at_s > GAP_S;
+                let end = (begin + 1..trace.steps.len()).find(|at| silent(*at)).unwrap_or(trace.steps.len());
+                let sentences: Vec<_> = trace.steps[begin..end].iter().map(|step| step.sentence.clone()).collect();
+                let rows = source.score_steps(&sentences, options.history, &options.binding)?;
+                for (step, scores) in trace.steps[begin..end].iter().zip(rows.iter().skip(1)) {
+                    while now_s < step.at_s {
+                        watch.tell(now_s);
+                        watch.moment(now_s, *end_s);
+                        now_s += MOMENT_S;
+                    }
+                    watch.tell(step.at_s);
+                    watch.step(step, scores, &mut grounded)?;
+                    progress.step();
+                }
+                next = end;
+            }
+            watch.tell(now_s);
+            watch.moment(now_s, *end_s);
+            now_s += MOMENT_S;
+        }
+        watch.horizons.iter_mut().for_each(|horizon| horizon.waiting.clear());
+    }
+    source.flush()?;
+    Ok(report(&watch, options, source.computed()))
+}
+
+fn report(watch: &Watch<'_>, options: &Options, computed: usize) -> Report {
+    let days = watch.tally.sums.iter().map(Vec::len).max().unwrap_or(0);
+    let stretch = |predictor: usize, target: usize, day: Days| {
+        let of = if day == UNSEEN { &watch.tally.unseen } else { &watch.tally.sums };
+        let mut sums = of[predictor * TARGETS.len() + target].clone();
+        sums.resize(days, Sums::default());
+        match day {
+            Days::One(day) => vec![sums[day - 1]],
+            HALF => sums.split_off(days / 2),
+            Days::Some(_) => sums,
+        }
+    };
+    let whole = [ALL, HALF, UNSEEN];
+    let mut rows = Vec::new();
+    let mut differences = Vec::new();
+    for (target, target_name) in TARGETS.iter().enumerate() {
+        for (predictor, predictor_name) in PREDICTORS.iter().enumerate() {
+            for day in (1..=days).map(Days::One).chain(whole) {
+                let groups = stretch(predictor, target, day);
+                let summary: Summary = summarise(&groups, options.seed);
+                if summary.cases == 0 {
+                    continue;
+                }
+                rows.push(Row {
+                    day,
+                    predictor: predictor_name,
+                    target: target_name,
+                    n: summary.cases,
+                    nll_nats: summary.nll_nats,
+                    mrr: summary.mrr,
+                    top1: summary.top1,
+                    brier: summary.brier,
+                    ece: summary.ece,
+                    ci95: (groups.len() > 1).then_some(summary.ci95),
+                });
+                if groups.len() > 1 && predictor != MIXTURE {
+                    let less = difference(&stretch(MIXTURE, target, day), &groups, options.seed);
+                    differences.push(Difference {
+                        day,
+                        target: target_name,
+                        less: predictor_name,
+                        nll_nats: less.nll_nats,
+                        nll_ci95: less.ci95.nll_nats,
+                        top1: less.top1,
+                        top1_ci95: less.ci95.top1,
+                    });
+                }
+            }
+        }
+    }
+    let sets = watch.horizons.iter().filter(|horizon| horizon.moments > 0.0);
+    let sets = sets.map(|horizon| Sets {
+        horizon_s: horizon.horizon_s,
+        coverage_asked: options.habits.sets.coverage,
+        coverage: horizon.held[0] / horizon.moments,
+        size_mean: horizon.size[0] / horizon.moments,
+        size_mean_shipped: horizon.size[1] / horizon.moments,
+        coverage_shipped: horizon.held[1] / horizon.moments,
+        coverage_never_empty: horizon.held[2] / horizon.moments,
+        size_mean_never_empty: horizon.size[2] / horizon.moments,
+    });
+    let all = |row: &&Row| row.day == ALL && row.target == "room" && row.predictor == "mixture";
+    let cases = rows.iter().find(all).map_or(0, |row| row.n);
+    let with_cases = rows.iter().filter(|row| matches!(row.day, Days::One(_)) && row.predictor == "mixture");
+    let mut numbers: Vec<usize> =
+        with_cases.filter_map(|row| if let Days::One(day) = row.day { Some(day) } else { None }).collect();
+    numbers.sort_unstable();
+    numbers.dedup();
+    Report {
+        days: numbers.len(),
+        cases,
+        rows,
+        differences,
+        sets: sets.collect(),
+        computed,
+        learned: watch.mixture.learned(),
+    }
+}

@@ -1,0 +1,187 @@
+//! What was done in a home, with times: from days of activities, or from a sensor log.
+
+use std::collections::HashSet;
+
+use roomcast_core::grounding::Grounding;
+use roomcast_core::narration::Sentence;
+use roomcast_core::semantic_map::SemanticMap;
+
+use crate::experiment::ExperimentError;
+use crate::simulation::binding::{Binder, ItemChoice};
+use crate::simulation::homer::Day;
+
+/// Seconds of a day.
+pub(crate) const DAY_S: f64 = 86_400.0;
+
+/// One sentence.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Step {
+    /// When it was observed, in seconds since 1970, local time.
+    pub at_s: f64,
+    /// What is narrated.
+    pub sentence: Sentence,
+    /// The label that it mentions, as an index of [`Grounding::scored_labels`].
+    pub label: Option<usize>,
+    /// The room in which that is.
+    pub room: Option<usize>,
+    /// Whether it is about a thing that the map lacks.
+    pub lacking: bool,
+    /// Whether it belongs to an activity that was never done in just this way before.
+    pub unseen: bool,
+}
+
+/// An interval in a place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Interval {
+    /// When it began, in seconds since 1970, local time.
+    pub from_s: f64,
+    /// When it ended; not before it began.
+    pub to_s: f64,
+    /// A room of the map; none for elsewhere.
+    pub room: Option<usize>,
+}
+
+/// Everything that happened.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Trace {
+    /// What was narrated, in the order of time.
+    pub steps: Vec<Step>,
+    /// From when the person is where; the rooms of the map, then elsewhere.
+    pub(crate) places: Vec<(f64, usize)>,
+    /// When the home was watched, in order and apart from one another.
+    pub(crate) watched: Vec<(f64, f64)>,
+}
+
+impl Trace {
+    /// Days of activities, one after the other. An object with the number of an item of the map is that item; others are bound as
+    /// `items` says, the same for all days. The person is in the room of the last thing until the next one.
+    ///
+    /// # Errors
+    /// When an action makes no sentence.
+    pub fn of_days(
+        days: &[Day],
+        map: &SemanticMap,
+        grounding: &Grounding,
+        items: ItemChoice,
+        seed: u64,
+    ) -> Result<Self, ExperimentError> {
+        let mut binder = Binder::new(map, grounding, items);
+        binder.begin(seed, "home");
+        let mut trace = Self::default();
+        let mut at_m = [0.0; 3];
+        let mut scripts: HashSet<String> = HashSet::new();
+        // A Monday.
+        let first_s = 4.0 * DAY_S;
+        for (number, day) in days.iter().enumerate() {
+            let begin_s = first_s + number as f64 * DAY_S;
+            let mut span: Option<(f64, f64)> = None;
+            let mut unseen = Vec::with_capacity(day.actions.len());
+            for activity in day.actions.chunk_by(|one, next| one.activity == next.activity) {
+                let script = activity.iter().map(|timed| timed.action.to_string()).collect::<Vec<_>>().join(" ");
+                let new = scripts.insert(script);
+                unseen.extend(activity.iter().map(|_| new));
+            }
+            for (timed, unseen) in day.actions.iter().zip(unseen) {
+                // A day may end after the next one has begun; times do not go back.
+                let at_s = (begin_s + 60.0 * timed.done_min).max(trace.steps.last().map_or(0.0, |step| step.at_s));
+                let place = timed.action.objects().first().and_then(|object| {
+                    let place = binder.bind(object, at_m)?;
+                    let suffix = format!("-{}", object.id);
+                    let own = map.items().iter().position(|item| {
+                        item.id.ends_with(&suffix)
+                            && place.label.is_some_and(|label| {
+                                grounding.scored_labels()[label]
+                                    .items
+                                    .iter()
+                                    .any(|id| map.items()[id.0 as usize].id == item.id)
+                            })
+                    });
+                    let partition = own.map_or(place.partition, |item| grounding.item_partition()[item]);
+                    let position_m = own.map_or(place.position_m, |item| map.items()[item].position_m);
+                    Some((place.label, partition.map(|p| p.0 as usize), position_m))
+                });
+                let room = place.and_then(|(_, room, _)| room);
+                if let Some((_, _, position_m)) = place {
+                    at_m = position_m;
+                }
+                let sentence = Sentence::new(&timed.action.sentence())?;
+                let label = place.and_then(|(label, ..)| label);
+                let lacking = label.is_none() && !timed.action.objects().is_empty();
+                trace.steps.push(Step { at_s, sentence, label, room, lacking, unseen });
+                if let Some(room) = room
+                    && trace.places.last().is_none_or(|(_, last)| *last != room)
+                {
+                    trace.places.push((at_s, room));
+                }
+                span = Some((span.map_or(at_s, |(from_s, _)| from_s), at_s));
+            }
+            trace.watched.extend(span);
+        }
+        Ok(trace)
+    }
+
+    /// A sensor log: what it narrates, and where somebody was by its intervals. At a moment the person is in the room of the interval
+    /// that covers it (of several, that which began last), else in that of the last one that began, else elsewhere if `away` covers it.
+    #[must_use]
+    pub fn of_sensors(mut steps: Vec<Step>, intervals: &[Interval], away: &[(f64, f64)], rooms: usize) -> Self {
+        steps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+        let mut edges: Vec<f64> = intervals.iter().flat_map(|i| [i.from_s, i.to_s]).collect();
+        edges.extend(away.iter().flat_map(|(from_s, to_s)| [*from_s, *to_s]));
+        edges.sort_by(f64::total_cmp);
+        edges.dedup();
+        let mut sorted: Vec<Interval> = intervals.iter().copied().filter(|i| i.room.is_some()).collect();
+        sorted.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
+        let mut places: Vec<(f64, usize)> = Vec::new();
+        let (mut begun, mut open): (usize, Vec<Interval>) = (0, Vec::new());
+        for edge_s in &edges {
+            while let Some(next) = sorted.get(begun).filter(|next| next.from_s <= *edge_s) {
+                open.push(*next);
+                begun += 1;
+            }
+            open.retain(|interval| interval.to_s > *edge_s);
+            let out = away.iter().any(|(from_s, to_s)| from_s <= edge_s && edge_s < to_s);
+            let covering = open.last().and_then(|interval| interval.room);
+            let last = begun.checked_sub(1).and_then(|last| sorted[last].room);
+            let Some(place) = covering.or(if out { Some(rooms) } else { last }) else { continue };
+            if places.last().is_none_or(|(_, before)| *before != place) {
+                places.push((*edge_s, place));
+            }
+        }
+        let begin = steps.first().map(|step| step.at_s).into_iter().chain(places.first().map(|place| place.0));
+        let end = steps.last().map(|step| step.at_s).into_iter().chain(edges.last().copied());
+        let (begin_s, end_s) = (begin.fold(f64::INFINITY, f64::min), end.fold(f64::NEG_INFINITY, f64::max));
+        let watched = if begin_s < end_s { vec![(begin_s, end_s)] } else { Vec::new() };
+        Self { steps, places, watched }
+    }
+
+    /// Where the person is at a moment, and since when.
+    pub(crate) fn place_at(&self, at_s: f64) -> Option<(f64, usize)> {
+        let after = self.places.partition_point(|(from_s, _)| *from_s <= at_s);
+        after.checked_sub(1).map(|at| self.places[at])
+    }
+
+    /// The day of a moment, from 0.
+    pub(crate) fn day(&self, at_s: f64) -> usize {
+        let first = self.watched.first().map_or(0.0, |(from_s, _)| (from_s / DAY_S).floor());
+        ((at_s / DAY_S).floor() - first).max(0.0) as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_covering_interval_counts_then_the_last_one_then_the_absence() {
+        let interval = |from_s, to_s, room| Interval { from_s, to_s, room: Some(room) };
+        let intervals =
+            [interval(0.0, 100.0, 0), interval(20.0, 30.0, 1), interval(150.0, 160.0, 1), interval(900.0, 901.0, 2)];
+        let trace = Trace::of_sensors(Vec::new(), &intervals, &[(200.0, 800.0)], 3);
+        let place = |at_s| trace.place_at(at_s).map(|(_, place)| place);
+        assert_eq!(
+            [0.0, 25.0, 50.0, 140.0, 170.0, 500.0, 850.0, 950.0].map(place),
+            [Some(0), Some(1), Some(0), Some(1), Some(1), Some(3), Some(1), Some(2)]
+        );
+        assert_eq!(place(-1.0), None);
+    }
+}

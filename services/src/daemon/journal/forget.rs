@@ -1,0 +1,130 @@
+//! What a person did is taken out of the journal. What remains of each of their records is that it was taken: its source, epoch and
+//! sequence, so that a narrator that sends it again does not bring it back.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{self, Write};
+use std::path::Path;
+
+use roomcast_core::narration::{Observation, SOMEBODY, Sentence};
+use rustix::fs::FlockOperation;
+
+use super::{HEADER_BYTES, MAGIC_CARRIED, Record, Writer, decode, encode, open_file, sync_folder};
+
+/// Says whose an observation is.
+pub(super) type IsTheirs = dyn Fn(&Observation) -> bool + Send;
+
+/// What stands for the sentence of a person who is forgotten.
+const BLANK: &str = "Forgotten.";
+
+impl Writer {
+    /// Rewrites both halves, and what the disk has refused so far, without what `is_theirs` says, `person`. A half stays whole until its
+    /// successor is.
+    pub(super) fn forget(&mut self, person: u32, is_theirs: &IsTheirs) -> io::Result<()> {
+        let older = match fs::read(&self.older) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
+            read => read?,
+        };
+        let current = fs::read(&self.current)?;
+        let mut attributed = BTreeMap::new();
+        for half in [&older, &current, &self.unwritten] {
+            attributions(half, &mut attributed);
+        }
+        let forgets = Forgets { person, is_theirs, attributed };
+        if !older.is_empty() {
+            let kept = forgets.without(&older);
+            replace(&self.older, &kept)?;
+            self.older_length = kept.len() as u64;
+        }
+        let kept = forgets.without(&current);
+        self.file = replace(&self.current, &kept)?;
+        (self.length, self.synced) = (kept.len() as u64, kept.len() as u64);
+        self.unsynced.clear();
+        self.unwritten = forgets.without(&self.unwritten);
+        for last in self.last.values_mut() {
+            last.record = forgets.without(&last.record);
+        }
+        self.last.retain(|_, last| last.record.len() > HEADER_BYTES);
+        self.progress.bytes.store(self.older_length + self.length, std::sync::atomic::Ordering::Relaxed);
+        sync_folder(&self.current)
+    }
+}
+
+struct Forgets<'a> {
+    person: u32,
+    is_theirs: &'a IsTheirs,
+    /// Whose an observation that named nobody is.
+    attributed: BTreeMap<(u64, u64, u64), u32>,
+}
+
+impl Forgets<'_> {
+    fn is_theirs(&self, observation: &Observation) -> bool {
+        let name = (observation.source, observation.epoch, observation.sequence);
+        match self.attributed.get(&name) {
+            Some(person) => *person == self.person,
+            None if observation.by_fit => observation.person == self.person,
+            None => (self.is_theirs)(observation),
+        }
+    }
+
+    /// The records without what is theirs; whatever is no record goes, too.
+    fn without(&self, bytes: &[u8]) -> Vec<u8> {
+        let mut kept = Vec::with_capacity(bytes.len());
+        each_record(bytes, |raw, record| match record {
+            Record::Observation(observation) | Record::Carried(observation) if self.is_theirs(&observation) => {
+                kept.extend(blank(&observation));
+            }
+            Record::Outcome { person, .. } if person == self.person => {}
+            _ => kept.extend_from_slice(raw),
+        });
+        kept
+    }
+}
+
+/// A record that only says that an observation was taken.
+fn blank(observation: &Observation) -> Vec<u8> {
+    let Ok(sentence) = Sentence::new(BLANK) else { return Vec::new() };
+    let Observation { source, epoch, .. } = *observation;
+    let nothing = Observation { person: SOMEBODY, source, epoch, ..Observation::of(observation.sequence, sentence) };
+    let mut record = encode(&nothing, &[0; 16]);
+    record[..MAGIC_CARRIED.len()].copy_from_slice(&MAGIC_CARRIED);
+    record
+}
+
+fn attributions(bytes: &[u8], found: &mut BTreeMap<(u64, u64, u64), u32>) {
+    each_record(bytes, |_, record| {
+        if let Record::Outcome { name, person, by_fit: true, .. } = record {
+            found.insert(name, person);
+        }
+    });
+}
+
+/// Every whole record with its bytes; what is none is stepped over.
+fn each_record(bytes: &[u8], mut take: impl FnMut(&[u8], Record)) {
+    let mut rest = bytes;
+    while !rest.is_empty() {
+        let length = match decode(rest, &[0; 16]) {
+            Some((record, length)) => {
+                take(&rest[..length], record);
+                length
+            }
+            None => 1,
+        };
+        rest = &rest[length..];
+    }
+}
+
+/// Puts a file with these bytes in the place of another, and locks it as the other was; gives the new one.
+fn replace(path: &Path, bytes: &[u8]) -> io::Result<fs::File> {
+    let new = path.with_extension("forgetting");
+    match fs::remove_file(&new) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    let mut file = open_file(&new)?;
+    file.write_all(bytes)?;
+    file.sync_all()?;
+    rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
+    fs::rename(&new, path)?;
+    Ok(file)
+}

@@ -1,0 +1,73 @@
+//! Questions about persons: what is asked on `roomcast/v1/person` and what is answered. Pure.
+
+use roomcast_core::narration::Presence;
+use serde::{Deserialize, Serialize};
+
+/// A question. Changes have a name that no other question has: the same one asked again is answered again, and not done again.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "ask", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum PersonQuestion {
+    /// Who is known.
+    List,
+    /// Forget a person: their history, their forecast, their name, and what the journal has of them.
+    Forget {
+        /// The question's name.
+        id: String,
+        /// A name or a number.
+        who: String,
+    },
+    /// Give a person a name, or another one.
+    Rename {
+        /// The question's name.
+        id: String,
+        /// A name or a number.
+        who: String,
+        /// The new name.
+        name: String,
+    },
+}
+
+impl PersonQuestion {
+    /// The name of a question that asks for a change.
+    #[must_use]
+    pub fn id(&self) -> Option<&str> {
+        match self {
+            Self::List => None,
+            Self::Forget { id, .. } | Self::Rename { id, .. } => Some(id),
+        }
+    }
+}
+
+/// A person, as the daemon knows them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PersonLine {
+    /// The number.
+    pub person: u32,
+    /// The name, where there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Whether they are in the house.
+    pub presence: Presence,
+    /// Seconds since that began; none where nothing was observed of them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub since_s: Option<f64>,
+    /// Seconds since they were observed last.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub silent_s: Option<f64>,
+    /// Words for [`roomcast_ipc::person_flags`].
+    pub flags: Vec<String>,
+}
+
+/// The answer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PersonAnswer {
+    /// Whether it was done.
+    pub done: bool,
+    /// Why not, or what is left to do.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// Whether a restarted daemon will know it: only with a state directory.
+    pub kept: bool,
+    /// Everybody who is known now.
+    pub persons: Vec<PersonLine>,
+}

@@ -1,0 +1,643 @@
+//! Who is who, and who is in the house: names and numbers, presence, residents and visitors. No clock: times come in as nanoseconds of
+//! the monotonic clock, negative before the machine's start.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
+
+use roomcast_core::narration::{Observation, PERSONS_MAX, Presence, Said, person_number, same_name};
+use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
+
+use super::person_question::PersonLine;
+use super::persons_file::{KeptPerson, PersonsFile, check_name};
+use crate::config::PersonsConfig;
+
+/// Words of things that people sleep on.
+const BEDS: [&str; 8] = ["bed", "beds", "mattress", "crib", "cot", "bunk", "futon", "bassinet"];
+
+/// Whether people sleep on a thing of this label.
+pub(super) fn is_bed(label: &str) -> bool {
+    label.split(' ').next_back().is_some_and(|word| BEDS.contains(&word))
+}
+
+/// What is known of a person beside their narration and where they will be.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Known {
+    /// As narrators call them.
+    name: Option<Box<str>>,
+    pub(super) presence: Presence,
+    /// Since when that holds.
+    pub(super) since_ns: i64,
+    /// When they were observed last.
+    pub(super) heard_ns: i64,
+    /// The same of what they did; the least number where nothing is known of that.
+    pub(super) did_ns: i64,
+    /// What was observed last: source, epoch, sequence.
+    pub(super) last: (u64, u64, u64),
+    /// It named nobody.
+    by_fit: bool,
+    /// The last thing mentioned is one to sleep on.
+    pub(super) on_bed: bool,
+    /// Everything is from before the daemon's start.
+    pub(super) restored: bool,
+    /// Scores were told since they were observed last.
+    pub(super) told: bool,
+}
+
+impl Known {
+    fn is_asleep(&self, asleep_ns: i64, now_ns: i64) -> bool {
+        self.presence == Presence::Present && self.on_bed && now_ns - self.heard_ns > asleep_ns
+    }
+}
+
+/// All persons that the daemon knows.
+#[derive(Debug, Default)]
+pub struct Persons {
+    config: PersonsConfig,
+    file: PersonsFile,
+    known: BTreeMap<u32, Known>,
+}
+
+impl Persons {
+    /// Nobody yet; `file` says which names are whose.
+    #[must_use]
+    pub fn new(config: PersonsConfig, file: PersonsFile) -> Self {
+        Self { config, file, known: BTreeMap::new() }
+    }
+
+    /// Persons by number, who are gone too, until they were told.
+    pub(super) fn iter(&self) -> impl Iterator<Item = (u32, &Known)> {
+        self.known.iter().map(|(number, known)| (*number, known))
+    }
+
+    /// A person.
+    pub(super) fn get(&self, number: u32) -> Option<&Known> {
+        self.known.get(&number)
+    }
+
+    /// A person, to be changed.
+    pub(super) fn get_mut(&mut self, number: u32) -> Option<&mut Known> {
+        self.known.get_mut(&number)
+    }
+
+    /// The number of a name: the one that the home gave it, or the one that follows from the name.
+    #[must_use]
+    pub fn number_of(&self, name: &str) -> u32 {
+        self.file.of_name(name).map_or_else(|| person_number(name), |kept| kept.number)
+    }
+
+    /// A person's name; none where only a number is known.
+    #[must_use]
+    pub fn name_of(&self, number: u32) -> Option<&str> {
+        let told = || self.known.get(&number)?.name.as_deref();
+        self.file.of_number(number).map(|kept| kept.name.as_str()).or_else(told)
+    }
+
+    /// Whether a person is not of the household. Without a list of residents everybody is of it.
+    #[must_use]
+    pub fn is_visitor(&self, number: u32) -> bool {
+        let listed = |resident: &String| {
+            self.name_of(number).is_some_and(|name| same_name(name, resident))
+                // A resident who was given another name is still one.
+                || resident.parse().unwrap_or_else(|_| self.number_of(resident)) == number
+        };
+        let by_list = || !self.config.residents.is_empty() && !self.config.residents.iter().any(listed);
+        let kept = self.file.of_number(number).and_then(|kept| kept.resident);
+        kept.map_or_else(by_list, |resident| !resident)
+    }
+
+    /// Takes in an observation of a person that was made at `at_ns`; gives who has to make room for them, if they are one too many.
+    pub(super) fn note(&mut self, observation: &Observation, at_ns: i64) -> Option<u32> {
+        let number = observation.person;
+        let full = self.known.len() >= PERSONS_MAX && !self.known.contains_key(&number);
+        let dropped = if full { self.least_missed() } else { None };
+        if let Some(dropped) = dropped {
+            self.known.remove(&dropped);
+        }
+        let known = self.known.entry(number).or_insert_with(|| Known {
+            name: None,
+            presence: Presence::Unknown,
+            since_ns: at_ns,
+            heard_ns: at_ns,
+            did_ns: i64::MIN,
+            last: (0, 0, 0),
+            by_fit: false,
+            on_bed: false,
+            restored: false,
+            told: false,
+        });
+        if observation.name.is_some() {
+            known.name.clone_from(&observation.name);
+        }
+        if matches!(observation.said, Said::Sentence(_)) {
+            known.did_ns = at_ns.max(known.did_ns);
+        }
+        // What arrives late does not turn back time.
+        let at_ns = at_ns.max(known.heard_ns);
+        let presence = observation.said.presence();
+        if known.presence != presence {
+            (known.presence, known.since_ns) = (presence, at_ns);
+        }
+        (known.heard_ns, known.by_fit, known.restored, known.told) = (at_ns, observation.by_fit, false, false);
+        known.last = (observation.source, observation.epoch, observation.sequence);
+        known.on_bed &= presence == Presence::Present;
+        dropped
+    }
+
+    /// Whoever was last on a bed is possibly asleep after this silence.
+    fn asleep_ns(&self) -> i64 {
+        (self.config.asleep_s * 1e9) as i64
+    }
+
+    /// Who is dropped first: visitors before residents, of them who was silent for longest.
+    fn least_missed(&self) -> Option<u32> {
+        let rank = |(number, known): &(u32, &Known)| (!self.is_visitor(*number), known.heard_ns);
+        self.iter().min_by_key(rank).map(|(number, _)| number)
+    }
+
+    /// Forgets a person; gives whether they were known.
+    pub(super) fn remove(&mut self, number: u32) -> bool {
+        self.known.remove(&number).is_some()
+    }
+
+    /// Forgets whoever is gone, once that was told.
+    pub(super) fn remove_gone(&mut self) {
+        self.known.retain(|_, known| known.presence != Presence::Gone || !known.told);
+    }
+
+    /// Whether a person is a visitor who was silent for so long that they are gone.
+    pub(super) fn has_expired(&self, number: u32, now_ns: i64) -> bool {
+        let silent_ns = self.known.get(&number).map_or(0, |known| now_ns - known.heard_ns);
+        silent_ns > (self.config.visitor_s * 1e9) as i64 && self.is_visitor(number)
+    }
+
+    /// The next visitor who is gone by silence.
+    pub(super) fn expired(&self, now_ns: i64) -> Option<u32> {
+        let here = self.iter().filter(|(_, known)| known.presence != Presence::Gone);
+        here.map(|(number, _)| number).find(|number| self.has_expired(*number, now_ns))
+    }
+
+    /// Lets a visitor be gone.
+    pub(super) fn expire(&mut self, number: u32, now_ns: i64) {
+        if let Some(known) = self.known.get_mut(&number) {
+            (known.presence, known.since_ns, known.on_bed, known.told) = (Presence::Gone, now_ns, false, false);
+        }
+    }
+
+    /// How many persons are known, and how many of them are in the house.
+    #[must_use]
+    pub(super) fn count(&self) -> (usize, usize) {
+        let of = |presence: Presence| self.known.values().filter(|known| known.presence == presence).count();
+        (self.known.len() - of(Presence::Gone), of(Presence::Present))
+    }
+
+    /// Whom an observation that names nobody fits best: of those in the house, for whom `fit` is greatest; where that does not tell, who
+    /// was observed last, or, of one who leaves, who was silent for longest and is not asleep. With nobody in the house, whoever is
+    /// away for longest is back; where nobody is known at all it is person 0.
+    pub(super) fn fitting(&self, said: &Said, now_ns: i64, mut fit: impl FnMut(u32) -> f64) -> u32 {
+        let leaves = said.presence() != Presence::Present;
+        let present = self.iter().filter(|(_, known)| known.presence == Presence::Present);
+        let ranked = present.map(|(number, known)| {
+            let recent_ns = if leaves { -known.heard_ns } else { known.heard_ns };
+            (fit(number), !(leaves && known.is_asleep(self.asleep_ns(), now_ns)), recent_ns, Reverse(number))
+        });
+        let best = ranked.max_by(|a, b| a.0.total_cmp(&b.0).then_with(|| (a.1, a.2, a.3).cmp(&(b.1, b.2, b.3))));
+        let away = || self.iter().filter(|(_, known)| known.presence == Presence::Away);
+        let longest_away = || away().min_by_key(|(_, known)| known.since_ns).map(|(number, _)| number);
+        best.map(|(.., Reverse(number))| number).or_else(longest_away).unwrap_or_default()
+    }
+
+    /// The person that a name or a number means; none where it means nobody who is known or has a name here.
+    #[must_use]
+    pub fn find(&self, who: &str) -> Option<u32> {
+        let number = who.trim().parse().unwrap_or_else(|_| self.number_of(who));
+        (self.known.contains_key(&number) || self.file.of_number(number).is_some()).then_some(number)
+    }
+
+    /// Gives a person a name, from now on and over restarts.
+    ///
+    /// # Errors
+    /// What is wrong with the name, whose it is already, or why it cannot be kept.
+    pub(super) fn rename(&mut self, number: u32, name: &str) -> Result<(), String> {
+        let name = name.trim();
+        check_name(name)?;
+        let owner = self.number_of(name);
+        let known = self.known.contains_key(&owner) || self.file.of_number(owner).is_some();
+        if owner != number && known {
+            return Err(format!("{name} is person {owner} already: forget that one first, or choose another name"));
+        }
+        let resident = self.file.of_number(number).and_then(|kept| kept.resident);
+        let kept = KeptPerson { number, name: name.to_owned(), resident };
+        self.file.put(kept).map_err(|error| format!("the persons file cannot be written: {error}; nothing was changed"))
+    }
+
+    /// The names that the home gave.
+    pub(super) fn file(&self) -> &PersonsFile {
+        &self.file
+    }
+
+    /// The same, to remove somebody.
+    pub(super) fn file_mut(&mut self) -> &mut PersonsFile {
+        &mut self.file
+    }
+
+    /// Everybody who is known, has a name here, or lives here.
+    pub(super) fn lines(&self, now_ns: i64) -> Vec<PersonLine> {
+        let residents = self.config.residents.iter().map(|who| who.parse().unwrap_or_else(|_| self.number_of(who)));
+        let kept = self.file.persons().iter().map(|kept| kept.number);
+        let numbers: BTreeSet<u32> = self.known.keys().copied().chain(kept).chain(residents).collect();
+        let listed = |number: u32| {
+            self.config.residents.iter().find(|who| self.number_of(who) == number && who.parse::<u32>().is_err())
+        };
+        let line = |person: u32| {
+            let known = self.known.get(&person);
+            let seconds = |since_ns: i64| (now_ns - since_ns) as f64 / 1e9;
+            let flags = self.flags(person, now_ns);
+            PersonLine {
+                person,
+                name: self.name_of(person).or(listed(person).map(String::as_str)).map(str::to_owned),
+                presence: known.map_or(Presence::Unknown, |known| known.presence),
+                since_s: known.map(|known| seconds(known.since_ns)),
+                silent_s: known.map(|known| seconds(known.heard_ns)),
+                flags: flag_words(flags).map(str::to_owned).collect(),
+            }
+        };
+        numbers.into_iter().map(line).collect()
+    }
+
+    /// Bits of [`person_flags`] of a person.
+    pub(super) fn flags(&self, number: u32, now_ns: i64) -> u32 {
+        let Some(known) = self.known.get(&number) else { return 0 };
+        let flag = |holds: bool, flag: u32| if holds { flag } else { 0 };
+        flag(known.restored, person_flags::RESTORED)
+            | flag(known.is_asleep(self.asleep_ns(), now_ns), person_flags::ASLEEP)
+            | flag(known.by_fit, person_flags::BY_FIT)
+            | flag(self.is_visitor(number), person_flags::VISITOR)
+    }
+
+    /// A person's name as a message has it.
+    pub(super) fn name_bytes(&self, number: u32) -> [u8; NAME_BYTES] {
+        text::encode_cut(self.name_of(number).unwrap_or_default())
+    }
+}
+
+/// Words for bits of [`person_flags`].
+pub fn flag_words(flags: u32) -> impl Iterator<Item = &'static str> {
+    let words = [
+        (person_flags::RESTORED, "restored"),
+        (person_flags::ASLEEP, "asleep"),
+        (person_flags::BY_FIT, "by-fit"),
+        (person_flags::VISITOR, "visitor"),
+    ];
+    words.into_iter().filter(move |(flag, _)| flags & flag != 0).map(|(_, word)| word)
+}
+
+/// A word for a message's presence.
+#[must_use]
+pub fn presence_word(value: u32) -> &'static str {
+    let all = [Presence::Unknown, Presence::Present, Presence::Away, Presence::Gone];
+    all.into_iter().find(|presence| presence_value(*presence) == value).unwrap_or_default().as_str()
+}
+
+/// What a message calls a presence.
+pub(super) fn presence_value(of: Presence) -> u32 {
+    match of {
+        Presence::Unknown => presence::UNKNOWN,
+        Presence::Present => presence::PRESENT,
+        Presence::Away => presence::AWAY,
+        Presence::Gone => presence::GONE,
+    }
+}
+
+/// A time as a message has it: 0 where that was before the machine's start.
+pub(super) fn message_ns(at_ns: i64) -> u64 {
+    at_ns.try_into().unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_core::grounding::{Grounding, GroundingOptions};
+    use roomcast_core::narration::{PresenceStatement, SOMEBODY, Sentence};
+    use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+    use roomcast_core::scorer::table::TableModel;
+    use roomcast_core::semantic_map::SemanticMap;
+    use roomcast_ipc::{Message, PersonV1, forecast_flags, score_flags};
+
+    use super::super::journal::{Recovered, encode, encode_outcome, read_records};
+    use super::super::{Board, Entry};
+    use super::*;
+
+    const S: u64 = 1_000_000_000;
+    const BOOT: [u8; 16] = [5; 16];
+    const STUDIO: &str = include_str!("../../../scenes/studio.json");
+
+    /// A daemon without threads, and its journal.
+    struct House {
+        board: Board<TableModel>,
+        config: PersonsConfig,
+        journal: Vec<u8>,
+        said: u64,
+        now_ns: u64,
+    }
+
+    fn board(config: &PersonsConfig) -> Board<TableModel> {
+        let map = SemanticMap::from_json(STUDIO).unwrap();
+        let options = GroundingOptions::default();
+        let grounding = Grounding::new(&map, &options).unwrap();
+        let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+        let persons = Persons::new(config.clone(), PersonsFile::default());
+        Board::new(pipeline, map, options, 1).unwrap().with_persons(persons)
+    }
+
+    impl House {
+        fn new(residents: &[&str]) -> Self {
+            let residents = residents.iter().map(|name| (*name).to_owned()).collect();
+            let config = PersonsConfig { residents, ..PersonsConfig::default() };
+            Self { board: board(&config), config, journal: Vec::new(), said: 0, now_ns: 100_000 * S }
+        }
+
+        fn said(&mut self, who: &str, said: Said) {
+            self.said += 1;
+            let observation = Observation {
+                person: who.parse().unwrap_or(SOMEBODY),
+                name: Some(who).filter(|name| name.parse::<u32>().is_err() && *name != "somebody").map(Into::into),
+                source: 7,
+                epoch: 1,
+                observed_ns: self.now_ns,
+                observed_unix_ns: 1_000_000 * S + self.now_ns,
+                said,
+                ..Observation::of(self.said, Sentence::new("They wait.").unwrap())
+            };
+            self.journal.extend(encode(&observation, &BOOT));
+            let entry = Entry::new(observation, self.now_ns);
+            self.step(Some(entry));
+        }
+
+        fn step(&mut self, entry: Option<Entry>) {
+            self.board.step(entry, self.now_ns, 1_000_000 * S + self.now_ns).unwrap();
+            let journal = &mut self.journal;
+            self.board.tell_outcomes(|outcome| journal.extend(encode_outcome(outcome)));
+        }
+
+        /// Time passes, and then somebody says or does something.
+        fn after(&mut self, seconds: u64, who: &str, text: &str) {
+            self.wait(seconds);
+            let statement = PresenceStatement::parse(text).map(Said::Presence);
+            let said = statement.unwrap_or_else(|_| Said::of(Sentence::new(text).unwrap()));
+            self.said(who, said);
+        }
+
+        /// Time passes; the loop looks once at its end whether that changes something.
+        fn wait(&mut self, seconds: u64) -> bool {
+            self.now_ns += seconds * S;
+            let overdue = self.board.is_overdue(self.now_ns);
+            if overdue {
+                self.step(None);
+                assert!(!self.board.is_overdue(self.now_ns), "once");
+            }
+            overdue
+        }
+
+        fn person(&mut self, who: &str) -> Option<PersonV1> {
+            let told = *self.board.person_scores(self.now_ns);
+            told.check().unwrap();
+            let number = who.parse().unwrap_or_else(|_| self.board.persons().number_of(who));
+            told.persons().iter().find(|person| person.person == number).copied()
+        }
+
+        fn presence(&mut self, who: &str) -> Option<u32> {
+            self.person(who).map(|person| person.presence)
+        }
+
+        /// How likely somebody is in each room now, and elsewhere.
+        fn now(&mut self) -> (Vec<f32>, f32) {
+            let forecast = self.board.forecast(self.now_ns);
+            forecast.check().unwrap();
+            (forecast.probability.iter().take(3).map(|row| row[0]).collect(), forecast.elsewhere[0])
+        }
+
+        fn known(&mut self) -> u32 {
+            self.board.snapshot().persons
+        }
+
+        /// The daemon is killed and starts again.
+        fn restart(&mut self) {
+            let mut recovered = Recovered::default();
+            read_records(&self.journal, &BOOT, &mut recovered);
+            assert_eq!(recovered.damaged_bytes, 0);
+            self.board = board(&self.config);
+            let unix_ns = 1_000_000 * S + self.now_ns;
+            self.board.restore(recovered.observations, recovered.expectations, self.now_ns, unix_ns);
+            self.step(None);
+        }
+    }
+
+    #[test]
+    fn everybody_may_leave_and_come_back() {
+        let mut house = House::new(&[]);
+        house.after(1, "ada", "They sit on the sofa.");
+        house.after(1, "ben", "They lie on the bed.");
+        assert_eq!((house.presence("ada"), house.known()), (Some(presence::PRESENT), 2));
+        house.after(10, "ada", "Ada leaves the house.");
+        let ada = house.person("ada").unwrap();
+        assert_eq!((ada.presence, ada.elsewhere, ada.window), (presence::AWAY, 1.0, 0));
+        assert_eq!((ada.since_ns, ada.observed_ns, ada.name()), (house.now_ns, house.now_ns, "ada"));
+        assert!(ada.probability.iter().all(|p| *p == 0.0) && ada.log_score_nats[0] == f64::NEG_INFINITY);
+        assert!(!house.board.snapshot().has(score_flags::NOBODY_HOME));
+        assert_eq!(house.board.snapshot().person, house.board.persons().number_of("ben"));
+        house.after(10, "ben", "away");
+        let snapshot = *house.board.snapshot();
+        snapshot.check().unwrap();
+        assert!(snapshot.has(score_flags::NOBODY_HOME) && !snapshot.has(score_flags::NO_NARRATION));
+        assert!(snapshot.rooms().iter().all(|room| room.probability == 0.0));
+        let forecast = *house.board.forecast(house.now_ns);
+        assert_eq!((forecast.flags, forecast.elsewhere[0]), (forecast_flags::NOBODY_HOME, 1.0));
+        assert!(forecast.elsewhere[15] < 1.0, "somebody comes back some time");
+        let persons = *house.board.person_forecasts(house.now_ns);
+        persons.check().unwrap();
+        for person in persons.persons() {
+            for horizon in 0..16 {
+                let rooms: f32 = person.probability.iter().map(|row| row[horizon]).sum();
+                assert!((rooms + person.elsewhere[horizon] - 1.0).abs() < 1e-5);
+            }
+        }
+        house.after(600, "ada", "They come home.");
+        assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::PRESENT), Some(presence::AWAY)));
+        assert!((house.now().0.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+        house.after(1, "ada", "present in the kitchen");
+        let forecast = house.now().0;
+        assert!(forecast.iter().any(|p| *p > 0.9), "{forecast:?}");
+    }
+
+    /// Gone is told once, and then forgotten.
+    #[test]
+    fn who_is_gone_is_forgotten() {
+        let mut house = House::new(&["Ada"]);
+        house.after(1, "ada", "They sit on the sofa.");
+        house.after(1, "plumber", "They walk to the kitchen.");
+        assert_eq!(house.person("plumber").unwrap().flags, person_flags::VISITOR);
+        assert_eq!(house.person("ada").unwrap().flags, 0);
+        house.after(60, "plumber", "gone");
+        let gone = house.person("plumber").unwrap();
+        assert_eq!((gone.presence, gone.elsewhere, house.known()), (presence::GONE, 1.0, 1));
+        let told = *house.board.person_forecasts(house.now_ns);
+        told.check().unwrap();
+        assert_eq!(told.persons().iter().filter(|person| person.elsewhere[3] == 1.0).count(), 1);
+        house.after(1, "ada", "They stand up.");
+        assert!(house.person("plumber").is_none());
+        // A visitor who falls silent is gone, too; a resident is not, and a restart does not bring the visitor back.
+        house.after(1, "3", "They walk to the kitchen.");
+        assert!(!house.wait(3 * 3600) || house.presence("3") == Some(presence::PRESENT));
+        assert!(house.wait(2));
+        assert_eq!((house.presence("3"), house.presence("ada")), (Some(presence::GONE), Some(presence::PRESENT)));
+        house.restart();
+        house.after(1, "ada", "They sit on the sofa.");
+        assert_eq!((house.presence("3"), house.known()), (None, 1));
+    }
+
+    /// What names nobody goes to whom it fits, says so, and makes nobody new.
+    #[test]
+    fn what_names_nobody_goes_to_whom_it_fits() {
+        let mut house = House::new(&[]);
+        house.after(1, "somebody", "They sit on the sofa.");
+        assert_eq!((house.known(), house.person("0").unwrap().flags), (1, person_flags::BY_FIT));
+        let mut house = House::new(&[]);
+        house.after(1, "ada", "They open the fridge.");
+        house.after(1, "ben", "They lie on the bed.");
+        for (sentence, who, other) in [
+            ("They close the fridge.", "ada", "ben"),
+            ("They sit on the bed.", "ben", "ada"),
+            ("They walk to the kitchen.", "ada", "ben"),
+            // Nothing says where: whoever did something last.
+            ("They stretch.", "ada", "ben"),
+            ("present in the kitchen", "ada", "ben"),
+        ] {
+            let before = house.person(other).unwrap().observed_ns;
+            house.after(3, "somebody", sentence);
+            let fits = house.person(who).unwrap();
+            assert_eq!((fits.flags, fits.observed_ns), (person_flags::BY_FIT, house.now_ns), "{sentence}");
+            assert_eq!((house.person(other).unwrap().observed_ns, house.known()), (before, 2), "{sentence}");
+        }
+        house.after(3, "ada", "They grab the mug.");
+        assert_eq!(house.person("ada").unwrap().flags, 0);
+        // Somebody leaves: not the one who has just done something. With nobody there, the one who is away is back.
+        house.after(3, "somebody", "away");
+        assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::PRESENT), Some(presence::AWAY)));
+        house.after(3, "ada", "away");
+        house.after(3, "somebody", "They open the fridge.");
+        assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::AWAY), Some(presence::PRESENT)));
+        assert_eq!(house.known(), 2);
+    }
+
+    /// A sleeper is not the one who leaves.
+    #[test]
+    fn who_lies_in_bed_in_silence_is_possibly_asleep() {
+        let mut house = House::new(&[]);
+        house.after(1, "ada", "They lie on the bed.");
+        house.after(1, "ada", "They fall asleep.");
+        assert_eq!(house.person("ada").unwrap().flags, 0);
+        house.wait(1201);
+        assert_eq!(house.person("ada").unwrap().flags, person_flags::ASLEEP);
+        house.after(1, "ben", "They sit on the sofa.");
+        house.after(5, "somebody", "away");
+        assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::PRESENT), Some(presence::AWAY)));
+        house.after(1, "ada", "They walk to the fridge.");
+        house.wait(1300);
+        assert_eq!(house.person("ada").unwrap().flags, 0);
+    }
+
+    /// What lies hours back does not say what comes next, also when nothing new is said; where they are, is still believed.
+    #[test]
+    fn silence_ends_a_window_once() {
+        let mut house = House::new(&[]);
+        house.after(1, "ada", "They lie on the bed.");
+        let (before, sequence) = (house.now().0, house.board.snapshot().sequence);
+        assert!(!house.wait(3600) && house.wait(1) && !house.wait(100_000));
+        assert_eq!((house.person("ada").unwrap().window, house.board.snapshot().sequence), (0, sequence + 1));
+        let likeliest = |rooms: &[f32]| (0..rooms.len()).max_by(|a, b| rooms[*a].total_cmp(&rooms[*b])).unwrap();
+        assert_eq!(likeliest(&house.now().0), likeliest(&before));
+        // A sensor that only says that they are there ends no silence.
+        house.after(1, "ada", "They sit on the bed.");
+        house.after(3000, "ada", "present");
+        assert_eq!(house.person("ada").unwrap().window, 1);
+        house.after(601, "ada", "present");
+        assert_eq!(house.person("ada").unwrap().window, 0);
+    }
+
+    #[test]
+    fn a_resident_with_another_name_is_still_one() {
+        let config = PersonsConfig { residents: vec!["ben".to_owned()], ..PersonsConfig::default() };
+        let mut persons = Persons::new(config, PersonsFile::default());
+        persons.rename(person_number("ben"), "Benjamin").unwrap();
+        assert_eq!(persons.name_of(person_number("ben")), Some("Benjamin"));
+        assert!(!persons.is_visitor(person_number("ben")) && persons.is_visitor(person_number("eve")));
+    }
+
+    #[test]
+    fn visitors_make_room_for_residents() {
+        let mut house = House::new(&["0", "ada"]);
+        house.after(1, "0", "They sit on the sofa.");
+        for visitor in 1..=PERSONS_MAX {
+            house.after(1, &visitor.to_string(), "They walk to the kitchen.");
+        }
+        house.after(1, "ada", "They lie on the bed.");
+        let known = house.board.persons();
+        assert_eq!(known.iter().count(), PERSONS_MAX);
+        assert!([0, known.number_of("ada"), 3, PERSONS_MAX as u32].iter().all(|person| known.get(*person).is_some()));
+        assert!(known.get(1).is_none() && known.get(2).is_none());
+        assert_eq!(house.known(), PERSONS_MAX as u32);
+    }
+
+    /// Presence, attributions, windows and forecasts are after a restart what they were before it: nobody is surer of a silent person.
+    #[test]
+    fn a_restart_changes_nothing() {
+        let mut house = House::new(&["ada", "ben"]);
+        let day = [
+            ("ada", "They open the fridge."),
+            ("ben", "They lie on the bed."),
+            ("somebody", "They close the fridge."),
+            ("ada", "They stand up."),
+            ("somebody", "They sit on the bed."),
+            ("plumber", "They walk to the bathroom."),
+            ("ben", "away"),
+            ("somebody", "present in the kitchen"),
+            ("ada", "They walk to the sofa."),
+            ("plumber", "gone"),
+            ("somebody", "They sit on the sofa."),
+            ("ben", "present"),
+            ("ben", "They grab the mug."),
+        ];
+        for round in 0..6 {
+            for (number, (who, what)) in (0..).zip(day) {
+                house.after([2, 45, 700, 4000][(number + round) % 4], who, what);
+                let of = |house: &mut House| {
+                    let told = *house.board.person_scores(house.now_ns);
+                    let persons: Vec<_> =
+                        told.persons().iter().filter(|p| p.presence != presence::GONE).copied().collect();
+                    (persons, house.board.person_forecasts(house.now_ns).person)
+                };
+                for silence_s in [0, 20, 3000] {
+                    house.wait(silence_s);
+                    let before = of(&mut house);
+                    house.restart();
+                    let after = of(&mut house);
+                    assert_eq!(before.0.len(), after.0.len());
+                    for (before, after) in before.0.iter().zip(&after.0) {
+                        let flags = before.flags | person_flags::RESTORED;
+                        assert_eq!(*after, PersonV1 { flags, ..*before }, "{round} {who} {what}");
+                    }
+                    // Who fell silent before the start is gone again.
+                    let here = |forecast: &&roomcast_ipc::PersonForecastV1| forecast.presence != presence::GONE;
+                    for (before, after) in before.1.iter().filter(here).zip(after.1.iter().filter(here)) {
+                        assert_eq!(before.elsewhere, after.elsewhere);
+                        for (before, after) in before.probability.iter().zip(&after.probability) {
+                            assert!(
+                                before.iter().zip(after).all(|(a, b)| (a - b).abs() < 1e-5),
+                                "{before:?} {after:?}"
+                            );
+                        }
+                    }
+                }
+            }
+        }
+    }
+}

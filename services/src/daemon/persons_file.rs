@@ -1,0 +1,187 @@
+//! The persons file of the home: which name is whose number, and who lives there. It is written when somebody is renamed, whole or not at
+//! all, and may be written by hand while the daemon is stopped.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::journal::sync_folder;
+use roomcast_core::narration::{SOMEBODY, same_name};
+use roomcast_ipc::NAME_BYTES;
+
+/// The file in the state directory.
+const FILE: &str = "persons.json";
+
+/// A person whom the home gave a name.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KeptPerson {
+    /// The number.
+    pub number: u32,
+    /// The name; narrators may use it in any case.
+    pub name: String,
+    /// Whether they live here; where left out, the configuration's list says it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resident: Option<bool>,
+}
+
+/// The names that the home gave.
+#[derive(Debug, Default)]
+pub struct PersonsFile {
+    /// Without a state directory nothing outlives the daemon.
+    path: Option<PathBuf>,
+    persons: Vec<KeptPerson>,
+}
+
+impl PersonsFile {
+    /// The file in the state directory. One that cannot be used is left where it is, and the log says so.
+    #[must_use]
+    pub fn load(directory: &Path) -> Self {
+        let path = directory.join(FILE);
+        let persons = match std::fs::read_to_string(&path) {
+            Ok(text) => parse(&text).unwrap_or_else(|reason| {
+                tracing::warn!(reason, path = %path.display(), "the persons file is malformed; names mean what they mean without it");
+                Vec::new()
+            }),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
+            Err(error) => {
+                tracing::warn!(%error, path = %path.display(), "the persons file cannot be read; names mean what they mean without it");
+                Vec::new()
+            }
+        };
+        Self { path: Some(path), persons }
+    }
+
+    /// Everybody whom the home gave a name.
+    #[must_use]
+    pub fn persons(&self) -> &[KeptPerson] {
+        &self.persons
+    }
+
+    /// The person of a name.
+    #[must_use]
+    pub fn of_name(&self, name: &str) -> Option<&KeptPerson> {
+        self.persons.iter().find(|kept| same_name(&kept.name, name))
+    }
+
+    /// The person of a number.
+    #[must_use]
+    pub fn of_number(&self, number: u32) -> Option<&KeptPerson> {
+        self.persons.iter().find(|kept| kept.number == number)
+    }
+
+    /// Whether a change outlives the daemon.
+    #[must_use]
+    pub fn is_kept(&self) -> bool {
+        self.path.is_some()
+    }
+
+    /// Puts a person in place of the one with that number. The file changes first: where it cannot be written, nothing does.
+    ///
+    /// # Errors
+    /// When the state directory cannot be written.
+    pub fn put(&mut self, person: KeptPerson) -> std::io::Result<()> {
+        let others = self.persons.iter().filter(|kept| kept.number != person.number).cloned();
+        self.replace(others.chain([person.clone()]).collect())
+    }
+
+    /// Removes the person of a number.
+    ///
+    /// # Errors
+    /// As [`PersonsFile::put`].
+    pub fn remove(&mut self, number: u32) -> std::io::Result<()> {
+        if self.of_number(number).is_none() {
+            return Ok(());
+        }
+        self.replace(self.persons.iter().filter(|kept| kept.number != number).cloned().collect())
+    }
+
+    fn replace(&mut self, persons: Vec<KeptPerson>) -> std::io::Result<()> {
+        if let Some(path) = &self.path {
+            let mut file = tempfile::NamedTempFile::new_in(path.parent().unwrap_or(Path::new(".")))?;
+            file.write_all(serde_json::to_string_pretty(&persons)?.as_bytes())?;
+            file.as_file().sync_all()?;
+            file.persist(path).map_err(|error| error.error)?;
+            sync_folder(path)?;
+        }
+        self.persons = persons;
+        Ok(())
+    }
+}
+
+/// Reads the file; a name or number that stands twice would make two persons of one.
+fn parse(text: &str) -> Result<Vec<KeptPerson>, String> {
+    let persons: Vec<KeptPerson> = serde_json::from_str(text).map_err(|error| error.to_string())?;
+    for (place, person) in persons.iter().enumerate() {
+        check_name(&person.name)?;
+        if person.number == SOMEBODY {
+            return Err(format!("{:?} has the number {SOMEBODY}, which means somebody", person.name));
+        }
+        let again = |other: &&KeptPerson| other.number == person.number || same_name(&other.name, &person.name);
+        if let Some(other) = persons[..place].iter().find(again) {
+            return Err(format!("{:?} and {:?} have the same name or number", other.name, person.name));
+        }
+    }
+    Ok(persons)
+}
+
+/// Whether a name can be a person's: it fits into a message, is more than space, and is no number.
+///
+/// # Errors
+/// What is wrong with it, and what to do.
+pub fn check_name(name: &str) -> Result<(), String> {
+    let fits = !name.trim().is_empty() && name.len() <= NAME_BYTES && !name.contains(roomcast_core::text::is_hidden);
+    if !fits {
+        return Err(format!("{name:?} is no name: give 1 to {NAME_BYTES} bytes of text without control characters"));
+    }
+    if name.trim().parse::<u32>().is_ok() {
+        return Err(format!("{name:?} is a number: give a name with a letter"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ada() -> KeptPerson {
+        KeptPerson { number: 3, name: "Ada".to_owned(), resident: Some(true) }
+    }
+
+    #[test]
+    fn names_outlive_the_daemon() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut file = PersonsFile::load(directory.path());
+        assert!(file.persons().is_empty());
+        file.put(ada()).unwrap();
+        file.put(KeptPerson { number: 4, name: "ben".to_owned(), resident: None }).unwrap();
+        file.put(KeptPerson { name: "Ada L.".to_owned(), ..ada() }).unwrap();
+        let again = PersonsFile::load(directory.path());
+        assert_eq!(again.persons(), file.persons());
+        assert_eq!(again.of_name(" ada l. ").map(|kept| kept.number), Some(3));
+        assert!(again.of_name("ada").is_none());
+        file.remove(3).unwrap();
+        assert!(PersonsFile::load(directory.path()).of_number(3).is_none());
+        // Where it cannot be written, nothing changes.
+        let mut nowhere = PersonsFile::load(&directory.path().join("missing"));
+        nowhere.put(ada()).unwrap_err();
+        assert!(nowhere.persons().is_empty());
+    }
+
+    #[test]
+    fn a_file_that_makes_two_of_one_is_not_used() {
+        let directory = tempfile::tempdir().unwrap();
+        for text in [
+            r#"[{"number": 1, "name": "ada"}, {"number": 2, "name": "Ada"}]"#,
+            r#"[{"number": 1, "name": "ada"}, {"number": 1, "name": "ben"}]"#,
+            r#"[{"number": 4294967295, "name": "ada"}]"#,
+            r#"[{"number": 1, "name": "12"}]"#,
+            r#"[{"number": 1, "name": " "}]"#,
+            "{",
+        ] {
+            std::fs::write(directory.path().join(FILE), text).unwrap();
+            assert!(PersonsFile::load(directory.path()).persons().is_empty(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! When a person who comes into the robot's room interrupts it, with hysteresis: a room that was left so is entered again only when it
+//! is likely empty.
+
+use super::round::nanoseconds;
+use crate::config::PlannerConfig;
+
+/// Looks at how likely somebody is in each room.
+#[derive(Debug)]
+pub(super) struct Interruption {
+    on: bool,
+    at: f64,
+    after_ns: u64,
+    resume_at: f64,
+    /// The room of the stay that is looked at, and whether somebody who is there now came after the robot.
+    stay: Option<(usize, bool)>,
+    /// Since when somebody is likely there.
+    since_ns: Option<u64>,
+    /// Rooms that were left to a person.
+    held: Vec<bool>,
+}
+
+impl Interruption {
+    pub(super) fn new(config: &PlannerConfig) -> Self {
+        Self {
+            on: config.interrupt,
+            at: config.interrupt_at,
+            after_ns: nanoseconds(config.interrupt_after_s),
+            resume_at: config.resume_at,
+            stay: None,
+            since_ns: None,
+            held: Vec::new(),
+        }
+    }
+
+    /// Rooms that are not to be entered.
+    pub(super) fn held(&self) -> &[bool] {
+        &self.held
+    }
+
+    pub(super) fn move_rooms(&mut self, rooms: usize, before: impl Fn(usize) -> Option<usize>) {
+        let held = |room: usize| before(room).and_then(|old| self.held.get(old).copied()).unwrap_or(false);
+        self.held = (0..rooms).map(held).collect();
+        self.stay = None;
+    }
+
+    /// The robot has another stay, or none. Whoever is in its room when it begins was known to whoever sent it.
+    pub(super) fn new_stay(&mut self, begun: Option<(usize, f64)>) {
+        self.stay = begun.map(|(room, likely)| (room, likely < self.at));
+        self.since_ns = None;
+    }
+
+    /// Takes how likely somebody is in each room now, while the robot works in `room`; whether that interrupts it. Only somebody who comes
+    /// does.
+    pub(super) fn look(&mut self, now_ns: u64, likely: &[f64], room: Option<usize>) -> bool {
+        for (held, likely) in self.held.iter_mut().zip(likely) {
+            *held &= *likely > self.resume_at;
+        }
+        let Some((room, likely)) = room.and_then(|room| Some((room, *likely.get(room)?))).filter(|_| self.on) else {
+            self.new_stay(None);
+            return false;
+        };
+        let came = match self.stay {
+            Some((same, came)) if same == room => came || likely <= self.resume_at,
+            _ => likely < self.at,
+        };
+        self.stay = Some((room, came));
+        if !came || likely < self.at {
+            self.since_ns = None;
+            return false;
+        }
+        let since_ns = *self.since_ns.get_or_insert(now_ns);
+        if now_ns.saturating_sub(since_ns) < self.after_ns {
+            return false;
+        }
+        if let Some(held) = self.held.get_mut(room) {
+            *held = true;
+        }
+        self.new_stay(None);
+        true
+    }
+
+    /// Without a forecast nobody is known to be anywhere: what was seen before does not add up with what comes after.
+    pub(super) fn look_away(&mut self) {
+        self.since_ns = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const S: u64 = 1_000_000_000;
+
+    fn interruption(rooms: usize) -> Interruption {
+        let mut interruption = Interruption::new(&PlannerConfig::default());
+        interruption.move_rooms(rooms, |_| None);
+        interruption
+    }
+
+    #[test]
+    fn a_person_who_comes_and_stays_interrupts_once() {
+        let mut robot = interruption(2);
+        assert!(!robot.look(0, &[0.5, 0.0], Some(0)));
+        assert!(!robot.look(S, &[0.7, 0.0], Some(0)));
+        assert!(!robot.look(2 * S, &[0.5, 0.0], Some(0)), "who only passes does not");
+        assert!(!robot.look(3 * S, &[0.7, 0.0], Some(0)));
+        assert!(!robot.look(4 * S, &[0.6, 0.0], Some(0)));
+        assert!(robot.look(5 * S, &[0.6, 0.0], Some(0)));
+        assert_eq!(robot.held(), [true, false]);
+        assert!(!robot.look(6 * S, &[0.9, 0.0], None));
+    }
+
+    #[test]
+    fn the_room_is_free_again_only_when_it_is_likely_empty() {
+        let mut robot = interruption(1);
+        robot.look(0, &[0.0], Some(0));
+        robot.look(S, &[0.9], Some(0));
+        assert!(robot.look(9 * S, &[0.9], Some(0)));
+        for (likely, held) in [(0.5, true), (0.31, true), (0.3, false), (0.5, false)] {
+            robot.look(10 * S, &[likely], None);
+            assert_eq!(robot.held(), [held], "{likely}");
+        }
+    }
+
+    #[test]
+    fn whoever_was_there_before_the_robot_does_not_interrupt_before_they_have_left() {
+        let mut robot = interruption(1);
+        robot.new_stay(Some((0, 0.9)));
+        assert!((0..100).all(|s| !robot.look(s * S, &[0.9], Some(0))));
+        assert!(!robot.look(100 * S, &[0.5], Some(0)));
+        assert!((101..200).all(|s| !robot.look(s * S, &[0.9], Some(0))), "a doubt is no leaving");
+        robot.look(200 * S, &[0.2], Some(0));
+        robot.look(201 * S, &[0.9], Some(0));
+        assert!(robot.look(203 * S, &[0.9], Some(0)));
+    }
+
+    #[test]
+    fn time_without_a_forecast_does_not_count_and_it_can_be_off() {
+        let mut robot = interruption(1);
+        robot.look(0, &[0.0], Some(0));
+        robot.look(S, &[0.9], Some(0));
+        robot.look_away();
+        assert!(!robot.look(60 * S, &[0.9], Some(0)));
+        assert!(robot.look(62 * S, &[0.9], Some(0)));
+        let config = PlannerConfig { interrupt: false, ..PlannerConfig::default() };
+        let mut off = Interruption::new(&config);
+        off.move_rooms(1, |_| None);
+        off.look(0, &[0.0], Some(0));
+        assert!((1..100).all(|s| !off.look(s * S, &[1.0], Some(0))));
+    }
+}

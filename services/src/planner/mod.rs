@@ -1,0 +1,629 @@
+//! The planner: keeps the robot's state, applies a policy each time the robot is free, publishes decisions with their reason.
+//!
+//! Scores that the daemon has not confirmed for longer than the deadline are not acted upon. The fallback is to **stay where
+//! the robot is**: it is the one choice that brings it nearer to nobody by its own doing. Such a decision is flagged, is
+//! published once, and the next one follows as soon as there are fresh scores again.
+//!
+//! Work goes in rounds. A round has a deadline, so that the stays that are left become fewer with time and no plan can put a room off
+//! for ever. A room that is undone at the deadline belongs to the next round. Where the configuration gives the length of rounds, one
+//! that is done early goes on to its deadline, and the robot keeps where the person is not; otherwise the next one begins at once.
+//!
+//! A robot that reports ends its stays itself: a room is done when it says so, and is tried again after the others when it could not do
+//! it. One that says nothing ends them by the clock. A person who comes into the robot's room ends its work there.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use roomcast_ipc::{
+    DecisionV1, ForecastV1, NAME_BYTES, RoomScoresV1, action, decision_flags, score_flags, sequence, text,
+};
+
+use crate::config::{Forced, PlannerConfig};
+use roomcast_core::grounding::PartitionLevel;
+use roomcast_core::policy::{Choice, Policy, PolicyError, PolicyName, RobotState};
+use roomcast_core::semantic_map::{PartitionId, SemanticMap};
+
+mod interruption;
+mod outlook;
+mod places;
+mod reports;
+mod robot;
+mod round;
+mod run;
+mod state;
+
+pub use reports::ReportFault;
+pub use run::{participant, run};
+pub use state::KeptRound;
+
+use interruption::Interruption;
+use outlook::{Forecast, Outlook};
+use places::Places;
+use robot::{Robot, Work};
+use round::Round;
+
+/// How often connections are renewed at least. Whoever joins by this contract's crate wakes the planner by itself.
+const TICK: Duration = Duration::from_millis(250);
+/// A robot that waits or pauses may be given work at any new score, and so often without one: time alone changes forecasts.
+const LOOK_AGAIN_NS: u64 = 5_000_000_000;
+/// A robot that waits in a room that is done does not change it for less than this share of a stay with somebody.
+const WORTH_MOVING: f64 = 0.005;
+/// Decisions whose rooms stay known, for reports that come late.
+const DECISIONS: usize = 32;
+
+/// The robot as the planner knows it, and what it decides. Pure: time comes in as a number.
+#[derive(Debug)]
+pub struct Planner {
+    policy: Box<dyn Policy>,
+    rng: ChaCha8Rng,
+    number: u64,
+    epoch: u64,
+    sequence: u64,
+    deadline_ns: u64,
+    repeat: bool,
+    forced: Forced,
+    /// From which probability on somebody counts as in a room, and up to which it counts as empty.
+    occupied: (f64, f64),
+    scores: Option<RoomScoresV1>,
+    forecast: Option<ForecastV1>,
+    places: Option<Places>,
+    round: Round,
+    robot: Robot,
+    interruption: Interruption,
+    /// What a planner before this one has kept, until scores say which rooms there are.
+    kept: Option<KeptRound>,
+    /// Work that a planner before this one has asked for is to be asked for again, so that the robot hears it from this one.
+    asks_again: bool,
+    /// The last decisions' rooms.
+    decisions: VecDeque<(u64, [u8; NAME_BYTES])>,
+    /// The robot has said that it stays because every room is covered.
+    finished: bool,
+    /// Epoch and sequence of the scores last decided upon, and when that was.
+    decided: Option<(u64, u64)>,
+    decided_ns: u64,
+    /// What the next decision has to say of the work before it.
+    notice: Notice,
+    /// The fallback has been published and holds until scores are fresh.
+    falling_back: bool,
+    /// The robot has been told to pause, and why.
+    pausing: Option<Pause>,
+}
+
+/// Why a robot pauses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Pause {
+    /// Its battery is not ready.
+    Battery,
+    /// Somebody has come into its room, and somebody is in the others.
+    Persons,
+    /// No room is open to it.
+    NoRoom,
+}
+
+/// What ended the work before a decision.
+#[derive(Debug, Default)]
+struct Notice {
+    /// The decision of this epoch that does not hold any more, 0 for none.
+    cancels: u64,
+    flags: u32,
+    why: String,
+}
+
+/// What is to be done next.
+enum Next {
+    Go { room: usize, reason: String, flags: u32 },
+    Pause { why: Pause, reason: String },
+}
+
+impl Planner {
+    /// A robot in no room, with nothing covered; `epoch` is random per start.
+    #[must_use]
+    pub fn new(config: &PlannerConfig, epoch: u64) -> Self {
+        Self {
+            policy: config.policy.policy(),
+            rng: ChaCha8Rng::seed_from_u64(config.seed),
+            number: sequence::source_of_name(&config.robot),
+            epoch,
+            sequence: 0,
+            deadline_ns: config.deadline_ms.saturating_mul(1_000_000),
+            repeat: config.repeat,
+            forced: config.forced,
+            occupied: (config.interrupt_at, config.resume_at),
+            scores: None,
+            forecast: None,
+            places: None,
+            round: Round::new(config),
+            robot: Robot::new(config),
+            interruption: Interruption::new(config),
+            kept: None,
+            asks_again: false,
+            decisions: VecDeque::new(),
+            finished: false,
+            decided: None,
+            decided_ns: 0,
+            notice: Notice::default(),
+            falling_back: false,
+            pausing: None,
+        }
+    }
+
+    /// With the map that reports' positions and names of rooms mean; the daemon's scores are of the partitions at `level`.
+    #[must_use]
+    pub fn with_map(mut self, map: SemanticMap, level: PartitionLevel) -> Self {
+        self.places = Some(Places::new(map, level));
+        self
+    }
+
+    /// With the round of a planner before this one, where the scores turn out to be of the same map.
+    #[must_use]
+    pub fn with_kept(mut self, kept: KeptRound) -> Self {
+        self.kept = Some(kept);
+        self
+    }
+
+    /// Takes a checked snapshot, unless it is older than the one known. When the daemon's map was changed, rooms that are still
+    /// there keep what was done in them, and rooms that are new are to be done; another daemon's other map makes all rooms new.
+    pub fn take(&mut self, scores: &RoomScoresV1) {
+        if let Some(known) = &self.scores {
+            if known.epoch == scores.epoch
+                && (known.sequence, known.published_ns) > (scores.sequence, scores.published_ns)
+            {
+                return;
+            }
+            // A delayed snapshot of a former daemon.
+            if known.epoch != scores.epoch && known.published_ns > scores.published_ns {
+                return;
+            }
+        }
+        let same_map = self.scores.as_ref().is_some_and(|known| {
+            known.map_fingerprint == scores.map_fingerprint
+                && known.rooms().iter().map(|room| room.id).eq(scores.rooms().iter().map(|room| room.id))
+        });
+        if !same_map {
+            let changed = self.scores.filter(|known| known.epoch == scores.epoch);
+            self.move_rooms(changed.as_ref(), scores);
+        }
+        if let Some(places) = &mut self.places {
+            places.see(scores);
+        }
+        self.scores = Some(*scores);
+        if let Some(kept) = self.kept.take() {
+            self.restore(&kept);
+        }
+    }
+
+    /// The rooms are others than before: those of the same daemon's former map are followed, all else is forgotten.
+    fn move_rooms(&mut self, former: Option<&RoomScoresV1>, scores: &RoomScoresV1) {
+        let (old, new) = (former.map_or(&[][..], RoomScoresV1::rooms), scores.rooms());
+        let before = |room: usize| new.get(room).and_then(|room| old.iter().position(|other| other.id == room.id));
+        let after = |room: usize| old.get(room).and_then(|room| new.iter().position(|other| other.id == room.id));
+        self.round.move_rooms(new.len(), before);
+        self.interruption.move_rooms(new.len(), before);
+        self.robot.move_rooms(after);
+        if former.is_none() {
+            self.round.end();
+        }
+    }
+
+    /// Takes a checked forecast; it is used as long as it is of the same rooms as the scores.
+    pub fn take_forecast(&mut self, forecast: &ForecastV1) {
+        self.forecast = Some(*forecast);
+    }
+
+    /// Decides if the robot is free, or has to leave its room, and there is something new to say.
+    ///
+    /// # Errors
+    ///
+    /// [`PolicyError`] when the policy cannot use the scores; the robot stays.
+    pub fn decide(&mut self, now_ns: u64, now_unix_ns: u64) -> Result<Option<DecisionV1>, PolicyError> {
+        self.look_at_work(now_ns);
+        let stale = self.stale(now_ns);
+        let Some(scores) = self.scores.filter(|_| stale == 0) else {
+            self.interruption.look_away();
+            return Ok(self.fall_back(stale, now_ns, now_unix_ns));
+        };
+        self.look_for_persons(&scores, now_ns);
+        if std::mem::take(&mut self.asks_again)
+            && let Some(work) = self.robot.work.clone().filter(|work| now_ns < work.ends_ns)
+        {
+            let left_ns = work.ends_ns - now_ns;
+            let reason = "goes on with what it was sent to do before the planner's restart";
+            let decision = self.go(work.room, left_ns, reason, now_ns, now_unix_ns);
+            if let Some(work) = &mut self.robot.work {
+                work.asked_by(decision.epoch, decision.sequence);
+            }
+            return Ok(Some(decision));
+        }
+        if !self.is_to_decide(&scores, now_ns) {
+            return Ok(None);
+        }
+        (self.finished, self.falling_back) = (false, false);
+        (self.decided, self.decided_ns) = (Some((scores.epoch, scores.sequence)), now_ns);
+        if let Some(reason) = self.robot.why_it_charges() {
+            return Ok(self.pause(Pause::Battery, &reason, now_ns, now_unix_ns));
+        }
+        let waiting = self.robot.work.clone();
+        if waiting.is_some() && self.round.slots_left(now_ns) == Some(0) {
+            return Ok(None);
+        }
+        let (mut flags, mut ended) = (0, String::new());
+        let (rooms, undone) = (self.round.covered().len(), self.round.undone());
+        if undone == 0 {
+            flags = decision_flags::COVERED;
+            if !self.repeat {
+                self.finished = true;
+                self.round.end();
+                let decision = self.decision(now_ns, now_unix_ns, self.robot.room, "every room is covered");
+                return Ok(Some(DecisionV1 { flags: decision.flags | flags, ..decision }));
+            }
+            if !self.round.goes_on(now_ns) {
+                self.round.forget();
+            }
+        } else if self.round.slots_left(now_ns) == Some(0) {
+            let next = if self.repeat { "a round of all rooms begins" } else { "another round for them begins" };
+            ended = format!("the round's deadline came with {undone} of {rooms} rooms undone, {next}: ");
+            if self.repeat {
+                self.round.forget();
+            } else {
+                self.round.end();
+            }
+        }
+        self.round.began_ns.get_or_insert(now_ns);
+        let forecast = Forecast::usable(self.forecast.as_ref(), &scores, now_ns, self.deadline_ns);
+        let outlook = Outlook::new(&scores, forecast, self.stay_s(), self.round.slots_left(now_ns).unwrap_or(0));
+        let here = forecast.map(|forecast| forecast.now());
+        match self.next(&outlook, here.as_deref(), now_ns)? {
+            Next::Pause { .. } if waiting.is_some() => Ok(None),
+            Next::Pause { why, reason } => Ok(self.pause(why, &format!("{ended}{reason}"), now_ns, now_unix_ns)),
+            Next::Go { room, reason, flags: forced } => {
+                let idle = self.round.is_done(room) && self.plans_coverage();
+                if let Some(waiting) = waiting {
+                    if idle {
+                        return Ok(None);
+                    }
+                    self.notice.cancels = self.own_decision(&waiting);
+                }
+                let room = self.better_stay(idle, room, &outlook).unwrap_or(room);
+                let likely = outlook.over_stay(room, self.stay_s()).filter(|_| self.plans());
+                let likely = likely.or_else(|| outlook.likely.get(room).copied());
+                let stays = idle && self.robot.room == Some(room);
+                let decision = self.go(room, self.round.stay_ns, &format!("{ended}{reason}"), now_ns, now_unix_ns);
+                let likely_now = here.as_ref().and_then(|here| here.get(room).copied());
+                self.send_to(room, idle, likely_now, now_ns, decision.sequence);
+                Ok(Some(DecisionV1 {
+                    probability: likely.unwrap_or_default().clamp(0.0, 1.0),
+                    action: if stays { action::STAY } else { action::GO },
+                    flags: decision.flags | flags | forced | outlook.flags,
+                    ..decision
+                }))
+            }
+        }
+    }
+
+    /// Ends the work whose time is over: by the clock it is done, and a robot that owes a report has given it up.
+    fn look_at_work(&mut self, now_ns: u64) {
+        let Some(work) = &self.robot.work else { return };
+        if self.is_over(work, now_ns) {
+            if !self.robot.is_believed() {
+                self.round.cover(work.room);
+            }
+            self.robot.work = None;
+        } else if self.robot.is_overdue(now_ns) {
+            let id = self.id_of(work.room).to_owned();
+            let (room, cancels) = (work.room, self.own_decision(work));
+            self.robot.silent = true;
+            self.round.fail(room, now_ns);
+            self.robot.work = None;
+            let why = format!("the robot says nothing of its work in the {id}, which is given up: ");
+            self.notice = Notice { cancels, flags: 0, why };
+        }
+    }
+
+    /// Ends the work in a room that somebody has come into.
+    fn look_for_persons(&mut self, scores: &RoomScoresV1, now_ns: u64) {
+        let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
+        let Some(forecast) = forecast.filter(|forecast| !forecast.knows_nobody()) else {
+            self.interruption.look_away();
+            return;
+        };
+        let likely = forecast.now();
+        let works = self.robot.work.as_ref().filter(|work| !work.waits && self.round.stay_ns > 0);
+        let room = works.map(|work| self.robot.room.filter(|_| work.started).unwrap_or(work.room));
+        if !self.interruption.look(now_ns, &likely, room) {
+            return;
+        }
+        if let (Some(work), Some(room)) = (self.robot.work.take(), room) {
+            let (id, percent) = (self.id_of(room).to_owned(), 100.0 * likely.get(room).copied().unwrap_or_default());
+            let why = format!("somebody came into the {id} ({percent:.0} %), so its work there stops: ");
+            let cancels = self.own_decision(&work);
+            self.notice = Notice { cancels, flags: decision_flags::INTERRUPTED, why };
+        }
+    }
+
+    /// Whether the robot is free and something may have changed since the last decision.
+    fn is_to_decide(&self, scores: &RoomScoresV1, now_ns: u64) -> bool {
+        let news = self.decided != Some((scores.epoch, scores.sequence));
+        let again = news || now_ns >= self.decided_ns.saturating_add(LOOK_AGAIN_NS);
+        match &self.robot.work {
+            Some(work) => work.waits && self.round.undone() > 0 && again,
+            None if self.is_finished() => false,
+            // A robot that is always free decides once per score, not as often as it looks.
+            None if self.round.stay_ns == 0 => news,
+            None if self.robot.charges => self.pausing.is_none(),
+            None => self.pausing.is_none() || again,
+        }
+    }
+
+    /// The policy's choice, among the rooms that the robot may go to.
+    fn next(&mut self, outlook: &Outlook, here: Option<&[f64]>, now_ns: u64) -> Result<Next, PolicyError> {
+        let (occupied, empty) = self.occupied;
+        let mut closed = self.interruption.held().to_vec();
+        let mut left = Vec::new();
+        // What is scarce is time only if every stay that is left is needed.
+        let scarce = self.plans()
+            && !outlook.has(decision_flags::NOT_KNOWN)
+            && self.round.slots_left(now_ns).is_some_and(|slots| slots <= self.round.undone());
+        loop {
+            let Some(Choice { partition, reason }) = self.choose(&closed, outlook, now_ns)? else {
+                return Ok(Next::Pause { why: Pause::NoRoom, reason: self.why_nowhere(&left) });
+            };
+            let room = partition.0 as usize;
+            let likely = outlook.over_stay(room, self.stay_s()).filter(|_| scarce && !self.round.is_done(room));
+            if likely.is_some_and(|likely| likely >= occupied) && self.forced == Forced::Skip {
+                left.push(room);
+                if let Some(closed) = closed.get_mut(room) {
+                    *closed = true;
+                }
+                continue;
+            }
+            // Nobody is led from one person to another.
+            let interrupted =
+                self.notice.flags & decision_flags::INTERRUPTED != 0 || self.pausing == Some(Pause::Persons);
+            if interrupted && here.and_then(|here| here.get(room)).is_some_and(|likely| *likely >= occupied) {
+                let reason = "somebody is likely in every other room too".to_owned();
+                return Ok(Next::Pause { why: Pause::Persons, reason });
+            }
+            let known = match outlook.flags {
+                decision_flags::NOT_KNOWN => "nothing is known of anybody, so every room counts alike: ",
+                decision_flags::NOBODY_HOME => "nobody is home: ",
+                _ => "",
+            };
+            let left = self.why_left(&left);
+            let (forced, flags) = match likely.filter(|likely| *likely > empty) {
+                Some(likely) => {
+                    let percent = 100.0 * likely;
+                    let forced = format!("the deadline leaves no later time for this room ({percent:.0} % occupied): ");
+                    (forced, decision_flags::DEADLINE)
+                }
+                None => (String::new(), 0),
+            };
+            return Ok(Next::Go { room, reason: format!("{known}{left}{forced}{reason}"), flags });
+        }
+    }
+
+    /// The policy's choice: rooms that the robot could not do come after the others. None when no room is open.
+    fn choose(&mut self, closed: &[bool], outlook: &Outlook, now_ns: u64) -> Result<Option<Choice>, PolicyError> {
+        let close = |also: &dyn Fn(usize) -> bool| -> Vec<bool> {
+            closed.iter().enumerate().map(|(room, closed)| *closed || also(room)).collect()
+        };
+        let later = close(&|room| self.round.has_failed(room));
+        let now = close(&|room| self.round.rests(room, now_ns));
+        let first = self.choose_open(&later, outlook)?;
+        let works = first.as_ref().is_some_and(|choice| !self.round.is_done(choice.partition.0 as usize));
+        if works || later == now { Ok(first) } else { self.choose_open(&now, outlook) }
+    }
+
+    fn choose_open(&mut self, closed: &[bool], outlook: &Outlook) -> Result<Option<Choice>, PolicyError> {
+        if !closed.is_empty() && !closed.contains(&false) {
+            return Ok(None);
+        }
+        let state = RobotState {
+            partition: self.robot.room.and_then(|room| u32::try_from(room).ok()).map(PartitionId),
+            covered: self.round.covered(),
+            closed,
+            room_time_s: self.stay_s(),
+            expected_shared_s: &outlook.shared_s,
+        };
+        self.policy.choose(&state, &outlook.likely, &mut self.rng).map(Some)
+    }
+
+    /// The room that the robot is in, where it has nothing to do and nothing is gained by another.
+    fn better_stay(&self, idle: bool, chosen: usize, outlook: &Outlook) -> Option<usize> {
+        let here = self.robot.room.filter(|here| idle && self.round.is_done(*here) && *here != chosen)?;
+        let open = !self.interruption.held().get(here).copied().unwrap_or(false);
+        let (own, other) = (outlook.over_stay(here, self.stay_s())?, outlook.over_stay(chosen, self.stay_s())?);
+        (open && own <= other + WORTH_MOVING).then_some(here)
+    }
+
+    /// Why no room is open.
+    fn why_nowhere(&self, left: &[usize]) -> String {
+        let held = self.interruption.held().contains(&true);
+        let left = self.why_left(left);
+        if held {
+            format!("{left}the rooms that are open to the robot are those that somebody is likely in")
+        } else {
+            format!("{left}no other room can be done now")
+        }
+    }
+
+    /// The rooms that are left to the next round.
+    fn why_left(&self, left: &[usize]) -> String {
+        let ids: Vec<&str> = left.iter().map(|room| self.id_of(*room)).collect();
+        if ids.is_empty() {
+            return String::new();
+        }
+        format!("left to the next round, since somebody is likely there: {}; ", ids.join(", "))
+    }
+
+    /// The robot stays, since the scores may not be acted upon.
+    fn fall_back(&mut self, stale: u32, now_ns: u64, now_unix_ns: u64) -> Option<DecisionV1> {
+        if self.robot.work.is_some() || self.is_finished() || self.falling_back {
+            return None;
+        }
+        (self.finished, self.falling_back, self.pausing) = (false, true, None);
+        self.decided = None;
+        let why = match stale {
+            decision_flags::NO_SCORES => "no scores have arrived",
+            decision_flags::STALE => "the scores lack narration that the scorer failed on",
+            _ => "the daemon has been silent for longer than the deadline",
+        };
+        let decision = self.decision(now_ns, now_unix_ns, self.robot.room, &format!("{why}: staying is safe"));
+        Some(DecisionV1 { flags: decision.flags | decision_flags::FALLBACK | stale, ..decision })
+    }
+
+    /// The robot pauses; said once.
+    fn pause(&mut self, why: Pause, reason: &str, now_ns: u64, now_unix_ns: u64) -> Option<DecisionV1> {
+        if self.pausing.replace(why).is_some() && self.notice.why.is_empty() {
+            return None;
+        }
+        let decision = self.decision(now_ns, now_unix_ns, None, reason);
+        Some(DecisionV1 { action: action::PAUSE, ..decision })
+    }
+
+    /// A decision to be in a room.
+    fn go(&mut self, room: usize, stay_ns: u64, reason: &str, now_ns: u64, now_unix_ns: u64) -> DecisionV1 {
+        let decision = self.decision(now_ns, now_unix_ns, Some(room), reason);
+        if self.decisions.len() == DECISIONS {
+            self.decisions.pop_front();
+        }
+        self.decisions.push_back((decision.sequence, decision.to));
+        self.pausing = None;
+        DecisionV1 { action: action::GO, stay_ns, ..decision }
+    }
+
+    /// The robot's new work, in a room that somebody is in with this probability, if that is known.
+    fn send_to(&mut self, room: usize, waits: bool, likely: Option<f64>, now_ns: u64, sequence: u64) {
+        let ends_ns = now_ns.saturating_add(self.round.stay_ns).max(1);
+        let decisions = vec![(self.epoch, sequence)];
+        self.robot.work = Some(Work { room, decisions, began_ns: now_ns, ends_ns, waits, started: false });
+        self.robot.be(Some(room), now_ns);
+        self.interruption.new_stay(likely.map(|likely| (room, likely)));
+    }
+
+    fn decision(&mut self, now_ns: u64, now_unix_ns: u64, to: Option<usize>, reason: &str) -> DecisionV1 {
+        self.sequence += 1;
+        let Notice { cancels, flags, why } = std::mem::take(&mut self.notice);
+        let covered = self.round.covered().iter().take(64).enumerate();
+        let reported = if self.robot.is_believed() { decision_flags::REPORTED } else { 0 };
+        let silent = if self.robot.silent { decision_flags::ROBOT_SILENT } else { 0 };
+        let mut decision = DecisionV1 {
+            robot: self.number,
+            epoch: self.epoch,
+            sequence: self.sequence,
+            decided_ns: now_ns,
+            decided_unix_ns: now_unix_ns,
+            covered: covered.fold(0, |bits, (room, covered)| bits | u64::from(*covered) << room),
+            action: action::STAY,
+            flags: flags | reported | silent,
+            minor: 1,
+            cancels,
+            policy: text::encode_cut(self.policy.name().as_str()),
+            reason: text::encode_cut(&format!("{why}{reason}")),
+            ..Default::default()
+        };
+        if let Some(scores) = &self.scores {
+            decision.scores_epoch = scores.epoch;
+            decision.scores_sequence = scores.sequence;
+            decision.scores_age_ns = scores.age_ns(now_ns);
+            decision.observed_ns = scores.observed_ns;
+            let room = |index: Option<usize>| index.and_then(|index| scores.rooms().get(index));
+            decision.from = room(self.robot.room).map_or([0; NAME_BYTES], |room| room.id);
+            decision.to = room(to).map_or([0; NAME_BYTES], |room| room.id);
+            decision.probability = room(to).map_or(0.0, |room| room.probability);
+        }
+        decision
+    }
+
+    /// Nothing is left to do or to say, until a map has a room that is not covered.
+    fn is_finished(&self) -> bool {
+        self.finished && self.round.undone() == 0
+    }
+
+    /// Why the scores may not be acted upon: bits of [`decision_flags`], 0 when they may.
+    #[must_use]
+    pub fn stale(&self, now_ns: u64) -> u32 {
+        match &self.scores {
+            None => decision_flags::NO_SCORES,
+            Some(scores) if scores.silence_ns(now_ns) > self.deadline_ns => {
+                decision_flags::STALE | decision_flags::DAEMON_SILENT
+            }
+            // The daemon lives, but these scores do not contain what has happened since.
+            Some(scores) if scores.has(score_flags::SCORER_FAILED) && scores.age_ns(now_ns) > self.deadline_ns => {
+                decision_flags::STALE
+            }
+            Some(_) => 0,
+        }
+    }
+
+    /// Whether the clock has ended the work: not that of a robot whose own word is taken, unless there is nothing to be done in it.
+    fn is_over(&self, work: &Work, now_ns: u64) -> bool {
+        now_ns >= work.ends_ns && (!self.robot.is_believed() || work.waits || self.round.stay_ns == 0)
+    }
+
+    /// Whether the robot has no work in hand.
+    #[must_use]
+    pub fn is_free(&self, now_ns: u64) -> bool {
+        self.robot.work.as_ref().is_none_or(|work| self.is_over(work, now_ns))
+    }
+
+    /// How long there is nothing to decide unless something arrives, at most 250 ms.
+    #[must_use]
+    pub fn idle(&self, now_ns: u64) -> Duration {
+        const LEAST_NS: u64 = 1_000_000;
+        let ends_ns = self.robot.work.as_ref().map(|work| work.ends_ns).filter(|_| self.round.stay_ns > 0);
+        // Scores that go stale are noticed at once.
+        let stale_ns = self
+            .scores
+            .as_ref()
+            .map(|scores| scores.published_ns.saturating_add(self.deadline_ns).saturating_add(LEAST_NS));
+        let next_ns = ends_ns.into_iter().chain(stale_ns).filter(|next_ns| *next_ns > now_ns).min();
+        next_ns.map_or(TICK, |next_ns| Duration::from_nanos((next_ns - now_ns).max(LEAST_NS)).min(TICK))
+    }
+
+    /// The room that the robot is in, by index in the scores' rooms.
+    #[must_use]
+    pub fn room(&self) -> Option<usize> {
+        self.robot.room
+    }
+
+    /// The policy weighs the forecast over the stays to come.
+    fn plans(&self) -> bool {
+        self.policy.name() == PolicyName::CoverageAware
+    }
+
+    /// The policy goes to a room that is done only to wait.
+    fn plans_coverage(&self) -> bool {
+        matches!(self.policy.name(), PolicyName::CoverageAware | PolicyName::UncoveredFirst)
+    }
+
+    fn stay_s(&self) -> f64 {
+        self.round.stay_ns as f64 / 1e9
+    }
+
+    fn id_of(&self, room: usize) -> &str {
+        let rooms = self.scores.as_ref().map_or(&[][..], RoomScoresV1::rooms);
+        rooms.get(room).map_or("", |room| room.id())
+    }
+
+    /// The newest decision of this epoch that asked for the work, 0 for none.
+    fn own_decision(&self, work: &Work) -> u64 {
+        let own = work.decisions.iter().rev().find(|(epoch, _)| *epoch == self.epoch);
+        own.map_or(0, |(_, sequence)| *sequence)
+    }
+
+    /// The room that a decision names, by epoch (0 for any) and sequence: the one in hand, or one of the last of this epoch.
+    fn room_of_decision(&self, decision: (u64, u64)) -> Option<usize> {
+        let in_hand = self.robot.work.as_ref().filter(|work| work.answers(decision));
+        let past = || {
+            let own = decision.0 == 0 || decision.0 == self.epoch;
+            let (_, id) = self.decisions.iter().find(|(sequence, _)| own && *sequence == decision.1)?;
+            self.scores.as_ref()?.rooms().iter().position(|room| room.id == *id)
+        };
+        in_hand.map(|work| work.room).or_else(past)
+    }
+}
+
+#[cfg(test)]
+mod tests;

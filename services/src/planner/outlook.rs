@@ -1,0 +1,118 @@
+//! What a planner sees of persons at one moment: how likely somebody is in each room next, now, and in each slot to come.
+
+use roomcast_ipc::{ForecastV1, RoomScoresV1, decision_flags, forecast_flags, score_flags};
+
+/// A forecast that may be used with scores: it is fresh, and of the same daemon's same rooms.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Forecast<'a> {
+    message: &'a ForecastV1,
+    age_s: f64,
+}
+
+impl<'a> Forecast<'a> {
+    pub(super) fn usable(
+        message: Option<&'a ForecastV1>,
+        scores: &RoomScoresV1,
+        now_ns: u64,
+        deadline_ns: u64,
+    ) -> Option<Self> {
+        let message = message.filter(|forecast| {
+            forecast.epoch == scores.epoch
+                && now_ns.saturating_sub(forecast.published_ns) <= deadline_ns
+                && forecast.room_count == scores.room_count
+                && forecast.horizon_count > 0
+                && scores.rooms().iter().enumerate().all(|(index, room)| forecast.id[index] == room.id)
+        })?;
+        Some(Self { message, age_s: now_ns.saturating_sub(message.computed_ns) as f64 / 1e9 })
+    }
+
+    /// Nobody is known: what it says of rooms says nothing.
+    pub(super) fn knows_nobody(&self) -> bool {
+        self.message.has(forecast_flags::NOT_KNOWN)
+    }
+
+    /// How likely somebody is in a room so many seconds from now.
+    fn likely(&self, room: usize, ahead_s: f64) -> f64 {
+        let curve = self.message.room(room);
+        curve.map_or(0.0, |(_, row)| interpolate(&self.message.horizon_s, row, self.age_s + ahead_s))
+    }
+
+    /// How likely somebody is in each room now.
+    pub(super) fn now(&self) -> Vec<f64> {
+        (0..self.message.room_count as usize).map(|room| self.likely(room, 0.0)).collect()
+    }
+}
+
+/// What policies weigh.
+#[derive(Debug)]
+pub(super) struct Outlook {
+    /// Per room, how likely somebody is there next.
+    pub(super) likely: Vec<f64>,
+    /// How long robot and person are expected to share each room in each of the slots left, slot by slot, in seconds. Empty without
+    /// a forecast, or without a time to stay.
+    pub(super) shared_s: Vec<f64>,
+    /// Those of [`decision_flags`] that say what is known of persons.
+    pub(super) flags: u32,
+}
+
+impl Outlook {
+    pub(super) fn new(scores: &RoomScoresV1, forecast: Option<Forecast<'_>>, stay_s: f64, slots: usize) -> Self {
+        let rooms = scores.rooms().len();
+        // A robot that decides with every score stays nowhere for a time that could be shared.
+        let slots = if stay_s > 0.0 { slots } else { 0 };
+        let not_known = forecast.map_or(scores.has(score_flags::NO_NARRATION), |forecast| forecast.knows_nobody());
+        let nobody_home = forecast
+            .map_or(scores.has(score_flags::NOBODY_HOME), |forecast| forecast.message.has(forecast_flags::NOBODY_HOME));
+        if not_known {
+            // What the model says about an unknown past is about no person of this home: every room counts alike.
+            let alike = 1.0 / rooms.max(1) as f64;
+            let shared_s = vec![alike * stay_s; if forecast.is_some() { slots * rooms } else { 0 }];
+            return Self { likely: vec![alike; rooms], shared_s, flags: decision_flags::NOT_KNOWN };
+        }
+        let likely = scores.rooms().iter().map(|room| room.probability).collect();
+        let shared_s = forecast.map(|forecast| {
+            let places = (0..slots).flat_map(|slot| (0..rooms).map(move |room| (slot, room)));
+            places.map(|(slot, room)| stay_s * forecast.likely(room, (slot as f64 + 0.5) * stay_s)).collect()
+        });
+        let flags = if nobody_home { decision_flags::NOBODY_HOME } else { 0 };
+        Self { likely, shared_s: shared_s.unwrap_or_default(), flags }
+    }
+
+    /// How likely somebody is in a room during a stay that begins now, as far as a forecast says.
+    pub(super) fn over_stay(&self, room: usize, stay_s: f64) -> Option<f64> {
+        Some((self.shared_s.get(room)? / stay_s).clamp(0.0, 1.0))
+    }
+
+    pub(super) fn has(&self, flag: u32) -> bool {
+        self.flags & flag != 0
+    }
+}
+
+/// The value at `at` of a curve through points with rising `grid`; constant beyond both ends.
+fn interpolate(grid: &[f32], values: &[f32], at: f64) -> f64 {
+    let points = || grid.iter().zip(values).map(|(x, y)| (f64::from(*x), f64::from(*y)));
+    let mut before: Option<(f64, f64)> = None;
+    for (x, y) in points() {
+        if x >= at {
+            return match before {
+                Some((x0, y0)) if x > x0 => y0 + (y - y0) * (at - x0) / (x - x0),
+                _ => y,
+            };
+        }
+        before = Some((x, y));
+    }
+    before.map_or(0.0, |(_, y)| y)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn curves_are_straight_between_their_points_and_flat_beyond() {
+        let value = |at| interpolate(&[10.0, 20.0], &[0.2, 0.4], at);
+        assert!(
+            (value(0.0) - 0.2).abs() < 1e-6 && (value(15.0) - 0.3).abs() < 1e-6 && (value(99.0) - 0.4).abs() < 1e-6
+        );
+    }
+}

@@ -1,0 +1,164 @@
+//! What becomes of the robot's reports.
+
+use roomcast_ipc::{RobotReportV1, report_kind};
+
+use super::Planner;
+use super::robot::Work;
+
+/// Why a report, or a part of it, is not used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReportFault {
+    /// No room has this name.
+    #[error("the robot reports the room `{room}`, which the map in use does not have: its rooms are {known}")]
+    UnknownRoom {
+        /// As reported.
+        room: String,
+        /// The rooms there are.
+        known: String,
+    },
+    /// The planner's scene is not the daemon's.
+    #[error(
+        "the robot reports a position, and the planner's scene is not the map that the daemon uses: \
+         give the planner the same scene.path, or name the room in the report"
+    )]
+    OtherMap,
+}
+
+impl Planner {
+    /// Takes a checked report of the planner's robot, whoever sent it; reports of other robots, and those that were taken before, are
+    /// left alone. Rooms are known with the first scores: a report that comes before them is not to be given here.
+    ///
+    /// # Errors
+    /// [`ReportFault`] when it names a room that is none, or a position that cannot be placed; the rest of it is used.
+    pub fn take_report(&mut self, report: &RobotReportV1, now_ns: u64) -> Result<(), ReportFault> {
+        if report.robot != self.number || !self.robot.listens() || !self.robot.is_new(report.epoch, report.sequence) {
+            return Ok(());
+        }
+        let at_ns = report.reported_ns.min(now_ns);
+        self.robot.hear(at_ns);
+        if let Some(battery) = report.battery() {
+            self.robot.charge(battery);
+        }
+        let (named, named_fault) = split(self.named_room(report));
+        let (placed, placed_fault) = split(self.placed_room(report));
+        let (named, placed) = (named.flatten(), placed.flatten());
+        let answered = (report.decision_sequence > 0).then_some((report.decision_epoch, report.decision_sequence));
+        let told = answered.and_then(|decision| self.room_of_decision(decision));
+        let work = self.robot.work.as_ref();
+        // The work in hand is meant by its decision, or without one by what is reported since it began and of no other room.
+        let room = named.or(told).or(placed.flatten());
+        let of_work = work.is_some_and(|work| match answered {
+            Some(decision) => work.answers(decision),
+            None => at_ns >= work.began_ns && room.is_none_or(|room| room == work.room),
+        });
+        let room = room.or(work.filter(|_| of_work).map(|work| work.room));
+        match report.kind {
+            report_kind::POSITION => {
+                if let Some(place) = placed.or(named.map(Some)) {
+                    self.robot.be(place, at_ns);
+                }
+            }
+            report_kind::STARTED => {
+                self.robot.reports_work = true;
+                self.robot.leave_dock();
+                self.robot.be(placed.unwrap_or(room), at_ns);
+                self.start(room, answered, of_work, at_ns, now_ns);
+            }
+            report_kind::FINISHED => {
+                self.robot.reports_work = true;
+                self.robot.leave_dock();
+                self.robot.be(placed.unwrap_or(room), at_ns);
+                if let Some(room) = room.filter(|_| self.round.began_ns.is_some_and(|began_ns| at_ns >= began_ns)) {
+                    self.round.cover(room);
+                }
+                if of_work {
+                    self.robot.work = None;
+                }
+            }
+            report_kind::FAILED | report_kind::BLOCKED | report_kind::CANCELLED => {
+                self.robot.reports_work = true;
+                if let Some(place) = placed {
+                    self.robot.be(place, at_ns);
+                }
+                if let Some(room) = room {
+                    self.round.fail(room, at_ns);
+                }
+                if of_work {
+                    self.robot.work = None;
+                }
+            }
+            report_kind::DOCKED => {
+                self.robot.dock();
+                self.robot.be(placed.unwrap_or(named), at_ns);
+                // A robot says that it is docked also before it leaves.
+                let gives_up = |work: &Work| at_ns >= work.began_ns && (work.started || answered.is_some() && of_work);
+                if let Some(work) = self.robot.work.take_if(|work| gives_up(work) || self.robot.charges) {
+                    self.round.fail(work.room, at_ns);
+                }
+            }
+            // The battery was taken above; kinds to come say nothing yet.
+            _ => {}
+        }
+        named_fault.or(placed_fault).map_or(Ok(()), Err)
+    }
+
+    /// The robot is at work in a room: the one that it was sent to, or another, as when somebody pressed its button.
+    fn start(&mut self, room: Option<usize>, answered: Option<(u64, u64)>, of_work: bool, at_ns: u64, now_ns: u64) {
+        let Some(room) = room else { return };
+        let ends_ns = at_ns.saturating_add(self.round.stay_ns);
+        let may_still_work = self.robot.may_still_work(ends_ns, now_ns);
+        match &mut self.robot.work {
+            Some(work) if of_work => (work.started, work.ends_ns) = (true, ends_ns),
+            Some(work) if answered.is_none() && at_ns >= work.began_ns => {
+                *work = Work { room, started: true, ends_ns, waits: false, ..work.clone() };
+                self.interruption.new_stay(None);
+            }
+            Some(_) => {}
+            None if may_still_work => {
+                let decisions = answered.into_iter().collect();
+                let work = Work { room, decisions, began_ns: at_ns, ends_ns, waits: false, started: true };
+                self.robot.work = Some(work);
+                self.interruption.new_stay(None);
+                if self.round.undone() > 0 {
+                    self.round.began_ns.get_or_insert(at_ns);
+                }
+            }
+            None => {}
+        }
+    }
+
+    /// The room that a report names.
+    fn named_room(&self, report: &RobotReportV1) -> Result<Option<usize>, ReportFault> {
+        let (name, Some(scores)) = (report.room(), &self.scores) else { return Ok(None) };
+        if name.is_empty() {
+            return Ok(None);
+        }
+        let by_id = scores.rooms().iter().position(|room| room.id() == name);
+        let by_name = || self.places.as_ref().filter(|places| places.fits(scores))?.named(name, scores);
+        by_id.or_else(by_name).map(Some).ok_or_else(|| ReportFault::UnknownRoom {
+            room: name.to_owned(),
+            known: scores.rooms().iter().map(roomcast_ipc::RoomV1::id).collect::<Vec<_>>().join(", "),
+        })
+    }
+
+    /// The room that a report's position lies in; the inner `None` is a position outside all rooms.
+    fn placed_room(&self, report: &RobotReportV1) -> Result<Option<Option<usize>>, ReportFault> {
+        let (Some(position_m), Some(scores)) = (report.position_m(), &self.scores) else { return Ok(None) };
+        let places = self.places.as_ref().filter(|places| places.fits(scores)).ok_or(ReportFault::OtherMap);
+        match places {
+            Ok(places) => Ok(Some(places.at(position_m, scores))),
+            // A room that is named is enough.
+            Err(_) if !report.room().is_empty() => Ok(None),
+            Err(fault) => Err(fault),
+        }
+    }
+}
+
+/// What there is, and what was wrong.
+fn split<T>(result: Result<T, ReportFault>) -> (Option<T>, Option<ReportFault>) {
+    match result {
+        Ok(value) => (Some(value), None),
+        Err(fault) => (None, Some(fault)),
+    }
+}

@@ -1,0 +1,198 @@
+//! The robot as it is known: its work, where it is, its battery, and when it was heard.
+
+use crate::config::{PlannerConfig, Reports};
+
+use super::round::nanoseconds;
+
+/// Reporters whose numbers stay known.
+const REPORTERS: usize = 16;
+/// Decisions of former planners that still mean the work in hand.
+const FORMER: usize = 4;
+
+/// What the robot is doing.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Work {
+    pub(super) room: usize,
+    /// The decisions that asked for it, by epoch and sequence, newest last: of this planner, and of those before a restart.
+    pub(super) decisions: Vec<(u64, u64)>,
+    pub(super) began_ns: u64,
+    /// When the time for it is over.
+    pub(super) ends_ns: u64,
+    /// Nothing is to be done there: the robot waits.
+    pub(super) waits: bool,
+    /// The robot has said that it began.
+    pub(super) started: bool,
+}
+
+impl Work {
+    /// Whether a decision asked for this; an epoch of 0 stands for any.
+    pub(super) fn answers(&self, (epoch, sequence): (u64, u64)) -> bool {
+        self.decisions.iter().any(|asked| asked.1 == sequence && (epoch == 0 || asked.0 == epoch))
+    }
+
+    /// Names one more decision that asks for this.
+    pub(super) fn asked_by(&mut self, epoch: u64, sequence: u64) {
+        if self.decisions.len() > FORMER {
+            self.decisions.remove(0);
+        }
+        self.decisions.push((epoch, sequence));
+    }
+}
+
+/// All that is known of the robot. Rooms are places in the scores.
+#[derive(Debug)]
+pub(super) struct Robot {
+    reports: Reports,
+    timeout_ns: u64,
+    battery_low: f64,
+    battery_ready: f64,
+    /// Reporters by their epoch, and the highest number of each; newest last.
+    reporters: Vec<(u64, u64)>,
+    /// It has reported its work.
+    pub(super) reports_work: bool,
+    /// When it was heard last.
+    pub(super) heard_ns: Option<u64>,
+    pub(super) room: Option<usize>,
+    /// When it was there.
+    pub(super) room_ns: u64,
+    pub(super) battery: Option<f64>,
+    /// It is not to be sent out until its battery is ready.
+    pub(super) charges: bool,
+    pub(super) work: Option<Work>,
+    /// It has missed its time, and has not been heard since.
+    pub(super) silent: bool,
+}
+
+impl Robot {
+    pub(super) fn new(config: &PlannerConfig) -> Self {
+        Self {
+            reports: config.reports,
+            timeout_ns: nanoseconds(config.report_timeout_s),
+            battery_low: config.battery_low,
+            battery_ready: config.battery_ready,
+            reporters: Vec::new(),
+            reports_work: false,
+            heard_ns: None,
+            room: None,
+            room_ns: 0,
+            battery: None,
+            charges: false,
+            work: None,
+            silent: false,
+        }
+    }
+
+    /// Whether reports are looked at.
+    pub(super) fn listens(&self) -> bool {
+        self.reports != Reports::Never
+    }
+
+    /// Whether what is done is what the robot reports; otherwise the clock says it.
+    pub(super) fn is_believed(&self) -> bool {
+        match self.reports {
+            Reports::Auto => self.reports_work,
+            Reports::Always => true,
+            Reports::Never => false,
+        }
+    }
+
+    /// Whether a report is new. Reporters may take turns; each counts by itself.
+    pub(super) fn is_new(&mut self, epoch: u64, sequence: u64) -> bool {
+        let known = self.reporters.iter().position(|(known, _)| *known == epoch);
+        let before = known.map(|place| self.reporters.remove(place));
+        if self.reporters.len() == REPORTERS {
+            self.reporters.remove(0);
+        }
+        let newest = before.map_or(0, |(_, newest)| newest);
+        self.reporters.push((epoch, newest.max(sequence)));
+        sequence > newest
+    }
+
+    /// It was heard.
+    pub(super) fn hear(&mut self, at_ns: u64) {
+        self.heard_ns = self.heard_ns.max(Some(at_ns));
+        self.silent = false;
+    }
+
+    /// It is in a room, or in none.
+    pub(super) fn be(&mut self, room: Option<usize>, at_ns: u64) {
+        if at_ns >= self.room_ns {
+            (self.room, self.room_ns) = (room, at_ns);
+        }
+    }
+
+    /// Takes how full the battery is.
+    pub(super) fn charge(&mut self, battery: f64) {
+        self.battery = Some(battery);
+        if battery < self.battery_low {
+            self.charges = true;
+        } else if battery >= self.battery_ready {
+            self.charges = false;
+        }
+    }
+
+    /// It is at its dock: with a battery that is known and not ready, it stays there. A dock alone says nothing of it.
+    pub(super) fn dock(&mut self) {
+        self.charges |= self.battery.is_some_and(|battery| battery < self.battery_ready);
+    }
+
+    /// It is at work: whatever was said of a dock is past, unless the battery is low.
+    pub(super) fn leave_dock(&mut self) {
+        self.charges = self.battery.is_some_and(|battery| battery < self.battery_low);
+    }
+
+    /// Whether the robot's time for its work is over and it owes a report for too long.
+    pub(super) fn is_overdue(&self, now_ns: u64) -> bool {
+        let due_ns = self.work.as_ref().map(|work| work.ends_ns.max(self.heard_ns.unwrap_or(0)));
+        self.is_believed() && due_ns.is_some_and(|due_ns| now_ns >= due_ns.saturating_add(self.timeout_ns))
+    }
+
+    /// Whether work that began then may still be going on.
+    pub(super) fn may_still_work(&self, ends_ns: u64, now_ns: u64) -> bool {
+        now_ns < ends_ns.saturating_add(self.timeout_ns)
+    }
+
+    /// Why it is not sent out, if it is not.
+    pub(super) fn why_it_charges(&self) -> Option<String> {
+        let (battery, ready) = (100.0 * self.battery?, 100.0 * self.battery_ready);
+        self.charges.then(|| format!("the battery is at {battery:.0} %: the robot charges until {ready:.0} %"))
+    }
+
+    /// The rooms are others: each old one is at `after(old)` now, if it is still there.
+    pub(super) fn move_rooms(&mut self, after: impl Fn(usize) -> Option<usize>) {
+        self.room = self.room.and_then(&after);
+        self.work = self.work.take().and_then(|work| Some(Work { room: after(work.room)?, ..work }));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reporters_that_take_turns_are_each_heard_once() {
+        let mut robot = Robot::new(&PlannerConfig::default());
+        let heard = [(1, 1), (2, 1), (1, 2), (1, 2), (2, 1), (1, 1), (2, 5)].map(|(epoch, n)| robot.is_new(epoch, n));
+        assert_eq!(heard, [true, true, true, false, false, false, true]);
+        assert!((10..1000).all(|epoch| robot.is_new(epoch, 1)) && robot.reporters.len() == REPORTERS);
+    }
+
+    #[test]
+    fn a_low_battery_keeps_the_robot_in_until_it_is_ready() {
+        let mut robot = Robot::new(&PlannerConfig::default());
+        for (battery, charges) in [(0.2, false), (0.14, true), (0.3, true), (0.5, false), (0.49, false)] {
+            robot.charge(battery);
+            assert_eq!(robot.charges, charges, "{battery}");
+        }
+        robot.dock();
+        assert_eq!(robot.why_it_charges().as_deref(), Some("the battery is at 49 %: the robot charges until 50 %"));
+        robot.leave_dock();
+        assert!(!robot.charges);
+        robot.charge(0.1);
+        robot.leave_dock();
+        assert!(robot.charges, "it works on its last reserve, and is not sent to more");
+        let mut unknown = Robot::new(&PlannerConfig::default());
+        unknown.dock();
+        assert_eq!(unknown.why_it_charges(), None);
+    }
+}

@@ -1,0 +1,145 @@
+//! The rooms of a round: what is done, what the robot could not do, and the time that is left.
+
+use crate::config::PlannerConfig;
+
+/// How many stays a round has for each room, where the configuration gives no deadline: one to do it, one to wait for it.
+const STAYS_PER_ROOM: u64 = 2;
+/// A stay may end so much after the deadline, as a share of itself: each decision comes a little after the stay before it.
+const OVERTIME: u64 = 20;
+/// Most slots that are planned at once: of a round with more, the first.
+const SLOTS_MAX: u64 = 256;
+/// A room that the robot could not do is not tried again before so long, or before a stay would be over if that is shorter.
+const RETRY_NS: u64 = 60_000_000_000;
+
+/// One round of all rooms, by their places in the scores.
+#[derive(Debug)]
+pub(super) struct Round {
+    /// How long the robot stays in a room.
+    pub(super) stay_ns: u64,
+    /// How long a round is; without it, so long as [`STAYS_PER_ROOM`] says.
+    length_ns: Option<u64>,
+    /// When it began; none between two rounds.
+    pub(super) began_ns: Option<u64>,
+    covered: Vec<bool>,
+    /// When the robot last could not do the room.
+    failed_ns: Vec<Option<u64>>,
+}
+
+impl Round {
+    pub(super) fn new(config: &PlannerConfig) -> Self {
+        Self {
+            stay_ns: nanoseconds(config.room_time_s),
+            length_ns: config.round_s.map(nanoseconds),
+            began_ns: None,
+            covered: Vec::new(),
+            failed_ns: Vec::new(),
+        }
+    }
+
+    pub(super) fn covered(&self) -> &[bool] {
+        &self.covered
+    }
+
+    /// How many rooms there are to go on with.
+    pub(super) fn undone(&self) -> usize {
+        self.covered.iter().filter(|covered| !**covered).count()
+    }
+
+    pub(super) fn is_done(&self, room: usize) -> bool {
+        self.covered.get(room).is_some_and(|covered| *covered)
+    }
+
+    pub(super) fn cover(&mut self, room: usize) {
+        if let Some(covered) = self.covered.get_mut(room) {
+            *covered = true;
+        }
+    }
+
+    /// The robot could not do the room.
+    pub(super) fn fail(&mut self, room: usize, now_ns: u64) {
+        if let Some(failed_ns) = self.failed_ns.get_mut(room) {
+            *failed_ns = Some(now_ns);
+        }
+    }
+
+    /// Whether the robot could not do a room, which is still to do.
+    pub(super) fn has_failed(&self, room: usize) -> bool {
+        !self.is_done(room) && self.failed_ns.get(room).is_some_and(Option::is_some)
+    }
+
+    /// Whether a room that failed may not be tried again yet.
+    pub(super) fn rests(&self, room: usize, now_ns: u64) -> bool {
+        let failed_ns = self.failed_ns.get(room).copied().flatten();
+        self.has_failed(room)
+            && failed_ns.is_some_and(|failed_ns| now_ns < failed_ns.saturating_add(self.stay_ns.min(RETRY_NS)))
+    }
+
+    /// The rooms are others: each new one was at `before(new)`, if it was there.
+    pub(super) fn move_rooms(&mut self, rooms: usize, before: impl Fn(usize) -> Option<usize>) {
+        let at = |room: usize| before(room);
+        self.covered = (0..rooms).map(|room| at(room).is_some_and(|old| self.is_done(old))).collect();
+        self.failed_ns =
+            (0..rooms).map(|room| at(room).and_then(|old| self.failed_ns.get(old).copied().flatten())).collect();
+    }
+
+    /// The round is over, and nothing of it counts.
+    pub(super) fn forget(&mut self) {
+        self.covered.fill(false);
+        self.end();
+    }
+
+    /// The round is over; what is done stays done.
+    pub(super) fn end(&mut self) {
+        self.began_ns = None;
+        self.failed_ns.fill(None);
+    }
+
+    /// How many stays fit before the round's deadline. A robot that stays nowhere has no round to plan.
+    pub(super) fn slots_left(&self, now_ns: u64) -> Option<usize> {
+        let rooms = self.covered.len() as u64;
+        let default_ns = || self.stay_ns.saturating_mul(STAYS_PER_ROOM.saturating_mul(rooms));
+        let end_ns = self.began_ns?.saturating_add(self.length_ns.unwrap_or_else(default_ns));
+        let left_ns = end_ns.saturating_add(self.stay_ns / OVERTIME).saturating_sub(now_ns);
+        left_ns.checked_div(self.stay_ns).map(|slots| slots.min(SLOTS_MAX) as usize)
+    }
+
+    /// Whether a round that is done goes on without work: one of a given length does, to its deadline.
+    pub(super) fn goes_on(&self, now_ns: u64) -> bool {
+        self.length_ns.is_some() && self.slots_left(now_ns).is_some_and(|slots| slots > 0)
+    }
+}
+
+/// A time of the configuration, which bounds it.
+pub(super) fn nanoseconds(seconds: f64) -> u64 {
+    (seconds.max(0.0) * 1e9) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_room_that_failed_rests_for_a_while_and_is_no_failure_once_it_is_done() {
+        let mut round = Round::new(&PlannerConfig { room_time_s: 600.0, ..PlannerConfig::default() });
+        round.move_rooms(2, |_| None);
+        round.fail(1, 5);
+        assert!(round.has_failed(1) && round.rests(1, 5) && !round.rests(1, 5 + RETRY_NS) && !round.has_failed(0));
+        round.cover(1);
+        assert!(!round.has_failed(1) && !round.rests(1, 5));
+        // Places that no map has are no fault.
+        round.fail(9, 5);
+        round.cover(9);
+        assert!(!round.has_failed(9) && !round.is_done(9));
+    }
+
+    #[test]
+    fn a_changed_map_keeps_what_is_known_of_rooms_that_stay() {
+        let mut round = Round::new(&PlannerConfig::default());
+        round.move_rooms(2, |_| None);
+        round.cover(0);
+        round.fail(1, 5);
+        round.move_rooms(3, |room| room.checked_sub(1));
+        assert_eq!(round.covered(), [false, true, false]);
+        assert!(round.has_failed(2) && !round.has_failed(0));
+    }
+}

@@ -1,0 +1,150 @@
+//! The planner's process: its ports, clock and files.
+
+use std::collections::VecDeque;
+
+use roomcast_ipc::{
+    DecisionV1, Domain, ForecastV1, IpcError, Message, MessageError, Publisher, RobotReportV1, RoomScoresV1,
+    Subscriber, clock, decision_flags, sequence,
+};
+use sd_notify::NotifyState;
+
+use super::Planner;
+use super::state::RoundFile;
+use crate::config::Config;
+use crate::logging::Limiter;
+use crate::notify::notify;
+use crate::setup;
+use crate::stop::Stop;
+
+/// Complaints about one kind of message come at most so often.
+const QUIET_NS: u64 = 5_000_000_000;
+
+/// Runs until asked to stop.
+///
+/// # Errors
+///
+/// [`IpcError`] when a service cannot be opened or is lost.
+pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError> {
+    // The number is the one by which decisions name the robot.
+    let number = sequence::source_of_name(&config.planner.robot);
+    let node = domain.open(&participant(&config.planner.robot))?;
+    node.be_the_only_one()?;
+    let scores = node.subscriber::<RoomScoresV1>()?;
+    let forecasts = node.subscriber::<ForecastV1>()?;
+    let reports = node.subscriber::<RobotReportV1>()?;
+    let decisions = node.publisher::<DecisionV1>()?;
+    let mut planner = Planner::new(&config.planner, sequence::random_epoch());
+    match setup::load_map(config.scene.path.as_deref()) {
+        Ok(map) => planner = planner.with_map(map, config.grounding.level),
+        Err(error) => tracing::warn!(%error, "without the scene, a robot's reports have to name rooms by their ids"),
+    }
+    let mut file = config.daemon.state_directory().map(|directory| RoundFile::new(&directory, number));
+    if let Some(kept) = file.as_ref().and_then(RoundFile::load) {
+        planner = planner.with_kept(kept);
+    }
+    let mut log = Limiter::new(QUIET_NS);
+    // At the start the scores need a moment to arrive; saying that there are none is worth something only after the deadline.
+    let patience_ns = clock::monotonic_ns() + config.planner.deadline_ms.saturating_mul(1_000_000);
+    let (mut snapshot, mut forecast) = (Box::<RoomScoresV1>::default(), Box::<ForecastV1>::default());
+    let mut report = RobotReportV1::default();
+    let mut early = VecDeque::new();
+    notify(&[NotifyState::Ready]);
+    while !stop.requested() {
+        scores.wait_with(&reports, planner.idle(clock::monotonic_ns()))?;
+        while receive(&scores, &mut snapshot, &mut log)? {
+            planner.take(&snapshot);
+        }
+        while receive(&forecasts, &mut forecast, &mut log)? {
+            planner.take_forecast(&forecast);
+        }
+        // Who reports may leave at once, so reports are taken from the port although rooms are known only with the first scores.
+        while receive(&reports, &mut report, &mut log)? {
+            if early.len() == RobotReportV1::SERVICE.buffer {
+                early.pop_front();
+            }
+            early.push_back(report);
+        }
+        if planner.knows_rooms() {
+            early.drain(..).for_each(|report| take_report(&mut planner, &report, &mut log));
+        }
+        let now_ns = clock::monotonic_ns();
+        if planner.stale(now_ns) != decision_flags::NO_SCORES || now_ns >= patience_ns {
+            decide(&mut planner, now_ns, &decisions, &mut log)?;
+        }
+        // What comes after may wait for the decision.
+        decisions.tick()?;
+        if let Some(file) = &mut file {
+            file.keep(&planner);
+        }
+        notify(&[NotifyState::Watchdog]);
+    }
+    notify(&[NotifyState::Stopping]);
+    tracing::info!("stopped");
+    Ok(())
+}
+
+/// The name by which the planner of a robot takes part in a domain.
+#[must_use]
+pub fn participant(robot: &str) -> String {
+    format!("roomcast-planner {robot} {:016x}", sequence::source_of_name(robot))
+}
+
+/// Takes the next good message that waits, if any; malformed ones are logged and left out.
+fn receive<M: Message>(port: &Subscriber<M>, message: &mut M, log: &mut Limiter) -> Result<bool, IpcError> {
+    while let Some(checked) = port.receive_into(message)? {
+        match checked {
+            Ok(()) => return Ok(true),
+            Err(error) => malformed::<M>(&error, log),
+        }
+    }
+    Ok(false)
+}
+
+fn malformed<M: Message>(error: &MessageError, log: &mut Limiter) {
+    if let Some(held_back) = log.pass(clock::monotonic_ns()) {
+        tracing::warn!(%error, held_back, service = M::SERVICE.name, "malformed message");
+    }
+}
+
+fn take_report(planner: &mut Planner, report: &RobotReportV1, log: &mut Limiter) {
+    let now_ns = clock::monotonic_ns();
+    tracing::debug!(kind = report.kind, room = report.room(), note = report.note(), "report of the robot");
+    if let Err(fault) = planner.take_report(report, now_ns)
+        && let Some(held_back) = log.pass(now_ns)
+    {
+        tracing::warn!(%fault, held_back, reporter = report.robot_name(), "a report is not used whole");
+    }
+}
+
+/// Decides, if there is something to decide, sends it and logs it.
+fn decide(
+    planner: &mut Planner,
+    now_ns: u64,
+    decisions: &Publisher<DecisionV1>,
+    log: &mut Limiter,
+) -> Result<(), IpcError> {
+    match planner.decide(now_ns, clock::unix_ns()) {
+        Ok(None) => {}
+        Ok(Some(decision)) => {
+            decisions.send(&decision)?;
+            tracing::info!(
+                sequence = decision.sequence,
+                from = decision.from(),
+                to = decision.to(),
+                probability = decision.probability,
+                fallback = decision.has(decision_flags::FALLBACK),
+                scores = decision.scores_sequence,
+                age_us = decision.scores_age_ns / 1000,
+                cancels = decision.cancels,
+                why = decision.reason(),
+                "decision"
+            );
+        }
+        Err(error) => {
+            if let Some(held_back) = log.pass(now_ns) {
+                tracing::error!(%error, held_back, "the policy cannot decide; the robot stays");
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,191 @@
+//! The round across a restart: a small file in the state directory, written whole or not at all.
+//!
+//! It is written after a decision was sent, and after reports were taken. What a planner that is killed has not written comes again from
+//! a reporter that is still there: the service keeps its last 8 reports for whoever joins, and to take one twice changes nothing.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use roomcast_ipc::clock;
+use serde::{Deserialize, Serialize};
+
+use super::Planner;
+use super::robot::Work;
+
+/// Most bytes of the file that are read.
+const FILE_BYTES_MAX: u64 = 1 << 20;
+
+/// What a planner keeps of its round. Times are monotonic nanoseconds of one boot.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KeptRound {
+    /// The boot that the times belong to.
+    boot: String,
+    /// The map that the rooms are of, in hexadecimal.
+    map: String,
+    began_ns: Option<u64>,
+    done: Vec<String>,
+    room: Option<String>,
+    work: Option<KeptWork>,
+    reports_work: bool,
+    battery: Option<f64>,
+    charges: bool,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct KeptWork {
+    room: String,
+    decisions: Vec<(u64, u64)>,
+    began_ns: u64,
+    ends_ns: u64,
+    waits: bool,
+    started: bool,
+}
+
+impl Planner {
+    /// What is to be kept of the round; none before the first scores.
+    #[must_use]
+    pub fn kept(&self, boot: &str) -> Option<KeptRound> {
+        let scores = self.scores.as_ref()?;
+        let id = |room: usize| self.id_of(room).to_owned();
+        let done = self.round.covered().iter().enumerate().filter(|(_, done)| **done);
+        Some(KeptRound {
+            boot: boot.to_owned(),
+            map: hex::encode(scores.map_fingerprint),
+            began_ns: self.round.began_ns,
+            done: done.map(|(room, _)| id(room)).collect(),
+            room: self.robot.room.map(id),
+            // Of a robot that decides with every score no work outlasts the planner.
+            work: self.robot.work.as_ref().filter(|_| self.round.stay_ns > 0).map(|work| KeptWork {
+                room: id(work.room),
+                decisions: work.decisions.clone(),
+                began_ns: work.began_ns,
+                ends_ns: work.ends_ns,
+                waits: work.waits,
+                started: work.started,
+            }),
+            reports_work: self.robot.reports_work,
+            battery: self.robot.battery,
+            charges: self.robot.charges,
+        })
+    }
+
+    /// Takes up a round that was kept, if it is of the rooms that the scores are of.
+    pub(super) fn restore(&mut self, kept: &KeptRound) {
+        let Some(scores) = self.scores.filter(|scores| hex::encode(scores.map_fingerprint) == kept.map) else { return };
+        let room = |id: &str| scores.rooms().iter().position(|room| room.id() == id);
+        for done in kept.done.iter().filter_map(|id| room(id)) {
+            self.round.cover(done);
+        }
+        self.round.began_ns = kept.began_ns;
+        let robot = &mut self.robot;
+        robot.room = kept.room.as_deref().and_then(room);
+        robot.work = kept.work.as_ref().and_then(|work| {
+            let KeptWork { decisions, began_ns, ends_ns, waits, started, .. } = work.clone();
+            Some(Work { room: room(&work.room)?, decisions, began_ns, ends_ns, waits, started })
+        });
+        self.asks_again = robot.work.is_some();
+        robot.reports_work = kept.reports_work;
+        (robot.battery, robot.charges) = (kept.battery, kept.charges && kept.battery.is_some());
+    }
+
+    /// Whether scores have said which rooms there are: reports before that are to wait.
+    #[must_use]
+    pub fn knows_rooms(&self) -> bool {
+        self.scores.is_some()
+    }
+}
+
+/// The file that a planner keeps its round in.
+#[derive(Debug)]
+pub(super) struct RoundFile {
+    path: PathBuf,
+    boot: String,
+    written: Option<KeptRound>,
+}
+
+impl RoundFile {
+    /// In the state directory, one for each robot.
+    pub(super) fn new(directory: &Path, robot: u64) -> Self {
+        let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
+        let path = directory.join(format!("planner-{robot:016x}.json"));
+        Self { path, boot: boot.trim().to_owned(), written: None }
+    }
+
+    /// The round that was kept, of this boot: a robot that was off with its machine begins another.
+    pub(super) fn load(&self) -> Option<KeptRound> {
+        let fits = |length: u64| length <= FILE_BYTES_MAX;
+        let text = match std::fs::metadata(&self.path) {
+            Ok(file) if fits(file.len()) => std::fs::read_to_string(&self.path),
+            Ok(_) => Err(std::io::Error::other(format!("it has more than {FILE_BYTES_MAX} bytes"))),
+            Err(error) => Err(error),
+        };
+        let path = self.path.display();
+        let kept: KeptRound = match text.map(|text| serde_json::from_str(&text)) {
+            Ok(Ok(kept)) => kept,
+            Ok(Err(error)) => {
+                tracing::warn!(%error, %path, "the kept round is damaged; a new one begins");
+                return None;
+            }
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
+            Err(error) => {
+                tracing::warn!(%error, %path, "the kept round cannot be read; a new one begins");
+                return None;
+            }
+        };
+        let past = kept.began_ns.is_none_or(|began_ns| began_ns <= clock::monotonic_ns());
+        (kept.boot == self.boot && past).then_some(kept)
+    }
+
+    /// Keeps a round if it has changed; the old file stays whole until the new one is. A directory that cannot be written costs the
+    /// round across a restart, and nothing else.
+    pub(super) fn keep(&mut self, planner: &Planner) {
+        let kept = planner.kept(&self.boot);
+        if kept.is_none() || kept == self.written {
+            return;
+        }
+        if let Some(kept) = &kept
+            && let Err(error) = self.write(kept)
+        {
+            tracing::warn!(%error, path = %self.path.display(), "the round cannot be kept for a restart; check the directory");
+        }
+        self.written = kept;
+    }
+
+    fn write(&self, kept: &KeptRound) -> std::io::Result<()> {
+        let mut file = tempfile::NamedTempFile::new_in(self.path.parent().unwrap_or(Path::new(".")))?;
+        file.write_all(&serde_json::to_vec(kept)?)?;
+        file.persist(&self.path).map(|_| ()).map_err(|error| error.error)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_ipc::RoomScoresV1;
+
+    use super::*;
+    use crate::config::PlannerConfig;
+
+    #[test]
+    fn a_round_comes_back_whole_or_not_at_all() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut file = RoundFile::new(directory.path(), 7);
+        assert_eq!(file.load(), None);
+        let mut planner = Planner::new(&PlannerConfig::default(), 1);
+        file.keep(&planner);
+        assert!(!file.path.exists(), "nothing is known before the first scores");
+        planner.take(&RoomScoresV1 { room_count: 1, ..RoomScoresV1::default() });
+        file.keep(&planner);
+        assert_eq!(file.load(), planner.kept(&file.boot));
+        let of_another_boot = KeptRound { boot: "other".to_owned(), ..planner.kept("").unwrap() };
+        file.write(&of_another_boot).unwrap();
+        assert_eq!(file.load(), None);
+        for damaged in ["", "{", "[]", r#"{"boot": 1}"#] {
+            std::fs::write(&file.path, damaged).unwrap();
+            assert_eq!(file.load(), None, "{damaged}");
+        }
+        let left = std::fs::read_dir(directory.path()).unwrap().count();
+        assert_eq!(left, 1, "no half-written files");
+    }
+}

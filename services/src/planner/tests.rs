@@ -1,0 +1,762 @@
+use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
+use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_ipc::{Message, RobotReportV1, forecast_flags, report_flags, report_kind};
+
+use super::*;
+use crate::config::Reports;
+
+const S: u64 = 1_000_000_000;
+
+fn scores(sequence: u64, now_ns: u64, likely: &[f64]) -> RoomScoresV1 {
+    let mut scores = RoomScoresV1 {
+        epoch: 5,
+        sequence,
+        computed_ns: now_ns,
+        published_ns: now_ns,
+        room_count: likely.len() as u32,
+        ..Default::default()
+    };
+    for (index, probability) in likely.iter().enumerate() {
+        scores.room[index].id = text::encode("id", &format!("room-{index}")).unwrap();
+        scores.room[index].probability = *probability;
+    }
+    scores
+}
+
+fn planner(policy: PolicyName, repeat: bool) -> Planner {
+    let config = PlannerConfig { policy, room_time_s: 10.0, repeat, ..Default::default() };
+    Planner::new(&config, 1)
+}
+
+fn forecast(of: &RoomScoresV1, curves: &[[f32; 2]]) -> ForecastV1 {
+    let mut forecast = ForecastV1 {
+        epoch: of.epoch,
+        computed_ns: of.computed_ns,
+        published_ns: of.published_ns,
+        room_count: of.room_count,
+        horizon_count: 2,
+        ..Default::default()
+    };
+    forecast.horizon_s[1] = 20.0;
+    for (index, curve) in curves.iter().enumerate() {
+        forecast.id[index] = of.room[index].id;
+        forecast.probability[index][..2].copy_from_slice(curve);
+    }
+    forecast
+}
+
+#[test]
+fn coverage_aware_waits_for_a_room_that_the_forecast_says_becomes_free() {
+    let mut planner = planner(PolicyName::CoverageAware, true);
+    // The scores alone would send the robot into room 0 first.
+    let scores = scores(1, S, &[0.1, 0.9]);
+    planner.take(&scores);
+    planner.take_forecast(&forecast(&scores, &[[1.0, 0.0], [0.0, 1.0]]));
+    let decision = planner.decide(S, 0).unwrap().unwrap();
+    assert_eq!(decision.to(), "room-1");
+    assert!(decision.reason().contains("; plan for "), "{}", decision.reason());
+}
+
+/// A home where somebody lies down in the bedroom, and what the daemon publishes of it.
+struct Sleeper {
+    forecaster: Forecaster,
+}
+
+const HORIZONS_S: [f32; 9] = [0.0, 30.0, 60.0, 120.0, 300.0, 600.0, 900.0, 1800.0, 3600.0];
+const ROOMS: [&str; 4] = ["bedroom", "corridor", "kitchen", "office"];
+
+impl Sleeper {
+    fn new() -> Self {
+        let rooms = ROOMS.map(|id| {
+            let x = ROOMS.iter().position(|other| *other == id).unwrap() * 4;
+            format!(r#"{{"id": "{id}", "label": "{id}", "box": {{"min_m": [{x}, 0, 0], "max_m": [{}, 4, 3]}}}}"#, x + 4)
+        });
+        let scene = format!(
+            r#"{{"format": "roomcast-scene", "version": 1, "name": "home", "rooms": [{}], "items": [
+                {{"id": "bed", "label": "bed", "position_m": [2, 2, 0.3],
+                    "box": {{"min_m": [1, 1, 0], "max_m": [3, 3, 0.6]}}}},
+                {{"id": "fridge", "label": "fridge", "position_m": [10, 2, 1],
+                    "box": {{"min_m": [9.5, 1.5, 0], "max_m": [10.5, 2.5, 2]}}}}]}}"#,
+            rooms.join(", ")
+        );
+        let map = SemanticMap::from_json(&scene).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let bed = Mentions::new(&map, &grounding).last("They lie on the bed.");
+        let mut forecaster = Forecaster::new(ROOMS.len(), ForecastOptions::default(), 0.0);
+        forecaster.observe(0.0, bed, &grounding, &[0.4, 0.1, 0.4, 0.1]);
+        Self { forecaster }
+    }
+
+    fn tell(&self, planner: &mut Planner, now_ns: u64) {
+        let mut scores = scores(1, now_ns, &[0.4, 0.1, 0.4, 0.1]);
+        let mut forecast = ForecastV1 { horizon_count: HORIZONS_S.len() as u32, ..forecast(&scores, &[]) };
+        forecast.horizon_s[..HORIZONS_S.len()].copy_from_slice(&HORIZONS_S);
+        for (room, id) in ROOMS.iter().enumerate() {
+            scores.room[room].id = text::encode("id", id).unwrap();
+            forecast.id[room] = scores.room[room].id;
+        }
+        for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
+            let now_s = now_ns as f64 / 1e9;
+            for (room, p) in self.forecaster.at(now_s, f64::from(*horizon_s)).enumerate() {
+                forecast.probability[room][place] = p as f32;
+            }
+        }
+        planner.take(&scores);
+        planner.take_forecast(&forecast);
+    }
+}
+
+#[test]
+fn while_somebody_sleeps_every_other_room_is_done_in_its_slot() {
+    let sleeper = Sleeper::new();
+    let mut planner = Planner::new(&PlannerConfig::default(), 1);
+    let stay_ns = 600 * S;
+    // The person has slept for an hour, and goes on for five.
+    for round in 0..4 {
+        let mut visited = Vec::new();
+        for slot in 0..8 {
+            let now_ns = 3600 * S + (8 * round + slot) * stay_ns;
+            sleeper.tell(&mut planner, now_ns);
+            let decision = planner.decide(now_ns, 0).unwrap().unwrap();
+            let planned = format!("plan for {} stay", 8 - slot);
+            assert!(decision.reason().contains(&planned), "slot {slot}: {}", decision.reason());
+            if slot > 2 {
+                let said = decision.reason().contains("waits in a room that is done")
+                    && decision.reason().contains("1 room left undone");
+                assert!(said, "slot {slot}: {}", decision.reason());
+            } else if slot == 0 && round > 0 {
+                let ended = "the round's deadline came with 1 of 4 rooms undone, a round of all rooms begins: ";
+                assert!(decision.reason().starts_with(ended), "{}", decision.reason());
+            }
+            visited.push(decision.to().to_owned());
+        }
+        visited[..3].sort();
+        assert_eq!(visited[..3], ROOMS[1..], "round {round}");
+        assert!(!visited.iter().any(|room| room == "bedroom"), "round {round}: {visited:?}");
+    }
+}
+
+#[test]
+fn a_round_ends_at_its_deadline_also_when_nobody_could_decide() {
+    for (repeat, next) in [(true, "a round of all rooms begins"), (false, "another round for them begins")] {
+        let config = PlannerConfig {
+            room_time_s: 10.0,
+            round_s: Some(30.0),
+            repeat,
+            policy: PolicyName::UncoveredFirst,
+            ..Default::default()
+        };
+        let mut planner = Planner::new(&config, 1);
+        planner.take(&scores(1, S, &[0.1, 0.2, 0.7]));
+        assert_eq!(planner.decide(S, 0).unwrap().unwrap().to(), "room-0");
+        // The daemon is silent for two of the three stays.
+        assert!(planner.decide(11 * S, 0).unwrap().unwrap().has(decision_flags::FALLBACK));
+        planner.take(&scores(2, 31 * S, &[0.1, 0.2, 0.7]));
+        let decision = planner.decide(31 * S, 0).unwrap().unwrap();
+        let said = format!("the round's deadline came with 2 of 3 rooms undone, {next}: ");
+        assert!(decision.reason().starts_with(&said), "{}", decision.reason());
+        let (to, covered) = if repeat { ("room-0", 0) } else { ("room-1", 0b1) };
+        assert_eq!((decision.to(), decision.covered), (to, covered));
+    }
+}
+
+#[test]
+fn a_round_of_a_given_length_that_is_done_early_goes_on_without_work() {
+    let config = PlannerConfig { room_time_s: 10.0, round_s: Some(40.0), ..Default::default() };
+    let mut planner = Planner::new(&config, 1);
+    let mut said = Vec::new();
+    for stay in 0..5 {
+        let now_ns = (1 + 10 * stay) * S;
+        let scores = scores(stay + 1, now_ns, &[0.9, 0.1]);
+        planner.take(&scores);
+        planner.take_forecast(&forecast(&scores, &[[0.1, 0.1], [0.0, 0.0]]));
+        let decision = planner.decide(now_ns, 0).unwrap().unwrap();
+        said.push((decision.to().to_owned(), decision.covered, decision.has(decision_flags::COVERED)));
+    }
+    let expected = [
+        ("room-1", 0, false),
+        ("room-0", 0b10, false),
+        ("room-1", 0b11, true),
+        ("room-1", 0b11, true),
+        ("room-1", 0, true),
+    ];
+    assert_eq!(said, expected.map(|(to, covered, done)| (to.to_owned(), covered, done)));
+}
+
+#[test]
+fn rooms_that_are_added_after_all_was_done_are_done_too() {
+    let mut planner = planner(PolicyName::CoverageAware, false);
+    for (visit, to) in ["room-1", "room-0"].into_iter().enumerate() {
+        let now_ns = (1 + 10 * visit as u64) * S;
+        planner.take(&scores(visit as u64 + 1, now_ns, &[0.6, 0.4]));
+        assert_eq!(planner.decide(now_ns, 0).unwrap().unwrap().to(), to);
+    }
+    planner.take(&scores(3, 21 * S, &[0.6, 0.4]));
+    let finished = planner.decide(21 * S, 0).unwrap().unwrap();
+    assert_eq!((finished.action, finished.reason()), (action::STAY, "every room is covered"));
+    assert_eq!((planner.idle(21 * S), planner.decide(99 * S, 0).unwrap()), (TICK, None));
+
+    let added = RoomScoresV1 { map_fingerprint: [1; 32], ..scores(4, 100 * S, &[0.3, 0.3, 0.4]) };
+    planner.take(&added);
+    let decision = planner.decide(100 * S, 0).unwrap().unwrap();
+    assert_eq!((decision.action, decision.to(), decision.covered), (action::GO, "room-2", 0b011));
+    planner.take(&RoomScoresV1 { published_ns: 110 * S, ..added });
+    assert_eq!(planner.decide(110 * S, 0).unwrap().unwrap().action, action::STAY);
+}
+
+#[test]
+fn a_long_round_of_short_stays_is_planned_in_bounds() {
+    let config = PlannerConfig { room_time_s: 0.001, round_s: Some(1e9), ..Default::default() };
+    let mut planner = Planner::new(&config, 1);
+    let scores = scores(1, S, &[1.0 / 64.0; 64]);
+    planner.take(&scores);
+    planner.take_forecast(&forecast(&scores, &[[0.5, 0.5]; 64]));
+    let decision = planner.decide(S, 0).unwrap().unwrap();
+    assert!(decision.reason().contains("plan for 256 stays"), "{}", decision.reason());
+}
+
+#[test]
+fn a_changed_map_keeps_what_was_done_in_rooms_that_stay() {
+    let mut planner = planner(PolicyName::UncoveredFirst, true);
+    planner.take(&scores(1, S, &[0.5, 0.5]));
+    let first = planner.decide(S, 0).unwrap().unwrap();
+    planner.take(&scores(2, 11 * S, &[0.5, 0.5]));
+    planner.decide(11 * S, 0).unwrap().unwrap();
+    // A room is added in front; the two known ones move by a place.
+    let mut changed = scores(3, 12 * S, &[0.2, 0.4, 0.4]);
+    changed.map_fingerprint = [1; 32];
+    for (room, id) in changed.room.iter_mut().zip(["garage", "room-0", "room-1"]) {
+        room.id = text::encode("id", id).unwrap();
+    }
+    planner.take(&changed);
+    assert!(planner.decide(12 * S, 0).unwrap().is_none(), "it goes on with its work");
+    planner.take(&RoomScoresV1 { published_ns: 21 * S, ..changed });
+    let next = planner.decide(21 * S, 0).unwrap().unwrap();
+    assert_eq!(next.to(), "garage", "the first room {} stays covered", first.to());
+    // Another daemon with another map.
+    let other = RoomScoresV1 { epoch: 6, map_fingerprint: [2; 32], ..scores(1, 22 * S, &[0.5, 0.5]) };
+    planner.take(&other);
+    assert_eq!(planner.decide(22 * S, 0).unwrap().unwrap().covered, 0);
+}
+
+#[test]
+fn the_robot_goes_where_the_person_is_not_and_stays_for_its_time() {
+    let mut planner = planner(PolicyName::GreedyAvoidance, true);
+    planner.take(&scores(1, S, &[0.7, 0.1, 0.2]));
+    let decision = planner.decide(S, 0).unwrap().unwrap();
+    assert_eq!((decision.action, decision.to(), decision.flags), (action::GO, "room-1", 0));
+    assert_eq!((decision.scores_sequence, decision.stay_ns), (1, 10 * S));
+    planner.take(&scores(2, 2 * S, &[0.1, 0.7, 0.2]));
+    assert_eq!(planner.decide(2 * S, 0).unwrap(), None, "not free yet");
+    planner.take(&scores(3, 11 * S, &[0.1, 0.7, 0.2]));
+    let decision = planner.decide(11 * S, 0).unwrap().unwrap();
+    assert_eq!((decision.from(), decision.to(), decision.covered), ("room-1", "room-0", 0b010));
+}
+
+#[test]
+fn stale_scores_are_never_acted_upon() {
+    let mut planner = planner(PolicyName::Naive, true);
+    let none = planner.decide(S, 0).unwrap().unwrap();
+    assert_eq!(none.flags, decision_flags::FALLBACK | decision_flags::NO_SCORES);
+    assert_eq!((none.action, none.to()), (action::STAY, ""));
+    assert_eq!(planner.decide(2 * S, 0).unwrap(), None, "the fallback is said once");
+
+    planner.take(&scores(1, 3 * S, &[0.5, 0.5]));
+    let gone = planner.decide(3 * S, 0).unwrap().unwrap();
+    assert_eq!(gone.action, action::GO);
+    let silent = planner.decide(20 * S, 0).unwrap().unwrap();
+    assert!(silent.has(decision_flags::FALLBACK) && silent.has(decision_flags::DAEMON_SILENT));
+    assert_eq!((silent.action, silent.to()), (action::STAY, gone.to()));
+
+    // A heartbeat makes the same scores good again.
+    planner.take(&RoomScoresV1 { published_ns: 21 * S, ..scores(1, 3 * S, &[0.5, 0.5]) });
+    assert_eq!(planner.decide(21 * S, 0).unwrap().unwrap().action, action::GO);
+}
+
+#[test]
+fn scores_that_a_failed_scorer_left_behind_are_stale_too() {
+    let mut planner = planner(PolicyName::Naive, true);
+    let failed = RoomScoresV1 { flags: score_flags::SCORER_FAILED, published_ns: 9 * S, ..scores(1, S, &[0.5, 0.5]) };
+    planner.take(&failed);
+    let decision = planner.decide(9 * S, 0).unwrap().unwrap();
+    assert_eq!(decision.flags, decision_flags::FALLBACK | decision_flags::STALE);
+}
+
+#[test]
+fn a_robot_that_is_always_free_decides_once_per_score() {
+    let config = PlannerConfig { policy: PolicyName::GreedyAvoidance, room_time_s: 0.0, ..PlannerConfig::default() };
+    let mut planner = Planner::new(&config, 1);
+    planner.take(&scores(1, S, &[0.7, 0.3]));
+    assert_eq!(planner.decide(S, 0).unwrap().unwrap().to(), "room-1");
+    assert_eq!(planner.decide(S + 1, 0).unwrap(), None);
+    planner.take(&scores(2, S + 2, &[0.2, 0.8]));
+    assert_eq!(planner.decide(S + 2, 0).unwrap().unwrap().to(), "room-0");
+}
+
+#[test]
+fn coverage_ends_or_begins_anew() {
+    for repeat in [false, true] {
+        let mut planner = planner(PolicyName::UncoveredFirst, repeat);
+        let mut visited = Vec::new();
+        for visit in 0..3 {
+            let now_ns = (1 + 10 * visit) * S;
+            planner.take(&scores(visit + 1, now_ns, &[0.6, 0.4]));
+            let decision = planner.decide(now_ns, 0).unwrap().unwrap();
+            visited.push((decision.to().to_owned(), decision.has(decision_flags::COVERED), decision.action));
+        }
+        assert_eq!(visited[0], ("room-1".to_owned(), false, action::GO));
+        assert_eq!(visited[1], ("room-0".to_owned(), false, action::GO));
+        let last =
+            if repeat { ("room-1".to_owned(), true, action::GO) } else { ("room-0".to_owned(), true, action::STAY) };
+        assert_eq!(visited[2], last);
+    }
+}
+
+#[test]
+fn old_and_foreign_snapshots_do_not_replace_newer_ones() {
+    let mut planner = planner(PolicyName::Naive, true);
+    planner.take(&scores(5, 5 * S, &[0.5, 0.5]));
+    planner.take(&scores(4, 6 * S, &[1.0, 0.0]));
+    planner.take(&RoomScoresV1 { epoch: 4, ..scores(9, 4 * S, &[1.0, 0.0]) });
+    assert_eq!(planner.decide(6 * S, 0).unwrap().unwrap().scores_sequence, 5);
+    // A restarted daemon counts from 1 again.
+    planner.take(&RoomScoresV1 { epoch: 6, ..scores(1, 20 * S, &[0.5, 0.5]) });
+    assert_eq!(planner.decide(20 * S, 0).unwrap().unwrap().scores_epoch, 6);
+}
+
+/// A robot that reports, in a home of rooms, and its planner.
+struct Home {
+    planner: Planner,
+    likely: Vec<f32>,
+    flags: u32,
+    sequence: u64,
+    reports: u64,
+}
+
+impl Home {
+    /// With stays of 100 s, in rooms that nobody is in.
+    fn new(rooms: usize, config: &PlannerConfig) -> Self {
+        let config = PlannerConfig { room_time_s: 100.0, ..config.clone() };
+        let planner = Planner::new(&config, 1);
+        Self { planner, likely: vec![0.0; rooms], flags: 0, sequence: 0, reports: 0 }
+    }
+
+    fn scores(&self, now_ns: u64) -> RoomScoresV1 {
+        scores(self.sequence, now_ns, &self.likely.iter().map(|p| f64::from(*p)).collect::<Vec<_>>())
+    }
+
+    /// What the daemon sends, and what the planner makes of it.
+    fn look(&mut self, at_s: u64) -> Option<DecisionV1> {
+        self.sequence += 1;
+        let scores = self.scores(at_s * S);
+        let curves: Vec<_> = self.likely.iter().map(|p| [*p, *p]).collect();
+        self.planner.take(&scores);
+        self.planner.take_forecast(&ForecastV1 { flags: self.flags, ..forecast(&scores, &curves) });
+        self.planner.decide(at_s * S, 0).unwrap()
+    }
+
+    /// The decision of this moment: that there is one.
+    fn decision(&mut self, at_s: u64) -> DecisionV1 {
+        let decision = self.look(at_s).unwrap_or_else(|| panic!("no decision at {at_s} s"));
+        decision.check().unwrap();
+        decision
+    }
+
+    fn report(&mut self, at_s: u64, kind: u32, change: impl Fn(&mut RobotReportV1)) {
+        self.reports += 1;
+        let mut report = RobotReportV1 {
+            robot: sequence::source_of_name("robot"),
+            epoch: 77,
+            sequence: self.reports,
+            reported_ns: at_s * S,
+            kind,
+            ..Default::default()
+        };
+        change(&mut report);
+        report.check().unwrap();
+        self.planner.take_report(&report, at_s * S).unwrap();
+    }
+
+    /// The robot answers a decision.
+    fn answer(&mut self, at_s: u64, kind: u32, decision: &DecisionV1) {
+        let (epoch, sequence) = (decision.epoch, decision.sequence);
+        self.report(at_s, kind, |report| (report.decision_epoch, report.decision_sequence) = (epoch, sequence));
+    }
+}
+
+#[test]
+fn without_reports_the_clock_says_what_is_done_and_with_them_the_robot() {
+    let mut home = Home::new(3, &PlannerConfig::default());
+    let first = home.decision(1);
+    assert_eq!((first.covered, first.has(decision_flags::REPORTED), first.minor), (0, false, 1));
+    // By the clock.
+    let second = home.decision(101);
+    assert_eq!((second.covered, second.cancels), (0b001, 0));
+    home.answer(103, report_kind::STARTED, &second);
+    // The stay is over, and the robot has not said that it is done.
+    assert_eq!(home.look(250), None);
+    home.answer(260, report_kind::FINISHED, &second);
+    let third = home.decision(260);
+    assert_eq!((third.covered, third.has(decision_flags::REPORTED), third.cancels), (0b011, true, 0));
+    // Sooner than the clock.
+    home.answer(270, report_kind::FINISHED, &third);
+    assert!(home.decision(270).has(decision_flags::COVERED));
+}
+
+#[test]
+fn a_robot_of_which_reports_are_always_or_never_wanted() {
+    let always = PlannerConfig { reports: Reports::Always, ..Default::default() };
+    let mut home = Home::new(2, &always);
+    home.decision(1);
+    assert_eq!(home.look(220), None, "the clock says nothing");
+    let late = home.decision(221);
+    assert!(
+        late.has(decision_flags::ROBOT_SILENT | decision_flags::REPORTED) && late.covered == 0 && late.cancels == 1
+    );
+
+    let mut home = Home::new(2, &PlannerConfig { reports: Reports::Never, ..Default::default() });
+    let decision = home.decision(1);
+    home.answer(2, report_kind::FINISHED, &decision);
+    assert_eq!(home.look(50), None);
+    assert!(!home.decision(101).has(decision_flags::REPORTED));
+}
+
+#[test]
+fn a_room_that_could_not_be_done_is_tried_after_the_others() {
+    for kind in [report_kind::FAILED, report_kind::BLOCKED, report_kind::CANCELLED] {
+        let mut home = Home::new(3, &PlannerConfig::default());
+        let first = home.decision(1);
+        home.answer(5, kind, &first);
+        let mut at_s = 5;
+        let mut rooms = Vec::new();
+        for _ in 0..3 {
+            let decision = home.decision(at_s);
+            assert_eq!(decision.cancels, 0, "the robot is free by its own word");
+            rooms.push(decision.to().to_owned());
+            at_s += 40;
+            home.answer(at_s, report_kind::FINISHED, &decision);
+        }
+        assert_eq!(rooms, ["room-1", "room-2", "room-0"], "{kind}");
+    }
+}
+
+#[test]
+fn a_robot_that_gets_nowhere_pauses_between_its_tries() {
+    let mut home = Home::new(1, &PlannerConfig { repeat: false, ..Default::default() });
+    let first = home.decision(1);
+    home.answer(2, report_kind::BLOCKED, &first);
+    let pause = home.decision(2);
+    assert_eq!((pause.action, pause.to()), (action::PAUSE, ""));
+    assert!(pause.reason().contains("no other room can be done now"), "{}", pause.reason());
+    assert_eq!(home.look(30), None, "said once");
+    assert_eq!(home.decision(63).to(), "room-0");
+}
+
+#[test]
+fn a_report_without_a_decision_means_the_work_in_hand_if_it_is_of_its_room_and_time() {
+    let mut home = Home::new(3, &PlannerConfig::default());
+    let first = home.decision(10);
+    let room = |id: &'static str| move |report: &mut RobotReportV1| report.room = text::encode("room", id).unwrap();
+    // Before it was sent there.
+    home.report(9, report_kind::FINISHED, room("room-0"));
+    assert_eq!(home.look(11), None);
+    // Another room is done by the way.
+    home.report(12, report_kind::FINISHED, room("room-2"));
+    assert_eq!(home.look(13), None);
+    home.report(14, report_kind::FINISHED, |_| ());
+    let second = home.decision(14);
+    assert_eq!((first.to(), second.to(), second.covered), ("room-0", "room-1", 0b101));
+    // A late word on the first decision does not end the second.
+    home.answer(15, report_kind::FAILED, &first);
+    assert_eq!(home.look(16), None);
+}
+
+#[test]
+fn a_robot_that_is_started_by_hand_is_at_work_where_it_says() {
+    let mut home = Home::new(3, &PlannerConfig { repeat: false, ..Default::default() });
+    home.sequence += 1;
+    let scores = home.scores(S);
+    home.planner.take(&scores);
+    home.report(1, report_kind::STARTED, |report| report.room = text::encode("room", "room-1").unwrap());
+    assert_eq!(home.look(1), None, "it is busy");
+    home.report(30, report_kind::FINISHED, |_| ());
+    let decision = home.decision(30);
+    assert_eq!((decision.from(), decision.to(), decision.covered), ("room-1", "room-0", 0b010));
+    // It goes elsewhere than it was sent.
+    home.report(31, report_kind::STARTED, |report| report.room = text::encode("room", "room-2").unwrap());
+    home.report(60, report_kind::FINISHED, |_| ());
+    assert_eq!(home.decision(60).covered, 0b110);
+}
+
+#[test]
+fn a_robot_with_a_low_battery_is_not_sent_out_before_it_is_ready() {
+    let mut home = Home::new(2, &PlannerConfig::default());
+    let battery = |level: f64| {
+        move |report: &mut RobotReportV1| (report.flags, report.battery) = (report_flags::HAS_BATTERY, level)
+    };
+    let first = home.decision(1);
+    home.answer(2, report_kind::STARTED, &first);
+    home.report(3, report_kind::BATTERY, battery(0.1));
+    assert_eq!(home.look(3), None, "it goes on with its work while it can");
+    home.report(40, report_kind::DOCKED, battery(0.09));
+    let pause = home.decision(40);
+    assert_eq!((pause.action, pause.covered), (action::PAUSE, 0));
+    assert_eq!(pause.reason(), "the battery is at 9 %: the robot charges until 50 %");
+    home.report(150, report_kind::BATTERY, battery(0.49));
+    assert_eq!(home.look(150), None);
+    home.report(200, report_kind::BATTERY, battery(0.5));
+    let next = home.decision(200);
+    assert_eq!((next.action, next.to()), (action::GO, "room-1"), "what it has left comes after the others");
+    // It is out by its own will.
+    home.report(201, report_kind::DOCKED, battery(0.2));
+    assert_eq!(home.decision(201).action, action::PAUSE);
+    home.report(250, report_kind::STARTED, |report| report.room = text::encode("room", "room-1").unwrap());
+    home.report(270, report_kind::FINISHED, battery(0.18));
+    assert_eq!(home.decision(270).action, action::GO);
+}
+
+#[test]
+fn a_dock_alone_keeps_no_robot_in() {
+    let mut home = Home::new(2, &PlannerConfig::default());
+    let first = home.decision(1);
+    home.report(2, report_kind::DOCKED, |_| ());
+    assert_eq!(home.look(2), None, "it has not left yet");
+    home.answer(3, report_kind::STARTED, &first);
+    home.report(4, report_kind::DOCKED, |_| ());
+    assert_eq!(home.decision(4).to(), "room-1", "it came back before its work was done");
+}
+
+#[test]
+fn a_robot_that_says_nothing_for_too_long_gives_its_room_up() {
+    let mut home = Home::new(2, &PlannerConfig::default());
+    let first = home.decision(1);
+    home.answer(2, report_kind::STARTED, &first);
+    // Its stay ends at 102 s, its patience 120 s later.
+    assert_eq!(home.look(221), None);
+    let next = home.decision(222);
+    assert!(next.has(decision_flags::ROBOT_SILENT) && next.cancels == first.sequence && next.covered == 0);
+    assert_eq!(
+        (next.to(), next.reason().starts_with("the robot says nothing of its work in the room-0")),
+        ("room-1", true)
+    );
+    home.answer(230, report_kind::STARTED, &next);
+    home.answer(240, report_kind::FINISHED, &next);
+    let waits = home.decision(240);
+    assert_eq!((waits.to(), waits.action, waits.has(decision_flags::ROBOT_SILENT)), ("room-1", action::STAY, false));
+    let heard = home.decision(282);
+    assert_eq!((heard.to(), heard.cancels), ("room-0", waits.sequence), "a minute after it was given up");
+    // Whoever speaks is not silent, however long it takes.
+    home.answer(283, report_kind::STARTED, &heard);
+    for at_s in (300..1000).step_by(100) {
+        home.report(at_s, report_kind::POSITION, |report| report.room = text::encode("room", "room-0").unwrap());
+        assert_eq!(home.look(at_s), None);
+    }
+}
+
+#[test]
+fn somebody_who_comes_in_interrupts_and_the_room_is_done_later() {
+    let mut home = Home::new(3, &PlannerConfig::default());
+    let first = home.decision(1);
+    assert_eq!(first.to(), "room-0");
+    home.likely = vec![0.9, 0.0, 0.0];
+    assert_eq!(home.look(10), None);
+    assert_eq!(home.look(11), None);
+    let second = home.decision(12);
+    assert!(second.has(decision_flags::INTERRUPTED), "{second:?}");
+    assert_eq!((second.cancels, second.to(), second.covered), (first.sequence, "room-1", 0));
+    assert!(second.reason().starts_with("somebody came into the room-0 (90 %), so its work there stops: "));
+    // They may still be there.
+    home.likely = vec![0.4, 0.0, 0.0];
+    assert_eq!(home.decision(112).to(), "room-2");
+    let waits = home.decision(212);
+    assert!(waits.reason().contains("waits in a room that is done"), "{}", waits.reason());
+    assert_eq!((waits.action, waits.to()), (action::STAY, "room-2"), "no needless way");
+    // They have left: the robot waits no longer.
+    home.likely = vec![0.1, 0.0, 0.0];
+    let last = home.decision(220);
+    assert_eq!((last.to(), last.cancels, last.covered), ("room-0", waits.sequence, 0b110));
+}
+
+#[test]
+fn where_somebody_is_everywhere_the_robot_pauses() {
+    let mut home = Home::new(2, &PlannerConfig::default());
+    let first = home.decision(1);
+    home.likely = vec![0.9, 0.8];
+    home.look(10);
+    let pause = home.decision(12);
+    assert!(pause.has(decision_flags::INTERRUPTED) && pause.action == action::PAUSE && pause.cancels == first.sequence);
+    assert_eq!(home.look(20), None);
+    home.likely = vec![0.9, 0.1];
+    assert_eq!(home.decision(30).to(), "room-1");
+}
+
+#[test]
+fn nobody_is_interrupted_by_a_person_who_was_there_before_or_by_a_stale_forecast_or_when_it_is_off() {
+    let mut home = Home::new(1, &PlannerConfig { forced: Forced::Enter, ..Default::default() });
+    home.likely = vec![0.9];
+    home.decision(1);
+    assert!((2..90).all(|at_s| home.look(at_s).is_none()));
+
+    let mut home = Home::new(2, &PlannerConfig { interrupt: false, ..Default::default() });
+    home.decision(1);
+    home.likely = vec![0.9, 0.0];
+    assert!((2..90).all(|at_s| home.look(at_s).is_none()));
+}
+
+#[test]
+fn a_home_without_knowledge_is_equally_free_everywhere() {
+    let mut home = Home::new(3, &PlannerConfig::default());
+    // What the model says about an unknown past is about nobody.
+    (home.likely, home.flags) = (vec![0.7, 0.2, 0.1], forecast_flags::NOT_KNOWN);
+    let decision = home.decision(1);
+    assert!(decision.has(decision_flags::NOT_KNOWN));
+    assert!((decision.probability - 1.0 / 3.0).abs() < 1e-9, "{}", decision.probability);
+    assert!(decision.reason().starts_with("nothing is known of anybody, so every room counts alike: "));
+    assert_eq!(decision.to(), "room-0", "the likeliest room of the model's is as good as any");
+    // Without a forecast, the scores say it.
+    for policy in PolicyName::ALL {
+        let mut planner = planner(policy, true);
+        let unknown = RoomScoresV1 { flags: score_flags::NO_NARRATION, ..scores(1, S, &[0.7, 0.2, 0.1]) };
+        planner.take(&unknown);
+        let decision = planner.decide(S, 0).unwrap().unwrap();
+        assert!(decision.has(decision_flags::NOT_KNOWN) && (decision.probability - 1.0 / 3.0).abs() < 1e-9, "{policy}");
+    }
+}
+
+#[test]
+fn a_home_without_people_is_free() {
+    let mut home = Home::new(2, &PlannerConfig::default());
+    home.flags = forecast_flags::NOBODY_HOME;
+    let decision = home.decision(1);
+    assert!(decision.has(decision_flags::NOBODY_HOME) && decision.reason().starts_with("nobody is home: "));
+}
+
+#[test]
+fn of_several_persons_the_robot_avoids_each() {
+    let mut home = Home::new(3, &PlannerConfig::default());
+    // Two persons, so the rooms' probabilities sum to two.
+    home.likely = vec![0.95, 0.1, 0.95];
+    assert_eq!(home.decision(1).to(), "room-1");
+}
+
+#[test]
+fn the_last_stay_of_a_round_leaves_an_occupied_room_to_the_next_one() {
+    let round = |forced, likely: f32| {
+        let config = PlannerConfig { forced, round_s: Some(200.0), ..Default::default() };
+        let mut home = Home::new(2, &config);
+        home.likely = vec![likely, 0.0];
+        assert_eq!(home.decision(1).to(), "room-1");
+        home.decision(101)
+    };
+    // The price of a room, 42 s, is more than what the stay is expected to cost at 40 %, and less than at 70 %.
+    let enters = round(Forced::Skip, 0.4);
+    assert_eq!((enters.to(), enters.has(decision_flags::DEADLINE)), ("room-0", true));
+    assert!(enters.reason().contains("the deadline leaves no later time for this room (40 % occupied): "));
+    // Two people, who make a room left undone dearer.
+    for (forced, to) in [(Forced::Skip, "room-1"), (Forced::Enter, "room-0")] {
+        let config = PlannerConfig { forced, room_time_s: 40.0, round_s: Some(80.0), ..Default::default() };
+        let mut planner = Planner::new(&config, 1);
+        let mut last = None;
+        for at_s in [1, 41] {
+            let scores = scores(at_s, at_s * S, &[0.9, 0.0]);
+            planner.take(&scores);
+            planner.take_forecast(&forecast(&scores, &[[0.9, 0.9], [0.0, 0.0]]));
+            last = planner.decide(at_s * S, 0).unwrap();
+        }
+        let last = last.unwrap();
+        assert_eq!((last.to(), last.has(decision_flags::DEADLINE)), (to, forced == Forced::Enter), "{}", last.reason());
+        let left = last.reason().contains("left to the next round, since somebody is likely there: room-0");
+        assert_eq!(left, forced == Forced::Skip, "{}", last.reason());
+    }
+}
+
+#[test]
+fn positions_mean_rooms_of_the_map_in_use_and_no_other() {
+    let scene = r#"{"format": "roomcast-scene", "version": 1, "name": "two", "items": [], "rooms": [
+        {"id": "room-0", "label": "kitchen", "box": {"min_m": [0, 0, 0], "max_m": [4, 4, 3]}},
+        {"id": "room-1", "label": "bedroom", "box": {"min_m": [4, 0, 0], "max_m": [8, 4, 3]}}]}"#;
+    let map = SemanticMap::from_json(scene).unwrap();
+    let of_map = |fingerprint| RoomScoresV1 { map_fingerprint: fingerprint, ..scores(1, S, &[0.0, 0.0]) };
+    let report = |sequence, x: f64| RobotReportV1 {
+        robot: sequence::source_of_name("robot"),
+        epoch: 3,
+        sequence,
+        reported_ns: sequence * S,
+        flags: report_flags::HAS_POSITION,
+        position_m: [x, 1.0, 0.1],
+        ..Default::default()
+    };
+    let mut planner = planner(PolicyName::CoverageAware, true).with_map(map.clone(), PartitionLevel::Room);
+    planner.take(&of_map(map.fingerprint()));
+    for (sequence, (x, room)) in (1..).zip([(5.0, Some(1)), (1.0, Some(0)), (9.0, None)]) {
+        planner.take_report(&report(sequence, x), 9 * S).unwrap();
+        assert_eq!(planner.room(), room, "{x}");
+    }
+    let named = RobotReportV1 { room: text::encode("room", "Bedroom").unwrap(), flags: 0, ..report(4, 0.0) };
+    planner.take_report(&named, 9 * S).unwrap();
+    assert_eq!(planner.room(), Some(1), "by its name in the map");
+    let unknown = RobotReportV1 { room: text::encode("room", "attic").unwrap(), flags: 0, ..report(5, 0.0) };
+    let fault = planner.take_report(&unknown, 9 * S).unwrap_err().to_string();
+    assert!(fault.contains("`attic`") && fault.contains("room-0, room-1"), "{fault}");
+
+    let mut other = Planner::new(&PlannerConfig::default(), 1).with_map(map, PartitionLevel::Room);
+    other.take(&of_map([9; 32]));
+    assert_eq!(other.take_report(&report(1, 5.0), 9 * S), Err(ReportFault::OtherMap));
+    assert_eq!(other.room(), None);
+}
+
+#[test]
+fn reports_of_other_robots_and_reports_heard_before_change_nothing() {
+    let mut home = Home::new(2, &PlannerConfig::default());
+    let first = home.decision(1);
+    home.report(2, report_kind::FINISHED, |report| report.robot = 5);
+    assert_eq!(home.look(2), None);
+    home.answer(3, report_kind::FINISHED, &first);
+    let second = home.decision(3);
+    home.reports -= 1;
+    home.report(4, report_kind::FINISHED, |_| ());
+    assert_eq!(home.look(4), None, "it was heard before");
+    // A number from the future is no reason to trust the robot for ever.
+    home.answer(5, report_kind::STARTED, &second);
+    home.report(5, report_kind::POSITION, |report| report.reported_ns = u64::MAX);
+    assert!(home.decision(900).has(decision_flags::ROBOT_SILENT));
+}
+
+#[test]
+fn a_restarted_planner_goes_on_with_the_round() {
+    for (reports, of_the_first) in [(false, false), (true, false), (true, true)] {
+        let config = PlannerConfig { room_time_s: 100.0, ..Default::default() };
+        let mut home = Home::new(3, &config);
+        let first = home.decision(1);
+        if reports {
+            home.answer(2, report_kind::STARTED, &first);
+            home.answer(101, report_kind::FINISHED, &first);
+        }
+        let second = home.decision(101);
+        assert_eq!(second.covered, 0b001);
+        let kept = home.planner.kept("boot").unwrap();
+        let kept: KeptRound = serde_json::from_str(&serde_json::to_string(&kept).unwrap()).unwrap();
+        home.planner = Planner::new(&config, 2).with_kept(kept);
+        let again = home.decision(131);
+        assert_eq!((again.to(), again.covered, again.cancels), (second.to(), 0b001, 0));
+        assert_eq!((again.stay_ns, again.has(decision_flags::REPORTED)), (70 * S, reports));
+        assert_eq!(home.look(132), None);
+        if reports {
+            // The robot may have heard the first planner, or the second.
+            let heard = if of_the_first { &second } else { &again };
+            home.answer(201, report_kind::FINISHED, heard);
+        }
+        assert_eq!(home.decision(201).covered, 0b011);
+    }
+}
+
+#[test]
+fn a_kept_round_of_another_map_is_left() {
+    let mut home = Home::new(2, &PlannerConfig::default());
+    home.decision(1);
+    home.decision(101);
+    let kept = home.planner.kept("boot").unwrap();
+    let mut planner = planner(PolicyName::CoverageAware, true).with_kept(kept);
+    planner.take(&RoomScoresV1 { map_fingerprint: [1; 32], ..scores(1, 150 * S, &[0.0, 0.0]) });
+    assert_eq!(planner.decide(150 * S, 0).unwrap().unwrap().covered, 0);
+}

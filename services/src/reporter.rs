@@ -1,0 +1,229 @@
+//! The reporter: what a robot says of itself, as lines of JSON or word by word, as messages for its planner.
+
+use roomcast_ipc::{Message, MessageError, RobotReportV1, report_flags, report_kind, sequence, text};
+use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
+
+/// Longest line of input, in bytes.
+pub const LINE_BYTES_MAX: u64 = 8192;
+
+/// What a robot can say.
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize, Display, EnumMessage, EnumString, IntoStaticStr, VariantArray,
+)]
+#[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
+pub enum Kind {
+    /// Where it is.
+    Position,
+    /// It has begun to work in the room.
+    Started,
+    /// The work in the room is done.
+    Finished,
+    /// The work in the room failed.
+    Failed,
+    /// It does not get into the room.
+    Blocked,
+    /// It is at its dock.
+    Docked,
+    /// How full its battery is.
+    Battery,
+    /// The decision was taken back.
+    Cancelled,
+}
+
+impl Kind {
+    fn number(self) -> u32 {
+        match self {
+            Self::Position => report_kind::POSITION,
+            Self::Started => report_kind::STARTED,
+            Self::Finished => report_kind::FINISHED,
+            Self::Failed => report_kind::FAILED,
+            Self::Blocked => report_kind::BLOCKED,
+            Self::Docked => report_kind::DOCKED,
+            Self::Battery => report_kind::BATTERY,
+            Self::Cancelled => report_kind::CANCELLED,
+        }
+    }
+}
+
+/// One report, in a robot's words.
+#[derive(Debug, Clone, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Report {
+    /// What.
+    #[serde(rename = "report")]
+    pub kind: Kind,
+    /// The room that it speaks of, by its id or its name in the map.
+    #[serde(default)]
+    pub room: Option<String>,
+    /// How full the battery is, 0 to 1.
+    #[serde(default)]
+    pub battery: Option<f64>,
+    /// Where the robot is, in the map's metres.
+    #[serde(default)]
+    pub position: Option<[f64; 3]>,
+    /// The sequence of the decision that it answers.
+    #[serde(default)]
+    pub decision: Option<u64>,
+    /// Why, in words.
+    #[serde(default)]
+    pub note: Option<String>,
+}
+
+/// Why a report is none.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReporterError {
+    /// No JSON, an unknown key, or a value of the wrong kind.
+    #[error(
+        "{reason}; expected {{\"report\": \"finished\"}}, with \"room\": text, \"battery\": 0 to 1, \"position\": [x, y, z] in metres, \
+         \"decision\": number and \"note\": text if you like"
+    )]
+    Json {
+        /// What is wrong, and at which key.
+        reason: String,
+    },
+    /// A report of this kind needs more.
+    #[error("a report of the kind {kind} needs `{key}`: {remedy}")]
+    Missing {
+        /// The kind.
+        kind: Kind,
+        /// The key that is missing.
+        key: &'static str,
+        /// What to give.
+        remedy: &'static str,
+    },
+    /// A value that the contract refuses.
+    #[error("the report is refused: {0}")]
+    Message(#[from] MessageError),
+}
+
+impl Report {
+    /// A report of a kind, with nothing more.
+    #[must_use]
+    pub fn new(kind: Kind) -> Self {
+        Self { kind, room: None, battery: None, position: None, decision: None, note: None }
+    }
+
+    /// Reads a line of JSON.
+    ///
+    /// # Errors
+    /// [`ReporterError`] names the key.
+    ///
+    /// ```
+    /// use roomcast_services::reporter::{Kind, Report};
+    ///
+    /// let report = Report::parse(r#"{"report": "finished", "room": "kitchen", "decision": 12}"#)?;
+    /// assert_eq!((report.kind, report.decision), (Kind::Finished, Some(12)));
+    /// # Ok::<(), roomcast_services::reporter::ReporterError>(())
+    /// ```
+    pub fn parse(line: &str) -> Result<Self, ReporterError> {
+        let mut json = serde_json::Deserializer::from_str(line);
+        let json_error = |reason: String| ReporterError::Json { reason };
+        let report: Self =
+            serde_path_to_error::deserialize(&mut json).map_err(|error| json_error(error.to_string()))?;
+        json.end().map_err(|error| json_error(error.to_string()))?;
+        Ok(report)
+    }
+}
+
+/// Numbers a robot's reports.
+#[derive(Debug)]
+pub struct Reporter {
+    robot: u64,
+    name: [u8; roomcast_ipc::NAME_BYTES],
+    epoch: u64,
+    sequence: u64,
+}
+
+impl Reporter {
+    /// The reporter of a robot; `epoch` is random per start.
+    ///
+    /// # Errors
+    /// When the name is too long, or has control characters.
+    pub fn new(robot: &str, epoch: u64) -> Result<Self, MessageError> {
+        let name = text::encode("robot_name", robot)?;
+        Ok(Self { robot: sequence::source_of_name(robot), name, epoch, sequence: 0 })
+    }
+
+    /// The next message: a report of what is so at `now_ns`.
+    ///
+    /// # Errors
+    /// [`ReporterError`] names what is missing, or what the contract refuses.
+    pub fn message(&mut self, report: &Report, now_ns: u64, now_unix_ns: u64) -> Result<RobotReportV1, ReporterError> {
+        let missing = |key, remedy| Err(ReporterError::Missing { kind: report.kind, key, remedy });
+        match report.kind {
+            Kind::Battery if report.battery.is_none() => return missing("battery", "give 0 (empty) to 1 (full)"),
+            Kind::Position if report.position.is_none() && report.room.is_none() => {
+                return missing("position", "give [x, y, z] in the map's metres, or a room");
+            }
+            _ => {}
+        }
+        let flag = |given: bool, flag| if given { flag } else { 0 };
+        let message = RobotReportV1 {
+            robot: self.robot,
+            epoch: self.epoch,
+            sequence: self.sequence + 1,
+            reported_ns: now_ns,
+            reported_unix_ns: now_unix_ns,
+            decision_sequence: report.decision.unwrap_or(0),
+            position_m: report.position.unwrap_or_default(),
+            battery: report.battery.unwrap_or_default(),
+            kind: report.kind.number(),
+            flags: flag(report.position.is_some(), report_flags::HAS_POSITION)
+                | flag(report.battery.is_some(), report_flags::HAS_BATTERY),
+            robot_name: self.name,
+            room: text::encode("room", report.room.as_deref().unwrap_or(""))?,
+            note: text::encode("note", report.note.as_deref().unwrap_or(""))?,
+            ..Default::default()
+        };
+        message.check()?;
+        self.sequence += 1;
+        Ok(message)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_becomes_a_message_and_its_number_grows_with_good_ones_alone() {
+        let mut reporter = Reporter::new("vacuum", 9).unwrap();
+        let line = r#"{"report": "docked", "room": "hall", "battery": 0.8, "position": [1, 2.5, 0], "decision": 3, "note": "full"}"#;
+        let message = reporter.message(&Report::parse(line).unwrap(), 5, 6).unwrap();
+        assert_eq!((message.kind, message.sequence, message.epoch), (report_kind::DOCKED, 1, 9));
+        assert_eq!((message.robot, message.robot_name()), (sequence::source_of_name("vacuum"), "vacuum"));
+        assert_eq!((message.room(), message.note(), message.decision_sequence), ("hall", "full", 3));
+        assert_eq!((message.battery(), message.position_m()), (Some(0.8), Some([1.0, 2.5, 0.0])));
+        let nothing = Report::new(Kind::Finished);
+        reporter.message(&Report { battery: Some(1.5), ..nothing.clone() }, 7, 8).unwrap_err();
+        let message = reporter.message(&nothing, 7, 8).unwrap();
+        assert_eq!((message.sequence, message.flags, message.room()), (2, 0, ""));
+    }
+
+    #[test]
+    fn errors_name_the_key_and_what_is_allowed() {
+        let mut reporter = Reporter::new("vacuum", 9).unwrap();
+        for (line, part) in [
+            ("{}", "missing field `report`"),
+            (
+                r#"{"report": "done"}"#,
+                "report: unknown variant `done`, expected one of `position`, `started`, `finished`",
+            ),
+            (r#"{"report": "docked", "romm": "hall"}"#, "unknown field `romm`"),
+            (r#"{"report": "docked", "battery": "full"}"#, "battery: invalid type"),
+            (r#"{"report": "docked", "position": [1, 2]}"#, "position"),
+            (r#"{"report": "docked"} {}"#, "trailing characters"),
+            ("finished", "expected"),
+            (r#"{"report": "battery"}"#, "needs `battery`: give 0 (empty) to 1 (full)"),
+            (r#"{"report": "position"}"#, "needs `position`"),
+            (r#"{"report": "docked", "battery": 80}"#, "battery"),
+            (r#"{"report": "docked", "room": "a\nb"}"#, "room"),
+        ] {
+            let error = Report::parse(line).and_then(|report| reporter.message(&report, 1, 1)).unwrap_err().to_string();
+            assert!(error.contains(part), "{line}: {error}");
+        }
+        assert!(Reporter::new(&"x".repeat(49), 9).is_err());
+    }
+}

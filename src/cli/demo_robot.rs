@@ -1,0 +1,85 @@
+//! The robot of `roomcast demo`: it hears its planner's decisions over the real service, works for its time in the simulated home, and
+//! reports over the real service. It runs in a thread of its own, since its time does not wait for what is printed.
+
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use roomcast_ipc::{DecisionV1, Domain, IpcError, Publisher, RobotReportV1, action, clock, sequence};
+
+use super::{CommandResult, Failure};
+use crate::exit_code;
+use roomcast_services::config::PlannerConfig;
+use roomcast_services::reporter::{Kind, Report, Reporter};
+
+/// How often it looks up from its work.
+const TICK: Duration = Duration::from_millis(50);
+
+/// The robot's thread.
+pub(super) struct DemoRobot {
+    /// Dropped to end it.
+    stop: Sender<()>,
+    thread: JoinHandle<Result<(), String>>,
+}
+
+impl DemoRobot {
+    /// A robot that works for `stay` in each room that it is sent to.
+    ///
+    /// # Errors
+    ///
+    /// When the system has no thread for it.
+    pub(super) fn start(domain: &Domain, stay: Duration) -> Result<Self, Failure> {
+        let (stop, stopped) = channel();
+        let domain = domain.clone();
+        let live = move || live(&domain, stay, &stopped);
+        let thread = std::thread::Builder::new().name("robot".to_owned()).spawn(live);
+        let thread = thread.map_err(|error| Failure::new(exit_code::FAILURE, format!("no robot: {error}")))?;
+        Ok(Self { stop, thread })
+    }
+
+    /// Ends it.
+    ///
+    /// # Errors
+    ///
+    /// When it could not hear or report.
+    pub(super) fn end(self) -> CommandResult {
+        drop(self.stop);
+        let ended = self.thread.join().unwrap_or_else(|_| Err("it panicked".to_owned()));
+        ended.map_err(|error| Failure::new(exit_code::IPC, format!("the demo's robot: {error}")))
+    }
+}
+
+fn live(domain: &Domain, stay: Duration, stopped: &Receiver<()>) -> Result<(), String> {
+    let ipc = |error: IpcError| error.to_string();
+    let name = PlannerConfig::default().robot;
+    let mut reporter = Reporter::new(&name, sequence::random_epoch()).map_err(|error| error.to_string())?;
+    let node = domain.open("roomcast-robot").map_err(ipc)?;
+    let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
+    let reports = node.publisher::<RobotReportV1>().map_err(ipc)?;
+    let stay_ns = u64::try_from(stay.as_nanos()).unwrap_or(u64::MAX);
+    // The decision that it works on, and when it is done with it.
+    let mut work: Option<(u64, u64)> = None;
+    while stopped.try_recv() == Err(TryRecvError::Empty) {
+        let left = work.map(|(_, ends_ns)| Duration::from_nanos(ends_ns.saturating_sub(clock::monotonic_ns())));
+        decisions.wait(left.map_or(TICK, |left| left.min(TICK))).map_err(ipc)?;
+        while let Some(received) = decisions.receive().map_err(ipc)? {
+            let Ok(decision) = received else { continue };
+            work = (decision.action == action::GO)
+                .then(|| (decision.sequence, decision.decided_ns.saturating_add(stay_ns)));
+            if work.is_some() {
+                say(&mut reporter, &reports, Kind::Started, decision.sequence)?;
+            }
+        }
+        if let Some((decision, _)) = work.take_if(|(_, ends_ns)| clock::monotonic_ns() >= *ends_ns) {
+            say(&mut reporter, &reports, Kind::Finished, decision)?;
+        }
+        reports.tick().map_err(ipc)?;
+    }
+    Ok(())
+}
+
+fn say(reporter: &mut Reporter, reports: &Publisher<RobotReportV1>, kind: Kind, decision: u64) -> Result<(), String> {
+    let report = Report { decision: Some(decision), ..Report::new(kind) };
+    let message = reporter.message(&report, clock::monotonic_ns(), clock::unix_ns());
+    reports.send(&message.map_err(|error| error.to_string())?).map_err(|error| error.to_string())
+}

@@ -1,0 +1,290 @@
+//! `roomcast experiment habits`: how well a home is learned, day by day.
+
+use std::path::{Path, PathBuf};
+
+use super::{ModelArgs, maps, report_faults};
+use crate::cli::choice::choice;
+use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
+use crate::exit_code;
+use roomcast_core::forecast::Mentions;
+use roomcast_core::grounding::Grounding;
+use roomcast_core::habits::HabitsOptions;
+use roomcast_core::narration::Said;
+use roomcast_core::prompt::BindingSequence;
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_lab::experiment::Progress;
+use roomcast_lab::experiment::baselines::Statistics;
+use roomcast_lab::experiment::chart::{Chart, Mark, Series};
+use roomcast_lab::experiment::habits::{
+    self, ALL, Days, HALF, Interval, Options, PREDICTORS, Report, Step, TARGETS, Trace, UNSEEN,
+};
+use roomcast_lab::experiment::report::{Report as Page, Table};
+use roomcast_lab::simulation::binding::ItemChoice;
+use roomcast_lab::simulation::homer::Day;
+use roomcast_services::message_text::said_of;
+use roomcast_services::narrator::Who;
+use roomcast_services::sensor_log::{SensorRules, absences};
+
+/// Arguments of `roomcast experiment habits`.
+#[derive(Debug, clap::Args)]
+pub(super) struct HabitsArgs {
+    /// A folder of days (HOMER+), learned in the order of their names.
+    #[arg(long, value_name = "FOLDER", required_unless_present = "sensors", conflicts_with_all = ["sensors", "rules", "presence"])]
+    days: Option<PathBuf>,
+    /// A log of sensors, as docs/sensors.md describes it.
+    #[arg(long, value_name = "LOG", requires = "rules")]
+    sensors: Option<PathBuf>,
+    /// What the sensors' intervals are in words.
+    #[arg(long, value_name = "RULES", requires = "sensors")]
+    rules: Option<PathBuf>,
+    /// Intervals in which nobody was at home: when each began, when it ended and, if others are among them, which say so ("away").
+    #[arg(long, value_name = "INTERVALS", requires = "sensors")]
+    presence: Option<PathBuf>,
+    /// A scene file, or the name of a shipped scene.
+    #[arg(long, value_name = "FILE")]
+    scene: PathBuf,
+    /// Which of a label's items an object of a day means, where the map has none with its number.
+    #[arg(long, value_parser = choice::<ItemChoice>(), default_value_t = ItemChoice::First)]
+    items: ItemChoice,
+    /// Days after which what was seen counts half; 0 for never.
+    #[arg(long, value_name = "DAYS", default_value_t = HabitsOptions::default().half_life_days, value_parser = ranges::time_s)]
+    half_life: f64,
+    /// The binding sequence: default, p0 to p5, or a text of your own.
+    #[arg(long, value_name = "TEXT", default_value = "default")]
+    binding: BindingSequence,
+    #[command(flatten)]
+    model: ModelArgs,
+    /// Write a report with pictures of the learning curves into this folder.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Learns a home and says how well.
+pub(super) fn run(args: &HabitsArgs) -> CommandResult {
+    let (map, grounding) = maps(std::slice::from_ref(&args.scene))?.remove(0);
+    let statistics = Statistics::from_json(roomcast_services::embedded::STATISTICS)
+        .map_err(|e| Failure::new(exit_code::FAILURE, e))?;
+    let trace = match (&args.days, &args.sensors, &args.rules) {
+        (Some(folder), ..) => Trace::of_days(&days(folder)?, &map, &grounding, args.items, args.model.seed)?,
+        (None, Some(log), Some(rules)) => sensors(log, rules, args.presence.as_deref(), &map, &grounding)?,
+        _ => return Err(Failure::new(exit_code::USAGE, "give --days, or --sensors with --rules")),
+    };
+    let mut source = args.model.source(&grounding)?;
+    let options = Options {
+        history: args.model.limits(),
+        binding: args.binding.clone(),
+        habits: HabitsOptions { half_life_days: args.half_life, ..HabitsOptions::default() },
+        seed: args.model.seed,
+    };
+    let progress = Progress::new("sentences", trace.steps.len());
+    let report = habits::run(&trace, (&map, &grounding), &mut source, &statistics, &options, &progress)?;
+    drop(progress);
+    if let Some(folder) = &args.out {
+        page(&report, map.name()).write(folder).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
+        eprintln!("roomcast: wrote {}", folder.join("report.html").display());
+    }
+    if args.json {
+        return print_json(&report);
+    }
+    show(&report)
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, Failure> {
+    std::fs::read(path)
+        .map_err(|error| Failure::new(exit_code::INPUT, format!("failed to read {}: {error}", path.display())))
+}
+
+fn days(folder: &Path) -> Result<Vec<Day>, Failure> {
+    let fault = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", folder.display()));
+    let entries = std::fs::read_dir(folder).map_err(|error| fault(error.to_string()))?;
+    let mut files: Vec<PathBuf> = entries.filter_map(Result::ok).map(|entry| entry.path()).collect();
+    files.retain(|path| path.extension().is_some_and(|extension| extension == "txt"));
+    files.sort();
+    let (mut days, mut faults) = (Vec::new(), Vec::new());
+    for path in files {
+        match Day::parse(&String::from_utf8_lossy(&read(&path)?)) {
+            Ok(day) => days.push(day),
+            Err(error) => faults.push(format!("{}: {error}", path.display())),
+        }
+    }
+    report_faults(&faults);
+    if days.is_empty() {
+        return Err(fault("no day is in it: give a folder of .txt files in HOMER+'s format".to_owned()));
+    }
+    Ok(days)
+}
+
+fn sensors(
+    log: &Path,
+    rules: &Path,
+    presence: Option<&Path>,
+    map: &SemanticMap,
+    grounding: &Grounding,
+) -> Result<Trace, Failure> {
+    let fault = |path: &Path, error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", path.display()));
+    let rules = SensorRules::load(rules).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    let narrated = rules.narrate_file(log, &Who::Somebody).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    let faults: Vec<String> =
+        narrated.items.iter().filter_map(|item| item.as_ref().err()).map(ToString::to_string).collect();
+    report_faults(&faults);
+    let partition = |room: u32| grounding.partitions().iter().position(|p| p.rooms.iter().any(|id| id.0 == room));
+    let place = |words: &str| map.find_room(&words.replace('_', " ").to_lowercase()).and_then(|room| partition(room.0));
+    let intervals = rules.intervals(&read(log)?);
+    let intervals: Vec<Interval> = (intervals.iter())
+        .map(|interval| Interval { from_s: interval.start_s, to_s: interval.end_s, room: place(&interval.place) })
+        .collect();
+    if intervals.iter().all(|interval| interval.room.is_none()) {
+        let fault_text =
+            "no interval is in a room of the scene: name the column of places in the rules, and the rooms in the scene";
+        return Err(fault(log, fault_text.to_owned()));
+    }
+    // Where each edge of an interval was. Times of sentences are sums of differences, and so not quite those of the log.
+    let mut edges: Vec<(f64, usize)> = (intervals.iter())
+        .filter_map(|interval| Some((interval, interval.room?)))
+        .flat_map(|(interval, room)| [(interval.from_s, room), (interval.to_s, room)])
+        .collect();
+    edges.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut mentions = Mentions::new(map, grounding);
+    let weights = grounding.weights();
+    let mut steps = Vec::new();
+    // The first sentence has no time before it.
+    let mut at_s = narrated.begins_s.unwrap_or(0.0);
+    for item in narrated.items.iter().flatten() {
+        at_s += item.duration_s;
+        let Ok(Said::Sentence(sentence)) = said_of(item.kind, &item.text) else { continue };
+        let label = mentions.last(sentence.as_str());
+        const NEAR_S: f64 = 0.01;
+        let near = edges.iter().skip(edges.partition_point(|(edge_s, _)| *edge_s < at_s - NEAR_S));
+        let mut near = near.take_while(|(edge_s, _)| *edge_s <= at_s + NEAR_S).map(|(_, room)| *room);
+        let of_interval = near.find(|room| label.is_none_or(|label| weights[(label, *room)] > 0.0));
+        let only = label.and_then(|label| (0..weights.ncols()).find(|room| weights[(label, *room)] > 0.999));
+        steps.push(Step { at_s, sentence, label, room: of_interval.or(only), lacking: false, unseen: false });
+    }
+    let away = match presence {
+        Some(path) => absences(&read(path)?).map_err(|error| fault(path, error))?,
+        None => Vec::new(),
+    };
+    Ok(Trace::of_sensors(steps, &intervals, &away, grounding.partitions().len()))
+}
+
+/// How a stretch of days is called.
+fn called(day: Days) -> String {
+    match day {
+        Days::One(day) => day.to_string(),
+        Days::Some(name) => name.to_owned(),
+    }
+}
+
+fn tables(report: &Report) -> Vec<Table> {
+    let header = [
+        "days",
+        "target",
+        "predictor",
+        "cases",
+        "nll (nats)",
+        "top-1",
+        "mrr",
+        "brier",
+        "ece",
+        "mixture less this (nats)",
+    ];
+    let mut all = Table::new("habits", "All days, and the second half of them", &header);
+    let with = |value: f64, [low, high]: [f64; 2]| format!("{value:.3} [{low:.3}, {high:.3}]");
+    for day in [ALL, HALF, UNSEEN] {
+        for row in report.rows.iter().filter(|row| row.day == day) {
+            let less =
+                report.differences.iter().find(|d| d.day == day && d.target == row.target && d.less == row.predictor);
+            all.rows.push(vec![
+                called(day),
+                row.target.to_owned(),
+                row.predictor.to_owned(),
+                row.n.to_string(),
+                row.ci95.map_or_else(|| format!("{:.3}", row.nll_nats), |ci95| with(row.nll_nats, ci95.nll_nats)),
+                row.ci95.map_or_else(|| format!("{:.3}", row.top1), |ci95| with(row.top1, ci95.top1)),
+                format!("{:.3}", row.mrr),
+                format!("{:.3}", row.brier),
+                format!("{:.3}", row.ece),
+                less.map_or_else(String::new, |less| with(less.nll_nats, less.nll_ci95)),
+            ]);
+        }
+    }
+    let header = [
+        "horizon (s)",
+        "asked",
+        "held",
+        "places",
+        "places, shipped forecast",
+        "held, never empty",
+        "places, never empty",
+    ];
+    let mut sets = Table::new("sets", "Sets of places with a promise", &header);
+    for row in &report.sets {
+        sets.rows.push(vec![
+            format!("{:.0}", row.horizon_s),
+            format!("{:.2}", row.coverage_asked),
+            format!("{:.3}", row.coverage),
+            format!("{:.2}", row.size_mean),
+            format!("{:.2}", row.size_mean_shipped),
+            format!("{:.3}", row.coverage_never_empty),
+            format!("{:.2}", row.size_mean_never_empty),
+        ]);
+    }
+    vec![all, sets]
+}
+
+/// The loss of each day, for those whom it is worth to follow.
+fn curve(report: &Report, target: &str) -> Chart {
+    let shown = ["mixture", "model", "counts", "stay", "persistence", "kneser-ney-cache"];
+    let series = PREDICTORS.iter().filter(|name| shown.contains(name)).map(|name| {
+        let days = report.rows.iter().filter(|row| row.predictor == *name && row.target == target);
+        let points = days.filter_map(|row| match row.day {
+            Days::One(day) => Some((day as f64, row.nll_nats)),
+            Days::Some(_) => None,
+        });
+        Series { name: (*name).to_owned(), points: points.collect(), mark: Mark::Line }
+    });
+    Chart {
+        title: format!("Learning a home: {target}"),
+        x: "day".into(),
+        y: "loss (nats)".into(),
+        series: series.collect(),
+    }
+}
+
+fn page(report: &Report, scene: &str) -> Page {
+    let figures = TARGETS.iter().filter(|target| report.rows.iter().any(|row| row.target == **target));
+    Page {
+        title: format!("Learning a home: {scene}"),
+        notes: vec![notes(report)],
+        tables: tables(report),
+        figures: figures.map(|target| (format!("habits-{target}"), curve(report, target).svg())).collect(),
+    }
+}
+
+fn notes(report: &Report) -> String {
+    let learned = &report.learned;
+    format!(
+        "{} over {}; each is forecast first and learned from then. {} of {} in {} bytes. 95 % intervals by bootstrap over days.",
+        count(report.cases, "case"),
+        count(report.days, "day"),
+        count(learned.counts, "count"),
+        count(learned.names, "thing"),
+        learned.bytes,
+    )
+}
+
+fn show(report: &Report) -> CommandResult {
+    let mut text = String::new();
+    for part in tables(report) {
+        let header: Vec<&str> = part.header.iter().map(String::as_str).collect();
+        let mut shown = table(&header);
+        part.rows.iter().for_each(|row| {
+            shown.add_row(row);
+        });
+        text += &format!("\n{}\n{shown}\n", part.title);
+    }
+    print(&format!("{text}\n{}\n", notes(report)))
+}

@@ -1,0 +1,137 @@
+//! `roomcast person`: who the daemon knows, to forget somebody, to give somebody a name.
+
+use std::time::Duration;
+
+use roomcast_ipc::{question, sequence};
+
+use super::{CommandResult, Failure, print, service, table};
+use crate::exit_code;
+use roomcast_services::daemon::{PersonAnswer, PersonQuestion, check_name};
+
+/// Arguments of `roomcast person`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Action {
+    /// Say who is known: number, name, whether they are in the house, and since when.
+    List(Common),
+    /// Forget a person: what they did, where they are, their name, and what the journal has of them.
+    Forget {
+        /// A name or a number.
+        who: String,
+        #[command(flatten)]
+        common: Common,
+    },
+    /// Give a person a name; narrators may use it or the number.
+    Rename {
+        /// A name or a number.
+        who: String,
+        /// The new name.
+        name: String,
+        #[command(flatten)]
+        common: Common,
+    },
+}
+
+/// Options of every action.
+#[derive(Debug, clap::Args)]
+struct Common {
+    #[command(flatten)]
+    service: service::Args,
+    /// Print the daemon's answer as JSON.
+    #[arg(long)]
+    json: bool,
+    /// Seconds to wait for the daemon.
+    #[arg(long, value_name = "SECONDS", default_value_t = 10)]
+    patience: u64,
+}
+
+/// Asks the running daemon.
+///
+/// # Errors
+/// When no daemon answers, or it refuses.
+pub fn run(args: &Args) -> CommandResult {
+    let id = format!("{:016x}", sequence::random_epoch());
+    let (common, question) = match &args.action {
+        Action::List(common) => (common, PersonQuestion::List),
+        Action::Forget { who, common } => (common, PersonQuestion::Forget { id, who: who.clone() }),
+        Action::Rename { who, name, common } => {
+            check_name(name).map_err(|reason| Failure::new(exit_code::USAGE, reason))?;
+            (common, PersonQuestion::Rename { id, who: who.clone(), name: name.clone() })
+        }
+    };
+    let (_, domain) = common.service.load()?;
+    let ipc = |error| Failure::new(exit_code::IPC, error);
+    let question = serde_json::to_string(&question).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    let port = domain.open("roomcast-person").and_then(|node| node.question_port(question::PERSON)).map_err(ipc)?;
+    let text = port.ask(&question, Duration::from_secs(common.patience)).map_err(ipc)?;
+    let answer: PersonAnswer = serde_json::from_str(&text).map_err(|error| {
+        let text = format!("the daemon's answer cannot be read: {error}; use one version of Roomcast");
+        Failure::new(exit_code::IPC, text)
+    })?;
+    if common.json {
+        super::print_json(&answer)?;
+    }
+    let reason = answer.reason.as_deref().unwrap_or("no reason given");
+    if !answer.done {
+        return Err(Failure::new(exit_code::INPUT, format!("the daemon changed nothing: {reason}")));
+    }
+    if answer.reason.is_some() {
+        return Err(Failure::new(exit_code::FAILURE, reason));
+    }
+    if common.json {
+        return Ok(());
+    }
+    let after_restart = if answer.kept || matches!(args.action, Action::List(_)) {
+        ""
+    } else {
+        "A restarted daemon does not know this: daemon.state keeps names.\n"
+    };
+    print(&format!("{}{after_restart}", listed(&answer)))
+}
+
+/// The persons as a table.
+fn listed(answer: &PersonAnswer) -> String {
+    if answer.persons.is_empty() {
+        return "Nobody is known.\n".to_owned();
+    }
+    let mut table = table(&["person", "name", "presence", "since", "silent", ""]);
+    for line in &answer.persons {
+        let ago = |seconds: Option<f64>| seconds.map_or_else(String::new, duration);
+        table.add_row([
+            line.person.to_string(),
+            line.name.clone().unwrap_or_default(),
+            line.presence.as_str().to_owned(),
+            ago(line.since_s),
+            ago(line.silent_s),
+            line.flags.join(", "),
+        ]);
+    }
+    format!("{table}\n")
+}
+
+/// A time for people: the two largest units.
+fn duration(seconds: f64) -> String {
+    let seconds = seconds.max(0.0) as u64;
+    match seconds {
+        0..60 => format!("{seconds} s"),
+        60..3600 => format!("{} min {} s", seconds / 60, seconds % 60),
+        3600..86400 => format!("{} h {} min", seconds / 3600, seconds / 60 % 60),
+        _ => format!("{} d {} h", seconds / 86400, seconds / 3600 % 24),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_have_two_units() {
+        let times = [0.0, 59.9, 61.0, 7265.0, 90_000.0].map(duration);
+        assert_eq!(times, ["0 s", "59 s", "1 min 1 s", "2 h 1 min", "1 d 1 h"]);
+    }
+}

@@ -1,0 +1,276 @@
+//! `roomcast report`: what a robot says of itself, to its planner.
+
+use std::io::{self, BufRead, Read};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::time::{Duration, Instant};
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use roomcast_ipc::{IpcError, Publisher, RobotReportV1, clock, sequence};
+use strum::{EnumMessage, VariantArray};
+
+use super::{CommandResult, Failure, count, ranges, service};
+use crate::exit_code;
+use roomcast_services::planner;
+use roomcast_services::reporter::{Kind, LINE_BYTES_MAX, Report, Reporter};
+use roomcast_services::stop::Stop;
+
+/// A planner looks at its ports every 100 ms; after so long a running one has what was sent.
+const LINGER: Duration = Duration::from_millis(500);
+const TICK: Duration = Duration::from_millis(50);
+/// Lines that may lie between standard input and the service.
+const LINES: usize = 8;
+
+/// Arguments of `roomcast report`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    service: service::Args,
+    /// What the robot reports; `-` reads JSON lines from standard input, such as {"report": "finished", "room": "kitchen"}.
+    #[arg(value_name = "KIND", value_parser = what())]
+    what: What,
+    /// The robot's name, in place of the configuration's planner.robot.
+    #[arg(long, value_name = "NAME")]
+    robot: Option<String>,
+    /// The room that it speaks of, by its id or its name in the map.
+    #[arg(long, value_name = "ROOM")]
+    room: Option<String>,
+    /// How full the battery is, 0 to 1.
+    #[arg(long, value_name = "SHARE", value_parser = ranges::share)]
+    battery: Option<f64>,
+    /// Where the robot is, in the map's metres: x,y,z.
+    #[arg(long, value_name = "X,Y,Z", value_parser = position, allow_hyphen_values = true)]
+    position: Option<[f64; 3]>,
+    /// The sequence of the decision that it answers.
+    #[arg(long, value_name = "SEQUENCE", value_parser = clap::value_parser!(u64).range(1..))]
+    decision: Option<u64>,
+    /// Why, in words.
+    #[arg(long, value_name = "TEXT")]
+    note: Option<String>,
+    /// Seconds to wait for the robot's planner.
+    #[arg(long, value_name = "SECONDS", default_value_t = 5.0, value_parser = ranges::time_s)]
+    wait: f64,
+}
+
+/// What the command line names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum What {
+    One(Kind),
+    Lines,
+}
+
+fn what() -> impl TypedValueParser<Value = What> {
+    let kind = |kind: &Kind| {
+        let value = PossibleValue::new(<&'static str>::from(*kind));
+        value.help(kind.get_documentation().unwrap_or_default().trim_end_matches('.').to_owned())
+    };
+    let lines = PossibleValue::new("-").help("Reports as JSON lines on standard input");
+    let known = Kind::VARIANTS.iter().map(kind).chain([lines]).collect::<Vec<_>>();
+    PossibleValuesParser::new(known).try_map(|word| match word.as_str() {
+        "-" => Ok(What::Lines),
+        word => word.parse().map(What::One),
+    })
+}
+
+fn position(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Option<Vec<f64>> =
+        text.split(',').map(|number| number.trim().parse().ok().filter(|metres: &f64| metres.is_finite())).collect();
+    let numbers = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
+    numbers.ok_or_else(|| "give three numbers in metres, such as 1.5,2,0".to_owned())
+}
+
+/// Sends the reports, and stays until a planner can have received them.
+///
+/// # Errors
+///
+/// When a report is malformed, a service cannot be opened, or nobody listens.
+pub fn run(args: &Args) -> CommandResult {
+    let stop = service::stop()?;
+    let (config, domain) = args.service.load()?;
+    let robot = args.robot.as_ref().unwrap_or(&config.planner.robot);
+    let usage = |error: String| Failure::new(exit_code::USAGE, error);
+    let mut reporter =
+        Reporter::new(robot, sequence::random_epoch()).map_err(|error| usage(format!("--robot: {error}")))?;
+    let of_one = [
+        ("--room", args.room.is_some()),
+        ("--battery", args.battery.is_some()),
+        ("--position", args.position.is_some()),
+        ("--decision", args.decision.is_some()),
+        ("--note", args.note.is_some()),
+    ];
+    if let (What::Lines, Some((option, _))) = (args.what, of_one.iter().find(|(_, given)| *given)) {
+        return Err(usage(format!("{option} is for one report; with `-`, give it in the line")));
+    }
+    let ipc = |error: IpcError| Failure::new(exit_code::IPC, error);
+    // What is malformed is said before anybody is waited for.
+    let one = match args.what {
+        What::One(kind) => {
+            let report = Report {
+                kind,
+                room: args.room.clone(),
+                battery: args.battery,
+                position: args.position,
+                decision: args.decision,
+                note: args.note.clone(),
+            };
+            let message = reporter.message(&report, clock::monotonic_ns(), clock::unix_ns());
+            Some(message.map_err(|error| Failure::new(exit_code::INPUT, error))?)
+        }
+        What::Lines => None,
+    };
+    let node = domain.open(&format!("roomcast-report {robot}")).map_err(ipc)?;
+    let publisher = node.publisher::<RobotReportV1>().map_err(ipc)?;
+    let (mut sent, mut refused) = (0, 0);
+    match one {
+        Some(message) => {
+            publisher.send(&message).map_err(ipc)?;
+            sent = 1;
+        }
+        None => send_lines(&mut reporter, &publisher, &stop, &mut sent, &mut refused)?,
+    }
+    if sent > 0 && !stop.requested() {
+        let planner = planner::participant(robot);
+        let heard = wait(&publisher, &planner, Duration::from_secs_f64(args.wait), &stop).map_err(ipc)?;
+        let place = service::shown(&domain);
+        match heard {
+            Hearer::Planner => {}
+            Hearer::Others => eprintln!("roomcast: no planner of the robot `{robot}` runs in {place}; others listen"),
+            Hearer::Nobody if stop.requested() => {}
+            Hearer::Nobody => {
+                let sent = count(sent, "report");
+                let text = format!(
+                    "nobody listens to {sent} of the robot `{robot}` in {place}: start `roomcast planner --robot {robot}`, or wait \
+                     longer for it (--wait)"
+                );
+                return Err(Failure::new(exit_code::IPC, text));
+            }
+        }
+    }
+    if refused > 0 {
+        let text = format!("{} refused; the lines above say why", count(refused, "line"));
+        return Err(Failure::new(exit_code::INPUT, text));
+    }
+    Ok(())
+}
+
+/// Sends a report for each line of standard input, to its end. A malformed line is named, and the next one follows.
+fn send_lines(
+    reporter: &mut Reporter,
+    publisher: &Publisher<RobotReportV1>,
+    stop: &Stop,
+    sent: &mut usize,
+    refused: &mut usize,
+) -> CommandResult {
+    let ipc = |error: IpcError| Failure::new(exit_code::IPC, error);
+    let lines = read_lines().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    for number in 1_u64.. {
+        let line = loop {
+            if stop.requested() {
+                return Ok(());
+            }
+            match lines.recv_timeout(TICK) {
+                Ok(line) => break line,
+                // Planners that join later get the last reports.
+                Err(RecvTimeoutError::Timeout) => publisher.tick().map(drop).map_err(ipc)?,
+                Err(RecvTimeoutError::Disconnected) => return Ok(()),
+            }
+        };
+        let said = line.and_then(|line| match line.trim() {
+            "" => Ok(None),
+            line => {
+                let message = Report::parse(line)
+                    .and_then(|report| reporter.message(&report, clock::monotonic_ns(), clock::unix_ns()));
+                message.map(Some).map_err(|error| error.to_string())
+            }
+        });
+        match said {
+            Ok(None) => {}
+            Ok(Some(message)) => {
+                publisher.send(&message).map_err(ipc)?;
+                *sent += 1;
+            }
+            Err(error) => {
+                eprintln!("roomcast: line {number}: {error}");
+                *refused += 1;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Standard input, line by line, from a thread that waits for it.
+fn read_lines() -> io::Result<Receiver<Result<String, String>>> {
+    let (tell, lines) = sync_channel(LINES);
+    let read = move || {
+        let mut input = io::stdin().lock();
+        loop {
+            let mut line = Vec::new();
+            let read = input.by_ref().take(LINE_BYTES_MAX + 1).read_until(b'\n', &mut line);
+            let said = match read {
+                Ok(0) => return,
+                Ok(bytes) if bytes as u64 > LINE_BYTES_MAX => {
+                    // The rest of the line is no other line.
+                    if input.skip_until(b'\n').is_err() {
+                        return;
+                    }
+                    Err(format!("more than {LINE_BYTES_MAX} bytes"))
+                }
+                Ok(_) => String::from_utf8(line).map_err(|_| "not UTF-8".to_owned()),
+                Err(ref error) => Err(format!("standard input cannot be read: {error}")),
+            };
+            let ends = read.is_err();
+            if tell.send(said).is_err() || ends {
+                return;
+            }
+        }
+    };
+    std::thread::Builder::new().name("lines".to_owned()).spawn(read)?;
+    Ok(lines)
+}
+
+/// Who has received the reports.
+enum Hearer {
+    Planner,
+    Others,
+    Nobody,
+}
+
+/// Waits for the robot's planner, and then as long as it takes to receive what was sent.
+fn wait(
+    publisher: &Publisher<RobotReportV1>,
+    planner: &str,
+    patience: Duration,
+    stop: &Stop,
+) -> Result<Hearer, IpcError> {
+    let start = Instant::now();
+    let is_there = || publisher.reaches(planner);
+    while !is_there() && start.elapsed() < patience && !stop.requested() {
+        std::thread::sleep(TICK);
+        publisher.tick()?;
+    }
+    let heard = if is_there() {
+        Hearer::Planner
+    } else if publisher.subscribers() > 0 {
+        Hearer::Others
+    } else {
+        return Ok(Hearer::Nobody);
+    };
+    let until = Instant::now() + LINGER;
+    while Instant::now() < until {
+        publisher.tick()?;
+        std::thread::sleep(TICK);
+    }
+    Ok(heard)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_position_is_three_numbers() {
+        assert_eq!(position("1.5, -2,0"), Ok([1.5, -2.0, 0.0]));
+        for text in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,nan", "1,2,inf"] {
+            assert!(position(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! `docs/limits.md` is written from the constants that enforce each limit, and compared with them here.
+//! `ROOMCAST_WRITE_LIMITS=1 cargo test --release --locked --workspace --features optimum --test limits` writes it.
+
+#![cfg(all(feature = "mqtt", feature = "recordings"))]
+#![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
+
+use std::fmt::Display;
+use std::fmt::Write;
+use std::path::Path;
+
+use roomcast_core::narration::history::{KEPT_NS, OBSERVATIONS_MAX};
+use roomcast_core::narration::{self, PERSONS_MAX, PROGRAM_BYTES_MAX, SENTENCE_BYTES_MAX, STEPS_MAX};
+use roomcast_core::pipeline::SOURCES_MAX;
+use roomcast_core::{grounding, prompt, semantic_map};
+use roomcast_ipc::{
+    DecisionV1, MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES, NarrationV1,
+    RoomScoresV1, question, sequence,
+};
+use roomcast_llama::{SEQUENCES_MAX, THREADS_MAX};
+use roomcast_services::config::{self, Config};
+use roomcast_services::daemon::SOURCES_OF_A_PORT;
+use roomcast_services::{mqtt, recording, sensor_log};
+
+const HEAD: &str = "# Limits
+
+What Roomcast takes at most, and what becomes of more. `tests/limits.rs` writes this page from the code that enforces it. Limits of the
+metrics' port are in `metrics.md`, limits of configured values in `roomcast config`.
+";
+
+fn page() -> String {
+    let intake = Config::default().daemon.intake;
+    let mut page = HEAD.to_owned();
+    let mut table = |title: &str, rows: &[(&str, &dyn Display, &str)]| {
+        write!(page, "\n## {title}\n\n| what | at most | more |\n| --- | --- | --- |\n").unwrap();
+        for (what, most, more) in rows {
+            writeln!(page, "| {what} | {most} | {more} |").unwrap();
+        }
+    };
+    table(
+        "Maps",
+        &[
+            ("bytes of a scene file", &semantic_map::MAX_FILE_BYTES, "is refused"),
+            ("items", &semantic_map::MAX_ITEMS, "is refused"),
+            ("rooms", &semantic_map::MAX_ROOMS, "is refused"),
+            ("bytes of an id or a label", &semantic_map::MAX_TEXT_BYTES, "is refused"),
+            ("labels times partitions", &grounding::MAX_WEIGHTS, "is refused"),
+        ],
+    );
+    table(
+        "Narration",
+        &[
+            ("bytes of a sentence", &SENTENCE_BYTES_MAX, "is refused by narrator and daemon"),
+            ("bytes of an action's line", &narration::LINE_BYTES_MAX, "is refused"),
+            ("bytes of an activity program", &PROGRAM_BYTES_MAX, "is refused"),
+            ("steps of an activity program", &STEPS_MAX, "is refused"),
+            ("bytes of a binding sequence", &prompt::BINDING_BYTES_MAX, "is refused"),
+            ("observations of a person's window", &OBSERVATIONS_MAX, "is refused in the configuration"),
+            ("narrators at once", &NarrationV1::SERVICE.publishers, "cannot join"),
+            ("narrations a second of a narrator, by default", &intake.rate_per_s, "is dropped and counted"),
+            ("narrations at once of a narrator, by default", &intake.burst, "is dropped and counted"),
+            ("starts of sources of a narrator", &SOURCES_OF_A_PORT, "its longest silent one gives way"),
+            ("starts of sources", &SOURCES_MAX, "one of an ended process gives way"),
+            ("persons", &PERSONS_MAX, "the longest silent one gives way, residents last"),
+            ("numbers that a source skips at once", &sequence::JUMP_MAX, "is dropped and counted"),
+            (
+                "seconds that a narrator keeps its places in a window",
+                &(KEPT_NS / 1_000_000_000),
+                "the oldest goes first",
+            ),
+            ("narrators named in the configuration", &config::KNOWN_NARRATORS_MAX, "is refused"),
+        ],
+    );
+    table(
+        "Messages",
+        &[
+            ("bytes of a name", &NAME_BYTES, "is refused; of items and labels, cut"),
+            ("rooms", &MAX_ROOMS, "is refused with the map"),
+            ("starts of sources that scores name", &MAX_SOURCES, "each narrator's newest are named"),
+            ("persons with scores of their own", &MAX_PERSONS, "those observed last are sent"),
+            ("items with scores", &MAX_ITEMS, "the best are sent"),
+            ("horizons of a forecast", &MAX_HORIZONS, "-"),
+            ("bytes of a question", &question::QUESTION_BYTES_MAX, "is refused"),
+            ("bytes of an answer in shared memory", &question::ANSWER_BYTES_MAX, "lies in a file of the root path"),
+            ("subscribers of scores", &RoomScoresV1::SERVICE.subscribers, "cannot join"),
+            ("robots", &DecisionV1::SERVICE.publishers, "cannot join"),
+        ],
+    );
+    table(
+        "Models and the decoder",
+        &[
+            ("paths in one decoder call", &SEQUENCES_MAX, "is refused in the configuration"),
+            ("threads of one decoder call", &THREADS_MAX, "is refused in the configuration"),
+        ],
+    );
+    table(
+        "Files and MQTT",
+        &[
+            ("bytes of the configuration", &config::FILE_BYTES_MAX, "is refused"),
+            ("bytes of a sensor log", &sensor_log::FILE_BYTES_MAX, "is refused"),
+            ("bytes of a recording, unpacked", &recording::FILE_BYTES_MAX, "is refused"),
+            ("bytes of a record or chunk of a recording", &recording::RECORD_BYTES_MAX, "is refused"),
+            ("rules for MQTT", &mqtt::RULES_MAX, "is refused"),
+            ("topics that are remembered", &mqtt::TOPICS_MAX, "is not remembered"),
+            ("bytes of a packet", &mqtt::PACKET_BYTES_MAX, "the broker does not send it"),
+            ("bytes of a payload", &mqtt::PAYLOAD_BYTES_MAX, "is passed over, with its topic in the log"),
+            ("messages that the broker sends ahead", &mqtt::MESSAGES_AHEAD_MAX, "wait at the broker"),
+        ],
+    );
+    page
+}
+
+#[test]
+fn the_page_states_the_limits_of_the_code() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/limits.md");
+    if std::env::var_os("ROOMCAST_WRITE_LIMITS").is_some() {
+        std::fs::write(&path, page()).unwrap();
+    }
+    let written = std::fs::read_to_string(&path).unwrap();
+    assert!(written == page(), "docs/limits.md differs from the code; write it again with ROOMCAST_WRITE_LIMITS=1");
+}
