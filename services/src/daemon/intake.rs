@@ -314,14 +314,29 @@ impl Intake {
                 self.ports.remove(&silent);
             }
         }
+        let inherited = if self.ports.contains_key(&sender) { None } else { self.voice_left_by(source) };
         let (limits, narrators, voices) = (self.limits, &self.narrators, &mut self.voices);
         self.ports.entry(sender).or_insert_with(|| {
             let known = narrators.get(&source);
             let rate_per_s = known.and_then(|known| known.rate_per_s).unwrap_or(limits.rate_per_s);
-            *voices += 1;
+            let voice = inherited.unwrap_or_else(|| {
+                *voices += 1;
+                *voices
+            });
             let bucket = TokenBucket::full(IntakeLimits { rate_per_s, ..limits }, now_ns);
-            Port { bucket, voice: *voices, turn: 0 }
+            Port { bucket, voice, turn: 0 }
         })
+    }
+
+    /// The voice of the closed port that spoke last for this source: a narrator that starts again goes on with it, since it must not share
+    /// the window with what it said itself. The voice of an open port stays with that port.
+    fn voice_left_by(&self, source: u64) -> Option<u64> {
+        let starts = self.sources.range((source, 0)..=(source, u64::MAX));
+        let last = starts.filter(|(_, known)| known.port.is_some()).max_by_key(|(_, known)| known.turn);
+        let port = last.and_then(|(_, known)| known.port).filter(|port| !self.alive.contains(port))?;
+        let voice = self.ports.get(&port)?.voice;
+        let taken = self.ports.iter().any(|(port, known)| known.voice == voice && self.alive.contains(port));
+        (!taken).then_some(voice)
     }
 
     /// Makes a start of a source the port's, if it is nobody's yet; gives the one that gives way to it.
@@ -443,6 +458,30 @@ mod tests {
                 assert!(matches!(taken, Taken::Accepted { missed: 0, .. }), "{epoch} {sequence}: {taken:?}");
             }
         }
+    }
+
+    /// A narrator that starts again does not share the window with its own past; who uses the name of a living one gains nothing.
+    #[test]
+    fn a_narrator_that_starts_again_keeps_its_voice() {
+        let mut intake = Intake::new(IntakeLimits::default());
+        let mut voice = |epoch, port, alive: &[Sender]| {
+            intake.note_alive(alive.iter().copied());
+            accepted(intake.take(&message(7, epoch, 1, "They sit."), port, epoch)).1
+        };
+        let (third, fourth) = (Sender::simulated(3), Sender::simulated(4));
+        let own = voice(1, PORT, &[PORT]);
+        assert_ne!(voice(2, OTHER, &[PORT, OTHER]), own);
+        // Whoever spoke last in the name had another voice, and the first one lives.
+        assert_ne!(voice(3, third, &[PORT, third]), own);
+        let mut intake = Intake::new(IntakeLimits::default());
+        let mut voice = |epoch, port, alive: &[Sender]| {
+            intake.note_alive(alive.iter().copied());
+            accepted(intake.take(&message(7, epoch, 1, "They sit."), port, epoch)).1
+        };
+        let own = voice(1, PORT, &[PORT]);
+        assert_eq!(voice(2, OTHER, &[OTHER]), own);
+        assert_eq!(voice(3, third, &[third]), own);
+        assert_ne!(voice(4, fourth, &[third, fourth]), own);
     }
 
     /// Row "64 invented sources" of the attacks: nobody who lives is locked out, forgotten or outspoken, also after a restart.
