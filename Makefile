@@ -46,21 +46,21 @@ structure: ## Prints the tree, the crates' dependencies and what each build comp
 .PHONY: lint
 lint:
 	@echo "test: lints (the first run compiles llama.cpp and HiGHS: some minutes on two cores)"
-	cargo clippy --release --locked --workspace --all-targets --features optimum -- -D warnings
+	cargo clippy --release --locked --workspace --all-targets --features full -- -D warnings
 
 .PHONY: unit
 unit:
 	@echo "test: unit, property and multi-process tests"
-	cargo test --release --locked --workspace --features optimum
+	cargo test --release --locked --workspace --features full
 
 .PHONY: nightly
 nightly: ## An hour of faults by seed: simulation, killed processes, mutated input.
-	ROOMCAST_SEEDS=60000 ROOMCAST_CHAOS_CYCLES=1000 ROOMCAST_CHAOS_SEED=$$(date +%j) ROOMCAST_FUZZ_RUNS=3000000 cargo test --release --locked --workspace --features optimum --test simulated --test chaos --test killed --test fuzzed -- --nocapture
+	ROOMCAST_SEEDS=60000 ROOMCAST_CHAOS_CYCLES=1000 ROOMCAST_CHAOS_SEED=$$(date +%j) ROOMCAST_FUZZ_RUNS=3000000 cargo test --release --locked --workspace --features full --test simulated --test chaos --test killed --test fuzzed -- --nocapture
 
 .PHONY: docs
 docs:
 	@echo "test: documentation"
-	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --features optimum --no-deps
+	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --features full --no-deps
 
 .PHONY: licences
 licences:

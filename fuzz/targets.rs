@@ -18,8 +18,8 @@ use roomcast_core::narration::Program;
 use roomcast_core::scorer::Token;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::{
-    ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonScoresV1, RobotReportV1, RoomScoresV1,
-    Sender, sequence,
+    ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
+    RoomScoresV1, Sender, sequence,
 };
 use roomcast_llama::gguf::Header;
 use roomcast_services::config::{Config, IntakeLimits, PlannerConfig};
@@ -115,7 +115,7 @@ fn image<M: ByteImage + Layout>(bytes: &[u8]) -> M {
 /// Any bytes in shared memory may be looked at; those that pass the check are used without harm.
 pub fn message(bytes: &[u8]) {
     let Some((kind, bytes)) = bytes.split_first() else { return };
-    match kind % 6 {
+    match kind % 7 {
         0 => {
             let message: NarrationV1 = image(bytes);
             let mut intake = Intake::new(IntakeLimits::default());
@@ -177,6 +177,14 @@ pub fn message(bytes: &[u8]) {
                 for person in scores.persons() {
                     assert!(scores.probabilities(person).all(|(room, p)| !room.is_empty() && (0.0..=1.0).contains(&p)));
                 }
+            }
+        }
+        6 => {
+            let forecasts: PersonForecastsV1 = image(bytes);
+            // Reading what was not checked is safe too.
+            assert!(forecasts.persons().len() <= 8 && forecasts.horizons_s().len() <= 16);
+            if forecasts.check().is_ok() {
+                assert!(forecasts.rooms().len() <= 64 && forecasts.rooms().all(|room| !room.is_empty()));
             }
         }
         _ => {

@@ -16,7 +16,7 @@ use roomcast_core::narration::{Observation, PresenceStatement, SOMEBODY, Said, S
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::correction::Correction;
 use roomcast_core::scorer::{LabelScores, Method, Scorer, Tokenisation};
-use roomcast_ipc::{ByteImage, NarrationV1, PersonScoresV1, RoomScoresV1, text};
+use roomcast_ipc::{ByteImage, NarrationV1, PersonForecastsV1, PersonScoresV1, RoomScoresV1, text};
 use roomcast_llama::{LlamaModel, LlamaOptions};
 use roomcast_services::daemon::journal;
 use roomcast_services::embedded;
@@ -51,7 +51,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         "program" => seeds.extend(embedded::PROGRAMS.iter().map(|program| program.text.as_bytes().to_vec())),
         "scene" => seeds.push(embedded::SCENES[0].text.as_bytes().to_vec()),
         "journal" => seeds.push(journal_bytes()),
-        "message" => seeds.extend([narration(), scores(), persons()]),
+        "message" => seeds.extend([narration(), scores(), persons(), person_forecasts()]),
         "recording" => seeds.push(recording()),
         "sensors" => seeds.push(include_bytes!("data/sensors.tsv").to_vec()),
         _ => {}
@@ -125,6 +125,15 @@ fn persons() -> Vec<u8> {
     scores.id[0] = text::encode("room id", "kitchen").unwrap();
     scores.person[0].probability[0] = 1.0;
     [vec![4], scores.to_bytes()].concat()
+}
+
+fn person_forecasts() -> Vec<u8> {
+    let mut forecasts =
+        PersonForecastsV1 { room_count: 1, horizon_count: 2, person_count: 1, ..PersonForecastsV1::default() };
+    forecasts.id[0] = text::encode("room id", "kitchen").unwrap();
+    forecasts.horizon_s[1] = 5.0;
+    forecasts.person[0].probability[0][..2].copy_from_slice(&[1.0, 0.5]);
+    [vec![6], forecasts.to_bytes()].concat()
 }
 
 /// Some changes of the kinds that find faults in parsers.

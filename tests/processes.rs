@@ -478,8 +478,16 @@ fn sleeps(process: u32) -> u64 {
     status.map(count).sum()
 }
 
+/// Memory of a process that no other shares, in KiB.
+fn own_memory_kib(process: u32) -> u64 {
+    let rollup = std::fs::read_to_string(format!("/proc/{process}/smaps_rollup")).unwrap();
+    let private = rollup.lines().filter(|line| line.starts_with("Private_"));
+    private.map(|line| line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap()).sum()
+}
+
+/// A planner that runs beside its daemon shares the program's pages with it.
 #[test]
-fn an_idle_daemon_and_planner_wake_seldom() {
+fn an_idle_daemon_and_planner_wake_seldom_and_a_planner_is_small() {
     let mut world = World::new("idle");
     let both = [world.start_daemon(), world.start(&["planner"])];
     let node = world.domain.open("test").unwrap();
@@ -497,6 +505,9 @@ fn an_idle_daemon_and_planner_wake_seldom() {
     let rates: Vec<f64> = ids.iter().zip(before).map(|(id, before)| (sleeps(*id) - before) as f64 / seconds).collect();
     println!("wake-ups a second of daemon and planner: {rates:.1?}");
     assert!(rates.iter().sum::<f64>() < 20.0, "{rates:?}");
+    let memory_kib = ids.map(own_memory_kib);
+    println!("memory of daemon and planner that is theirs alone: {memory_kib:?} KiB");
+    assert!(memory_kib[1] < 10_000, "{memory_kib:?} KiB");
 }
 
 /// A map of `count` items in four rooms, in `world`'s directory, and a configuration with it.

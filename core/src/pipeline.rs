@@ -102,7 +102,7 @@ pub struct Included {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Prepared {
     /// Whether it was prepared for the map's labels again.
-    pub anew: bool,
+    pub again: bool,
     /// How many of them are new.
     pub new_labels: usize,
 }
@@ -388,9 +388,9 @@ impl<M: LanguageModel> Pipeline<M> {
         let Regrouped { grounding, new_labels } = self.grounding.regroup(map, options)?;
         // Corrected scores depend on the labels that there are.
         let others_gone = self.prepared.correction() != Correction::default() && grounding.has_idle_labels();
-        let anew = new_labels > 0 || others_gone;
-        let prepared = Prepared { anew, new_labels };
-        if !anew {
+        let again = new_labels > 0 || others_gone;
+        let prepared = Prepared { again, new_labels };
+        if !again {
             self.grounding = grounding;
         } else {
             // The list is prepared again, so labels that nothing bears any more can leave it.
@@ -404,7 +404,7 @@ impl<M: LanguageModel> Pipeline<M> {
             self.scores.label_log_prob_nats.clear();
         }
         let exact = self.options.method != Method::Trie || self.options.effort == Effort::Exact;
-        let due = if anew || !exact { Due::Scoring } else { Due::Grounding };
+        let due = if again || !exact { Due::Scoring } else { Due::Grounding };
         for person in self.persons.iter_mut().chain([&mut self.nobody]) {
             // It holds the old map's weights.
             person.certified = None;

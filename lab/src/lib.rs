@@ -20,6 +20,9 @@ pub mod simulation;
 
 pub mod experiment;
 
+#[cfg(feature = "png")]
+pub mod png;
+
 /// The shipped activity programs for homes, by name, for tests.
 #[cfg(test)]
 const PROGRAMS: [(&str, &str); 3] = [

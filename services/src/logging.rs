@@ -1,11 +1,11 @@
 //! Logs: to the journal when systemd listens, else to standard error; filtered by `ROOMCAST_LOG` ([`FILTER_DEFAULT`] when unset).
 //!
 //! Standard error may be a pipe that nobody reads, or a file on a disk that is busy for seconds. So a thread of its own writes it, and
-//! lines that it cannot keep up with (128 000 may wait) are lost: what is logged never holds up what acts.
+//! lines that it cannot keep up with ([`LINES_MAX`] may wait) are lost: what is logged never holds up what acts.
 
 use std::io::IsTerminal;
 
-use tracing_appender::non_blocking::WorkerGuard;
+use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, fmt};
@@ -15,6 +15,9 @@ pub const FILTER_VARIABLE: &str = "ROOMCAST_LOG";
 
 /// llama.cpp tells much about itself that matters only when a model does not load.
 pub const FILTER_DEFAULT: &str = "info,llama-cpp-2=warn,llama_cpp_2=error";
+
+/// Most lines that wait to be written. The memory for their places is taken at the start, 32 bytes each.
+const LINES_MAX: usize = 8_192;
 
 /// Keeps the log's thread alive. Dropping it writes what is still to be written, for a second at most.
 #[must_use = "the log ends when this is dropped"]
@@ -41,7 +44,8 @@ pub fn init() -> Log {
         }
         None => {
             let colours = std::io::stderr().is_terminal();
-            let (lines, writer) = tracing_appender::non_blocking(std::io::stderr());
+            let (lines, writer) =
+                NonBlockingBuilder::default().buffered_lines_limit(LINES_MAX).finish(std::io::stderr());
             let _set = registry.with(fmt::layer().with_writer(lines).with_ansi(colours)).try_init();
             Log { _writer: Some(writer) }
         }

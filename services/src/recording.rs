@@ -491,13 +491,24 @@ impl Recording {
             let mut included = scores.included().iter();
             included.any(|i| (i.source, i.epoch) == (message.source, message.epoch) && message.sequence <= i.sequence)
         };
+        let window = usize::try_from(scores.window).unwrap_or(usize::MAX);
+        let heard = || {
+            self.messages.iter().filter_map(|(received, message)| match message {
+                Recorded::Narration(message) if !already(message) => Some((message, *received)),
+                _ => None,
+            })
+        };
+        let claimed = heard().filter(|(message, _)| contained(message)).map(|(message, _)| (message, true));
+        // Scores that wait for the journal contain a little more than they claim, and the recording may lack the message that claims it.
+        // What the window has beyond that was heard next.
+        let unclaimed = heard().filter(|(message, received)| !contained(message) && *received <= time);
+        let unclaimed = unclaimed.map(|(message, _)| (message, false)).filter(|_| scores.persons <= 1);
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
-        for (_, message) in &self.messages {
-            if let Recorded::Narration(message) = message
-                && contained(message)
-                && !already(message)
-                && let Taken::Accepted { observation, .. } = intake.take(message, Sender::simulated(message.source), 0)
-            {
+        for (message, is_claimed) in claimed.chain(unclaimed) {
+            if !is_claimed && narration.len() >= window {
+                break;
+            }
+            if let Taken::Accepted { observation, .. } = intake.take(message, Sender::simulated(message.source), 0) {
                 let person = match observation.name.as_deref() {
                     Some(name) => person_number(name),
                     None if observation.person == SOMEBODY => {
@@ -515,7 +526,6 @@ impl Recording {
             }
         }
         if scores.persons <= 1 {
-            let window = usize::try_from(scores.window).unwrap_or(usize::MAX);
             narration.drain(..narration.len().saturating_sub(window));
         }
         Some(RecordedMoment { scores, at_s: seconds(time), base, narration })
@@ -639,7 +649,7 @@ fn original(data: &[u8]) -> Result<Vec<u8>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use roomcast_ipc::text;
+    use roomcast_ipc::{IncludedV1, text};
 
     fn messages() -> Vec<(u64, Recorded)> {
         let mut narration = NarrationV1::new(1, "[Grab] <mug> (1)").unwrap();
@@ -698,6 +708,36 @@ mod tests {
         let summary = mcap::Summary::read(&std::fs::read(&path).unwrap()).unwrap().unwrap();
         assert_eq!(summary.stats.unwrap().message_count, messages().len() as u64);
         assert!(summary.schemas.values().all(|schema| schema.encoding == "jsonschema"));
+    }
+
+    /// Scores that had to wait for the journal claim less than they contain, and a recorder that is slow may miss the message that claims it.
+    #[test]
+    fn scores_contain_what_was_heard_before_them_also_where_they_do_not_claim_it() {
+        let narration = |sequence: u64, text: &str| {
+            let message = NarrationV1::new(roomcast_ipc::narration_kind::SENTENCE, text).unwrap();
+            Recorded::Narration(Box::new(NarrationV1 { source: 7, epoch: 1, sequence, ..message }))
+        };
+        let mut scores =
+            RoomScoresV1 { epoch: 3, sequence: 4, window: 2, persons: 1, source_count: 1, ..Default::default() };
+        scores.included[0] = IncludedV1 { source: 7, epoch: 1, sequence: 1, ..IncludedV1::default() };
+        let messages = vec![
+            (10, narration(1, "They open the fridge.")),
+            (11, narration(2, "They grab the milk.")),
+            (12, Recorded::RoomScores(Box::new(scores))),
+            (13, narration(3, "They close the fridge.")),
+        ];
+        let mut recording = Recording { messages, moments: Vec::new() };
+        let contained = |recording: &Recording| -> Vec<String> {
+            let narration = recording.moment(None, None).unwrap().narration;
+            narration.iter().map(|(_, sentence)| sentence.as_str().to_owned()).collect()
+        };
+        assert_eq!(contained(&recording), ["They open the fridge.", "They grab the milk."]);
+        scores.window = 1;
+        recording.messages[2].1 = Recorded::RoomScores(Box::new(scores));
+        assert_eq!(contained(&recording), ["They open the fridge."]);
+        scores.window = 3;
+        recording.messages[2].1 = Recorded::RoomScores(Box::new(scores));
+        assert_eq!(contained(&recording), ["They open the fridge.", "They grab the milk."]);
     }
 
     #[test]

@@ -17,7 +17,8 @@ use crate::exit_code;
 pub struct Args {
     /// The scene file, or the name of a shipped one.
     scene: PathBuf,
-    /// The drawing; its ending, `.svg` or `.png`, decides the format. By default the scene's name with `.svg`, here.
+    /// The drawing; its ending, `.svg` or `.png`, decides the format; PNG needs a build with the feature `png`. By default the
+    /// scene's name with `.svg`, here.
     #[arg(long)]
     out: Option<PathBuf>,
     /// What a partition is.
@@ -95,11 +96,22 @@ pub fn run(args: &Args) -> CommandResult {
     print(&format!("{}\n", out.display()))
 }
 
+#[cfg(feature = "png")]
+fn png(svg: &str, scale: f32) -> Result<Vec<u8>, Failure> {
+    roomcast_lab::png::png(svg, scale).map_err(|error| Failure::new(exit_code::FAILURE, error))
+}
+
+#[cfg(not(feature = "png"))]
+fn png(_svg: &str, _scale: f32) -> Result<Vec<u8>, Failure> {
+    let remedy = "this build draws no PNG: give a name that ends in .svg, which every browser shows, or build with --features png";
+    Err(Failure::new(exit_code::USAGE, remedy))
+}
+
 /// Writes a drawing as its file's ending says.
 pub(super) fn write_drawing(path: &Path, svg: String, scale: f32) -> CommandResult {
     let bytes = match path.extension().and_then(|ending| ending.to_str()) {
         Some("svg") => svg.into_bytes(),
-        Some("png") => drawing::png(&svg, scale).map_err(|error| Failure::new(exit_code::FAILURE, error))?,
+        Some("png") => png(&svg, scale)?,
         _ => {
             let shown = path.display();
             return Err(Failure::new(exit_code::USAGE, format!("{shown} ends neither in .svg nor in .png; rename it")));

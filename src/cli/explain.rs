@@ -61,7 +61,8 @@ pub struct Args {
     /// Explain the scores of this person alone. Without it, those of each person, one after the other.
     #[arg(long, value_name = "WHO")]
     person: Option<String>,
-    /// Also draw the plan with the heat of every room and item; the ending, `.svg` or `.png`, decides the format.
+    /// Also draw the plan with the heat of every room and item; the ending, `.svg` or `.png`, decides the format. PNG needs a
+    /// build with the feature `png`.
     #[arg(long, value_name = "FILE")]
     plan: Option<PathBuf>,
 }

@@ -83,7 +83,7 @@ pub fn run(args: &Args) -> CommandResult {
         }
     });
     let mut known = None;
-    let (mut persons_known, mut forecasts_known) = (None, None);
+    let (mut scores_known, mut persons_known, mut forecasts_known) = (None, None, None);
     let (started, mut flushed) = (Instant::now(), Instant::now());
     let mut malformed = 0;
     while !stop.requested() && args.seconds.is_none_or(|seconds| started.elapsed() < Duration::from_secs(seconds)) {
@@ -99,7 +99,14 @@ pub fn run(args: &Args) -> CommandResult {
         let received_unix_ns = clock::unix_ns();
         for message in &news {
             let repeated = match message {
-                Recorded::RoomScores(scores) => scores.has(score_flags::HEARTBEAT),
+                // Scores that claim more, because the journal has it now, or whose scorer has failed since, say something new.
+                Recorded::RoomScores(scores) => {
+                    let flags = scores.flags & !score_flags::HEARTBEAT;
+                    let said = Some((scores.epoch, scores.sequence, flags, scores.included().to_vec()));
+                    let same = said == scores_known;
+                    scores_known = said;
+                    same && scores.has(score_flags::HEARTBEAT)
+                }
                 Recorded::PersonScores(scores) => {
                     let name = Some((scores.epoch, scores.sequence));
                     std::mem::replace(&mut persons_known, name) == name

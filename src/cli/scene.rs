@@ -239,7 +239,17 @@ fn apply(args: &Apply) -> CommandResult {
         super::print_json(&answer)?;
     }
     let MapAnswer {
-        outcome, reason, map, rooms, items, outside, new_labels, prepared_anew, regrouped_in_ns, kept, ..
+        outcome,
+        reason,
+        map,
+        rooms,
+        items,
+        outside,
+        new_labels,
+        prepared_again,
+        regrouped_in_ns,
+        kept,
+        ..
     } = &answer;
     if *outcome != Outcome::Applied {
         let reason = reason.as_deref().unwrap_or("no reason given");
@@ -249,7 +259,7 @@ fn apply(args: &Apply) -> CommandResult {
         return Ok(());
     }
     let model = match new_labels {
-        0 if *prepared_anew => "the model was prepared for fewer labels".to_owned(),
+        0 if *prepared_again => "the model was prepared for fewer labels".to_owned(),
         0 => "the model was not touched".to_owned(),
         labels => format!("the model was prepared for {}", count(*labels, "new label")),
     };

@@ -27,7 +27,7 @@ pub struct Voice {
 
 impl Voice {
     /// Whoever spoke before a restart: nobody keeps places for it.
-    const EARLIER: Self = Self { number: 0, share: 1 };
+    pub const EARLIER: Self = Self { number: 0, share: 1 };
 
     /// Each source for itself, where nothing else is known of it.
     #[must_use]

@@ -4,7 +4,6 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use super::chart::escape;
-use crate::drawing::{self, DrawingError};
 
 /// A table of text.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -85,8 +84,9 @@ pub enum ReportError {
         source: std::io::Error,
     },
     /// A figure could not become a PNG.
+    #[cfg(feature = "png")]
     #[error(transparent)]
-    Drawing(#[from] DrawingError),
+    Png(#[from] crate::png::PngError),
 }
 
 impl Report {
@@ -123,7 +123,8 @@ impl Report {
         }
         for (name, svg) in &self.figures {
             put(&format!("{name}.svg"), svg.as_bytes())?;
-            put(&format!("{name}.png"), &drawing::png(svg, 2.0)?)?;
+            #[cfg(feature = "png")]
+            put(&format!("{name}.png"), &crate::png::png(svg, 2.0)?)?;
         }
         put("report.html", self.html().as_bytes())
     }
@@ -156,6 +157,8 @@ mod tests {
         report.write(&folder.path().join("out")).unwrap();
         let read = |name: &str| std::fs::read(folder.path().join("out").join(name)).unwrap();
         assert_eq!(read("numbers.csv"), b"name,value\n\"a, \"\"b\"\"\",<1>\n");
+        assert!(read("chart.svg").starts_with(b"<svg"));
+        #[cfg(feature = "png")]
         assert!(read("chart.png").starts_with(b"\x89PNG"));
         let html = String::from_utf8(read("report.html")).unwrap();
         assert!(html.contains("Numbers &amp; more") && html.contains("&lt;1&gt;") && html.contains("<svg"));

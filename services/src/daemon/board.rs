@@ -320,7 +320,7 @@ impl<M: LanguageModel> Board<M> {
                 continue;
             }
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
-            self.take(&mut observation, at_ns);
+            self.take(&mut observation, Voice::EARLIER, at_ns);
             let person = observation.person;
             self.pipeline.observe([observation]);
             self.follow();
@@ -360,7 +360,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Decides whom an observation is of, and takes note of it: also for the forecasts, where its time is known.
-    fn take(&mut self, observation: &mut Observation, at_ns: Option<i64>) {
+    fn take(&mut self, observation: &mut Observation, voice: Voice, at_ns: Option<i64>) {
         let noted_ns = at_ns.unwrap_or_default();
         match &observation.name {
             Some(name) => observation.person = self.persons.number_of(name),
@@ -378,7 +378,7 @@ impl<M: LanguageModel> Board<M> {
             self.persons.remove(observation.person);
             self.drop_person(observation.person);
         }
-        if let Some(dropped) = self.persons.note(observation, noted_ns) {
+        if let Some(dropped) = self.persons.note(observation, voice, noted_ns) {
             self.drop_person(dropped);
         }
         if !self.rescored.contains(&observation.person) {
@@ -640,7 +640,7 @@ impl<M: LanguageModel> Board<M> {
                 continue;
             }
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
-            self.take(&mut observation, at_ns.or(i64::try_from(received_ns).ok()));
+            self.take(&mut observation, voice, at_ns.or(i64::try_from(received_ns).ok()));
             self.pipeline.hear([(voice, observation)]);
         }
         if costly > 0 {

@@ -65,7 +65,7 @@ pub struct MapAnswer {
     /// Labels that the model did not know before.
     pub new_labels: usize,
     /// Whether the model was prepared for the map's labels again: where some are new, and, where scores are corrected, where some are gone.
-    pub prepared_anew: bool,
+    pub prepared_again: bool,
     /// How long it took to change, check and regroup the map, and to prepare the model, in nanoseconds.
     pub regrouped_in_ns: u64,
     /// Whether a restarted daemon will have the changed map: only with a state directory.
@@ -201,7 +201,7 @@ mod tests {
             items: 1,
             outside: 0,
             new_labels: 0,
-            prepared_anew: false,
+            prepared_again: false,
             regrouped_in_ns: 1,
             kept: false,
         };

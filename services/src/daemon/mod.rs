@@ -32,7 +32,7 @@ use crate::logging::Limiter;
 use crate::notify::notify;
 use crate::setup::{self, SetupError};
 use crate::stop::Stop;
-use roomcast_core::narration::{Observation, person_number, same_name};
+use roomcast_core::narration::Observation;
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_llama::affinity::{self, AffinityError};
@@ -842,13 +842,9 @@ fn answer_about_person<M: LanguageModel>(
 
 /// Forgets a person, also on the disk; gives what could not be forgotten there.
 fn forget<M: LanguageModel>(board: &mut Board<M>, journal: Option<&JournalHandle>, person: u32) -> Option<String> {
-    let names = board.persons().file().persons().to_vec();
-    let number = move |name: &str| {
-        let kept = names.iter().find(|kept| same_name(&kept.name, name));
-        kept.map_or_else(|| person_number(name), |kept| kept.number)
-    };
+    let names = board.persons().file().clone();
     let is_theirs = move |observation: &Observation| match &observation.name {
-        Some(name) => number(name) == person,
+        Some(name) => names.number_of(name) == person,
         None => observation.person == person,
     };
     board.forget(person);
@@ -896,7 +892,7 @@ fn answer_change<M: LanguageModel>(
         items: board.map().items().len(),
         outside: board.pipeline().grounding().unassigned().len(),
         new_labels: prepared.new_labels,
-        prepared_anew: prepared.anew,
+        prepared_again: prepared.again,
         regrouped_in_ns,
         kept,
     }

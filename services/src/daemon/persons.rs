@@ -4,7 +4,7 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
-use roomcast_core::narration::{Observation, PERSONS_MAX, Presence, Said, person_number, same_name};
+use roomcast_core::narration::{Observation, PERSONS_MAX, Presence, Said, Voice, same_name};
 use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
 
 use super::person_question::PersonLine;
@@ -33,6 +33,8 @@ pub(super) struct Known {
     pub(super) did_ns: i64,
     /// What was observed last: source, epoch, sequence.
     pub(super) last: (u64, u64, u64),
+    /// The number of the voice that told of them first.
+    voice: u64,
     /// It named nobody.
     by_fit: bool,
     /// The last thing mentioned is one to sleep on.
@@ -82,7 +84,7 @@ impl Persons {
     /// The number of a name: the one that the home gave it, or the one that follows from the name.
     #[must_use]
     pub fn number_of(&self, name: &str) -> u32 {
-        self.file.of_name(name).map_or_else(|| person_number(name), |kept| kept.number)
+        self.file.number_of(name)
     }
 
     /// A person's name; none where only a number is known.
@@ -106,10 +108,10 @@ impl Persons {
     }
 
     /// Takes in an observation of a person that was made at `at_ns`; gives who has to make room for them, if they are one too many.
-    pub(super) fn note(&mut self, observation: &Observation, at_ns: i64) -> Option<u32> {
+    pub(super) fn note(&mut self, observation: &Observation, voice: Voice, at_ns: i64) -> Option<u32> {
         let number = observation.person;
         let full = self.known.len() >= PERSONS_MAX && !self.known.contains_key(&number);
-        let dropped = if full { self.least_missed() } else { None };
+        let dropped = if full { self.least_missed(voice.number) } else { None };
         if let Some(dropped) = dropped {
             self.known.remove(&dropped);
         }
@@ -120,6 +122,7 @@ impl Persons {
             heard_ns: at_ns,
             did_ns: i64::MIN,
             last: (0, 0, 0),
+            voice: voice.number,
             by_fit: false,
             on_bed: false,
             restored: false,
@@ -148,9 +151,14 @@ impl Persons {
         (self.config.asleep_s * 1e9) as i64
     }
 
-    /// Who is dropped first: visitors before residents, of them who was silent for longest.
-    fn least_missed(&self) -> Option<u32> {
-        let rank = |(number, known): &(u32, &Known)| (!self.is_visitor(*number), known.heard_ns);
+    /// Who is dropped first, where `newcomer` tells of one more: visitors before residents, of them those of the voice that tells of most
+    /// persons, of these who was silent for longest. So a narrator that invents persons pushes out its own.
+    fn least_missed(&self, newcomer: u64) -> Option<u32> {
+        let told = |voice: u64| {
+            self.known.values().filter(|known| known.voice == voice).count() + usize::from(voice == newcomer)
+        };
+        let rank =
+            |(number, known): &(u32, &Known)| (!self.is_visitor(*number), Reverse(told(known.voice)), known.heard_ns);
         self.iter().min_by_key(rank).map(|(number, _)| number)
     }
 
@@ -316,7 +324,7 @@ pub(super) fn message_ns(at_ns: i64) -> u64 {
 #[cfg(test)]
 mod tests {
     use roomcast_core::grounding::{Grounding, GroundingOptions};
-    use roomcast_core::narration::{PresenceStatement, SOMEBODY, Sentence};
+    use roomcast_core::narration::{PresenceStatement, SOMEBODY, Sentence, person_number};
     use roomcast_core::pipeline::{Pipeline, PipelineOptions};
     use roomcast_core::scorer::table::TableModel;
     use roomcast_core::semantic_map::SemanticMap;
@@ -376,6 +384,20 @@ mod tests {
             self.board.step(entry, self.now_ns, 1_000_000 * S + self.now_ns).unwrap();
             let journal = &mut self.journal;
             self.board.tell_outcomes(|outcome| journal.extend(encode_outcome(outcome)));
+        }
+
+        /// Another narrator says something at once.
+        fn after_by(&mut self, source: u64, who: &str, text: &str) {
+            self.said += 1;
+            self.now_ns += S;
+            let observation = Observation {
+                name: Some(who.into()),
+                source,
+                epoch: 1,
+                observed_ns: self.now_ns,
+                ..Observation::of(self.said, Sentence::new(text).unwrap())
+            };
+            self.step(Some(Entry::new(observation, self.now_ns)));
         }
 
         /// Time passes, and then somebody says or does something.
@@ -585,6 +607,27 @@ mod tests {
         assert!([0, known.number_of("ada"), 3, PERSONS_MAX as u32].iter().all(|person| known.get(*person).is_some()));
         assert!(known.get(1).is_none() && known.get(2).is_none());
         assert_eq!(house.known(), PERSONS_MAX as u32);
+    }
+
+    /// Row "10 000 persons" of the attacks, in a home that names nobody who lives there.
+    #[test]
+    fn who_invents_persons_pushes_out_their_own() {
+        let mut house = House::new(&[]);
+        for who in ["0", "ada", "ben"] {
+            house.after(1, who, "They sit on the sofa.");
+        }
+        for invented in 0..1_000 {
+            house.after_by(666, &format!("person {invented}"), "They walk to the kitchen.");
+        }
+        let known = house.board.persons();
+        let here = |who: &str| known.get(who.parse().unwrap_or_else(|_| known.number_of(who))).is_some();
+        assert!(["0", "ada", "ben", "person 999"].iter().all(|who| here(who)));
+        assert!(!here("person 900"));
+        // A voice that knows few is heard with its next one too.
+        house.after(1, "carl", "They sit on the sofa.");
+        let known = house.board.persons();
+        assert!(["ada", "ben", "carl"].iter().all(|who| known.get(known.number_of(who)).is_some()));
+        assert_eq!(known.iter().count(), PERSONS_MAX);
     }
 
     /// Presence, attributions, windows and forecasts are after a restart what they were before it: nobody is surer of a silent person.

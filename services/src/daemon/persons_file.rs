@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::journal::sync_folder;
-use roomcast_core::narration::{SOMEBODY, same_name};
+use roomcast_core::narration::{SOMEBODY, person_number, same_name};
 use roomcast_ipc::NAME_BYTES;
 
 /// The file in the state directory.
@@ -27,7 +27,7 @@ pub struct KeptPerson {
 }
 
 /// The names that the home gave.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 pub struct PersonsFile {
     /// Without a state directory nothing outlives the daemon.
     path: Option<PathBuf>,
@@ -59,10 +59,11 @@ impl PersonsFile {
         &self.persons
     }
 
-    /// The person of a name.
+    /// The number of a name: the one that the home gave it, or the one that follows from the name.
     #[must_use]
-    pub fn of_name(&self, name: &str) -> Option<&KeptPerson> {
-        self.persons.iter().find(|kept| same_name(&kept.name, name))
+    pub fn number_of(&self, name: &str) -> u32 {
+        let kept = self.persons.iter().find(|kept| same_name(&kept.name, name));
+        kept.map_or_else(|| person_number(name), |kept| kept.number)
     }
 
     /// The person of a number.
@@ -159,8 +160,8 @@ mod tests {
         file.put(KeptPerson { name: "Ada L.".to_owned(), ..ada() }).unwrap();
         let again = PersonsFile::load(directory.path());
         assert_eq!(again.persons(), file.persons());
-        assert_eq!(again.of_name(" ada l. ").map(|kept| kept.number), Some(3));
-        assert!(again.of_name("ada").is_none());
+        assert_eq!(again.number_of(" ada l. "), 3);
+        assert_eq!(again.number_of("ada"), person_number("ada"));
         file.remove(3).unwrap();
         assert!(PersonsFile::load(directory.path()).of_number(3).is_none());
         // Where it cannot be written, nothing changes.

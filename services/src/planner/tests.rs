@@ -294,7 +294,7 @@ fn a_robot_that_is_always_free_decides_once_per_score() {
 }
 
 #[test]
-fn coverage_ends_or_begins_anew() {
+fn coverage_ends_or_begins_again() {
     for repeat in [false, true] {
         let mut planner = planner(PolicyName::UncoveredFirst, repeat);
         let mut visited = Vec::new();
