@@ -12,6 +12,7 @@ import pytest
 
 import samples
 from roomcast import (
+    Action,
     Decision,
     Domain,
     Forecast,
@@ -56,6 +57,25 @@ def test_a_decision_arrives(domain: Domain) -> None:
         planner.decide("hall", "a" * 1000)
         decision = decisions.next(timeout_s=1)
         assert decision is not None and (decision.from_room, decision.reason) == ("kitchen", "a" * 256)
+
+
+def test_a_decision_pauses_and_names_what_it_cancels(domain: Domain) -> None:
+    with Planner("py-planner", domain) as planner, Subscription(Decision, "watcher", domain) as decisions:
+        told = []
+        for decide in [
+            lambda: planner.decide("kitchen", "nobody is there"),
+            lambda: planner.pause("somebody comes in", cancels=planner.sequence),
+            lambda: planner.decide("kitchen", "they have left"),
+            lambda: planner.decide("kitchen", "nobody is there"),
+        ]:
+            decide()
+            decision = decisions.next(timeout_s=1)
+            assert decision is not None and decision.to_room == "kitchen"
+            told.append((decision.action, decision.cancels))
+        assert told == [(Action.GO, 0), (Action.PAUSE, 1), (Action.GO, 0), (Action.STAY, 0)]
+        for cancels in [5, -1]:
+            with pytest.raises(ValueError):
+                planner.pause("somebody comes in", cancels=cancels)
 
 
 def test_a_name_may_be_in_any_letters(domain: Domain) -> None:

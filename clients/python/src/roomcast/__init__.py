@@ -338,7 +338,7 @@ class Planner(_Participant):
         self.robot = source_of_name(name)
         self.epoch = secrets.randbits(64) | 1
         self.sequence = 0
-        self.room = ""
+        self.room, self._paused = "", False
         self._last: RoomScores | None = None
 
     def scores(self, timeout_s: float | None = None) -> Iterator[RoomScores]:
@@ -354,11 +354,21 @@ class Planner(_Participant):
                 self._last, last = scores, time.monotonic()
                 yield scores
 
-    def decide(self, room: str, reason: str, stay_s: float = 0) -> None:
-        """Publishes that the robot goes to `room`, or stays there."""
+    def decide(self, room: str, reason: str, stay_s: float = 0, cancels: int = 0) -> None:
+        """Publishes that the robot goes to `room`, or stays there. `cancels` is the sequence of a decision of this planner that ends before its time."""
+        stays = room == self.room and not self._paused
+        self._decide(Action.STAY if stays else Action.GO, room, reason, stay_s, cancels)
+
+    def pause(self, reason: str, cancels: int = 0) -> None:
+        """Publishes that the robot stops its work and waits where it disturbs nobody."""
+        self._decide(Action.PAUSE, self.room, reason, 0, cancels)
+
+    def _decide(self, action: Action, room: str, reason: str, stay_s: float, cancels: int) -> None:
         if not 0 <= stay_s <= 1e9:
             raise ValueError(f"stay_s is {stay_s}; give seconds from 0 to 1e9")
-        message = layouts.DecisionV1(robot=self.robot, epoch=self.epoch, sequence=self.sequence + 1, action=int(room != self.room))
+        if not 0 <= cancels <= self.sequence:
+            raise ValueError(f"cancels is {cancels}; give the sequence of an earlier decision, at most {self.sequence}, or 0 for none")
+        message = layouts.DecisionV1(robot=self.robot, epoch=self.epoch, sequence=self.sequence + 1, action=action, cancels=cancels)
         message.decided_ns, message.decided_unix_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME), time.time_ns()
         message.stay_ns = round(stay_s * 1e9)
         if self._last is not None:
@@ -372,7 +382,7 @@ class Planner(_Participant):
         layouts.write_text("reason", message.reason, layouts.cut(reason, layouts.REASON_BYTES))
         self._publisher.send(message)
         self.sequence += 1
-        self.room = room
+        self.room, self._paused = room, action == Action.PAUSE
 
     def __enter__(self) -> Planner:
         return self
