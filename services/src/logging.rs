@@ -1,7 +1,7 @@
 //! Logs: to the journal when systemd listens, else to standard error; filtered by `ROOMCAST_LOG` ([`FILTER_DEFAULT`] when unset).
 //!
 //! Standard error may be a pipe that nobody reads, or a file on a disk that is busy for seconds. So a thread of its own writes it, and
-//! lines that it cannot keep up with ([`LINES_MAX`] may wait) are lost: what is logged never holds up what acts.
+//! lines that it cannot keep up with (`LINES_MAX` may wait) are lost: what is logged never holds up what acts.
 
 use std::io::IsTerminal;
 
