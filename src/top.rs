@@ -235,16 +235,8 @@ impl View {
     pub fn draw(&self, frame: &mut Frame<'_>, now_ns: u64) {
         let area = frame.area();
         let room_rows = ((self.rooms.len().max(1) + self.persons.len()) as u16).saturating_add(2);
-        // Rooms take what they need, up to half of the screen; narration takes what is left.
-        let [head, rooms, lower, decision, health, keys] = Layout::vertical([
-            Constraint::Length(1),
-            Constraint::Length(room_rows.min(area.height / 2)),
-            Constraint::Min(3),
-            Constraint::Length(4),
-            Constraint::Length(4),
-            Constraint::Length(1),
-        ])
-        .areas(area);
+        let [head, rooms, lower, decision, health, keys] =
+            Layout::vertical(heights(area.height, room_rows).map(Constraint::Length)).areas(area);
         frame.render_widget(self.head(now_ns), head);
         self.draw_rooms(frame, rooms);
         let [narration, labels] =
@@ -382,6 +374,26 @@ impl View {
         };
         vec![Line::from(first), second]
     }
+}
+
+/// Rows of the head, rooms, narration, robot, health and keys on a screen of `height` rows, where rooms and persons want `room_rows`.
+///
+/// Rooms take what they need, up to half of the screen, but eight rows first; what does not fit whole is left out, the robot's panel last.
+/// Narration takes what is left, and without it the rooms.
+fn heights(height: u16, room_rows: u16) -> [u16; 6] {
+    const ROOMS_FIRST: u16 = 8;
+    let keys = u16::from(height > ROOMS_FIRST + 1);
+    let body = height.saturating_sub(1 + keys);
+    let mut rooms = room_rows.min(ROOMS_FIRST.max(height / 2)).min(body);
+    let mut left = body - rooms;
+    let mut panel = |rows: u16| {
+        let rows = if left >= rows { rows } else { 0 };
+        left -= rows;
+        rows
+    };
+    let (decision, mut lower, health) = (panel(4), panel(3), panel(4));
+    *(if lower > 0 { &mut lower } else { &mut rooms }) += left;
+    [1, rooms, lower, decision, health, keys]
 }
 
 /// Where a person is now, and how likely they are elsewhere later.
@@ -533,6 +545,25 @@ mod tests {
                 "q quits",
             ] {
                 assert!(text.contains(part), "{width} x {height} lacks {part:?}:\n{text}");
+            }
+        }
+    }
+
+    /// On the smallest screens the rooms stay, and everything has exactly the rows that there are.
+    #[test]
+    fn a_tiny_terminal_shows_the_rooms() {
+        let text = drawn(&full(), 40, 10, 1_100_000_000);
+        for part in ["kitchen", "living-room", "bathroom", "90.0 %", "q quits"] {
+            assert!(text.contains(part), "{part:?} is missing:\n{text}");
+        }
+        for height in 1..100 {
+            for room_rows in 3..70 {
+                let rows = heights(height, room_rows);
+                assert_eq!(rows.iter().sum::<u16>(), height, "{rows:?}");
+                assert!(
+                    rows[1] >= room_rows.min(8).min(height.saturating_sub(2)),
+                    "{rows:?} of {height}, {room_rows} wanted"
+                );
             }
         }
     }

@@ -420,7 +420,7 @@ impl World {
 
 /// All files of a domain.
 fn files_of(domain: &Domain) -> Vec<String> {
-    let prefix = format!("{}_", domain.name());
+    let prefix = domain.prefix();
     let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
     let mut files: Vec<String> =
         shared.filter(|name| name.starts_with(&prefix)).map(|name| format!("/dev/shm/{name}")).collect();

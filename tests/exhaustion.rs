@@ -246,7 +246,7 @@ fn another_user_can_neither_read_nor_publish() {
         assert!(!output.status.success() && said.contains("belongs to user 0"), "{arguments:?}: {said}");
     }
     // Not by going round the program either: no file of the domain opens, for reading or writing.
-    let prefix = format!("{}_", world.domain.name());
+    let prefix = world.domain.prefix();
     let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
     let shared: Vec<_> =
         shared.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(&prefix)).collect();

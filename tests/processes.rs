@@ -115,7 +115,7 @@ impl World {
     }
 
     fn shared_memory_files(&self) -> Vec<String> {
-        let prefix = format!("{}_", self.domain.name());
+        let prefix = self.domain.prefix();
         let names = std::fs::read_dir("/dev/shm").unwrap().map(|file| file.unwrap().file_name().into_string().unwrap());
         names.filter(|name| name.starts_with(&prefix)).collect()
     }

@@ -21,8 +21,8 @@ use crate::{IpcError, clock};
 /// The flavour of iceoryx2 used throughout: shared memory, and ports that may move between threads.
 pub(crate) type Flavour = ipc_threadsafe::Service;
 
-/// Most characters of a domain's name: with the rest of iceoryx2's file names it must fit a Unix socket's address.
-const NAME_LIMIT: usize = 24;
+/// Most characters of the prefix of file names: with the rest of iceoryx2's file names it must fit a Unix socket's address.
+const PREFIX_LIMIT: usize = 25;
 /// Most bytes of the root path, for the same reason.
 const ROOT_LIMIT: usize = 40;
 /// How long opening a service is retried: a peer that starts, stops or has just died is in the way for moments only.
@@ -47,10 +47,20 @@ const MADE_WITHIN: Duration = Duration::from_secs(2);
 /// How often a participant looks for shared memory that nobody will finish.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
 
+/// The user's number in hexadecimal digits.
+fn user() -> String {
+    format!("{:x}", geteuid().as_raw())
+}
+
+/// Most characters of a domain's name, for this user.
+fn name_limit() -> usize {
+    PREFIX_LIMIT - user().len() - 2
+}
+
 /// A private world of services: participants see one another when root path and name are equal, and nobody else.
 ///
 /// The root path holds sockets and service files and belongs to one user, mode 0700; shared memory lies in `/dev/shm` under
-/// the domain's name, mode 0600. That user id is the boundary: there are no access lists.
+/// the domain's name and the user's number, mode 0600. That user id is the boundary: there are no access lists.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Domain {
     root: PathBuf,
@@ -58,7 +68,8 @@ pub struct Domain {
 }
 
 impl Domain {
-    /// A domain at `root` (at most 40 bytes, absolute) named `name` (at most 24 of `a-z`, `0-9`, `-`).
+    /// A domain at `root` (at most 40 bytes, absolute) named `name` (of `a-z`, `0-9`, `-`: 15 for every user, up to 22 where
+    /// the user's number is short).
     ///
     /// # Errors
     ///
@@ -72,8 +83,8 @@ impl Domain {
             return Err(IpcError::BadRoot { path: root, problem });
         }
         let plain = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
-        if name.is_empty() || name.len() > NAME_LIMIT || !name.bytes().all(plain) {
-            return Err(IpcError::BadDomainName { name: name.to_owned(), limit: NAME_LIMIT });
+        if name.is_empty() || name.len() > name_limit() || !name.bytes().all(plain) {
+            return Err(IpcError::BadDomainName { name: name.to_owned(), limit: name_limit() });
         }
         Ok(Self { root, name: name.to_owned() })
     }
@@ -297,9 +308,11 @@ impl Domain {
         if listed.is_err() { alive.max(1) } else { alive }
     }
 
-    /// File names of iceoryx2 begin with the prefix. No domain's prefix begins another's: the name has no underscore.
-    fn prefix(&self) -> String {
-        format!("{}_", self.name)
+    /// What the names of all the domain's files begin with: its name and the user's number in hexadecimal digits, `roomcast-3e8_`. Users whose
+    /// domains have one name are not in each other's way. No domain's prefix begins another's, since a name has no underscore.
+    #[must_use]
+    pub fn prefix(&self) -> String {
+        format!("{}-{}_", self.name, user())
     }
 
     /// The domain's files in shared memory.
@@ -397,7 +410,7 @@ impl Domain {
         let root = iceoryx2::prelude::Path::new(self.root.as_os_str().as_encoded_bytes());
         let root = root.map_err(|error| self.bad_root(format!("iceoryx2 refuses it: {error:?}")))?;
         config.global.set_root_path(&root);
-        let bad_name = |_| IpcError::BadDomainName { name: self.name.clone(), limit: NAME_LIMIT };
+        let bad_name = |_| IpcError::BadDomainName { name: self.name.clone(), limit: name_limit() };
         config.global.prefix = FileName::new(self.prefix().as_bytes()).map_err(bad_name)?;
         Ok(config)
     }

@@ -83,7 +83,7 @@ fn start(role: &str, domain: &Domain) -> Child {
 /// Every file of the domain, but for iceoryx2's counter of participants, which stays until the domain is removed.
 fn files(domain: &Domain) -> Vec<PathBuf> {
     let mut files = Vec::new();
-    let prefix = format!("{}_", domain.name());
+    let prefix = domain.prefix();
     let mut folders = vec![domain.root().to_owned(), Path::new("/dev/shm").to_owned()];
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(&folder).into_iter().flatten().flatten() {

@@ -25,7 +25,7 @@ impl Private {
     }
 
     fn shared_memory_files(&self) -> usize {
-        let prefix = format!("{}_", self.domain.name());
+        let prefix = self.domain.prefix();
         let files = std::fs::read_dir("/dev/shm").unwrap();
         files.filter(|file| file.as_ref().unwrap().file_name().to_string_lossy().starts_with(&prefix)).count()
     }
@@ -365,7 +365,7 @@ fn what_belongs_to_the_living_is_left_alone_however_old() {
             files.push(path);
         }
     }
-    let prefix = format!("{}_", private.domain.name());
+    let prefix = private.domain.prefix();
     let shared = std::fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
     files.extend(shared.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(&prefix)));
     for path in &files {

@@ -313,12 +313,16 @@ fn reason(reason: &str) -> LineError {
     LineError::Json { reason: reason.to_owned() }
 }
 
-/// The parser saw one line only, and calls it the first.
 fn syntax_error(error: &serde_json::Error) -> LineError {
+    LineError::Json { reason: error_of_one_line(error) }
+}
+
+/// A parser's error about a text of one line, which it calls the first.
+pub(crate) fn error_of_one_line(error: &serde_json::Error) -> String {
     let said = error.to_string();
     let position = format!(" at line {} column {}", error.line(), error.column());
     let place = |said: &str| format!("{said} at column {}", error.column());
-    LineError::Json { reason: said.strip_suffix(&position).map_or_else(|| said.clone(), place) }
+    said.strip_suffix(&position).map_or_else(|| said.clone(), place)
 }
 
 fn kind_of(text: &str) -> Result<u32, ObservedError> {

@@ -3,6 +3,8 @@
 use roomcast_ipc::{Message, MessageError, RobotReportV1, report_flags, report_kind, sequence, text};
 use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
+use crate::line::error_of_one_line;
+
 /// Longest line of input, in bytes.
 pub const LINE_BYTES_MAX: u64 = 8192;
 
@@ -120,9 +122,12 @@ impl Report {
     pub fn parse(line: &str) -> Result<Self, ReporterError> {
         let mut json = serde_json::Deserializer::from_str(line);
         let json_error = |reason: String| ReporterError::Json { reason };
-        let report: Self =
-            serde_path_to_error::deserialize(&mut json).map_err(|error| json_error(error.to_string()))?;
-        json.end().map_err(|error| json_error(error.to_string()))?;
+        let report: Self = serde_path_to_error::deserialize(&mut json).map_err(|error| {
+            let said = error_of_one_line(error.inner());
+            // The path of what is no key's fault is a point.
+            json_error(if error.path().iter().next().is_some() { format!("{}: {said}", error.path()) } else { said })
+        })?;
+        json.end().map_err(|error| json_error(error_of_one_line(&error)))?;
         Ok(report)
     }
 }
@@ -215,7 +220,7 @@ mod tests {
             (r#"{"report": "docked", "battery": "full"}"#, "battery: invalid type"),
             (r#"{"report": "docked", "position": [1, 2]}"#, "position"),
             (r#"{"report": "docked"} {}"#, "trailing characters"),
-            ("finished", "expected"),
+            ("finished", "at column 2; expected"),
             (r#"{"report": "battery"}"#, "needs `battery`: give 0 (empty) to 1 (full)"),
             (r#"{"report": "position"}"#, "needs `position`"),
             (r#"{"report": "docked", "battery": 80}"#, "battery"),

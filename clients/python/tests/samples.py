@@ -31,7 +31,7 @@ def private_domain() -> Iterator[Domain]:
             yield Domain(root, name)
         finally:
             # What iceoryx2 keeps per prefix in shared memory.
-            for left in pathlib.Path("/dev/shm").glob(f"{name}_*"):
+            for left in pathlib.Path("/dev/shm").glob(f"{name}-*"):
                 left.unlink(missing_ok=True)
 
 

@@ -27,7 +27,7 @@ def folder() -> Iterator[pathlib.Path]:
 
 @pytest.mark.parametrize("name", ["", "Room", "a_b", "a/b", "a*", "a very long name that does not fit", "küche"])
 def test_a_name_that_cannot_be_part_of_a_file_name_is_refused(name: str) -> None:
-    with pytest.raises(RoomcastError, match=r"domain name .*: use 1 to 24 characters of a-z, 0-9 and '-'"):
+    with pytest.raises(RoomcastError, match=r"domain name .*: use 1 to [0-9]+ characters of a-z, 0-9 and '-'"):
         Domain("/tmp/roomcast-x", name)
 
 
@@ -41,7 +41,7 @@ def refused(root: pathlib.Path, words: str) -> None:
     with pytest.raises(RoomcastError, match=words) as error:
         Domain(str(root), "x").open("test")
     assert str(root) in str(error.value)
-    assert not list(pathlib.Path("/dev/shm").glob("x_*")), "it joined all the same"
+    assert not list(pathlib.Path("/dev/shm").glob("x-*")), "it joined all the same"
 
 
 @pytest.mark.parametrize("end", ["", "/"])
@@ -89,7 +89,7 @@ def test_what_another_user_put_in_shared_memory_is_refused() -> None:
     if os.geteuid() != 0:
         pytest.skip("SKIPPED: only root can make another user's file")
     with private_domain() as domain:
-        planted = pathlib.Path(f"/dev/shm/{domain.name}_planted")
+        planted = pathlib.Path(f"/dev/shm/{domain.prefix}planted")
         planted.touch()
         os.chown(planted, NOBODY, NOBODY)
         with pytest.raises(RoomcastError, match=f"{planted} belongs to user {NOBODY}.*use another domain name"):
@@ -98,7 +98,7 @@ def test_what_another_user_put_in_shared_memory_is_refused() -> None:
 
 def test_nothing_in_shared_memory_is_open_to_others() -> None:
     with private_domain() as domain, Planner("planner", domain):
-        files = list(pathlib.Path("/dev/shm").glob(f"{domain.name}_*"))
+        files = list(pathlib.Path("/dev/shm").glob(f"{domain.prefix}*"))
         assert files and not [file for file in files if file.stat().st_mode & 0o077]
 
 

@@ -24,7 +24,8 @@ _MAX_NODES = 32
 # Places for notifiers of killed processes, as in the Rust crate.
 _LEFT_BEHIND = 64
 # The name with the rest of iceoryx2's file names, and the root path, must fit a Unix socket's address.
-_NAME_LIMIT = 24
+#: Of the names of all files of a domain: with the rest they must fit a Unix socket's address.
+_PREFIX_LIMIT = 25
 _ROOT_LIMIT = 40
 _SHARED_MEMORY = pathlib.Path("/dev/shm")
 # More than the largest port takes. iceoryx2 maps its memory before it is there, and whoever touches what is not ends by SIGBUS.
@@ -72,8 +73,8 @@ class NoAnswerError(RoomcastError):
 class Domain:
     """A private world of services: participants with the same root directory and name see one another, and nobody else.
 
-    The root (at most 40 bytes, absolute) belongs to one user, and nobody else may write there. The name has 1 to 24 characters of
-    a-z, 0-9 and '-'. RoomcastError says what is wrong with either.
+    The root (at most 40 bytes, absolute) belongs to one user, and nobody else may write there. The name has characters of a-z,
+    0-9 and '-': 15 for every user, up to 22 where the user's number is short. RoomcastError says what is wrong with either.
     """
 
     root: str
@@ -83,8 +84,9 @@ class Domain:
         if not os.path.isabs(self.root) or len(os.fsencode(self.root)) > _ROOT_LIMIT:
             raise self._bad_root(f"give an absolute path of at most {_ROOT_LIMIT} bytes (a Unix socket's address must hold it)")
         plain = all(character in "abcdefghijklmnopqrstuvwxyz0123456789-" for character in self.name)
-        if not plain or not 1 <= len(self.name) <= _NAME_LIMIT:
-            raise RoomcastError(f"domain name {self.name!r}: use 1 to {_NAME_LIMIT} characters of a-z, 0-9 and '-'")
+        most = _PREFIX_LIMIT - len(f"-{os.geteuid():x}_")
+        if not plain or not 1 <= len(self.name) <= most:
+            raise RoomcastError(f"domain name {self.name!r}: use 1 to {most} characters of a-z, 0-9 and '-'")
 
     @staticmethod
     def default_for_user() -> Domain:
@@ -94,6 +96,11 @@ class Domain:
         if not os.path.isabs(root) or len(os.fsencode(root)) > _ROOT_LIMIT:
             root = f"/tmp/roomcast-{os.geteuid()}"
         return Domain(root)
+
+    @property
+    def prefix(self) -> str:
+        """What the names of all its files begin with: no domain's begins another's, of another name or of another user."""
+        return f"{self.name}-{os.geteuid():x}_"
 
     def open(self, participant: str) -> Node:
         """Joins under a name for people (at most 100 characters); the root directory is made if it is missing."""
@@ -106,7 +113,7 @@ class Domain:
         try:
             config = iox2.config.default()
             config.global_cfg.root_path = iox2.Path.new(self.root)
-            config.global_cfg.prefix = iox2.FileName.new(f"{self.name}_")
+            config.global_cfg.prefix = iox2.FileName.new(self.prefix)
             builder = iox2.NodeBuilder.new().name(iox2.NodeName.new(shown)).config(config)
             # Ctrl-C stays Python's.
             node = builder.signal_handling_mode(iox2.SignalHandlingMode.Disabled).create(iox2.ServiceType.Ipc)
@@ -161,8 +168,8 @@ class Domain:
             raise self._bad_root(f"others may write there (mode {stat.S_IMODE(about.st_mode):o}); chmod go-w it")
 
     def _shared_memory(self) -> list[pathlib.Path]:
-        """The domain's files in shared memory; no domain's prefix begins another's, since a name has no underscore."""
-        return list(_SHARED_MEMORY.glob(f"{self.name}_*"))
+        """The domain's files in shared memory."""
+        return list(_SHARED_MEMORY.glob(f"{self.prefix}*"))
 
     def _refuse_foreign_shared_memory(self) -> None:
         """Anybody may make files in /dev/shm. One of this domain's name that is somebody else's could be read and written by them."""
