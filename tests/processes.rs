@@ -485,6 +485,16 @@ fn own_memory_kib(process: u32) -> u64 {
     private.map(|line| line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap()).sum()
 }
 
+/// `top --json --snapshots 1` waited in silence where there was no daemon.
+#[test]
+fn whoever_wants_one_snapshot_and_has_no_daemon_is_told() {
+    let world = World::new("silent");
+    let output = world.command(&["top", "--json", "--snapshots", "1"]).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), output.stdout.len()), (Some(6), 0), "{said}");
+    assert!(said.contains("no daemon is heard in the domain") && said.contains("start `roomcast daemon`"), "{said}");
+}
+
 /// A planner that runs beside its daemon shares the program's pages with it.
 #[test]
 fn an_idle_daemon_and_planner_wake_seldom_and_a_planner_is_small() {

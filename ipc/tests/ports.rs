@@ -298,30 +298,30 @@ fn cleaning_up_spares_what_is_not_the_domains() {
 #[test]
 fn what_killed_participants_left_half_made_is_cleaned_up_and_keeps_nobody_out() {
     let private = Private::new("half-made");
-    let (root, name) = (private.domain.root().to_owned(), private.domain.name().to_owned());
+    let (root, prefix) = (private.domain.root().to_owned(), private.domain.prefix());
     let node = private.domain.open("test").unwrap();
     let scores = node.publisher::<RoomScoresV1>().unwrap();
     // A participant without a monitor, one without details, and a service that was never finished, all a minute old.
     let nodes = root.join("nodes");
     let (joining, cleaned) = (nodes.join("1234567"), nodes.join("7654321"));
-    let monitor = nodes.join(format!("{name}_7654321.node_monitor"));
-    let service = root.join("services").join(format!("{name}_{}.service", "0".repeat(40)));
+    let monitor = nodes.join(format!("{prefix}7654321.node_monitor"));
+    let service = root.join("services").join(format!("{prefix}{}.service", "0".repeat(40)));
     std::fs::create_dir(&joining).unwrap();
-    std::fs::write(joining.join(format!("{name}_node.details")), "").unwrap();
+    std::fs::write(joining.join(format!("{prefix}node.details")), "").unwrap();
     std::fs::create_dir(&cleaned).unwrap();
     std::fs::write(&monitor, "").unwrap();
     std::fs::write(&service, "").unwrap();
     // A participant whose monitor was still being made: nobody may read its files yet.
     let starting = nodes.join("5555555");
     std::fs::create_dir(&starting).unwrap();
-    std::fs::write(starting.join(format!("{name}_node.details")), "").unwrap();
+    std::fs::write(starting.join(format!("{prefix}node.details")), "").unwrap();
     let unreadable = ["node_monitor", "node_monitor_owner_lock", "node_monitor_context"]
-        .map(|kind| nodes.join(format!("{name}_5555555.{kind}")));
+        .map(|kind| nodes.join(format!("{prefix}5555555.{kind}")));
     for file in &unreadable {
         std::fs::write(file, "").unwrap();
     }
     // And what a port left whose participant (of process 4321) is gone altogether.
-    let orphan = format!("/dev/shm/{name}_{}_{}.event_mgmt", "0".repeat(40), (7_u128 << 96) + (4321 << 64));
+    let orphan = format!("/dev/shm/{prefix}{}_{}.event_mgmt", "0".repeat(40), (7_u128 << 96) + (4321 << 64));
     let orphan = std::path::PathBuf::from(orphan);
     std::fs::write(&orphan, "what ports have").unwrap();
     let made = [&joining, &cleaned, &monitor, &service, &orphan, &starting].into_iter().chain(&unreadable);

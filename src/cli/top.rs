@@ -1,7 +1,7 @@
 //! `roomcast top`: a live view of a running system. It may join and leave at any time.
 
 use std::io::IsTerminal;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
 use roomcast_ipc::{
@@ -24,7 +24,7 @@ pub struct Args {
     /// Print each new snapshot as a line of JSON instead of drawing; also where standard output is no terminal.
     #[arg(long)]
     json: bool,
-    /// Leave after so many snapshots.
+    /// Leave after so many snapshots, or with exit code 6 when no daemon is heard for 10 seconds.
     #[arg(long, value_name = "N", value_parser = ranges::any())]
     snapshots: Option<u64>,
 }
@@ -33,6 +33,8 @@ pub struct Args {
 const STATUS_NS: u64 = 1_000_000_000;
 /// How long it may take to answer before the view goes on without.
 const STATUS_TIMEOUT: Duration = Duration::from_millis(50);
+/// How long lines of JSON wait for the first snapshot before they say so. A daemon that lives repeats its scores much more often.
+const FIRST: Duration = Duration::from_secs(10);
 /// How often the screen is drawn again when no key is pressed.
 const FRAME: Duration = Duration::from_millis(100);
 
@@ -141,15 +143,30 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
 }
 
 /// One line of JSON per snapshot, heartbeats left out.
+///
+/// Whoever wants some snapshots gets an error where there is no daemon; whoever follows it for good is told, and waits.
 fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>) -> CommandResult {
     let node = domain.open("roomcast-top").map_err(ipc)?;
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
     let others = Others::open(&node).map_err(ipc)?;
     let mut taken = None;
     let mut count = 0;
+    let mut silent_from = Some(Instant::now());
     while !stop.requested() && limit.is_none_or(|limit| count < limit) {
         scores.wait(Duration::from_millis(250)).map_err(ipc)?;
-        let Some(snapshot) = scores.newest().map_err(ipc)? else { continue };
+        let Some(snapshot) = scores.newest().map_err(ipc)? else {
+            if silent_from.is_some_and(|from| from.elapsed() >= FIRST) {
+                let place = service::shown(domain);
+                let told = format!("no daemon is heard in {place} for {} s: start `roomcast daemon`", FIRST.as_secs());
+                if limit.is_some() {
+                    return Err(Failure::new(exit_code::IPC, told));
+                }
+                eprintln!("roomcast: {told}; this waits for it");
+                silent_from = None;
+            }
+            continue;
+        };
+        silent_from = limit.map(|_| Instant::now());
         if taken == Some((snapshot.epoch, snapshot.sequence)) {
             continue;
         }
