@@ -1,6 +1,8 @@
 //! The configuration: one TOML file, the same for daemon, planner and narrator. `default.toml` beside this file is the
 //! manual: every key with its default, its limits and what it costs.
 
+use std::fmt;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use roomcast_ipc::{Domain, IpcError, NAME_BYTES};
@@ -11,7 +13,7 @@ use roomcast_core::grounding::GroundingOptions;
 use roomcast_core::narration::history::{HistoryLimits, OBSERVATIONS_MAX};
 use roomcast_core::narration::same_name;
 use roomcast_core::pipeline::PipelineOptions;
-use roomcast_core::prompt::BindingSequence;
+use roomcast_core::prompt::{BINDING_BYTES_MAX, BindingSequence};
 use roomcast_core::scorer::certified::Effort;
 use roomcast_core::scorer::correction::{Continuation, PRIOR_WEIGHTS};
 use roomcast_core::scorer::{Method, Tokenisation};
@@ -72,7 +74,7 @@ pub enum ConfigError {
         /// What it holds.
         value: String,
         /// What it may hold.
-        remedy: &'static str,
+        remedy: String,
     },
     /// The section `[ipc]` names no domain.
     #[error("the configuration's section [ipc] cannot be used: {0}")]
@@ -92,8 +94,17 @@ struct Limit {
     key: &'static str,
     value: String,
     holds: bool,
-    remedy: &'static str,
+    remedy: String,
 }
+
+/// The row of a value within a range.
+fn within<T: PartialOrd + fmt::Display>(key: &'static str, value: T, range: RangeInclusive<T>) -> Limit {
+    let remedy = format!("give {} to {}", range.start(), range.end());
+    Limit { key, holds: range.contains(&value), value: value.to_string(), remedy }
+}
+
+/// Most seconds that a key may hold.
+const SECONDS_MAX: f64 = 1e9;
 
 /// All of the configuration; every section and key may be left out.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -275,8 +286,12 @@ impl Config {
     /// Every limit, and whether it holds.
     fn limits(&self) -> Vec<Limit> {
         let Self { model, scoring, history, daemon, persons, forecast, planner, metrics, narrator, .. } = self;
-        let row =
-            |key, value: &dyn std::fmt::Display, holds, remedy| Limit { key, value: value.to_string(), holds, remedy };
+        let row = |key, value: &dyn fmt::Display, holds, remedy: &str| Limit {
+            key,
+            value: value.to_string(),
+            holds,
+            remedy: remedy.to_owned(),
+        };
         let is_name = |name: &str| {
             !name.trim().is_empty() && name.len() <= NAME_BYTES && !name.contains(roomcast_core::text::is_hidden)
         };
@@ -304,61 +319,59 @@ impl Config {
         let (robot, name) = (format!("{:?}", planner.robot), format!("{:?}", narrator.name));
         let listen = metrics.listen.map(|address| address.to_string()).unwrap_or_default();
         let on_loopback = metrics.listen.is_none_or(|address| address.ip().is_loopback());
-        let seconds = 0.0..=1e9;
+        let seconds = 0.0..=SECONDS_MAX;
         let round_s = planner.round_s.unwrap_or_default();
-        const NAME: &str = "give 1 to 48 bytes of text without control characters";
-        let means = 1e-3..=1e9;
-        const MEAN: &str = "give 0.001 to 1000000000";
-        const SECONDS: &str = "give 0 to 1000000000";
+        let plain = format!("1 to {NAME_BYTES} bytes of text without control characters");
+        let means = 1e-3..=SECONDS_MAX;
         let (low, ready) = (planner.battery_low, planner.battery_ready);
         let (resume, interrupt) = (planner.resume_at, planner.interrupt_at);
         #[rustfmt::skip]
         let limits = vec![
-            row("model.threads", &model.threads, model.threads <= THREADS_MAX, "give 0 (automatic) to 256"),
-            row("model.context_tokens", &model.context_tokens, (64..=1 << 20).contains(&model.context_tokens), "give 64 to 1048576"),
-            row("model.sequences", &model.sequences, (1..=SEQUENCES_MAX).contains(&model.sequences), "give 1 to 256, llama.cpp's limit"),
+            row("model.threads", &model.threads, model.threads <= THREADS_MAX, &format!("give 0 (automatic) to {THREADS_MAX}")),
+            within("model.context_tokens", model.context_tokens, 64..=1 << 20),
+            within("model.sequences", model.sequences, 1..=SEQUENCES_MAX),
             row("model.cores", &cores, each_core_once, "name each core once"),
             row("model.sha256", &sum, model.sha256.as_ref().is_none_or(is_sum), "give 64 hexadecimal digits, as sha256sum prints them"),
-            row("history.observations", &history.observations, (1..=OBSERVATIONS_MAX).contains(&history.observations), "give 1 to 1000"),
-            row("history.slack", &history.slack, history.slack <= 1000, "give 0 to 1000"),
+            within("history.observations", history.observations, 1..=OBSERVATIONS_MAX),
+            within("history.slack", history.slack, 0..=OBSERVATIONS_MAX),
             row("history.tokens", &history.tokens, history.tokens >= 16, "give 16 or more"),
-            row("history.gap_s", &history.gap_s, history.gap_s <= 1_000_000_000, "give 0 (no limit) to 1000000000"),
-            row("scoring.deadline_ms", &scoring.deadline_ms, (1..=DEADLINE_MS_MAX).contains(&scoring.deadline_ms), "give 1 to 60000"),
-            row("scoring.prior", &prior, PRIOR_WEIGHTS.contains(&prior), "give 0 to 1"),
+            row("history.gap_s", &history.gap_s, history.gap_s as f64 <= SECONDS_MAX, &format!("give 0 (no limit) to {SECONDS_MAX}")),
+            within("scoring.deadline_ms", scoring.deadline_ms, 1..=DEADLINE_MS_MAX),
+            within("scoring.prior", prior, PRIOR_WEIGHTS),
             row("scoring.effort", &effort, scoring.method.allows(effort), "give \"exact\", or scoring.method = \"trie\", which alone can end early"),
             row("daemon.state", &"empty", daemon.state.as_ref().is_none_or(is_free), "give a directory, or leave the key out for no journal"),
-            row("daemon.journal_bytes", &daemon.journal_bytes, daemon.journal_bytes >= JOURNAL_BYTES_MIN, "give 8192 or more"),
-            row("daemon.heartbeat_ms", &daemon.heartbeat_ms, (10..=60_000).contains(&daemon.heartbeat_ms), "give 10 to 60000"),
+            row("daemon.journal_bytes", &daemon.journal_bytes, daemon.journal_bytes >= JOURNAL_BYTES_MIN, &format!("give {JOURNAL_BYTES_MIN} or more")),
+            within("daemon.heartbeat_ms", daemon.heartbeat_ms, 10..=60_000),
             row("daemon.hang_s", &daemon.hang_s, daemon.hang_s >= 1, "give 1 or more"),
             row("daemon.intake.rate_per_s", &rate_per_s, is_rate(rate_per_s), "give 0 (no limit) or more"),
             row("daemon.intake.burst", &burst, burst >= 1.0 && burst.is_finite(), "give 1 or more"),
-            row("daemon.narrator.name", &names, known.len() <= KNOWN_NARRATORS_MAX && each_narrator_once, "give at most 64 names, each once, of 1 to 48 bytes without control characters"),
+            row("daemon.narrator.name", &names, known.len() <= KNOWN_NARRATORS_MAX && each_narrator_once, &format!("give at most {KNOWN_NARRATORS_MAX} names, each once, of {plain}")),
             row("daemon.narrator.trust", &trust, known.iter().all(|known| (1..=100).contains(&known.trust)), "give 1 to 100"),
             row("daemon.narrator.share", &share, known.iter().all(|known| (1..=100).contains(&known.share)), "give 1 to 100"),
             row("daemon.narrator.rate_per_s", &rates, known.iter().all(|known| known.rate_per_s.is_none_or(is_rate)), "give 0 (no limit) or more"),
-            row("persons.residents", &residents, persons.residents.iter().all(|name| is_name(name)) && each_name_once, "give each name or number once, 1 to 48 bytes of text without control characters"),
-            row("persons.visitor_s", &persons.visitor_s, (1.0..=1e9).contains(&persons.visitor_s), "give 1 to 1000000000"),
-            row("persons.asleep_s", &persons.asleep_s, (0.0..=1e9).contains(&persons.asleep_s), SECONDS),
-            row("forecast.object_s", &forecast.object_s, means.contains(&forecast.object_s), MEAN),
-            row("forecast.stay_s", &forecast.stay_s, means.contains(&forecast.stay_s), MEAN),
-            row("forecast.away_s", &forecast.away_s, means.contains(&forecast.away_s), MEAN),
-            row("forecast.action_s", &forecast.action_s, means.contains(&forecast.action_s), MEAN),
-            row("forecast.strength", &forecast.strength, (0.001..=1e6).contains(&forecast.strength), "give 0.001 to 1000000"),
-            row("forecast.misplaced", &forecast.misplaced, (1e-6..=1.0).contains(&forecast.misplaced), "give 0.000001 to 1"),
-            row("forecast.mistaken", &forecast.mistaken, (1e-6..=1.0).contains(&forecast.mistaken), "give 0.000001 to 1"),
-            row("planner.robot", &robot, is_name(&planner.robot), NAME),
-            row("narrator.name", &name, is_name(&narrator.name), NAME),
-            row("planner.room_time_s", &planner.room_time_s, seconds.contains(&planner.room_time_s), SECONDS),
-            row("planner.round_s", &round_s, planner.round_s.is_none_or(|round_s| (planner.room_time_s.max(f64::MIN_POSITIVE)..=1e9).contains(&round_s)), "give planner.room_time_s to 1000000000, or leave the key out"),
+            row("persons.residents", &residents, persons.residents.iter().all(|name| is_name(name)) && each_name_once, &format!("give each name or number once, {plain}")),
+            within("persons.visitor_s", persons.visitor_s, 1.0..=SECONDS_MAX),
+            within("persons.asleep_s", persons.asleep_s, seconds.clone()),
+            within("forecast.object_s", forecast.object_s, means.clone()),
+            within("forecast.stay_s", forecast.stay_s, means.clone()),
+            within("forecast.away_s", forecast.away_s, means.clone()),
+            within("forecast.action_s", forecast.action_s, means.clone()),
+            within("forecast.strength", forecast.strength, 0.001..=1e6),
+            within("forecast.misplaced", forecast.misplaced, 1e-6..=1.0),
+            within("forecast.mistaken", forecast.mistaken, 1e-6..=1.0),
+            row("planner.robot", &robot, is_name(&planner.robot), &format!("give {plain}")),
+            row("narrator.name", &name, is_name(&narrator.name), &format!("give {plain}")),
+            within("planner.room_time_s", planner.room_time_s, seconds.clone()),
+            row("planner.round_s", &round_s, planner.round_s.is_none_or(|round_s| (planner.room_time_s.max(f64::MIN_POSITIVE)..=SECONDS_MAX).contains(&round_s)), &format!("give planner.room_time_s to {SECONDS_MAX}, or leave the key out")),
             row("planner.deadline_ms", &planner.deadline_ms, planner.deadline_ms > daemon.heartbeat_ms, "give more than daemon.heartbeat_ms, or every score is stale before it is confirmed"),
             row("planner.interrupt_at", &interrupt, interrupt > 0.0 && interrupt <= 1.0, "give more than 0, at most 1"),
-            row("planner.interrupt_after_s", &planner.interrupt_after_s, seconds.contains(&planner.interrupt_after_s), SECONDS),
+            within("planner.interrupt_after_s", planner.interrupt_after_s, seconds.clone()),
             row("planner.resume_at", &resume, (0.0..interrupt).contains(&resume), "give 0 or more, less than planner.interrupt_at"),
-            row("planner.report_timeout_s", &planner.report_timeout_s, planner.report_timeout_s >= 1.0 && seconds.contains(&planner.report_timeout_s), "give 1 to 1000000000"),
-            row("planner.battery_low", &low, (0.0..=1.0).contains(&low), "give 0 to 1"),
+            within("planner.report_timeout_s", planner.report_timeout_s, 1.0..=SECONDS_MAX),
+            within("planner.battery_low", low, 0.0..=1.0),
             row("planner.battery_ready", &ready, (low..=1.0).contains(&ready), "give planner.battery_low to 1"),
             row("metrics.listen", &listen, on_loopback, "give a loopback address, 127.0.0.1:PORT or [::1]:PORT: whoever else wants to see metrics needs a proxy"),
-            row("narrator.linger_s", &narrator.linger_s, seconds.contains(&narrator.linger_s), SECONDS),
+            within("narrator.linger_s", narrator.linger_s, seconds),
         ];
         limits
     }
@@ -371,7 +384,9 @@ impl Config {
         self.scoring.binding.parse().map_err(|_| ConfigError::Value {
             key: "scoring.binding",
             value: format!("{:?}", self.scoring.binding),
-            remedy: "give a built-in name (default, p0 to p5) or at most 1024 bytes of text without control characters",
+            remedy: format!(
+                "give a built-in name (default, p0 to p5) or at most {BINDING_BYTES_MAX} bytes of text without control characters"
+            ),
         })
     }
 }

@@ -31,6 +31,8 @@ pub struct KeptPerson {
 pub struct PersonsFile {
     /// Without a state directory nothing outlives the daemon.
     path: Option<PathBuf>,
+    /// What somebody wrote there cannot be used, and must not be lost.
+    malformed: bool,
     persons: Vec<KeptPerson>,
 }
 
@@ -39,8 +41,10 @@ impl PersonsFile {
     #[must_use]
     pub fn load(directory: &Path) -> Self {
         let path = directory.join(FILE);
+        let mut malformed = false;
         let persons = match std::fs::read_to_string(&path) {
             Ok(text) => parse(&text).unwrap_or_else(|reason| {
+                malformed = true;
                 tracing::warn!(reason, path = %path.display(), "the persons file is malformed; names mean what they mean without it");
                 Vec::new()
             }),
@@ -50,7 +54,7 @@ impl PersonsFile {
                 Vec::new()
             }
         };
-        Self { path: Some(path), persons }
+        Self { path: Some(path), malformed, persons }
     }
 
     /// Everybody whom the home gave a name.
@@ -99,6 +103,11 @@ impl PersonsFile {
     }
 
     fn replace(&mut self, persons: Vec<KeptPerson>) -> std::io::Result<()> {
+        if self.malformed {
+            return Err(std::io::Error::other(
+                "it was malformed at the start; repair or remove it, and start the daemon again",
+            ));
+        }
         if let Some(path) = &self.path {
             let mut file = tempfile::NamedTempFile::new_in(path.parent().unwrap_or(Path::new(".")))?;
             file.write_all(serde_json::to_string_pretty(&persons)?.as_bytes())?;
@@ -182,7 +191,11 @@ mod tests {
             "{",
         ] {
             std::fs::write(directory.path().join(FILE), text).unwrap();
-            assert!(PersonsFile::load(directory.path()).persons().is_empty(), "{text}");
+            let mut file = PersonsFile::load(directory.path());
+            assert!(file.persons().is_empty(), "{text}");
+            // What somebody wrote by hand is theirs to repair.
+            assert!(file.put(ada()).unwrap_err().to_string().contains("repair or remove it"));
+            assert_eq!(std::fs::read_to_string(directory.path().join(FILE)).unwrap(), text);
         }
     }
 }
