@@ -18,10 +18,11 @@ import samples
 from roomcast import Domain, ItemScoresSubscription, layouts, ports
 
 EXAMPLES = pathlib.Path(__file__).parent.parent / "examples"
-# Runs a file in a domain that is not the user's default one.
+# Runs a file in a domain that is not the user's default one. What runs in the background of a shell has Ctrl-C ignored, and passes that on.
 IN_DOMAIN = """
-import runpy, sys
+import runpy, signal, sys
 import roomcast
+signal.signal(signal.SIGINT, signal.default_int_handler)
 domain = roomcast.Domain(*sys.argv[1:3])
 roomcast.Domain.default_for_user = staticmethod(lambda: domain)
 runpy.run_path(sys.argv[3])
