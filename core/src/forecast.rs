@@ -305,6 +305,12 @@ pub struct Mentions {
     words: Vec<(usize, usize)>,
 }
 
+/// Words that stand before a thing.
+const ANNOUNCES: [&str; 20] = [
+    "the", "a", "an", "some", "this", "that", "their", "his", "her", "its", "my", "our", "your", "to", "into", "in",
+    "at", "on", "onto", "from",
+];
+
 impl Mentions {
     /// The names that `map` knows ([`SemanticMap::find_label`], [`SemanticMap::find_room`]); `grounding` must be of the same map.
     #[must_use]
@@ -332,7 +338,8 @@ impl Mentions {
     }
 
     /// The last thing mentioned ("They put the plate on the *table*"), as an index of
-    /// [`Grounding::scored_labels`]: the longest run of up to four words after an article that names a label or a room.
+    /// [`Grounding::scored_labels`]: the longest run of up to four words that names a label or a room, after an article, a possessive or a
+    /// preposition of place ("They go to *bed*"). A sentence without any says its thing last ("They watch *television*").
     #[must_use]
     pub fn last(&mut self, sentence: &str) -> Option<usize> {
         const WORDS_MAX: usize = 4;
@@ -350,15 +357,19 @@ impl Mentions {
         self.plain.clear();
         self.plain.extend(self.lower.chars().map(|c| if c == '-' { ' ' } else { c }));
         let words = &self.words;
-        let article =
-            |&(start, end): &(usize, usize)| matches!(&self.lower[start..end], "the" | "a" | "an" | "their" | "some");
+        let announces = |&(start, end): &(usize, usize)| ANNOUNCES.contains(&&self.lower[start..end]);
         let label = |start: usize, end: usize| {
             let plain = || self.label_of_name.get(self.plain[start..end].trim());
             self.label_of_name.get(&self.lower[start..end]).or_else(plain).copied()
         };
-        (1..words.len()).rev().filter(|at| article(&words[at - 1])).find_map(|at| {
+        let named = |at: usize| {
             (1..=WORDS_MAX.min(words.len() - at)).rev().find_map(|length| label(words[at].0, words[at + length - 1].1))
-        })
+        };
+        if words.iter().any(announces) {
+            return (1..words.len()).rev().filter(|at| announces(&words[at - 1])).find_map(named);
+        }
+        // The first two words are who does what.
+        (2..words.len()).rev().find_map(named)
     }
 }
 
@@ -485,7 +496,14 @@ mod tests {
         assert_eq!(text("They walk to the couch."), Some("sofa"));
         assert_eq!(text("They put the shirt into the washing machine."), Some("washing machine"));
         assert_eq!(text("They walk to the kitchen."), Some("kitchen"));
+        assert_eq!(text("They go to bed."), Some("bed"));
+        assert_eq!(text("They lie in bed with a book."), Some("book"));
+        assert_eq!(text("They get off the sofa and go to bed."), Some("bed"));
+        assert_eq!(text("Ada sits down on her sofa."), Some("sofa"));
+        assert_eq!(text("They watch television."), Some("television"));
+        assert_eq!(text("They grab the milk and go to work."), Some("milk"));
         assert_eq!(text("They stand up."), None);
+        assert_eq!(text("They book."), None);
         assert_eq!(text(""), None);
     }
 
