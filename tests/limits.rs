@@ -60,7 +60,11 @@ fn page() -> String {
             ("narrations at once of a narrator, by default", &intake.burst, "is dropped and counted"),
             ("starts of sources of a narrator", &SOURCES_OF_A_PORT, "its longest silent one gives way"),
             ("starts of sources", &SOURCES_MAX, "one of an ended process gives way"),
-            ("persons", &PERSONS_MAX, "the longest silent one gives way, residents last"),
+            (
+                "persons",
+                &PERSONS_MAX,
+                "of the narrator that told of most, the longest silent gives way, residents last",
+            ),
             ("numbers that a source skips at once", &sequence::JUMP_MAX, "is dropped and counted"),
             (
                 "seconds that a narrator keeps its places in a window",

@@ -8,6 +8,7 @@ with Robot("robot") as robot:
     for decision in robot.decisions():
         if decision.action == Action.PAUSE:
             robot.docked(battery=0.9)
+        if decision.action != Action.GO:        # it has nothing to do
             continue
         robot.started()
         time.sleep(0.1)

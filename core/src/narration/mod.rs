@@ -210,6 +210,15 @@ impl Said {
         }
     }
 
+    /// The first word of a sentence, where it may be a name; of a statement, the subject of the sentence that said it.
+    #[must_use]
+    pub fn subject(&self) -> Option<&str> {
+        match self {
+            Self::Sentence(sentence) => sentence.as_str().split_once(' ').map(|(subject, _)| subject),
+            Self::Presence(statement) => statement.subject(),
+        }
+    }
+
     /// What it makes of its person.
     #[must_use]
     pub fn presence(&self) -> Presence {

@@ -45,6 +45,7 @@ pub struct PresenceError {
 pub struct PresenceStatement {
     presence: Presence,
     room: Option<String>,
+    subject: Option<String>,
 }
 
 impl PresenceStatement {
@@ -57,7 +58,7 @@ impl PresenceStatement {
         let named = room.is_none_or(|room| {
             room.contains(char::is_alphanumeric) && !room.contains(is_hidden) && room.len() <= SENTENCE_BYTES_MAX / 2
         });
-        let statement = Self { presence, room: room.map(str::to_owned) };
+        let statement = Self { presence, room: room.map(str::to_owned), subject: None };
         if presence == Presence::Unknown || !named {
             return Err(PresenceError { text: statement.to_string() });
         }
@@ -109,6 +110,8 @@ impl PresenceStatement {
         ];
         const COMES: [&str; 9] =
             ["comes", "come", "came", "returns", "return", "returned", "arrives", "arrive", "arrived"];
+        const NOT_SAID: [&str; 6] = ["nobody", "noone", "no-one", "don't", "never", "please"];
+        const PRONOUNS: [&str; 9] = ["they", "he", "she", "it", "i", "we", "you", "somebody", "someone"];
         const HOUSE: [&str; 6] = ["the house", "the home", "the apartment", "the flat", "the building", "home"];
         const AT_HOUSE: [&str; 10] = [
             "home",
@@ -125,7 +128,10 @@ impl PresenceStatement {
         let lower = sentence.to_lowercase();
         let said = lower.trim().trim_end_matches(['.', '!']);
         // The subject is one word: a pronoun or a name.
-        let (_, rest) = said.split_once(' ')?;
+        let (subject, rest) = said.split_once(' ')?;
+        if NOT_SAID.contains(&subject) {
+            return None;
+        }
         let follows = |verbs: &[&str], places: &[&str]| {
             let mut places_of = verbs.iter().filter_map(|verb| rest.strip_prefix(verb)?.strip_prefix(' '));
             places_of.any(|place| places.contains(&place))
@@ -137,13 +143,20 @@ impl PresenceStatement {
         } else {
             return None;
         };
-        Some(Self { presence, room: None })
+        let subject = Some(subject).filter(|subject| !PRONOUNS.contains(subject)).map(str::to_owned);
+        Some(Self { presence, room: None, subject })
     }
 
     /// What is said.
     #[must_use]
     pub fn presence(&self) -> Presence {
         self.presence
+    }
+
+    /// The subject of the plain sentence that said it, in lower case, where it is no pronoun.
+    #[must_use]
+    pub fn subject(&self) -> Option<&str> {
+        self.subject.as_deref()
     }
 
     /// The room that the person is in, in the narrator's words.

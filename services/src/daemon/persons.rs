@@ -208,10 +208,28 @@ impl Persons {
             let recent_ns = if leaves { -known.heard_ns } else { known.heard_ns };
             (fit(number), !(leaves && known.is_asleep(self.asleep_ns(), now_ns)), recent_ns, Reverse(number))
         });
-        let best = ranked.max_by(|a, b| a.0.total_cmp(&b.0).then_with(|| (a.1, a.2, a.3).cmp(&(b.1, b.2, b.3))));
+        let best =
+            ranked.max_by(|a, b| a.1.cmp(&b.1).then(a.0.total_cmp(&b.0)).then_with(|| (a.2, a.3).cmp(&(b.2, b.3))));
         let away = || self.iter().filter(|(_, known)| known.presence == Presence::Away);
         let longest_away = || away().min_by_key(|(_, known)| known.since_ns).map(|(number, _)| number);
-        best.map(|(.., Reverse(number))| number).or_else(longest_away).unwrap_or_default()
+        // Who sleeps does not leave: one who is away already has been told of twice.
+        let awake = best.filter(|(_, awake, ..)| *awake).map(|(.., Reverse(number))| number);
+        let sleeper = best.map(|(.., Reverse(number))| number);
+        awake.or_else(longest_away).or(sleeper).unwrap_or_default()
+    }
+
+    /// The person that a sentence's subject means: one who is known by this name, has it here, or lives here.
+    pub(super) fn named(&self, name: &str) -> Option<u32> {
+        let number = self.number_of(name);
+        let lives_here = || self.config.residents.iter().any(|resident| same_name(resident, name));
+        let known = self.known.get(&number).is_some_and(|known| known.name.is_some());
+        (known || self.file.of_number(number).is_some() || lives_here()).then_some(number)
+    }
+
+    /// Whether anybody goes by a name here.
+    pub(super) fn has_names(&self) -> bool {
+        let named = self.known.values().any(|known| known.name.is_some());
+        named || !self.file.persons().is_empty() || self.config.residents.iter().any(|who| who.parse::<u32>().is_err())
     }
 
     /// The person that a name or a number means; none where it means nobody who is known or has a name here.
@@ -607,6 +625,42 @@ mod tests {
         assert!([0, known.number_of("ada"), 3, PERSONS_MAX as u32].iter().all(|person| known.get(*person).is_some()));
         assert!(known.get(1).is_none() && known.get(2).is_none());
         assert_eq!(house.known(), PERSONS_MAX as u32);
+    }
+
+    /// Two doors that tell of one leaving, or a switch that bounces, send no sleeper away.
+    #[test]
+    fn who_sleeps_does_not_leave() {
+        let mut house = House::new(&["ada", "ben"]);
+        house.after(1, "ada", "They lie on the bed.");
+        house.after(1_500, "ben", "They sit on the sofa.");
+        house.after(5, "somebody", "away");
+        house.after(5, "somebody", "away");
+        let known = house.board.persons();
+        let presence = |who: &str| known.get(known.number_of(who)).unwrap().presence;
+        assert_eq!((presence("ada"), presence("ben")), (Presence::Present, Presence::Away));
+    }
+
+    /// A narrator of plain sentences gives no names, but the sentences do.
+    #[test]
+    fn a_sentences_subject_is_its_person() {
+        let mut house = House::new(&["ada", "ben"]);
+        house.after(1, "ada", "They open the fridge.");
+        house.after(1, "ben", "They sit on the sofa.");
+        house.after(1, "somebody", "Ben leaves the house.");
+        let known = |house: &House, who: &str| {
+            let persons = house.board.persons();
+            persons.get(persons.number_of(who)).map(|known| known.presence)
+        };
+        assert_eq!((known(&house, "ada"), known(&house, "ben")), (Some(Presence::Present), Some(Presence::Away)));
+        // Somebody of whom nothing is known is not one of those who are.
+        house.after(1, "somebody", "Cleo leaves the house.");
+        assert_eq!((known(&house, "ada"), known(&house, "cleo")), (Some(Presence::Present), Some(Presence::Away)));
+        house.after(1, "somebody", "Nobody leaves the house.");
+        assert_eq!(known(&house, "ada"), Some(Presence::Present));
+        house.after(1, "somebody", "Ben opens the fridge.");
+        assert_eq!(known(&house, "ben"), Some(Presence::Present));
+        house.restart();
+        assert_eq!((known(&house, "ben"), known(&house, "cleo")), (Some(Presence::Present), Some(Presence::Away)));
     }
 
     /// Row "10 000 persons" of the attacks, in a home that names nobody who lives there.

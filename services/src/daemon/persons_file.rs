@@ -50,6 +50,7 @@ impl PersonsFile {
             }),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
             Err(error) => {
+                malformed = true;
                 tracing::warn!(%error, path = %path.display(), "the persons file cannot be read; names mean what they mean without it");
                 Vec::new()
             }
@@ -105,7 +106,7 @@ impl PersonsFile {
     fn replace(&mut self, persons: Vec<KeptPerson>) -> std::io::Result<()> {
         if self.malformed {
             return Err(std::io::Error::other(
-                "it was malformed at the start; repair or remove it, and start the daemon again",
+                "it could not be used at the start; repair or remove it, and start the daemon again",
             ));
         }
         if let Some(path) = &self.path {

@@ -25,12 +25,19 @@ pub enum ReportFault {
     OtherMap,
 }
 
+/// Whether a kind of report speaks of work in a room.
+fn is_of_work(kind: u32) -> bool {
+    use report_kind::{BLOCKED, CANCELLED, FAILED, FINISHED, STARTED};
+    [STARTED, FINISHED, FAILED, BLOCKED, CANCELLED].contains(&kind)
+}
+
 impl Planner {
     /// Takes a checked report of the planner's robot, whoever sent it; reports of other robots, and those that were taken before, are
     /// left alone. Rooms are known with the first scores: a report that comes before them is not to be given here.
     ///
     /// # Errors
-    /// [`ReportFault`] when it names a room that is none, or a position that cannot be placed; the rest of it is used.
+    /// [`ReportFault`] when it names a room that is none, or a position that cannot be placed; the rest of it is used, but for work in a room
+    /// that is none.
     pub fn take_report(&mut self, report: &RobotReportV1, now_ns: u64) -> Result<(), ReportFault> {
         if report.robot != self.number || !self.robot.listens() || !self.robot.is_new(report.epoch, report.sequence) {
             return Ok(());
@@ -44,6 +51,10 @@ impl Planner {
         let (placed, placed_fault) = split(self.placed_room(report));
         let (named, placed) = (named.flatten(), placed.flatten());
         let answered = (report.decision_sequence > 0).then_some((report.decision_epoch, report.decision_sequence));
+        // A room that is none must not be taken for the one in hand; a decision that is answered says which it is.
+        if let Some(fault) = named_fault.clone().filter(|_| answered.is_none() && is_of_work(report.kind)) {
+            return Err(fault);
+        }
         let told = answered.and_then(|decision| self.room_of_decision(decision));
         let work = self.robot.work.as_ref();
         // The work in hand is meant by its decision, or without one by what is reported since it began and of no other room.

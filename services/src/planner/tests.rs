@@ -705,6 +705,27 @@ fn positions_mean_rooms_of_the_map_in_use_and_no_other() {
     assert_eq!(other.room(), None);
 }
 
+/// A misspelt room counted as the one in which the robot was at work.
+#[test]
+fn a_room_that_is_none_is_not_the_one_in_hand() {
+    let mut home = Home::new(3, &PlannerConfig::default());
+    let first = home.decision(1);
+    home.answer(2, report_kind::STARTED, &first);
+    let unknown = RobotReportV1 {
+        robot: sequence::source_of_name("robot"),
+        epoch: 78,
+        sequence: 1,
+        reported_ns: 5 * S,
+        kind: report_kind::FINISHED,
+        room: text::encode("room", "attic").unwrap(),
+        ..Default::default()
+    };
+    assert!(matches!(home.planner.take_report(&unknown, 5 * S), Err(ReportFault::UnknownRoom { .. })));
+    assert_eq!(home.look(6), None, "it is still at work");
+    home.answer(7, report_kind::FINISHED, &first);
+    assert_eq!(home.decision(7).covered.count_ones(), 1);
+}
+
 #[test]
 fn reports_of_other_robots_and_reports_heard_before_change_nothing() {
     let mut home = Home::new(2, &PlannerConfig::default());
