@@ -673,6 +673,9 @@ mod tests {
         for name in ["", "Room", "a_b", "a/b", "a very long name that does not fit"] {
             assert!(matches!(Domain::new("/tmp/roomcast-x", name), Err(IpcError::BadDomainName { .. })), "{name}");
         }
+        // So many fit for every user, and the user is in all names.
+        let domain = Domain::new("/tmp/roomcast-x", "fifteen-letters").unwrap();
+        assert_eq!(domain.prefix(), format!("fifteen-letters-{:x}_", geteuid().as_raw()));
         for root in ["relative", "/tmp/a-path-that-is-much-too-long-for-a-socket"] {
             assert!(matches!(Domain::new(root, "x"), Err(IpcError::BadRoot { .. })), "{root}");
         }

@@ -1,6 +1,6 @@
 //! An SVG as a PNG. The letters come from a font that is compiled in, so that the same drawing gives the same bytes on every machine.
 //!
-//! Shaping letters takes as long to build as half the rest of this crate, so it is behind the feature `png`.
+//! What shapes letters is a tenth of a first build, so it is behind the feature `png`.
 
 use std::sync::Arc;
 

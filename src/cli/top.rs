@@ -33,8 +33,8 @@ pub struct Args {
 const STATUS_NS: u64 = 1_000_000_000;
 /// How long it may take to answer before the view goes on without.
 const STATUS_TIMEOUT: Duration = Duration::from_millis(50);
-/// How long lines of JSON wait for the first snapshot before they say so. A daemon that lives repeats its scores much more often.
-const FIRST: Duration = Duration::from_secs(10);
+/// How long nothing may be heard before lines of JSON say so. A daemon that lives repeats its scores much more often.
+const SILENCE: Duration = Duration::from_secs(10);
 /// How often the screen is drawn again when no key is pressed.
 const FRAME: Duration = Duration::from_millis(100);
 
@@ -155,9 +155,10 @@ fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>) -> CommandResult {
     while !stop.requested() && limit.is_none_or(|limit| count < limit) {
         scores.wait(Duration::from_millis(250)).map_err(ipc)?;
         let Some(snapshot) = scores.newest().map_err(ipc)? else {
-            if silent_from.is_some_and(|from| from.elapsed() >= FIRST) {
+            if silent_from.is_some_and(|from| from.elapsed() >= SILENCE) {
                 let place = service::shown(domain);
-                let told = format!("no daemon is heard in {place} for {} s: start `roomcast daemon`", FIRST.as_secs());
+                let told =
+                    format!("no daemon is heard in {place} for {} s: start `roomcast daemon`", SILENCE.as_secs());
                 if limit.is_some() {
                     return Err(Failure::new(exit_code::IPC, told));
                 }

@@ -111,7 +111,22 @@ impl PresenceStatement {
         const COMES: [&str; 9] =
             ["comes", "come", "came", "returns", "return", "returned", "arrives", "arrive", "arrived"];
         const NOT_SAID: [&str; 6] = ["nobody", "noone", "no-one", "don't", "never", "please"];
-        const PRONOUNS: [&str; 9] = ["they", "he", "she", "it", "i", "we", "you", "somebody", "someone"];
+        const PRONOUNS: [&str; 14] = [
+            "they",
+            "he",
+            "she",
+            "it",
+            "i",
+            "we",
+            "you",
+            "somebody",
+            "someone",
+            "everybody",
+            "everyone",
+            "people",
+            "all",
+            "both",
+        ];
         const HOUSE: [&str; 6] = ["the house", "the home", "the apartment", "the flat", "the building", "home"];
         const AT_HOUSE: [&str; 10] = [
             "home",

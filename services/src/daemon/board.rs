@@ -365,16 +365,11 @@ impl<M: LanguageModel> Board<M> {
         match &observation.name {
             Some(name) => observation.person = self.persons.number_of(name),
             None if observation.person == SOMEBODY => {
-                let named = observation.said.subject().and_then(|name| self.persons.named(name));
-                // Of a stranger who leaves nobody here is meant, unless nobody here goes by a name.
-                let stranger = match &observation.said {
-                    Said::Presence(statement) if named.is_none() && self.persons.has_names() => statement.subject(),
-                    _ => None,
+                observation.name = self.persons.subject(&observation.said).map(Into::into);
+                let person = match &observation.name {
+                    Some(name) => self.persons.number_of(name),
+                    None => self.fitting(&observation.said, noted_ns),
                 };
-                let stranger: Option<Box<str>> = stranger.map(Into::into);
-                let person = named.or_else(|| stranger.as_deref().map(|name| self.persons.number_of(name)));
-                let person = person.unwrap_or_else(|| self.fitting(&observation.said, noted_ns));
-                observation.name = stranger;
                 (observation.person, observation.by_fit) = (person, true);
                 let Observation { source, epoch, sequence, .. } = *observation;
                 self.attributed.push(Attributed { source, epoch, sequence, person });

@@ -463,25 +463,21 @@ mod tests {
     /// A narrator that starts again does not share the window with its own past; who uses the name of a living one gains nothing.
     #[test]
     fn a_narrator_that_starts_again_keeps_its_voice() {
-        let mut intake = Intake::new(IntakeLimits::default());
-        let mut voice = |epoch, port, alive: &[Sender]| {
-            intake.note_alive(alive.iter().copied());
-            accepted(intake.take(&message(7, epoch, 1, "They sit."), port, epoch)).1
+        let [third, fourth] = [3, 4].map(Sender::simulated);
+        // Starts of one narrator, each on a port, with the ports that are open then.
+        let voices = |starts: &[(Sender, &[Sender])]| -> Vec<Voice> {
+            let mut intake = Intake::new(IntakeLimits::default());
+            let start = |(epoch, (port, alive)): (u64, &(Sender, &[Sender]))| {
+                intake.note_alive(alive.iter().copied());
+                accepted(intake.take(&message(7, epoch, 1, "They sit."), *port, epoch)).1
+            };
+            (1..).zip(starts).map(start).collect()
         };
-        let (third, fourth) = (Sender::simulated(3), Sender::simulated(4));
-        let own = voice(1, PORT, &[PORT]);
-        assert_ne!(voice(2, OTHER, &[PORT, OTHER]), own);
-        // Whoever spoke last in the name had another voice, and the first one lives.
-        assert_ne!(voice(3, third, &[PORT, third]), own);
-        let mut intake = Intake::new(IntakeLimits::default());
-        let mut voice = |epoch, port, alive: &[Sender]| {
-            intake.note_alive(alive.iter().copied());
-            accepted(intake.take(&message(7, epoch, 1, "They sit."), port, epoch)).1
-        };
-        let own = voice(1, PORT, &[PORT]);
-        assert_eq!(voice(2, OTHER, &[OTHER]), own);
-        assert_eq!(voice(3, third, &[third]), own);
-        assert_ne!(voice(4, fourth, &[third, fourth]), own);
+        // The first one lives, and who spoke last in the name had another voice.
+        let told = voices(&[(PORT, &[PORT]), (OTHER, &[PORT, OTHER]), (third, &[PORT, third])]);
+        assert!(told[1] != told[0] && told[2] != told[0], "{told:?}");
+        let told = voices(&[(PORT, &[PORT]), (OTHER, &[OTHER]), (third, &[third]), (fourth, &[third, fourth])]);
+        assert!(told[1] == told[0] && told[2] == told[0] && told[3] != told[0], "{told:?}");
     }
 
     /// Row "64 invented sources" of the attacks: nobody who lives is locked out, forgotten or outspoken, also after a restart.

@@ -218,16 +218,20 @@ impl Persons {
         awake.or_else(longest_away).or(sleeper).unwrap_or_default()
     }
 
-    /// The person that a sentence's subject means: one who is known by this name, has it here, or lives here.
-    pub(super) fn named(&self, name: &str) -> Option<u32> {
+    /// The name that a sentence's subject is: of somebody who is known by it, has it here, or lives here; or of a stranger who comes or
+    /// leaves, unless nobody here goes by a name.
+    pub(super) fn subject<'a>(&self, said: &'a Said) -> Option<&'a str> {
+        let name = said.subject()?;
         let number = self.number_of(name);
         let lives_here = || self.config.residents.iter().any(|resident| same_name(resident, name));
         let known = self.known.get(&number).is_some_and(|known| known.name.is_some());
-        (known || self.file.of_number(number).is_some() || lives_here()).then_some(number)
+        let is_known = known || self.file.of_number(number).is_some() || lives_here();
+        let is_stranger = || matches!(said, Said::Presence(_)) && self.has_names() && check_name(name).is_ok();
+        (is_known || is_stranger()).then_some(name)
     }
 
     /// Whether anybody goes by a name here.
-    pub(super) fn has_names(&self) -> bool {
+    fn has_names(&self) -> bool {
         let named = self.known.values().any(|known| known.name.is_some());
         named || !self.file.persons().is_empty() || self.config.residents.iter().any(|who| who.parse::<u32>().is_err())
     }
@@ -655,7 +659,12 @@ mod tests {
         // Somebody of whom nothing is known is not one of those who are.
         house.after(1, "somebody", "Cleo leaves the house.");
         assert_eq!((known(&house, "ada"), known(&house, "cleo")), (Some(Presence::Present), Some(Presence::Away)));
-        house.after(1, "somebody", "Nobody leaves the house.");
+        for nobody in ["Nobody leaves the house.", "12 leaves the house."] {
+            let before = house.board.persons().iter().count();
+            house.after(1, "somebody", nobody);
+            assert_eq!(house.board.persons().iter().count(), before, "{nobody}");
+        }
+        house.after(1, "ada", "present");
         assert_eq!(known(&house, "ada"), Some(Presence::Present));
         house.after(1, "somebody", "Ben opens the fridge.");
         assert_eq!(known(&house, "ben"), Some(Presence::Present));

@@ -32,7 +32,7 @@ pub struct PersonsFile {
     /// Without a state directory nothing outlives the daemon.
     path: Option<PathBuf>,
     /// What somebody wrote there cannot be used, and must not be lost.
-    malformed: bool,
+    unusable: bool,
     persons: Vec<KeptPerson>,
 }
 
@@ -41,21 +41,21 @@ impl PersonsFile {
     #[must_use]
     pub fn load(directory: &Path) -> Self {
         let path = directory.join(FILE);
-        let mut malformed = false;
+        let mut unusable = false;
         let persons = match std::fs::read_to_string(&path) {
             Ok(text) => parse(&text).unwrap_or_else(|reason| {
-                malformed = true;
+                unusable = true;
                 tracing::warn!(reason, path = %path.display(), "the persons file is malformed; names mean what they mean without it");
                 Vec::new()
             }),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
             Err(error) => {
-                malformed = true;
+                unusable = true;
                 tracing::warn!(%error, path = %path.display(), "the persons file cannot be read; names mean what they mean without it");
                 Vec::new()
             }
         };
-        Self { path: Some(path), malformed, persons }
+        Self { path: Some(path), unusable, persons }
     }
 
     /// Everybody whom the home gave a name.
@@ -104,7 +104,7 @@ impl PersonsFile {
     }
 
     fn replace(&mut self, persons: Vec<KeptPerson>) -> std::io::Result<()> {
-        if self.malformed {
+        if self.unusable {
             return Err(std::io::Error::other(
                 "it could not be used at the start; repair or remove it, and start the daemon again",
             ));
