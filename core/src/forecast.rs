@@ -141,20 +141,24 @@ impl Forecaster {
         &self.belief
     }
 
-    /// Takes in a completed observation at `at_s`: which label it mentions, if any, and the room probabilities that the
+    /// Takes in a completed observation at `at_s`: what it mentions, if anything, and the room probabilities that the
     /// model then gives. Times before the last observation count as that one's; scores of another length are ignored.
     /// Whoever does something is in the house.
-    pub fn observe(&mut self, at_s: f64, mention: Option<usize>, grounding: &Grounding, scores: &[f64]) {
+    pub fn observe(&mut self, at_s: f64, mention: Option<Mention>, grounding: &Grounding, scores: &[f64]) {
         let rooms = self.belief.len();
         let at_s = self.come_home(at_s);
         let mentioned =
-            mention.filter(|label| *label < grounding.weights.nrows() && grounding.weights.ncols() == rooms);
+            mention.filter(|mention| mention.label < grounding.weights.nrows() && grounding.weights.ncols() == rooms);
         // P(label | room) is in proportion to the share of the label's items there.
         let misplaced = self.options.misplaced;
-        let share =
-            |label: usize, room: usize| misplaced / rooms as f64 + (1.0 - misplaced) * grounding.weights[(label, room)];
-        self.update(at_s, mentioned.map(|label| move |room: usize| share(label, room)));
-        if let Some(label) = mentioned
+        let weigh = |mention: Mention, room: usize, p: f64| {
+            let share = grounding.weights[(mention.label, room)];
+            let fits = if mention.is_left { 1.0 - share } else { share };
+            p * (misplaced / rooms as f64 + (1.0 - misplaced) * fits)
+        };
+        self.update(at_s, mentioned.map(|mention| move |room: usize, p: f64| weigh(mention, room, p)));
+        // What is left is not turned to.
+        if let Some(label) = mentioned.filter(|mention| !mention.is_left).map(|mention| mention.label)
             && self.object != Some(label)
         {
             self.to_object.add((at_s - self.object_since_s).max(self.options.action_s));
@@ -164,14 +168,15 @@ impl Forecaster {
         self.expect(scores);
     }
 
-    /// Takes in that the person is in the house at `at_s`, and in `room` if that is known: strong evidence for it, from a sensor for instance.
+    /// Takes in that the person is in the house at `at_s`, and in `room` if that is known, as from a sensor: there they are then, but for
+    /// [`ForecastOptions::mistaken`], wherever they were believed to be.
     pub fn enter(&mut self, at_s: f64, room: Option<usize>) {
         let rooms = self.belief.len();
         let at_s = self.come_home(at_s);
         let Some(entered) = room.filter(|room| *room < rooms) else { return };
         let before = likeliest(&self.belief);
         let mistaken = self.options.mistaken;
-        let seen = |room: usize| mistaken / rooms as f64 + (1.0 - mistaken) * f64::from(u8::from(room == entered));
+        let seen = |room: usize, p: f64| mistaken * p + (1.0 - mistaken) * f64::from(u8::from(room == entered));
         self.update(at_s, Some(seen));
         if likeliest(&self.belief) != before {
             // Whatever was in hand is in another room.
@@ -211,17 +216,18 @@ impl Forecaster {
         }
     }
 
-    /// Moves the belief on to `at_s`, and weighs it with the likelihood of what was observed there per room, if that says anything.
-    fn update(&mut self, at_s: f64, likelihood: Option<impl Fn(usize) -> f64>) {
+    /// Moves the belief on to `at_s`, and makes of it there what was observed, if that says anything: per room and its probability before,
+    /// in proportion to the one after.
+    fn update(&mut self, at_s: f64, observed: Option<impl Fn(usize, f64) -> f64>) {
         let before = likeliest(&self.belief);
         self.spend(at_s);
-        if let Some(likelihood) = likelihood {
+        if let Some(observed) = observed {
             let mut predicted = std::mem::take(&mut self.predicted);
             predicted.clear();
             // At one instant nobody would have moved, and what was told last would count for little.
             predicted.extend(self.at(at_s.max(self.updated_s + self.options.action_s), 0.0));
             for (room, p) in predicted.iter_mut().enumerate() {
-                *p *= likelihood(room);
+                *p = observed(room, *p);
             }
             let total: f64 = predicted.iter().sum();
             if total > 0.0 {
@@ -293,12 +299,30 @@ fn likeliest(p: &[f64]) -> Option<usize> {
     (0..p.len()).max_by(|a, b| p[*a].total_cmp(&p[*b]))
 }
 
+/// What a sentence mentions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Mention {
+    /// The label, as an index of [`Grounding::scored_labels`].
+    pub label: usize,
+    /// It is a room that the person leaves ("They leave the *kitchen*").
+    pub is_left: bool,
+}
+
+impl From<usize> for Mention {
+    /// Of a label that is turned to.
+    fn from(label: usize) -> Self {
+        Self { label, is_left: false }
+    }
+}
+
 /// Finds which label of a map a sentence mentions; built once per map, nothing is allocated per sentence once warm.
 #[derive(Debug, Clone)]
 pub struct Mentions {
     /// Every name by which a label or a room can be mentioned, as it is and in plain words, to an index of
     /// [`Grounding::scored_labels`].
     label_of_name: HashMap<String, usize>,
+    /// Which labels are those of rooms.
+    is_room: Vec<bool>,
     /// Working memory: the sentence's words in lower case, the same with spaces for hyphens, and where in both each word begins and ends.
     lower: String,
     plain: String,
@@ -310,6 +334,9 @@ const ANNOUNCES: [&str; 20] = [
     "the", "a", "an", "some", "this", "that", "their", "his", "her", "its", "my", "our", "your", "to", "into", "in",
     "at", "on", "onto", "from",
 ];
+
+/// Verbs of a sentence whose person is elsewhere then.
+const LEAVES: [&str; 6] = ["leave", "leaves", "left", "exit", "exits", "exited"];
 
 impl Mentions {
     /// The names that `map` knows ([`SemanticMap::find_label`], [`SemanticMap::find_room`]); `grounding` must be of the same map.
@@ -329,7 +356,9 @@ impl Mentions {
         let known = forms.filter_map(|name| meant(&name).map(|label| (name, label)));
         // What the labels themselves say comes last and counts.
         let labels = label_of_text.iter().map(|(text, label)| ((*text).to_owned(), *label));
+        let is_room = |text: &str| map.rooms.iter().any(|room| room.label.as_str() == text);
         Self {
+            is_room: grounding.scored_labels.iter().map(|label| is_room(&label.text)).collect(),
             label_of_name: known.chain(labels).collect(),
             lower: String::new(),
             plain: String::new(),
@@ -337,11 +366,10 @@ impl Mentions {
         }
     }
 
-    /// The last thing mentioned ("They put the plate on the *table*"), as an index of
-    /// [`Grounding::scored_labels`]: the longest run of up to four words that names a label or a room, after an article, a possessive or a
+    /// The last thing mentioned ("They put the plate on the *table*"): the longest run of up to four words that names a label or a room, after an article, a possessive or a
     /// preposition of place ("They go to *bed*"). A sentence without any says its thing last ("They watch *television*").
     #[must_use]
-    pub fn last(&mut self, sentence: &str) -> Option<usize> {
+    pub fn last(&mut self, sentence: &str) -> Option<Mention> {
         const WORDS_MAX: usize = 4;
         self.lower.clear();
         self.words.clear();
@@ -365,11 +393,19 @@ impl Mentions {
         let named = |at: usize| {
             (1..=WORDS_MAX.min(words.len() - at)).rev().find_map(|length| label(words[at].0, words[at + length - 1].1))
         };
-        if words.iter().any(announces) {
-            return (1..words.len()).rev().filter(|at| announces(&words[at - 1])).find_map(named);
-        }
-        // The first two words are who does what.
-        (2..words.len()).rev().find_map(named)
+        let found = if words.iter().any(announces) {
+            (1..words.len()).rev().filter(|at| announces(&words[at - 1])).find_map(|at| Some((at, named(at)?)))
+        } else {
+            // The first two words are who does what.
+            (2..words.len()).rev().find_map(|at| Some((at, named(at)?)))
+        };
+        let (at, label) = found?;
+        let said = |from: usize, to: usize| words[from..to].iter().map(|&(start, end)| &self.lower[start..end]);
+        // The room that is left follows its verb: "They leave the mug in the kitchen" leaves no kitchen.
+        let before = if announces(&words[at - 1]) { at - 1 } else { at };
+        let leaves = before == 2 && said(1, 2).all(|verb| LEAVES.contains(&verb));
+        let goes_out = || before > 2 && said(before - 2, before).eq(["out", "of"]);
+        Some(Mention { label, is_left: self.is_room[label] && (leaves || goes_out()) })
     }
 }
 
@@ -480,8 +516,9 @@ mod tests {
         let bed = likeliest(forecaster.belief()).unwrap();
         for room in (0..3).filter(|room| *room != bed) {
             let mut seen = forecaster.clone();
-            seen.enter(60.0, Some(room));
-            assert!(seen.belief()[room] > 0.9, "{:?}", seen.belief());
+            // However sure it was a moment before.
+            seen.enter(6.0, Some(room));
+            assert!(seen.belief()[room] > 0.98, "{:?}", seen.belief());
             seen.enter(61.0, Some(7));
             assert!(seen.belief()[room] > 0.9, "no such room");
         }
@@ -492,7 +529,7 @@ mod tests {
         let (map, grounding) = studio();
         let mut mentions = Mentions::new(&map, &grounding);
         let mut text =
-            |sentence: &str| mentions.last(sentence).map(|label| grounding.scored_labels[label].text.as_str());
+            |sentence: &str| mentions.last(sentence).map(|found| grounding.scored_labels[found.label].text.as_str());
         assert_eq!(text("They walk to the couch."), Some("sofa"));
         assert_eq!(text("They put the shirt into the washing machine."), Some("washing machine"));
         assert_eq!(text("They walk to the kitchen."), Some("kitchen"));
@@ -505,6 +542,25 @@ mod tests {
         assert_eq!(text("They stand up."), None);
         assert_eq!(text("They book."), None);
         assert_eq!(text(""), None);
+    }
+
+    /// A room that is left is where nobody is; what is left in a room, or put down, is none.
+    #[test]
+    fn who_leaves_a_room_is_in_another() {
+        let (map, grounding) = studio();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let room = |id: &str| grounding.partitions.iter().position(|p| p.id == id).unwrap();
+        for sentence in ["They leave the kitchen.", "Ada exits the kitchen", "They walk out of the kitchen."] {
+            let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
+            forecaster.observe(5.0, mentions.last("They open the fridge."), &grounding, &[1.0 / 3.0; 3]);
+            assert!(forecaster.belief()[room("kitchen")] > 0.9);
+            forecaster.observe(9.0, mentions.last(sentence), &grounding, &[0.05, 0.9, 0.05]);
+            assert!(forecaster.belief()[room("kitchen")] < 0.1, "{sentence} {:?}", forecaster.belief());
+        }
+        let is_left = |mentions: &mut Mentions, sentence: &str| mentions.last(sentence).unwrap().is_left;
+        for sentence in ["They leave the mug in the kitchen.", "They leave the bed.", "They walk to the kitchen."] {
+            assert!(!is_left(&mut mentions, sentence), "{sentence}");
+        }
     }
 
     /// The table that is built once must say what asking the map says.
@@ -532,7 +588,12 @@ mod tests {
                 for name in [name.replace('_', " "), plain_words(name), plain_words(name).replace(' ', "-")] {
                     let words: Vec<&str> = name.split(' ').collect();
                     let expected = (1..=words.len().min(4)).rev().find_map(|length| asked(&words[..length].join(" ")));
-                    assert_eq!(mentions.last(&format!("They see the {name}.")), expected, "{}: {name}", map.name);
+                    assert_eq!(
+                        mentions.last(&format!("They see the {name}.")),
+                        expected.map(Mention::from),
+                        "{}: {name}",
+                        map.name
+                    );
                     found += usize::from(expected.is_some());
                 }
             }
@@ -543,15 +604,16 @@ mod tests {
     proptest! {
         #[test]
         fn probabilities_stay_probabilities(
-            events in prop::collection::vec((-5.0..50.0f64, prop::option::of(0usize..60), 0.0..1.0f64), 0..30),
+            events in prop::collection::vec((-5.0..50.0f64, prop::option::of((0usize..60, any::<bool>())), 0.0..1.0f64), 0..30),
             horizon_s in 0.0..1e6f64,
         ) {
             let (_, grounding) = studio();
             let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
             let mut now_s = 0.0;
-            for (wait_s, label, share) in events {
+            for (wait_s, mention, share) in events {
                 now_s += wait_s;
-                forecaster.observe(now_s, label, &grounding, &[share, 1.0 - share, 0.0]);
+                let mention = mention.map(|(label, is_left)| Mention { label, is_left });
+                forecaster.observe(now_s, mention, &grounding, &[share, 1.0 - share, 0.0]);
                 let p: Vec<f64> = forecaster.at(now_s, horizon_s).collect();
                 prop_assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9);
                 prop_assert!(p.iter().all(|p| *p >= 0.0));
@@ -573,7 +635,7 @@ mod tests {
                     0 => forecaster.leave(now_s),
                     1 => forecaster.enter(now_s, None),
                     2 => forecaster.enter(now_s, Some(which % 4)),
-                    _ => forecaster.observe(now_s, Some(which), &grounding, &[0.2, 0.8, 0.0]),
+                    _ => forecaster.observe(now_s, Some(which.into()), &grounding, &[0.2, 0.8, 0.0]),
                 }
                 left |= what == 0;
                 let mut before = 1.0;

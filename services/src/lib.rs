@@ -27,6 +27,10 @@ pub mod no_model;
 
 pub mod setup;
 
+mod state_file;
+
+pub mod person_name;
+
 pub mod message_text;
 
 pub mod token_bucket;

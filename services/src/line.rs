@@ -10,6 +10,7 @@ use serde::de::{Deserialize, Deserializer, Unexpected, Visitor};
 use serde_json::Value;
 
 use crate::message_text::said_of;
+use crate::person_name::{check_name, is_number};
 use roomcast_core::narration::{Observed, ObservedError, Presence, PresenceError, PresenceStatement, ProgramError};
 use roomcast_ipc::{ALL_PERSONS, MessageError, NarrationV1, narration_kind, text};
 
@@ -75,16 +76,13 @@ impl FromStr for Who {
     fn from_str(text: &str) -> Result<Self, WhoError> {
         let name = text.trim();
         let refused = || WhoError { text: name.chars().take(80).collect() };
-        if name.trim_start_matches('-').bytes().all(|byte| byte.is_ascii_digit()) {
+        if is_number(name) {
             return match name.parse() {
                 Ok(number) if number != ALL_PERSONS => Ok(Self::Number(number)),
                 _ => Err(refused()),
             };
         }
-        text::encode::<{ roomcast_ipc::NAME_BYTES }>("person", name).map_err(|_| refused())?;
-        if !name.contains(char::is_alphanumeric) {
-            return Err(refused());
-        }
+        check_name(name).map_err(|_| refused())?;
         Ok(Self::Name(name.to_owned()))
     }
 }

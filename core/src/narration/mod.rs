@@ -192,11 +192,14 @@ pub enum Said {
 }
 
 impl Said {
-    /// What a sentence says: one that says in plain words that its person leaves the house is a statement, any other is done in the house.
+    /// What a sentence says: one that says in plain words where its person is, and nothing of what they do, is a statement; any other is done
+    /// in the house. Who comes home does something.
     #[must_use]
     pub fn of(sentence: Sentence) -> Self {
         match PresenceStatement::of_sentence(sentence.as_str()) {
-            Some(statement) if statement.presence() == Presence::Away => Self::Presence(statement),
+            Some(statement) if statement.presence() == Presence::Away || statement.room().is_some() => {
+                Self::Presence(statement)
+            }
             _ => Self::Sentence(sentence),
         }
     }

@@ -46,6 +46,138 @@ pub struct PresenceStatement {
     presence: Presence,
     room: Option<String>,
     subject: Option<String>,
+    of_everybody: bool,
+}
+
+/// What stands before the presence of everybody.
+const EVERYBODY: &str = "everybody ";
+/// Subjects of sentences that say nothing of where anybody is.
+const NOT_SAID: [&str; 3] = ["don't", "never", "please"];
+/// Subjects that are no names.
+const PRONOUNS: [&str; 14] = [
+    "they",
+    "he",
+    "she",
+    "it",
+    "i",
+    "we",
+    "you",
+    "somebody",
+    "someone",
+    "everybody",
+    "everyone",
+    "people",
+    "all",
+    "both",
+];
+const LEAVES: [&str; 12] = [
+    "leaves",
+    "leave",
+    "left",
+    "goes out of",
+    "go out of",
+    "went out of",
+    "exits",
+    "exit",
+    "exited",
+    "have left",
+    "has left",
+    "walks out of",
+];
+const COMES: [&str; 9] = ["comes", "come", "came", "returns", "return", "returned", "arrives", "arrive", "arrived"];
+const HOUSE: [&str; 6] = ["the house", "the home", "the apartment", "the flat", "the building", "home"];
+const AT_HOUSE: [&str; 10] = [
+    "home",
+    "back home",
+    "back",
+    "at home",
+    "at the house",
+    "back to the house",
+    "to the house",
+    "into the house",
+    "back into the house",
+    "back to the apartment",
+];
+/// What somebody is who is out of the house, and who is in it.
+const OUT: [&str; 19] = [
+    "away",
+    "out",
+    "gone",
+    "gone out",
+    "abroad",
+    "not home",
+    "not at home",
+    "not in",
+    "not here",
+    "not in the house",
+    "away from home",
+    "out of the house",
+    "out of home",
+    "at work",
+    "at school",
+    "on holiday",
+    "on vacation",
+    "on a trip",
+    "travelling",
+];
+const IN: [&str; 8] = ["home", "at home", "back", "back home", "in", "here", "in the house", "at the house"];
+/// The last words of what rooms are called. What else somebody is in, as the bath, is for the language model.
+const ROOMS: [&str; 20] = [
+    "kitchen",
+    "kitchenette",
+    "bathroom",
+    "bedroom",
+    "room",
+    "office",
+    "study",
+    "hall",
+    "hallway",
+    "corridor",
+    "entrance",
+    "lounge",
+    "garage",
+    "cellar",
+    "basement",
+    "attic",
+    "pantry",
+    "nursery",
+    "playroom",
+    "library",
+];
+
+/// What a sentence's words after its subject say of where somebody is: presence, and the room where it is one.
+fn predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
+    let follows = |verbs: &[&str], places: &[&str]| {
+        let mut places_of = verbs.iter().filter_map(|verb| rest.strip_prefix(verb)?.strip_prefix(' '));
+        places_of.any(|place| places.contains(&place))
+    };
+    if follows(&LEAVES, &HOUSE) || ["goes out", "go out", "went out"].contains(&rest) {
+        return Some((Presence::Away, None));
+    }
+    if follows(&COMES, &AT_HOUSE) {
+        return Some((Presence::Present, None));
+    }
+    let state = state(rest)?;
+    if OUT.contains(&state) {
+        return Some((Presence::Away, None));
+    }
+    if IN.contains(&state) {
+        return Some((Presence::Present, None));
+    }
+    let room = state.strip_prefix("in the ").or_else(|| state.strip_prefix("at the "))?;
+    let last = room.split([' ', '-']).next_back().unwrap_or_default();
+    ROOMS.contains(&last).then_some((Presence::Present, Some(room)))
+}
+
+/// What somebody is, in a sentence that says it: "is still away" is "away".
+fn state(rest: &str) -> Option<&str> {
+    let mut state = ["is ", "are ", "am "].iter().find_map(|verb| rest.strip_prefix(verb))?;
+    while let Some(rest) =
+        ["still ", "now ", "already ", "currently ", "just "].iter().find_map(|word| state.strip_prefix(word))
+    {
+        state = rest;
+    }
+    Some(state)
 }
 
 impl PresenceStatement {
@@ -58,14 +190,14 @@ impl PresenceStatement {
         let named = room.is_none_or(|room| {
             room.contains(char::is_alphanumeric) && !room.contains(is_hidden) && room.len() <= SENTENCE_BYTES_MAX / 2
         });
-        let statement = Self { presence, room: room.map(str::to_owned), subject: None };
+        let statement = Self { presence, room: room.map(str::to_owned), subject: None, of_everybody: false };
         if presence == Presence::Unknown || !named {
             return Err(PresenceError { text: statement.to_string() });
         }
         Ok(statement)
     }
 
-    /// Reads what [`fmt::Display`] writes: `present`, `present in the kitchen`, `away`, `gone`.
+    /// Reads what [`fmt::Display`] writes: `present`, `present in the kitchen`, `away`, `everybody away`, `gone`.
     ///
     /// # Errors
     /// Anything else.
@@ -84,6 +216,7 @@ impl PresenceStatement {
             "present in the" => (Presence::Unknown, None),
             "present" => (Presence::Present, None),
             "away" => (Presence::Away, None),
+            "everybody away" => return Ok(Self::of_all(Presence::Away)),
             "gone" => (Presence::Gone, None),
             _ => {
                 let room = text.strip_prefix("present in ").map(|room| room.strip_prefix("the ").unwrap_or(room));
@@ -93,73 +226,46 @@ impl PresenceStatement {
         Self::new(presence, room).map_err(|_| PresenceError { text: text.chars().take(80).collect() })
     }
 
-    /// What a plain sentence says of its person: "They leave the house.", "Ada comes home."; none where it says something else.
+    /// What a plain sentence says of its person: "They leave the house.", "Ada comes home.", "Ben is at work.", "Somebody is in the kitchen.";
+    /// or of everybody: "Nobody is home." None where it says something else.
     #[must_use]
     pub fn of_sentence(sentence: &str) -> Option<Self> {
-        const LEAVES: [&str; 10] = [
-            "leaves",
-            "leave",
-            "left",
-            "goes out of",
-            "go out of",
-            "went out of",
-            "exits",
-            "exit",
-            "exited",
-            "have left",
-        ];
-        const COMES: [&str; 9] =
-            ["comes", "come", "came", "returns", "return", "returned", "arrives", "arrive", "arrived"];
-        const NOT_SAID: [&str; 6] = ["nobody", "noone", "no-one", "don't", "never", "please"];
-        const PRONOUNS: [&str; 14] = [
-            "they",
-            "he",
-            "she",
-            "it",
-            "i",
-            "we",
-            "you",
-            "somebody",
-            "someone",
-            "everybody",
-            "everyone",
-            "people",
-            "all",
-            "both",
-        ];
-        const HOUSE: [&str; 6] = ["the house", "the home", "the apartment", "the flat", "the building", "home"];
-        const AT_HOUSE: [&str; 10] = [
-            "home",
-            "back home",
-            "back",
-            "at home",
-            "at the house",
-            "back to the house",
-            "to the house",
-            "into the house",
-            "back into the house",
-            "back to the apartment",
-        ];
         let lower = sentence.to_lowercase();
         let said = lower.trim().trim_end_matches(['.', '!']);
         // The subject is one word: a pronoun or a name.
-        let (subject, rest) = said.split_once(' ')?;
+        let (subject, rest) = match said.strip_prefix("no one ") {
+            Some(rest) => ("nobody", rest),
+            None => said.split_once(' ')?,
+        };
         if NOT_SAID.contains(&subject) {
             return None;
         }
-        let follows = |verbs: &[&str], places: &[&str]| {
-            let mut places_of = verbs.iter().filter_map(|verb| rest.strip_prefix(verb)?.strip_prefix(' '));
-            places_of.any(|place| places.contains(&place))
+        let (presence, room) = predicate(rest)?;
+        let of_everybody = match subject {
+            "nobody" | "noone" | "no-one" => {
+                // That nobody leaves, or is in one room, says of nobody where they are.
+                let nobody_is_in = presence == Presence::Present && room.is_none() && state(rest).is_some();
+                return nobody_is_in.then_some(Self::of_all(Presence::Away));
+            }
+            "everybody" | "everyone" | "all" | "both" => true,
+            _ => false,
         };
-        let presence = if follows(&LEAVES, &HOUSE) || ["goes out", "go out", "went out"].contains(&rest) {
-            Presence::Away
-        } else if follows(&COMES, &AT_HOUSE) {
-            Presence::Present
-        } else {
-            return None;
-        };
+        // Where each of them is, no sentence about all of them says.
+        if of_everybody {
+            return (room.is_none() && presence == Presence::Away).then_some(Self::of_all(presence));
+        }
         let subject = Some(subject).filter(|subject| !PRONOUNS.contains(subject)).map(str::to_owned);
-        Some(Self { presence, room: None, subject })
+        Some(Self { subject, ..Self::new(presence, room).ok()? })
+    }
+
+    fn of_all(presence: Presence) -> Self {
+        Self { presence, room: None, subject: None, of_everybody: true }
+    }
+
+    /// Whether it is said of everybody who lives here or is in the house.
+    #[must_use]
+    pub fn is_of_everybody(&self) -> bool {
+        self.of_everybody
     }
 
     /// What is said.
@@ -183,6 +289,9 @@ impl PresenceStatement {
 
 impl fmt::Display for PresenceStatement {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.of_everybody {
+            f.write_str(EVERYBODY)?;
+        }
         f.write_str(self.presence.as_str())?;
         self.room.iter().try_for_each(|room| write!(f, " in the {room}"))
     }
@@ -194,7 +303,9 @@ mod tests {
 
     #[test]
     fn what_is_written_is_read() {
-        for text in ["present", "present in the kitchen", "present in the living room", "away", "gone"] {
+        for text in
+            ["present", "present in the kitchen", "present in the living room", "away", "everybody away", "gone"]
+        {
             assert_eq!(PresenceStatement::parse(text).unwrap().to_string(), text);
         }
         for text in
@@ -226,9 +337,35 @@ mod tests {
             "They come to the table.",
             "They go out of the kitchen.",
             "They leave.",
+            "Nobody leaves the house.",
+            "Nobody is in the kitchen.",
+            "Everybody is in the kitchen.",
+            "They are in the bath.",
+            "They are tired.",
             "",
         ] {
             assert_eq!(of(sentence), None, "{sentence}");
+        }
+    }
+
+    #[test]
+    fn a_sentence_says_what_somebody_is() {
+        let of = |sentence: &str| PresenceStatement::of_sentence(sentence).unwrap();
+        for (sentence, said, subject, of_everybody) in [
+            ("Ada is away.", "away", Some("ada"), false),
+            ("Ada is still at work.", "away", Some("ada"), false),
+            ("He is not at home.", "away", None, false),
+            ("Ben is now home.", "present", Some("ben"), false),
+            ("Somebody is in the kitchen.", "present in the kitchen", None, false),
+            ("Ada is in the living room", "present in the living room", Some("ada"), false),
+            ("Nobody is home.", "everybody away", None, true),
+            ("No one is at home!", "everybody away", None, true),
+            ("Everybody is out.", "everybody away", None, true),
+            ("Everyone has left the house.", "everybody away", None, true),
+        ] {
+            let statement = of(sentence);
+            assert_eq!((statement.to_string().as_str(), statement.subject()), (said, subject), "{sentence}");
+            assert_eq!(statement.is_of_everybody(), of_everybody, "{sentence}");
         }
     }
 }

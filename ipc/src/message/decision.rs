@@ -69,7 +69,7 @@ layout! {
         /// How likely somebody is in the room gone to, 0 to 1: by the forecast over the stay, where the policy plans by it; else the
         /// room's score.
         80 => probability: f64,
-        /// How long the robot will stay there, in nanoseconds.
+        /// How long the robot will stay there, in nanoseconds. 0 of work that was asked for before: its time is over, and a report is owed.
         88 => stay_ns: u64,
         /// One of [`action`].
         96 => action: u32,

@@ -8,11 +8,11 @@ pub const MAX_HORIZONS: usize = 16;
 
 /// Bits of [`ForecastV1::flags`].
 pub mod forecast_flags {
-    /// Nobody was observed: every room is as likely, which says nothing.
+    /// Nobody was observed, or of somebody who lives here nothing was and all others are away: every room is as likely, which says nothing.
     pub const NOT_KNOWN: u32 = 1;
     /// Of somebody, all that is known was observed before the daemon's start.
     pub const RESTORED: u32 = 1 << 1;
-    /// Everybody who is known is away now.
+    /// Everybody who is known or lives here is away now.
     pub const NOBODY_HOME: u32 = 1 << 2;
 }
 

@@ -37,7 +37,7 @@ pub mod score_flags {
     /// The last scoring attempt failed; these are the last good scores, sent again at once, with the narration and of the map that
     /// they are of. A later attempt scores what this one could not.
     pub const SCORER_FAILED: u32 = 1 << 5;
-    /// Everybody who is known is away: no room is likely, and their scores are `-inf`.
+    /// Everybody who is known or lives here is away: no room is likely, and their scores are `-inf`.
     pub const NOBODY_HOME: u32 = 1 << 6;
 }
 

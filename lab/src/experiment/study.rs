@@ -12,7 +12,7 @@ use crate::simulation::homer::Day;
 use crate::simulation::mixed_integer;
 use crate::simulation::timeline::{PersonOptions, Timeline};
 use crate::simulation::world::{self, Cost, Disturbance, Knowledge, Run, WorldError, check_room_time, restart_rng};
-use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
+use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::narration::{Program, Sentence};
@@ -70,8 +70,8 @@ struct Track {
     timeline: Timeline,
     /// After each number of completed actions: S per partition, not normalised.
     scores: Vec<Vec<f64>>,
-    /// Per completed action the label that its sentence mentions.
-    mentions: Vec<Option<usize>>,
+    /// Per completed action what its sentence mentions.
+    mentions: Vec<Option<Mention>>,
 }
 
 /// One or several persons in a map: all that a robot can meet, and all that it can know.

@@ -2,6 +2,7 @@
 //! no port: the daemon's loop, the simulation and the tests drive it alike.
 
 use std::cmp::Reverse;
+use std::collections::BTreeSet;
 
 use roomcast_ipc::{
     ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS,
@@ -155,12 +156,17 @@ pub struct Board<M> {
     /// Of the narration that no step has scored yet: when its first was received, and whether some was lost before it.
     unscored_ns: Option<u64>,
     unscored_gap: bool,
+    /// Rooms that somebody was said to be in and that the map does not have, as they were logged.
+    strange_rooms: BTreeSet<String>,
     /// Working memory of a step: the sources that the scores name, in the order of the message, each with how many newer ones of its voice
     /// there are.
     newest_sources: Vec<(usize, Included)>,
     /// Per person where they will be; persons unknown to the histories are forgotten.
     followed: std::collections::BTreeMap<u32, Forecaster>,
 }
+
+/// Names of rooms that the map does not have which are logged, until the map changes.
+const STRANGE_ROOMS_LOGGED: usize = 16;
 
 /// Observations whose memory is used again: more come at once after a stand-still only.
 const SEEN_KEPT: usize = 256;
@@ -210,6 +216,7 @@ impl<M: LanguageModel> Board<M> {
             unwatched: 0,
             unscored_ns: None,
             unscored_gap: false,
+            strange_rooms: BTreeSet::new(),
             newest_sources: Vec::new(),
             followed: std::collections::BTreeMap::new(),
         })
@@ -239,6 +246,7 @@ impl<M: LanguageModel> Board<M> {
         let rooms = named_rooms(&partitions(&map, self.grounding.level))?;
         let prepared = self.pipeline.change_map(&map, &self.grounding)?;
         self.next_rooms = Some(Box::new(rooms));
+        self.strange_rooms.clear();
         self.rescored.clear();
         self.rescored.extend(self.persons.iter().map(|(person, _)| person));
         self.mentions = Mentions::new(&map, self.pipeline.grounding());
@@ -311,7 +319,7 @@ impl<M: LanguageModel> Board<M> {
         // What is said of several persons after one step is told in no particular order.
         expectations.sort_by_key(|(after, _)| *after);
         let mut expectations = expectations.iter().peekable();
-        for (index, mut observation) in observations.into_iter().enumerate() {
+        for (index, observation) in observations.into_iter().enumerate() {
             if self.pipeline.is_costly(&observation) {
                 costly += 1;
                 self.pass_over(observation.source, observation.epoch, observation.sequence);
@@ -320,15 +328,18 @@ impl<M: LanguageModel> Board<M> {
                 continue;
             }
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
-            self.take(&mut observation, Voice::EARLIER, at_ns);
-            let person = observation.person;
-            self.pipeline.observe([observation]);
-            self.follow();
-            match self.persons.get_mut(person) {
-                // They were told of.
-                Some(known) if known.presence == Presence::Gone => _ = self.persons.remove(person),
-                Some(known) => known.restored = true,
-                None => {}
+            let mut person = observation.person;
+            for mut own in self.persons.each(observation) {
+                self.take(&mut own, Voice::EARLIER, at_ns);
+                person = own.person;
+                self.pipeline.observe([own]);
+                self.follow();
+                match self.persons.get_mut(person) {
+                    // They were told of.
+                    Some(known) if known.presence == Presence::Gone => _ = self.persons.remove(person),
+                    Some(known) => known.restored = true,
+                    None => {}
+                }
             }
             while let Some((_, expectation)) = expectations.next_if(|(after, _)| *after <= index) {
                 let said: Vec<f64> =
@@ -382,16 +393,22 @@ impl<M: LanguageModel> Board<M> {
             self.persons.remove(observation.person);
             self.drop_person(observation.person);
         }
+        let outdated = self.persons.is_outdated(observation, noted_ns);
         if let Some(dropped) = self.persons.note(observation, voice, noted_ns) {
             self.drop_person(dropped);
         }
         if !self.rescored.contains(&observation.person) {
             self.rescored.push(observation.person);
         }
-        let Some(at_ns) = at_ns else { return };
+        let Some(at_ns) = at_ns.filter(|_| !outdated) else { return };
         if self.unwatched == self.seen.len() {
             let (words, presence) = (String::new(), Presence::Unknown);
             self.seen.push(Seen { person: 0, at_ns: 0, presence, words, is_sentence: false });
+        }
+        if let Said::Presence(statement) = &observation.said
+            && let Some(room) = statement.room()
+        {
+            self.note_room(room);
         }
         let place = &mut self.seen[self.unwatched];
         self.unwatched += 1;
@@ -405,6 +422,19 @@ impl<M: LanguageModel> Board<M> {
         place.is_sentence = is_sentence;
     }
 
+    /// Says once of each name that no room of the map has it: whoever is said to be there is present, and nothing is known of where.
+    fn note_room(&mut self, room: &str) {
+        let is_strange = self.next_rooms.is_none() && room_named(room, &self.map, self.pipeline.grounding()).is_none();
+        if is_strange && self.strange_rooms.len() < STRANGE_ROOMS_LOGGED && self.strange_rooms.insert(room.to_owned()) {
+            let rooms = self.snapshot.rooms().iter().map(RoomV1::id).collect::<Vec<_>>().join(", ");
+            tracing::warn!(
+                room,
+                rooms,
+                "somebody is said to be in a room that the map does not have: they count as present, in no room in particular; correct the narrator or the scene"
+            );
+        }
+    }
+
     /// Whom an observation that names nobody fits best: where each person is believed to be, and what the model expects of them next.
     fn fitting(&mut self, said: &Said, at_ns: i64) -> u32 {
         /// What an expected object counts beside being where it is.
@@ -414,7 +444,7 @@ impl<M: LanguageModel> Board<M> {
         let Self { persons, pipeline, followed, mentions, map, next_rooms, .. } = self;
         let grounding = pipeline.grounding();
         let place = match said {
-            Said::Sentence(sentence) => mentions.last(sentence.as_str()).map(Place::Label),
+            Said::Sentence(sentence) => mentions.last(sentence.as_str()).map(|found| Place::Label(found.label)),
             Said::Presence(statement) => {
                 statement.room().and_then(|room| room_named(room, map, grounding)).map(Place::Room)
             }
@@ -516,8 +546,8 @@ impl<M: LanguageModel> Board<M> {
                 // What the model says after all of them is for what comes then, not for what lies between them.
                 let mention = self.mentions.last(&seen.words);
                 own.observe(at_s, mention, grounding, &[]);
-                if let (Some(label), Some(known)) = (mention, self.persons.get_mut(seen.person)) {
-                    known.on_bed = is_bed(&grounding.scored_labels()[label].text);
+                if let (Some(found), Some(known)) = (mention, self.persons.get_mut(seen.person)) {
+                    known.on_bed = is_bed(&grounding.scored_labels()[found.label].text);
                 }
             } else {
                 own.enter(at_s, room_named(&seen.words, &self.map, grounding));
@@ -545,13 +575,15 @@ impl<M: LanguageModel> Board<M> {
         (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
         (message.minor, message.flags) = (2, 0);
         let persons = || self.persons.iter().filter(|(_, known)| known.presence != Presence::Gone);
-        if self.followed.is_empty() {
+        // Somebody who lives here may be anywhere, also out, as long as nothing was observed of them.
+        let not_known = self.followed.is_empty() || self.persons.is_anybodys_guess();
+        if not_known {
             message.flags |= forecast_flags::NOT_KNOWN;
         }
         if persons().any(|(_, known)| known.restored) {
             message.flags |= forecast_flags::RESTORED;
         }
-        if persons().next().is_some() && persons().all(|(_, known)| known.presence == Presence::Away) {
+        if self.persons.nobody_is_home() {
             message.flags |= forecast_flags::NOBODY_HOME;
         }
         for (id, room) in message.id.iter_mut().zip(rooms) {
@@ -567,10 +599,10 @@ impl<M: LanguageModel> Board<M> {
                 elsewhere *= own.elsewhere(now_s, f64::from(*horizon_s));
             }
             for (row, free) in message.probability.iter_mut().zip(free).take(rooms.len()) {
-                let occupied = if self.followed.is_empty() { 1.0 / rooms.len() as f64 } else { 1.0 - free };
+                let occupied = if not_known { 1.0 / rooms.len() as f64 } else { 1.0 - free };
                 row[place] = occupied.clamp(0.0, 1.0) as f32;
             }
-            message.elsewhere[place] = if self.followed.is_empty() { 0.0 } else { elsewhere as f32 };
+            message.elsewhere[place] = if not_known { 0.0 } else { elsewhere as f32 };
         }
         message
     }
@@ -632,7 +664,7 @@ impl<M: LanguageModel> Board<M> {
         }
         self.persons.remove_gone();
         let mut costly = 0;
-        for Entry { mut observation, received_ns, after_gap, voice, leaves } in entries {
+        for Entry { observation, received_ns, after_gap, voice, leaves } in entries {
             self.unscored_ns = Some(self.unscored_ns.map_or(received_ns, |first| first.min(received_ns)));
             self.unscored_gap |= after_gap;
             if let Some((source, epoch)) = leaves {
@@ -643,9 +675,11 @@ impl<M: LanguageModel> Board<M> {
                 self.pass_over(observation.source, observation.epoch, observation.sequence);
                 continue;
             }
-            let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
-            self.take(&mut observation, voice, at_ns.or(i64::try_from(received_ns).ok()));
-            self.pipeline.hear([(voice, observation)]);
+            let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns).or(i64::try_from(received_ns).ok());
+            for mut own in self.persons.each(observation) {
+                self.take(&mut own, voice, at_ns);
+                self.pipeline.hear([(voice, own)]);
+            }
         }
         if costly > 0 {
             tracing::warn!(
@@ -806,7 +840,7 @@ impl<M: LanguageModel> Board<M> {
         snapshot.person = if shown().count() == 1 { shown().next().unwrap_or(ALL_PERSONS) } else { ALL_PERSONS };
         snapshot.persons = persons as u32;
         snapshot.window = self.pipeline.persons().map(|own| own.window as u64).sum();
-        snapshot.flags |= if persons > 0 && present == 0 { score_flags::NOBODY_HOME } else { 0 };
+        snapshot.flags |= if self.persons.nobody_is_home() { score_flags::NOBODY_HOME } else { 0 };
         snapshot.flags |= if persons == 0 { score_flags::NO_NARRATION } else { 0 };
 
         self.newest_sources.clear();
@@ -839,7 +873,10 @@ impl<M: LanguageModel> Board<M> {
     fn fill_persons(&mut self) {
         self.newest_persons.clear();
         self.newest_persons.extend(self.persons.iter().map(|(person, known)| (known.heard_ns, person)));
-        self.newest_persons.sort_unstable_by_key(|(heard_ns, person)| (Reverse(*heard_ns), *person));
+        // Residents before visitors, and of both those who were observed last.
+        let persons = &self.persons;
+        let rank = |(heard_ns, person): &(i64, u32)| (persons.is_visitor(*person), Reverse(*heard_ns), *person);
+        self.newest_persons.sort_unstable_by_key(rank);
         self.newest_persons.truncate(MAX_PERSONS);
         self.newest_persons.sort_unstable_by_key(|(_, person)| *person);
 

@@ -35,6 +35,7 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use rustix::fs::FlockOperation;
 
 use self::forget::IsTheirs;
+use crate::state_file::sync_folder;
 use roomcast_core::narration::{Observation, PresenceStatement, Said, Sentence};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_ipc::{MAX_ROOMS, NAME_BYTES};
@@ -571,11 +572,6 @@ fn names_file(path: &Path, file: &File) -> io::Result<bool> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
         Err(error) => Err(error),
     }
-}
-
-/// Brings the names of a file's folder to the disk: without it a power loss may undo a rename.
-pub(super) fn sync_folder(file: &Path) -> io::Result<()> {
-    File::open(file.parent().unwrap_or(Path::new(".")))?.sync_all()
 }
 
 fn open_file(path: &Path) -> io::Result<File> {

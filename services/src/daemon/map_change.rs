@@ -2,18 +2,18 @@
 //! over a restart. Pure but for that file.
 
 use std::collections::VecDeque;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::journal::sync_folder;
-
-use roomcast_core::semantic_map::SemanticMap;
+use crate::state_file;
 use roomcast_core::semantic_map::delta::MapChange;
+use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap};
 
 /// The changed map's file in the state directory.
 const FILE: &str = "changed-map.json";
+/// Most bytes of it that are read: a scene, as JSON writes it again.
+const FILE_BYTES_MAX: u64 = 2 * MAX_FILE_BYTES;
 /// Answers that are remembered, for askers that ask again.
 const REMEMBERED: usize = 64;
 
@@ -124,9 +124,8 @@ impl KeptMap {
     /// the log says so.
     #[must_use]
     pub fn load(&self) -> Option<SemanticMap> {
-        let text = match std::fs::read_to_string(&self.path) {
-            Ok(text) => text,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
+        let text = match state_file::read(&self.path, FILE_BYTES_MAX) {
+            Ok(text) => text?,
             Err(error) => {
                 tracing::warn!(%error, path = %self.path.display(), "the changed map cannot be read; the configured scene is used");
                 return None;
@@ -159,11 +158,7 @@ impl KeptMap {
     pub fn keep(&self, map: &SemanticMap) -> std::io::Result<()> {
         let scene = serde_json::from_str(&map.to_json())?;
         let text = serde_json::to_string(&KeptFile { base: self.base.clone(), scene })?;
-        let mut file = tempfile::NamedTempFile::new_in(self.path.parent().unwrap_or(Path::new(".")))?;
-        file.write_all(text.as_bytes())?;
-        file.as_file().sync_all()?;
-        file.persist(&self.path).map_err(|error| error.error)?;
-        sync_folder(&self.path)
+        state_file::replace_for_good(&self.path, text.as_bytes())
     }
 }
 

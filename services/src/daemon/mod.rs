@@ -53,7 +53,7 @@ pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovere
 pub use map_change::{Answered, KeptMap, MapAnswer, MapQuestion, Outcome};
 pub use person_question::{PersonAnswer, PersonLine, PersonQuestion};
 pub use persons::{Persons, flag_words, presence_word};
-pub use persons_file::{KeptPerson, PersonsFile, check_name};
+pub use persons_file::{KeptPerson, PersonsFile};
 
 /// Observations that may wait for the scorer.
 const QUEUE: usize = 65_536;
@@ -197,6 +197,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
     let snapshot = cycle.board().snapshot();
     let mut scoring = Scoring {
         ready: false,
+        replaces_all: false,
         scores,
         items,
         forecasts,
@@ -503,6 +504,9 @@ impl Relief {
 struct Scoring<M> {
     cycle: Cycle<M>,
     ready: bool,
+    /// The next messages replace those before also where nobody listens: who joins later is given the last one that was sent, and that may
+    /// name somebody who is forgotten.
+    replaces_all: bool,
     scores: Publisher<RoomScoresV1>,
     items: ItemScoresPublisher,
     forecasts: Publisher<ForecastV1>,
@@ -563,6 +567,7 @@ impl<M: LanguageModel> Scoring<M> {
             self.renew_connections()?;
             if self.change_map()? || self.answer_about_persons()? {
                 self.cycle.score_again();
+                self.replaces_all = true;
             }
             self.status.answer(|| self.tally())?;
             // Whoever asks meanwhile waits for the first scores of a changed map.
@@ -657,18 +662,20 @@ impl<M: LanguageModel> Scoring<M> {
         }
         // First, so that a planner that the scores wake finds the forecast that belongs to them. Time alone changes where a person
         // may be, so a heartbeat has a new one too. Nobody else waits for it: who joins later gets one of that moment.
-        if self.forecasts.subscribers() > 0 {
+        let wanted = |subscribers: usize| subscribers > 0 || self.replaces_all;
+        if wanted(self.forecasts.subscribers()) {
             self.forecasts.send(self.cycle.board_mut().forecast(before_ns))?;
         }
-        if self.persons.subscribers() > 0 {
+        if wanted(self.persons.subscribers()) {
             self.persons.send(self.cycle.board_mut().person_scores(before_ns))?;
         }
-        if self.person_forecasts.subscribers() > 0 {
+        if wanted(self.person_forecasts.subscribers()) {
             self.person_forecasts.send(self.cycle.board_mut().person_forecasts(before_ns))?;
         }
         let behind = !self.queue.is_empty() || self.inbox.as_ref().is_some_and(|inbox| inbox.more);
         let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
         self.scores.send(message)?;
+        self.replaces_all = false;
         if message.has(score_flags::HEARTBEAT) {
             self.tally.heartbeats += 1;
             return Ok(());

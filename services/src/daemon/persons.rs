@@ -4,12 +4,16 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
-use roomcast_core::narration::{Observation, PERSONS_MAX, Presence, Said, Voice, same_name};
+use roomcast_core::narration::{Observation, PERSONS_MAX, Presence, SOMEBODY, Said, Voice, same_name};
 use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
 
 use super::person_question::PersonLine;
-use super::persons_file::{KeptPerson, PersonsFile, check_name};
+use super::persons_file::{KeptPerson, PersonsFile};
 use crate::config::PersonsConfig;
+use crate::person_name::check_name;
+
+/// A visitor on a bed is not gone before so long a silence: a night's sleep.
+const NIGHT_NS: i64 = 12 * 3_600_000_000_000;
 
 /// Words of things that people sleep on.
 const BEDS: [&str; 8] = ["bed", "beds", "mattress", "crib", "cot", "bunk", "futon", "bassinet"];
@@ -91,7 +95,9 @@ impl Persons {
     #[must_use]
     pub fn name_of(&self, number: u32) -> Option<&str> {
         let told = || self.known.get(&number)?.name.as_deref();
-        self.file.of_number(number).map(|kept| kept.name.as_str()).or_else(told)
+        let is_listed = |who: &&String| who.parse::<u32>().is_err() && self.number_of(who) == number;
+        let listed = || self.config.residents.iter().find(is_listed).map(String::as_str);
+        self.file.of_number(number).map(|kept| kept.name.as_str()).or_else(told).or_else(listed)
     }
 
     /// Whether a person is not of the household. Without a list of residents everybody is of it.
@@ -107,9 +113,28 @@ impl Persons {
         kept.map_or_else(by_list, |resident| !resident)
     }
 
+    /// The observations that one stands for: itself, or, where it is of everybody, one of each who lives here or is in the house.
+    pub(super) fn each(&self, observation: Observation) -> impl Iterator<Item = Observation> + use<> {
+        let of_everybody = matches!(&observation.said, Said::Presence(statement) if statement.is_of_everybody());
+        let mut whose = BTreeSet::new();
+        if of_everybody && observation.person == SOMEBODY && observation.name.is_none() {
+            let here = self.iter().filter(|(_, known)| known.presence == Presence::Present);
+            whose.extend(here.map(|(number, _)| number).chain(self.residents()));
+        }
+        let person = whose.pop_first().unwrap_or(observation.person);
+        let others: Vec<_> = whose.into_iter().map(|person| Observation { person, ..observation.clone() }).collect();
+        std::iter::once(Observation { person, ..observation }).chain(others)
+    }
+
+    /// Whether an observation that was made at `at_ns` arrives after a later one that says otherwise of whether its person is in the house.
+    pub(super) fn is_outdated(&self, observation: &Observation, at_ns: i64) -> bool {
+        let known = self.known.get(&observation.person);
+        known.is_some_and(|known| at_ns < known.heard_ns && known.presence != observation.said.presence())
+    }
+
     /// Takes in an observation of a person that was made at `at_ns`; gives who has to make room for them, if they are one too many.
     pub(super) fn note(&mut self, observation: &Observation, voice: Voice, at_ns: i64) -> Option<u32> {
-        let number = observation.person;
+        let (number, outdated) = (observation.person, self.is_outdated(observation, at_ns));
         let full = self.known.len() >= PERSONS_MAX && !self.known.contains_key(&number);
         let dropped = if full { self.least_missed(voice.number) } else { None };
         if let Some(dropped) = dropped {
@@ -137,12 +162,14 @@ impl Persons {
         // What arrives late does not turn back time.
         let at_ns = at_ns.max(known.heard_ns);
         let presence = observation.said.presence();
-        if known.presence != presence {
-            (known.presence, known.since_ns) = (presence, at_ns);
-        }
         (known.heard_ns, known.by_fit, known.restored, known.told) = (at_ns, observation.by_fit, false, false);
         known.last = (observation.source, observation.epoch, observation.sequence);
-        known.on_bed &= presence == Presence::Present;
+        if !outdated {
+            if known.presence != presence {
+                (known.presence, known.since_ns) = (presence, at_ns);
+            }
+            known.on_bed &= presence == Presence::Present;
+        }
         dropped
     }
 
@@ -174,8 +201,36 @@ impl Persons {
 
     /// Whether a person is a visitor who was silent for so long that they are gone.
     pub(super) fn has_expired(&self, number: u32, now_ns: i64) -> bool {
-        let silent_ns = self.known.get(&number).map_or(0, |known| now_ns - known.heard_ns);
-        silent_ns > (self.config.visitor_s * 1e9) as i64 && self.is_visitor(number)
+        let visitor_ns = (self.config.visitor_s * 1e9) as i64;
+        let expires = |known: &Known| {
+            let sleeps = known.presence == Presence::Present && known.on_bed;
+            now_ns - known.heard_ns > if sleeps { visitor_ns.max(NIGHT_NS) } else { visitor_ns }
+        };
+        self.known.get(&number).is_some_and(expires) && self.is_visitor(number)
+    }
+
+    /// Whether everybody who is known or lives here is away.
+    pub(super) fn nobody_is_home(&self) -> bool {
+        self.are_all_away() && !self.misses_residents()
+    }
+
+    /// Whether all who are known are away, and of somebody who lives here nothing was observed.
+    pub(super) fn is_anybodys_guess(&self) -> bool {
+        self.are_all_away() && self.misses_residents()
+    }
+
+    fn are_all_away(&self) -> bool {
+        let (known, present) = self.count();
+        known > 0 && present == 0
+    }
+
+    fn misses_residents(&self) -> bool {
+        self.residents().any(|number| !self.known.contains_key(&number))
+    }
+
+    /// The numbers of the residents that the configuration lists.
+    fn residents(&self) -> impl Iterator<Item = u32> {
+        self.config.residents.iter().map(|who| who.parse().unwrap_or_else(|_| self.number_of(who)))
     }
 
     /// The next visitor who is gone by silence.
@@ -200,7 +255,7 @@ impl Persons {
 
     /// Whom an observation that names nobody fits best: of those in the house, for whom `fit` is greatest; where that does not tell, who
     /// was observed last, or, of one who leaves, who was silent for longest and is not asleep. With nobody in the house, whoever is
-    /// away for longest is back; where nobody is known at all it is person 0.
+    /// away for longest is back; where nobody is known at all it is the first of the residents, or person 0.
     pub(super) fn fitting(&self, said: &Said, now_ns: i64, mut fit: impl FnMut(u32) -> f64) -> u32 {
         let leaves = said.presence() != Presence::Present;
         let present = self.iter().filter(|(_, known)| known.presence == Presence::Present);
@@ -215,7 +270,7 @@ impl Persons {
         // Who sleeps does not leave: one who is away already has been told of twice.
         let awake = best.filter(|(_, awake, ..)| *awake).map(|(.., Reverse(number))| number);
         let sleeper = best.map(|(.., Reverse(number))| number);
-        awake.or_else(longest_away).or(sleeper).unwrap_or_default()
+        awake.or_else(longest_away).or(sleeper).or_else(|| self.residents().next()).unwrap_or_default()
     }
 
     /// The name that a sentence's subject is: of somebody who is known by it, has it here, or lives here; or of a stranger who comes or
@@ -255,8 +310,11 @@ impl Persons {
         if owner != number && known {
             return Err(format!("{name} is person {owner} already: forget that one first, or choose another name"));
         }
-        let resident = self.file.of_number(number).and_then(|kept| kept.resident);
-        let kept = KeptPerson { number, name: name.to_owned(), resident };
+        let former = self.file.of_number(number);
+        let kept = match former {
+            Some(former) => former.renamed(name),
+            None => KeptPerson { number, name: name.to_owned(), resident: None, former: Vec::new() },
+        };
         self.file.put(kept).map_err(|error| format!("the persons file cannot be written: {error}; nothing was changed"))
     }
 
@@ -272,19 +330,15 @@ impl Persons {
 
     /// Everybody who is known, has a name here, or lives here.
     pub(super) fn lines(&self, now_ns: i64) -> Vec<PersonLine> {
-        let residents = self.config.residents.iter().map(|who| who.parse().unwrap_or_else(|_| self.number_of(who)));
         let kept = self.file.persons().iter().map(|kept| kept.number);
-        let numbers: BTreeSet<u32> = self.known.keys().copied().chain(kept).chain(residents).collect();
-        let listed = |number: u32| {
-            self.config.residents.iter().find(|who| self.number_of(who) == number && who.parse::<u32>().is_err())
-        };
+        let numbers: BTreeSet<u32> = self.known.keys().copied().chain(kept).chain(self.residents()).collect();
         let line = |person: u32| {
             let known = self.known.get(&person);
             let seconds = |since_ns: i64| (now_ns - since_ns) as f64 / 1e9;
             let flags = self.flags(person, now_ns);
             PersonLine {
                 person,
-                name: self.name_of(person).or(listed(person).map(String::as_str)).map(str::to_owned),
+                name: self.name_of(person).map(str::to_owned),
                 presence: known.map_or(Presence::Unknown, |known| known.presence),
                 since_s: known.map(|known| seconds(known.since_ns)),
                 silent_s: known.map(|known| seconds(known.heard_ns)),
@@ -385,9 +439,11 @@ mod tests {
             Self { board: board(&config), config, journal: Vec::new(), said: 0, now_ns: 100_000 * S }
         }
 
-        fn said(&mut self, who: &str, said: Said) {
+        fn observation(&mut self, who: &str, text: &str) -> Observation {
+            let statement = PresenceStatement::parse(text).map(Said::Presence);
+            let said = statement.unwrap_or_else(|_| Said::of(Sentence::new(text).unwrap()));
             self.said += 1;
-            let observation = Observation {
+            Observation {
                 person: who.parse().unwrap_or(SOMEBODY),
                 name: Some(who).filter(|name| name.parse::<u32>().is_err() && *name != "somebody").map(Into::into),
                 source: 7,
@@ -396,7 +452,10 @@ mod tests {
                 observed_unix_ns: 1_000_000 * S + self.now_ns,
                 said,
                 ..Observation::of(self.said, Sentence::new("They wait.").unwrap())
-            };
+            }
+        }
+
+        fn enter(&mut self, observation: Observation) {
             self.journal.extend(encode(&observation, &BOOT));
             let entry = Entry::new(observation, self.now_ns);
             self.step(Some(entry));
@@ -425,9 +484,8 @@ mod tests {
         /// Time passes, and then somebody says or does something.
         fn after(&mut self, seconds: u64, who: &str, text: &str) {
             self.wait(seconds);
-            let statement = PresenceStatement::parse(text).map(Said::Presence);
-            let said = statement.unwrap_or_else(|_| Said::of(Sentence::new(text).unwrap()));
-            self.said(who, said);
+            let observation = self.observation(who, text);
+            self.enter(observation);
         }
 
         /// Time passes; the loop looks once at its end whether that changes something.
@@ -670,6 +728,89 @@ mod tests {
         assert_eq!(known(&house, "ben"), Some(Presence::Present));
         house.restart();
         assert_eq!((known(&house, "ben"), known(&house, "cleo")), (Some(Presence::Present), Some(Presence::Away)));
+    }
+
+    /// What is said of everybody is said of each who lives here, and holds after a restart.
+    #[test]
+    fn nobody_is_home() {
+        let mut house = House::new(&["ada", "ben"]);
+        house.after(1, "ada", "They open the fridge.");
+        house.after(1, "plumber", "They sit on the sofa.");
+        house.after(5, "somebody", "Nobody is home.");
+        let presences = |house: &mut House| ["ada", "ben", "plumber"].map(|who| house.presence(who));
+        assert_eq!(presences(&mut house), [Some(presence::AWAY); 3]);
+        assert!(house.board.snapshot().has(score_flags::NOBODY_HOME));
+        assert_eq!(house.person("ben").unwrap().name(), "ben");
+        house.restart();
+        assert_eq!(presences(&mut house), [Some(presence::AWAY); 3]);
+        house.after(5, "somebody", "Ben is home.");
+        assert_eq!(house.presence("ben"), Some(presence::PRESENT));
+    }
+
+    /// Of who lives here and was never observed nobody knows whether they are out.
+    #[test]
+    fn a_home_is_not_empty_as_long_as_somebody_may_be_there() {
+        let mut house = House::new(&["ada", "ben"]);
+        house.after(1, "ada", "They open the fridge.");
+        house.after(1, "ada", "Ada is still at work.");
+        assert!(!house.board.snapshot().has(score_flags::NOBODY_HOME));
+        let forecast = *house.board.forecast(house.now_ns);
+        assert_eq!((forecast.flags, forecast.elsewhere[0]), (forecast_flags::NOT_KNOWN, 0.0));
+        let even = 1.0 / forecast.room_count as f32;
+        assert!(forecast.probability.iter().take(forecast.room_count as usize).all(|row| row[0] == even));
+        house.after(1, "ben", "away");
+        assert!(house.board.snapshot().has(score_flags::NOBODY_HOME));
+        assert_eq!(house.board.forecast(house.now_ns).flags, forecast_flags::NOBODY_HOME);
+    }
+
+    /// A home with one resident has nobody else.
+    #[test]
+    fn what_names_nobody_is_of_a_resident_first() {
+        let mut house = House::new(&["ada"]);
+        house.after(1, "somebody", "They open the fridge.");
+        assert_eq!((house.presence("ada"), house.known()), (Some(presence::PRESENT), 1));
+        assert_eq!(house.person("ada").unwrap().flags, person_flags::BY_FIT);
+    }
+
+    /// A phone that tells late that its person was out does not send them out of the room that they are in.
+    #[test]
+    fn what_arrives_late_does_not_turn_back_presence() {
+        let mut house = House::new(&[]);
+        house.after(1, "ada", "They open the fridge.");
+        let before = house.now().0;
+        let late = Observation { observed_ns: house.now_ns - S, ..house.observation("ada", "away") };
+        let likeliest = |rooms: &[f32]| (0..rooms.len()).max_by(|a, b| rooms[*a].total_cmp(&rooms[*b])).unwrap();
+        house.now_ns += 5 * S;
+        house.enter(late);
+        assert_eq!(house.presence("ada"), Some(presence::PRESENT));
+        assert_eq!(likeliest(&house.now().0), likeliest(&before));
+        house.restart();
+        assert_eq!(house.presence("ada"), Some(presence::PRESENT));
+    }
+
+    #[test]
+    fn a_visitor_may_sleep_here() {
+        let mut house = House::new(&["ada"]);
+        house.after(1, "ada", "They open the fridge.");
+        house.after(1, "guest", "They lie on the bed.");
+        house.wait(9 * 3600);
+        assert_eq!(house.person("guest").unwrap().flags, person_flags::ASLEEP | person_flags::VISITOR);
+        house.wait(4 * 3600);
+        assert_eq!(house.presence("guest"), Some(presence::GONE));
+    }
+
+    /// A room that is said is believed at once, however sure the belief was before.
+    #[test]
+    fn a_presence_in_a_room_is_believed_at_once() {
+        let mut house = House::new(&[]);
+        house.after(1, "ada", "They lie on the bed.");
+        house.after(4, "ada", "present in the kitchen");
+        let rooms = house.now().0;
+        assert!(rooms.iter().any(|p| *p > 0.95), "{rooms:?}");
+        house.after(4, "ada", "Ada is in the bedroom.");
+        let again = house.now().0;
+        assert_ne!(rooms.iter().position(|p| *p > 0.95), again.iter().position(|p| *p > 0.95));
+        assert!(again.iter().any(|p| *p > 0.95), "{again:?}");
     }
 
     /// Row "10 000 persons" of the attacks, in a home that names nobody who lives there.

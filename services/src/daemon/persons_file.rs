@@ -1,17 +1,20 @@
 //! The persons file of the home: which name is whose number, and who lives there. It is written when somebody is renamed, whole or not at
 //! all, and may be written by hand while the daemon is stopped.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::journal::sync_folder;
+use crate::person_name::check_name;
+use crate::state_file;
 use roomcast_core::narration::{SOMEBODY, person_number, same_name};
-use roomcast_ipc::NAME_BYTES;
 
 /// The file in the state directory.
 const FILE: &str = "persons.json";
+/// Most bytes of it that are read: ten thousand persons.
+const FILE_BYTES_MAX: u64 = 1 << 20;
+/// Former names that a person keeps, the newest.
+const FORMER_MAX: usize = 8;
 
 /// A person whom the home gave a name.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,6 +27,24 @@ pub struct KeptPerson {
     /// Whether they live here; where left out, the configuration's list says it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resident: Option<bool>,
+    /// Names that the home gave before, oldest first: narrators that use them mean this person.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub former: Vec<String>,
+}
+
+impl KeptPerson {
+    /// The names that mean this person, the newest first.
+    fn names(&self) -> impl Iterator<Item = &str> {
+        std::iter::once(self.name.as_str()).chain(self.former.iter().rev().map(String::as_str))
+    }
+
+    /// The same person with another name.
+    pub(super) fn renamed(&self, name: &str) -> Self {
+        let mut former: Vec<String> = self.former.iter().chain([&self.name]).cloned().collect();
+        former.retain(|former| !same_name(former, name));
+        former.drain(..former.len().saturating_sub(FORMER_MAX));
+        Self { name: name.to_owned(), former, ..self.clone() }
+    }
 }
 
 /// The names that the home gave.
@@ -42,13 +63,13 @@ impl PersonsFile {
     pub fn load(directory: &Path) -> Self {
         let path = directory.join(FILE);
         let mut unusable = false;
-        let persons = match std::fs::read_to_string(&path) {
-            Ok(text) => parse(&text).unwrap_or_else(|reason| {
+        let persons = match state_file::read(&path, FILE_BYTES_MAX) {
+            Ok(None) => Vec::new(),
+            Ok(Some(text)) => parse(&text).unwrap_or_else(|reason| {
                 unusable = true;
                 tracing::warn!(reason, path = %path.display(), "the persons file is malformed; names mean what they mean without it");
                 Vec::new()
             }),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
             Err(error) => {
                 unusable = true;
                 tracing::warn!(%error, path = %path.display(), "the persons file cannot be read; names mean what they mean without it");
@@ -67,7 +88,7 @@ impl PersonsFile {
     /// The number of a name: the one that the home gave it, or the one that follows from the name.
     #[must_use]
     pub fn number_of(&self, name: &str) -> u32 {
-        let kept = self.persons.iter().find(|kept| same_name(&kept.name, name));
+        let kept = self.persons.iter().find(|kept| kept.names().any(|known| same_name(known, name)));
         kept.map_or_else(|| person_number(name), |kept| kept.number)
     }
 
@@ -110,11 +131,7 @@ impl PersonsFile {
             ));
         }
         if let Some(path) = &self.path {
-            let mut file = tempfile::NamedTempFile::new_in(path.parent().unwrap_or(Path::new(".")))?;
-            file.write_all(serde_json::to_string_pretty(&persons)?.as_bytes())?;
-            file.as_file().sync_all()?;
-            file.persist(path).map_err(|error| error.error)?;
-            sync_folder(path)?;
+            state_file::replace_for_good(path, serde_json::to_string_pretty(&persons)?.as_bytes())?;
         }
         self.persons = persons;
         Ok(())
@@ -125,11 +142,12 @@ impl PersonsFile {
 fn parse(text: &str) -> Result<Vec<KeptPerson>, String> {
     let persons: Vec<KeptPerson> = serde_json::from_str(text).map_err(|error| error.to_string())?;
     for (place, person) in persons.iter().enumerate() {
-        check_name(&person.name)?;
+        person.names().try_for_each(check_name)?;
         if person.number == SOMEBODY {
             return Err(format!("{:?} has the number {SOMEBODY}, which means somebody", person.name));
         }
-        let again = |other: &&KeptPerson| other.number == person.number || same_name(&other.name, &person.name);
+        let shares = |other: &KeptPerson| person.names().any(|name| other.names().any(|known| same_name(known, name)));
+        let again = |other: &&KeptPerson| other.number == person.number || shares(other);
         if let Some(other) = persons[..place].iter().find(again) {
             return Err(format!("{:?} and {:?} have the same name or number", other.name, person.name));
         }
@@ -137,27 +155,12 @@ fn parse(text: &str) -> Result<Vec<KeptPerson>, String> {
     Ok(persons)
 }
 
-/// Whether a name can be a person's: it fits into a message, is more than space, and is no number.
-///
-/// # Errors
-/// What is wrong with it, and what to do.
-pub fn check_name(name: &str) -> Result<(), String> {
-    let fits = !name.trim().is_empty() && name.len() <= NAME_BYTES && !name.contains(roomcast_core::text::is_hidden);
-    if !fits {
-        return Err(format!("{name:?} is no name: give 1 to {NAME_BYTES} bytes of text without control characters"));
-    }
-    if name.trim().parse::<u32>().is_ok() {
-        return Err(format!("{name:?} is a number: give a name with a letter"));
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn ada() -> KeptPerson {
-        KeptPerson { number: 3, name: "Ada".to_owned(), resident: Some(true) }
+        KeptPerson { number: 3, name: "Ada".to_owned(), resident: Some(true), former: Vec::new() }
     }
 
     #[test]
@@ -166,12 +169,13 @@ mod tests {
         let mut file = PersonsFile::load(directory.path());
         assert!(file.persons().is_empty());
         file.put(ada()).unwrap();
-        file.put(KeptPerson { number: 4, name: "ben".to_owned(), resident: None }).unwrap();
-        file.put(KeptPerson { name: "Ada L.".to_owned(), ..ada() }).unwrap();
+        file.put(KeptPerson { number: 4, name: "ben".to_owned(), resident: None, former: Vec::new() }).unwrap();
+        file.put(ada().renamed("Ada L.")).unwrap();
         let again = PersonsFile::load(directory.path());
         assert_eq!(again.persons(), file.persons());
         assert_eq!(again.number_of(" ada l. "), 3);
-        assert_eq!(again.number_of("ada"), person_number("ada"));
+        // Whoever was told the former name goes on with it.
+        assert_eq!((again.number_of("ada"), again.number_of("adele")), (3, person_number("adele")));
         file.remove(3).unwrap();
         assert!(PersonsFile::load(directory.path()).of_number(3).is_none());
         // Where it cannot be written, nothing changes.
@@ -181,12 +185,26 @@ mod tests {
     }
 
     #[test]
+    fn a_name_that_is_taken_up_again_is_no_former_one() {
+        let mut ada = ada();
+        for name in ["Adele", "ada", "Adele"] {
+            ada = ada.renamed(name);
+        }
+        assert_eq!((ada.name.as_str(), ada.former.as_slice()), ("Adele", &["ada".to_owned()][..]));
+        for number in 0..20 {
+            ada = ada.renamed(&format!("name {number}"));
+        }
+        assert_eq!((ada.former.len(), ada.former[7].as_str()), (FORMER_MAX, "name 18"));
+    }
+
+    #[test]
     fn a_file_that_makes_two_of_one_is_not_used() {
         let directory = tempfile::tempdir().unwrap();
         for text in [
             r#"[{"number": 1, "name": "ada"}, {"number": 2, "name": "Ada"}]"#,
             r#"[{"number": 1, "name": "ada"}, {"number": 1, "name": "ben"}]"#,
             r#"[{"number": 4294967295, "name": "ada"}]"#,
+            r#"[{"number": 1, "name": "ada"}, {"number": 2, "name": "ben", "former": ["Ada"]}]"#,
             r#"[{"number": 1, "name": "12"}]"#,
             r#"[{"number": 1, "name": " "}]"#,
             "{",

@@ -83,6 +83,12 @@ impl Interruption {
     pub(super) fn look_away(&mut self) {
         self.since_ns = None;
     }
+
+    /// Nobody is known any more: no room is left to anybody.
+    pub(super) fn forget(&mut self) {
+        self.held.fill(false);
+        self.new_stay(None);
+    }
 }
 
 #[cfg(test)]
@@ -120,6 +126,18 @@ mod tests {
             robot.look(10 * S, &[likely], None);
             assert_eq!(robot.held(), [held], "{likely}");
         }
+    }
+
+    #[test]
+    fn a_room_is_left_to_nobody_once_nobody_is_known() {
+        let mut robot = interruption(1);
+        robot.look(0, &[0.0], Some(0));
+        robot.look(S, &[0.9], Some(0));
+        assert!(robot.look(9 * S, &[0.9], Some(0)) && robot.held()[0]);
+        robot.look_away();
+        assert!(robot.held()[0], "a forecast that is late says nothing");
+        robot.forget();
+        assert!(!robot.held()[0]);
     }
 
     #[test]

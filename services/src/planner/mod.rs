@@ -226,10 +226,14 @@ impl Planner {
         };
         self.look_for_persons(&scores, now_ns);
         if std::mem::take(&mut self.asks_again)
-            && let Some(work) = self.robot.work.clone().filter(|work| now_ns < work.ends_ns)
+            && let Some(work) = self.robot.work.clone()
         {
-            let left_ns = work.ends_ns - now_ns;
-            let reason = "goes on with what it was sent to do before the planner's restart";
+            // Where its time is over it owes a report, which it may have sent while nobody listened.
+            let left_ns = work.ends_ns.saturating_sub(now_ns);
+            let reason = match left_ns {
+                0 => "asks what became of what it was sent to do before the planner's restart",
+                _ => "goes on with what it was sent to do before the planner's restart",
+            };
             let decision = self.go(work.room, left_ns, reason, now_ns, now_unix_ns);
             if let Some(work) = &mut self.robot.work {
                 work.asked_by(decision.epoch, decision.sequence);
@@ -324,10 +328,10 @@ impl Planner {
     /// Ends the work in a room that somebody has come into.
     fn look_for_persons(&mut self, scores: &RoomScoresV1, now_ns: u64) {
         let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
-        let Some(forecast) = forecast.filter(|forecast| !forecast.knows_nobody()) else {
-            self.interruption.look_away();
-            return;
-        };
+        let Some(forecast) = forecast else { return self.interruption.look_away() };
+        if forecast.knows_nobody() {
+            return self.interruption.forget();
+        }
         let likely = forecast.now();
         let works = self.robot.work.as_ref().filter(|work| !work.waits && self.round.stay_ns > 0);
         let room = works.map(|work| self.robot.room.filter(|_| work.started).unwrap_or(work.room));

@@ -3,7 +3,6 @@
 //! It is written after a decision was sent, and after reports were taken. What a planner that is killed has not written comes again from
 //! a reporter that is still there: the service keeps its last 8 reports for whoever joins, and to take one twice changes nothing.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use roomcast_ipc::clock;
@@ -11,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Planner;
 use super::robot::Work;
+use crate::state_file;
 
 /// Most bytes of the file that are read.
 const FILE_BYTES_MAX: u64 = 1 << 20;
@@ -115,20 +115,15 @@ impl RoundFile {
 
     /// The round that was kept, of this boot: a robot that was off with its machine begins another.
     pub(super) fn load(&self) -> Option<KeptRound> {
-        let fits = |length: u64| length <= FILE_BYTES_MAX;
-        let text = match std::fs::metadata(&self.path) {
-            Ok(file) if fits(file.len()) => std::fs::read_to_string(&self.path),
-            Ok(_) => Err(std::io::Error::other(format!("it has more than {FILE_BYTES_MAX} bytes"))),
-            Err(error) => Err(error),
-        };
         let path = self.path.display();
-        let kept: KeptRound = match text.map(|text| serde_json::from_str(&text)) {
-            Ok(Ok(kept)) => kept,
-            Ok(Err(error)) => {
+        let text = state_file::read(&self.path, FILE_BYTES_MAX);
+        let kept: KeptRound = match text.map(|text| text.map(|text| serde_json::from_str(&text))) {
+            Ok(None) => return None,
+            Ok(Some(Ok(kept))) => kept,
+            Ok(Some(Err(error))) => {
                 tracing::warn!(%error, %path, "the kept round is damaged; a new one begins");
                 return None;
             }
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
             Err(error) => {
                 tracing::warn!(%error, %path, "the kept round cannot be read; a new one begins");
                 return None;
@@ -154,9 +149,8 @@ impl RoundFile {
     }
 
     fn write(&self, kept: &KeptRound) -> std::io::Result<()> {
-        let mut file = tempfile::NamedTempFile::new_in(self.path.parent().unwrap_or(Path::new(".")))?;
-        file.write_all(&serde_json::to_vec(kept)?)?;
-        file.persist(&self.path).map(|_| ()).map_err(|error| error.error)
+        // It is of this boot alone, which no loss of power outlives.
+        state_file::replace(&self.path, &serde_json::to_vec(kept)?)
     }
 }
 

@@ -771,6 +771,24 @@ fn a_restarted_planner_goes_on_with_the_round() {
     }
 }
 
+/// A report that came while no planner listened is asked for, not waited for.
+#[test]
+fn a_restarted_planner_asks_for_the_report_that_is_owed() {
+    let config = PlannerConfig { room_time_s: 100.0, ..Default::default() };
+    let mut home = Home::new(3, &config);
+    let first = home.decision(1);
+    home.answer(2, report_kind::STARTED, &first);
+    let kept = home.planner.kept("boot").unwrap();
+    home.planner = Planner::new(&config, 2).with_kept(kept);
+    let again = home.decision(150);
+    assert_eq!((again.to(), again.action, again.stay_ns), (first.to(), action::GO, 0));
+    assert!(again.reason().contains("asks what became of"), "{}", again.reason());
+    assert_eq!(home.look(151), None);
+    home.answer(152, report_kind::FINISHED, &again);
+    let next = home.decision(152);
+    assert!(next.to() != first.to() && next.covered.count_ones() == 1, "{} {:b}", next.to(), next.covered);
+}
+
 #[test]
 fn a_kept_round_of_another_map_is_left() {
     let mut home = Home::new(2, &PlannerConfig::default());

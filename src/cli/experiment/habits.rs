@@ -155,7 +155,7 @@ fn sensors(
     for item in narrated.items.iter().flatten() {
         at_s += item.duration_s;
         let Ok(Said::Sentence(sentence)) = said_of(item.kind, &item.text) else { continue };
-        let label = mentions.last(sentence.as_str());
+        let label = mentions.last(sentence.as_str()).filter(|found| !found.is_left).map(|found| found.label);
         const NEAR_S: f64 = 0.01;
         let near = edges.iter().skip(edges.partition_point(|(edge_s, _)| *edge_s < at_s - NEAR_S));
         let mut near = near.take_while(|(edge_s, _)| *edge_s <= at_s + NEAR_S).map(|(_, room)| *room);

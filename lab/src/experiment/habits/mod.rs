@@ -357,7 +357,7 @@ impl Watch<'_> {
         let mut labels: Vec<f64> = scores.iter().map(|score| (score - greatest).exp()).collect();
         let total: f64 = labels.iter().sum();
         labels.iter_mut().for_each(|p| *p /= total);
-        self.forecaster.observe(step.at_s, step.label, self.grounding, &rooms);
+        self.forecaster.observe(step.at_s, step.label.map(Into::into), self.grounding, &rooms);
         let mut forecasts = vec![(Vec::new(), Vec::new()); PREDICTORS.len()];
         let mixed = self.mixture.mix(PERSON, step.at_s, &labels).to_vec();
         forecasts[MIXTURE] = (mixed, self.mixture.next_rooms(PERSON, step.at_s, &rooms).to_vec());

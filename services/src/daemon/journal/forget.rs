@@ -9,7 +9,8 @@ use std::path::Path;
 use roomcast_core::narration::{Observation, SOMEBODY, Sentence};
 use rustix::fs::FlockOperation;
 
-use super::{HEADER_BYTES, MAGIC_CARRIED, Record, Writer, decode, encode, open_file, sync_folder};
+use super::{HEADER_BYTES, MAGIC_CARRIED, Record, Writer, decode, encode, open_file};
+use crate::state_file::sync_folder;
 
 /// Says whose an observation is.
 pub(super) type IsTheirs = dyn Fn(&Observation) -> bool + Send;

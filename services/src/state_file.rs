@@ -1,0 +1,104 @@
+//! Small files in the state directory: read with a limit, replaced whole or not at all.
+
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+/// What a file holds; none where there is none.
+///
+/// # Errors
+/// When it cannot be read, is no plain file, has more than `bytes_max` bytes, or is not UTF-8.
+pub(crate) fn read(path: &Path, bytes_max: u64) -> io::Result<Option<String>> {
+    // A named pipe would wait for whoever writes to it, so it is not opened.
+    match std::fs::metadata(path) {
+        Ok(found) if !found.is_file() => return Err(io::Error::other("it is no plain file; remove it")),
+        Ok(_) => {}
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(error),
+    }
+    let mut text = String::new();
+    File::open(path)?.take(bytes_max + 1).read_to_string(&mut text)?;
+    if text.len() as u64 > bytes_max {
+        return Err(io::Error::other(format!("it has more than {bytes_max} bytes")));
+    }
+    Ok(Some(text))
+}
+
+/// Puts a new file in place of the old one, which stays whole until then. A link stays one: the file that it leads to is replaced. It
+/// outlives a crash of this process, and may not outlive a loss of power.
+///
+/// # Errors
+/// When the directory cannot be written; the old file is as it was.
+pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    write(path, bytes, false)
+}
+
+/// The same, and it outlives a loss of power.
+///
+/// # Errors
+/// As [`replace`], or when the disk refuses.
+pub(crate) fn replace_for_good(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    write(path, bytes, true)
+}
+
+fn write(path: &Path, bytes: &[u8], for_good: bool) -> io::Result<()> {
+    let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let mut file = tempfile::NamedTempFile::new_in(folder(&path))?;
+    file.write_all(bytes)?;
+    if for_good {
+        file.as_file().sync_all()?;
+    }
+    file.persist(&path).map_err(|error| error.error)?;
+    if for_good { sync_folder(&path) } else { Ok(()) }
+}
+
+/// Makes what was created, renamed or removed in a file's folder outlive a loss of power.
+///
+/// # Errors
+/// When the folder cannot be opened, or the disk refuses.
+pub(crate) fn sync_folder(file: &Path) -> io::Result<()> {
+    File::open(folder(file))?.sync_all()
+}
+
+fn folder(file: &Path) -> PathBuf {
+    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_read_up_to_its_limit() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("file");
+        assert_eq!(read(&path, 3).unwrap(), None);
+        replace_for_good(&path, b"abc").unwrap();
+        assert_eq!(read(&path, 3).unwrap().as_deref(), Some("abc"));
+        replace(&path, b"abcd").unwrap();
+        assert!(read(&path, 3).unwrap_err().to_string().contains("more than 3 bytes"));
+        std::fs::write(&path, [0xff]).unwrap();
+        read(&path, 3).unwrap_err();
+        assert!(read(directory.path(), 3).unwrap_err().to_string().contains("no plain file"));
+    }
+
+    /// Nobody writes to the pipe: to open it would wait for ever.
+    #[test]
+    fn a_named_pipe_is_no_file() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("pipe");
+        rustix::fs::mknodat(rustix::fs::CWD, &path, rustix::fs::FileType::Fifo, rustix::fs::Mode::RUSR, 0).unwrap();
+        assert!(read(&path, 3).unwrap_err().to_string().contains("no plain file"));
+    }
+
+    #[test]
+    fn a_link_stays_one() {
+        let directory = tempfile::tempdir().unwrap();
+        let (file, link) = (directory.path().join("elsewhere"), directory.path().join("link"));
+        std::fs::write(&file, "old").unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        replace(&link, b"new").unwrap();
+        assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!(std::fs::read_to_string(&file).unwrap(), "new");
+    }
+}
