@@ -1370,6 +1370,58 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     assert!(said.contains("the daemon has taken in 4 of them before and takes none twice"), "{said}");
 }
 
+/// Several persons, one of whom only a presence is known, one who left, and a window that an hour's silence ended.
+#[test]
+fn a_recorded_household_is_explained_by_name() {
+    let mut world = World::new("record-home");
+    world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let long_ago = roomcast_ipc::clock::unix_ns() as f64 / 1e9 - 7_200.0;
+    let early = format!(
+        r#"{{"person": "ada", "text": "They lie on the bed.", "observed_unix_s": {long_ago}}}
+{{"person": "ben", "presence": "present"}}
+{{"person": "cleo", "text": "They wash the dishes."}}
+"#
+    );
+    assert_eq!(world.narrate("early", &early).0, 0);
+    let renamed = world.command(&["person", "rename", "cleo", "Cleopatra"]).output().unwrap();
+    assert!(renamed.status.success(), "{renamed:?}");
+    let file = world.directory.path().join("home.mcap");
+    let recorder = world.start(&["record", file.to_str().unwrap()]);
+    eventually("the recorder listens", || (scores.subscribers() > 1).then_some(()));
+    let lines = [
+        r#"{"person": "ada", "text": "They open the fridge."}"#,
+        r#"{"person": "cleo", "text": "They dry the dishes."}"#,
+        r#"{"person": "Dora", "text": "They sit on the sofa."}"#,
+        "Dora leaves the house.",
+    ];
+    for (number, line) in lines.iter().enumerate() {
+        assert_eq!(world.narrate(&format!("camera-{number}"), &format!("{line}\n")).0, 0);
+    }
+    world.signal(recorder, Signal::TERM);
+    let (status, log) = world.wait(recorder);
+    assert!(status.success(), "{log}");
+    let explain = |more: &[&str]| {
+        let output = roomcast(&["explain", "--recording", file.to_str().unwrap()]).args(more).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let recording = roomcast_services::recording::read(&file).unwrap();
+    let last = recording.moment(None, None).unwrap().scores;
+    for sequence in last.sequence - 3..=last.sequence {
+        let text = explain(&["--sequence", &sequence.to_string()]);
+        let difference = text.split("differ by at most ").nth(1).unwrap().split_whitespace().next().unwrap();
+        let difference: f64 = difference.trim_end_matches('.').parse().unwrap();
+        assert!(difference < 5e-3, "scores {sequence}: {text}");
+        assert!(!text.contains("They contain"), "scores {sequence}: {text}");
+    }
+    let text = explain(&[]);
+    assert!(text.contains("Cleopatra") && !text.contains("They lie on the bed."), "{text}");
+    assert!(explain(&["--person", "cleopatra"]).contains("They dry the dishes."));
+}
+
 #[test]
 fn latency_measures_every_path_beside_its_yardsticks() {
     let arguments = ["latency", "--samples", "5", "--pause", "1", "--scorer", "none", "--load", "idle", "--json"];

@@ -65,7 +65,7 @@
 // they are of. A later attempt scores what this one could not.
 #define ROOMCAST_SCORE_FLAGS_SCORER_FAILED (1 << 5)
 
-// Everybody who is known is away: no room is likely, and their scores are -inf.
+// Everybody who is known or lives here is away: no room is likely, and their scores are -inf.
 #define ROOMCAST_SCORE_FLAGS_NOBODY_HOME (1 << 6)
 
 // Most persons in one message; the longest silent ones are left out, and PersonScoresV1::persons says how many there are.
@@ -105,13 +105,13 @@
 // Most points in time of a forecast.
 #define ROOMCAST_MAX_HORIZONS 16
 
-// Nobody was observed: every room is as likely, which says nothing.
+// Nobody was observed, or of somebody who lives here nothing was and all others are away: every room is as likely, which says nothing.
 #define ROOMCAST_FORECAST_FLAGS_NOT_KNOWN 1
 
 // Of somebody, all that is known was observed before the daemon's start.
 #define ROOMCAST_FORECAST_FLAGS_RESTORED (1 << 1)
 
-// Everybody who is known is away now.
+// Everybody who is known or lives here is away now.
 #define ROOMCAST_FORECAST_FLAGS_NOBODY_HOME (1 << 2)
 
 // Most bytes of a decision's reason.
@@ -657,7 +657,7 @@ typedef struct RoomcastDecisionV1 {
   // room's score.
   // (Offset 80.)
   double probability;
-  // How long the robot will stay there, in nanoseconds.
+  // How long the robot will stay there, in nanoseconds. 0 of work that was asked for before: its time is over, and a report is owed.
   // (Offset 88.)
   uint64_t stay_ns;
   // One of action.

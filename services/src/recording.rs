@@ -15,14 +15,14 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
 use roomcast_ipc::{
     ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, PersonV1,
-    RobotReportV1, RoomScoresV1, Sender, person_flags,
+    RobotReportV1, RoomScoresV1, Sender, person_flags, presence,
 };
 use serde_json::{Value, json};
 
 use crate::config::IntakeLimits;
 use crate::daemon::{Intake, Taken, presence_word};
 use crate::moment::Moment;
-use roomcast_core::narration::{Presence, SOMEBODY, Said, Sentence, person_number};
+use roomcast_core::narration::{Observation, Presence, SOMEBODY, Said, Sentence, person_number, same_name};
 
 /// Largest recording that is read back, also of its records unpacked: it is held in memory.
 pub const FILE_BYTES_MAX: u64 = 4 << 30;
@@ -453,8 +453,12 @@ pub struct RecordedMoment {
     pub at_s: f64,
     /// The daemon's own telling that these scores follow: the map in use, the binding sequence, how scores are grounded.
     pub base: Option<usize>,
-    /// The narration that the scores contain, with its person, oldest first; of one person exactly the window.
+    /// The narration that the scores contain, with its person, oldest first: of each person that the daemon told of exactly the window.
     pub narration: Vec<(u32, Sentence)>,
+    /// Who has nothing in their window, and whether they are in the house.
+    pub silent: Vec<(u32, bool)>,
+    /// The names of persons, by number.
+    pub names: BTreeMap<u32, String>,
 }
 
 impl Recording {
@@ -487,60 +491,107 @@ impl Recording {
             let included = known.into_iter().flat_map(|moment| &moment.included);
             included.filter(|i| i.source == source && i.epoch == epoch).any(|i| i.sequence >= message.sequence)
         };
-        let contained = |message: &NarrationV1| {
+        let claimed = |message: &NarrationV1| {
             let mut included = scores.included().iter();
             included.any(|i| (i.source, i.epoch) == (message.source, message.epoch) && message.sequence <= i.sequence)
         };
-        let window = usize::try_from(scores.window).unwrap_or(usize::MAX);
         let heard = || {
             self.messages.iter().filter_map(|(received, message)| match message {
-                Recorded::Narration(message) if !already(message) => Some((message, *received)),
+                Recorded::Narration(message) if !already(message) => Some((&**message, *received)),
                 _ => None,
             })
         };
-        let claimed = heard().filter(|(message, _)| contained(message)).map(|(message, _)| (message, true));
-        // Scores that wait for the journal contain a little more than they claim, and the recording may lack the message that claims it.
-        // What the window has beyond that was heard next.
-        let unclaimed = heard().filter(|(message, received)| !contained(message) && *received <= time);
-        let unclaimed = unclaimed.map(|(message, _)| (message, false)).filter(|_| scores.persons <= 1);
+        let told = self.told(&scores);
+        let told_of = |person: u32| told.and_then(|told| told.persons().iter().find(|told| told.person == person));
+        let window = |person: u32| match (told_of(person), scores.persons) {
+            (Some(told), _) => Some(told.window as usize),
+            (None, 0..=1) => Some(scores.window as usize),
+            _ => None,
+        };
+        // Scores that wait for the journal contain a little more than they claim, and the recording may lack the message that claims it: what
+        // was observed up to the person's last observation, or, where nobody tells of persons, what the window has room for.
+        let unclaimed = heard().filter(|(message, received)| !claimed(message) && *received <= time);
+        let claimed = heard().filter(|(message, _)| claimed(message)).map(|(message, _)| (message, true));
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
-        for (message, is_claimed) in claimed.chain(unclaimed) {
-            if !is_claimed && narration.len() >= window {
-                break;
+        for (message, is_claimed) in claimed.chain(unclaimed.map(|(message, _)| (message, false))) {
+            let Taken::Accepted { observation, .. } = intake.take(message, Sender::simulated(message.source), 0) else {
+                continue;
+            };
+            let last = narration.last().map(|(person, _)| *person);
+            let person = self.person_of(&observation, scores.epoch).or(last).unwrap_or_default();
+            let of_person = narration.iter().filter(|(of, _)| *of == person).count();
+            let is_contained = match told_of(person) {
+                Some(told) => message.observed_ns > 0 && message.observed_ns <= told.observed_ns,
+                None => window(person).is_some_and(|window| of_person < window),
+            };
+            if !is_claimed && !is_contained {
+                continue;
             }
-            if let Taken::Accepted { observation, .. } = intake.take(message, Sender::simulated(message.source), 0) {
-                let person = match observation.name.as_deref() {
-                    Some(name) => person_number(name),
-                    None if observation.person == SOMEBODY => {
-                        let last = || narration.last().map(|(person, _)| *person);
-                        self.fitted(message, scores.epoch).or_else(last).unwrap_or_default()
-                    }
-                    None => observation.person,
-                };
-                match observation.said {
-                    Said::Sentence(sentence) => narration.push((person, sentence)),
-                    // Who leaves begins a new window.
-                    said if said.presence() != Presence::Present => narration.retain(|(of, _)| *of != person),
-                    Said::Presence(_) => {}
-                }
+            match observation.said {
+                Said::Sentence(sentence) => narration.push((person, sentence)),
+                Said::Presence(statement) if statement.is_of_everybody() => narration.clear(),
+                // Who leaves begins a new window.
+                said if said.presence() != Presence::Present => narration.retain(|(of, _)| *of != person),
+                Said::Presence(_) => {}
             }
         }
-        if scores.persons <= 1 {
-            narration.drain(..narration.len().saturating_sub(window));
+        // The window of each is what the daemon says: an hour without a sentence ends one, and who is gone has none.
+        let mut excess: BTreeMap<u32, usize> = BTreeMap::new();
+        narration.iter().for_each(|(person, _)| *excess.entry(*person).or_default() += 1);
+        let all_are_told = told.is_some_and(|told| told.persons <= told.person_count);
+        for (person, excess) in &mut excess {
+            let window = window(*person).unwrap_or(if all_are_told { 0 } else { usize::MAX });
+            *excess = excess.saturating_sub(window);
         }
-        Some(RecordedMoment { scores, at_s: seconds(time), base, narration })
+        narration.retain(|(person, _)| match excess.get_mut(person) {
+            Some(excess @ 1..) => {
+                *excess -= 1;
+                false
+            }
+            _ => true,
+        });
+        let mut names = known.map_or_else(BTreeMap::new, |moment| moment.names.clone());
+        names.extend(told.into_iter().flat_map(PersonScoresV1::persons).filter_map(|told| {
+            let name = told.name();
+            (!name.is_empty()).then(|| (told.person, name.to_owned()))
+        }));
+        let silent = told.into_iter().flat_map(PersonScoresV1::persons).filter(|told| told.window == 0);
+        let silent = silent.filter(|told| told.presence != presence::GONE);
+        let silent = silent.map(|told| (told.person, told.presence == presence::PRESENT)).collect();
+        Some(RecordedMoment { scores, at_s: seconds(time), base, narration, silent, names })
     }
 
-    /// Whose a narration is that named nobody, by the daemon's word. It tells of the newest one in a step; none for the others.
-    fn fitted(&self, message: &NarrationV1, epoch: u64) -> Option<u32> {
-        self.messages.iter().find_map(|(_, told)| match told {
-            Recorded::PersonScores(told) if told.epoch == epoch => {
-                let by_fit =
-                    |person: &&PersonV1| person.has(person_flags::BY_FIT) && person.observed_ns == message.observed_ns;
-                told.persons().iter().find(by_fit).map(|person| person.person)
+    /// What the daemon told of persons with some scores.
+    fn told(&self, scores: &RoomScoresV1) -> Option<&PersonScoresV1> {
+        self.messages.iter().rev().find_map(|(_, told)| match told {
+            Recorded::PersonScores(told) if (told.epoch, told.sequence) == (scores.epoch, scores.sequence) => {
+                Some(&**told)
             }
             _ => None,
         })
+    }
+
+    /// Whose an observation is, by the daemon's word, which tells of the newest one in a step, or by its own. None where neither says it.
+    fn person_of(&self, observation: &Observation, epoch: u64) -> Option<u32> {
+        let told = |is_theirs: &dyn Fn(&PersonV1) -> bool| {
+            self.messages.iter().find_map(|(_, told)| match told {
+                Recorded::PersonScores(told) if told.epoch == epoch => {
+                    told.persons().iter().find(|person| is_theirs(person)).map(|person| person.person)
+                }
+                _ => None,
+            })
+        };
+        let is_newest =
+            |person: &PersonV1| observation.observed_ns > 0 && person.observed_ns == observation.observed_ns;
+        match observation.name.as_deref() {
+            Some(name) => told(&|person| same_name(person.name(), name))
+                .or_else(|| told(&|person| !person.has(person_flags::BY_FIT) && is_newest(person)))
+                .or_else(|| Some(person_number(name))),
+            None if observation.person == SOMEBODY => {
+                told(&|person| person.has(person_flags::BY_FIT) && is_newest(person))
+            }
+            None => Some(observation.person),
+        }
     }
 }
 

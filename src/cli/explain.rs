@@ -11,8 +11,8 @@ use super::{CommandResult, Failure, count, draw, ranges, score, service};
 use crate::exit_code;
 use roomcast_core::explanation::Explanation;
 use roomcast_core::grounding::Grounding;
-use roomcast_core::narration::Observation;
 use roomcast_core::narration::history::HistoryLimits;
+use roomcast_core::narration::{Observation, Presence, PresenceError, PresenceStatement, Said};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::correction::CorrectionChoice;
@@ -148,7 +148,7 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
     let input = |error: String| Failure::new(exit_code::INPUT, error);
     let recording = recording::read(path).map_err(|error| Failure::new(exit_code::INPUT, error))?;
     let shown = path.display();
-    let RecordedMoment { scores, at_s, base, narration } =
+    let RecordedMoment { scores, at_s, base, narration, silent, names } =
         recording.moment(args.sequence, args.at).ok_or_else(|| {
             input(format!(
                 "the recording {shown} has no such scores; without --at and --sequence the last ones are explained"
@@ -196,16 +196,18 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
     let options = PipelineOptions { binding, history, correction, tokenisation, ..PipelineOptions::default() };
     let failed = |error| Failure::new(exit_code::MODEL, error);
     let mut pipeline = Pipeline::new(model, grounded, options).map_err(failed)?;
-    let observations = (1..).zip(narration).map(|(sequence, (person, sentence))| Observation {
-        person,
-        source: 1,
-        epoch: 1,
-        observed_ns: sequence,
-        ..Observation::of(sequence, sentence)
+    let window = narration.len() as u64;
+    let presence = |is_here: bool| if is_here { Presence::Present } else { Presence::Away };
+    let silent = silent
+        .iter()
+        .map(|&(person, is_here)| Ok((person, Said::Presence(PresenceStatement::new(presence(is_here), None)?))));
+    let said = silent.chain(narration.into_iter().map(|(person, sentence)| Ok((person, Said::Sentence(sentence)))));
+    let observations = (1..).zip(said).map(|(sequence, said)| {
+        let (person, said) = said?;
+        Ok(Observation { person, source: 1, epoch: 1, observed_ns: sequence, ..Observation::saying(sequence, said) })
     });
-    let observations: Vec<_> = observations.collect();
-    let window = observations.len() as u64;
-    pipeline.step(observations).map_err(failed)?;
+    let observations: Result<Vec<_>, PresenceError> = observations.collect();
+    pipeline.step(observations.map_err(|error| Failure::new(exit_code::FAILURE, error))?).map_err(failed)?;
     let again = &pipeline.scores().grounded.partition_probability;
     let difference = (scores.rooms().iter().zip(again))
         .map(|(room, probability)| (room.probability - probability).abs())
@@ -218,5 +220,5 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
         let _ =
             write!(note, "\nThey contain {}; the recording has {window}.", count(scores.window as usize, "narration"));
     }
-    Ok((Moment::of(&pipeline, &map, &grounding, Some(&scores)), note))
+    Ok((Moment { names, ..Moment::of(&pipeline, &map, &grounding, Some(&scores)) }, note))
 }

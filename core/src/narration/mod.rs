@@ -268,7 +268,12 @@ impl Observation {
     /// What a text says rather than a port: of person 0, by source 0 in its epoch 0, at no known time.
     #[must_use]
     pub fn of(sequence: u64, sentence: Sentence) -> Self {
-        let said = Said::Sentence(sentence);
+        Self::saying(sequence, Said::Sentence(sentence))
+    }
+
+    /// The same of whatever is said.
+    #[must_use]
+    pub fn saying(sequence: u64, said: Said) -> Self {
         let (person, name, by_fit) = (0, None, false);
         Self { person, name, by_fit, source: 0, epoch: 0, sequence, observed_ns: 0, observed_unix_ns: 0, said }
     }

@@ -34,7 +34,7 @@ class ScoreFlags(enum.IntFlag):
     SOURCES_CUT = 16
     #: The last scoring attempt failed; these are the last good scores.
     SCORER_FAILED = 32
-    #: Everybody who is known is away: no room is likely, and their scores are `-inf`.
+    #: Everybody who is known or lives here is away: no room is likely, and their scores are `-inf`.
     NOBODY_HOME = 64
 
 
@@ -70,7 +70,7 @@ class ForecastFlags(enum.IntFlag):
     NOT_KNOWN = 1
     #: Of somebody, all that is known was observed before the daemon's start.
     RESTORED = 2
-    #: Everybody who is known is away now.
+    #: Everybody who is known or lives here is away now.
     NOBODY_HOME = 4
 
 
