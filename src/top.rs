@@ -288,7 +288,14 @@ impl View {
                 Span::styled(sparkline(&room.points, line_width), Style::new().fg(color).dim()),
             ])
         });
-        let lines: Vec<_> = lines.chain(self.persons.iter().map(|line| Line::from(line.as_str()))).collect();
+        let mut lines: Vec<_> = lines.chain(self.persons.iter().map(|line| Line::from(line.as_str()))).collect();
+        // What does not fit is counted.
+        let rows = usize::from(area.height.saturating_sub(2));
+        if lines.len() > rows && rows > 0 {
+            let hidden = lines.len() - (rows - 1);
+            lines.truncate(rows - 1);
+            lines.push(Line::from(format!("and {hidden} more lines: a taller terminal has room for them")).dim());
+        }
         frame.render_widget(Paragraph::new(lines).block(titled("rooms: probability now, and over time")), area);
     }
 
@@ -566,6 +573,18 @@ mod tests {
                 );
             }
         }
+    }
+
+    /// Who does not fit is counted, not left out.
+    #[test]
+    fn persons_who_do_not_fit_are_counted() {
+        let mut view = full();
+        view.persons = (0..8).map(|number| format!("person {number}: present")).collect();
+        let text = drawn(&view, 80, 10, 1_100_000_000);
+        assert!(text.contains("person 1: present") && text.contains("more lines"), "{text}");
+        let shown = (0..8).filter(|number| text.contains(&format!("person {number}"))).count();
+        assert!(text.contains(&format!("and {} more lines", 8 - shown)), "{text}");
+        assert!(!drawn(&view, 80, 40, 1_100_000_000).contains("more lines"));
     }
 
     /// The kind decides how a text is read, as in the daemon.

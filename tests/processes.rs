@@ -1542,18 +1542,25 @@ fn a_planner_that_is_killed_in_a_round_goes_on_with_what_its_robot_has_done() {
 
 #[test]
 fn a_report_that_nobody_can_hear_or_understand_says_so() {
-    let world = World::new("report");
+    let mut world = World::new("report");
     let (code, said) = report(&world, &["finished", "--wait", "0.1"], "");
     assert_eq!(code, i32::from(exit_code::IPC), "{said}");
     assert!(said.contains("nobody listens to 1 report of the robot `robot`"), "{said}");
     let other = world.domain.open("other").unwrap();
     let reports = other.subscriber::<RobotReportV1>().unwrap();
+    let reports_port = other.publisher::<RobotReportV1>().unwrap();
     let mut command = world.command(&["report", "docked", "--wait", "0.1", "--note", "home"]);
     let docked = command.stderr(Stdio::piped()).spawn().unwrap();
     assert_eq!(eventually("the report", || reports.newest().unwrap()).note(), "home");
     let output = docked.wait_with_output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success() && said.contains("no planner of the robot `robot`"), "{said}");
+    // A planner of another robot hears nothing of this one.
+    world.start(&["planner", "--robot", "vacuum"]);
+    eventually("the planner listens", || (reports_port.subscribers() > 1).then_some(()));
+    let (code, said) = report(&world, &["finished", "--wait", "0.1"], "");
+    assert_eq!(code, i32::from(exit_code::IPC), "{said}");
+    assert!(said.contains("but one of `vacuum`: give --robot vacuum"), "{said}");
     for (arguments, code, part) in [
         (&["battery"][..], exit_code::INPUT, "needs `battery`: give 0 (empty) to 1 (full)"),
         (&["finishd"], exit_code::USAGE, "[possible values: position, started, finished"),

@@ -125,20 +125,21 @@ impl<M: Message> Publisher<M> {
         self.factory.dynamic_config().number_of_subscribers()
     }
 
-    /// Whether a participant of this name is among them.
+    /// The names of the participants that they belong to.
     #[must_use]
-    pub fn reaches(&self, participant: &str) -> bool {
+    pub fn listeners(&self) -> Vec<String> {
         let holders = subscribers(&self.factory);
-        let mut found = false;
+        let mut names = Vec::new();
         // A list that fails names nobody else, and whoever asks asks again.
         let _listed = self.factory.nodes(|state| {
-            if let NodeState::Alive(node) = state {
-                let named = node.details().as_ref().is_some_and(|details| details.name().as_str() == participant);
-                found |= named && holders.contains(node.id());
+            if let NodeState::Alive(node) = state
+                && holders.contains(node.id())
+            {
+                names.extend(node.details().as_ref().map(|details| details.name().as_str().to_owned()));
             }
             CallbackProgression::Continue
         });
-        found
+        names
     }
 
     /// A wake-up that fails is not worth failing for: the message lies in the buffer, and a subscriber that waits looks there

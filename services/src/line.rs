@@ -225,13 +225,18 @@ struct JsonLine {
 }
 
 /// One line as an item: JSON if it opens with `{`, an action if with `[`, a device state or a sentence otherwise. It is of `person` where
-/// it does not say.
+/// it does not say. What is JSON and no object is none of them.
 ///
 /// # Errors
 ///
 /// [`LineError`] with the key, where it is JSON, and what is allowed.
 pub fn line_item(line: &str, person: &Who) -> Result<Item, LineError> {
     let line = line.trim();
+    if !line.starts_with('{') && serde_json::from_str::<Value>(line).is_ok() {
+        return Err(reason(
+            "a line of JSON is an object, such as {\"text\": \"They sit down.\"}; a sentence stands without quotes",
+        ));
+    }
     let item =
         if line.starts_with('{') { json_item(line, person)? } else { Item::new(kind_of(line)?, line, person.clone()) };
     // What the daemon would refuse is refused here, where somebody sees it.
@@ -287,10 +292,10 @@ fn json_item(line: &str, person: &Who) -> Result<Item, LineError> {
 
 /// Whole nanoseconds of seconds since 1970; what lies in the future is for whoever has a clock.
 fn unix_ns(value: &Value) -> Result<u64, LineError> {
-    const ALLOWED: &str = "seconds since 1970, as in 1709280900.5";
+    const ALLOWED: &str = "seconds since 1970, as in 1709280900.5, or leave it out for now";
     match value.as_f64() {
-        // About the year 2500.
-        Some(seconds) if (0.0..=1.7e10).contains(&seconds) => Ok((seconds * 1e9) as u64),
+        // About the year 2500. 0 is what a clock that was never set says.
+        Some(seconds) if (1.0..=1.7e10).contains(&seconds) => Ok((seconds * 1e9) as u64),
         _ => Err(key_error("observed_unix_s", Some(value), ALLOWED)),
     }
 }
@@ -398,6 +403,11 @@ mod tests {
             (r#"{"text": "They sit.", "person": "-3"}"#, "\"person\": \"-3\" is no person"),
             (r#"{"text": "They sit.", "observed_unix_s": "noon"}"#, "\"observed_unix_s\" is \"noon\"; give seconds"),
             (r#"{"text": "They sit.", "observed_unix_s": -1}"#, "\"observed_unix_s\" is -1"),
+            (r#"{"text": "They sit.", "observed_unix_s": 0}"#, "\"observed_unix_s\" is 0; give seconds since 1970"),
+            ("null", "a line of JSON is an object"),
+            ("12345", "a line of JSON is an object"),
+            ("[1, 2]", "a line of JSON is an object"),
+            (r#""They sit.""#, "a sentence stands without quotes"),
         ] {
             let error = item(json).unwrap_err().to_string();
             assert!(error.contains(part), "{json}: {error}");

@@ -128,12 +128,18 @@ pub fn run(args: &Args) -> CommandResult {
         None => send_lines(&mut reporter, &publisher, &stop, &mut sent, &mut refused)?,
     }
     if sent > 0 && !stop.requested() {
-        let planner = planner::participant(robot);
-        let heard = wait(&publisher, &planner, Duration::from_secs_f64(args.wait), &stop).map_err(ipc)?;
+        let heard = wait(&publisher, robot, Duration::from_secs_f64(args.wait), &stop).map_err(ipc)?;
         let place = service::shown(&domain);
         match heard {
             Hearer::Planner => {}
             Hearer::Others => eprintln!("roomcast: no planner of the robot `{robot}` runs in {place}; others listen"),
+            Hearer::OtherPlanner(other) => {
+                let text = format!(
+                    "no planner of the robot `{robot}` runs in {place}, but one of `{other}`: give --robot {other}, or start \
+                     `roomcast planner --robot {robot}`"
+                );
+                return Err(Failure::new(exit_code::IPC, text));
+            }
             Hearer::Nobody if stop.requested() => {}
             Hearer::Nobody => {
                 let sent = count(sent, "report");
@@ -230,6 +236,8 @@ fn read_lines() -> io::Result<Receiver<Result<String, String>>> {
 /// Who has received the reports.
 enum Hearer {
     Planner,
+    /// One of the robot of this name.
+    OtherPlanner(String),
     Others,
     Nobody,
 }
@@ -237,18 +245,22 @@ enum Hearer {
 /// Waits for the robot's planner, and then as long as it takes to receive what was sent.
 fn wait(
     publisher: &Publisher<RobotReportV1>,
-    planner: &str,
+    robot: &str,
     patience: Duration,
     stop: &Stop,
 ) -> Result<Hearer, IpcError> {
     let start = Instant::now();
-    let is_there = || publisher.reaches(planner);
+    let planner = planner::participant(robot);
+    let is_there = || publisher.listeners().contains(&planner);
     while !is_there() && start.elapsed() < patience && !stop.requested() {
         std::thread::sleep(TICK);
         publisher.tick()?;
     }
+    let other = || publisher.listeners().iter().find_map(|name| planner::robot_of(name).map(str::to_owned));
     let heard = if is_there() {
         Hearer::Planner
+    } else if let Some(other) = other() {
+        Hearer::OtherPlanner(other)
     } else if publisher.subscribers() > 0 {
         Hearer::Others
     } else {

@@ -19,6 +19,15 @@ from samples import ROOMCAST, private_domain
 NOBODY = 65_534
 
 
+def test_the_environment_names_the_domain(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROOMCAST_ROOT", "/tmp/roomcast-of-a-test")
+    monkeypatch.setenv("ROOMCAST_DOMAIN", "kitchen")
+    assert Domain.default_for_user() == Domain("/tmp/roomcast-of-a-test", "kitchen")
+    monkeypatch.delenv("ROOMCAST_ROOT")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/1")
+    assert Domain.default_for_user() == Domain("/run/user/1/roomcast", "kitchen")
+
+
 @pytest.fixture
 def folder() -> Iterator[pathlib.Path]:
     with tempfile.TemporaryDirectory(prefix="rc-", dir="/tmp") as folder:

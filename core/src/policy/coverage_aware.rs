@@ -91,7 +91,7 @@ impl Policy for CoverageAware {
         let rooms = if plan.undone == 1 { "1 room".to_owned() } else { format!("{} rooms", plan.undone) };
         let end = match plan.undone {
             0 if to_do == state.covered.iter().filter(|done| !**done).count() => "every room done".to_owned(),
-            0 => "every other room done".to_owned(),
+            0 => "every open room done".to_owned(),
             _ if to_do > stays => format!("{rooms} left undone, since more do not fit"),
             _ => format!("{rooms} left undone, where it would share more than {weight_s:.0} s of a stay"),
         };
@@ -401,7 +401,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let choice = CoverageAware::new(None).choose(&state, &[0.5; 3], &mut rng).unwrap();
         assert_eq!(
-            (choice.partition.0, choice.reason.ends_with("every other room done")),
+            (choice.partition.0, choice.reason.ends_with("every open room done")),
             (1, true),
             "{}",
             choice.reason

@@ -35,7 +35,7 @@ mod run;
 mod state;
 
 pub use reports::ReportFault;
-pub use run::{participant, run};
+pub use run::{participant, robot_of, run};
 pub use state::KeptRound;
 
 use interruption::Interruption;
@@ -259,8 +259,13 @@ impl Planner {
             if !self.repeat {
                 self.finished = true;
                 self.round.end();
-                let decision = self.decision(now_ns, now_unix_ns, self.robot.room, "every room is covered");
-                return Ok(Some(DecisionV1 { flags: decision.flags | flags, ..decision }));
+                // A robot that was interrupted does not wait where somebody is.
+                let (action, to) = match self.notice.flags & decision_flags::INTERRUPTED {
+                    0 => (action::STAY, self.robot.room),
+                    _ => (action::PAUSE, None),
+                };
+                let decision = self.decision(now_ns, now_unix_ns, to, "every room is covered");
+                return Ok(Some(DecisionV1 { action, flags: decision.flags | flags, ..decision }));
             }
             if !self.round.goes_on(now_ns) {
                 self.round.forget();
@@ -352,7 +357,8 @@ impl Planner {
         let again = news || now_ns >= self.decided_ns.saturating_add(LOOK_AGAIN_NS);
         match &self.robot.work {
             Some(work) => work.waits && self.round.undone() > 0 && again,
-            None if self.is_finished() => false,
+            // Work that somebody began by hand may be interrupted.
+            None if self.is_finished() => !self.notice.why.is_empty(),
             // A robot that is always free decides once per score, not as often as it looks.
             None if self.round.stay_ns == 0 => news,
             None if self.robot.charges => self.pausing.is_none(),

@@ -16,6 +16,8 @@ use crate::notify::notify;
 use crate::setup;
 use crate::stop::Stop;
 
+/// What the names of planners begin with.
+const PARTICIPANT: &str = "roomcast-planner ";
 /// Complaints about one kind of message come at most so often.
 const QUIET_NS: u64 = 5_000_000_000;
 
@@ -86,7 +88,13 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
 /// The name by which the planner of a robot takes part in a domain.
 #[must_use]
 pub fn participant(robot: &str) -> String {
-    format!("roomcast-planner {robot} {:016x}", sequence::source_of_name(robot))
+    format!("{PARTICIPANT}{robot} {:016x}", sequence::source_of_name(robot))
+}
+
+/// The robot whose planner takes part by this name; none where it is no planner's.
+#[must_use]
+pub fn robot_of(participant: &str) -> Option<&str> {
+    participant.strip_prefix(PARTICIPANT)?.rsplit_once(' ').map(|(robot, _)| robot)
 }
 
 /// Takes the next good message that waits, if any; malformed ones are logged and left out.

@@ -771,6 +771,23 @@ fn a_restarted_planner_goes_on_with_the_round() {
     }
 }
 
+/// A robot that somebody starts by hand leaves a person alone also when its own round is over.
+#[test]
+fn work_after_the_last_round_is_interrupted_too() {
+    let mut home = Home::new(1, &PlannerConfig { repeat: false, ..Default::default() });
+    let only = home.decision(1);
+    home.answer(2, report_kind::STARTED, &only);
+    home.answer(90, report_kind::FINISHED, &only);
+    assert!(home.decision(90).has(decision_flags::COVERED));
+    home.report(100, report_kind::STARTED, |report| report.room = only.to);
+    assert_eq!(home.look(101), None);
+    home.likely = vec![0.9];
+    assert_eq!(home.look(110), None);
+    let stop = home.decision(120);
+    assert!(stop.has(decision_flags::INTERRUPTED) && stop.action == action::PAUSE, "{}", stop.reason());
+    assert_eq!(home.look(121), None);
+}
+
 /// A report that came while no planner listened is asked for, not waited for.
 #[test]
 fn a_restarted_planner_asks_for_the_report_that_is_owed() {

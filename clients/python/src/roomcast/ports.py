@@ -90,12 +90,18 @@ class Domain:
 
     @staticmethod
     def default_for_user() -> Domain:
-        """The domain of all commands when none is given: under XDG_RUNTIME_DIR, else /tmp/roomcast-UID."""
+        """The domain of all commands when none is given.
+
+        ROOMCAST_ROOT and ROOMCAST_DOMAIN name it, as for every command; without them the root is under XDG_RUNTIME_DIR, else /tmp/roomcast-UID.
+        """
+        name = os.environ.get("ROOMCAST_DOMAIN", "roomcast")
+        if given := os.environ.get("ROOMCAST_ROOT"):
+            return Domain(given, name)
         base = os.environ.get("XDG_RUNTIME_DIR", "")
         root = os.path.join(base, "roomcast")
         if not os.path.isabs(root) or len(os.fsencode(root)) > _ROOT_LIMIT:
             root = f"/tmp/roomcast-{os.geteuid()}"
-        return Domain(root)
+        return Domain(root, name)
 
     @property
     def prefix(self) -> str:
