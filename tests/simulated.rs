@@ -303,6 +303,9 @@ struct Tally {
     map_changes: u64,
     restored: u64,
     by_fit: u64,
+    /// Persons of whom something came too late to count, and those whose state nobody can tell for that.
+    outdated: u64,
+    untold: u64,
     away: u64,
     nobody_home: u64,
     visitors_gone: u64,
@@ -776,8 +779,19 @@ impl World {
             let own: Vec<_> = contained.iter().filter(|o| self.person_of(o) == Some(number)).collect();
             let told_by_name = |o: &&Observation| o.name.is_some() || o.person != SOMEBODY;
             let is_named = own.iter().any(told_by_name) || (number == 0 && !own.is_empty()) || !named;
+            let all = own.len();
             // Damage may have taken where they were named.
             ensure(is_named || self.tally.damaged > 0, || format!("nobody named person {number}"))?;
+            let is_visitor = person.has(person_flags::VISITOR);
+            let Some(own) = in_time(own, is_visitor) else {
+                self.tally.untold += 1;
+                if person.presence == presence::PRESENT {
+                    present.push(number);
+                    nobody.iter_mut().zip(person.probability).for_each(|(nobody, told)| *nobody *= 1.0 - told);
+                }
+                continue;
+            };
+            self.tally.outdated += u64::from(own.len() < all);
             let last = own.last().map_or(Presence::Unknown, |o| o.said.presence());
             let expired = person.presence == presence::GONE && last != Presence::Gone;
             self.tally.visitors_gone += u64::from(expired);
@@ -835,7 +849,8 @@ impl World {
             present.push(number);
         }
         let known = told.persons().iter().filter(|person| person.presence != presence::GONE).count();
-        let nobody_home = known > 0 && present.is_empty();
+        let is_told = |who: &String| told.persons().iter().any(|person| person.person == number_of(who));
+        let nobody_home = known > 0 && present.is_empty() && self.residents.iter().all(is_told);
         self.tally.nobody_home += u64::from(nobody_home);
         ensure(message.has(score_flags::NOBODY_HOME) == nobody_home, || format!("the flags are {}", message.flags))?;
         ensure(message.has(score_flags::NO_NARRATION) == (known == 0), || format!("the flags are {}", message.flags))?;
@@ -859,7 +874,11 @@ impl World {
             return Ok(());
         }
         let forecast = *daemon.cycle.board_mut().forecast(now_ns);
-        let known = daemon.cycle.board().snapshot().persons > 0;
+        let told = *daemon.cycle.board_mut().person_scores(now_ns);
+        let is_told = |who: &String| told.persons().iter().any(|person| person.person == number_of(who));
+        let someone = told.persons().iter().any(|person| person.presence == presence::PRESENT);
+        // Nobody knows of a home with nobody in it where somebody who lives there was never observed.
+        let known = daemon.cycle.board().snapshot().persons > 0 && (someone || self.residents.iter().all(is_told));
         ensure(forecast.has(forecast_flags::NOT_KNOWN) != known, || {
             format!("the first forecast after a start has the flags {}", forecast.flags)
         })?;
@@ -1244,7 +1263,8 @@ impl World {
         let Some(decision) = robot.planner.decide(now_ns, now_ns).unwrap() else { return Ok(()) };
         // After a restart the planner says once more what the robot was sent to do, as soon as there are scores.
         let nothing_yet = robot.last.is_none_or(|last| last.has(decision_flags::FALLBACK));
-        let again = nothing_yet && decision.reason().starts_with("goes on");
+        let asks = ["goes on", "asks what became of"].iter().any(|asks| decision.reason().starts_with(asks));
+        let again = nothing_yet && asks;
         let given_up = decision.has(decision_flags::ROBOT_SILENT | decision_flags::INTERRUPTED);
         ensure(free || again || given_up || decision.cancels != 0, || {
             format!("a robot that is not free is sent: {decision:?}")
@@ -1312,6 +1332,32 @@ impl World {
         }
         ensure(self.robot.free, || "the planner never leaves its fallback".to_owned())
     }
+}
+
+/// What is told of one person, without what came after something later had said otherwise of whether they are in the house. None where that
+/// depends on when somebody looked: whether who is gone, or a visitor who was silent, was forgotten before it came.
+fn in_time(own: Vec<&Observation>, is_visitor: bool) -> Option<Vec<&Observation>> {
+    let (mut newest_ns, mut presence, mut was_gone) = (0, Presence::Unknown, false);
+    let mut kept = Vec::with_capacity(own.len());
+    for observation in own {
+        let is_late = observation.observed_ns < newest_ns;
+        if is_late && (is_visitor || was_gone) {
+            return None;
+        }
+        let said = observation.said.presence();
+        if is_late && presence != said {
+            continue;
+        }
+        (newest_ns, presence) = (newest_ns.max(observation.observed_ns), said);
+        was_gone |= said == Presence::Gone;
+        kept.push(observation);
+    }
+    Some(kept)
+}
+
+/// The number of somebody who is written as a name or number.
+fn number_of(who: &str) -> u32 {
+    who.parse().unwrap_or_else(|_| person_number(who))
 }
 
 /// What names an observation for good.
@@ -1394,6 +1440,8 @@ fn no_seed_violates_an_invariant() {
                 total.by_fit += tally.by_fit;
                 total.away += tally.away;
                 total.nobody_home += tally.nobody_home;
+                total.outdated += tally.outdated;
+                total.untold += tally.untold;
                 total.visitors_gone += tally.visitors_gone;
                 total.windows_ended += tally.windows_ended;
                 total.finished += tally.finished;
@@ -1434,6 +1482,7 @@ fn no_seed_violates_an_invariant() {
         }
         assert!(total.several > 0 && total.map_changes > 0 && total.restored > 0, "{total:?}");
         let (by_fit, away, visitors_gone) = (total.by_fit, total.away, total.visitors_gone);
+        assert!(total.outdated > 0 && total.untold < total.several, "{total:?}");
         assert!(by_fit > 0 && away > 0 && visitors_gone > 0, "{total:?}");
         assert!(total.nobody_home > 0 && total.windows_ended > 0, "{total:?}");
         assert!(total.torn > 0 && total.damaged > 0 && total.daemon_kills > 0, "{total:?}");

@@ -504,37 +504,47 @@ impl<M: LanguageModel> Pipeline<M> {
                 continue;
             }
             self.include(&observation, voice);
-            let (person, presence) = (observation.person, observation.said.presence());
-            if presence == Presence::Gone {
-                self.forget_person(person);
-                continue;
+            self.enter_of(voice, observation, tokens);
+        }
+        costly
+    }
+
+    /// Enters an observation into its person's history, and does not take note that the scores contain it: see [`Pipeline::include`].
+    pub fn enter(&mut self, voice: Voice, observation: Observation) {
+        let tokens = observation.sentence().map(|text| self.tokens_of(text));
+        self.enter_of(voice, observation, tokens);
+    }
+
+    fn enter_of(&mut self, voice: Voice, observation: Observation, tokens: Option<usize>) {
+        let (person, presence) = (observation.person, observation.said.presence());
+        if presence == Presence::Gone {
+            self.forget_person(person);
+            return;
+        }
+        let at_home = presence != Presence::Away;
+        let history = self.histories.known(person);
+        let changed = match tokens {
+            Some(tokens) => {
+                history.hear(observation, voice, tokens);
+                true
             }
-            let at_home = presence != Presence::Away;
-            let history = self.histories.known(person);
-            let changed = match tokens {
-                Some(tokens) => {
-                    history.hear(observation, voice, tokens);
-                    true
-                }
-                None => !at_home && history.end() > 0,
-            };
-            let place = self.persons.binary_search_by_key(&person, |known| known.id);
-            let place = place.unwrap_or_else(|place| {
-                self.persons.insert(place, Person::new(person));
-                place
-            });
-            let own = &mut self.persons[place];
-            if own.at_home != at_home {
-                // Until the next step says where they are.
-                own.grounded = GroundedScores::default();
-            }
-            if changed || own.at_home != at_home {
-                own.at_home = at_home;
-                own.due = if at_home { Due::Scoring } else { Due::Grounding };
-            }
+            None => !at_home && history.end() > 0,
+        };
+        let place = self.persons.binary_search_by_key(&person, |known| known.id);
+        let place = place.unwrap_or_else(|place| {
+            self.persons.insert(place, Person::new(person));
+            place
+        });
+        let own = &mut self.persons[place];
+        if own.at_home != at_home {
+            // Until the next step says where they are.
+            own.grounded = GroundedScores::default();
+        }
+        if changed || own.at_home != at_home {
+            own.at_home = at_home;
+            own.due = if at_home { Due::Scoring } else { Due::Grounding };
         }
         self.persons.retain(|p| self.histories.get(p.id).is_some());
-        costly
     }
 
     /// Whether a sentence alone costs more tokens than a window holds, so that nothing could be scored with it.
@@ -574,8 +584,8 @@ impl<M: LanguageModel> Pipeline<M> {
         included.sequence = included.sequence.max(sequence);
     }
 
-    /// Takes note of an observation that the next scores contain.
-    fn include(&mut self, observation: &Observation, voice: Voice) {
+    /// Takes note of an observation that the next scores contain, of however many persons it is, also of none.
+    pub fn include(&mut self, observation: &Observation, voice: Voice) {
         let observed_ns = observation.observed_ns;
         self.scores.newest_observed_ns = self.scores.newest_observed_ns.max(observed_ns);
         self.turns += 1;

@@ -328,11 +328,12 @@ impl<M: LanguageModel> Board<M> {
                 continue;
             }
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
-            let mut person = observation.person;
-            for mut own in self.persons.each(observation) {
-                self.take(&mut own, Voice::EARLIER, at_ns);
+            let (mut person, voice) = (observation.person, Voice::of_source(observation.source));
+            self.pipeline.include(&observation, voice);
+            for own in self.persons.each(observation) {
+                let Some(own) = self.take(own, Voice::EARLIER, at_ns) else { continue };
                 person = own.person;
-                self.pipeline.observe([own]);
+                self.pipeline.enter(voice, own);
                 self.follow();
                 match self.persons.get_mut(person) {
                     // They were told of.
@@ -370,8 +371,9 @@ impl<M: LanguageModel> Board<M> {
         fingerprint.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes))
     }
 
-    /// Decides whom an observation is of, and takes note of it: also for the forecasts, where its time is known.
-    fn take(&mut self, observation: &mut Observation, voice: Voice, at_ns: Option<i64>) {
+    /// Decides whom an observation is of, and takes note of it: also for the forecasts, where its time is known. Gives it back for the
+    /// history, unless something later has said otherwise of whether its person is in the house.
+    fn take(&mut self, mut observation: Observation, voice: Voice, at_ns: Option<i64>) -> Option<Observation> {
         let noted_ns = at_ns.unwrap_or_default();
         match &observation.name {
             Some(name) => observation.person = self.persons.number_of(name),
@@ -382,7 +384,7 @@ impl<M: LanguageModel> Board<M> {
                     None => self.fitting(&observation.said, noted_ns),
                 };
                 (observation.person, observation.by_fit) = (person, true);
-                let Observation { source, epoch, sequence, .. } = *observation;
+                let Observation { source, epoch, sequence, .. } = observation;
                 self.attributed.push(Attributed { source, epoch, sequence, person });
             }
             None => {}
@@ -393,14 +395,16 @@ impl<M: LanguageModel> Board<M> {
             self.persons.remove(observation.person);
             self.drop_person(observation.person);
         }
-        let outdated = self.persons.is_outdated(observation, noted_ns);
-        if let Some(dropped) = self.persons.note(observation, voice, noted_ns) {
+        if at_ns.is_some_and(|at_ns| self.persons.is_outdated(&observation, at_ns)) {
+            return None;
+        }
+        if let Some(dropped) = self.persons.note(&observation, voice, noted_ns) {
             self.drop_person(dropped);
         }
         if !self.rescored.contains(&observation.person) {
             self.rescored.push(observation.person);
         }
-        let Some(at_ns) = at_ns.filter(|_| !outdated) else { return };
+        let Some(at_ns) = at_ns else { return Some(observation) };
         if self.unwatched == self.seen.len() {
             let (words, presence) = (String::new(), Presence::Unknown);
             self.seen.push(Seen { person: 0, at_ns: 0, presence, words, is_sentence: false });
@@ -420,6 +424,7 @@ impl<M: LanguageModel> Board<M> {
         };
         place.words.push_str(words);
         place.is_sentence = is_sentence;
+        Some(observation)
     }
 
     /// Says once of each name that no room of the map has it: whoever is said to be there is present, and nothing is known of where.
@@ -676,9 +681,11 @@ impl<M: LanguageModel> Board<M> {
                 continue;
             }
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns).or(i64::try_from(received_ns).ok());
-            for mut own in self.persons.each(observation) {
-                self.take(&mut own, voice, at_ns);
-                self.pipeline.hear([(voice, own)]);
+            self.pipeline.include(&observation, voice);
+            for own in self.persons.each(observation) {
+                if let Some(own) = self.take(own, voice, at_ns) {
+                    self.pipeline.enter(voice, own);
+                }
             }
         }
         if costly > 0 {

@@ -127,14 +127,15 @@ impl Persons {
     }
 
     /// Whether an observation that was made at `at_ns` arrives after a later one that says otherwise of whether its person is in the house.
+    /// Who is gone may be back.
     pub(super) fn is_outdated(&self, observation: &Observation, at_ns: i64) -> bool {
-        let known = self.known.get(&observation.person);
-        known.is_some_and(|known| at_ns < known.heard_ns && known.presence != observation.said.presence())
+        let differs = |known: &Known| ![Presence::Gone, observation.said.presence()].contains(&known.presence);
+        self.known.get(&observation.person).is_some_and(|known| at_ns < known.heard_ns && differs(known))
     }
 
     /// Takes in an observation of a person that was made at `at_ns`; gives who has to make room for them, if they are one too many.
     pub(super) fn note(&mut self, observation: &Observation, voice: Voice, at_ns: i64) -> Option<u32> {
-        let (number, outdated) = (observation.person, self.is_outdated(observation, at_ns));
+        let number = observation.person;
         let full = self.known.len() >= PERSONS_MAX && !self.known.contains_key(&number);
         let dropped = if full { self.least_missed(voice.number) } else { None };
         if let Some(dropped) = dropped {
@@ -164,12 +165,10 @@ impl Persons {
         let presence = observation.said.presence();
         (known.heard_ns, known.by_fit, known.restored, known.told) = (at_ns, observation.by_fit, false, false);
         known.last = (observation.source, observation.epoch, observation.sequence);
-        if !outdated {
-            if known.presence != presence {
-                (known.presence, known.since_ns) = (presence, at_ns);
-            }
-            known.on_bed &= presence == Presence::Present;
+        if known.presence != presence {
+            (known.presence, known.since_ns) = (presence, at_ns);
         }
+        known.on_bed &= presence == Presence::Present;
         dropped
     }
 
