@@ -88,7 +88,7 @@ def main() -> None:
     export.write(model, pieces, reference, "f32", DESCRIPTION, prior)
     export.write(model, pieces, shipped, "q8_0", DESCRIPTION, prior)
     write_expected_tokens(corpus, pieces, given.out / "household-tokens.json")
-    statistics_file.write(programs["train"], given.out / "household-statistics.json")
+    statistics_file.write(programs, given.out / "household-statistics.json")
     write_manifest(given, corpus, programs, model, shipped)
     print(f"wrote {shipped}: {shipped.stat().st_size / 1e6:.2f} MB, {model.parameter_count() / 1e6:.2f} M parameters")
 

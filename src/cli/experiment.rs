@@ -274,6 +274,8 @@ fn print_forecast(report: &Report) -> CommandResult {
         super::table(&["scene", "target", "predictor", "cases", "nll (nats)", "top-1", "top-5", "mrr", "brier", "ece"]);
     let mut differences =
         super::table(&["scene", "target", "model less", "nll (nats)", "top-1", "top-5", "mrr", "brier"]);
+    let mut activities =
+        super::table(&["scene", "target", "predictor", "nll (nats)", "top-1", "mrr", "model less: nll (nats)", "mrr"]);
     let mut rows: Vec<_> = report.rows.iter().collect();
     rows.sort_by(|a, b| (&a.scene, a.target).cmp(&(&b.scene, b.target)));
     for row in rows {
@@ -297,12 +299,30 @@ fn print_forecast(report: &Report) -> CommandResult {
         if let Some(less) = &row.model_less_this {
             differences.add_row(named.iter().cloned().chain(figures(less)));
         }
+        let (s, less) = (&row.macro_average, row.model_less_this_by_activity.as_ref());
+        let difference = |value: fn(&Summary) -> (f64, [f64; 2])| {
+            less.map_or_else(String::new, |less| {
+                let (value, interval) = value(less);
+                with(value, interval)
+            })
+        };
+        activities.add_row(named.iter().cloned().chain([
+            with(s.nll_nats, s.ci95.nll_nats),
+            with(s.top1, s.ci95.top1),
+            with(s.mrr, s.ci95.mrr),
+            difference(|less| (less.nll_nats, less.ci95.nll_nats)),
+            difference(|less| (less.mrr, less.ci95.mrr)),
+        ]));
         let s = &row.summary;
         let ece = with(s.ece, s.ci95.ece);
         table.add_row(named.into_iter().chain([s.cases.to_string()]).chain(figures(s)).chain([ece]));
     }
-    let mut text =
-        format!("{table}\n\nOn the same cases, resampled together, the model less each of them:\n{differences}\n");
+    let counted = report.rows.first().map_or(0, |row| row.macro_average.cases);
+    let mut text = format!(
+        "{table}\n\nOn the same cases, resampled together, the model less each of them:\n{differences}\n\n\
+         Where each of {counted} activities (programs of one title) counts alike, and the difference over all cases with intervals over \
+         activities:\n{activities}\n"
+    );
     let _ = writeln!(
         text,
         "{} in {}; {:.1} % of the next objects are in the maps; scored by {}; {}; {} computed, the others from the cache",

@@ -24,6 +24,36 @@ pub struct Statistics {
     pub markov1: BTreeMap<String, BTreeMap<String, f64>>,
     /// How often each object is next after two others, written `before>last`.
     pub markov2: BTreeMap<String, BTreeMap<String, f64>>,
+    /// How often each object is next after three others; [`START`] stands for what lies before the first.
+    #[serde(default)]
+    pub markov3: BTreeMap<String, BTreeMap<String, f64>>,
+    /// What was fitted besides.
+    #[serde(default)]
+    pub kneser_ney: KneserNeyFit,
+}
+
+/// Stands in a context for what lies before the first object.
+const START: &str = "^";
+/// The longest context of Kneser-Ney smoothing.
+const ORDER: usize = 3;
+
+/// What Kneser-Ney smoothing and its recency cache are fitted to.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KneserNeyFit {
+    /// What is taken from each count after 0 to 3 objects.
+    pub discounts: [f64; ORDER + 1],
+    /// The share of what was turned to in this activity.
+    pub cache_weight: f64,
+    /// How much less each earlier object of it counts.
+    pub cache_decay: f64,
+}
+
+impl Default for KneserNeyFit {
+    /// Without a split to fit them on.
+    fn default() -> Self {
+        Self { discounts: [0.75; ORDER + 1], cache_weight: 0.15, cache_decay: 0.9 }
+    }
 }
 
 impl Statistics {
@@ -57,6 +87,12 @@ impl Statistics {
             for three in visited.windows(3) {
                 let context = format!("{}>{}", three[0], three[1]);
                 *counts.markov2.entry(context).or_default().entry(three[2].clone()).or_default() += 1.0;
+            }
+            let mut padded = vec![START.to_owned(); ORDER];
+            padded.extend(visited);
+            for four in padded.windows(ORDER + 1) {
+                let context = four[..ORDER].join(">");
+                *counts.markov3.entry(context).or_default().entry(four[ORDER].clone()).or_default() += 1.0;
             }
         }
         counts
@@ -101,6 +137,7 @@ pub struct Baselines {
     first_strength: f64,
     second: HashMap<String, Counts>,
     second_strength: f64,
+    kneser_ney: KneserNey,
     /// Probability that the next object is in the room of the last.
     stay: f64,
 }
@@ -122,7 +159,9 @@ impl Baselines {
         let mut bound = |table: &BTreeMap<String, BTreeMap<String, f64>>| {
             let mut contexts: HashMap<String, Counts> = HashMap::new();
             for (context, next) in table {
-                let key = context.split('>').map(|words| key(words, binder, grounding)).collect::<Vec<_>>().join(">");
+                let mut key =
+                    |words: &str| if words == START { START.to_owned() } else { key(words, binder, grounding) };
+                let key = context.split('>').map(&mut key).collect::<Vec<_>>().join(">");
                 let counts = contexts.entry(key).or_default();
                 for (words, count) in next {
                     if let Some(label) = binder.label(words) {
@@ -139,8 +178,22 @@ impl Baselines {
             Counts::smoothed(first.get(last), &frequency, first_strength)
         };
         let second_strength = best_strength(&second, prior);
+        let third = bound(&statistics.markov3);
+        let kneser_ney = KneserNey::new(third, labels, statistics.kneser_ney);
         let stay = stay(statistics, binder, grounding);
-        Self { frequency, first, first_strength, second, second_strength, stay }
+        Self { frequency, first, first_strength, second, second_strength, kneser_ney, stay }
+    }
+
+    /// Third-order interpolated Kneser-Ney, after the last three objects, the latest last.
+    #[must_use]
+    pub(crate) fn kneser_ney(&self, context: [Option<&str>; ORDER]) -> Vec<f64> {
+        self.kneser_ney.after(context)
+    }
+
+    /// The same with what was turned to in this activity, by label, the latest last; `here` is in hand and is not next.
+    #[must_use]
+    pub(crate) fn with_cache(&self, chain: &[f64], visited: &[usize], here: Option<usize>) -> Vec<f64> {
+        self.kneser_ney.with_cache(chain, visited, here)
     }
 
     /// How often each label is turned to at all.
@@ -174,6 +227,66 @@ impl Baselines {
             }
             _ => vec![1.0 / partitions as f64; partitions],
         }
+    }
+}
+
+/// Interpolated Kneser-Ney smoothing (Kneser and Ney 1995; Chen and Goodman 1999): shorter contexts count the distinct longer ones that a
+/// label followed.
+#[derive(Debug, Clone)]
+struct KneserNey {
+    /// By the length of their contexts.
+    tables: [HashMap<String, Counts>; ORDER + 1],
+    labels: usize,
+    fit: KneserNeyFit,
+}
+
+impl KneserNey {
+    fn new(third: HashMap<String, Counts>, labels: usize, fit: KneserNeyFit) -> Self {
+        let mut tables: [HashMap<String, Counts>; ORDER + 1] = Default::default();
+        tables[ORDER] = third;
+        for order in (0..ORDER).rev() {
+            let (shorter, longer) = tables.split_at_mut(order + 1);
+            for (context, counts) in &longer[0] {
+                let context = context.split_once('>').map_or("", |(_, later)| later);
+                let counted = shorter[order].entry(context.to_owned()).or_default();
+                counts.of_label.keys().for_each(|label| counted.add(*label, 1.0));
+            }
+        }
+        Self { tables, labels, fit }
+    }
+
+    fn after(&self, context: [Option<&str>; ORDER]) -> Vec<f64> {
+        let words = context.map(|word| word.unwrap_or(START));
+        let mut p = vec![1.0 / self.labels as f64; self.labels];
+        for (order, table) in self.tables.iter().enumerate() {
+            let Some(counts) = table.get(&words[ORDER - order..].join(">")).filter(|counts| counts.total > 0.0) else {
+                continue;
+            };
+            let discount = self.fit.discounts[order];
+            let taken: f64 = counts.of_label.values().map(|count| count.min(discount)).sum();
+            p.iter_mut().for_each(|p| *p *= taken / counts.total);
+            for (label, count) in &counts.of_label {
+                p[*label] += (count - count.min(discount)) / counts.total;
+            }
+        }
+        p
+    }
+
+    fn with_cache(&self, chain: &[f64], visited: &[usize], here: Option<usize>) -> Vec<f64> {
+        let mut cache = vec![0.0; self.labels];
+        let mut weight = 1.0;
+        for label in visited.iter().rev() {
+            if Some(*label) != here {
+                cache[*label] += weight;
+            }
+            weight *= self.fit.cache_decay;
+        }
+        let total: f64 = cache.iter().sum();
+        if total == 0.0 {
+            return chain.to_vec();
+        }
+        let share = self.fit.cache_weight;
+        chain.iter().zip(&cache).map(|(chain, cached)| (1.0 - share) * chain + share * cached / total).collect()
     }
 }
 
@@ -240,7 +353,17 @@ mod tests {
         let likeliest = |p: &[f64]| (0..p.len()).max_by(|a, b| p[*a].total_cmp(&p[*b])).unwrap();
         let key = key("couch", &mut binder, &grounding);
         assert_eq!(likeliest(&baselines.markov1(Some(&key))), fridge);
+        let chain = baselines.kneser_ney([None, None, Some(&key)]);
+        assert_eq!(likeliest(&chain), fridge);
+        let sofa = binder.label("sofa").unwrap();
+        let cached = baselines.with_cache(&chain, &[fridge, sofa], Some(sofa));
+        assert!(cached[fridge] > 0.85 * chain[fridge] && cached[sofa] < chain[sofa]);
+        assert_eq!(baselines.with_cache(&chain, &[sofa], Some(sofa)), chain);
         for p in [
+            chain,
+            cached,
+            baselines.kneser_ney([Some("x"), Some("y"), Some("z")]),
+            baselines.kneser_ney([None; 3]),
             baselines.frequency().to_vec(),
             baselines.markov1(Some("x")),
             baselines.markov2(Some("fridge"), Some("sofa")),
@@ -253,6 +376,7 @@ mod tests {
     #[test]
     fn the_shipped_statistics_can_be_read() {
         let statistics = Statistics::from_json(include_str!("../../../models/household-statistics.json")).unwrap();
-        assert!(statistics.programs > 1000 && statistics.frequency.len() > 100);
+        assert!(statistics.programs > 1000 && statistics.frequency.len() > 100 && statistics.markov3.len() > 1000);
+        assert_ne!(statistics.kneser_ney, KneserNeyFit::default());
     }
 }

@@ -55,6 +55,21 @@ impl Sums {
         }
     }
 
+    /// The same means from one case's weight; nothing of no case.
+    fn as_one_case(&self) -> Self {
+        let n = self.cases.max(1.0);
+        let mut one = Self::default();
+        one.merge(self);
+        for sum in
+            [&mut one.cases, &mut one.nll_nats, &mut one.top1, &mut one.top5, &mut one.reciprocal_rank, &mut one.brier]
+                .into_iter()
+                .chain(one.bins.iter_mut().flatten())
+        {
+            *sum /= n;
+        }
+        one
+    }
+
     fn means(&self) -> [f64; METRICS.len()] {
         let n = self.cases.max(1.0);
         let gap = |[_, confidence, right]: &[f64; 3]| (confidence - right).abs();
@@ -107,6 +122,23 @@ pub struct Summary {
 #[must_use]
 pub(crate) fn summarise(groups: &[Sums], seed: u64) -> Summary {
     bootstrap([groups], seed, |[all]| all.means())
+}
+
+/// Groups that belong together as one, in the order of their first member; `of` says which group belongs where.
+#[must_use]
+pub(crate) fn merged(groups: &[Sums], of: &[usize]) -> Vec<Sums> {
+    let mut merged = vec![Sums::default(); of.iter().max().map_or(0, |most| most + 1)];
+    for (group, of) in groups.iter().zip(of) {
+        merged[*of].merge(group);
+    }
+    merged
+}
+
+/// As [`summarise`], where each group counts alike, however many cases it has.
+#[must_use]
+pub(crate) fn macro_average(groups: &[Sums], seed: u64) -> Summary {
+    let alike: Vec<Sums> = groups.iter().filter(|group| group.cases > 0.0).map(Sums::as_one_case).collect();
+    summarise(&alike, seed)
 }
 
 /// The means of one forecast less those of another on the same cases in the same groups. Both are resampled together, so that how hard the
@@ -207,6 +239,24 @@ mod tests {
         assert!(few.ci95.top1[0] <= few.top1 && few.top1 <= few.ci95.top1[1]);
         assert!(width(&many) < 0.2 * width(&few));
         assert_eq!(summarise(&groups(20), 1), few);
+    }
+
+    /// An activity with many programs does not speak for the others.
+    #[test]
+    fn a_macro_average_counts_groups_alike() {
+        let group = |right: usize, wrong: usize| {
+            let mut sums = Sums::default();
+            (0..right).for_each(|_| sums.add(&[0.8, 0.2], 0));
+            (0..wrong).for_each(|_| sums.add(&[0.8, 0.2], 1));
+            sums
+        };
+        let programs = [group(8, 0), group(0, 1), group(8, 0), group(0, 1), Sums::default()];
+        let activities = merged(&programs, &[0, 1, 0, 1, 2]);
+        assert_eq!(activities.len(), 3);
+        let (pooled, alike) = (summarise(&activities, 1), macro_average(&activities, 1));
+        assert!((pooled.top1 - 16.0 / 18.0).abs() < 1e-12 && (alike.top1 - 0.5).abs() < 1e-12);
+        assert_eq!((pooled.cases, alike.cases), (18, 2));
+        assert!((alike.ece - 0.3).abs() < 1e-12, "{}", alike.ece);
     }
 
     #[test]

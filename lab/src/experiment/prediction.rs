@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::baselines::{self, Baselines, Statistics};
-use super::losses::{Summary, Sums, difference, summarise};
+use super::losses::{Summary, Sums, difference, macro_average, merged, summarise};
 use super::scores::{ScoreSource, ScoresError};
 use super::{ExperimentError, Progress};
 use crate::simulation::binding::{Binder, ItemChoice};
@@ -61,6 +61,12 @@ pub struct Row {
     pub summary: Summary,
     /// The model's figures less these, on the same cases resampled together; none for the model itself.
     pub model_less_this: Option<Summary>,
+    /// The same means, with intervals over activities: programs of one title are one.
+    pub by_activity: Summary,
+    /// Means in which every activity counts alike; its cases are activities.
+    pub macro_average: Summary,
+    /// As `model_less_this`, with intervals over activities.
+    pub model_less_this_by_activity: Option<Summary>,
 }
 
 /// The table, and what was left out of it.
@@ -95,7 +101,8 @@ pub struct Options {
     pub seed: u64,
 }
 
-const PREDICTORS: [&str; 7] = ["model", "uniform", "frequency", "markov1", "markov2", "stay", "no-narration"];
+const PREDICTORS: [&str; 9] =
+    ["model", "uniform", "frequency", "markov1", "markov2", "kneser-ney", "kneser-ney-cache", "stay", "no-narration"];
 const TARGETS: [Target; 4] = [Target::Object, Target::Room, Target::RoomChange, Target::RoomIfChanged];
 
 /// Reads every program below `folder` in the order of their paths; `folder` may be a single file. A household's day is read as one
@@ -137,8 +144,11 @@ struct Case {
     object: usize,
     room: Option<usize>,
     here: Option<usize>,
-    before: Option<String>,
-    last: Option<String>,
+    /// The last three objects, the latest last.
+    context: [Option<String>; 3],
+    /// The labels turned to so far, the latest last, and the one in hand, where the map has it.
+    visited: Vec<usize>,
+    in_hand: Option<usize>,
 }
 
 fn cases(
@@ -150,14 +160,18 @@ fn cases(
     let steps = &program.steps;
     let words: Vec<Option<String>> = steps.iter().map(|step| step.objects().first().map(|o| o.words())).collect();
     let mut cases = Vec::new();
-    let (mut before, mut last): (Option<String>, Option<String>) = (None, None);
+    let mut context: [Option<String>; 3] = Default::default();
+    let (mut visited, mut in_hand) = (Vec::new(), None);
     let (mut last_words, mut here) = (None, None);
     let mut at_m = [0.0; 3];
     for done in 1..=steps.len() {
         let step = &steps[done - 1];
         if let Some(object) = step.objects().first() {
             if last_words != words[done - 1] {
-                before = last.replace(baselines::key(&object.name, binder, grounding));
+                context.rotate_left(1);
+                context[2] = Some(baselines::key(&object.name, binder, grounding));
+                in_hand = binder.label(&object.name);
+                visited.extend(in_hand);
                 last_words.clone_from(&words[done - 1]);
             }
             if let Some(place) = binder.bind(object, at_m) {
@@ -177,11 +191,25 @@ fn cases(
             object: label,
             room: place.partition.map(|p| p.0 as usize),
             here,
-            before: before.clone(),
-            last: last.clone(),
+            context: context.clone(),
+            visited: visited.clone(),
+            in_hand,
         });
     }
     cases
+}
+
+/// Which activity each program is, by its title: numbers from 0.
+fn activities(programs: &[NamedProgram]) -> Vec<usize> {
+    let mut known = BTreeMap::new();
+    let title = |named: &NamedProgram| {
+        named.program.title.split_whitespace().map(str::to_lowercase).collect::<Vec<_>>().join(" ")
+    };
+    let number = |named| {
+        let next = known.len();
+        *known.entry(title(named)).or_insert(next)
+    };
+    programs.iter().map(number).collect()
 }
 
 /// Evaluates in one map. Gives the rows, the cases, and counts what could not be bound into `unbound`.
@@ -220,8 +248,13 @@ fn evaluate<M: LanguageModel>(
         for case in &cases {
             count += 1;
             let (model_labels, model_rooms) = both(&rows[case.done], grounding, &mut grounded)?;
-            let first = baselines.markov1(case.last.as_deref());
-            let second = baselines.markov2(case.before.as_deref(), case.last.as_deref());
+            let context @ [_, before, last] = case.context.each_ref().map(Option::as_deref);
+            let first = baselines.markov1(last);
+            let second = baselines.markov2(before, last);
+            let chain = baselines.kneser_ney(context);
+            let cached = baselines.with_cache(&chain, &case.visited, case.in_hand);
+            let chain_rooms = rooms_of(&chain, grounding, &mut grounded)?;
+            let cached_rooms = rooms_of(&cached, grounding, &mut grounded)?;
             let first_rooms = rooms_of(&first, grounding, &mut grounded)?;
             let second_rooms = rooms_of(&second, grounding, &mut grounded)?;
             let stay_rooms = baselines.stay(case.here, rooms);
@@ -232,6 +265,8 @@ fn evaluate<M: LanguageModel>(
                 (&frequency, &frequency_rooms),
                 (&first, &first_rooms),
                 (&second, &second_rooms),
+                (&chain, &chain_rooms),
+                (&cached, &cached_rooms),
                 (&stay_labels, &stay_rooms),
                 (&blind_labels, &blind_rooms),
             ];
@@ -251,20 +286,24 @@ fn evaluate<M: LanguageModel>(
         progress.step();
     }
     source.flush()?;
-    let rows = sums
-        .iter()
-        .enumerate()
-        .map(|(index, groups)| Row {
+    let of_activity = activities(programs);
+    let by_activity: Vec<Vec<Sums>> = sums.iter().map(|groups| merged(groups, &of_activity)).collect();
+    let rows = sums.iter().zip(&by_activity).enumerate().map(|(index, (groups, activities))| {
+        let (model, seed) = (index % TARGETS.len(), options.seed);
+        // The model is the first predictor.
+        let is_other = index >= TARGETS.len();
+        Row {
             predictor: PREDICTORS[index / TARGETS.len()],
-            target: TARGETS[index % TARGETS.len()],
+            target: TARGETS[model],
             scene: map.name().to_owned(),
-            summary: summarise(groups, options.seed),
-            // The model is the first predictor.
-            model_less_this: (index >= TARGETS.len())
-                .then(|| difference(&sums[index % TARGETS.len()], groups, options.seed)),
-        })
-        .collect();
-    Ok((rows, count))
+            summary: summarise(groups, seed),
+            model_less_this: is_other.then(|| difference(&sums[model], groups, seed)),
+            by_activity: summarise(activities, seed),
+            macro_average: macro_average(activities, seed),
+            model_less_this_by_activity: is_other.then(|| difference(&by_activity[model], activities, seed)),
+        }
+    });
+    Ok((rows.collect(), count))
 }
 
 /// Evaluates in several maps; `open` gives the source of scores for a map's labels.
@@ -402,8 +441,8 @@ mod tests {
         assert_eq!(unbound, BTreeMap::from([("spaceship".to_owned(), 2)]));
         assert_eq!(cases.len(), 1);
         assert_eq!(
-            (cases[0].done, cases[0].last.as_deref(), cases[0].before.as_deref()),
-            (3, Some("spaceship"), Some("fridge"))
+            (cases[0].done, cases[0].context.each_ref().map(Option::as_deref)),
+            (3, [None, Some("fridge"), Some("spaceship")])
         );
         assert_eq!(grounding.scored_labels()[cases[0].object].text, "sofa");
         assert_ne!(cases[0].room, cases[0].here);
@@ -434,7 +473,7 @@ mod tests {
             .unwrap()
         };
         let report = run();
-        assert_eq!(report.rows.len(), 28);
+        assert_eq!(report.rows.len(), 36);
         assert!(report.cases > 40 && report.rows.iter().all(|row| row.summary.nll_nats.is_finite()));
         let find =
             |predictor, target| report.rows.iter().find(|r| r.predictor == predictor && r.target == target).unwrap();
@@ -448,6 +487,7 @@ mod tests {
         // Fitted on the very programs, a chain of second order is better than one of first, and that than frequencies.
         let nll = |predictor| find(predictor, Target::Object).summary.nll_nats;
         assert!(nll("markov2") <= nll("markov1") && nll("markov1") < nll("frequency"));
+        assert!(nll("kneser-ney") < nll("markov1") && nll("kneser-ney-cache") < nll("frequency"));
         assert_eq!(report, run());
     }
 }
