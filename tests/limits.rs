@@ -42,6 +42,7 @@ fn page() -> String {
             ("bytes of a scene file", &semantic_map::MAX_FILE_BYTES, "is refused"),
             ("items", &semantic_map::MAX_ITEMS, "is refused"),
             ("rooms", &semantic_map::MAX_ROOMS, "is refused"),
+            ("corners of all footprints of a map", &semantic_map::MAX_CORNERS, "is refused"),
             ("bytes of an id or a label", &semantic_map::MAX_TEXT_BYTES, "is refused"),
             ("labels times partitions", &grounding::MAX_WEIGHTS, "is refused"),
         ],

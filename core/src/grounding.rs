@@ -5,8 +5,8 @@
 //!
 //! # Where an item belongs
 //!
-//! 1. To the partition with which its box overlaps most, by volume (the paper's argmax of V_o). The overlap with a group is
-//!    the sum over its rooms.
+//! 1. To the partition with which its box overlaps most, by volume (the paper's argmax of V_o). A partition with a footprint is the
+//!    prism over it. The overlap with a group is the sum over its rooms.
 //! 2. Several partitions with the same largest overlap: the one that stands last in the scene file. So what lies in a nook
 //!    is the nook's when the nook is written after the room around it. Volumes that differ by less than one part in 10^9
 //!    are the same, so that rounding does not decide.
@@ -22,7 +22,7 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use crate::scorer::softmax::log_sum_exp_of;
-use crate::semantic_map::{Box3, ItemId, PartitionId, RoomId, SemanticMap};
+use crate::semantic_map::{Box3, ItemId, PartitionId, RoomId, SemanticMap, Space};
 
 /// Most entries of the matrix of labels by partitions: 256 MiB.
 pub const MAX_WEIGHTS: usize = 1 << 25;
@@ -128,8 +128,8 @@ pub struct Partition {
     pub label: String,
     /// The rooms it lies in or consists of.
     pub rooms: Vec<RoomId>,
-    /// The boxes it consists of: one, or one per room of a group.
-    pub boxes: Vec<Box3>,
+    /// The spaces it consists of: one, or one per room of a group that has no footprint of its own.
+    pub boxes: Vec<Space>,
 }
 
 impl Partition {
@@ -319,7 +319,8 @@ impl Grounding {
         &self.weights
     }
 
-    /// Assigns every item and adds up the shares. Takes time in proportion to items times partitions, once per map.
+    /// Assigns every item and adds up the shares. Takes time in proportion to items times partitions (and the corners of those with a
+    /// footprint whose box the item's meets), once per map.
     ///
     /// # Errors
     /// [`GroundingError::NoLabels`] and [`GroundingError::TooLarge`].
@@ -547,7 +548,7 @@ fn rooms_as_partitions(map: &SemanticMap) -> Vec<Partition> {
             id: room.id.clone(),
             label: room.label.clone(),
             rooms: vec![RoomId(index)],
-            boxes: vec![room.bounds],
+            boxes: vec![room.space.clone()],
         })
         .collect()
 }
@@ -567,7 +568,7 @@ pub fn partitions(map: &SemanticMap, level: PartitionLevel) -> Vec<Partition> {
                         id: part.id.clone(),
                         label: part.label.clone(),
                         rooms: vec![id],
-                        boxes: vec![part.bounds],
+                        boxes: vec![part.space.clone()],
                     })
                     .collect();
                 if within.is_empty() {
@@ -583,7 +584,10 @@ pub fn partitions(map: &SemanticMap, level: PartitionLevel) -> Vec<Partition> {
                 id: group.id.clone(),
                 label: group.label.clone(),
                 rooms: group.rooms.clone(),
-                boxes: group.rooms.iter().map(|room| map.rooms[room.0 as usize].bounds).collect(),
+                boxes: group.space.as_ref().map_or_else(
+                    || group.rooms.iter().map(|room| map.rooms[room.0 as usize].space.clone()).collect(),
+                    |space| vec![space.clone()],
+                ),
             });
             groups.chain(rooms.iter().filter(|room| !grouped(room)).cloned()).collect()
         }
@@ -834,6 +838,57 @@ mod tests {
         assert_eq!(top[0].1, -1.0);
     }
 
+    const CORNERS: &str = include_str!("../../tests/data/corners.json");
+
+    #[test]
+    fn what_stands_beside_an_l_shaped_room_is_not_in_it() {
+        let map = SemanticMap::from_json(CORNERS).unwrap();
+        let options = |level| GroundingOptions { level, room_labels: true };
+        let rooms = Grounding::new(&map, &options(PartitionLevel::Room)).unwrap();
+        let room = |id: &str| of(&map, &rooms, id).0.unwrap_or_else(|| "none".to_owned());
+        let expected = [
+            ("fridge-1", "kitchen"),
+            ("stove-1", "kitchen"),
+            ("kitchen-counter-1", "kitchen"),
+            ("sofa-1", "living-room"),
+            ("tv-1", "living-room"),
+            ("dining-table-1", "living-room"),
+            ("coat-rack-1", "hallway"),
+            ("mirror-1", "hallway"),
+            ("bed-1", "bedroom"),
+        ];
+        for (item, own) in expected {
+            assert_eq!(room(item), own, "{item}");
+        }
+        assert_eq!(of(&map, &rooms, "pillar-1"), (None, Placement::Outside), "the hole of the living room");
+
+        // The same rooms as version 1 has them.
+        let mut file: serde_json::Value = serde_json::from_str(&map.to_json()).unwrap();
+        file["version"] = 1.into();
+        for list in ["rooms", "parts", "groups"] {
+            for entry in file[list].as_array_mut().unwrap() {
+                entry.as_object_mut().unwrap().remove("footprint");
+                if list == "groups" {
+                    entry.as_object_mut().unwrap().remove("box");
+                }
+            }
+        }
+        let boxes = SemanticMap::from_json(&file.to_string()).unwrap();
+        let grounding = Grounding::new(&boxes, &options(PartitionLevel::Room)).unwrap();
+        let wrong = expected.iter().filter(|(item, own)| of(&boxes, &grounding, item).0.as_deref() != Some(own));
+        let wrong: Vec<_> = wrong.map(|(item, _)| *item).collect();
+        assert_eq!(wrong, ["fridge-1", "stove-1", "kitchen-counter-1"]);
+
+        let parts = Grounding::new(&map, &options(PartitionLevel::Part)).unwrap();
+        assert_eq!(of(&map, &parts, "dining-table-1"), (Some("living-room/dining".into()), Placement::Overlap));
+        let groups = Grounding::new(&map, &options(PartitionLevel::Group)).unwrap();
+        assert_eq!(
+            of(&map, &groups, "pillar-1"),
+            (Some("day".into()), Placement::Overlap),
+            "its own outline has no hole"
+        );
+    }
+
     /// A map of boxes on a coarse grid, so that ties, touching faces and flat boxes are frequent.
     fn any_map() -> impl Strategy<Value = SemanticMap> {
         let bounds = |least: i32| {
@@ -859,6 +914,30 @@ mod tests {
     }
 
     proptest! {
+        /// The largest overlap with prisms is what counting points of a grid finds, where that tells two rooms apart.
+        #[test]
+        fn polygons_agree_with_brute_force(
+            rooms in prop::collection::vec(crate::semantic_map::footprint::tests::any_rings(), 1..4),
+            min in prop::array::uniform2(-4.0..3.0f64), size in prop::array::uniform2(0.5..4.0f64),
+        ) {
+            let entries: Vec<_> = rooms.iter().enumerate()
+                .map(|(index, rings)| serde_json::json!({"id": format!("r{index}"), "label": "room", "footprint": rings}))
+                .collect();
+            let max = [min[0] + size[0], min[1] + size[1]];
+            let item = serde_json::json!({"id": "i", "label": "thing", "position_m": [min[0], min[1], 0.0],
+                "box": {"min_m": [min[0], min[1], 0.0], "max_m": [max[0], max[1], 1.0]}});
+            let scene = serde_json::json!({"format": "roomcast-scene", "version": 2, "name": "any", "rooms": entries, "items": [item]});
+            let map = SemanticMap::from_json(&scene.to_string()).unwrap();
+            let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+            let shares: Vec<f64> = rooms.iter()
+                .map(|rings| crate::semantic_map::footprint::tests::sampled_m2(rings, min, max) / (size[0] * size[1])).collect();
+            let largest = shares.iter().copied().fold(0.0, f64::max);
+            match grounding.item_partition[0] {
+                Some(PartitionId(room)) => prop_assert!(shares[room as usize] >= largest - 0.03, "{shares:?} {room}"),
+                None => prop_assert!(largest < 0.03, "{shares:?}"),
+            }
+        }
+
         /// Equation 2 by its own words: for every partition, add up s_i of the items whose largest overlap it is.
         #[test]
         fn sums_agree_with_brute_force(map in any_map(), seeds in prop::collection::vec(-40.0..0.0f64, 9)) {
@@ -877,8 +956,8 @@ mod tests {
                 prop_assert!((items[index] - score.ln()).abs() < 1e-9);
                 let overlaps: Vec<f64> = (map.rooms.iter())
                     .map(|room| (0..3).map(|axis| {
-                        let upper = item.bounds.max_m[axis].min(room.bounds.max_m[axis]);
-                        (upper - item.bounds.min_m[axis].max(room.bounds.min_m[axis])).max(0.0)
+                        let upper = item.bounds.max_m[axis].min(room.space.bounds.max_m[axis]);
+                        (upper - item.bounds.min_m[axis].max(room.space.bounds.min_m[axis])).max(0.0)
                     }).product())
                     .collect();
                 let largest = overlaps.iter().copied().fold(0.0, f64::max);

@@ -2,11 +2,13 @@
 //!
 //! Drawing is a pure function of map, grounding and scores.
 
+use std::fmt::Write as _;
+
 use svg::Document;
 use svg::node::element::{Circle, Definitions, Group, Line, LinearGradient, Path, Rectangle, Stop, Text};
 
 use roomcast_core::grounding::Grounding;
-use roomcast_core::semantic_map::{Box3, PartitionId, SemanticMap};
+use roomcast_core::semantic_map::{Box3, Footprint, PartitionId, SemanticMap, Space};
 
 /// The font of all drawings; `png.rs` has it compiled in.
 pub(crate) const FONT: &str = "DejaVu Sans";
@@ -233,7 +235,7 @@ struct Plan<'a> {
 impl<'a> Plan<'a> {
     fn new(map: &'a SemanticMap, grounding: &'a Grounding, heat: Option<&'a Heat>) -> Self {
         // The rooms set the frame; an item far outside would shrink them to nothing.
-        let rooms = map.rooms().iter().map(|room| room.bounds);
+        let rooms = map.rooms().iter().map(|room| room.space.bounds);
         let (mut min_m, mut max_m) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for bounds in rooms {
             for axis in 0..2 {
@@ -263,6 +265,14 @@ impl<'a> Plan<'a> {
         TITLE_PX + (self.origin_m[1] - north_m) * self.scale
     }
 
+    fn east_m(&self, x: f64) -> f64 {
+        (x - MARGIN_PX) / self.scale + self.origin_m[0]
+    }
+
+    fn north_m(&self, y: f64) -> f64 {
+        self.origin_m[1] - (y - TITLE_PX) / self.scale
+    }
+
     fn area(&self, bounds: &Box3) -> Area {
         Area {
             left: self.x(bounds.min_m[0]),
@@ -283,6 +293,19 @@ impl<'a> Plan<'a> {
             .set("y", rounded(area.top))
             .set("width", rounded(area.right - area.left))
             .set("height", rounded(area.bottom - area.top))
+    }
+
+    /// The outline of a room, a part or a group, its holes left out.
+    fn outline(&self, space: &Space) -> Path {
+        let mut steps = String::new();
+        for ring in space.rings() {
+            for (index, [east_m, north_m]) in ring.into_iter().enumerate() {
+                let step = if index == 0 { 'M' } else { 'L' };
+                let _ = write!(steps, "{step} {} {} ", rounded(self.x(east_m)), rounded(self.y(north_m)));
+            }
+            steps.push_str("Z ");
+        }
+        Path::new().set("d", steps.trim_end()).set("fill-rule", "evenodd")
     }
 
     fn draw(mut self) -> Document {
@@ -333,11 +356,11 @@ impl<'a> Plan<'a> {
     fn floors(&self) -> Group {
         let mut floors = Group::new();
         for room in self.map.rooms() {
-            floors = floors.add(self.rectangle(&room.bounds).set("fill", FLOOR));
+            floors = floors.add(self.outline(&room.space).set("fill", FLOOR));
         }
         for (index, partition) in self.grounding.partitions().iter().enumerate() {
-            for bounds in &partition.boxes {
-                let floor = self.rectangle(bounds);
+            for space in &partition.boxes {
+                let floor = self.outline(space);
                 floors = floors.add(match self.heat {
                     Some(heat) => floor.set("fill", colour(heat.partition_probability[index])).set("fill-opacity", 0.8),
                     None => floor.set("fill", FLOOR),
@@ -350,31 +373,28 @@ impl<'a> Plan<'a> {
     fn walls(&self) -> Group {
         let mut walls = Group::new();
         for part in self.map.parts() {
-            let outline = self.rectangle(&part.bounds);
+            let outline = self.outline(&part.space);
             walls = walls.add(outline.set("fill", "none").set("stroke", QUIET).set("stroke-dasharray", "3 5"));
         }
         for room in self.map.rooms() {
-            let outline = self.rectangle(&room.bounds);
+            let outline = self.outline(&room.space);
             walls = walls.add(
                 outline.set("fill", "none").set("stroke", WALL).set("stroke-width", 5).set("stroke-linejoin", "round"),
             );
         }
         for door in self.map.doors() {
-            let rooms = door.rooms.map(|room| &self.map.rooms()[room.0 as usize].bounds);
+            let rooms = door.rooms.map(|room| &self.map.rooms()[room.0 as usize].space);
             walls = walls.add(self.door(&door.position_m, rooms));
         }
         walls
     }
 
     /// A gap in the nearest wall of the rooms, with the leaf and its swing.
-    fn door(&self, position_m: &[f64; 3], rooms: [&Box3; 2]) -> Group {
+    fn door(&self, position_m: &[f64; 3], rooms: [&Space; 2]) -> Group {
         let (x, y) = (self.x(position_m[0]), self.y(position_m[1]));
         let half = 0.5 * DOOR_M * self.scale;
-        let to_wall = |axis: usize| {
-            let walls_m = rooms.iter().flat_map(|room| [room.min_m[axis], room.max_m[axis]]);
-            walls_m.map(|wall_m| (position_m[axis] - wall_m).abs()).fold(f64::INFINITY, f64::min)
-        };
-        let across = to_wall(0) < to_wall(1);
+        let across = rooms.iter().map(|room| wall(room, position_m)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let across = across.is_some_and(|(_, across)| across);
         let (dx, dy) = if across { (0.0, half) } else { (half, 0.0) };
         let gap = Line::new().set("x1", rounded(x - dx)).set("y1", rounded(y - dy));
         let gap = gap.set("x2", rounded(x + dx)).set("y2", rounded(y + dy));
@@ -473,16 +493,16 @@ impl<'a> Plan<'a> {
     fn partition_names(&mut self) -> Group {
         let mut names = Group::new();
         for (index, partition) in self.grounding.partitions().iter().enumerate() {
-            let largest = |a: &&Box3, b: &&Box3| floor_m2(a).total_cmp(&floor_m2(b));
-            let Some(bounds) = partition.boxes.iter().max_by(largest) else { continue };
-            let area = self.area(bounds);
+            let largest = |a: &&Space, b: &&Space| floor_m2(a).total_cmp(&floor_m2(b));
+            let Some(space) = partition.boxes.iter().max_by(largest) else { continue };
+            let area = self.area(&space.bounds);
             let probability = self.heat.map(|heat| percent(heat.partition_probability[index]));
             let size_px = if self.grounding.partitions().len() <= 8 { 17.0 } else { 12.0 };
             let name = shortened(&partition.label, size_px, (area.right - area.left - 24.0).max(40.0));
             let width = width_px(&name, size_px) * BOLDER
                 + probability.as_ref().map_or(0.0, |text| width_px(text, size_px) + 12.0);
             let (width, height) = (width + 20.0, size_px + 13.0);
-            let place = self.quietest(&area, width, height);
+            let place = self.quietest(space, &area, width, height);
             self.taken.push(place);
             let middle = (place.top + place.bottom) / 2.0;
             names = names.add(
@@ -505,7 +525,7 @@ impl<'a> Plan<'a> {
     }
 
     /// The place of the given size in the area that covers the fewest things, nearest to the top left corner.
-    fn quietest(&self, area: &Area, width: f64, height: f64) -> Area {
+    fn quietest(&self, space: &Space, area: &Area, width: f64, height: f64) -> Area {
         let room_x = (area.right - area.left - width - 16.0).max(0.0);
         let room_y = (area.bottom - area.top - height - 16.0).max(0.0);
         let things: Vec<Area> = (0..self.map.items().len())
@@ -531,7 +551,13 @@ impl<'a> Plan<'a> {
             let left = area.left + 8.0 + room_x * right as f64 / (STEPS - 1) as f64;
             let top = area.top + 8.0 + room_y * down as f64 / (STEPS - 1) as f64;
             let place = Area { left, top, right: left + width, bottom: top + height };
-            let covered = things.iter().filter(|thing| thing.meets(&place)).count()
+            let off = [(0.0, 0.0), (width, 0.0), (0.0, height), (width, height), (0.5 * width, 0.5 * height)];
+            let off = off.iter().filter(|(right, down)| {
+                let (east_m, north_m) = (self.east_m(left + right), self.north_m(top + down));
+                space.footprint.is_some() && !space.contains(&[east_m, north_m, space.bounds.centre_m()[2]])
+            });
+            let covered = 200 * off.count()
+                + things.iter().filter(|thing| thing.meets(&place)).count()
                 + 100 * self.taken.iter().filter(|taken| taken.meets(&place)).count();
             if covered < best.0 {
                 best = (covered, place);
@@ -730,9 +756,25 @@ impl<'a> Plan<'a> {
     }
 }
 
-fn floor_m2(bounds: &Box3) -> f64 {
-    let size_m = bounds.size_m();
-    size_m[0] * size_m[1]
+fn floor_m2(space: &Space) -> f64 {
+    let size_m = space.size_m();
+    space.footprint.as_ref().map_or(size_m[0] * size_m[1], Footprint::area_m2)
+}
+
+/// How far the nearest wall of a room is, in metres, and whether it runs from north to south.
+fn wall(space: &Space, position_m: &[f64; 3]) -> (f64, bool) {
+    let mut nearest = (f64::INFINITY, false);
+    for ring in space.rings() {
+        for (a, b) in ring.iter().zip(ring.iter().cycle().skip(1)) {
+            let ([ux, uy], [px, py]) = ([b[0] - a[0], b[1] - a[1]], [position_m[0] - a[0], position_m[1] - a[1]]);
+            let along = ((ux * px + uy * py) / (ux * ux + uy * uy)).clamp(0.0, 1.0);
+            let distance_m = (px - along * ux).hypot(py - along * uy);
+            if distance_m < nearest.0 {
+                nearest = (distance_m, uy.abs() > ux.abs());
+            }
+        }
+    }
+    nearest
 }
 
 /// Indices of the largest values above zero, the largest first.

@@ -176,7 +176,7 @@ fn import(args: &Import) -> CommandResult {
     if !boxed.is_empty() {
         let rooms: Vec<_> = boxed.iter().map(|room| format!("{room:?}")).collect();
         eprintln!(
-            "roomcast: no box in the map: {}; a scene has boxes, so each of these rooms is the box around its polygon now; look at them with \
+            "roomcast: the polygon meets itself or has no area: {}; each of these rooms is the box around its polygon now; look at them with \
              `roomcast scene draw`",
             rooms.join(", ")
         );
@@ -186,7 +186,7 @@ fn import(args: &Import) -> CommandResult {
         "{}: {}, {}, {}, {}\n",
         args.out.display(),
         count(map.rooms().len(), "room"),
-        count(map.doors().len(), "door"),
+        doors(&map),
         count(map.items().len(), "item"),
         count(map.labels().len(), "label")
     );
@@ -194,6 +194,12 @@ fn import(args: &Import) -> CommandResult {
         let _ = writeln!(text, "  {note}");
     }
     print(&text)
+}
+
+/// "3 doors", and whether the map says so.
+fn doors(map: &SemanticMap) -> String {
+    let found = if map.doors_found() && !map.doors().is_empty() { " found where rooms touch" } else { "" };
+    format!("{}{found}", count(map.doors().len(), "door"))
 }
 
 fn change(args: &Change) -> CommandResult {
@@ -324,7 +330,7 @@ fn warnings(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
     }
     for (index, door) in map.doors().iter().enumerate() {
         for room in door.rooms.map(|RoomId(room)| &map.rooms()[room as usize]) {
-            let distance_m = room.bounds.distance_m(&door.position_m);
+            let distance_m = room.space.distance_m(&door.position_m);
             if distance_m > DOOR_OFF_M {
                 warnings.push(format!("doors[{index}] ({:?}) lies {distance_m:.2} m from {:?}", door.id, room.id));
             }
@@ -466,7 +472,7 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
         let _ = writeln!(text, "{line}");
     }
     let (items, labels) = (count(map.items().len(), "item"), count(map.labels().len(), "label"));
-    let _ = writeln!(text, "{items}, {labels}, {}\n", count(map.doors().len(), "door"));
+    let _ = writeln!(text, "{items}, {labels}, {}\n", doors(map));
 
     let mut partitions = table(["partition", "size (m)", "items", "labels", "most frequent"], 1..4);
     for (index, partition) in (0u32..).zip(grounding.partitions()) {

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::schema::{DoorEntry, ItemEntry, RoomEntry, place};
+use super::schema::{DoorEntry, ItemEntry, RoomEntry, VERSION, place};
 use super::{Box3, SceneError, SemanticMap};
 
 /// One change. In JSON the key `change` names it: `{"change": "move-item", "id": "mug-1", "position_m": [..], "box": {..}}`.
@@ -108,6 +108,8 @@ impl SemanticMap {
     /// When a change names an item that is not there, or the result breaks a rule of scenes.
     pub fn changed(&self, changes: Vec<MapChange>) -> Result<Self, DeltaError> {
         let mut file = self.to_file();
+        // A change may bring a footprint; what is written names the version that the new map needs.
+        file.version = VERSION;
         let mut items: Vec<Option<ItemEntry>> = std::mem::take(&mut file.items).into_iter().map(Some).collect();
         let ids = items.iter().enumerate().filter_map(|(index, item)| Some((item.as_ref()?.id.clone(), index)));
         let mut place_of: HashMap<String, usize> = ids.collect();
@@ -131,6 +133,10 @@ impl SemanticMap {
                     None => return Err(DeltaError::NoSuchItem { index, id }),
                 },
                 MapChange::AddRoom { room: NewRoom(room), doors } => {
+                    if !doors.is_empty() && file.doors.is_empty() {
+                        // A first given door does not close those that were found.
+                        file.doors = self.door_entries();
+                    }
                     file.rooms.push(room);
                     file.doors.extend(doors.into_iter().map(|NewDoor(door)| door));
                 }
@@ -181,6 +187,31 @@ mod tests {
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
         assert!(grounding.unassigned.is_empty());
         assert_eq!(map.path(RoomId(0), RoomId(2)).map(|path| path.len()), Some(3));
+    }
+
+    #[test]
+    fn a_room_of_any_shape_can_be_added() {
+        let outline = ROOM.replace(
+            r#""box": {"min_m": [10, 0, 0], "max_m": [14, 3, 2.5]}"#,
+            r#""footprint": [[[9, 0], [14, 0], [14, 3], [12, 3], [12, 1.5], [9, 1.5]]], "height": 2.5"#,
+        );
+        let map = changed(&outline).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        assert_eq!(grounding.item_partition[8].map(|room| room.0), Some(2), "the bicycle");
+        assert!(map.to_json().contains("\"version\": 2"));
+        assert_ne!(map.fingerprint, changed(ROOM).unwrap().fingerprint);
+    }
+
+    #[test]
+    fn a_given_door_does_not_close_those_that_were_found() {
+        let corners = SemanticMap::from_json(include_str!("../../../tests/data/corners.json")).unwrap();
+        let room = ROOM.replace("[10, 0, 0]", "[20, 0, 0]").replace("[14, 3, 2.5]", "[24, 3, 2.5]");
+        let more = corners.changed(parse_changes(&room).unwrap()).unwrap();
+        assert_eq!(more.doors.len(), corners.doors.len() + 1);
+        assert!(!more.doors_found);
+        let item = corners.changed(parse_changes(ADD).unwrap()).unwrap();
+        assert!(item.doors_found);
+        assert_eq!(item.doors, corners.doors);
     }
 
     #[test]

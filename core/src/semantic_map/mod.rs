@@ -5,9 +5,12 @@ use std::collections::{BTreeMap, VecDeque};
 use crate::names::{Names, plain_words};
 
 pub mod delta;
+mod doors;
+pub(crate) mod footprint;
 pub mod import;
 mod schema;
 
+pub use footprint::{Footprint, MAX_CORNERS, Space};
 pub use schema::{MAX_FILE_BYTES, MAX_ITEMS, MAX_ROOMS, MAX_TEXT_BYTES, SceneError, read_limited};
 
 /// Index of an item in [`SemanticMap::items`].
@@ -115,7 +118,7 @@ pub struct Room {
     /// Its words for a language model ("living room").
     pub label: String,
     /// Its extent.
-    pub bounds: Box3,
+    pub space: Space,
 }
 
 /// A part of one room.
@@ -128,7 +131,7 @@ pub struct Part {
     /// The room it lies in.
     pub room: RoomId,
     /// Its extent.
-    pub bounds: Box3,
+    pub space: Space,
 }
 
 /// Several rooms taken as one partition.
@@ -140,6 +143,8 @@ pub struct Group {
     pub label: String,
     /// Its rooms; groups are disjoint.
     pub rooms: Vec<RoomId>,
+    /// Its own extent; without one, that of its rooms.
+    pub space: Option<Space>,
 }
 
 /// A passage between two rooms.
@@ -170,8 +175,10 @@ pub struct SemanticMap {
     pub(crate) parts: Vec<Part>,
     /// Groups of rooms, in file order.
     pub(crate) groups: Vec<Group>,
-    /// Doors, in file order.
+    /// Doors, in file order; where the file gives none, those found where rooms touch.
     pub(crate) doors: Vec<Door>,
+    /// The doors were found and are not written.
+    pub(crate) doors_found: bool,
     /// Distinct item labels, captions included, sorted.
     pub(crate) labels: Vec<String>,
     /// Items, in file order.
@@ -219,10 +226,16 @@ impl SemanticMap {
         &self.groups
     }
 
-    /// Doors, in file order.
+    /// Doors, in file order; where the file gives none, those found where rooms touch.
     #[must_use]
     pub fn doors(&self) -> &[Door] {
         &self.doors
+    }
+
+    /// Whether the file gives no doors, so that they were found where rooms touch.
+    #[must_use]
+    pub fn doors_found(&self) -> bool {
+        self.doors_found
     }
 
     /// Distinct item labels, captions included, sorted.
@@ -293,11 +306,11 @@ impl SemanticMap {
         })
     }
 
-    /// The rooms whose boxes hold the point, in file order: none outside, several where boxes overlap.
+    /// The rooms that hold the point, in file order: none outside, several where rooms overlap.
     pub fn rooms_at(&self, position_m: [f64; 3]) -> impl Iterator<Item = RoomId> {
         (0u32..)
             .zip(&self.rooms)
-            .filter(move |(_, room)| room.bounds.contains(&position_m))
+            .filter(move |(_, room)| room.space.contains(&position_m))
             .map(|(index, _)| RoomId(index))
     }
 

@@ -1,4 +1,4 @@
-//! The scene file, version 1: reading, checking, writing. `scenes/README.md` documents it field by field.
+//! The scene file, versions 1 and 2: reading, checking, writing. `scenes/README.md` documents it field by field.
 
 use crate::text::is_hidden;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::{Box3, Caption, Door, Group, Item, LabelId, Part, Room, RoomId, SemanticMap};
+use super::footprint::{Footprint, MAX_CORNERS, Space};
+use super::{Box3, Caption, Door, Group, Item, LabelId, Part, Room, RoomId, SemanticMap, doors};
 
 /// Largest scene file that is read, in bytes.
 pub const MAX_FILE_BYTES: u64 = 64 << 20;
@@ -21,7 +22,12 @@ pub const MAX_ROOMS: usize = 64;
 pub const MAX_TEXT_BYTES: usize = 128;
 
 pub(super) const FORMAT: &str = "roomcast-scene";
-pub(super) const VERSION: u32 = 1;
+/// The newest version. A map without footprints is written as version 1, so that its fingerprint stays.
+pub(super) const VERSION: u32 = 2;
+/// Height of a footprint without one, in metres.
+pub(super) const ROOM_HEIGHT_M: f64 = 2.5;
+/// How far a box may differ from its footprint, in metres: numbers are rounded.
+const ROUNDED_M: f64 = 0.01;
 const MAX_PROSE_BYTES: usize = 4_096;
 pub(super) const MAX_CAPTIONS: usize = 64;
 pub(super) const MAX_ALIASES: usize = 1_000;
@@ -66,7 +72,7 @@ pub enum SceneError {
     },
     /// Another format or another version.
     #[error(
-        "is `{format}` version {version}, but this program reads `{FORMAT}` version {VERSION}; \
+        "is `{format}` version {version}, but this program reads `{FORMAT}` versions 1 to {VERSION}; \
          import other maps with `roomcast scene import`"
     )]
     Format {
@@ -116,7 +122,30 @@ pub(super) struct SceneFile {
 pub(super) struct RoomEntry {
     pub(super) id: String,
     pub(super) label: String,
-    pub(super) r#box: Box3,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) r#box: Option<Box3>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) footprint: Option<Rings>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) floor: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) height: Option<f64>,
+}
+
+/// An outline and its holes, as lists of `[x, y]`.
+pub(super) type Rings = Vec<Vec<[f64; 2]>>;
+
+impl RoomEntry {
+    /// A room that is a box.
+    pub(super) fn boxed(id: String, label: String, bounds: Box3) -> Self {
+        Self { id, label, r#box: Some(bounds), footprint: None, floor: None, height: None }
+    }
+
+    /// A room with an outline.
+    pub(super) fn outlined(id: String, label: String, footprint: Rings, floor_m: f64, height_m: f64) -> Self {
+        let (floor, height) = (Some(floor_m), Some(height_m));
+        Self { id, label, r#box: None, footprint: Some(footprint), floor, height }
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -125,7 +154,14 @@ pub(super) struct PartEntry {
     pub(super) id: String,
     pub(super) label: String,
     pub(super) room: String,
-    pub(super) r#box: Box3,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) r#box: Option<Box3>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) footprint: Option<Rings>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) floor: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) height: Option<f64>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -134,6 +170,28 @@ pub(super) struct GroupEntry {
     pub(super) id: String,
     pub(super) label: String,
     pub(super) rooms: Vec<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) r#box: Option<Box3>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) footprint: Option<Rings>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) floor: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) height: Option<f64>,
+}
+
+/// What an entry says of the space that it takes up.
+struct Extent<'a> {
+    bounds: Option<Box3>,
+    footprint: Option<&'a Rings>,
+    floor: Option<f64>,
+    height: Option<f64>,
+}
+
+/// Counts and checks what footprints may cost.
+struct Corners {
+    version: u32,
+    left: usize,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -226,12 +284,78 @@ impl Place<'_> {
         ))
     }
 
-    fn space(self, bounds: &Box3) -> Result<(), SceneError> {
-        self.bounds(bounds)?;
-        if bounds.volume_m3() > 0.0 {
-            return Ok(());
+    /// The box of an entry, or its footprint between its floor and its ceiling. `around` is what it lies in, as far as that is known.
+    fn space(self, extent: &Extent, around: Option<Box3>, corners: &mut Corners) -> Result<Space, SceneError> {
+        if let Some(bounds) = &extent.bounds {
+            self.bounds(bounds)?;
+            if bounds.volume_m3() <= 0.0 {
+                let problem = "has no volume, so nothing can lie in it";
+                return Err(self.error("box", problem, "give it a length, a width and a height"));
+            }
         }
-        Err(self.error("box", "has no volume, so nothing can lie in it", "give it a length, a width and a height"))
+        if let Some(rings) = extent.footprint {
+            return self.prism(rings, extent, around, corners);
+        }
+        for (field, given) in [("floor", extent.floor), ("height", extent.height)] {
+            if given.is_some() {
+                return Err(self.error(
+                    field,
+                    "belongs to a footprint",
+                    "give a `footprint`, too, or say it in the `box`",
+                ));
+            }
+        }
+        let remedy = "give a `box`, or a `footprint` with `floor` and `height`";
+        extent.bounds.map(Space::from).ok_or_else(|| self.error("box", "is missing", remedy))
+    }
+
+    fn prism(
+        self,
+        rings: &Rings,
+        extent: &Extent,
+        around: Option<Box3>,
+        corners: &mut Corners,
+    ) -> Result<Space, SceneError> {
+        if corners.version < 2 {
+            let problem = "is a key of version 2";
+            return Err(self.error("footprint", problem, "write \"version\": 2 at the top of the file"));
+        }
+        let count: usize = rings.iter().map(Vec::len).sum();
+        corners.left = corners.left.checked_sub(count).ok_or_else(|| {
+            let problem = format!("the map's footprints have more than {MAX_CORNERS} corners");
+            self.error("footprint", problem, "simplify the outlines: a corner per bend of a wall is enough")
+        })?;
+        rings.iter().flatten().try_for_each(|[x, y]| self.point("footprint", &[*x, *y, 0.0]))?;
+        let footprint = Footprint::new(rings).map_err(|(problem, remedy)| self.error("footprint", problem, remedy))?;
+
+        let agree = |a: f64, b: f64| (a - b).abs() <= ROUNDED_M;
+        let from = extent.bounds.or(around);
+        let floor_m = extent.floor.or(from.map(|bounds| bounds.min_m[2])).unwrap_or(0.0);
+        let height_m = extent.height.or(from.map(|bounds| bounds.size_m()[2])).unwrap_or(ROOM_HEIGHT_M);
+        let [least, most] = footprint.around();
+        let mut bounds = Box3 { min_m: [least[0], least[1], floor_m], max_m: [most[0], most[1], floor_m + height_m] };
+        self.point("floor", &bounds.min_m)?;
+        self.point("height", &bounds.max_m)?;
+        if let Some(own) = extent.bounds {
+            let same = (0..3)
+                .all(|axis| agree(own.min_m[axis], bounds.min_m[axis]) && agree(own.max_m[axis], bounds.max_m[axis]));
+            if !same {
+                let problem = format!(
+                    "from {:?} to {:?} is not the box around the footprint, from {:?} to {:?}",
+                    own.min_m, own.max_m, bounds.min_m, bounds.max_m
+                );
+                return Err(self.error("box", problem, "leave out the box of an element that has a footprint"));
+            }
+            (bounds.min_m[2], bounds.max_m[2]) = (own.min_m[2], own.max_m[2]);
+        }
+        if bounds.volume_m3() <= 0.0 {
+            return Err(self.error(
+                "height",
+                "leaves no volume, so nothing can lie in it",
+                "give the height in metres",
+            ));
+        }
+        Ok(Space { bounds, footprint: Some(footprint) })
     }
 }
 
@@ -343,7 +467,7 @@ impl SemanticMap {
     }
 
     pub(super) fn check(file: SceneFile) -> Result<Self, SceneError> {
-        if file.format != FORMAT || file.version != VERSION {
+        if file.format != FORMAT || !(1..=VERSION).contains(&file.version) {
             let format = file.format.chars().take(MAX_TEXT_BYTES).collect();
             return Err(SceneError::Format { format, version: file.version });
         }
@@ -366,10 +490,12 @@ impl SemanticMap {
         // Rooms, parts and groups can all be partitions, so they share one space of ids.
         let mut partition_ids = Ids::new();
         let mut room_ids = Ids::new();
-        let rooms = check_rooms(&file.rooms, &mut partition_ids, &mut room_ids)?;
-        let parts = check_parts(&file.parts, &mut partition_ids, &room_ids, &rooms)?;
-        let groups = check_groups(&file.groups, &mut partition_ids, &room_ids)?;
-        let doors = check_doors(&file.doors, &room_ids)?;
+        let mut corners = Corners { version: file.version, left: MAX_CORNERS };
+        let rooms = check_rooms(&file.rooms, &mut partition_ids, &mut room_ids, &mut corners)?;
+        let parts = check_parts(&file.parts, &mut partition_ids, &room_ids, &rooms, &mut corners)?;
+        let groups = check_groups(&file.groups, &mut partition_ids, &room_ids, &rooms, &mut corners)?;
+        let doors_found = file.doors.is_empty();
+        let doors = if doors_found { doors::found(&rooms) } else { check_doors(&file.doors, &room_ids)? };
         for (index, (label, others)) in file.aliases.iter().enumerate() {
             let place = Place { list: "aliases", index, id: label };
             [label].into_iter().chain(others).try_for_each(|words| place.label(words))?;
@@ -384,6 +510,7 @@ impl SemanticMap {
             parts,
             groups,
             doors,
+            doors_found,
             labels,
             items,
             aliases: file.aliases,
@@ -393,24 +520,42 @@ impl SemanticMap {
         Ok(map)
     }
 
+    /// The doors as a file has them, found ones too.
+    pub(super) fn door_entries(&self) -> Vec<DoorEntry> {
+        let room = |RoomId(index): RoomId| self.rooms[index as usize].id.clone();
+        (self.doors.iter())
+            .map(|door| DoorEntry { id: door.id.clone(), rooms: door.rooms.map(room), position_m: door.position_m })
+            .collect()
+    }
+
     pub(super) fn to_file(&self) -> SceneFile {
         let label = |LabelId(index): LabelId| self.labels[index as usize].clone();
         let room = |RoomId(index): RoomId| self.rooms[index as usize].id.clone();
+        let outline = |space: &Space| space.footprint.as_ref().map(|footprint| footprint.rings().to_vec());
+        let spaces = self.rooms.iter().map(|room| &room.space).chain(self.parts.iter().map(|part| &part.space));
+        let spaces = spaces.chain(self.groups.iter().filter_map(|group| group.space.as_ref()));
+        let version = if spaces.clone().any(|space| space.footprint.is_some()) { VERSION } else { 1 };
         SceneFile {
             format: FORMAT.to_owned(),
-            version: VERSION,
+            version,
             name: self.name.clone(),
             description: self.description.clone(),
             source: self.source.clone(),
             rooms: (self.rooms.iter())
-                .map(|room| RoomEntry { id: room.id.clone(), label: room.label.clone(), r#box: room.bounds })
+                .map(|room| RoomEntry {
+                    footprint: outline(&room.space),
+                    ..RoomEntry::boxed(room.id.clone(), room.label.clone(), room.space.bounds)
+                })
                 .collect(),
             parts: (self.parts.iter())
                 .map(|part| PartEntry {
                     id: part.id.clone(),
                     label: part.label.clone(),
                     room: room(part.room),
-                    r#box: part.bounds,
+                    r#box: Some(part.space.bounds),
+                    footprint: outline(&part.space),
+                    floor: None,
+                    height: None,
                 })
                 .collect(),
             groups: (self.groups.iter())
@@ -418,11 +563,13 @@ impl SemanticMap {
                     id: group.id.clone(),
                     label: group.label.clone(),
                     rooms: group.rooms.iter().map(|&id| room(id)).collect(),
+                    r#box: group.space.as_ref().map(|space| space.bounds),
+                    footprint: group.space.as_ref().and_then(outline),
+                    floor: None,
+                    height: None,
                 })
                 .collect(),
-            doors: (self.doors.iter())
-                .map(|door| DoorEntry { id: door.id.clone(), rooms: door.rooms.map(room), position_m: door.position_m })
-                .collect(),
+            doors: if self.doors_found { Vec::new() } else { self.door_entries() },
             aliases: self.aliases.clone(),
             items: (self.items.iter())
                 .map(|item| ItemEntry {
@@ -439,7 +586,6 @@ impl SemanticMap {
     }
 }
 
-/// The text of a file of at most [`MAX_FILE_BYTES`].
 /// Reads a text file of at most [`MAX_FILE_BYTES`] and one more, so that what reads the text sees that it is too long.
 ///
 /// # Errors
@@ -483,6 +629,7 @@ fn check_rooms<'a>(
     entries: &'a [RoomEntry],
     partition_ids: &mut Ids<'a>,
     room_ids: &mut Ids<'a>,
+    corners: &mut Corners,
 ) -> Result<Vec<Room>, SceneError> {
     let mut rooms = Vec::with_capacity(entries.len());
     for (index, entry) in entries.iter().enumerate() {
@@ -490,8 +637,10 @@ fn check_rooms<'a>(
         partition_ids.insert(place)?;
         room_ids.insert(place)?;
         place.label(&entry.label)?;
-        place.space(&entry.r#box)?;
-        rooms.push(Room { id: entry.id.clone(), label: entry.label.clone(), bounds: entry.r#box });
+        let RoomEntry { r#box: bounds, ref footprint, floor, height, .. } = *entry;
+        let extent = Extent { bounds, footprint: footprint.as_ref(), floor, height };
+        let space = place.space(&extent, None, corners)?;
+        rooms.push(Room { id: entry.id.clone(), label: entry.label.clone(), space });
     }
     Ok(rooms)
 }
@@ -509,18 +658,23 @@ fn check_parts<'a>(
     partition_ids: &mut Ids<'a>,
     room_ids: &Ids,
     rooms: &[Room],
+    corners: &mut Corners,
 ) -> Result<Vec<Part>, SceneError> {
     let mut parts = Vec::with_capacity(entries.len());
     for (index, entry) in entries.iter().enumerate() {
         let place = Place { list: "parts", index, id: &entry.id };
         partition_ids.insert(place)?;
         place.label(&entry.label)?;
-        place.space(&entry.r#box)?;
         let room = find_room(place, "room", &entry.room, room_ids)?;
-        if rooms[room.0 as usize].bounds.overlap_m3(&entry.r#box) <= 0.0 {
-            return Err(place.error("box", "lies outside its room's box", "give a box inside the room"));
+        let around = &rooms[room.0 as usize].space;
+        let PartEntry { r#box: bounds, ref footprint, floor, height, .. } = *entry;
+        let extent = Extent { bounds, footprint: footprint.as_ref(), floor, height };
+        let space = place.space(&extent, Some(around.bounds), corners)?;
+        if !around.meets(&space) {
+            let field = if space.footprint.is_some() { "footprint" } else { "box" };
+            return Err(place.error(field, "lies outside its room", "give a place inside the room"));
         }
-        parts.push(Part { id: entry.id.clone(), label: entry.label.clone(), room, bounds: entry.r#box });
+        parts.push(Part { id: entry.id.clone(), label: entry.label.clone(), room, space });
     }
     Ok(parts)
 }
@@ -529,6 +683,8 @@ fn check_groups<'a>(
     entries: &'a [GroupEntry],
     partition_ids: &mut Ids<'a>,
     room_ids: &Ids,
+    all_rooms: &[Room],
+    corners: &mut Corners,
 ) -> Result<Vec<Group>, SceneError> {
     let mut groups = Vec::with_capacity(entries.len());
     let mut taken = BTreeSet::new();
@@ -548,7 +704,22 @@ fn check_groups<'a>(
             }
             rooms.push(room);
         }
-        groups.push(Group { id: entry.id.clone(), label: entry.label.clone(), rooms });
+        let GroupEntry { r#box: bounds, ref footprint, floor, height, .. } = *entry;
+        let own = bounds.is_some() || footprint.is_some() || floor.is_some() || height.is_some();
+        let space = if own {
+            if footprint.is_none() {
+                let remedy = "leave it out, or give the group a `footprint`";
+                return Err(place.error("box", "is no outline of a group, which takes up its rooms", remedy));
+            }
+            let around = rooms.iter().map(|room| all_rooms[room.0 as usize].space.bounds).reduce(|a, b| Box3 {
+                min_m: std::array::from_fn(|axis| a.min_m[axis].min(b.min_m[axis])),
+                max_m: std::array::from_fn(|axis| a.max_m[axis].max(b.max_m[axis])),
+            });
+            Some(place.space(&Extent { bounds, footprint: footprint.as_ref(), floor, height }, around, corners)?)
+        } else {
+            None
+        };
+        groups.push(Group { id: entry.id.clone(), label: entry.label.clone(), rooms, space });
     }
     Ok(groups)
 }
@@ -679,6 +850,71 @@ mod tests {
         assert_eq!(map.short_fingerprint().len(), 16);
     }
 
+    const CORNERS: &str = include_str!("../../../tests/data/corners.json");
+
+    #[test]
+    fn footprints_survive_writing_and_reading() {
+        let map = SemanticMap::from_json(CORNERS).unwrap();
+        assert!(map.to_json().contains("\"version\": 2"));
+        let again = SemanticMap::from_json(&map.to_json()).unwrap();
+        assert_eq!((map.fingerprint, &map), (again.fingerprint, &again));
+        let joined: Vec<&str> = map.doors.iter().map(|door| door.id.as_str()).collect();
+        let expected = ["kitchen--bedroom", "kitchen--living-room", "hallway--bedroom", "hallway--living-room"];
+        assert_eq!(joined, expected);
+        let moved = SemanticMap::from_json(&CORNERS.replace("[7, 3], [4, 3]", "[7, 3], [4.1, 3]")).unwrap();
+        assert_ne!(map.fingerprint, moved.fingerprint);
+    }
+
+    #[test]
+    fn a_map_of_boxes_stays_version_1() {
+        let two = SemanticMap::from_json(&TWO_ROOMS.replace("\"version\": 1", "\"version\": 2")).unwrap();
+        assert_eq!(two.fingerprint, SemanticMap::from_json(TWO_ROOMS).unwrap().fingerprint);
+        assert!(two.to_json().contains("\"version\": 1"));
+    }
+
+    #[test]
+    fn footprints_are_checked() {
+        let refused = |from: &str, to: &str| {
+            assert!(CORNERS.contains(from), "{from}");
+            message(&SemanticMap::from_json(&CORNERS.replacen(from, to, 1)).unwrap_err())
+        };
+        let many = format!("[{}[5, 3]]", "[4, 0], [7, 0], ".repeat(MAX_CORNERS));
+        let cases = [
+            ("\"version\": 2", "\"version\": 1", "rooms[1] (\"hallway\"), `footprint`: is a key of version 2"),
+            ("[[[-2, 0], [0, 0]", "[[[-2, 0], [-1, 9]", "rooms[1] (\"hallway\"), `footprint`: ring 0 meets itself"),
+            ("[[[-2, 0], [0, 0]", "[[[-2, 0], [0, 2e4]", "`footprint`: [0.0, 20000.0, 0.0] lies farther than 10 km"),
+            ("[[[-2, 0], [0, 0]", "[[[-2, 0], [0]", "rooms[1].footprint[0][1]: invalid length 1"),
+            ("\"floor\": 0, \"height\": 2.5}", "\"floor\": 0, \"height\": 0}", "`height`: leaves no volume"),
+            ("\"floor\": 0,", "\"floor\": 1e9,", "`floor`: "),
+            (
+                "\"floor\": 0,",
+                "\"box\": {\"min_m\": [0, 0, 0], \"max_m\": [4, 8.5, 2.5]},",
+                "is not the box around the footprint",
+            ),
+            (
+                "\"box\": {\"min_m\": [4, 3, 0], \"max_m\": [8, 7, 2.5]}",
+                "\"height\": 2.5",
+                "`height`: belongs to a footprint",
+            ),
+            (
+                ", \"box\": {\"min_m\": [4, 3, 0], \"max_m\": [8, 7, 2.5]}",
+                "",
+                "`box`: is missing; give a `box`, or a `footprint`",
+            ),
+            ("[[[4, 0], [7, 0], [7, 3], [5, 3]]]", "[[[5, 4], [6, 4], [6, 5]]]", "`footprint`: lies outside its room"),
+            ("[[4, 0], [7, 0], [7, 3], [5, 3]]", &many, "more than 10000 corners; simplify"),
+            (
+                "\"rooms\": [\"kitchen\", \"living-room\"], \"footprint\": [[[0, 0], [8, 0], [8, 7], [0, 7]]]",
+                "\"rooms\": [\"kitchen\"], \"height\": 3",
+                "groups[0] (\"day\"), `box`: is no outline of a group",
+            ),
+        ];
+        for (from, to, expected) in cases {
+            let text = refused(from, to);
+            assert!(text.contains(expected), "{expected}: {text}");
+        }
+    }
+
     #[test]
     fn soft_labels_survive_writing_and_reading() {
         let with = |weights: &[f64]| {
@@ -709,7 +945,7 @@ mod tests {
     fn every_refusal_names_the_element_and_the_remedy() {
         let cases = [
             ("/format", json!("map"), "is `map` version 1"),
-            ("/version", json!(2), "version 2"),
+            ("/version", json!(3), "version 3, but this program reads `roomcast-scene` versions 1 to 2"),
             ("/color", json!(1), "unknown field `color`"),
             ("/name", json!(""), "scene[0] (\"\"), `name`: is empty; give a short name"),
             ("/rooms", json!([]), "`rooms`: has no entry"),

@@ -163,14 +163,14 @@ impl<'a> Binder<'a> {
 }
 
 fn room_place(map: &SemanticMap, grounding: &Grounding, room: RoomId, label: Option<usize>) -> Place {
-    let bounds = &map.rooms()[room.0 as usize].bounds;
-    let [x, y, _] = bounds.centre_m();
+    let space = &map.rooms()[room.0 as usize].space;
+    let [x, y, _] = space.centre_m();
     let partition = grounding.partitions().iter().position(|partition| partition.rooms.contains(&room));
     Place {
         label,
         item: None,
         partition: partition.and_then(|index| u32::try_from(index).ok()).map(PartitionId),
-        position_m: [x, y, bounds.min_m[2]],
+        position_m: [x, y, space.bounds.min_m[2]],
     }
 }
 

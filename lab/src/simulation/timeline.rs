@@ -182,9 +182,9 @@ impl Person<'_, '_> {
     }
 }
 
-/// The room whose box is nearest to a point; the first of several.
+/// The room that is nearest to a point; the first of several.
 fn nearest_room(map: &SemanticMap, position_m: [f64; 3]) -> RoomId {
-    let far = |index: &usize| map.rooms()[*index].bounds.distance_m(&position_m);
+    let far = |index: &usize| map.rooms()[*index].space.distance_m(&position_m);
     let nearest = (0..map.rooms().len()).min_by(|a, b| far(a).total_cmp(&far(b)));
     RoomId(nearest.and_then(|index| u32::try_from(index).ok()).unwrap_or(0))
 }
@@ -271,7 +271,7 @@ fn person<'a, 'b>(
         return Err(TimelineError::NoRooms { scene: map.name().to_owned() });
     }
     let room = (start % map.rooms().len() as u64) as u32;
-    let at_m = map.rooms()[room as usize].bounds.centre_m();
+    let at_m = map.rooms()[room as usize].space.centre_m();
     let held = HashMap::new();
     let speed_m_s = options.speed_m_s.max(0.01);
     Ok(Person { map, grounding, binder, speed_m_s, now_s: 0.0, at_m, room: RoomId(room), held, legs: Vec::new() })

@@ -22,7 +22,7 @@ pub struct Imported {
     pub map: SemanticMap,
     /// What was left out or changed, one sentence each, for people.
     pub notes: Vec<String>,
-    /// Ids of the rooms that were polygons and are the boxes around them now.
+    /// Ids of the rooms whose polygon is no outline, so that they are the boxes around them now.
     pub boxed: Vec<String>,
 }
 

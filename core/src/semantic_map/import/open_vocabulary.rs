@@ -16,8 +16,9 @@ use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use super::{Ids, ImportError, Imported, parse, words};
+use crate::semantic_map::footprint::Footprint;
 use crate::semantic_map::schema::{
-    CaptionEntry, FORMAT, ItemEntry, MAX_CAPTIONS, RoomEntry, SHARE_MIN, SceneFile, VERSION,
+    CaptionEntry, FORMAT, ItemEntry, MAX_CAPTIONS, Rings, RoomEntry, SHARE_MIN, SceneFile, VERSION,
 };
 use crate::semantic_map::{Box3, MAX_TEXT_BYTES, SemanticMap};
 
@@ -264,8 +265,8 @@ fn whole(entry: Map<String, Value>) -> Map<String, Value> {
 /// Turns an open-vocabulary map into a scene.
 ///
 /// Captions become labels: lower-case words without article and full stop, machine names turned into words. An object with
-/// several captions becomes an item with soft labels. Oriented boxes are taken as if along the axes, polygons of rooms
-/// as the boxes around them. `up` decides where the file does not. Left out, with a note: objects without box or caption, rooms without outline.
+/// several captions becomes an item with soft labels. Oriented boxes are taken as if along the axes. Polygons of rooms become footprints;
+/// where one meets itself, the box around it stands for it. `up` decides where the file does not. Left out, with a note: objects without box or caption, rooms without outline.
 ///
 /// # Errors
 /// When the text is no such map, has no room, or breaks a rule of scenes.
@@ -286,10 +287,18 @@ pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, Impor
         let label = label.or_else(|| id_text(room.room_id.as_ref()).map(|id| words(&format!("room {id}"))));
         let label = label.unwrap_or_else(|| "room".to_owned());
         let id = room_ids.take(&label);
-        if !room.is_box(&bounds, up) {
-            boxed.push(id.clone());
-        }
-        rooms.push(RoomEntry { id, label, r#box: bounds });
+        let outline =
+            || -> Rings { vec![room.corners(up).unwrap_or_default().iter().map(|&[x, y, _]| [x, y]).collect()] };
+        let footprint = Some(outline()).filter(|_| !room.is_box(&bounds, up));
+        rooms.push(match footprint {
+            Some(rings) if Footprint::new(&rings).is_ok() => {
+                RoomEntry::outlined(id, label, rings, bounds.min_m[2], bounds.size_m()[2])
+            }
+            unusable => {
+                boxed.extend(unusable.map(|_| id.clone()));
+                RoomEntry::boxed(id, label, bounds)
+            }
+        });
     }
     if rooms.is_empty() {
         let remedy = "add `rooms` with a `name` and a `box` or `vertices`; ConceptGraphs' object files have none, so give a file of rooms, too";
@@ -357,8 +366,9 @@ mod tests {
         let weights: Vec<f64> = map.items[0].captions.iter().map(|caption| caption.weight).collect();
         assert_eq!(weights, [0.75, 0.25]);
         assert!(map.items[1].captions.is_empty(), "one caption is a plain label");
-        assert_eq!(map.rooms[1].bounds, Box3 { min_m: [4.0, 0.0, 0.1], max_m: [9.0, 4.0, 2.5] });
-        assert_eq!((imported.notes.len(), &imported.boxed[..]), (2, &["living-room".to_owned()][..]));
+        assert_eq!(map.rooms[1].space.bounds, Box3 { min_m: [4.0, 0.0, 0.1], max_m: [9.0, 4.0, 2.5] });
+        assert_eq!((imported.notes.len(), &imported.boxed[..]), (2, &[][..]));
+        assert_eq!(map.rooms[1].space.footprint.as_ref().unwrap().area_m2(), 18.5);
         assert!(Grounding::new(map, &GroundingOptions::default()).unwrap().unassigned.is_empty());
     }
 
@@ -376,10 +386,16 @@ mod tests {
         let room = r#"{"room_id": "0_1", "name": "bedroom", "floor_id": "0", "objects": ["0_1_3"], "vertices": [[0, 1], [4, 1], [4, 5]], "room_height": 3.2, "room_zero_level": 0.0, "embeddings": []}"#;
         let object = r#"{"object_id": "0_1_3", "room_id": "0_1", "name": "bed", "vertices": [[1, 0, 2], [3, 0.6, 4]]}"#;
         let Imported { map, boxed, .. } = open_vocabulary(&combine([room, object]).unwrap(), "home", Up::Z).unwrap();
-        assert_eq!(boxed, ["bedroom"], "a triangle is no box, although its corners are a box's");
+        assert!(boxed.is_empty());
+        let footprint = map.rooms[0].space.footprint.as_ref();
+        assert_eq!(footprint.unwrap().area_m2(), 8.0, "a triangle is no box, although its corners are a box's");
+        let crossed = room.replace("[4, 5]]", "[0, 5], [4, 4.5]]");
+        let crossed = open_vocabulary(&combine([&crossed[..]]).unwrap(), "home", Up::Z).unwrap();
+        assert_eq!(crossed.boxed, ["bedroom"], "an outline that meets itself");
         let square = room.replace("[4, 5]]", "[4, 5], [0, 5]]");
-        assert!(open_vocabulary(&combine([&square[..]]).unwrap(), "home", Up::Z).unwrap().boxed.is_empty());
-        assert_eq!(map.rooms[0].bounds, Box3 { min_m: [0.0, -5.0, 0.0], max_m: [4.0, -1.0, 3.2] });
+        let square = open_vocabulary(&combine([&square[..]]).unwrap(), "home", Up::Z).unwrap().map;
+        assert_eq!(square.rooms[0].space.footprint, None);
+        assert_eq!(map.rooms[0].space.bounds, Box3 { min_m: [0.0, -5.0, 0.0], max_m: [4.0, -1.0, 3.2] });
         assert_eq!(map.items[0].bounds, Box3 { min_m: [1.0, -4.0, 0.0], max_m: [3.0, -2.0, 0.6] });
         assert!(Grounding::new(&map, &GroundingOptions::default()).unwrap().unassigned.is_empty());
     }

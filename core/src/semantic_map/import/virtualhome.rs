@@ -78,7 +78,7 @@ pub fn virtualhome(json: &str, name: &str, equivalence: Option<&str>) -> Result<
         if node.category == "Rooms" {
             let id = room_ids.take(&label);
             room_of.insert(node.id, id.clone());
-            rooms.push(RoomEntry { id, label, r#box: bounds });
+            rooms.push(RoomEntry::boxed(id, label, bounds));
         } else if node.category == "Characters" {
             notes.push(format!("Left out node {} ({label}): a person is not part of the map.", node.id));
         } else {
@@ -180,7 +180,7 @@ mod tests {
         let map = &imported.map;
         let ids: Vec<&str> = map.rooms.iter().map(|room| room.id.as_str()).collect();
         assert_eq!(ids, ["living-room", "bedroom", "bedroom-2"]);
-        assert_eq!(map.rooms[0].bounds, Box3 { min_m: [-2.0, -3.0, 0.0], max_m: [2.0, 3.0, 2.5] });
+        assert_eq!(map.rooms[0].space.bounds, Box3 { min_m: [-2.0, -3.0, 0.0], max_m: [2.0, 3.0, 2.5] });
         assert_eq!(map.items.len(), 2);
         assert_eq!(map.items[0].id, "washing-machine-4");
         assert_eq!(map.items[0].position_m, [1.0, 2.0, 0.5]);
