@@ -16,7 +16,7 @@ use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::label_trie::{LabelTrie, PROMPT, TokenTree};
 use roomcast_core::narration::Program;
 use roomcast_core::scorer::Token;
-use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::semantic_map::{SemanticMap, import};
 use roomcast_ipc::{
     ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
     RoomScoresV1, Sender, sequence,
@@ -34,7 +34,7 @@ use roomcast_services::sensor_log::SensorRules;
 pub type Target = fn(&[u8]);
 
 /// Every target by name.
-pub const ALL: [(&str, Target); 11] = [
+pub const ALL: [(&str, Target); 12] = [
     ("configuration", configuration),
     ("gguf", gguf),
     ("journal", journal),
@@ -46,6 +46,7 @@ pub const ALL: [(&str, Target); 11] = [
     ("scene", scene),
     ("sensors", sensors),
     ("trie", trie),
+    ("valetudo", valetudo),
 ];
 
 /// A scene that is accepted survives being written and read again, and can be grounded.
@@ -57,6 +58,16 @@ pub fn scene(bytes: &[u8]) {
     if let Ok(grounding) = Grounding::new(&map, &GroundingOptions::default()) {
         assert_eq!(grounding.item_partition().len(), map.items().len());
     }
+}
+
+/// A robot's map that is accepted becomes a scene that survives being written, read and furnished.
+pub fn valetudo(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let Ok(imported) = import::valetudo(text, "fuzzed", &std::collections::HashMap::new()) else { return };
+    let again =
+        SemanticMap::from_json(&imported.map.to_json()).expect("a map that was imported can be written and read");
+    assert_eq!(imported.map.fingerprint(), again.fingerprint());
+    assert!(imported.furnished().is_ok());
 }
 
 /// Every step of a program that is accepted has a sentence.

@@ -5,11 +5,12 @@
 
 #![expect(clippy::unwrap_used, reason = "a panic is a test's report")]
 
+use std::collections::HashMap;
 use std::path::Path;
 
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
-use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::grounding::{GroundedScores, Grounding, GroundingOptions};
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::narration::program::Program;
 use roomcast_core::narration::{Observation, Sentence};
@@ -167,6 +168,39 @@ fn virtualhomes_own_scenes_are_among_them() {
         return;
     }
     assert!(maps().len() > embedded::SCENES.len() + 1);
+}
+
+/// A robot's map of bare rooms with German names, furnished as most homes are: the kitchen follows from the fridge, the living room from the
+/// sofa, on our own small map and on the real ones where they are at hand.
+#[test]
+fn a_robots_map_with_usual_furniture_forecasts_sensibly() {
+    let own = include_str!("data/valetudo.json")
+        .replace("{\"segmentId\":\"3\"", "{\"segmentId\":\"3\",\"name\":\"Wohnzimmer\"");
+    let mut maps = vec![own];
+    let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/valetudo");
+    for file in ["converted_3790.json", "z10_1056_paths.json"] {
+        match std::fs::read_to_string(shared.join(file)) {
+            Ok(text) => maps.push(text),
+            Err(error) => skipped(format!("{file}: {error}")),
+        }
+    }
+    for json in maps {
+        let map = import::valetudo(&json, "robot", &HashMap::new()).unwrap().furnished().unwrap().map;
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let (mut scorer, binding) = (Scorer::new(model(24)), BindingSequence::default());
+        let labels = grounding.label_texts();
+        let prepared = scorer.prepare(&labels, &binding, Tokenisation::Joint, Correction::default()).unwrap();
+        let (mut prompt, mut scores, mut grounded) = (String::new(), LabelScores::default(), GroundedScores::default());
+        for (said, expected) in [("They open the fridge.", "kitchen"), ("They sit down on the sofa.", "living room")] {
+            write_prompt([said], &binding, false, &mut prompt);
+            scorer.score(&prepared, &prompt, Method::Trie, &mut scores).unwrap();
+            grounding.ground(&scores.log_prob_nats, &mut grounded).unwrap();
+            let likeliest = (grounding.partitions().iter().zip(&grounded.partition_probability))
+                .max_by(|a, b| a.1.total_cmp(b.1))
+                .map(|(partition, _)| partition.label.as_str());
+            assert_eq!(likeliest, Some(expected), "{said} {:?}", grounded.partition_probability);
+        }
+    }
 }
 
 /// A map of a place that the embedded model was not made for, many of whose labels are several of its tokens.

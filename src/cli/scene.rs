@@ -18,7 +18,7 @@ use super::{CommandResult, Failure, count, print, ranges, service};
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use roomcast_core::semantic_map::delta;
-use roomcast_core::semantic_map::import::{self, Imported, Up};
+use roomcast_core::semantic_map::import::{self, Home, Imported, Registries, Up};
 use roomcast_core::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap};
 use roomcast_services::daemon::{MapAnswer, MapQuestion, Outcome};
 
@@ -52,6 +52,16 @@ enum Format {
     Virtualhome,
     /// Objects with captions and boxes, rooms with boxes or polygons, as ConceptGraphs and HOV-SG export them.
     OpenVocabulary,
+    /// A vacuum robot's map, as Valetudo exports it: segments become rooms.
+    Valetudo,
+    /// The configuration folder of a Home Assistant: areas become rooms, entities things; a rules file comes with the map.
+    HomeAssistant,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Furnish {
+    /// What most rooms of their kind have.
+    Typical,
 }
 
 #[derive(Debug, clap::Args)]
@@ -77,6 +87,15 @@ struct Import {
     /// Keep labels of an open-vocabulary map that differ in spelling or number only ("mugs", "coffeemaker").
     #[arg(long)]
     keep_spellings: bool,
+    /// Names for the segments of a Valetudo map: a TOML file with a line such as `11 = "kitchen"` each.
+    #[arg(long, value_name = "FILE")]
+    names: Option<PathBuf>,
+    /// Where the rules that come with a Home Assistant's map go; by default beside it, as `NAME.rules.toml`. A file that is there stays.
+    #[arg(long, value_name = "FILE")]
+    rules: Option<PathBuf>,
+    /// Put furniture into rooms without things; ids of such things begin with "assumed".
+    #[arg(long, value_enum)]
+    furnish: Option<Furnish>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -154,6 +173,7 @@ fn import(args: &Import) -> CommandResult {
     let stem = first.file_stem().map(|stem| stem.to_string_lossy().into_owned());
     let name = args.name.clone().or(stem).unwrap_or_else(|| "imported".to_owned());
     let in_first = |error| in_file("map", first, &error);
+    let mut rules = None;
     let imported = match args.format {
         Format::Virtualhome => {
             let [graph] = &args.graph[..] else {
@@ -171,6 +191,47 @@ fn import(args: &Import) -> CommandResult {
             let imported = import::open_vocabulary(&json, &name, args.up).map_err(in_first)?;
             if args.keep_spellings { imported } else { imported.merge_spellings().map_err(in_first)? }
         }
+        Format::Valetudo => {
+            let [graph] = &args.graph[..] else {
+                return Err(Failure::new(exit_code::USAGE, "a Valetudo map is one file; give exactly one"));
+            };
+            let names = match &args.names {
+                Some(path) => {
+                    import::segment_names(&read("names", path)?).map_err(|error| in_file("names", path, &error))?
+                }
+                None => HashMap::new(),
+            };
+            import::valetudo(&read("map", graph)?, &name, &names).map_err(in_first)?
+        }
+        Format::HomeAssistant => {
+            let [folder] = &args.graph[..] else {
+                return Err(Failure::new(
+                    exit_code::USAGE,
+                    "a Home Assistant is one configuration folder; give exactly one",
+                ));
+            };
+            let home = home_assistant(folder, args.name.as_deref().unwrap_or("home"))?;
+            rules = home
+                .rules
+                .map(|text| (args.rules.clone().unwrap_or_else(|| args.out.with_extension("rules.toml")), text));
+            home.imported
+        }
+    };
+    if args.rules.is_some() && !matches!(args.format, Format::HomeAssistant) {
+        return Err(Failure::new(
+            exit_code::USAGE,
+            "--rules come with a Home Assistant's map; give --format home-assistant",
+        ));
+    }
+    if args.names.is_some() && !matches!(args.format, Format::Valetudo) {
+        return Err(Failure::new(
+            exit_code::USAGE,
+            "--names names the segments of a Valetudo map; give --format valetudo",
+        ));
+    }
+    let imported = match args.furnish {
+        Some(Furnish::Typical) => imported.furnished().map_err(in_first)?,
+        None => imported,
     };
     let Imported { map, notes, boxed } = imported;
     if !boxed.is_empty() {
@@ -193,7 +254,54 @@ fn import(args: &Import) -> CommandResult {
     for note in notes {
         let _ = writeln!(text, "  {note}");
     }
+    if let Some((path, rules)) = rules {
+        let _ = writeln!(text, "{}", write_rules(&path, &rules)?);
+    }
     print(&text)
+}
+
+/// Reads the registries of a configuration folder, or of its `.storage`.
+fn home_assistant(folder: &Path, name: &str) -> Result<Home, Failure> {
+    let inner = folder.join(".storage");
+    let storage = if inner.is_dir() { &inner } else { folder };
+    let (areas, registry) = (storage.join("core.area_registry"), "registry");
+    if !areas.is_file() {
+        let folder = folder.display();
+        let problem =
+            format!("{folder} has no .storage/core.area_registry; give the folder that configuration.yaml is in");
+        return Err(input(problem));
+    }
+    let optional = |name: &str| {
+        let path = storage.join(name);
+        path.is_file().then(|| read(registry, &path)).transpose()
+    };
+    let (floors, devices) = (optional("core.floor_registry")?, optional("core.device_registry")?);
+    let (entities, persons) = (optional("core.entity_registry")?, optional("person")?);
+    let texts = Registries {
+        areas: &read(registry, &areas)?,
+        floors: floors.as_deref(),
+        devices: devices.as_deref(),
+        entities: entities.as_deref(),
+        persons: persons.as_deref(),
+    };
+    import::home_assistant(&texts, name).map_err(|error| in_file("Home Assistant", storage, &error))
+}
+
+/// Writes rules where none are: somebody may have edited those that are there.
+fn write_rules(path: &Path, rules: &str) -> Result<String, Failure> {
+    if path.exists() {
+        let path = path.display();
+        return Ok(format!("{path}: is there and stays as it is; remove it, or give --rules, for new rules"));
+    }
+    #[cfg(feature = "mqtt")]
+    roomcast_services::mqtt::Rules::parse(rules)
+        .map_err(|fault| input(format!("the rules for {} cannot be used: {fault}", path.display())))?;
+    write(path, rules.as_bytes())?;
+    Ok(format!(
+        "{}: {}; edit them, then: roomcast narrate --mqtt URL --rules FILE --dry-run",
+        path.display(),
+        count(rules.matches("[[rule]]").count(), "rule")
+    ))
 }
 
 /// "3 doors", and whether the map says so.

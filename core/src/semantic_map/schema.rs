@@ -28,7 +28,7 @@ pub(super) const VERSION: u32 = 2;
 pub(super) const ROOM_HEIGHT_M: f64 = 2.5;
 /// How far a box may differ from its footprint, in metres: numbers are rounded.
 const ROUNDED_M: f64 = 0.01;
-const MAX_PROSE_BYTES: usize = 4_096;
+pub(super) const MAX_PROSE_BYTES: usize = 4_096;
 pub(super) const MAX_CAPTIONS: usize = 64;
 pub(super) const MAX_ALIASES: usize = 1_000;
 const FARTHEST_M: f64 = 10_000.0;

@@ -1,4 +1,4 @@
-//! Maps of other formats, turned into scenes: VirtualHome environment graphs and open-vocabulary maps.
+//! Maps of other formats, turned into scenes: VirtualHome environment graphs, open-vocabulary maps, maps of vacuum robots and Home Assistant's registries.
 //!
 //! Whatever is read passes the same checks as a scene file, so an import is a map or an error, never half a map.
 
@@ -8,11 +8,16 @@ use super::SemanticMap;
 use super::schema::{self, SceneError};
 use crate::names::Names;
 
+mod furnish;
+mod home_assistant;
 mod open_vocabulary;
 mod spelling;
+mod valetudo;
 mod virtualhome;
 
+pub use home_assistant::{Home, Registries, home_assistant};
 pub use open_vocabulary::{Up, combine, open_vocabulary};
+pub use valetudo::{MAX_PIXELS, TOLERANCE_M, segment_names, valetudo};
 pub use virtualhome::virtualhome;
 
 /// A map and what the import has to say about it.

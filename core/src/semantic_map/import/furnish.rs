@@ -1,0 +1,239 @@
+//! The usual furniture of rooms that come without things, so that a map of bare rooms forecasts sensibly. It is assumed, and marked so.
+
+use std::collections::BTreeMap;
+use std::sync::LazyLock;
+
+use super::valetudo::CHARGER;
+use super::{Ids, ImportError, Imported};
+use crate::grounding::{Grounding, GroundingOptions};
+use crate::names::Names;
+use crate::semantic_map::schema::{ItemEntry, MAX_PROSE_BYTES};
+use crate::semantic_map::{Box3, PartitionId, Room, SemanticMap};
+
+/// Label, width, depth, height, and how far above the floor, in metres.
+type Piece = (String, f64, f64, f64, f64);
+
+static USUAL: LazyLock<BTreeMap<String, Vec<Piece>>> = LazyLock::new(|| {
+    #[expect(clippy::expect_used, reason = "the table is compiled in and a test parses it")]
+    toml::from_str(include_str!("furniture.toml")).expect("furniture.toml is valid")
+});
+
+/// The kind of a room that no table knows.
+const ANY: &str = "room";
+/// What ids of assumed things begin with.
+const ASSUMED: &str = "assumed";
+/// What a map says of them.
+const MARK: &str =
+    "Things whose ids begin with \"assumed\" are not measured: they are the usual furniture of their rooms.";
+/// What is no furniture: a room with nothing else counts as bare.
+const BARE: [&str; 5] = [CHARGER, "wall", "floor", "ceiling", "door"];
+/// How densely places for a piece are tried, in metres; and the most along one side of a room.
+const STEP_M: f64 = 0.1;
+const MOST_STEPS: f64 = 60.0;
+/// How near a wall a piece stands at it, and how far from a door it keeps, in metres.
+const AT_WALL_M: f64 = 0.15;
+const DOOR_M: f64 = 0.7;
+
+/// The usual furniture of a room by its label.
+fn usual(label: &str) -> &'static [Piece] {
+    let known = |kind: &str| USUAL.get(kind).map(Vec::as_slice);
+    let names = Names::built_in();
+    // "guest bedroom" is a bedroom, "master bedroom" by the table of aliases too.
+    let ends = || USUAL.iter().find(|(kind, _)| label.ends_with(&format!(" {kind}"))).map(|(_, pieces)| &pieces[..]);
+    let other_name = || {
+        USUAL.iter().find(|(kind, _)| names.aliases(kind).any(|alias| alias == label)).map(|(_, pieces)| &pieces[..])
+    };
+    let found = known(label).or_else(|| names.room(label).and_then(known)).or_else(other_name).or_else(ends);
+    found.or_else(|| known(ANY)).unwrap_or_default()
+}
+
+/// Puts pieces into one room.
+struct Furnisher<'a> {
+    room: &'a Room,
+    doors: Vec<[f64; 2]>,
+    taken: Vec<Box3>,
+}
+
+impl Furnisher<'_> {
+    fn within(&self, bounds: &Box3) -> bool {
+        let volume_m3 = bounds.volume_m3();
+        self.room.space.overlap_m3(bounds) >= volume_m3 * (1.0 - 1e-6)
+    }
+
+    /// The best place for a piece of this size on the floor: within the room, on nothing else, at a wall, away from doors.
+    fn place(&self, size_m: [f64; 3]) -> Option<Box3> {
+        let room = &self.room.space.bounds;
+        let mut best: Option<(u32, Box3)> = None;
+        for [width, depth] in [[size_m[0], size_m[1]], [size_m[1], size_m[0]]] {
+            let free = [room.size_m()[0] - width, room.size_m()[1] - depth];
+            if free[0] < 0.0 || free[1] < 0.0 {
+                continue;
+            }
+            let steps = free.map(|free_m| (free_m / STEP_M).ceil().min(MOST_STEPS));
+            for down in 0..=steps[1] as u32 {
+                for right in 0..=steps[0] as u32 {
+                    let part = |axis: usize, step: u32| f64::from(step) / steps[axis].max(1.0) * free[axis];
+                    let tidy = |metres: f64| (metres * 1e3).round() / 1e3;
+                    let (x, y) = (tidy(room.min_m[0] + part(0, right)), tidy(room.min_m[1] + part(1, down)));
+                    let z = room.min_m[2];
+                    let bounds =
+                        Box3 { min_m: [x, y, z], max_m: [tidy(x + width), tidy(y + depth), tidy(z + size_m[2])] };
+                    if self.taken.iter().any(|other| other.overlap_m3(&bounds) > 0.0) || !self.within(&bounds) {
+                        continue;
+                    }
+                    let shifted = |[east, north]: [f64; 2]| {
+                        let by = [AT_WALL_M * east, AT_WALL_M * north, 0.0];
+                        Box3 {
+                            min_m: std::array::from_fn(|axis| bounds.min_m[axis] + by[axis]),
+                            max_m: std::array::from_fn(|axis| bounds.max_m[axis] + by[axis]),
+                        }
+                    };
+                    let at_wall = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]
+                        .iter()
+                        .any(|way| !self.within(&shifted(*way)));
+                    let at_door = self.doors.iter().any(|[x, y]| bounds.distance_m(&[*x, *y, z]) < DOOR_M);
+                    let cost = u32::from(!at_wall) + 2 * u32::from(at_door);
+                    if cost == 0 {
+                        return Some(bounds);
+                    }
+                    if best.as_ref().is_none_or(|(least, _)| cost < *least) {
+                        best = Some((cost, bounds));
+                    }
+                }
+            }
+        }
+        best.map(|(_, bounds)| bounds)
+    }
+
+    /// A box for a piece, smaller where the room is too small for it.
+    fn put(&mut self, &(_, width, depth, height, above): &Piece) -> Box3 {
+        let floor_m = self.room.space.bounds.min_m[2];
+        let around = |[x, y, _]: [f64; 3], above: f64, side: [f64; 2]| Box3 {
+            min_m: [x - 0.5 * side[0], y - 0.5 * side[1], floor_m + above],
+            max_m: [x + 0.5 * side[0], y + 0.5 * side[1], floor_m + above + height],
+        };
+        if above > 0.0
+            && let Some(below) = self.taken.last()
+        {
+            return around(below.centre_m(), above, [width, depth]);
+        }
+        const SMALLER: [f64; 4] = [1.0, 0.7, 0.5, 0.3];
+        let placed = SMALLER.iter().find_map(|part| self.place([part * width, part * depth, height]));
+        let bounds = placed.unwrap_or_else(|| around(self.room.space.centre_m(), 0.0, [0.1, 0.1]));
+        self.taken.push(bounds);
+        bounds
+    }
+}
+
+impl Imported {
+    /// Puts the usual furniture of their kind into rooms in which nothing stands. Ids of these things begin with "assumed".
+    ///
+    /// # Errors
+    /// When the map becomes too large.
+    pub fn furnished(self) -> Result<Self, ImportError> {
+        let Self { map, mut notes, boxed } = self;
+        let mut file = map.to_file();
+        let mut ids = Ids::default();
+        ids.taken.extend(file.items.iter().map(|item| item.id.clone()));
+        // A map without items has its rooms' names to ground.
+        let Ok(grounding) = Grounding::new(&map, &GroundingOptions::default()) else {
+            return Ok(Self { map, notes, boxed });
+        };
+        let stands = |index: usize, item: &crate::semantic_map::Item| {
+            let thing = !BARE.contains(&map.labels[item.label.0 as usize].as_str());
+            grounding.item_partition()[index].filter(|_| thing)
+        };
+        let full: Vec<PartitionId> =
+            map.items.iter().enumerate().filter_map(|(index, item)| stands(index, item)).collect();
+        let (before, mut rooms, mut unknown) = (file.items.len(), 0, Vec::new());
+        for (index, room) in (0u32..).zip(&map.rooms) {
+            if full.contains(&PartitionId(index)) {
+                continue;
+            }
+            rooms += 1;
+            if usual(&room.label).as_ptr() == usual(ANY).as_ptr() {
+                unknown.push(room.label.clone());
+            }
+            let doors = map.doors.iter().filter(|door| door.rooms.iter().any(|joined| joined.0 == index));
+            let doors = doors.map(|door| [door.position_m[0], door.position_m[1]]).collect();
+            let mut furnisher = Furnisher { room, doors, taken: Vec::new() };
+            for piece in usual(&room.label) {
+                let bounds = furnisher.put(piece);
+                file.items.push(ItemEntry {
+                    id: ids.take(&format!("{ASSUMED} {}", piece.0)),
+                    label: piece.0.clone(),
+                    captions: Vec::new(),
+                    position_m: bounds.centre_m(),
+                    r#box: bounds,
+                });
+            }
+        }
+        if rooms == 0 {
+            notes.push("Every room has things of its own, so no furniture was assumed.".to_owned());
+            return Ok(Self { map, notes, boxed });
+        }
+        let description = format!("{} {MARK}", file.description);
+        if description.len() <= MAX_PROSE_BYTES {
+            file.description = description.trim_start().to_owned();
+        }
+        notes.push(format!("Rooms without things: {rooms}; assumed in them: {} things.", file.items.len() - before));
+        if !unknown.is_empty() {
+            notes.push(format!(
+                "Nothing is known of the usual furniture of {}: a table, a chair, a shelf and a lamp were assumed.",
+                unknown.iter().map(|label| format!("{label:?}")).collect::<Vec<_>>().join(", ")
+            ));
+        }
+        Ok(Self { map: SemanticMap::check(file)?, notes, boxed })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::semantic_map::LabelId;
+
+    #[test]
+    fn kinds_of_rooms_are_known_by_many_names() {
+        let first = |label: &str| usual(label)[0].0.as_str();
+        assert_eq!(first("kitchen"), "fridge");
+        assert_eq!(first("guest bedroom"), "bed");
+        assert_eq!(first("master bedroom"), "bed");
+        assert_eq!(first("küche"), "fridge");
+        assert_eq!(first("restroom"), "toilet");
+        assert_eq!(first("corridor"), "coat rack");
+        assert_eq!(first("room 7"), "table");
+        for (kind, pieces) in &*USUAL {
+            assert!(!pieces.is_empty() && pieces[0].4 == 0.0, "{kind}");
+        }
+    }
+
+    #[test]
+    fn bare_rooms_are_furnished_and_others_left_alone() {
+        let bare = include_str!("../../../../tests/data/corners.json");
+        let mut file: serde_json::Value = serde_json::from_str(bare).unwrap();
+        let bed = file["items"].as_array().unwrap().iter().find(|item| item["id"] == "bed-1").unwrap().clone();
+        file["items"] = serde_json::json!([bed]);
+        let map = SemanticMap::from_json(&file.to_string()).unwrap();
+        let imported = Imported { map, notes: Vec::new(), boxed: Vec::new() };
+        let furnished = imported.furnished().unwrap();
+        let map = &furnished.map;
+        let grounding = Grounding::new(map, &GroundingOptions::default()).unwrap();
+        assert!(grounding.unassigned().is_empty(), "{:?}", grounding.unassigned());
+        let room_of = |label: &str| {
+            let LabelId(label) = map.find_label(label).unwrap();
+            let item = map.items.iter().position(|item| item.label.0 == label).unwrap();
+            map.rooms[grounding.item_partition()[item].unwrap().0 as usize].id.as_str()
+        };
+        assert_eq!((room_of("fridge"), room_of("sofa"), room_of("coat rack")), ("kitchen", "living-room", "hallway"));
+        assert_eq!(map.items.iter().filter(|item| !item.id.starts_with("assumed-")).count(), 1);
+        assert!(map.find_label("wardrobe").is_none(), "the bedroom has a bed");
+        assert!(map.description.ends_with(MARK));
+        // Large pieces keep apart and within their rooms.
+        let large: Vec<_> = map.items.iter().filter(|item| item.bounds.min_m[2] == 0.0).collect();
+        for (index, item) in large.iter().enumerate() {
+            assert!(large[index + 1..].iter().all(|other| item.bounds.overlap_m3(&other.bounds) == 0.0), "{}", item.id);
+        }
+        let again = furnished.furnished().unwrap();
+        assert!(again.notes.iter().any(|note| note.contains("Every room has things")));
+    }
+}

@@ -1,0 +1,706 @@
+//! A home as Home Assistant's registries describe it: areas become rooms, entities become things, and a rules file says what their states
+//! mean.
+//!
+//! The registries know no geometry, so rooms are boxes of one size side by side, floor above floor, and things stand in rows in them.
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::valetudo::room_label;
+use super::{Ids, ImportError, Imported, parse};
+use crate::names::{Names, plain_words};
+use crate::semantic_map::schema::{DoorEntry, FORMAT, ItemEntry, RoomEntry, SceneFile, VERSION};
+use crate::semantic_map::{Box3, MAX_TEXT_BYTES, SemanticMap};
+use crate::text::is_hidden;
+
+const EXPECTED: &str = "a registry of Home Assistant, from the folder `.storage`";
+/// Length, width and height of every room, in metres.
+const ROOM_M: [f64; 3] = [4.0, 4.0, 2.5];
+/// From floor to floor, in metres.
+const STOREY_M: f64 = 3.0;
+/// Edge of a thing, and from one to the next, in metres.
+const THING_M: f64 = 0.3;
+const APART_M: f64 = 0.5;
+/// The part of topics before domain and object, as `mqtt_statestream` is set up in Home Assistant's own example.
+const BASE_TOPIC: &str = "homeassistant";
+/// Words that say what is measured, and not of what. Without accents.
+const MEASURED: [&str; 56] = [
+    "sensor",
+    "binary",
+    "door",
+    "contact",
+    "opening",
+    "window",
+    "motion",
+    "occupancy",
+    "presence",
+    "state",
+    "status",
+    "power",
+    "energy",
+    "current",
+    "voltage",
+    "switch",
+    "plug",
+    "socket",
+    "outlet",
+    "smart",
+    "temperature",
+    "humidity",
+    "battery",
+    "level",
+    "consumption",
+    "detector",
+    "detection",
+    "movement",
+    "pir",
+    "vibration",
+    "running",
+    "active",
+    "on",
+    "off",
+    "light",
+    "lamp",
+    "tur",
+    "tuer",
+    "fenster",
+    "kontakt",
+    "turkontakt",
+    "bewegung",
+    "bewegungsmelder",
+    "melder",
+    "prasenz",
+    "steckdose",
+    "schalter",
+    "leistung",
+    "licht",
+    "lampe",
+    "the",
+    "zigbee",
+    "zwave",
+    "wifi",
+    "shelly",
+    "tasmota",
+];
+/// Ends of German words that say what is measured.
+const MEASURED_ENDS: [&str; 7] = ["tur", "tuer", "kontakt", "sensor", "schalter", "steckdose", "klappe"];
+/// Which door or window.
+const WHICH: [&str; 12] =
+    ["front", "back", "main", "entrance", "entry", "balcony", "patio", "garden", "terrace", "rear", "side", "cellar"];
+
+/// The texts of the registries.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Registries<'a> {
+    /// `core.area_registry`.
+    pub areas: &'a str,
+    /// `core.floor_registry`; older homes have none.
+    pub floors: Option<&'a str>,
+    /// `core.device_registry`.
+    pub devices: Option<&'a str>,
+    /// `core.entity_registry`.
+    pub entities: Option<&'a str>,
+    /// `person`.
+    pub persons: Option<&'a str>,
+}
+
+/// A home: its map, and rules for `narrate --mqtt`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Home {
+    /// The map.
+    pub imported: Imported,
+    /// The text of a rules file; none where nothing in the home says anything.
+    pub rules: Option<String>,
+}
+
+#[derive(Deserialize)]
+struct Registry<T> {
+    data: T,
+}
+
+#[derive(Deserialize)]
+struct Areas {
+    areas: Vec<Area>,
+}
+
+#[derive(Deserialize)]
+struct Area {
+    id: String,
+    name: String,
+    #[serde(default)]
+    floor_id: Option<String>,
+    #[serde(default)]
+    aliases: Vec<String>,
+}
+
+#[derive(Default, Deserialize)]
+struct Floors {
+    floors: Vec<Floor>,
+}
+
+#[derive(Deserialize)]
+struct Floor {
+    floor_id: String,
+    #[serde(default)]
+    level: Option<i64>,
+}
+
+#[derive(Default, Deserialize)]
+struct Devices {
+    devices: Vec<Device>,
+}
+
+#[derive(Deserialize)]
+struct Device {
+    id: String,
+    #[serde(default)]
+    area_id: Option<String>,
+    #[serde(default)]
+    name: Option<String>,
+    #[serde(default)]
+    name_by_user: Option<String>,
+}
+
+#[derive(Default, Deserialize)]
+struct Entities {
+    entities: Vec<Entity>,
+}
+
+#[derive(Deserialize)]
+struct Entity {
+    entity_id: String,
+    #[serde(default)]
+    area_id: Option<String>,
+    #[serde(default)]
+    device_id: Option<String>,
+    #[serde(default)]
+    name: Option<String>,
+    #[serde(default)]
+    original_name: Option<String>,
+    #[serde(default)]
+    device_class: Option<String>,
+    #[serde(default)]
+    original_device_class: Option<String>,
+    #[serde(default)]
+    disabled_by: Value,
+    #[serde(default)]
+    hidden_by: Value,
+    #[serde(default)]
+    entity_category: Value,
+    #[serde(default)]
+    unique_id: Value,
+}
+
+#[derive(Default, Deserialize)]
+struct Persons {
+    items: Vec<Person>,
+}
+
+#[derive(Deserialize)]
+struct Person {
+    id: String,
+    name: String,
+}
+
+fn registry<'a, T: Deserialize<'a> + Default>(text: Option<&'a str>) -> Result<T, ImportError> {
+    let Some(text) = text else { return Ok(T::default()) };
+    parse::<Registry<T>>(text, EXPECTED).map(|registry| registry.data)
+}
+
+/// What an entity's states say.
+enum Says {
+    /// These values, each with its sentence.
+    Sentences(Vec<(&'static str, String)>),
+    /// Somebody is in its room.
+    Somebody,
+    /// Nothing that a person does.
+    Nothing,
+}
+
+impl Entity {
+    fn class(&self) -> &str {
+        self.device_class.as_deref().or(self.original_device_class.as_deref()).unwrap_or_default()
+    }
+
+    /// What it is a state of, in plain words; none where it is of no thing.
+    fn thing(&self, domain: &str, object: &str, device: Option<&Device>, area: &Area) -> Option<String> {
+        let device = device.and_then(|device| device.name_by_user.as_deref().or(device.name.as_deref()));
+        let texts = [self.name.as_deref(), Some(object), device, self.original_name.as_deref()];
+        let area_words: HashSet<String> = [&area.name, &area.id]
+            .into_iter()
+            .flat_map(|text| Names::bare(text).split(' ').map(str::to_owned).collect::<Vec<_>>())
+            .chain(
+                room_label(&area.name)
+                    .into_iter()
+                    .flat_map(|label| label.split(' ').map(str::to_owned).collect::<Vec<_>>()),
+            )
+            .collect();
+        let door = ["door", "opening", "garage_door"].contains(&self.class());
+        let kind = match domain {
+            "light" => Some("lamp"),
+            "binary_sensor" if door => Some("door"),
+            "binary_sensor" if self.class() == "window" => Some("window"),
+            "media_player" if self.class() == "speaker" => Some("speaker"),
+            "media_player" => Some("television"),
+            "cover" => Some("blinds"),
+            "fan" => Some("fan"),
+            "lock" => Some("door"),
+            "climate" => Some("radiator"),
+            _ => None,
+        };
+        let found = texts.into_iter().flatten().find_map(|text| thing_in(text, &area_words, kind));
+        found.or_else(|| kind.map(str::to_owned)).filter(|label| label.len() <= MAX_TEXT_BYTES)
+    }
+
+    fn says(&self, domain: &str, thing: Option<&str>) -> Says {
+        let pair = |on: &'static str, on_says: &str, off: &'static str, off_says: &str| match thing {
+            Some(thing) => Says::Sentences(vec![
+                (on, format!("They {on_says} the {thing}.")),
+                (off, format!("They {off_says} the {thing}.")),
+            ]),
+            None => Says::Nothing,
+        };
+        match (domain, self.class()) {
+            ("binary_sensor", "motion" | "occupancy" | "presence" | "moving") => Says::Somebody,
+            ("binary_sensor", "door" | "opening" | "garage_door" | "window") => pair("on", "open", "off", "close"),
+            ("binary_sensor", "running" | "power" | "plug" | "vibration") => match thing {
+                Some(thing) => Says::Sentences(vec![("on", format!("They use the {thing}."))]),
+                None => Says::Nothing,
+            },
+            ("light" | "switch" | "fan" | "humidifier", _) => pair("on", "turn on", "off", "turn off"),
+            ("cover", _) => pair("open", "open", "closed", "close"),
+            ("lock", _) => pair("unlocked", "unlock", "locked", "lock"),
+            ("media_player", class) => match thing {
+                Some(thing) => {
+                    let verb = if class == "speaker" || thing.contains("speaker") { "listen to" } else { "watch" };
+                    let off = ("off", format!("They turn off the {thing}."));
+                    Says::Sentences(vec![("playing", format!("They {verb} the {thing}.")), off])
+                }
+                None => Says::Nothing,
+            },
+            _ => Says::Nothing,
+        }
+    }
+}
+
+/// The thing in a text such as "Fridge door sensor": the words that say neither what is measured nor in which room.
+fn thing_in(text: &str, area_words: &HashSet<String>, kind: Option<&str>) -> Option<String> {
+    let text: String = text.chars().map(|c| if c.is_alphanumeric() || c == '\'' { c } else { ' ' }).collect();
+    let bare = Names::bare(&text);
+    let number = |word: &str| word.chars().any(|c| c.is_ascii_digit());
+    let mut left = Vec::new();
+    for word in bare.split(' ').filter(|word| !word.is_empty() && !number(word)) {
+        if MEASURED.contains(&word) || area_words.contains(word) {
+            continue;
+        }
+        let stem = MEASURED_ENDS.iter().find_map(|end| word.strip_suffix(end)).filter(|stem| stem.len() > 2);
+        left.push(stem.unwrap_or(word));
+    }
+    if left.is_empty() {
+        return None;
+    }
+    let phrase = left.join(" ");
+    let names = Names::built_in();
+    if let Some(known) = names.thing(&phrase).or_else(|| left.iter().find_map(|word| names.thing(word))) {
+        return Some(known.to_owned());
+    }
+    let words = names.words(&phrase);
+    match kind {
+        Some(kind @ ("door" | "window")) if left.iter().all(|word| WHICH.contains(word)) => {
+            Some(format!("{words} {kind}"))
+        }
+        // "ceiling" is a ceiling lamp.
+        Some("lamp") if !words.ends_with("lamp") => Some(format!("{words} lamp")),
+        _ if left.len() > 4 => None,
+        _ => Some(words),
+    }
+}
+
+/// A text for a comment: on one line.
+fn comment(text: &str) -> String {
+    text.chars().filter(|c| !is_hidden(*c) && !c.is_control()).take(MAX_TEXT_BYTES).collect()
+}
+
+fn quoted(text: &str) -> String {
+    toml::Value::String(text.to_owned()).to_string()
+}
+
+/// Home Assistant's own way from a name to an object's id.
+fn slug(name: &str) -> String {
+    let bare = Names::bare(name);
+    let plain: String = bare.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { ' ' }).collect();
+    plain_words(&plain).replace(' ', "_")
+}
+
+/// The rules, as they are written.
+#[derive(Default)]
+struct Rules {
+    text: String,
+    count: usize,
+}
+
+impl Rules {
+    fn about(&mut self, what: &str) {
+        self.text.push_str(&format!("\n# {}\n", comment(what)));
+    }
+
+    fn rule(&mut self, domain: &str, object: &str, keys: &[(&str, &str)]) {
+        self.count += 1;
+        self.text
+            .push_str(&format!("[[rule]]\ntopic = {}\n", quoted(&format!("{BASE_TOPIC}/{domain}/{object}/state"))));
+        for (key, value) in keys {
+            self.text.push_str(&format!("{key} = {}\n", quoted(value)));
+        }
+    }
+}
+
+/// Whether a registry says so: `disabled_by` and its like are null where they do not.
+fn said(value: &Value) -> bool {
+    !value.is_null()
+}
+
+/// The rooms' boxes, side by side, floor above floor, with doors from each to the next.
+fn rooms(
+    areas: &[Area],
+    floors: &Floors,
+    notes: &mut Vec<String>,
+) -> (Vec<RoomEntry>, Vec<DoorEntry>, BTreeMap<String, Vec<String>>) {
+    let mut order: Vec<(i64, &str)> = floors
+        .floors
+        .iter()
+        .enumerate()
+        .map(|(at, floor)| (floor.level.unwrap_or(at as i64), &*floor.floor_id))
+        .collect();
+    order.sort_unstable();
+    let storey = |area: &Area| {
+        let own = area.floor_id.as_deref();
+        order.iter().position(|(_, floor)| Some(*floor) == own).unwrap_or(0)
+    };
+    let (mut rooms, mut doors, mut aliases) = (Vec::new(), Vec::new(), BTreeMap::<String, Vec<String>>::new());
+    let mut below: Option<(String, [f64; 3])> = None;
+    for level in 0..order.len().max(1) {
+        let own: Vec<&Area> = areas.iter().filter(|area| storey(area) == level).collect();
+        let columns = (own.len() as f64).sqrt().ceil().max(1.0) as usize;
+        for (place, area) in own.iter().enumerate() {
+            let (column, row) = (place % columns, place / columns);
+            let min_m = [column as f64 * ROOM_M[0], row as f64 * ROOM_M[1], level as f64 * STOREY_M];
+            let max_m = std::array::from_fn(|axis| min_m[axis] + ROOM_M[axis]);
+            let label = room_label(&area.name).unwrap_or_else(|| format!("room {}", rooms.len() + 1));
+            let plain = plain_words(&area.name);
+            for other in std::iter::once(plain).chain(area.aliases.iter().map(|alias| plain_words(alias))) {
+                let sound = other != label && other.len() <= MAX_TEXT_BYTES && !other.is_empty();
+                let known = aliases.entry(label.clone()).or_default();
+                if sound && !known.contains(&other) && other.to_lowercase() == other && !other.contains(is_hidden) {
+                    known.push(other);
+                }
+            }
+            rooms.push(RoomEntry::boxed(area.id.clone(), label, Box3 { min_m, max_m }));
+            let mut join = |other: &str, position_m: [f64; 3]| {
+                let id = format!("assumed-door-{}", doors.len() + 1);
+                doors.push(DoorEntry { id, rooms: [other.to_owned(), area.id.clone()], position_m });
+            };
+            let middle = [min_m[0] + 0.5 * ROOM_M[0], min_m[1] + 0.5 * ROOM_M[1], min_m[2] + 1.0];
+            if column > 0 {
+                join(&own[place - 1].id, [min_m[0], middle[1], middle[2]]);
+            } else if row > 0 {
+                join(&own[place - columns].id, [middle[0], min_m[1], middle[2]]);
+            } else {
+                if let Some((other, at)) = &below {
+                    join(other, [at[0], at[1], min_m[2]]);
+                }
+                below = Some((area.id.clone(), middle));
+            }
+        }
+    }
+    aliases.retain(|_, others| !others.is_empty());
+    notes.push(
+        "The registries know no geometry: rooms are boxes of 4 x 4 m side by side, and nothing is measured.".to_owned(),
+    );
+    (rooms, doors, aliases)
+}
+
+/// Turns Home Assistant's registries into a scene, and into rules for `narrate --mqtt` by the topics of `mqtt_statestream`.
+///
+/// Areas become rooms with the areas' ids. Names that the built-in tables know become English. Entities that are disabled, hidden, or for
+/// settings and diagnosis are left out, and so are those without an area, but persons.
+///
+/// # Errors
+/// When a text is no registry, there is no area, or the scene breaks a rule of scenes.
+pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, ImportError> {
+    let Areas { areas } = parse::<Registry<Areas>>(registries.areas, EXPECTED)?.data;
+    if areas.is_empty() {
+        let remedy = "make areas in Home Assistant (Settings, Areas) and assign devices to them";
+        return Err(ImportError::NoRooms { remedy });
+    }
+    let floors: Floors = registry(registries.floors)?;
+    let Devices { devices } = registry(registries.devices)?;
+    let Entities { entities } = registry(registries.entities)?;
+    let Persons { items: persons } = registry(registries.persons)?;
+    let mut notes = Vec::new();
+    let (rooms, doors, aliases) = rooms(&areas, &floors, &mut notes);
+
+    let devices: HashMap<&str, &Device> = devices.iter().map(|device| (&*device.id, device)).collect();
+    let place_of: HashMap<&str, usize> = areas.iter().enumerate().map(|(place, area)| (&*area.id, place)).collect();
+    let box_of: HashMap<&str, Box3> = rooms.iter().filter_map(|room| Some((&*room.id, room.r#box?))).collect();
+    let (mut ids, mut items, mut rules) = (Ids::default(), Vec::new(), Rules::default());
+    let mut things: BTreeMap<(usize, String), usize> = BTreeMap::new();
+    let mut count_in: HashMap<usize, usize> = HashMap::new();
+    let mut homeless = 0;
+    for entity in &entities {
+        let Some((domain, object)) = entity.entity_id.split_once('.') else { continue };
+        let quiet = said(&entity.disabled_by) || said(&entity.hidden_by) || said(&entity.entity_category);
+        if quiet || ["person", "device_tracker", "vacuum"].contains(&domain) || object.contains(['/', '+', '#']) {
+            continue;
+        }
+        let power = domain == "sensor" && ["power", "energy"].contains(&entity.class());
+        let of_people =
+            ["binary_sensor", "light", "switch", "media_player", "cover", "fan", "lock", "humidifier", "climate"];
+        if !power && !of_people.contains(&domain) {
+            continue;
+        }
+        let device = entity.device_id.as_deref().and_then(|id| devices.get(id).copied());
+        let area = entity.area_id.as_deref().or(device.and_then(|device| device.area_id.as_deref()));
+        let Some(place) = area.and_then(|area| place_of.get(area).copied()) else {
+            homeless += 1;
+            continue;
+        };
+        let area = &areas[place];
+        let says_somebody = matches!(entity.says(domain, None), Says::Somebody);
+        let thing = if says_somebody { None } else { entity.thing(domain, object, device, area) };
+        if let Some(label) = thing.clone().filter(|label| label.to_lowercase() == *label)
+            && !things.contains_key(&(place, label.clone()))
+            && let Some(bounds) = box_of.get(&*area.id)
+        {
+            let number = count_in.entry(place).or_default();
+            let per_row = ((ROOM_M[0] - APART_M) / APART_M) as usize;
+            let (column, row) = (*number % per_row, (*number / per_row) % per_row);
+            *number += 1;
+            let min_m = [
+                bounds.min_m[0] + APART_M + column as f64 * APART_M,
+                bounds.min_m[1] + APART_M + row as f64 * APART_M,
+                bounds.min_m[2],
+            ];
+            let own = Box3 { min_m, max_m: min_m.map(|metres| metres + THING_M) };
+            things.insert((place, label.clone()), items.len());
+            items.push(ItemEntry {
+                id: ids.take(&label),
+                label,
+                captions: Vec::new(),
+                position_m: own.centre_m(),
+                r#box: own,
+            });
+        }
+        match entity.says(domain, thing.as_deref()) {
+            Says::Nothing => {}
+            Says::Somebody => {
+                rules.about(&format!("{}, in {}", entity.entity_id, area.name));
+                rules.rule(domain, object, &[("when", "on"), ("presence", "present"), ("room", &area.id)]);
+            }
+            Says::Sentences(sentences) => {
+                rules.about(&format!("{}, in {}", entity.entity_id, area.name));
+                for (when, say) in &sentences {
+                    rules.rule(domain, object, &[("when", when), ("say", say)]);
+                }
+            }
+        }
+    }
+    for person in &persons {
+        let registered = entities
+            .iter()
+            .find(|entity| entity.entity_id.starts_with("person.") && entity.unique_id.as_str() == Some(&*person.id));
+        let object =
+            registered.and_then(|entity| entity.entity_id.split_once('.')).map(|(_, object)| object.to_owned());
+        let object = object.unwrap_or_else(|| slug(&person.name));
+        let name = comment(&person.name);
+        if object.is_empty() || name.trim().is_empty() {
+            continue;
+        }
+        rules.about(&format!("{name} comes and goes."));
+        rules.rule("person", &object, &[("when", "home"), ("presence", "present"), ("person", name.trim())]);
+        rules.rule("person", &object, &[("when", "not_home"), ("presence", "away"), ("person", name.trim())]);
+    }
+    if homeless > 0 {
+        notes.push(format!(
+            "Left out {homeless} entities without an area; assign them in Home Assistant and import again."
+        ));
+    }
+    notes.push(format!(
+        "{} things of {} entities, {} persons, {} rules.",
+        items.len(),
+        entities.len(),
+        persons.len(),
+        rules.count
+    ));
+
+    let file = SceneFile {
+        format: FORMAT.to_owned(),
+        version: VERSION,
+        name: name.to_owned(),
+        description: "Rooms are boxes of one size side by side, and things stand in rows in them: nothing is measured."
+            .to_owned(),
+        source: "Home Assistant registries, imported".to_owned(),
+        rooms,
+        parts: Vec::new(),
+        groups: Vec::new(),
+        doors,
+        aliases,
+        items,
+    };
+    let head = format!(
+        "# Rules for `roomcast narrate --mqtt`, made from Home Assistant's registries. Edit them: leave out what says nothing of people, and\n\
+         # change what a sentence says. Home Assistant publishes these topics with\n\
+         #\n#   mqtt_statestream:\n#     base_topic: {BASE_TOPIC}\n#\n# in its configuration.yaml. docs/mqtt.md describes every key.\n"
+    );
+    let rules = (rules.count > 0).then(|| format!("{head}{}", rules.text));
+    Ok(Home { imported: Imported { map: SemanticMap::check(file)?, notes, boxed: Vec::new() }, rules })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grounding::{Grounding, GroundingOptions};
+    use proptest::prelude::*;
+
+    const AREAS: &str = r#"{"version": 1, "minor_version": 6, "key": "core.area_registry", "data": {"areas": [
+        {"aliases": ["Kochecke"], "floor_id": "ground", "icon": null, "id": "kuche", "labels": [], "name": "Küche", "picture": null},
+        {"aliases": [], "id": "living_room", "name": "Living Room", "picture": null},
+        {"aliases": [], "floor_id": "first", "id": "bedroom", "name": "Bedroom", "picture": null}]}}"#;
+    const FLOORS: &str = r#"{"data": {"floors": [{"floor_id": "first", "name": "First", "level": 1, "aliases": []},
+        {"floor_id": "ground", "name": "Ground", "level": 0, "aliases": []}]}}"#;
+    const DEVICES: &str = r#"{"data": {"devices": [{"id": "d1", "area_id": "kuche", "name": "Aqara MCCGQ11LM", "name_by_user": "Kühlschranktür"},
+        {"id": "d2", "area_id": "bedroom", "name": "Hue motion sensor", "name_by_user": null}], "deleted_devices": []}}"#;
+    const ENTITIES: &str = r#"{"data": {"entities": [
+        {"entity_id": "binary_sensor.fridge_door", "area_id": "kuche", "device_id": null, "original_device_class": "door", "disabled_by": null, "unique_id": "1"},
+        {"entity_id": "binary_sensor.0x00158d", "area_id": null, "device_id": "d1", "original_device_class": "opening", "unique_id": "2"},
+        {"entity_id": "switch.kuche_coffee_maker", "area_id": "kuche", "name": null, "unique_id": "3"},
+        {"entity_id": "light.living_room_ceiling", "area_id": "living_room", "unique_id": "4"},
+        {"entity_id": "media_player.wohnzimmer_tv", "area_id": "living_room", "device_class": "tv", "unique_id": "5"},
+        {"entity_id": "binary_sensor.hue_motion", "device_id": "d2", "original_device_class": "motion", "unique_id": "6"},
+        {"entity_id": "binary_sensor.front_door", "area_id": "living_room", "device_class": "door", "unique_id": "7"},
+        {"entity_id": "sensor.washer_power", "area_id": "bedroom", "original_device_class": "power", "unique_id": "8"},
+        {"entity_id": "sensor.outdoor_temperature", "area_id": "bedroom", "original_device_class": "temperature", "unique_id": "9"},
+        {"entity_id": "light.attic", "unique_id": "10"},
+        {"entity_id": "light.off", "area_id": "kuche", "disabled_by": "user", "unique_id": "11"},
+        {"entity_id": "switch.kuche_led", "area_id": "kuche", "entity_category": "config", "unique_id": "12"},
+        {"entity_id": "person.grace", "unique_id": "p-2", "platform": "person"}], "deleted_entities": []}}"#;
+    const PERSONS: &str = r#"{"data": {"items": [{"id": "p-1", "name": "Ada Lovelace", "device_trackers": []}, {"id": "p-2", "name": "Grace \"Amazing\" Hopper"}]}}"#;
+
+    fn registries() -> Registries<'static> {
+        Registries {
+            areas: AREAS,
+            floors: Some(FLOORS),
+            devices: Some(DEVICES),
+            entities: Some(ENTITIES),
+            persons: Some(PERSONS),
+        }
+    }
+
+    #[test]
+    fn a_home_describes_itself() {
+        let home = home_assistant(&registries(), "home").unwrap();
+        let map = &home.imported.map;
+        let rooms: Vec<_> =
+            map.rooms.iter().map(|room| (&*room.id, &*room.label, room.space.bounds.min_m[2])).collect();
+        assert_eq!(
+            rooms,
+            [("kuche", "kitchen", 0.0), ("living_room", "living room", 0.0), ("bedroom", "bedroom", 3.0)]
+        );
+        assert_eq!(map.find_room("Kochecke"), map.find_room("kuche"));
+        assert_eq!(
+            map.path(crate::semantic_map::RoomId(1), crate::semantic_map::RoomId(2)).map(|path| path.len()),
+            Some(3)
+        );
+        let grounding = Grounding::new(map, &GroundingOptions::default()).unwrap();
+        let things: Vec<_> = map
+            .items
+            .iter()
+            .zip(grounding.item_partition())
+            .map(|(item, room)| (map.labels[item.label.0 as usize].as_str(), room.unwrap().0))
+            .collect();
+        let expected = [
+            ("fridge", 0),
+            ("coffee maker", 0),
+            ("ceiling lamp", 1),
+            ("television", 1),
+            ("front door", 1),
+            ("washing machine", 2),
+        ];
+        assert_eq!(things, expected);
+        assert!(
+            home.imported.notes.iter().any(|note| note.contains("1 entities without an area")),
+            "{:?}",
+            home.imported.notes
+        );
+        assert!(map.description.contains("nothing is measured"));
+    }
+
+    #[test]
+    fn rules_say_what_states_mean() {
+        let rules = home_assistant(&registries(), "home").unwrap().rules.unwrap();
+        let file: toml::Table = rules.parse().unwrap();
+        let list = file["rule"].as_array().unwrap();
+        let of = |topic: &str| -> Vec<String> {
+            let own = list.iter().filter(|rule| rule["topic"].as_str() == Some(topic));
+            own.map(|rule| {
+                let text = |key: &str| rule.get(key).and_then(toml::Value::as_str).unwrap_or("-").to_owned();
+                ["when", "say", "presence", "room", "person"].map(text).join("|")
+            })
+            .collect()
+        };
+        assert_eq!(
+            of("homeassistant/binary_sensor/fridge_door/state"),
+            ["on|They open the fridge.|-|-|-", "off|They close the fridge.|-|-|-"]
+        );
+        assert_eq!(of("homeassistant/binary_sensor/0x00158d/state").len(), 2, "by its device's name");
+        assert_eq!(of("homeassistant/binary_sensor/hue_motion/state"), ["on|-|present|bedroom|-"]);
+        assert_eq!(of("homeassistant/media_player/wohnzimmer_tv/state")[0], "playing|They watch the television.|-|-|-");
+        assert_eq!(of("homeassistant/person/ada_lovelace/state")[1], "not_home|-|away|-|Ada Lovelace");
+        assert_eq!(of("homeassistant/person/grace/state")[0], "home|-|present|-|Grace \"Amazing\" Hopper");
+        assert!(!rules.contains("light.off") && !rules.contains("kuche_led") && !rules.contains("washer_power"));
+    }
+
+    #[test]
+    fn things_are_named_in_plain_words() {
+        let area_words: HashSet<String> = ["kuche", "kitchen"].map(str::to_owned).into();
+        for (text, kind, expected) in [
+            ("fridge_door", Some("door"), Some("fridge")),
+            ("Kühlschranktür", Some("door"), Some("fridge")),
+            ("kitchen_ceiling", Some("lamp"), Some("ceiling lamp")),
+            ("front_door", Some("door"), Some("front door")),
+            ("kitchen motion", None, None),
+            ("0x00158d0001", Some("door"), None),
+            ("Coffee maker plug 2", None, Some("coffee maker")),
+            ("Waschmaschine Leistung", None, Some("washing machine")),
+        ] {
+            assert_eq!(thing_in(text, &area_words, kind).as_deref(), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_home_is_refused() {
+        let message =
+            |areas: &str| home_assistant(&Registries { areas, ..Registries::default() }, "x").unwrap_err().to_string();
+        assert!(message("{}").contains("expected a registry of Home Assistant"));
+        assert!(message(r#"{"data": {"areas": []}}"#).contains("make areas in Home Assistant"));
+        assert!(
+            message(r#"{"data": {"areas": [{"id": "a", "name": "A"}, {"id": "a", "name": "B"}]}}"#)
+                .contains("is used twice")
+        );
+        let bare = home_assistant(&Registries { areas: AREAS, ..Registries::default() }, "x").unwrap();
+        assert_eq!((bare.rules, bare.imported.map.items.len()), (None, 0));
+        assert!(bare.imported.furnished().unwrap().map.items.len() > 10);
+    }
+
+    proptest! {
+        #[test]
+        fn hostile_texts_never_panic(which in 0..5usize, cut in 0..3000usize, noise in "\\PC{0,8}") {
+            let mut texts = [AREAS, FLOORS, DEVICES, ENTITIES, PERSONS].map(str::to_owned);
+            let cut = (0..=cut.min(texts[which].len())).rev().find(|cut| texts[which].is_char_boundary(*cut)).unwrap_or(0);
+            texts[which].insert_str(cut, &noise);
+            let [areas, floors, devices, entities, persons] = &texts;
+            let registries = Registries { areas, floors: Some(floors), devices: Some(devices), entities: Some(entities), persons: Some(persons) };
+            let _ = home_assistant(&registries, "x");
+        }
+    }
+}

@@ -1,0 +1,824 @@
+//! A vacuum robot's map as Valetudo exports it: segments become rooms with their outlines.
+//!
+//! The map is a raster. A room is the largest piece of its segment, without the holes that furniture leaves in it and without slits
+//! narrower than twice [`TOLERANCE_M`]. Its outline follows the pixels' edges, simplified to the same tolerance. A door is where two segments lie side by side and no wall between them.
+//!
+//! The frame is the robot's own, in metres, with y turned, so that the plan is not its mirror image: x is Valetudo's x / 100, y its
+//! -y / 100.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::{Ids, ImportError, Imported, parse};
+use crate::names::{Names, plain_words};
+use crate::semantic_map::footprint::{Footprint, MAX_CORNERS};
+use crate::semantic_map::schema::{
+    DoorEntry, FORMAT, ItemEntry, MAX_ALIASES, ROOM_HEIGHT_M, Rings, RoomEntry, SceneFile, VERSION,
+};
+use crate::semantic_map::{Box3, MAX_ROOMS, MAX_TEXT_BYTES, SemanticMap};
+use crate::text::is_hidden;
+
+const EXPECTED: &str = "a map as Valetudo exports it: `pixelSize` and `layers`";
+/// Most pixels of a robot's map, and of the rectangle around it.
+pub const MAX_PIXELS: usize = 16_000_000;
+/// How far a room's outline may lie from its pixels, in metres.
+pub const TOLERANCE_M: f64 = 0.1;
+/// Most corners of all outlines before they are simplified.
+const MAX_STEPS: usize = 50_000;
+/// How far slits are looked for, in pixels.
+const MAX_REACH: i64 = 8;
+/// Pixels farther from the origin than this are none.
+const FARTHEST: i64 = 1_000_000;
+/// How far two segments may lie apart at a door, in metres: robots leave a strip between them.
+const GAP_M: f64 = 0.15;
+/// The narrowest door, in metres.
+const DOOR_M: f64 = 0.4;
+/// Width and height of a charging station, in metres.
+const CHARGER_M: [f64; 2] = [0.3, 0.1];
+/// What the robot's charger is called.
+pub(super) const CHARGER: &str = "charging station";
+/// The name of the one room of a map without segments.
+const HOME: &str = "home";
+
+#[derive(Deserialize)]
+struct File {
+    #[serde(rename = "pixelSize")]
+    pixel_size_cm: f64,
+    layers: Vec<Layer>,
+    #[serde(default)]
+    entities: Vec<Entity>,
+}
+
+#[derive(Deserialize)]
+struct Layer {
+    r#type: String,
+    #[serde(default, rename = "metaData")]
+    about: About,
+    /// x, y, x, y, ...
+    #[serde(default)]
+    pixels: Vec<i64>,
+    /// x, y, how many to the right, ...
+    #[serde(default, rename = "compressedPixels")]
+    runs: Vec<i64>,
+}
+
+#[derive(Default, Deserialize)]
+struct About {
+    #[serde(default, rename = "segmentId")]
+    segment: Value,
+    #[serde(default)]
+    name: Value,
+}
+
+#[derive(Deserialize)]
+struct Entity {
+    r#type: String,
+    #[serde(default)]
+    points: Vec<f64>,
+}
+
+/// A place on the raster, or a corner between its pixels.
+type Cell = [i64; 2];
+
+/// Runs of pixels: where each begins, and how many there are.
+type Runs = Vec<(Cell, i64)>;
+
+impl Layer {
+    fn runs(&self, index: usize, left: &mut usize) -> Result<Runs, ImportError> {
+        let fault =
+            |message: String| ImportError::Json { element: format!("layers[{index}]"), message, expected: EXPECTED };
+        if !self.pixels.len().is_multiple_of(2) || !self.runs.len().is_multiple_of(3) {
+            let message = "pixels are pairs of numbers, compressedPixels triples".to_owned();
+            return Err(fault(message));
+        }
+        let single = self.pixels.chunks_exact(2).map(|pixel| ([pixel[0], pixel[1]], 1));
+        let runs = single.chain(self.runs.chunks_exact(3).map(|run| ([run[0], run[1]], run[2])));
+        runs.map(|(at, count)| {
+            let near = at.iter().all(|place| place.abs() <= FARTHEST);
+            let count = usize::try_from(count).ok().filter(|count| near && *count <= MAX_PIXELS);
+            let rest = count.and_then(|count| left.checked_sub(count).map(|rest| (rest, count)));
+            let Some((rest, count)) = rest else {
+                return Err(fault(format!(
+                    "has a run at {at:?} that lies too far out, or more than {MAX_PIXELS} pixels"
+                )));
+            };
+            *left = rest;
+            // Not more than MAX_PIXELS.
+            Ok((at, count as i64))
+        })
+        .collect()
+    }
+}
+
+/// What a pixel belongs to.
+const FREE: u8 = 0;
+const WALL: u8 = u8::MAX;
+
+/// The pixels of a rectangle: [`FREE`], [`WALL`] or the number of a segment, from 1.
+struct Raster {
+    min: Cell,
+    size: [usize; 2],
+    cells: Vec<u8>,
+}
+
+impl Raster {
+    fn new(layers: &[(u8, Runs)]) -> Result<Self, ImportError> {
+        let all = || layers.iter().flat_map(|(_, runs)| runs).filter(|(_, count)| *count > 0);
+        let (mut min, mut max) = ([i64::MAX; 2], [i64::MIN; 2]);
+        for &([x, y], count) in all() {
+            min = [min[0].min(x), min[1].min(y)];
+            max = [max[0].max(x + count - 1), max[1].max(y)];
+        }
+        if min[0] > max[0] {
+            return Err(ImportError::NoRooms { remedy: "the layers have no pixels; let the robot map the home first" });
+        }
+        let size = [0, 1].map(|axis| usize::try_from(max[axis] - min[axis] + 1).unwrap_or(usize::MAX));
+        let count = size[0].checked_mul(size[1]).filter(|count| *count <= MAX_PIXELS).ok_or_else(|| {
+            let message = format!("the map is {} x {} pixels, more than {MAX_PIXELS} in all", size[0], size[1]);
+            ImportError::Json { element: "layers".to_owned(), message, expected: EXPECTED }
+        })?;
+        let mut raster = Self { min, size, cells: vec![FREE; count] };
+        for (mark, runs) in layers {
+            for &([x, y], count) in runs {
+                for x in x..x + count {
+                    if let Some(place) = raster.place([x, y]) {
+                        raster.cells[place] = *mark;
+                    }
+                }
+            }
+        }
+        Ok(raster)
+    }
+
+    fn place(&self, [x, y]: Cell) -> Option<usize> {
+        let column = usize::try_from(x - self.min[0]).ok().filter(|column| *column < self.size[0])?;
+        let row = usize::try_from(y - self.min[1]).ok().filter(|row| *row < self.size[1])?;
+        Some(row * self.size[0] + column)
+    }
+
+    fn get(&self, cell: Cell) -> u8 {
+        self.place(cell).map_or(FREE, |place| self.cells[place])
+    }
+
+    fn cells(&self) -> impl Iterator<Item = (Cell, u8)> {
+        let [x, y] = self.min;
+        let at = move |place: usize| [x + (place % self.size[0]) as i64, y + (place / self.size[0]) as i64];
+        self.cells.iter().enumerate().map(move |(place, mark)| (at(place), *mark))
+    }
+}
+
+/// The four pixels beside one.
+fn beside([x, y]: Cell) -> [Cell; 4] {
+    [[x + 1, y], [x - 1, y], [x, y + 1], [x, y - 1]]
+}
+
+/// A set of pixels with room around it.
+struct Mask {
+    min: Cell,
+    size: [usize; 2],
+    set: Vec<bool>,
+}
+
+impl Mask {
+    /// A mask around the cells with free pixels on each side.
+    fn around(cells: &[Cell], margin: i64) -> Self {
+        let bound = |axis: usize, most: bool| {
+            let values = cells.iter().map(|cell| cell[axis]);
+            if most { values.max() } else { values.min() }.unwrap_or(0)
+        };
+        let min = [bound(0, false) - margin, bound(1, false) - margin];
+        let size = [0, 1].map(|axis| usize::try_from(bound(axis, true) + 1 + margin - min[axis]).unwrap_or(0));
+        let mut mask = Self { min, size, set: vec![false; size[0] * size[1]] };
+        cells.iter().for_each(|cell| mask.put(*cell));
+        mask
+    }
+
+    fn place(&self, [x, y]: Cell) -> Option<usize> {
+        let column = usize::try_from(x - self.min[0]).ok().filter(|column| *column < self.size[0])?;
+        let row = usize::try_from(y - self.min[1]).ok().filter(|row| *row < self.size[1])?;
+        Some(row * self.size[0] + column)
+    }
+
+    fn at(&self, place: usize) -> Cell {
+        [self.min[0] + (place % self.size[0]) as i64, self.min[1] + (place / self.size[0]) as i64]
+    }
+
+    fn has(&self, cell: Cell) -> bool {
+        self.place(cell).is_some_and(|place| self.set[place])
+    }
+
+    fn put(&mut self, cell: Cell) {
+        if let Some(place) = self.place(cell) {
+            self.set[place] = true;
+        }
+    }
+
+    /// Pieces of the pixels that are set, or of those that are not: pixels that lie side by side.
+    fn pieces(&self, set: bool) -> Vec<Vec<Cell>> {
+        let mut seen: Vec<bool> = self.set.iter().map(|own| *own != set).collect();
+        let mut pieces = Vec::new();
+        for start in 0..seen.len() {
+            if seen[start] {
+                continue;
+            }
+            seen[start] = true;
+            let mut piece = vec![self.at(start)];
+            let mut next = 0;
+            while next < piece.len() {
+                for cell in beside(piece[next]) {
+                    if let Some(place) = self.place(cell).filter(|place| !seen[*place]) {
+                        seen[place] = true;
+                        piece.push(cell);
+                    }
+                }
+                next += 1;
+            }
+            pieces.push(piece);
+        }
+        pieces
+    }
+
+    /// For every pixel whether one within `reach` along an axis is set, or, with `all`, whether all are.
+    fn spread(&self, axis: usize, reach: i64, all: bool) -> Vec<bool> {
+        let step = |at: Cell, by: i64| if axis == 0 { [at[0] + by, at[1]] } else { [at[0], at[1] + by] };
+        let decide = |place: usize| {
+            let mut around = (-reach..=reach).map(|by| self.has(step(self.at(place), by)));
+            if all { around.all(|set| set) } else { around.any(|set| set) }
+        };
+        (0..self.set.len()).map(decide).collect()
+    }
+
+    /// Pixels that are free in slits no wider than twice the reach: set after all were spread and drawn in again.
+    fn slits(&self, reach: i64) -> Vec<Cell> {
+        let mut closed = Self { min: self.min, size: self.size, set: self.set.clone() };
+        for all in [false, true] {
+            for axis in [0, 1] {
+                closed.set = closed.spread(axis, reach, all);
+            }
+        }
+        (0..self.set.len())
+            .filter(|place| closed.set[*place] && !self.set[*place])
+            .map(|place| self.at(place))
+            .collect()
+    }
+
+    /// Fills one of the free pixels wherever two pixels meet at a corner only, so that no outline touches itself.
+    fn join_corners(&mut self) {
+        loop {
+            let mut filled = false;
+            for place in 0..self.set.len() {
+                let [x, y] = self.at(place);
+                let [a, b, c, d] = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]].map(|cell| self.has(cell));
+                if a && d && !b && !c {
+                    self.put([x + 1, y]);
+                    filled = true;
+                } else if b && c && !a && !d {
+                    self.put([x, y]);
+                    filled = true;
+                }
+            }
+            // Each round sets a pixel, so there is a last one.
+            if !filled {
+                return;
+            }
+        }
+    }
+
+    /// The outlines between pixels that are set and others, corners only.
+    fn outlines(&self) -> Vec<Vec<Cell>> {
+        let mut next: BTreeMap<Cell, Cell> = BTreeMap::new();
+        for (place, _) in self.set.iter().enumerate().filter(|(_, set)| **set) {
+            let [x, y] = self.at(place);
+            let [right, left, below, above] = beside([x, y]).map(|cell| self.has(cell));
+            // Around the pixel, one way.
+            let sides = [
+                (above, [x, y], [x + 1, y]),
+                (right, [x + 1, y], [x + 1, y + 1]),
+                (below, [x + 1, y + 1], [x, y + 1]),
+                (left, [x, y + 1], [x, y]),
+            ];
+            next.extend(sides.into_iter().filter(|(joined, ..)| !joined).map(|(_, from, to)| (from, to)));
+        }
+        let mut outlines = Vec::new();
+        while let Some((start, mut at)) = next.pop_first() {
+            let mut ring = vec![start];
+            while at != start {
+                let Some(to) = next.remove(&at) else { break };
+                ring.push(at);
+                at = to;
+            }
+            let count = ring.len();
+            let straight = |index: usize| {
+                let (before, here, after) = (ring[(index + count - 1) % count], ring[index], ring[(index + 1) % count]);
+                (before[0] == here[0] && here[0] == after[0]) || (before[1] == here[1] && here[1] == after[1])
+            };
+            outlines.push((0..count).filter(|index| !straight(*index)).map(|index| ring[index]).collect());
+        }
+        outlines
+    }
+}
+
+/// The corners that an outline needs to stay within the tolerance (Douglas and Peucker's).
+fn simplified(ring: &[[f64; 2]], tolerance_m: f64) -> Vec<[f64; 2]> {
+    let count = ring.len();
+    let apart = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+    let far = (0..count).max_by(|&a, &b| apart(ring[0], ring[a]).total_cmp(&apart(ring[0], ring[b]))).unwrap_or(0);
+    let mut kept = vec![false; count];
+    (kept[0], kept[far]) = (true, true);
+    let mut stretches = vec![(0, far), (far, count)];
+    while let Some((from, to)) = stretches.pop() {
+        let (a, b) = (ring[from], ring[to % count]);
+        let length = apart(a, b);
+        let off = |index: usize| {
+            let [px, py] = [ring[index][0] - a[0], ring[index][1] - a[1]];
+            if length > 0.0 { ((b[0] - a[0]) * py - (b[1] - a[1]) * px).abs() / length } else { px.hypot(py) }
+        };
+        let Some(worst) = (from + 1..to).max_by(|&a, &b| off(a).total_cmp(&off(b))) else { continue };
+        if off(worst) > tolerance_m {
+            kept[worst] = true;
+            stretches.extend([(from, worst), (worst, to)]);
+        }
+    }
+    (0..count).filter(|index| kept[*index]).map(|index| ring[index]).collect()
+}
+
+/// To a tenth of a millimetre.
+fn tidy(metres: f64) -> f64 {
+    (metres * 1e4).round() / 1e4
+}
+
+/// Outlines in metres that are a footprint, as simple as the tolerance allows.
+fn footprint(outlines: &[Vec<Cell>], pixel_m: f64, tolerance_m: f64) -> Option<Rings> {
+    let metres = |ring: &Vec<Cell>| -> Vec<[f64; 2]> {
+        ring.iter().map(|&[x, y]| [x as f64 * pixel_m, -y as f64 * pixel_m]).collect()
+    };
+    let rings: Rings = outlines.iter().map(metres).collect();
+    for part in [1.0, 0.5, 0.25, 0.0] {
+        let simple: Rings = rings.iter().map(|ring| simplified(ring, part * tolerance_m)).collect();
+        if let Ok(footprint) = Footprint::new(&simple) {
+            return Some(
+                footprint.rings().iter().map(|ring| ring.iter().map(|corner| corner.map(tidy)).collect()).collect(),
+            );
+        }
+    }
+    None
+}
+
+/// The outlines of a segment: of its largest piece, with slits closed, the outer one first, with holes only where other segments lie in it. And the share of
+/// its pixels that lie elsewhere.
+fn outlines(raster: &Raster, mark: u8, reach: i64) -> Option<(Vec<Vec<Cell>>, f64)> {
+    let own: Vec<Cell> = raster.cells().filter(|(_, of)| *of == mark).map(|(cell, _)| cell).collect();
+    if own.is_empty() {
+        return None;
+    }
+    let whole = Mask::around(&own, 1);
+    let largest = whole.pieces(true).into_iter().max_by_key(Vec::len)?;
+    let lost = 1.0 - largest.len() as f64 / own.len() as f64;
+    let mut mask = Mask::around(&largest, 2 * reach + 1);
+    let corner = mask.min;
+    for slit in mask.slits(reach) {
+        if [FREE, WALL, mark].contains(&raster.get(slit)) {
+            mask.put(slit);
+        }
+    }
+    for hole in mask.pieces(false) {
+        let of_others = hole.iter().filter(|cell| ![FREE, WALL, mark].contains(&raster.get(**cell))).count();
+        if !hole.contains(&corner) && of_others * 2 <= hole.len() {
+            hole.into_iter().for_each(|cell| mask.put(cell));
+        }
+    }
+    mask.join_corners();
+    let mut rings = mask.outlines();
+    // The outer one reaches farthest to the left; holes lie within it.
+    let outer = (0..rings.len()).min_by_key(|ring| rings[*ring].iter().map(|corner| corner[0]).min())?;
+    rings.swap(0, outer);
+    Some((rings, lost))
+}
+
+/// Where segments lie side by side without a wall between: per two of them, the pixels there.
+fn contacts(raster: &Raster, gap: i64) -> BTreeMap<(u8, u8), BTreeSet<Cell>> {
+    let mut contacts: BTreeMap<(u8, u8), BTreeSet<Cell>> = BTreeMap::new();
+    for ([x, y], mark) in raster.cells().filter(|(_, mark)| ![FREE, WALL].contains(mark)) {
+        for [right, down] in [[1, 0], [0, 1]] {
+            for step in 1..=gap + 1 {
+                match raster.get([x + step * right, y + step * down]) {
+                    FREE => {}
+                    WALL => break,
+                    other => {
+                        if other != mark {
+                            let pair = (mark.min(other), mark.max(other));
+                            contacts.entry(pair).or_default().insert([x + step * right / 2, y + step * down / 2]);
+                        }
+                        break;
+                    }
+                }
+            }
+        }
+    }
+    contacts
+}
+
+/// The largest cluster of pixels, its middle, and how far it reaches in pixels.
+fn widest(mut cells: BTreeSet<Cell>) -> Option<(Cell, i64)> {
+    const NEAR: i64 = 2;
+    let mut best: Option<(Cell, i64)> = None;
+    while let Some(first) = cells.pop_first() {
+        let mut cluster = vec![first];
+        let mut next = 0;
+        while next < cluster.len() {
+            let [x, y] = cluster[next];
+            for near in (-NEAR..=NEAR).flat_map(|right| (-NEAR..=NEAR).map(move |down| [x + right, y + down])) {
+                if cells.remove(&near) {
+                    cluster.push(near);
+                }
+            }
+            next += 1;
+        }
+        let span = |axis: usize| {
+            let values = || cluster.iter().map(|cell| cell[axis]);
+            values().max().unwrap_or(0) - values().min().unwrap_or(0) + 1
+        };
+        let length = span(0).max(span(1));
+        if best.is_none_or(|(_, longest)| length > longest) {
+            let middle = [0, 1].map(|axis| cluster.iter().map(|cell| cell[axis]).sum::<i64>() / cluster.len() as i64);
+            let nearest = |cell: &&Cell| (cell[0] - middle[0]).abs() + (cell[1] - middle[1]).abs();
+            best = cluster.iter().min_by_key(nearest).map(|cell| (*cell, length));
+        }
+    }
+    best
+}
+
+/// A name or number of a segment.
+fn text_of(value: &Value) -> Option<String> {
+    match value {
+        Value::String(text) => Some(text.clone()),
+        Value::Number(number) => Some(number.to_string()),
+        _ => None,
+    }
+}
+
+/// The label of a room by the name that somebody gave it, in any language; none where the name says nothing.
+pub(super) fn room_label(name: &str) -> Option<String> {
+    let shown: String = name.chars().filter(|character| !is_hidden(*character)).collect();
+    let plain = plain_words(&shown);
+    let label = Names::built_in().room(&plain).map_or(plain, str::to_owned);
+    // A capital letter without a small one would be refused as a label.
+    let fits = !label.is_empty() && label.len() <= MAX_TEXT_BYTES && label.to_lowercase() == label;
+    fits.then_some(label)
+}
+
+/// Reads names of segments: a TOML table from a segment's number to the room's name.
+///
+/// # Errors
+/// When the text is no such table.
+pub fn segment_names(toml: &str) -> Result<HashMap<String, String>, ImportError> {
+    toml::from_str(toml).map_err(|error: toml::de::Error| ImportError::Json {
+        element: ".".to_owned(),
+        message: error.to_string(),
+        expected: "names of segments, as 11 = \"kitchen\" on a line each",
+    })
+}
+
+/// Turns a map that Valetudo exports into a scene.
+///
+/// Room names come from `names` (by the segment's number), else from the map; names that the built-in table knows become English.
+/// A segment without a name is "room" and its number. Ids end with the segment's number. A map without segments becomes one room.
+/// Left out, with a note: pieces of a segment apart from its largest, what has no outline, paths, virtual walls and areas.
+///
+/// # Errors
+/// When the text is no such map, has no pixels or too many, `names` names a segment that is not there, or the scene breaks a rule.
+#[expect(clippy::implicit_hasher, reason = "whoever reads names gets them from segment_names")]
+pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Result<Imported, ImportError> {
+    let file: File = parse(json, EXPECTED)?;
+    let fault =
+        |element: &str, message: String| ImportError::Json { element: element.to_owned(), message, expected: EXPECTED };
+    if !(0.1..=100.0).contains(&file.pixel_size_cm) {
+        return Err(fault("pixelSize", format!("{} is no size of a pixel in cm", file.pixel_size_cm)));
+    }
+    let pixel_m = file.pixel_size_cm / 100.0;
+    let mut notes = Vec::new();
+
+    let mut segments: Vec<&Layer> = file.layers.iter().filter(|layer| layer.r#type == "segment").collect();
+    let divided = !segments.is_empty();
+    if !divided {
+        segments = file.layers.iter().filter(|layer| layer.r#type == "floor").collect();
+        segments.truncate(1);
+        notes.push(
+            "The map has no segments, so the whole floor is one room: let the robot divide it into rooms, and import the map again.".to_owned(),
+        );
+    }
+    if segments.is_empty() {
+        let remedy = "it has neither segments nor a floor; let the robot map the home first";
+        return Err(ImportError::NoRooms { remedy });
+    }
+    if segments.len() > MAX_ROOMS {
+        return Err(fault("layers", format!("{} segments, more than {MAX_ROOMS}", segments.len())));
+    }
+    let mut left = MAX_PIXELS;
+    let mut layers = Vec::new();
+    for (index, layer) in file.layers.iter().enumerate() {
+        let segment = segments.iter().position(|segment| std::ptr::eq(*segment, layer));
+        let number = segment.and_then(|segment| u8::try_from(segment + 1).ok());
+        let Some(mark) = number.or((layer.r#type == "wall").then_some(WALL)) else { continue };
+        layers.push((mark, layer.runs(index, &mut left)?));
+    }
+    // Walls first: what a segment claims is floor.
+    layers.sort_by_key(|(mark, _)| u8::from(*mark != WALL));
+    let raster = Raster::new(&layers)?;
+
+    let number_of = |index: usize| {
+        let given = text_of(&segments[index].about.segment).filter(|_| divided);
+        let sound =
+            |text: &String| !text.is_empty() && text.len() <= 32 && text.chars().all(|c| c.is_ascii_alphanumeric());
+        given.filter(sound).unwrap_or_else(|| (index + 1).to_string())
+    };
+    let numbers: Vec<String> = (0..segments.len()).map(number_of).collect();
+    if let Some(unknown) = names.keys().filter(|number| !numbers.contains(number)).min() {
+        let message = format!("the names name segment {unknown:?}, but the map has {}", numbers.join(", "));
+        return Err(fault("layers", message));
+    }
+
+    let mut traced = Vec::new();
+    let mut steps = 0;
+    let reach = ((TOLERANCE_M / pixel_m).round() as i64).clamp(0, MAX_REACH);
+    for mark in (1u8..).take(segments.len()) {
+        let outlines = outlines(&raster, mark, reach);
+        steps += outlines.iter().flat_map(|(rings, _)| rings).map(Vec::len).sum::<usize>();
+        traced.push(outlines);
+    }
+    let mut tolerance_m = if steps > MAX_STEPS { f64::INFINITY } else { TOLERANCE_M };
+    let (mut ids, mut rooms, mut boxed) = (Ids::default(), Vec::new(), Vec::new());
+    let mut aliases: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    let mut room_of: HashMap<u8, String> = HashMap::new();
+    let mut shapes: Vec<Option<Rings>>;
+    loop {
+        let shape = |traced: &Option<(Vec<Vec<Cell>>, f64)>| {
+            let (outlines, _) = traced.as_ref().filter(|_| tolerance_m.is_finite())?;
+            footprint(outlines, pixel_m, tolerance_m)
+        };
+        shapes = traced.iter().map(shape).collect();
+        let corners: usize = shapes.iter().flatten().flatten().map(Vec::len).sum();
+        if corners <= MAX_CORNERS {
+            break;
+        }
+        tolerance_m = if tolerance_m < 1.0 { 2.0 * tolerance_m } else { f64::INFINITY };
+    }
+    for (index, (traced, shape)) in traced.iter().zip(shapes).enumerate() {
+        let number = &numbers[index];
+        let Some((outlines, lost)) = traced else {
+            notes.push(format!("Left out segment {number}: it has no pixels of its own."));
+            continue;
+        };
+        let given = names.get(number).cloned().or_else(|| text_of(&segments[index].about.name).filter(|_| divided));
+        let plain = given.as_deref().map(plain_words);
+        let label = given.as_deref().and_then(room_label);
+        let label =
+            label.unwrap_or_else(|| if divided { format!("room {}", number.to_lowercase()) } else { HOME.to_owned() });
+        if let Some(plain) = plain.filter(|plain| *plain != label && room_label(plain).is_some()) {
+            let own = aliases.entry(label.clone()).or_default();
+            if !own.contains(&plain) && plain.len() <= MAX_TEXT_BYTES {
+                own.push(plain);
+            }
+        }
+        let id = ids.take(&if given.is_some() && divided { format!("{label} {number}") } else { label.clone() });
+        if *lost > 0.05 {
+            notes.push(format!(
+                "Left out {:.0} % of segment {number} ({label}), in pieces apart from it.",
+                100.0 * lost
+            ));
+        }
+        rooms.push(match shape {
+            Some(rings) => RoomEntry::outlined(id.clone(), label, rings, 0.0, ROOM_HEIGHT_M),
+            None => {
+                boxed.push(id.clone());
+                let corners = || outlines[0].iter().map(|&[x, y]| [x as f64 * pixel_m, -y as f64 * pixel_m]);
+                let least = |axis: usize| corners().map(|corner| corner[axis]).fold(f64::INFINITY, f64::min);
+                let most = |axis: usize| corners().map(|corner| corner[axis]).fold(f64::NEG_INFINITY, f64::max);
+                let bounds = Box3 { min_m: [least(0), least(1), 0.0], max_m: [most(0), most(1), ROOM_HEIGHT_M] };
+                RoomEntry::boxed(id.clone(), label, bounds)
+            }
+        });
+        room_of.extend(u8::try_from(index + 1).ok().map(|mark| (mark, id)));
+    }
+    if rooms.is_empty() {
+        return Err(ImportError::NoRooms { remedy: "its segments have no pixels; let the robot map the home again" });
+    }
+    let mut left = MAX_ALIASES;
+    aliases.values_mut().for_each(|own| {
+        own.truncate(left);
+        left -= own.len();
+    });
+
+    let mut doors = Vec::new();
+    let gap = (GAP_M / pixel_m).round() as i64;
+    for ((a, b), cells) in contacts(&raster, gap) {
+        let (Some(a), Some(b)) = (room_of.get(&a), room_of.get(&b)) else { continue };
+        let Some(([x, y], _)) = widest(cells).filter(|(_, length)| *length as f64 * pixel_m >= DOOR_M) else {
+            continue;
+        };
+        let position_m = [tidy((x as f64 + 0.5) * pixel_m), tidy(-(y as f64 + 0.5) * pixel_m), 1.0];
+        doors.push(DoorEntry { id: format!("door-{}", doors.len() + 1), rooms: [a.clone(), b.clone()], position_m });
+    }
+
+    let mut items = Vec::new();
+    let charger = file.entities.iter().find(|entity| entity.r#type == "charger_location");
+    if let Some([x, y]) = charger.and_then(|entity| Some([*entity.points.first()?, *entity.points.get(1)?])) {
+        let [x, y] = [tidy(x / 100.0), tidy(-y / 100.0)];
+        let [width, height] = CHARGER_M.map(|metres| 0.5 * metres);
+        items.push(ItemEntry {
+            id: "charging-station".to_owned(),
+            label: CHARGER.to_owned(),
+            captions: Vec::new(),
+            position_m: [x, y, height],
+            r#box: Box3 {
+                min_m: [tidy(x - width), tidy(y - width), 0.0],
+                max_m: [tidy(x + width), tidy(y + width), 2.0 * height],
+            },
+        });
+    }
+    let ignored = file
+        .entities
+        .iter()
+        .filter(|entity| !["charger_location", "robot_position", "path"].contains(&&*entity.r#type));
+    let ignored = ignored.count();
+    if ignored > 0 {
+        notes.push(format!("Left out {ignored} virtual walls and areas: they are the robot's to keep."));
+    }
+    let unnamed = rooms.iter().filter(|room| room.label.starts_with("room ")).count();
+    if unnamed > 0 {
+        notes.push(format!("{unnamed} rooms have no name: name them with --names, or in the robot's own program, so that their names say something."));
+    }
+    let source = match tolerance_m {
+        tolerance_m if tolerance_m.is_finite() => format!("Valetudo map, imported; outlines to {tolerance_m} m"),
+        _ => "Valetudo map, imported".to_owned(),
+    };
+    let file = SceneFile {
+        format: FORMAT.to_owned(),
+        version: VERSION,
+        name: name.to_owned(),
+        description: String::new(),
+        source,
+        rooms,
+        parts: Vec::new(),
+        groups: Vec::new(),
+        doors,
+        aliases,
+        items,
+    };
+    Ok(Imported { map: SemanticMap::check(file)?, notes, boxed })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grounding::{Grounding, GroundingOptions};
+    use proptest::prelude::*;
+
+    /// Two rooms of 3 m with a door between, a wall beside it; a speck of the kitchen far away, and a table's hole in it.
+    const FLAT: &str = include_str!("../../../../tests/data/valetudo.json");
+
+    fn none() -> HashMap<String, String> {
+        HashMap::new()
+    }
+
+    #[test]
+    fn segments_become_rooms_with_outlines() {
+        let imported = valetudo(FLAT, "flat", &none()).unwrap();
+        let map = &imported.map;
+        let rooms: Vec<_> = map.rooms.iter().map(|room| (&*room.id, &*room.label)).collect();
+        assert_eq!(rooms, [("kitchen-16", "kitchen"), ("hallway-17", "hallway"), ("room-3", "room 3")]);
+        let area_m2 = |index: usize| map.rooms[index].space.footprint.as_ref().unwrap().area_m2();
+        assert!((area_m2(0) - 9.0).abs() < 1e-6, "the table's hole is floor: {}", area_m2(0));
+        assert_eq!(map.rooms[0].space.bounds, Box3 { min_m: [1.0, -4.0, 0.0], max_m: [4.0, -1.0, 2.5] });
+        // An L of 3 x 3 m without a corner of 1 x 1 m.
+        assert!((area_m2(1) - 8.0).abs() < 1e-6, "{}", area_m2(1));
+        assert_eq!(map.doors.len(), 1, "room 3 lies behind a wall: {:?}", map.doors);
+        let [x, y, _] = map.doors[0].position_m;
+        assert!((x - 4.05).abs() < 0.1 && (y + 2.5).abs() < 0.1, "{x} {y}");
+        assert_eq!(map.find_room("Küche"), Some(crate::semantic_map::RoomId(0)));
+        assert_eq!(map.items[0].label, map.find_label("charging station").unwrap());
+        assert!(Grounding::new(map, &GroundingOptions::default()).unwrap().unassigned.is_empty());
+        assert!(imported.notes.iter().any(|note| note.contains("in pieces apart from it")), "{:?}", imported.notes);
+        assert_eq!(SemanticMap::from_json(&map.to_json()).unwrap(), *map);
+    }
+
+    #[test]
+    fn names_can_be_given_by_segment() {
+        let names = segment_names("3 = \"Lenas Zimmer\"\n\"17\" = \"Flur \"").unwrap();
+        let map = valetudo(FLAT, "flat", &names).unwrap().map;
+        assert_eq!(map.rooms[2].label, "lenas zimmer");
+        assert_eq!(map.rooms[2].id, "lenas-zimmer-3");
+        let unknown = segment_names("4 = \"attic\"").unwrap();
+        let error = valetudo(FLAT, "flat", &unknown).unwrap_err().to_string();
+        assert!(error.contains("segment \"4\", but the map has 16, 17, 3"), "{error}");
+        assert!(segment_names("3 = 4").unwrap_err().to_string().contains("11 = \"kitchen\""));
+    }
+
+    #[test]
+    fn a_map_without_segments_is_one_room() {
+        let floor =
+            r#"{"pixelSize": 5, "layers": [{"type": "floor", "compressedPixels": [0, 0, 20, 0, 1, 20, 0, 2, 20]}]}"#;
+        let imported = valetudo(floor, "x", &none()).unwrap();
+        assert_eq!((imported.map.rooms.len(), &*imported.map.rooms[0].label), (1, "home"));
+        assert!(imported.notes[0].contains("let the robot divide it into rooms"));
+    }
+
+    #[test]
+    fn what_is_no_map_is_refused() {
+        let message = |json: &str| valetudo(json, "x", &none()).unwrap_err().to_string();
+        let layer = |runs: &str| {
+            format!(r#"{{"pixelSize": 5, "layers": [{{"type": "segment", "compressedPixels": {runs}}}]}}"#)
+        };
+        for (json, expected) in [
+            ("[]".to_owned(), "expected a map as Valetudo exports it"),
+            (r#"{"pixelSize": 5, "layers": []}"#.to_owned(), "let the robot map the home first"),
+            (r#"{"pixelSize": 0, "layers": []}"#.to_owned(), "pixelSize: 0 is no size"),
+            (layer("[]"), "the layers have no pixels"),
+            (layer("[1, 2]"), "compressedPixels triples"),
+            (layer("[1, 2, -3]"), "layers[0]: has a run at [1, 2]"),
+            (layer("[1, 2, 99999999999]"), "more than 16000000 pixels"),
+            (layer("[0, 0, 9000000, 0, 1, 9000000]"), "more than 16000000 pixels"),
+            (layer("[-9000000, 0, 1]"), "lies too far out"),
+            (layer("[0, 0, 1, 900000, 900000, 1]"), "900001 x 900001 pixels"),
+        ] {
+            let text = message(&json);
+            assert!(text.contains(expected), "{expected}: {text}");
+        }
+    }
+
+    #[test]
+    fn segments_of_one_pixel_and_of_one_place_are_survived() {
+        let twice = r#"{"pixelSize": 5, "layers": [{"type": "segment", "compressedPixels": [0, 0, 1]}, {"type": "segment", "pixels": [0, 0, 5, 5]}]}"#;
+        let imported = valetudo(twice, "x", &none()).unwrap();
+        assert_eq!(imported.map.rooms.len(), 1, "{:?}", imported.notes);
+        assert!(imported.notes[0].contains("no pixels of its own"));
+    }
+
+    /// Six maps of real robots, where they are at hand: rooms as large as the robot counts them, every room reached but by a closed door.
+    #[test]
+    fn real_maps_become_rooms() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/valetudo");
+        if !folder.is_dir() {
+            crate::skipped::skipped(format_args!("{} is missing", folder.display()));
+            return;
+        }
+        let expected: [(&str, &[&str], usize); 6] = [
+            ("1c_1096_fullcleanup", &["room 1", "room 2", "room 3"], 2),
+            ("S5_FW2008_with_segments", &["room 1", "room 2"], 1),
+            ("converted_3790", &["living room", "kitchen", "hallway", "hallway", "hallway", "hallway", "hallway"], 6),
+            ("d9_1058_no_segments", &["home"], 0),
+            ("d9_1058_with_custom_named_segments", &["room 1", "bathroom", "hallway", "room 4", "room 5", "room 6"], 5),
+            (
+                "z10_1056_paths",
+                &["bathroom", "bedroom", "kitchen", "hallway", "living room", "dining room", "home office"],
+                7,
+            ),
+        ];
+        for (file, labels, doors) in expected {
+            let json = std::fs::read_to_string(folder.join(format!("{file}.json"))).unwrap();
+            let imported = valetudo(&json, file, &none()).unwrap().furnished().unwrap();
+            let map = &imported.map;
+            assert!(map.rooms.iter().map(|room| room.label.as_str()).eq(labels.iter().copied()), "{file}");
+            assert_eq!((map.doors.len(), &imported.boxed[..]), (doors, &[][..]), "{file}");
+            let grounding = Grounding::new(map, &GroundingOptions::default()).unwrap();
+            assert!(grounding.unassigned().is_empty(), "{file}: {:?}", grounding.unassigned());
+            let read: Value = serde_json::from_str(&json).unwrap();
+            for layer in read["layers"].as_array().unwrap().iter().filter(|layer| layer["type"] == "segment") {
+                let number = text_of(&layer["metaData"]["segmentId"]).unwrap();
+                let room = map.rooms.iter().find(|room| room.id.ends_with(&format!("-{number}"))).unwrap();
+                let area_m2 = room.space.footprint.as_ref().unwrap().area_m2();
+                let counted_m2 = layer["metaData"]["area"].as_f64().unwrap() / 1e4;
+                assert!((0.85..1.2).contains(&(area_m2 / counted_m2)), "{file}, {}: {area_m2} {counted_m2}", room.id);
+            }
+        }
+    }
+
+    proptest! {
+        /// Any raster: what comes out is a checked map whose rooms hold their pixels, to the tolerance.
+        #[test]
+        fn rooms_hold_their_pixels(cells in prop::collection::vec(0..4u8, 24 * 24)) {
+            let mut layers = String::new();
+            for mark in 1..4u8 {
+                let pixels: Vec<String> = cells.iter().enumerate().filter(|(_, own)| **own == mark)
+                    .map(|(place, _)| format!("{},{}", place % 24, place / 24)).collect();
+                layers.push_str(&format!(r#",{{"type": "segment", "metaData": {{"segmentId": {mark}}}, "pixels": [{}]}}"#, pixels.join(",")));
+            }
+            let json = format!(r#"{{"pixelSize": 10, "layers": [{{"type": "wall"}}{layers}]}}"#);
+            if let Ok(imported) = valetudo(&json, "x", &HashMap::new()) {
+                for room in &imported.map.rooms {
+                    prop_assert!(imported.boxed.contains(&room.id) || room.space.footprint.is_some());
+                }
+                prop_assert!(imported.furnished().is_ok());
+            }
+        }
+
+        #[test]
+        fn hostile_text_never_panics(cut in 0..FLAT.len(), noise in "\\PC{0,8}") {
+            if FLAT.is_char_boundary(cut) {
+                let _ = valetudo(&format!("{}{noise}{}", &FLAT[..cut], &FLAT[cut..]), "x", &HashMap::new());
+            }
+        }
+    }
+}
