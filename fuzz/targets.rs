@@ -34,9 +34,10 @@ use roomcast_services::sensor_log::SensorRules;
 pub type Target = fn(&[u8]);
 
 /// Every target by name.
-pub const ALL: [(&str, Target); 12] = [
+pub const ALL: [(&str, Target); 13] = [
     ("configuration", configuration),
     ("gguf", gguf),
+    ("home", home),
     ("journal", journal),
     ("line", line),
     ("message", message),
@@ -68,6 +69,20 @@ pub fn valetudo(bytes: &[u8]) {
         SemanticMap::from_json(&imported.map.to_json()).expect("a map that was imported can be written and read");
     assert_eq!(imported.map.fingerprint(), again.fingerprint());
     assert!(imported.furnished().is_ok());
+}
+
+/// Registries of a home, with zeros between them, that are accepted become a scene that can be furnished, and rules that can be used.
+pub fn home(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let mut texts = text.split('\0');
+    let Some(areas) = texts.next() else { return };
+    let [floors, devices, entities, persons] = std::array::from_fn(|_| texts.next());
+    let registries = import::Registries { areas, floors, devices, entities, persons };
+    let Ok(home) = import::home_assistant(&registries, "fuzzed") else { return };
+    if let Some(rules) = home.rules {
+        Rules::parse(&rules).expect("rules that were written can be read");
+    }
+    assert!(home.imported.furnished().is_ok());
 }
 
 /// Every step of a program that is accepted has a sentence.

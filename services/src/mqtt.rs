@@ -10,7 +10,14 @@
 //! topic = "home/+/+/state"
 //! field = "/state"                                 # a JSON pointer into the payload; without it the payload is the value
 //! say = "the {2} is {value}"                       # {1}, {2}: what the + stand for, underscores as spaces
-//! person = "ada"                                   # a name or a number; somebody where left out
+//! person = "ada"                                   # a name, a number or a placeholder; somebody where left out
+//!
+//! [[rule]]
+//! topic = "doorbell/faces"
+//! field = "/event"
+//! when = "seen"
+//! presence = "present"
+//! person = "{/name}"                               # a JSON pointer in braces: what the payload has there
 //!
 //! [[rule]]
 //! topic = "home/motion/+/state"
@@ -25,8 +32,9 @@
 //! quiet_s = 600.0                                  # said when nothing else was said for so long
 //! ```
 //!
-//! The first rule that fits a message speaks, and each that fits and has `quiet_s` begins to wait; a message that no rule fits is
-//! counted. A value that a topic repeats says nothing new and is left out. A retained message tells how things are, not what has just
+//! A message says one sentence and one presence for each value that rules read in it (the payload, or a `field`): the first rule that
+//! fits speaks, and each that fits and has `quiet_s` begins to wait; a message that no rule fits is counted. A value that a topic repeats
+//! says nothing new and is left out. A retained message tells how things are, not what has just
 //! happened: at the first connection it is remembered and not said, unless its rule has `retained = true`; after a reconnection it is
 //! said if it differs from what was heard before.
 //!
@@ -36,7 +44,7 @@
 //! messages that are read: a backlog left thousands waiting there, which a broken connection then lost.) MQTT 5 tells the broker how many messages it may send ahead and how large
 //! one may be; [`MESSAGES_AHEAD_MAX`] and its neighbours are all limits.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fmt::Display;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -183,17 +191,48 @@ struct Rule {
     field: Option<String>,
     when: Option<String>,
     retained: bool,
+    /// Whether it says who is where, and no sentence.
+    presence: bool,
+    /// JSON pointers in its braces.
+    pointers: Vec<String>,
     saying: Saying,
 }
 
 /// What a rule makes of a message.
 #[derive(Debug, Clone, PartialEq)]
-struct Said {
+struct Said<'a> {
+    /// The rule's number, from 1.
+    number: usize,
+    rule: &'a Rule,
     /// A line of JSON. None where the rule speaks of other values only: the value is remembered, so that the next one it speaks of is news.
     line: Option<String>,
     value: String,
-    retained: bool,
-    quiet: Option<Duration>,
+}
+
+/// What becomes of a message by one rule.
+#[derive(Debug, Clone, PartialEq)]
+struct Outcome {
+    /// The rule's number, from 1.
+    number: usize,
+    /// What it read.
+    value: String,
+    what: What,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+enum What {
+    /// Said at once, as a line of JSON.
+    Said(String),
+    /// To be said after this silence.
+    Waits(String, Duration),
+    /// A rule before it has spoken of this value.
+    Later,
+    /// It speaks of other values.
+    OtherValue,
+    /// The topic's last value was the same.
+    Repeated,
+    /// Retained: how things are, not what has just happened.
+    State,
 }
 
 impl Rules {
@@ -232,12 +271,9 @@ impl Rules {
         filters
     }
 
-    /// What the rules make of a message: the first that speaks of it at once, else the first that can read it; and those that wait.
-    fn say(&self, topic: &str, payload: &[u8]) -> (Option<Said>, Vec<Said>) {
-        let readings = self.0.iter().filter_map(|rule| rule.say(topic, payload));
-        let (waiting, mut at_once): (Vec<_>, Vec<_>) = readings.partition(|said| said.quiet.is_some());
-        let first = at_once.iter().position(|said| said.line.is_some()).unwrap_or(0);
-        (if first < at_once.len() { Some(at_once.swap_remove(first)) } else { None }, waiting)
+    /// What each rule that can read a message makes of it.
+    fn readings(&self, topic: &str, payload: &[u8]) -> Vec<Said<'_>> {
+        (1..).zip(&self.0).filter_map(|(number, rule)| rule.say(number, topic, payload)).collect()
     }
 }
 
@@ -253,31 +289,57 @@ impl Rule {
             return Err("field is a JSON pointer and begins with a slash, as in \"/state\"".to_owned());
         }
         let places = levels.iter().filter(|level| **level == "+").count();
-        let names: Vec<_> = std::iter::once("value".to_owned()).chain((1..=places).map(|n| n.to_string())).collect();
         let (say, room, person) = (say.as_deref(), room.as_deref(), person.as_ref());
+        let named = person.map(|person| person.json().as_str().unwrap_or_default().to_owned());
+        let texts = [say, room, named.as_deref()];
+        let pointers: Vec<_> = texts.into_iter().flatten().flat_map(pointers).map(str::to_owned).collect();
+        let places = (1..=places).map(|n| n.to_string());
+        let names: Vec<_> = std::iter::once("value".to_owned()).chain(places).chain(pointers.iter().cloned()).collect();
         let saying = Saying::new(Keys { say, presence, room, person, quiet_s }, &names)?;
-        Ok(Self { topic, field, when, retained, saying })
+        Ok(Self { topic, field, when, retained, presence: presence.is_some(), pointers, saying })
     }
 
-    fn say(&self, topic: &str, payload: &[u8]) -> Option<Said> {
+    fn say(&self, number: usize, topic: &str, payload: &[u8]) -> Option<Said<'_>> {
         let places = matches(&self.topic, topic)?;
+        let json = || serde_json::from_slice::<serde_json::Value>(payload).ok();
         let value = match &self.field {
             None => std::str::from_utf8(payload).ok()?.trim().to_owned(),
-            Some(field) => match serde_json::from_slice::<serde_json::Value>(payload).ok()?.pointer(field)? {
-                serde_json::Value::String(text) => text.trim().to_owned(),
-                other => other.to_string(),
-            },
+            Some(field) => text_at(&json()?, field)?,
         };
-        let (retained, quiet) = (self.retained, self.saying.quiet());
+        let said = |line| Some(Said { number, rule: self, line, value: value.clone() });
         if self.when.as_ref().is_some_and(|when| !when.eq_ignore_ascii_case(&value)) {
-            return Some(Said { line: None, value, retained, quiet });
+            return said(None);
+        }
+        // What a pointer in braces does not find leaves nothing to say.
+        let payload = if self.pointers.is_empty() { serde_json::Value::Null } else { json()? };
+        if self.pointers.iter().any(|pointer| text_at(&payload, pointer).is_none()) {
+            return None;
         }
         let line = self.saying.line(|name| match name.parse::<usize>() {
             Ok(number) => places.get(number.wrapping_sub(1)).map(|place| place.replace('_', " ")).unwrap_or_default(),
+            Err(_) if name.starts_with('/') => text_at(&payload, name).unwrap_or_default(),
             Err(_) => value.clone(),
         });
-        Some(Said { line: Some(line), value, retained, quiet })
+        said(Some(line))
     }
+}
+
+/// A text or number of a payload.
+fn text_at(payload: &serde_json::Value, pointer: &str) -> Option<String> {
+    match payload.pointer(pointer)? {
+        serde_json::Value::String(text) => Some(text.trim().to_owned()),
+        serde_json::Value::Null => None,
+        other => Some(other.to_string()),
+    }
+}
+
+/// The JSON pointers that stand in braces in a text.
+fn pointers(text: &str) -> impl Iterator<Item = &str> {
+    text.split('{')
+        .skip(1)
+        .filter_map(|rest| rest.split_once('}'))
+        .map(|(name, _)| name)
+        .filter(|name| name.starts_with('/'))
 }
 
 /// What the `+` of a filter stand for in a topic; none when it does not fit.
@@ -301,7 +363,7 @@ fn matches<'a>(filter: &str, topic: &'a str) -> Option<Vec<&'a str>> {
 /// Counts of what came and what was said.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Heard {
-    /// Messages that a rule made narration of.
+    /// Lines of narration that messages became.
     pub said: u64,
     /// Messages that no rule fits.
     pub unfit: u64,
@@ -346,11 +408,18 @@ impl Listener {
         Self { rules, last: HashMap::new(), waiting: Vec::new(), first_connection: true, heard: Heard::default() }
     }
 
-    /// The narration of a message, if it is to be said at once, as a line of JSON; `retained` is what the broker calls it.
-    pub fn hear(&mut self, topic: &[u8], payload: &[u8], retained: bool, now: Instant) -> Option<String> {
+    /// The narration of a message that is to be said at once, as lines of JSON; `retained` is what the broker calls it.
+    pub fn hear(&mut self, topic: &[u8], payload: &[u8], retained: bool, now: Instant) -> Vec<String> {
+        let outcomes = self.outcomes(topic, payload, retained, now).into_iter();
+        let said = outcomes.filter_map(|outcome| if let What::Said(line) = outcome.what { Some(line) } else { None });
+        said.collect()
+    }
+
+    /// What becomes of a message by each rule that can read it, in their order; nothing where none can.
+    fn outcomes(&mut self, topic: &[u8], payload: &[u8], retained: bool, now: Instant) -> Vec<Outcome> {
         let Ok(topic) = std::str::from_utf8(topic) else {
             self.heard.unfit += 1;
-            return None;
+            return Vec::new();
         };
         if payload.len() > PAYLOAD_BYTES_MAX {
             self.heard.oversized += 1;
@@ -364,40 +433,56 @@ impl Listener {
                     "a message is too large and is passed over; leave its topic out of the rules"
                 );
             }
-            return None;
+            return Vec::new();
         }
-        let (said, waiting) = self.rules.say(topic, payload);
-        let Some(reading) = said.as_ref().or(waiting.first()) else {
+        let readings = self.rules.readings(topic, payload);
+        if readings.iter().all(|said| said.line.is_none()) {
             self.heard.unfit += 1;
-            return None;
-        };
-        let (place, value) = (fingerprint(topic.as_bytes()), fingerprint(reading.value.as_bytes()));
-        let known = self.last.get(&place).copied();
-        if known.is_some() || self.last.len() < TOPICS_MAX {
-            self.last.insert(place, value);
         }
-        if said.iter().chain(&waiting).all(|said| said.line.is_none()) {
-            self.heard.unfit += 1;
-            return None;
+        let mut known: HashMap<Option<&str>, Option<Fingerprint>> = HashMap::new();
+        let mut spoken: HashSet<(Option<&str>, bool)> = HashSet::new();
+        let mut outcomes = Vec::with_capacity(readings.len());
+        for Said { number, rule, line, value } in readings {
+            let field = rule.field.as_deref();
+            let own = fingerprint(value.as_bytes());
+            // Every rule that reads one field reads one value there.
+            let known = *known.entry(field).or_insert_with(|| {
+                let place = fingerprint(format!("{topic}\n{}", field.unwrap_or_default()).as_bytes());
+                let known = self.last.get(&place).copied();
+                if known.is_some() || self.last.len() < TOPICS_MAX {
+                    self.last.insert(place, own);
+                }
+                known
+            });
+            let unknown = self.first_connection || known.is_none();
+            let quiet = rule.saying.quiet();
+            let what = match line {
+                None => What::OtherValue,
+                // The first that speaks of a value at once.
+                Some(_) if quiet.is_none() && !spoken.insert((field, rule.presence)) => What::Later,
+                Some(_) if known == Some(own) => What::Repeated,
+                Some(_) if retained && !rule.retained && unknown => What::State,
+                Some(line) => match quiet {
+                    None => What::Said(line),
+                    Some(quiet) => What::Waits(line, quiet),
+                },
+            };
+            outcomes.push(Outcome { number, value, what });
         }
-        let unknown = self.first_connection || known.is_none();
-        let news = |said: Said| said.line.filter(|_| known != Some(value) && !(retained && !said.retained && unknown));
-        let line = said.and_then(news);
-        if line.is_some() {
-            self.heard.said += 1;
+        let said = outcomes.iter().filter(|outcome| matches!(outcome.what, What::Said(_))).count();
+        if said > 0 {
+            self.heard.said += said as u64;
             self.waiting.clear();
         }
-        let mut waits = false;
-        for said in waiting {
-            if let Some(quiet) = said.quiet
-                && let Some(line) = news(said)
-            {
-                waits = true;
-                self.wait(Waiting { line, since: now, quiet });
+        for outcome in &outcomes {
+            if let What::Waits(line, quiet) = &outcome.what {
+                self.wait(Waiting { line: line.clone(), since: now, quiet: *quiet });
             }
         }
-        self.heard.silent += u64::from(line.is_none() && !waits);
-        line
+        let acts = |outcome: &Outcome| matches!(outcome.what, What::Said(_) | What::Waits(..));
+        let fits = |outcome: &Outcome| outcome.what != What::OtherValue;
+        self.heard.silent += u64::from(outcomes.iter().any(fits) && !outcomes.iter().any(acts));
+        outcomes
     }
 
     /// Begins to wait; the same line begins again.
@@ -510,6 +595,49 @@ pub fn listen(options: MqttOptions, rules: Rules, out: impl Write, stop: &Stop) 
     runtime.block_on(Connection::new(options, rules, out).listen(stop))
 }
 
+/// Listens as [`listen`] does, and writes what becomes of each message, for people: the rule, and what it would say. Nothing is narrated,
+/// and the broker keeps nothing of it: the client has a name of its own, and its session ends with the connection.
+///
+/// # Errors
+///
+/// As [`listen`].
+pub fn rehearse(mut options: MqttOptions, rules: Rules, out: impl Write, stop: &Stop) -> Result<Heard, MqttError> {
+    let client = format!("{}-dry-run-{}", options.client_id(), std::process::id());
+    options.set_client_id(client).set_clean_start(true).set_session_expiry_interval(Some(0));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().map_err(failed)?;
+    let mut connection = Connection::new(options, rules, out);
+    connection.rehearses = true;
+    runtime.block_on(connection.listen(stop))
+}
+
+/// A text from outside on one line of a terminal.
+fn shown(bytes: &[u8]) -> String {
+    const LONGEST: usize = 120;
+    let text = String::from_utf8_lossy(bytes);
+    let short: String = text.chars().take(LONGEST).flat_map(char::escape_debug).collect();
+    if text.chars().count() > LONGEST { format!("{short}...") } else { short }
+}
+
+/// What becomes of a message, for people.
+fn report(topic: &[u8], payload: &[u8], retained: bool, outcomes: &[Outcome]) -> String {
+    let mut text = format!("{}  {}{}", shown(topic), shown(payload), if retained { "  (retained)" } else { "" });
+    for Outcome { number, value, what } in outcomes {
+        let said = match what {
+            What::Said(line) => format!("says {line}"),
+            What::Waits(line, quiet) => format!("says after {} s of silence {line}", quiet.as_secs_f64()),
+            What::Later => "is silent: a rule before it speaks of this value".to_owned(),
+            What::OtherValue => format!("is silent: {:?} is not its `when`", shown(value.as_bytes())),
+            What::Repeated => format!("is silent: {:?} is what the topic said before", shown(value.as_bytes())),
+            What::State => "is silent: retained, so no event (`retained = true` says it)".to_owned(),
+        };
+        text.push_str(&format!("\n  rule {number} {said}"));
+    }
+    if outcomes.is_empty() {
+        text.push_str("\n  no rule can read it");
+    }
+    text
+}
+
 fn failed(error: impl Display) -> MqttError {
     MqttError::Client { reason: error.to_string() }
 }
@@ -568,6 +696,8 @@ struct Connection<W> {
     subscriptions: Subscriptions,
     recent: Recent,
     connected: bool,
+    /// Reports what would be said, in place of saying it.
+    rehearses: bool,
     out: W,
 }
 
@@ -598,6 +728,7 @@ impl<W: Write> Connection<W> {
             subscriptions,
             recent,
             connected: false,
+            rehearses: false,
             out,
         }
     }
@@ -622,12 +753,13 @@ impl<W: Write> Connection<W> {
     /// The next event; none when it is time to stop, an error when nobody reads any more. Looking at the wish to stop, and saying what it was quiet for long enough to say, breaks off nothing that is under
     /// way: a slow broker has the client's own limit to answer in.
     async fn next(&mut self, stop: &Stop) -> std::io::Result<Option<Result<Event, ConnectionError>>> {
-        let Self { events, listener, out, connected, .. } = self;
+        let Self { events, listener, out, connected, rehearses, .. } = self;
         let mut poll = pin!(events.poll());
         while !stop.requested() {
             // Without a connection nothing can be heard, which is no silence.
             let due = if *connected { listener.due(Instant::now()) } else { Vec::new() };
-            due.iter().try_for_each(|line| write_line(out, line))?;
+            let shown = |line: &String| if *rehearses { format!("after silence\n  says {line}") } else { line.clone() };
+            due.iter().try_for_each(|line| write_line(out, &shown(line)))?;
             if let Ok(event) = timeout(POLL, poll.as_mut()).await {
                 return Ok(Some(event));
             }
@@ -648,17 +780,24 @@ impl<W: Write> Connection<W> {
             }
             Event::Incoming(Packet::SubAck(answer)) => self.subscriptions.take(answer, &self.client, &self.broker)?,
             Event::Incoming(Packet::Publish(message)) => {
-                if !self.recent.again(*connections, message)
-                    && let Some(line) =
-                        self.listener.hear(&message.topic, &message.payload, message.retain, Instant::now())
-                    && write_line(&mut self.out, &line).is_err()
-                {
+                if !self.recent.again(*connections, message) && self.hear(message).is_err() {
                     return Ok(Turn::Unread);
                 }
             }
             _ => {}
         }
         Ok(Turn::On)
+    }
+
+    /// Writes what a message says, or what becomes of it.
+    fn hear(&mut self, message: &Publish) -> std::io::Result<()> {
+        let (topic, payload, retained, now) = (&message.topic, &message.payload, message.retain, Instant::now());
+        if self.rehearses {
+            let outcomes = self.listener.outcomes(topic, payload, retained, now);
+            return write_line(&mut self.out, &report(topic, payload, retained, &outcomes));
+        }
+        let lines = self.listener.hear(topic, payload, retained, now);
+        lines.iter().try_for_each(|line| write_line(&mut self.out, line))
     }
 
     /// Takes what was read before the connection broke: its acknowledgements may be on their way. Then a pause.
@@ -734,20 +873,105 @@ mod tests {
     "#;
 
     fn hear(listener: &mut Listener, topic: &str, payload: &str, retained: bool) -> Option<String> {
-        listener.hear(topic.as_bytes(), payload.as_bytes(), retained, Instant::now())
+        let mut lines = listener.hear(topic.as_bytes(), payload.as_bytes(), retained, Instant::now());
+        assert!(lines.len() <= 1, "{lines:?}");
+        lines.pop()
     }
 
     #[test]
     fn rules_make_sentences() {
         let rules = Rules::parse(RULES).unwrap();
-        let line = |topic: &str, payload: &[u8]| rules.say(topic, payload).0.and_then(|said| said.line);
+        let line = |topic: &str, payload: &[u8]| rules.readings(topic, payload).into_iter().find_map(|said| said.line);
         let fridge = line("home/binary_sensor/fridge_door/state", b"ON").unwrap();
         assert_eq!(fridge, r#"{"text":"They open the fridge."}"#);
-        assert_eq!(rules.say("home/binary_sensor/fridge_door/state", b"off").0.unwrap().line, None);
+        assert_eq!(rules.readings("home/binary_sensor/fridge_door/state", b"off")[0].line, None);
         let coffee = line("home/switch/coffee_maker/json", br#"{"state": {"power": "on"}}"#).unwrap();
         assert_eq!(coffee, r#"{"person":1,"text":"the coffee maker is on"}"#);
-        assert!(rules.say("home/switch/coffee_maker/json", b"{").0.is_none());
-        assert!(rules.say("elsewhere", b"\xff\xfe").0.is_none());
+        assert!(rules.readings("home/switch/coffee_maker/json", b"{").is_empty());
+        assert!(rules.readings("elsewhere", b"\xff\xfe").is_empty());
+    }
+
+    const SEVERAL: &str = r#"
+        [[rule]]
+        topic = "z/+"
+        field = "/occupancy"
+        when = "true"
+        presence = "present"
+        room = "{1}"
+
+        [[rule]]
+        topic = "z/+"
+        field = "/state"
+        when = "on"
+        say = "They turn on the lamp."
+
+        [[rule]]
+        topic = "z/+"
+        field = "/state"
+        say = "the lamp is {value}"
+
+        [[rule]]
+        topic = "z/+"
+        field = "/state"
+        when = "on"
+        presence = "present"
+    "#;
+
+    #[test]
+    fn one_message_says_several_things() {
+        let mut listener = Listener::new(Rules::parse(SEVERAL).unwrap());
+        let mut said = |payload: &str| listener.hear(b"z/hall", payload.as_bytes(), false, Instant::now());
+        assert_eq!(
+            said(r#"{"occupancy": true, "state": "ON", "linkquality": 80}"#),
+            [
+                r#"{"presence":"present","room":"hall"}"#,
+                r#"{"text":"They turn on the lamp."}"#,
+                r#"{"presence":"present"}"#
+            ]
+        );
+        assert!(said(r#"{"occupancy": true, "state": "ON", "linkquality": 81}"#).is_empty(), "both values repeat");
+        assert_eq!(
+            said(r#"{"occupancy": true, "state": "OFF"}"#),
+            [r#"{"text":"the lamp is OFF"}"#],
+            "one of two is news"
+        );
+        assert_eq!(said(r#"{"occupancy": false}"#), Vec::<String>::new());
+        assert_eq!(said(r#"{"occupancy": true}"#).len(), 1);
+        assert_eq!(listener.heard, Heard { said: 5, unfit: 1, silent: 1, oversized: 0 });
+    }
+
+    #[test]
+    fn a_person_is_named_by_the_payload() {
+        let rules = "[[rule]]\ntopic = \"faces\"\nfield = \"/event\"\nwhen = \"seen\"\npresence = \"present\"\n\
+            room = \"{/where/room}\"\nperson = \"{/name}\"";
+        let mut listener = Listener::new(Rules::parse(rules).unwrap());
+        let mut said = |payload: &str| hear(&mut listener, "faces", payload, false);
+        let line = said(r#"{"event": "seen", "name": "ada", "where": {"room": "hall"}}"#).unwrap();
+        assert_eq!(line, r#"{"person":"ada","presence":"present","room":"hall"}"#);
+        assert_eq!(said(r#"{"event": "seen", "where": {"room": "hall"}}"#), None, "nobody is named");
+    }
+
+    #[test]
+    fn a_rehearsal_tells_which_rule_says_what() {
+        let mut listener = Listener::new(Rules::parse(SEVERAL).unwrap());
+        let mut told = |topic: &str, payload: &str, retained| {
+            let outcomes = listener.outcomes(topic.as_bytes(), payload.as_bytes(), retained, Instant::now());
+            report(topic.as_bytes(), payload.as_bytes(), retained, &outcomes)
+        };
+        let on = r#"{"occupancy": true, "state": "ON"}"#;
+        let text = told("z/hall", on, true);
+        assert_eq!(text.matches("is silent: retained").count(), 3, "{text}");
+        let text = told("z/kitchen", on, false);
+        assert!(text.contains("\n  rule 1 says {\"presence\":\"present\",\"room\":\"kitchen\"}"), "{text}");
+        assert!(text.contains("\n  rule 2 says {\"text\":\"They turn on the lamp.\"}"), "{text}");
+        assert!(text.contains("\n  rule 3 is silent: a rule before it"), "{text}");
+        assert_eq!(told("z/kitchen", on, false).matches("is what the topic said before").count(), 3);
+        assert!(
+            told("z/kitchen", r#"{"occupancy": false}"#, false)
+                .contains("rule 1 is silent: \"false\" is not its `when`")
+        );
+        let text = told("else\u{1b}[2J", "\u{7}", false);
+        assert!(text.ends_with("no rule can read it") && !text.contains(['\u{1b}', '\u{7}']), "{text:?}");
     }
 
     #[test]
@@ -771,10 +995,10 @@ mod tests {
         let start = Instant::now();
         let at = |seconds| start + Duration::from_secs(seconds);
         let door = |listener: &mut Listener, value: &str, seconds| {
-            listener.hear(b"door", value.as_bytes(), false, at(seconds)).is_some()
+            !listener.hear(b"door", value.as_bytes(), false, at(seconds)).is_empty()
         };
         assert!(door(&mut listener, "closed", 0));
-        assert!(listener.hear(b"motion", b"on", false, at(300)).is_some());
+        assert_eq!(listener.hear(b"motion", b"on", false, at(300)).len(), 1);
         assert_eq!(listener.due(at(10_000)), Vec::<String>::new(), "somebody moved");
         // Opening it says nothing, so it breaks no silence; closing it begins the silence again.
         assert!(!door(&mut listener, "open", 20_000) && door(&mut listener, "closed", 20_100));
@@ -792,8 +1016,8 @@ mod tests {
         assert_eq!(listener.due(at(101_199)).len(), 1);
         // What is retained from before this process is no event.
         listener.first_connection = true;
-        assert!(listener.hear(b"door", b"open", true, at(200_000)).is_none());
-        assert!(listener.hear(b"door", b"closed", true, at(200_000)).is_none());
+        assert!(listener.hear(b"door", b"open", true, at(200_000)).is_empty());
+        assert!(listener.hear(b"door", b"closed", true, at(200_000)).is_empty());
         assert_eq!(listener.due(at(300_000)).len(), 1, "ben's silence of before");
         assert_eq!(listener.heard, Heard { said: 9, unfit: 4, silent: 2, oversized: 0 });
     }

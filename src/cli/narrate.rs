@@ -45,6 +45,10 @@ pub struct Args {
     #[cfg(feature = "mqtt")]
     #[arg(long, value_name = "FILE", requires = "mqtt")]
     mqtt_ca: Option<PathBuf>,
+    /// Connect to the broker, print each message with the rule that fits and what it would say, and publish nothing. Ends with Ctrl-C.
+    #[cfg(feature = "mqtt")]
+    #[arg(long, requires = "mqtt")]
+    dry_run: bool,
     /// This source's name, in place of the configuration's; it must differ between narrators.
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
@@ -95,6 +99,9 @@ pub fn run(args: &Args) -> CommandResult {
             authority: args.mqtt_ca.clone(),
         };
         let rules = args.rules.as_deref().unwrap_or(Path::new("rules.toml"));
+        if args.dry_run {
+            return narrate_mqtt::rehearse(&broker, rules, &stop);
+        }
         let (lines, listener) = narrate_mqtt::listen(&broker, rules, person, &stop)?;
         // First the broker is left, then what it is told to be done with is published.
         let patience = narrate_mqtt::patience(&stop)?;

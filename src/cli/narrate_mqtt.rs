@@ -8,7 +8,7 @@ use roomcast_services::mqtt::{self, Broker, Heard, MqttError, Rules};
 use roomcast_services::narrator::{Input, Who};
 use roomcast_services::stop::Stop;
 
-use super::{CommandResult, Failure};
+use super::{CommandResult, Failure, print};
 use crate::exit_code;
 
 const TICK: Duration = Duration::from_millis(100);
@@ -29,6 +29,18 @@ pub(super) fn listen(broker: &Broker, rules: &Path, person: Who, stop: &Stop) ->
         .spawn(move || mqtt::listen(options, rules, writer, &stop))
         .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot start the mqtt thread: {error}")))?;
     Ok((Input::Lines { name: broker.address.clone(), stream: Box::new(reader), person }, listener))
+}
+
+/// Prints what the broker's messages would say, until it is asked to stop. No daemon is needed.
+pub(super) fn rehearse(broker: &Broker, rules: &Path, stop: &Stop) -> CommandResult {
+    let rules = Rules::load(rules).map_err(mqtt_failure)?;
+    let options = broker.options().map_err(mqtt_failure)?;
+    let heard = mqtt::rehearse(options, rules, std::io::stdout(), stop).map_err(mqtt_failure)?;
+    let Heard { said, unfit, silent, oversized } = heard;
+    let summary = format!(
+        "{said} lines would be said; of the messages no rule fits {unfit}, {silent} say nothing new, {oversized} are too large\n"
+    );
+    print(&summary)
 }
 
 /// A wish to stop that follows the given one after [`PATIENCE`].

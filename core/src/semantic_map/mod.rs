@@ -272,17 +272,19 @@ impl SemanticMap {
         })
     }
 
-    /// The first room whose id or words the name means; looked up as [`SemanticMap::find_label`] does.
+    /// The first room whose id or words the name means; looked up as [`SemanticMap::find_label`] does, and last as a name in another
+    /// language ("kuche", an area's id in a home, is a kitchen).
     #[must_use]
     pub fn find_room(&self, name: &str) -> Option<RoomId> {
         let by_id = self.rooms.iter().position(|room| room.id == name);
         if let Some(index) = by_id {
             return u32::try_from(index).ok().map(RoomId);
         }
-        self.find(name, |words| {
+        let known = |words: &str| {
             let found = self.rooms.iter().position(|room| room.label == words)?;
             u32::try_from(found).ok().map(RoomId)
-        })
+        };
+        self.find(name, known).or_else(|| known(Names::built_in().room(name)?))
     }
 
     fn find<T>(&self, name: &str, known: impl Fn(&str) -> Option<T>) -> Option<T> {
@@ -377,6 +379,8 @@ mod tests {
         assert_eq!(map.rooms_at([4.0, 1.0, 9.0]).count(), 0);
         assert_eq!(map.find_room("living_room"), Some(RoomId(1)));
         assert_eq!(map.find_room("livingroom"), Some(RoomId(1)));
+        assert_eq!(map.find_room("kuche"), Some(RoomId(0)), "by another language");
+        assert_eq!(map.find_room("attic"), None);
     }
 
     #[test]

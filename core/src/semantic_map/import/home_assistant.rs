@@ -11,6 +11,7 @@ use serde_json::Value;
 use super::valetudo::room_label;
 use super::{Ids, ImportError, Imported, parse};
 use crate::names::{Names, plain_words};
+use crate::narration::{Presence, PresenceStatement};
 use crate::semantic_map::schema::{DoorEntry, FORMAT, ItemEntry, RoomEntry, SceneFile, VERSION};
 use crate::semantic_map::{Box3, MAX_TEXT_BYTES, SemanticMap};
 use crate::text::is_hidden;
@@ -355,6 +356,22 @@ impl Rules {
     }
 }
 
+/// Whether it is an object's id, as Home Assistant makes them.
+fn is_object(text: &str) -> bool {
+    !text.is_empty() && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+}
+
+/// Whether a rule can name a person so: messages have this many bytes for a name, and braces are placeholders.
+fn is_person(name: &str) -> bool {
+    const NAME_BYTES: usize = 48;
+    name.len() <= NAME_BYTES && name.chars().any(char::is_alphabetic) && !name.contains(['{', '}'])
+}
+
+/// Whether a rule can name a room so.
+fn is_room(id: &str) -> bool {
+    PresenceStatement::new(Presence::Present, Some(id)).is_ok() && !id.contains(['{', '}'])
+}
+
 /// Whether a registry says so: `disabled_by` and its like are null where they do not.
 fn said(value: &Value) -> bool {
     !value.is_null()
@@ -450,7 +467,7 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
     for entity in &entities {
         let Some((domain, object)) = entity.entity_id.split_once('.') else { continue };
         let quiet = said(&entity.disabled_by) || said(&entity.hidden_by) || said(&entity.entity_category);
-        if quiet || ["person", "device_tracker", "vacuum"].contains(&domain) || object.contains(['/', '+', '#']) {
+        if quiet || ["person", "device_tracker", "vacuum"].contains(&domain) || !is_object(object) {
             continue;
         }
         let power = domain == "sensor" && ["power", "energy"].contains(&entity.class());
@@ -493,6 +510,7 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
         }
         match entity.says(domain, thing.as_deref()) {
             Says::Nothing => {}
+            Says::Somebody if !is_room(&area.id) => {}
             Says::Somebody => {
                 rules.about(&format!("{}, in {}", entity.entity_id, area.name));
                 rules.rule(domain, object, &[("when", "on"), ("presence", "present"), ("room", &area.id)]);
@@ -505,20 +523,27 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
             }
         }
     }
+    // Persons of the page of persons, then those of configuration.yaml, which the registry of entities alone knows.
+    let of_registry = |entity: &'_ Entity| entity.entity_id.strip_prefix("person.").map(str::to_owned);
+    let mut people: Vec<(String, String)> = Vec::new();
     for person in &persons {
-        let registered = entities
-            .iter()
-            .find(|entity| entity.entity_id.starts_with("person.") && entity.unique_id.as_str() == Some(&*person.id));
-        let object =
-            registered.and_then(|entity| entity.entity_id.split_once('.')).map(|(_, object)| object.to_owned());
-        let object = object.unwrap_or_else(|| slug(&person.name));
-        let name = comment(&person.name);
-        if object.is_empty() || name.trim().is_empty() {
+        let registered = entities.iter().find(|entity| entity.unique_id.as_str() == Some(&*person.id));
+        let object = registered.and_then(of_registry).unwrap_or_else(|| slug(&person.name));
+        people.push((object, comment(&person.name).trim().to_owned()));
+    }
+    for entity in &entities {
+        let Some(object) = of_registry(entity).filter(|object| !people.iter().any(|(known, _)| known == object)) else {
             continue;
-        }
+        };
+        let name = entity.name.as_deref().or(entity.original_name.as_deref()).unwrap_or(&object);
+        let name = comment(name).trim().to_owned();
+        people.push((object, name));
+    }
+    people.retain(|(object, name)| is_object(object) && is_person(name));
+    for (object, name) in &people {
         rules.about(&format!("{name} comes and goes."));
-        rules.rule("person", &object, &[("when", "home"), ("presence", "present"), ("person", name.trim())]);
-        rules.rule("person", &object, &[("when", "not_home"), ("presence", "away"), ("person", name.trim())]);
+        rules.rule("person", object, &[("when", "home"), ("presence", "present"), ("person", name)]);
+        rules.rule("person", object, &[("when", "not_home"), ("presence", "away"), ("person", name)]);
     }
     if homeless > 0 {
         notes.push(format!(
@@ -583,7 +608,8 @@ mod tests {
         {"entity_id": "light.attic", "unique_id": "10"},
         {"entity_id": "light.off", "area_id": "kuche", "disabled_by": "user", "unique_id": "11"},
         {"entity_id": "switch.kuche_led", "area_id": "kuche", "entity_category": "config", "unique_id": "12"},
-        {"entity_id": "person.grace", "unique_id": "p-2", "platform": "person"}], "deleted_entities": []}}"#;
+        {"entity_id": "person.grace", "unique_id": "p-2", "platform": "person"},
+        {"entity_id": "person.joan", "unique_id": "yaml", "original_name": "Joan Clarke", "platform": "person"}], "deleted_entities": []}}"#;
     const PERSONS: &str = r#"{"data": {"items": [{"id": "p-1", "name": "Ada Lovelace", "device_trackers": []}, {"id": "p-2", "name": "Grace \"Amazing\" Hopper"}]}}"#;
 
     fn registries() -> Registries<'static> {
@@ -657,6 +683,7 @@ mod tests {
         assert_eq!(of("homeassistant/media_player/wohnzimmer_tv/state")[0], "playing|They watch the television.|-|-|-");
         assert_eq!(of("homeassistant/person/ada_lovelace/state")[1], "not_home|-|away|-|Ada Lovelace");
         assert_eq!(of("homeassistant/person/grace/state")[0], "home|-|present|-|Grace \"Amazing\" Hopper");
+        assert_eq!(of("homeassistant/person/joan/state")[0], "home|-|present|-|Joan Clarke");
         assert!(!rules.contains("light.off") && !rules.contains("kuche_led") && !rules.contains("washer_power"));
     }
 

@@ -22,11 +22,13 @@ use crate::text::is_hidden;
 
 const EXPECTED: &str = "a map as Valetudo exports it: `pixelSize` and `layers`";
 /// Most pixels of a robot's map, and of the rectangle around it.
-pub const MAX_PIXELS: usize = 16_000_000;
+pub const MAX_PIXELS: usize = 4_000_000;
 /// How far a room's outline may lie from its pixels, in metres.
 pub const TOLERANCE_M: f64 = 0.1;
 /// Most corners of all outlines before they are simplified.
 const MAX_STEPS: usize = 50_000;
+/// How often pixels that meet at a corner are looked for.
+const JOINING_ROUNDS: usize = 64;
 /// How far slits are looked for, in pixels.
 const MAX_REACH: i64 = 8;
 /// Pixels farther from the origin than this are none.
@@ -266,7 +268,8 @@ impl Mask {
 
     /// Fills one of the free pixels wherever two pixels meet at a corner only, so that no outline touches itself.
     fn join_corners(&mut self) {
-        loop {
+        // A filled pixel can meet another at its corner; more rounds than a map of rooms needs make a raster of noise a box.
+        for _ in 0..JOINING_ROUNDS {
             let mut filled = false;
             for place in 0..self.set.len() {
                 let [x, y] = self.at(place);
@@ -279,7 +282,6 @@ impl Mask {
                     filled = true;
                 }
             }
-            // Each round sets a pixel, so there is a last one.
             if !filled {
                 return;
             }
@@ -738,8 +740,8 @@ mod tests {
             (layer("[]"), "the layers have no pixels"),
             (layer("[1, 2]"), "compressedPixels triples"),
             (layer("[1, 2, -3]"), "layers[0]: has a run at [1, 2]"),
-            (layer("[1, 2, 99999999999]"), "more than 16000000 pixels"),
-            (layer("[0, 0, 9000000, 0, 1, 9000000]"), "more than 16000000 pixels"),
+            (layer("[1, 2, 99999999999]"), "more than 4000000 pixels"),
+            (layer("[0, 0, 9000000, 0, 1, 9000000]"), "more than 4000000 pixels"),
             (layer("[-9000000, 0, 1]"), "lies too far out"),
             (layer("[0, 0, 1, 900000, 900000, 1]"), "900001 x 900001 pixels"),
         ] {
