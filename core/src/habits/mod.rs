@@ -21,6 +21,8 @@
 
 use std::collections::BTreeMap;
 
+use crate::grounding::Grounding;
+
 mod counts;
 mod frame;
 mod key;
@@ -141,6 +143,16 @@ pub struct WhenShares {
     pub later: f64,
 }
 
+/// Of a forecast that nothing is added to.
+const NOTHING_KNOWN: WhenShares = WhenShares { shipped: 1.0, persistence: 0.0, semi_markov: 0.0, later: 0.0 };
+
+impl WhenShares {
+    fn of(weights: [f64; stays::EXPERTS]) -> Self {
+        let [shipped, persistence, semi_markov, later_by_place, later] = weights;
+        Self { shipped, persistence, semi_markov, later: later_by_place + later }
+    }
+}
+
 /// How much is known.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Learned {
@@ -241,6 +253,23 @@ impl Habits {
         }
     }
 
+    /// Takes up the map that a grounding is of: its labels, its rooms by their words (by their ids where several have the same), and what
+    /// lies where.
+    pub fn bind_to(&mut self, grounding: &Grounding) {
+        let labels = grounding.label_texts().iter().map(|text| (*text).to_owned()).collect();
+        let partitions = grounding.partitions();
+        let alone = |label: &str| partitions.iter().filter(|other| other.label == label).count() == 1;
+        let rooms = partitions.iter().map(|room| if alone(&room.label) { &room.label } else { &room.id }).cloned();
+        let weights = grounding.weights();
+        let shares = (0..weights.nrows()).flat_map(|label| (0..weights.ncols()).map(move |room| (label, room)));
+        self.bind(labels, rooms.collect(), shares.map(|cell| weights[cell]).collect());
+    }
+
+    /// Whether anything is learned from now on; what is known is used either way.
+    pub fn set_learning(&mut self, learn: bool) {
+        self.options.learn = learn;
+    }
+
     /// Rooms of the map and elsewhere, which comes last.
     #[must_use]
     pub fn places(&self) -> usize {
@@ -296,8 +325,12 @@ impl Habits {
         Some(number)
     }
 
-    fn place_number(&mut self, place: Place, now_min: u32) -> Option<u16> {
+    /// The number of a place; one that has none yet gets it where something is learned.
+    fn place_number(&mut self, place: Place, now_min: u32, learn: bool) -> Option<u16> {
         let Place::Room(room) = place else { return Some(ELSEWHERE) };
+        if !learn {
+            return self.frame.place_number(room).filter(|_| room < self.frame.rooms.len());
+        }
         if let Some(number) = self.frame.place_number(room).filter(|_| room < self.frame.rooms.len()) {
             self.places.touch(number, now_min);
             return Some(number);
@@ -342,9 +375,12 @@ impl Habits {
         let learn = self.learns(turn.mark);
         let now_min = moment::minute(turn.at_s);
         let at = self.person(turn.person);
-        let number = turn.label.and_then(|label| self.label_number(label, now_min));
+        let number = turn.label.and_then(|label| match learn {
+            true => self.label_number(label, now_min),
+            false => self.frame.label_number(label),
+        });
         let room = turn.room.filter(|room| *room < self.frame.rooms.len());
-        let place = room.and_then(|room| self.place_number(Place::Room(room), now_min));
+        let place = room.and_then(|room| self.place_number(Place::Room(room), now_min, learn));
         let Self { persons, counts, options, .. } = self;
         let person = &mut persons[at];
         let Person { slot, objects, rooms, stays, .. } = person;
@@ -380,12 +416,36 @@ impl Habits {
     pub fn be(&mut self, person: u32, place: Place, at_s: f64) {
         let at = self.person(person);
         let learn = self.options.learn;
-        let Some(number) = self.place_number(place, moment::minute(at_s)) else { return };
+        let Some(number) = self.place_number(place, moment::minute(at_s), learn) else { return };
         let Self { persons, counts, .. } = self;
         let Person { slot, stays, objects, .. } = &mut persons[at];
         stays.be(counts, *slot, number, at_s, learn);
         if stays.elsewhere() {
             objects.forget_activity();
+        }
+    }
+
+    /// Where a person was told or seen to be last, if that is a place of the map.
+    #[must_use]
+    pub fn place(&self, person: u32) -> Option<Place> {
+        let number = self.persons.iter().find(|other| other.number == person)?.stays.place;
+        let place = self.frame.place(number)?;
+        Some(if place == self.frame.elsewhere() { Place::Elsewhere } else { Place::Room(place) })
+    }
+
+    /// Nobody watched until `now_s`: that time is not counted, and forecasts whose time has come are not learned from.
+    pub fn pass(&mut self, now_s: f64) {
+        let Self { persons, counts, frame, .. } = self;
+        for Person { slot, stays, .. } in persons {
+            stays.learn_due(counts, *slot, frame, now_s, false);
+        }
+    }
+
+    /// The clock was set on by so many seconds, or back: everybody is where they were for as long as they were.
+    pub fn shift_clock(&mut self, by_s: f64) {
+        for person in &mut self.persons {
+            person.last_s += by_s;
+            person.stays.shift_clock(by_s);
         }
     }
 
@@ -465,9 +525,30 @@ impl Habits {
         let Self { persons, counts, frame, .. } = self;
         let Person { slot, rooms, stays, .. } = &mut persons[at];
         let whose = Whose { counts, slot: *slot, others, now_min: moment::minute(now_s), times: 0 };
-        let weights = stays.at(whose, frame, (now_s, horizon_s), &rooms.mixed, shipped, out);
-        let [shipped, persistence, semi_markov, later_by_place, later] = weights;
-        WhenShares { shipped, persistence, semi_markov, later: later_by_place + later }
+        let mut shares = NOTHING_KNOWN;
+        let given = |weights| shares = WhenShares::of(weights);
+        stays.at(whose, frame, (now_s, &[horizon_s]), &rooms.mixed, shipped, out, given);
+        shares
+    }
+
+    /// As [`Habits::at`] for several times ahead, in ascending order, at less cost: row by row in `shipped` and `out`, and each with its
+    /// shares.
+    pub fn at_times(
+        &mut self,
+        person: u32,
+        (now_s, horizons_s): (f64, &[f64]),
+        shipped: &[f64],
+        out: &mut Vec<f64>,
+        shares: &mut Vec<WhenShares>,
+    ) {
+        let at = self.person(person);
+        let others = self.others(at);
+        let Self { persons, counts, frame, .. } = self;
+        let Person { slot, rooms, stays, .. } = &mut persons[at];
+        let whose = Whose { counts, slot: *slot, others, now_min: moment::minute(now_s), times: 0 };
+        shares.clear();
+        let given = |weights| shares.push(WhenShares::of(weights));
+        stays.at(whose, frame, (now_s, horizons_s), &rooms.mixed, shipped, out, given);
     }
 
     /// Which places are in the set with the promised coverage, for probabilities that [`Habits::at`] gave for that time.

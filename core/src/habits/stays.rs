@@ -150,6 +150,17 @@ impl Stays {
         self.forget_forecasts();
     }
 
+    /// The clock was set on by so many seconds, or back.
+    pub(crate) fn shift_clock(&mut self, by_s: f64) {
+        for time_s in [&mut self.entered_s, &mut self.updated_s, &mut self.sampled_s] {
+            *time_s += by_s;
+        }
+        for waiting in self.anchors.iter_mut().flat_map(|anchor| &mut anchor.waiting) {
+            waiting.at_s += by_s;
+            waiting.entered_s += by_s;
+        }
+    }
+
     /// Counts the time spent until now.
     fn advance(&mut self, counts: &mut Counts, slot: u8, now_s: f64, learn: bool) {
         let from_s = self.updated_s;
@@ -300,29 +311,49 @@ impl Stays {
         self.scratch = scratch;
     }
 
-    /// Per place the probability that the person is there at `now_s + horizon_s`; `shipped` is what the forecast says without this home.
-    /// Gives the weights of the experts.
+    /// Per place the probability that the person is there at `now_s` and each horizon (ascending) after it, row by row; `shipped` is what the
+    /// forecast says without this home, row by row. Gives `given` the weights of the experts for each.
+    #[expect(clippy::too_many_arguments, reason = "what is read and what is written have nothing in common")]
     pub(crate) fn at(
         &mut self,
         whose: Whose<'_>,
         frame: &Frame,
-        (now_s, horizon_s): (f64, f64),
+        (now_s, horizons_s): (f64, &[f64]),
         next_rooms: &[f64],
         shipped: &[f64],
         out: &mut Vec<f64>,
-    ) -> [f64; EXPERTS] {
+        mut given: impl FnMut([f64; EXPERTS]),
+    ) {
         let places = frame.places();
+        let cells = horizons_s.len() * places;
         out.clear();
-        out.extend_from_slice(&shipped[..places.min(shipped.len())]);
-        out.resize(places, 0.0);
-        normalise(out);
+        out.extend_from_slice(&shipped[..cells.min(shipped.len())]);
+        out.resize(cells, 0.0);
+        out.chunks_exact_mut(places).for_each(normalise);
         let mut scratch = std::mem::take(&mut self.scratch);
         scratch.semi.clear();
-        scratch.semi.resize(places, 0.0);
-        if !self.semi_markov(whose, frame, now_s, next_rooms, &[horizon_s], &mut scratch) {
-            self.scratch = scratch;
-            return [1.0, 0.0, 0.0, 0.0, 0.0];
+        scratch.semi.resize(cells, 0.0);
+        let known = self.semi_markov(whose, frame, now_s, next_rooms, horizons_s, &mut scratch);
+        for (index, (horizon_s, out)) in horizons_s.iter().zip(out.chunks_exact_mut(places)).enumerate() {
+            given(match known {
+                true => self.mixed_at(whose, frame, (now_s, *horizon_s), index, out, &mut scratch),
+                false => [1.0, 0.0, 0.0, 0.0, 0.0],
+            });
         }
+        self.scratch = scratch;
+    }
+
+    /// One row of [`Stays::at`], whose semi-Markov forecast is the row `index` of the scratch.
+    fn mixed_at(
+        &self,
+        whose: Whose<'_>,
+        frame: &Frame,
+        (now_s, horizon_s): (f64, f64),
+        index: usize,
+        out: &mut [f64],
+        scratch: &mut Scratch,
+    ) -> [f64; EXPERTS] {
+        let places = out.len();
         // Between two anchors, by the logarithm of the time; before the first one towards certainty of the present place.
         let (lower, upper, share) = between(horizon_s);
         scratch.rows.clear();
@@ -331,7 +362,7 @@ impl Stays {
         own.copy_from_slice(out);
         let (persistence, rest) = rest.split_at_mut(places);
         let (semi, rest) = rest.split_at_mut(places);
-        semi.copy_from_slice(&scratch.semi);
+        semi.copy_from_slice(&scratch.semi[index * places..(index + 1) * places]);
         let (by_place, rest) = rest.split_at_mut(places);
         let (later, mixed) = rest.split_at_mut(places);
         let (own, by_own) = (&mut scratch.lead, &mut scratch.leaving);
@@ -360,7 +391,6 @@ impl Stays {
         }
         mix(&weights, &mut scratch.rows, places);
         out.copy_from_slice(&scratch.rows[EXPERTS * places..]);
-        self.scratch = scratch;
         weights
     }
 

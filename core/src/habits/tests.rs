@@ -282,3 +282,60 @@ proptest! {
         }
     }
 }
+
+/// A person who is in the bedroom from seven and in the kitchen from eight, watched every minute.
+fn watched_days(habits: &mut Habits, days: std::ops::Range<usize>) {
+    for day in days {
+        for minute in 0..180 {
+            let now_s = MONDAY_S + day as f64 * DAY_S + 7.0 * 3_600.0 + 60.0 * f64::from(minute);
+            match minute {
+                0 => habits.be(0, Place::Room(0), now_s),
+                60 => habits.be(0, Place::Room(2), now_s),
+                _ => {}
+            }
+            habits.tick(0, now_s, &mut |_, p| p.fill(0.25));
+        }
+        habits.be(0, Place::Elsewhere, MONDAY_S + day as f64 * DAY_S + 10.0 * 3_600.0);
+    }
+}
+
+#[test]
+fn several_times_at_once_are_as_each_by_itself() {
+    let mut habits = home(HabitsOptions::default());
+    watched_days(&mut habits, 0..5);
+    let now_s = MONDAY_S + 5.0 * DAY_S + 7.5 * 3_600.0;
+    habits.be(0, Place::Room(0), now_s - 1_800.0);
+    assert_eq!(habits.place(0), Some(Place::Room(0)));
+    let (horizons_s, shipped) = ([0.0, 60.0, 1_800.0, 3_600.0], [0.25; 16]);
+    let (mut all, mut shares, mut one) = (Vec::new(), Vec::new(), Vec::new());
+    habits.at_times(0, (now_s, &horizons_s), &shipped, &mut all, &mut shares);
+    for (horizon_s, (row, share)) in horizons_s.into_iter().zip(all.chunks_exact(4).zip(&shares)) {
+        let alone = habits.at(0, now_s, horizon_s, &shipped[..4], &mut one);
+        assert_eq!(alone, *share);
+        assert!(row.iter().zip(&one).all(|(row, one)| (row - one).abs() < 0.01), "{row:?} {one:?}");
+        assert!((row.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+    }
+    assert!(all[0] > 0.7 && all[3 * 4 + 2] > 0.5, "{all:?}");
+}
+
+/// Setting the clock is no time spent, and nothing is learned of time that nobody watched.
+#[test]
+fn time_that_nobody_watched_is_not_learned() {
+    let mut habits = home(HabitsOptions::default());
+    watched_days(&mut habits, 0..3);
+    let now_s = MONDAY_S + 3.0 * DAY_S + 7.0 * 3_600.0;
+    habits.be(0, Place::Room(0), now_s);
+    let state = |habits: &Habits| (habits.stored().rows, habits.stored().persons, habits.objects.len());
+    let before = state(&habits);
+    habits.pass(now_s + 3_600.0);
+    habits.shift_clock(-7_200.0);
+    habits.tick(0, now_s - 3_600.0, &mut |_, p| p.fill(0.25));
+    assert!(state(&habits) == before);
+    habits.set_learning(false);
+    habits.observe(&turn(0, 2, now_s));
+    habits.be(0, Place::Elsewhere, now_s + 60.0);
+    assert!(state(&habits) == before);
+    habits.set_learning(true);
+    habits.be(0, Place::Room(0), now_s + 120.0);
+    assert!(state(&habits) != before);
+}

@@ -22,8 +22,8 @@ use roomcast_llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
 mod sections;
 
 pub use sections::{
-    DaemonConfig, Forced, IntakeLimits, KnownNarrator, MetricsConfig, NarratorConfig, PersonsConfig, PlannerConfig,
-    Reports,
+    DaemonConfig, Forced, HabitsConfig, IntakeLimits, KnownNarrator, MetricsConfig, NarratorConfig, PersonsConfig,
+    PlannerConfig, Reports,
 };
 
 /// The commented default configuration, as a file to start from.
@@ -128,6 +128,8 @@ pub struct Config {
     pub persons: PersonsConfig,
     /// What a forecast assumes before it has watched its person.
     pub forecast: ForecastOptions,
+    /// What is learned of the home.
+    pub habits: HabitsConfig,
     /// The planner.
     pub planner: PlannerConfig,
     /// The narrator.
@@ -285,7 +287,7 @@ impl Config {
 
     /// Every limit, and whether it holds.
     fn limits(&self) -> Vec<Limit> {
-        let Self { model, scoring, history, daemon, persons, forecast, planner, metrics, narrator, .. } = self;
+        let Self { model, scoring, history, daemon, persons, forecast, habits, planner, metrics, narrator, .. } = self;
         let row = |key, value: &dyn fmt::Display, holds, remedy: &str| Limit {
             key,
             value: value.to_string(),
@@ -359,6 +361,8 @@ impl Config {
             within("forecast.strength", forecast.strength, 0.001..=1e6),
             within("forecast.misplaced", forecast.misplaced, 1e-6..=1.0),
             within("forecast.mistaken", forecast.mistaken, 1e-6..=1.0),
+            within("habits.half_life_days", habits.half_life_days, 0.0..=1e5),
+            within("habits.save_s", habits.save_s, 1.0..=SECONDS_MAX),
             row("planner.robot", &robot, is_name(&planner.robot), &format!("give {plain}")),
             row("narrator.name", &name, is_name(&narrator.name), &format!("give {plain}")),
             within("planner.room_time_s", planner.room_time_s, seconds.clone()),
@@ -446,6 +450,8 @@ mod tests {
             ("[persons]\nresidents = [\"ada\", \"Ada\"]", "persons.residents is [\"ada\", \"Ada\"]"),
             ("[forecast]\nobject_s = 0", "forecast.object_s is 0"),
             ("[forecast]\nmistaken = 2", "forecast.mistaken is 2"),
+            ("[habits]\nhalf_life_days = nan", "habits.half_life_days is NaN"),
+            ("[habits]\nsave_s = 0", "habits.save_s is 0"),
             ("[persons]\nasleep_s = -1", "persons.asleep_s is -1"),
             ("[persons]\nvisitor_s = 0", "persons.visitor_s is 0"),
             ("[history]\ngap_s = 1000000001", "history.gap_s is 1000000001"),

@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use roomcast_core::habits::HabitsOptions;
 use roomcast_core::policy::PolicyName;
 use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
@@ -100,6 +101,33 @@ pub struct PersonsConfig {
 impl Default for PersonsConfig {
     fn default() -> Self {
         Self { residents: Vec::new(), visitor_s: 3.0 * 3600.0, asleep_s: 1200.0 }
+    }
+}
+
+/// The section `[habits]`.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct HabitsConfig {
+    /// Whether the daemon learns what the people of the home do; what it knows already is used either way.
+    pub learn: bool,
+    /// Days after which what was seen counts half; 0 for never.
+    pub half_life_days: f64,
+    /// Seconds between two writes of what was learned, at least; it is also written when the daemon is stopped.
+    pub save_s: f64,
+}
+
+impl Default for HabitsConfig {
+    fn default() -> Self {
+        let HabitsOptions { learn, half_life_days, .. } = HabitsOptions::default();
+        Self { learn, half_life_days, save_s: 300.0 }
+    }
+}
+
+impl HabitsConfig {
+    /// The options for learning.
+    #[must_use]
+    pub fn options(&self) -> HabitsOptions {
+        HabitsOptions { learn: self.learn, half_life_days: self.half_life_days, ..HabitsOptions::default() }
     }
 }
 

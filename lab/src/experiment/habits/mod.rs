@@ -196,22 +196,11 @@ impl Tally {
     }
 }
 
-/// The same list of names, each once.
-fn once<'a>(names: impl Iterator<Item = (&'a str, &'a str)>) -> Vec<String> {
-    let names: Vec<(&str, &str)> = names.collect();
-    let several = |label: &str| names.iter().filter(|(other, _)| *other == label).count() > 1;
-    names.iter().map(|(label, id)| if several(label) { *id } else { *label }.to_owned()).collect()
-}
-
-/// Binds habits to a map: its labels, its rooms by their words (by their ids where several have the same), and what lies where.
+/// Habits that know nothing yet, bound to a map.
 #[must_use]
 pub fn bound(options: HabitsOptions, grounding: &Grounding) -> Habits {
     let mut habits = Habits::new(options);
-    let labels = grounding.label_texts().iter().map(|text| (*text).to_owned()).collect();
-    let rooms = once(grounding.partitions().iter().map(|p| (p.label.as_str(), p.id.as_str())));
-    let weights = grounding.weights();
-    let shares = (0..weights.nrows()).flat_map(|label| (0..weights.ncols()).map(move |room| (label, room)));
-    habits.bind(labels, rooms, shares.map(|cell| weights[cell]).collect());
+    habits.bind_to(grounding);
     habits
 }
 
