@@ -22,6 +22,7 @@
 //! | `roomcast/v1/map-change` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //! | `roomcast/v1/moment` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //! | `roomcast/v1/person` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
+//! | `roomcast/v1/habits` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //!
 //! All publish-subscribe services overflow safely: a publisher never waits for a slow subscriber, and what was overwritten
 //! shows as a gap in the sequence numbers ([`sequence`]). Each has an event service of the same name, so that a

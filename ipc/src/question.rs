@@ -5,6 +5,7 @@
 //! | `roomcast/v1/map-change` | changes to the map in use | what became of them, or why not |
 //! | `roomcast/v1/moment` | nothing (`{}`) | the map in use, the narration in the windows, every label's tokens with their log-probabilities |
 //! | `roomcast/v1/person` | who is known; to forget a person, to give them a name | who is known then, and what became of the change |
+//! | `roomcast/v1/habits` | what was learned of the home; to forget it, to replace it | how much is known then, and what became of the change |
 //!
 //! All are request-response services of `[u8]`, UTF-8. The daemon is the one server. A question may be asked again when no answer
 //! came, so whoever asks for a change names it, and the daemon does a change of the same name once.
@@ -35,6 +36,9 @@ pub const MOMENT: &str = "roomcast/v1/moment";
 
 /// Who is known, and changes to that.
 pub const PERSON: &str = "roomcast/v1/person";
+
+/// What was learned of the home, and changes to that.
+pub const HABITS: &str = "roomcast/v1/habits";
 
 /// Most bytes of a question. An answer's length is the daemon's own affair.
 pub const QUESTION_BYTES_MAX: usize = 1 << 20;

@@ -30,6 +30,7 @@ mod draw;
 mod experiment;
 #[cfg(all(feature = "lab", feature = "recordings"))]
 mod explain;
+mod habits;
 #[cfg(feature = "latency")]
 mod latency;
 #[cfg(feature = "manuals")]
@@ -194,6 +195,8 @@ enum Command {
     /// Serve metrics of a running system for Prometheus, on a loopback address.
     #[cfg(feature = "metrics")]
     Metrics(metrics::Args),
+    /// Say what a running daemon has learned of the home, forget it, or take it elsewhere.
+    Habits(habits::Args),
     /// Inspect, check and fetch language models.
     Model(model::Args),
     /// Publish what a person does: activity programs, JSON lines, plain sentences.
@@ -278,6 +281,7 @@ pub fn main() -> ExitCode {
         Command::Man(args) => man::run(&args),
         #[cfg(feature = "metrics")]
         Command::Metrics(args) => metrics::run(&args),
+        Command::Habits(args) => habits::run(&args),
         Command::Model(args) => model::run(&args),
         Command::Narrate(args) => narrate::run(&args),
         Command::Person(args) => person::run(&args),

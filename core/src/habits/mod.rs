@@ -563,6 +563,11 @@ impl Habits {
         self.persons.iter().find(|other| other.number == person).map_or(0.0, |person| person.observations)
     }
 
+    /// Persons of whom something was observed, with the number of observations.
+    pub fn persons(&self) -> impl Iterator<Item = (u32, f64)> {
+        self.persons.iter().map(|person| (person.number, person.observations))
+    }
+
     /// How much is known, and what it takes.
     #[must_use]
     pub fn learned(&self) -> Learned {

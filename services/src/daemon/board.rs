@@ -10,11 +10,13 @@ use roomcast_ipc::{
     PersonScoresV1, PersonV1, RoomScoresV1, RoomV1, forecast_flags, reached, score_flags, text,
 };
 
+use super::habits::{HomeHabits, Name};
 use super::journal::{Expectation, Outcome};
 use super::persons::{Persons, is_bed, message_ns, presence_value};
 use crate::moment::Moment;
 use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
 use roomcast_core::grounding::{Grounding, GroundingOptions, Partition, partitions};
+use roomcast_core::habits::Place as Whereabouts;
 use roomcast_core::narration::{Observation, Presence, SOMEBODY, Said, Voice};
 use roomcast_core::pipeline::{Included, PersonScores, Pipeline, PipelineError, Prepared};
 use roomcast_core::scorer::LanguageModel;
@@ -99,6 +101,7 @@ fn seconds(ns: i64) -> f64 {
 /// An observation that the forecasts do not know yet.
 #[derive(Debug)]
 struct Seen {
+    name: Name,
     person: u32,
     at_ns: i64,
     presence: Presence,
@@ -163,6 +166,8 @@ pub struct Board<M> {
     newest_sources: Vec<(usize, Included)>,
     /// Per person where they will be; persons unknown to the histories are forgotten.
     followed: std::collections::BTreeMap<u32, Forecaster>,
+    /// What is learned of the home.
+    home: HomeHabits,
 }
 
 /// Names of rooms that the map does not have which are logged, until the map changes.
@@ -219,6 +224,7 @@ impl<M: LanguageModel> Board<M> {
             strange_rooms: BTreeSet::new(),
             newest_sources: Vec::new(),
             followed: std::collections::BTreeMap::new(),
+            home: HomeHabits::default(),
         })
     }
 
@@ -232,6 +238,39 @@ impl<M: LanguageModel> Board<M> {
     #[must_use]
     pub fn with_forecast(self, options: ForecastOptions) -> Self {
         Self { options, ..self }
+    }
+
+    /// The same with habits of the home.
+    #[must_use]
+    pub fn with_habits(self, mut home: HomeHabits) -> Self {
+        home.bind(self.pipeline.grounding());
+        Self { home, ..self }
+    }
+
+    /// What is learned of the home.
+    #[must_use]
+    pub fn habits(&self) -> &HomeHabits {
+        &self.home
+    }
+
+    /// The same, to forget or to replace it.
+    pub(super) fn habits_mut(&mut self) -> &mut HomeHabits {
+        &mut self.home
+    }
+
+    /// Binds habits that were replaced to the map in use.
+    pub(super) fn bind_habits(&mut self) {
+        self.home.bind(self.pipeline.grounding());
+    }
+
+    /// Lets habits count the time spent, about once a minute, and gives whether it did.
+    pub fn tick(&mut self, now_ns: u64, now_unix_ns: u64) -> bool {
+        if !self.home.is_tick_due(now_ns) || !self.is_scored() {
+            return false;
+        }
+        self.watch();
+        self.home.tick(now_ns, now_unix_ns, &self.followed);
+        true
     }
 
     /// Takes a changed map in place of the one in use; the next step's scores are of it. Gives what it asked of the model. Until a step
@@ -265,11 +304,12 @@ impl<M: LanguageModel> Board<M> {
         self.snapshot.map_fingerprint = self.map.fingerprint();
         (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
         *self.forecast = ForecastV1::default();
+        self.home.bind(self.pipeline.grounding());
         if same_rooms {
             return;
         }
         // What was believed of other rooms says nothing of these, but what was observed does.
-        self.unwatched = 0;
+        let unwatched = std::mem::take(&mut self.unwatched);
         self.followed.clear();
         let grounding = self.pipeline.grounding();
         for (person, history) in self.pipeline.histories().iter() {
@@ -286,6 +326,17 @@ impl<M: LanguageModel> Board<M> {
                 own.leave(seconds(known.since_ns));
             }
             self.followed.insert(person, own);
+        }
+        for seen in &self.seen[..unwatched] {
+            let own = self.followed.get(&seen.person);
+            if let Some(own) = own.filter(|_| seen.is_sentence && seen.presence == Presence::Present) {
+                self.home.turned(seen.name, seen.person, seen.at_ns, self.mentions.last(&seen.words), own);
+            } else {
+                let out = seen.presence != Presence::Present;
+                let room = room_named(&seen.words, &self.map, grounding).filter(|_| !out).map(Whereabouts::Room);
+                let place = if out { Some(Whereabouts::Elsewhere) } else { room };
+                self.home.is_in(seen.name, seen.person, seen.at_ns, place, own);
+            }
         }
     }
 
@@ -316,10 +367,15 @@ impl<M: LanguageModel> Board<M> {
         now_unix_ns: u64,
     ) -> usize {
         let (map, mut costly) = (self.map_number(), 0);
+        let observations: Vec<Observation> = observations.into_iter().collect();
+        let learned = self.home.begin_recall(&observations, now_ns, now_unix_ns);
         // What is said of several persons after one step is told in no particular order.
         expectations.sort_by_key(|(after, _)| *after);
         let mut expectations = expectations.iter().peekable();
         for (index, observation) in observations.into_iter().enumerate() {
+            if index == learned {
+                self.home.end_recall();
+            }
             if self.pipeline.is_costly(&observation) {
                 costly += 1;
                 self.pass_over(observation.source, observation.epoch, observation.sequence);
@@ -350,6 +406,7 @@ impl<M: LanguageModel> Board<M> {
                 }
             }
         }
+        self.home.end_restore();
         self.pipeline.forget_voices();
         costly
     }
@@ -407,7 +464,7 @@ impl<M: LanguageModel> Board<M> {
         let Some(at_ns) = at_ns else { return Some(observation) };
         if self.unwatched == self.seen.len() {
             let (words, presence) = (String::new(), Presence::Unknown);
-            self.seen.push(Seen { person: 0, at_ns: 0, presence, words, is_sentence: false });
+            self.seen.push(Seen { name: (0, 0, 0), person: 0, at_ns: 0, presence, words, is_sentence: false });
         }
         if let Said::Presence(statement) = &observation.said
             && let Some(room) = statement.room()
@@ -417,6 +474,7 @@ impl<M: LanguageModel> Board<M> {
         let place = &mut self.seen[self.unwatched];
         self.unwatched += 1;
         (place.person, place.at_ns, place.presence) = (observation.person, at_ns, observation.said.presence());
+        place.name = (observation.source, observation.epoch, observation.sequence);
         place.words.clear();
         let (words, is_sentence) = match &observation.said {
             Said::Sentence(sentence) => (sentence.as_str(), true),
@@ -481,11 +539,13 @@ impl<M: LanguageModel> Board<M> {
         self.persons.remove(person);
         self.attributed.retain(|attributed| attributed.person != person);
         self.drop_person(person);
+        self.home.forget(person);
     }
 
     fn drop_person(&mut self, person: u32) {
         self.pipeline.forget_person(person);
         self.followed.remove(&person);
+        self.home.lose(person);
     }
 
     /// Whether time alone changes the scores: a window ends, or a visitor is gone.
@@ -532,6 +592,12 @@ impl<M: LanguageModel> Board<M> {
                 followed.expect(&own.grounded.partition_probability);
             }
         }
+        while let Some(person) = self.home.next_rescored() {
+            let Some(own) = self.pipeline.person(person).filter(|own| own.at_home) else { continue };
+            let Some(known) = self.persons.get(person) else { continue };
+            let rooms = &own.grounded.partition_probability;
+            self.home.look_ahead(person, known.heard_ns, own.label_log_prob_nats, rooms);
+        }
         self.seen.truncate(SEEN_KEPT);
     }
 
@@ -541,21 +607,27 @@ impl<M: LanguageModel> Board<M> {
         for seen in &self.seen[..std::mem::take(&mut self.unwatched)] {
             let at_s = seconds(seen.at_ns);
             if seen.presence == Presence::Gone {
-                self.followed.remove(&seen.person);
+                let own = self.followed.remove(&seen.person);
+                self.home.is_in(seen.name, seen.person, seen.at_ns, Some(Whereabouts::Elsewhere), own.as_ref());
                 continue;
             }
             let own = self.followed.entry(seen.person).or_insert_with(|| follower(grounding, self.options, seen.at_ns));
             if seen.presence == Presence::Away {
                 own.leave(at_s);
+                self.home.is_in(seen.name, seen.person, seen.at_ns, Some(Whereabouts::Elsewhere), Some(own));
             } else if seen.is_sentence {
                 // What the model says after all of them is for what comes then, not for what lies between them.
                 let mention = self.mentions.last(&seen.words);
                 own.observe(at_s, mention, grounding, &[]);
+                let label = mention.filter(|found| !found.is_left).map(|found| found.label);
+                self.home.turned(seen.name, seen.person, seen.at_ns, label, own);
                 if let (Some(found), Some(known)) = (mention, self.persons.get_mut(seen.person)) {
                     known.on_bed = is_bed(&grounding.scored_labels()[found.label].text);
                 }
             } else {
-                own.enter(at_s, room_named(&seen.words, &self.map, grounding));
+                let room = room_named(&seen.words, &self.map, grounding);
+                own.enter(at_s, room);
+                self.home.is_in(seen.name, seen.person, seen.at_ns, room.map(Whereabouts::Room), Some(own));
             }
         }
         let histories = self.pipeline.histories();
@@ -595,19 +667,27 @@ impl<M: LanguageModel> Board<M> {
             *id = room.id;
         }
         let now_s = now_ns as f64 / 1e9;
-        for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
-            let mut free = [1.0; MAX_ROOMS];
-            let mut elsewhere = 1.0;
-            for own in self.followed.values() {
-                let probability = own.at(now_s, f64::from(*horizon_s));
-                free.iter_mut().zip(probability).for_each(|(free, p)| *free *= 1.0 - p);
-                elsewhere *= own.elsewhere(now_s, f64::from(*horizon_s));
+        let mut free = [[1.0; MAX_ROOMS]; MAX_HORIZONS];
+        let mut elsewhere = [1.0; MAX_HORIZONS];
+        for (person, own) in &self.followed {
+            let by_habit = self.home.forecast(*person, own, now_ns);
+            for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
+                let free = free[place].iter_mut();
+                if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, place)?.split_last()) {
+                    free.zip(known).for_each(|(free, p)| *free *= 1.0 - p);
+                    elsewhere[place] *= gone;
+                } else {
+                    free.zip(own.at(now_s, f64::from(*horizon_s))).for_each(|(free, p)| *free *= 1.0 - p);
+                    elsewhere[place] *= own.elsewhere(now_s, f64::from(*horizon_s));
+                }
             }
-            for (row, free) in message.probability.iter_mut().zip(free).take(rooms.len()) {
+        }
+        for place in 0..MAX_HORIZONS {
+            for (row, free) in message.probability.iter_mut().zip(free[place]).take(rooms.len()) {
                 let occupied = if not_known { 1.0 / rooms.len() as f64 } else { 1.0 - free };
                 row[place] = occupied.clamp(0.0, 1.0) as f32;
             }
-            message.elsewhere[place] = if not_known { 0.0 } else { elsewhere as f32 };
+            message.elsewhere[place] = if not_known { 0.0 } else { elsewhere[place] as f32 };
         }
         message
     }
@@ -628,8 +708,17 @@ impl<M: LanguageModel> Board<M> {
             *place = PersonForecastV1 { person, name: self.persons.name_bytes(person), ..PersonForecastV1::default() };
             let presence = self.persons.get(person).map_or(Presence::Gone, |known| known.presence);
             (place.presence, place.flags) = (presence_value(presence), self.persons.flags(person, signed_ns));
+            let own = self.followed.get(&person);
+            let by_habit = own.and_then(|own| self.home.forecast(person, own, now_ns));
             for (horizon, horizon_s) in HORIZONS_S.iter().enumerate() {
-                let Some(own) = self.followed.get(&person) else {
+                if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, horizon)?.split_last()) {
+                    place.elsewhere[horizon] = *gone as f32;
+                    for (row, probability) in place.probability.iter_mut().zip(known).take(rooms) {
+                        row[horizon] = probability.clamp(0.0, 1.0) as f32;
+                    }
+                    continue;
+                }
+                let Some(own) = own else {
                     // Who is gone is followed no more; of somebody present no clock told when anything was observed.
                     let is_here = presence == Presence::Present;
                     let even = if is_here { 1.0 / rooms.max(1) as f32 } else { 0.0 };
@@ -668,6 +757,7 @@ impl<M: LanguageModel> Board<M> {
             self.drop_unwatched(SEEN_KEPT);
         }
         self.persons.remove_gone();
+        self.home.set_clock(now_ns, now_unix_ns);
         let mut costly = 0;
         for Entry { observation, received_ns, after_gap, voice, leaves } in entries {
             self.unscored_ns = Some(self.unscored_ns.map_or(received_ns, |first| first.min(received_ns)));
@@ -700,6 +790,7 @@ impl<M: LanguageModel> Board<M> {
             return Err(error);
         }
         self.adopt_map(now_ns, now_unix_ns);
+        self.home.rescored(&self.rescored);
         self.snapshot.sequence += 1;
         self.snapshot.computed_ns = now_ns;
         self.snapshot.computed_unix_ns = now_unix_ns;
@@ -939,6 +1030,11 @@ impl<M: LanguageModel> Board<M> {
         places.for_each(|place| *place = PersonV1::default());
         message.person_count = count;
     }
+}
+
+/// The row of a horizon.
+fn row(rows: &[f64], horizon: usize) -> Option<&[f64]> {
+    rows.chunks_exact((rows.len() / HORIZONS_S.len()).max(1)).nth(horizon)
 }
 
 /// A person who is followed from now on.

@@ -32,6 +32,8 @@ use crate::logging::Limiter;
 use crate::notify::notify;
 use crate::setup::{self, SetupError};
 use crate::stop::Stop;
+use habits_file::Keeper;
+use habits_question::{After, Importing};
 use roomcast_core::narration::Observation;
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
@@ -39,6 +41,9 @@ use roomcast_llama::affinity::{self, AffinityError};
 
 mod board;
 mod cycle;
+mod habits;
+mod habits_file;
+mod habits_question;
 mod intake;
 pub mod journal;
 mod map_change;
@@ -48,6 +53,9 @@ mod persons_file;
 
 pub use board::{Board, BoardError, Entry, MapError};
 pub use cycle::Cycle;
+pub use habits::{HomeHabits, Memory, Zone};
+pub use habits_file::HabitsFile;
+pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, HorizonLine, IMPORT_BYTES_MAX, PART_BYTES};
 pub use intake::{Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
 pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
 pub use map_change::{Answered, KeptMap, MapAnswer, MapQuestion, Outcome};
@@ -145,7 +153,8 @@ pub fn run<M: LanguageModel + Send + 'static>(
     let status = node.status_server()?;
     let narration = node.subscriber::<NarrationV1>()?;
     let (map_changes, moments) = (node.answer_port(question::MAP_CHANGE)?, node.answer_port(question::MOMENT)?);
-    let person_questions = node.answer_port(question::PERSON)?;
+    let (person_questions, habits_questions) =
+        (node.answer_port(question::PERSON)?, node.answer_port(question::HABITS)?);
     let configured = setup::load_map(config.scene.path.as_deref())?;
     let kept_map = config.daemon.state_directory().map(|directory| KeptMap::new(&directory, &configured));
     let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
@@ -155,6 +164,15 @@ pub fn run<M: LanguageModel + Send + 'static>(
     let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?;
     let names = config.daemon.state_directory().map(|directory| PersonsFile::load(&directory)).unwrap_or_default();
     let board = board.with_persons(Persons::new(config.persons.clone(), names)).with_forecast(config.forecast);
+    let (keeper, memory) = match config.daemon.state_directory() {
+        Some(directory) => {
+            let (file, memory) = HabitsFile::load(&directory, config.habits.options());
+            let keeper = Keeper::start(file).map_err(|source| DaemonError::Thread { name: "habits", source })?;
+            (Some(keeper), memory)
+        }
+        None => (None, Memory::new(config.habits.options())),
+    };
+    let board = board.with_habits(HomeHabits::new(memory, Zone::local()));
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
 
     sentence_tokens_max.store(cycle.board().sentence_tokens_max(), Ordering::Relaxed);
@@ -210,6 +228,12 @@ pub fn run<M: LanguageModel + Send + 'static>(
         moments,
         person_questions,
         answered_persons: Answered::default(),
+        habits_questions,
+        answered_habits: Answered::default(),
+        importing: Importing::default(),
+        keeper,
+        save_ns: (config.habits.save_s * 1e9) as u64,
+        saved_ns: clock::monotonic_ns(),
         inbox: Some(Box::new(inbox)),
         inbox_lost: false,
         to_relief,
@@ -519,6 +543,13 @@ struct Scoring<M> {
     moments: AnswerPort,
     person_questions: AnswerPort,
     answered_persons: Answered<PersonAnswer>,
+    habits_questions: AnswerPort,
+    answered_habits: Answered<HabitsAnswer>,
+    importing: Importing,
+    /// Writes what was learned; none without a state directory.
+    keeper: Option<Keeper>,
+    save_ns: u64,
+    saved_ns: u64,
     /// The relief thread has it otherwise.
     inbox: Option<Box<Inbox>>,
     /// The relief thread has ended, and the inbox with it.
@@ -561,6 +592,7 @@ impl<M: LanguageModel> Scoring<M> {
             }
             self.send(events)?;
             if last {
+                self.finish_habits();
                 return Ok(());
             }
             // What comes after may wait for the scores: looking for questions alone takes as long as a small step.
@@ -569,6 +601,7 @@ impl<M: LanguageModel> Scoring<M> {
                 self.cycle.score_again();
                 self.replaces_all = true;
             }
+            self.answer_about_habits()?;
             self.status.answer(|| self.tally())?;
             // Whoever asks meanwhile waits for the first scores of a changed map.
             if self.cycle.board().is_scored() {
@@ -576,6 +609,7 @@ impl<M: LanguageModel> Scoring<M> {
             }
             if self.queue.is_empty() {
                 self.cycle.tidy();
+                self.look_after_habits(now_ns);
             }
             self.busy.store(false, Ordering::Release);
         }
@@ -752,7 +786,7 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Answers questions about persons; returns whether somebody was forgotten or has another name.
     fn answer_about_persons(&mut self) -> Result<bool, IpcError> {
-        let Self { cycle, answered_persons, person_questions, journal, inbox, to_relief, busy, .. } = self;
+        let Self { cycle, answered_persons, person_questions, journal, keeper, inbox, to_relief, busy, .. } = self;
         let board = cycle.board_mut();
         let mut changed = false;
         person_questions.answer(|asked| {
@@ -766,7 +800,7 @@ impl<M: LanguageModel> Scoring<M> {
                 if id.is_some() {
                     lend_inbox(inbox, to_relief, busy);
                 }
-                let answer = answer_about_person(board, journal.as_ref(), asked);
+                let answer = answer_about_person(board, (journal.as_ref(), keeper.as_ref()), asked);
                 if let Some(id) = id {
                     changed |= answer.done;
                     tracing::info!(done = answer.done, reason = answer.reason, kept = answer.kept, "person");
@@ -777,6 +811,64 @@ impl<M: LanguageModel> Scoring<M> {
             serde_json::to_string(&answer).unwrap_or_default()
         })?;
         Ok(changed)
+    }
+
+    /// Answers questions about habits.
+    fn answer_about_habits(&mut self) -> Result<(), IpcError> {
+        let Self { cycle, answered_habits, importing, habits_questions, keeper, inbox, to_relief, busy, .. } = self;
+        let board = cycle.board_mut();
+        habits_questions.answer(|asked| {
+            let asked = asked.map_err(|error| error.to_string()).and_then(|text| {
+                let parser = &mut serde_json::Deserializer::from_str(text);
+                serde_path_to_error::deserialize::<_, HabitsQuestion>(parser).map_err(|error| error.to_string())
+            });
+            let id = asked.as_ref().ok().and_then(HabitsQuestion::id).map(str::to_owned);
+            let known = id.as_ref().and_then(|id| answered_habits.get(id)).cloned();
+            let answer = known.unwrap_or_else(|| {
+                lend_inbox(inbox, to_relief, busy);
+                let (mut answer, after) = habits_question::answer(board, importing, asked, clock::monotonic_ns());
+                answer.kept = keeper.is_some();
+                if after == After::Forget {
+                    if let Err(error) = write_habits(board, keeper.as_ref()) {
+                        answer.reason = Some(format!(
+                            "it holds until the daemon starts again: the habits file cannot be written: {error}"
+                        ));
+                        answer.kept = false;
+                    }
+                    tracing::info!(reason = answer.reason, kept = answer.kept, "habits were forgotten or replaced");
+                }
+                if let Some(id) = id {
+                    answered_habits.put(id, answer.clone());
+                }
+                answer
+            });
+            serde_json::to_string(&answer).unwrap_or_default()
+        })?;
+        Ok(())
+    }
+
+    /// Lets habits count time, and has them written now and then.
+    fn look_after_habits(&mut self, now_ns: u64) {
+        let board = self.cycle.board_mut();
+        board.tick(now_ns, clock::unix_ns());
+        let is_due = now_ns.saturating_sub(self.saved_ns) >= self.save_ns;
+        let Some(keeper) = self.keeper.as_ref().filter(|_| is_due) else { return };
+        self.saved_ns = now_ns;
+        if let Some(memory) = board.habits_mut().memory_if_changed()
+            && !keeper.write(memory)
+        {
+            board.habits_mut().keep_changed();
+        }
+    }
+
+    /// Writes what was learned, before the end.
+    fn finish_habits(&mut self) {
+        // What was observed last, too.
+        self.cycle.tidy();
+        let memory = self.cycle.board_mut().habits_mut().memory_if_changed();
+        if let Some(keeper) = &mut self.keeper {
+            keeper.finish(memory);
+        }
     }
 
     fn tally(&self) -> StatusResponseV1 {
@@ -824,7 +916,7 @@ fn lend_inbox(inbox: &mut Option<Box<Inbox>>, to_relief: &Sender<Box<Inbox>>, bu
 /// Does what was asked about persons, and says who is known then.
 fn answer_about_person<M: LanguageModel>(
     board: &mut Board<M>,
-    journal: Option<&JournalHandle>,
+    kept: (Option<&JournalHandle>, Option<&Keeper>),
     asked: Result<PersonQuestion, String>,
 ) -> PersonAnswer {
     let find = |board: &Board<M>, who: &str| {
@@ -839,7 +931,7 @@ fn answer_about_person<M: LanguageModel>(
             let person = find(board, &who)?;
             board.persons_mut().rename(person, &name).map(|()| None)
         }
-        PersonQuestion::Forget { who, .. } => find(board, &who).map(|person| forget(board, journal, person)),
+        PersonQuestion::Forget { who, .. } => find(board, &who).map(|person| forget(board, kept, person)),
     });
     let now_ns = i64::try_from(clock::monotonic_ns()).unwrap_or(i64::MAX);
     let (done, left) = (result.is_ok(), result.unwrap_or_else(Some));
@@ -848,7 +940,11 @@ fn answer_about_person<M: LanguageModel>(
 }
 
 /// Forgets a person, also on the disk; gives what could not be forgotten there.
-fn forget<M: LanguageModel>(board: &mut Board<M>, journal: Option<&JournalHandle>, person: u32) -> Option<String> {
+fn forget<M: LanguageModel>(
+    board: &mut Board<M>,
+    (journal, keeper): (Option<&JournalHandle>, Option<&Keeper>),
+    person: u32,
+) -> Option<String> {
     let names = board.persons().file().clone();
     let is_theirs = move |observation: &Observation| match &observation.name {
         Some(name) => names.number_of(name) == person,
@@ -857,8 +953,17 @@ fn forget<M: LanguageModel>(board: &mut Board<M>, journal: Option<&JournalHandle
     board.forget(person);
     let in_journal = journal.map_or(Ok(()), |journal| journal.forget(person, is_theirs, FORGET_PATIENCE));
     let in_file = board.persons_mut().file_mut().remove(person);
-    let error = in_journal.err().or(in_file.err())?;
+    let in_habits = write_habits(board, keeper);
+    let error = in_journal.err().or(in_file.err()).or(in_habits.err())?;
     Some(format!("they are forgotten until the daemon starts again: the state directory cannot be written: {error}"))
+}
+
+/// Writes what is left of what was learned after somebody was forgotten, and waits for it.
+fn write_habits<M: LanguageModel>(board: &mut Board<M>, keeper: Option<&Keeper>) -> std::io::Result<()> {
+    let Some(keeper) = keeper else { return Ok(()) };
+    let habits = board.habits_mut();
+    let Some(memory) = habits.memory_if_changed() else { return Ok(()) };
+    keeper.forget(memory, FORGET_PATIENCE).inspect_err(|_| habits.keep_changed())
 }
 
 /// Applies a change to the board, if it can be, and says what became of it.

@@ -1,0 +1,469 @@
+//! What the people of the home do, learned beside their forecasts: the daemon's use of [`Habits`]. No disk, no port; the clocks come in as
+//! numbers.
+//!
+//! Nothing is learned twice. What an observation is called ([`Name`]: source, epoch, sequence) is kept together with what was learned
+//! from it: of each start of a source the newest sequence. That holds whatever the clocks do, since no time is in it; over restarts, since
+//! both are written as one; and when the journal's older half goes, since only the names are compared that are still there. The journal
+//! has its observations in the order in which they were learned, so all up to the last one with a name that is kept were learned, and those
+//! behind it were not: a daemon that was killed learns these from its journal. Where the journal holds none of the names, nobody can tell,
+//! and nothing of it is learned.
+//!
+//! Hours of the day are local ones. Habits go by a clock that runs on with the monotonic one; where the wall clock is set, or the hour
+//! changes in spring and autumn, or the machine slept, their times are moved by as much, so that nobody seems to have stayed for that long.
+
+use std::collections::BTreeMap;
+
+use roomcast_core::forecast::Forecaster;
+use roomcast_core::grounding::Grounding;
+use roomcast_core::habits::{Habits, HabitsOptions, Learned, Place, StoredError, Turn, WhenShares};
+use roomcast_core::narration::Observation;
+use roomcast_core::pipeline::SOURCES_MAX;
+
+use super::board::HORIZONS_S;
+
+/// What an observation is called: source, epoch, sequence. No other has the same.
+pub(super) type Name = (u64, u64, u64);
+
+/// A difference between wall clock and monotonic clock that is more than the correction of a clock that runs.
+const CLOCK_SET_S: f64 = 30.0;
+/// How often time spent is counted.
+const TICK_NS: u64 = 60_000_000_000;
+/// A room counts as the one where something was done if the person is believed to be there with more than this.
+const SURE: f64 = 0.5;
+
+/// The local time zone.
+#[derive(Debug, Clone)]
+pub struct Zone(Option<tz::TimeZone>);
+
+impl Zone {
+    /// Without one: local time is UTC.
+    pub const UTC: Self = Self(None);
+
+    /// The machine's, from `TZ` or `/etc/localtime`; UTC where neither says one, and the log says so.
+    #[must_use]
+    pub fn local() -> Self {
+        let zone = tz::TimeZone::local();
+        if let Err(error) = &zone {
+            tracing::warn!(%error, "the local time zone cannot be read; hours of the day are those of UTC: set /etc/localtime or TZ");
+        }
+        Self(zone.ok())
+    }
+
+    /// Seconds since 1970 in local time.
+    fn local_s(&self, unix_ns: u64) -> f64 {
+        let unix_s = unix_ns / 1_000_000_000;
+        let zone = self.0.as_ref().zip(i64::try_from(unix_s).ok());
+        let offset_s = zone.and_then(|(zone, unix_s)| Some(zone.find_local_time_type(unix_s).ok()?.ut_offset()));
+        unix_ns as f64 / 1e9 + f64::from(offset_s.unwrap_or_default())
+    }
+}
+
+/// Names of what was learned: the newest sequence of each start of a source, as many as the intake follows, the newest last.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct Heard(Vec<Name>);
+
+impl Heard {
+    pub(super) fn new(names: impl IntoIterator<Item = Name>) -> Self {
+        let mut heard = Self::default();
+        names.into_iter().for_each(|name| _ = heard.note(name));
+        heard
+    }
+
+    pub(super) fn names(&self) -> &[Name] {
+        &self.0
+    }
+
+    fn has(&self, (source, epoch, sequence): Name) -> bool {
+        self.0.iter().any(|known| (known.0, known.1) == (source, epoch) && known.2 >= sequence)
+    }
+
+    /// Takes note of a name; says whether it is new.
+    fn note(&mut self, name: Name) -> bool {
+        if self.has(name) {
+            return false;
+        }
+        match self.0.iter().position(|known| (known.0, known.1) == (name.0, name.1)) {
+            Some(at) => _ = self.0.remove(at),
+            None if self.0.len() >= SOURCES_MAX => _ = self.0.remove(0),
+            None => {}
+        }
+        self.0.push(name);
+        true
+    }
+
+    /// How many of these, in their order, were learned.
+    fn learned_of(&self, observations: &[Observation]) -> usize {
+        let name = |observation: &Observation| (observation.source, observation.epoch, observation.sequence);
+        let last = observations.iter().rposition(|observation| self.has(name(observation)));
+        last.map_or(if self.0.is_empty() { 0 } else { observations.len() }, |last| last + 1)
+    }
+}
+
+/// What outlives the daemon.
+#[derive(Debug, Clone)]
+pub struct Memory {
+    /// What was learned.
+    pub habits: Habits,
+    /// Of which observations.
+    pub(super) heard: Heard,
+    /// Time spent was counted until then, in seconds since 1970, local time.
+    pub(super) watched_until_s: f64,
+}
+
+impl Memory {
+    /// Nothing yet.
+    #[must_use]
+    pub fn new(options: HabitsOptions) -> Self {
+        Self { habits: Habits::new(options), heard: Heard::default(), watched_until_s: f64::NEG_INFINITY }
+    }
+}
+
+/// Where one person will be.
+#[derive(Debug, Default)]
+struct Ahead {
+    /// Of when it is, and of which state of the habits; none where nothing is known.
+    of: Option<(u64, u64)>,
+    /// Per horizon and place, row by row; elsewhere comes last.
+    probability: Vec<f64>,
+    shares: Vec<WhenShares>,
+    /// How far the person is believed to be where the habits have them.
+    sure: f64,
+}
+
+/// Habits of the home in use.
+#[derive(Debug)]
+pub struct HomeHabits {
+    memory: Memory,
+    learn: bool,
+    zone: Zone,
+    /// The monotonic clock and the local time at the same moment.
+    clock: Option<(u64, f64)>,
+    /// What comes now was learned by a former run.
+    recalling: bool,
+    labels: usize,
+    ahead: BTreeMap<u32, Ahead>,
+    /// Grows with everything that changes a forecast.
+    state: u64,
+    ticked_ns: u64,
+    changed: bool,
+    /// Persons whose scores are new.
+    rescored: Vec<u32>,
+    /// Working memory: the model's labels, and forecasts without this home.
+    model: Vec<f64>,
+    shipped: Vec<f64>,
+}
+
+impl Default for HomeHabits {
+    /// Learns nothing and knows nothing.
+    fn default() -> Self {
+        Self::new(Memory::new(HabitsOptions { learn: false, ..HabitsOptions::default() }), Zone::UTC)
+    }
+}
+
+impl HomeHabits {
+    /// With what was learned before.
+    #[must_use]
+    pub fn new(memory: Memory, zone: Zone) -> Self {
+        Self {
+            learn: memory.habits.options().learn,
+            memory,
+            zone,
+            clock: None,
+            recalling: false,
+            labels: 0,
+            ahead: BTreeMap::new(),
+            state: 0,
+            ticked_ns: 0,
+            changed: false,
+            rescored: Vec::new(),
+            model: Vec::new(),
+            shipped: Vec::new(),
+        }
+    }
+
+    /// Nothing is learned, and nothing is known.
+    fn is_idle(&self) -> bool {
+        !self.learn && !self.is_known()
+    }
+
+    fn is_known(&self) -> bool {
+        let learned = self.memory.habits.learned();
+        learned.counts > 0 || learned.observations > 0.0
+    }
+
+    fn changes(&mut self) {
+        self.state += 1;
+        self.changed = true;
+    }
+
+    /// Takes up a map.
+    pub(super) fn bind(&mut self, grounding: &Grounding) {
+        self.memory.habits.bind_to(grounding);
+        self.labels = grounding.scored_labels().len();
+        self.ahead.clear();
+        self.state += 1;
+    }
+
+    /// Takes note of the time.
+    pub(super) fn set_clock(&mut self, now_ns: u64, now_unix_ns: u64) {
+        if self.is_idle() {
+            return;
+        }
+        let local_s = self.zone.local_s(now_unix_ns);
+        if let Some((then_ns, then_s)) = self.clock {
+            let set_s = local_s - then_s - (now_ns as f64 - then_ns as f64) / 1e9;
+            if set_s.abs() > CLOCK_SET_S {
+                self.memory.habits.shift_clock(set_s);
+                self.state += 1;
+            }
+        }
+        self.clock = Some((now_ns, local_s));
+    }
+
+    /// Seconds since 1970 in local time, of a time of the monotonic clock.
+    fn local_s(&self, at_ns: i64) -> Option<f64> {
+        self.clock.map(|(now_ns, local_s)| local_s + (at_ns as f64 - now_ns as f64) / 1e9)
+    }
+
+    /// Observations of a former run come: how many of them were learned by it.
+    pub(super) fn begin_recall(&mut self, observations: &[Observation], now_ns: u64, now_unix_ns: u64) -> usize {
+        self.set_clock(now_ns, now_unix_ns);
+        self.recalling = true;
+        self.memory.heard.learned_of(observations)
+    }
+
+    /// Those that were learned are over; what comes was not learned, though it was observed before.
+    pub(super) fn end_recall(&mut self) {
+        if std::mem::take(&mut self.recalling) {
+            let until_s = self.memory.watched_until_s.min(self.clock.map_or(f64::INFINITY, |(_, now_s)| now_s));
+            self.memory.habits.pass(until_s);
+        }
+    }
+
+    /// All of them have come: nobody watched between the last one and now.
+    pub(super) fn end_restore(&mut self) {
+        self.end_recall();
+        if let Some((_, now_s)) = self.clock {
+            self.memory.habits.pass(now_s);
+        }
+    }
+
+    /// Whether something is to be learned of an observation; takes note of it.
+    fn learns(&mut self, name: Name) -> bool {
+        let new = self.memory.heard.note(name);
+        let learns = self.learn && new && !self.recalling;
+        if new && !self.recalling {
+            self.changes();
+        }
+        self.state += 1;
+        learns
+    }
+
+    /// Somebody did something with the label that was mentioned, if any; `own` knows it already.
+    pub(super) fn turned(&mut self, name: Name, person: u32, at_ns: i64, mention: Option<usize>, own: &Forecaster) {
+        let Some(at_s) = self.local_s(at_ns).filter(|_| !self.is_idle()) else { return };
+        let learns = self.learns(name);
+        let label = mention.filter(|label| *label < self.labels);
+        let (likeliest, sure) = likeliest(own.belief());
+        let was_out = self.memory.habits.place(person) == Some(Place::Elsewhere);
+        let habits = &mut self.memory.habits;
+        habits.set_learning(learns);
+        let room = likeliest.filter(|_| label.is_some() && sure > SURE);
+        habits.observe(&Turn { person, label, room, at_s, mark: 0 });
+        // Whoever does something is in the house.
+        if let Some(room) = likeliest.filter(|_| was_out && room.is_none()) {
+            habits.be(person, Place::Room(room), at_s);
+        }
+        habits.set_learning(self.learn);
+    }
+
+    /// Somebody is in the house, in a room if one was told, or out of it; `own` knows it already.
+    pub(super) fn is_in(&mut self, name: Name, person: u32, at_ns: i64, told: Option<Place>, own: Option<&Forecaster>) {
+        let Some(at_s) = self.local_s(at_ns).filter(|_| !self.is_idle()) else { return };
+        let learns = self.learns(name);
+        let was_out = self.memory.habits.place(person) == Some(Place::Elsewhere);
+        let back = || likeliest(own?.belief()).0.filter(|_| was_out).map(Place::Room);
+        let habits = &mut self.memory.habits;
+        habits.set_learning(learns);
+        if let Some(place) = told.or_else(back) {
+            habits.be(person, place, at_s);
+        }
+        habits.set_learning(self.learn);
+    }
+
+    /// Nobody follows a person any more: they left when they were last told of.
+    pub(super) fn lose(&mut self, person: u32) {
+        self.ahead.remove(&person);
+        if self.memory.habits.place(person).is_some() {
+            self.memory.habits.set_learning(false);
+            self.memory.habits.be(person, Place::Elsewhere, f64::NEG_INFINITY);
+            self.memory.habits.set_learning(self.learn);
+        }
+    }
+
+    /// These persons' scores are new.
+    pub(super) fn rescored(&mut self, persons: &[u32]) {
+        if !self.is_idle() {
+            self.rescored.extend_from_slice(persons);
+        }
+    }
+
+    /// Whose scores are new, one after the other.
+    pub(super) fn next_rescored(&mut self) -> Option<u32> {
+        self.rescored.pop()
+    }
+
+    /// What the model says that a person turns to next, after what was observed at `at_ns`: per label its log-probability in nats, per
+    /// room its probability.
+    pub(super) fn look_ahead(&mut self, person: u32, at_ns: i64, labels_nats: &[f64], rooms: &[f64]) {
+        let fits = labels_nats.len() == self.labels && rooms.len() + 1 == self.memory.habits.places();
+        let Some(at_s) = self.local_s(at_ns).filter(|_| fits) else { return };
+        let most_nats = labels_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        self.model.clear();
+        self.model.extend(labels_nats.iter().map(|nats| (nats - most_nats).exp()));
+        self.memory.habits.mix(person, at_s, &self.model);
+        self.memory.habits.next_rooms(person, at_s, rooms);
+        self.state += 1;
+    }
+
+    /// Whether time spent is to be counted.
+    pub(super) fn is_tick_due(&self, now_ns: u64) -> bool {
+        !self.is_idle() && now_ns.saturating_sub(self.ticked_ns) >= TICK_NS
+    }
+
+    /// Time passes for everybody who is followed.
+    pub(super) fn tick(&mut self, now_ns: u64, now_unix_ns: u64, followed: &BTreeMap<u32, Forecaster>) {
+        self.set_clock(now_ns, now_unix_ns);
+        self.ticked_ns = now_ns;
+        let Some((_, now_s)) = self.clock else { return };
+        let from_s = now_ns as f64 / 1e9;
+        for (person, own) in followed {
+            if self.memory.habits.place(*person).is_some() {
+                self.memory.habits.tick(*person, now_s, &mut |ahead_s, out| write_shipped(own, from_s, ahead_s, out));
+            }
+        }
+        self.changed |= self.learn && !followed.is_empty();
+        self.state += 1;
+    }
+
+    /// Where a person will be: per horizon of the messages and place, row by row, elsewhere last. None where the forecast without habits is
+    /// all there is.
+    pub(super) fn forecast(&mut self, person: u32, own: &Forecaster, now_ns: u64) -> Option<&[f64]> {
+        let now_s = self.local_s(i64::try_from(now_ns).unwrap_or(i64::MAX)).filter(|_| !self.is_idle())?;
+        let of = (now_ns, self.state);
+        let ahead = self.ahead.entry(person).or_default();
+        if ahead.of != Some(of) {
+            ahead.of = None;
+            let from_s = now_ns as f64 / 1e9;
+            let out = own.elsewhere(from_s, 0.0);
+            let sure = match self.memory.habits.place(person)? {
+                Place::Elsewhere => out,
+                Place::Room(room) => (1.0 - out) * own.belief().get(room).copied().unwrap_or_default(),
+            };
+            let places = self.memory.habits.places();
+            if own.belief().len() + 1 != places || sure <= 0.0 {
+                return None;
+            }
+            self.shipped.clear();
+            self.shipped.resize(HORIZONS_S.len() * places, 0.0);
+            for (row, ahead_s) in self.shipped.chunks_exact_mut(places).zip(HORIZONS_S) {
+                write_shipped(own, from_s, f64::from(ahead_s), row);
+            }
+            let horizons_s = HORIZONS_S.map(f64::from);
+            let Ahead { probability, shares, .. } = ahead;
+            self.memory.habits.at_times(person, (now_s, &horizons_s), &self.shipped, probability, shares);
+            for (p, shipped) in probability.iter_mut().zip(&self.shipped) {
+                *p = sure * *p + (1.0 - sure) * shipped;
+            }
+            (ahead.sure, ahead.of) = (sure, Some(of));
+        }
+        Some(&ahead.probability)
+    }
+
+    /// How much of a person's latest forecast is from where, by horizon: of the whole, where the habits are sure of the person's place.
+    pub(super) fn shares(&self, person: u32) -> Option<(f64, &[WhenShares])> {
+        let ahead = self.ahead.get(&person).filter(|ahead| ahead.of.is_some())?;
+        Some((ahead.sure, &ahead.shares))
+    }
+
+    /// Forgets a person; says whether anything was known.
+    pub(super) fn forget(&mut self, person: u32) -> bool {
+        self.ahead.remove(&person);
+        self.changes();
+        self.memory.habits.forget(person)
+    }
+
+    /// Replaces what was learned, but not of what; a map is to be bound next.
+    pub(super) fn replace(&mut self, habits: Habits) {
+        self.memory.habits = habits;
+        self.memory.habits.set_learning(self.learn);
+        self.changes();
+    }
+
+    /// Forgets everybody; a map is to be bound next.
+    pub(super) fn forget_all(&mut self) {
+        self.replace(Habits::new(*self.memory.habits.options()));
+    }
+
+    /// What was learned, as JSON.
+    pub(super) fn to_json(&self) -> Result<String, StoredError> {
+        self.memory.habits.to_json()
+    }
+
+    /// Takes up what another run, or another home, has learned, in place of what this one has.
+    pub(super) fn take_json(&mut self, json: &str) -> Result<(), StoredError> {
+        let habits = Habits::from_json(*self.memory.habits.options(), json)?;
+        self.replace(habits);
+        Ok(())
+    }
+
+    /// How much is known.
+    #[must_use]
+    pub fn learned(&self) -> Learned {
+        self.memory.habits.learned()
+    }
+
+    /// Whether anything is learned.
+    #[must_use]
+    pub fn learns_now(&self) -> bool {
+        self.learn
+    }
+
+    /// Persons of whom something is known, with the number of observations.
+    #[must_use]
+    pub fn persons(&self) -> Vec<(u32, f64)> {
+        self.memory.habits.persons().collect()
+    }
+
+    /// What is to be written, if anything has changed since this was asked last.
+    pub(super) fn memory_if_changed(&mut self) -> Option<Memory> {
+        if !std::mem::take(&mut self.changed) {
+            return None;
+        }
+        let watched_until_s = self.clock.map_or(self.memory.watched_until_s, |(_, now_s)| now_s);
+        self.memory.watched_until_s = watched_until_s;
+        Some(self.memory.clone())
+    }
+
+    /// It could not be written: it is to be asked for again.
+    pub(super) fn keep_changed(&mut self) {
+        self.changed = true;
+    }
+}
+
+/// The likeliest room, and its probability.
+fn likeliest(belief: &[f64]) -> (Option<usize>, f64) {
+    let best = (0..belief.len()).max_by(|a, b| belief[*a].total_cmp(&belief[*b]));
+    (best, best.map_or(0.0, |best| belief[best]))
+}
+
+/// What the forecast without habits says; elsewhere comes last.
+fn write_shipped(own: &Forecaster, now_s: f64, ahead_s: f64, out: &mut [f64]) {
+    let Some((elsewhere, rooms)) = out.split_last_mut() else { return };
+    rooms.fill(0.0);
+    rooms.iter_mut().zip(own.at(now_s, ahead_s)).for_each(|(p, own)| *p = own);
+    *elsewhere = own.elsewhere(now_s, ahead_s);
+}
+
+#[cfg(test)]
+mod tests;

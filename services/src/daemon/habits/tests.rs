@@ -1,0 +1,343 @@
+use roomcast_core::grounding::GroundingOptions;
+use roomcast_core::narration::{PresenceStatement, Said, Sentence};
+use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::scorer::table::TableModel;
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::semantic_map::delta::parse_changes;
+use roomcast_ipc::Message;
+
+use super::super::{Board, Entry};
+use super::*;
+
+const S: u64 = 1_000_000_000;
+const TWO_ROOMS: &str = include_str!("../../../../tests/data/two_rooms.json");
+/// A Monday, in seconds since 1970.
+const MONDAY_S: u64 = 1_704_067_200;
+const DAY_S: u64 = 86_400;
+const H: u64 = 3_600;
+/// The monotonic clock then.
+const BEGIN_NS: u64 = 1_000 * S;
+/// Indices of the rooms.
+const KITCHEN: usize = 0;
+const LIVING_ROOM: usize = 1;
+/// Horizons of the messages: a quarter of an hour, and an hour.
+const QUARTER: usize = 13;
+const HOUR: usize = 15;
+
+fn options(learn: bool) -> HabitsOptions {
+    HabitsOptions { learn, ..HabitsOptions::default() }
+}
+
+fn board(home: Option<HomeHabits>) -> Board<TableModel> {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let options = GroundingOptions::default();
+    let grounding = Grounding::new(&map, &options).unwrap();
+    let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+    let board = Board::new(pipeline, map, options, 1).unwrap();
+    match home {
+        Some(home) => board.with_habits(home),
+        None => board,
+    }
+}
+
+/// A daemon without threads, its journal, and its clocks.
+struct House {
+    board: Board<TableModel>,
+    journal: Vec<Observation>,
+    now_ns: u64,
+    /// Wall clock less monotonic clock.
+    unix_ns: u64,
+}
+
+impl House {
+    fn new(learn: bool) -> Self {
+        let board = board(Some(HomeHabits::new(Memory::new(options(learn)), Zone::UTC)));
+        Self { board, journal: Vec::new(), now_ns: BEGIN_NS, unix_ns: MONDAY_S * S - BEGIN_NS }
+    }
+
+    /// Time passes until so many seconds after the Monday began, with a look every minute.
+    fn until(&mut self, at_s: u64) {
+        let until_ns = BEGIN_NS + at_s * S;
+        while self.now_ns < until_ns {
+            self.now_ns = until_ns.min(self.now_ns + 60 * S);
+            self.board.tick(self.now_ns, self.now_ns + self.unix_ns);
+        }
+    }
+
+    fn say(&mut self, person: u32, at_s: u64, text: &str) {
+        self.until(at_s);
+        let statement = PresenceStatement::parse(text).map(Said::Presence);
+        let said = statement.unwrap_or_else(|_| Said::of(Sentence::new(text).unwrap()));
+        let observation = Observation {
+            person,
+            source: 7,
+            epoch: 1,
+            observed_ns: self.now_ns,
+            observed_unix_ns: self.now_ns + self.unix_ns,
+            said,
+            ..Observation::of(self.journal.len() as u64 + 1, Sentence::new("They wait.").unwrap())
+        };
+        self.journal.push(observation.clone());
+        let entry = Entry::new(observation, self.now_ns);
+        self.board.step([entry], self.now_ns, self.now_ns + self.unix_ns).unwrap();
+        self.board.tell_outcomes(|_| {});
+        self.board.tidy();
+    }
+
+    /// A day: the living room from seven, the kitchen half an hour later, out from nine to five, and then in the kitchen.
+    fn day(&mut self, person: u32, day: u64) {
+        let midnight_s = day * DAY_S;
+        for (hour, minute, text) in [
+            (7, 0, "They sit on the sofa."),
+            (7, 10, "They stand up."),
+            (7, 30, "They grab the coffee maker."),
+            (7, 40, "They open the fridge."),
+            (9, 0, "away"),
+            (17, 0, "They open the fridge."),
+        ] {
+            self.say(person, midnight_s + hour * H + minute * 60, text);
+        }
+    }
+
+    /// What is kept when the daemon is killed now.
+    fn memory(&mut self) -> Memory {
+        self.board.tidy();
+        self.board.habits_mut().keep_changed();
+        self.board.habits_mut().memory_if_changed().unwrap()
+    }
+
+    /// The daemon starts again with what was kept.
+    fn restart(&mut self, memory: Memory) {
+        let home = HomeHabits::new(memory, Zone::UTC);
+        self.board = board(Some(home));
+        self.board.restore(self.journal.clone(), Vec::new(), self.now_ns, self.now_ns + self.unix_ns);
+        self.board.step([], self.now_ns, self.now_ns + self.unix_ns).unwrap();
+    }
+
+    fn observations(&self) -> f64 {
+        self.board.habits().learned().observations
+    }
+
+    /// Per place (elsewhere last) the probability that a person is there at a horizon.
+    fn ahead(&mut self, person: u32, horizon: usize) -> [f32; 3] {
+        self.board.person_scores(self.now_ns);
+        let told = *self.board.person_forecasts(self.now_ns);
+        told.check().unwrap();
+        let own = told.persons().iter().find(|own| own.person == person).unwrap();
+        let p = [own.probability[KITCHEN][horizon], own.probability[LIVING_ROOM][horizon], own.elsewhere[horizon]];
+        assert!((p.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{p:?}");
+        p
+    }
+}
+
+/// What is told of everybody and of each person, without what names the moment.
+fn told(board: &mut Board<TableModel>, now_ns: u64) -> (roomcast_ipc::ForecastV1, roomcast_ipc::PersonForecastsV1) {
+    (*board.forecast(now_ns), *board.person_forecasts(now_ns))
+}
+
+/// The same daemon without habits.
+fn without_habits(house: &House) -> Board<TableModel> {
+    let mut plain = board(None);
+    for observation in house.journal.clone() {
+        let now_ns = observation.observed_ns;
+        plain.step([Entry::new(observation, now_ns)], now_ns, now_ns + house.unix_ns).unwrap();
+        plain.tell_outcomes(|_| {});
+        plain.tidy();
+        plain.person_scores(now_ns);
+    }
+    plain
+}
+
+/// Row "as today": a daemon that may not learn and knows nothing forecasts to the bit what one without habits does.
+#[test]
+fn without_learning_nothing_changes() {
+    let mut house = House::new(false);
+    for day in 0..2 {
+        for person in 1..3 {
+            house.day(person, 2 * day + u64::from(person) - 1);
+        }
+    }
+    let mut plain = without_habits(&house);
+    for later_s in [0, 7, 100, 4_000] {
+        let now_ns = house.now_ns + later_s * S;
+        assert_eq!(told(&mut house.board, now_ns), told(&mut plain, now_ns));
+    }
+    assert_eq!(house.board.habits().learned().counts, 0);
+    assert!(house.board.habits_mut().memory_if_changed().is_none(), "there is nothing to write");
+}
+
+#[test]
+fn a_routine_becomes_the_forecast_and_is_forgotten() {
+    let mut house = House::new(true);
+    for day in 0..14 {
+        house.day(3, day);
+    }
+    house.say(3, 14 * DAY_S + 7 * H, "They sit on the sofa.");
+    house.until(14 * DAY_S + 7 * H + 1_200);
+    let known = house.ahead(3, QUARTER);
+    let shipped = without_habits(&house).forecast(house.now_ns).probability[KITCHEN][QUARTER];
+    assert!(known[KITCHEN] > shipped + 0.2 && known[KITCHEN] > 0.5, "{known:?} {shipped}");
+    // One person is all of them.
+    let all = *house.board.forecast(house.now_ns);
+    assert!((all.probability[KITCHEN][QUARTER] - known[KITCHEN]).abs() < 1e-6);
+    let (sure, shares) = house.board.habits().shares(3).unwrap();
+    assert!(sure > 0.5 && shares[QUARTER].shipped < 0.2, "{sure} {shares:?}");
+    // Out of the house, the person is back at five, as always.
+    house.say(3, 14 * DAY_S + 9 * H, "away");
+    house.until(14 * DAY_S + 12 * H);
+    let at_noon = house.ahead(3, HOUR)[2];
+    house.until(14 * DAY_S + 17 * H - 120);
+    let soon_back = house.ahead(3, HOUR)[2];
+    assert!(soon_back < at_noon - 0.05, "{at_noon} {soon_back}");
+    assert!(house.ahead(3, 0)[2] > 0.9);
+
+    assert!(house.board.habits_mut().forget(3));
+    assert!(!house.board.habits_mut().forget(3));
+    let (now_ns, mut plain) = (house.now_ns, without_habits(&house));
+    assert_eq!(told(&mut house.board, now_ns), told(&mut plain, now_ns));
+}
+
+/// Whenever the daemon is killed, and however long before that it wrote, everything is learned once.
+#[test]
+fn nothing_is_learned_twice() {
+    let mut house = House::new(true);
+    house.day(3, 0);
+    let sentences = house.observations();
+    assert!(sentences >= 4.0, "{sentences}");
+    let minutes = |house: &House| house.board.habits().learned();
+    // Killed before anything was written: the journal has it all.
+    let nothing = Memory::new(options(true));
+    house.restart(nothing.clone());
+    assert_eq!(house.observations(), sentences);
+    // Killed again and again, with everything written.
+    for _ in 0..3 {
+        let memory = house.memory();
+        let before = memory.habits.to_json().unwrap();
+        house.restart(memory);
+        assert_eq!(house.observations(), sentences);
+        assert_eq!(house.board.habits().to_json().unwrap(), before);
+    }
+    // Written in between.
+    let early = house.memory();
+    house.day(3, 1);
+    let (all, learned) = (house.observations(), minutes(&house));
+    assert!(all > sentences);
+    house.restart(early.clone());
+    assert_eq!(house.observations(), all);
+    assert_eq!(minutes(&house).names, learned.names);
+    // A narrator that says again what the journal lost with the machine's power teaches nothing.
+    let late = house.memory();
+    let again = house.journal.pop().unwrap();
+    house.restart(late);
+    house.board.step([Entry::new(again.clone(), house.now_ns)], house.now_ns, house.now_ns + house.unix_ns).unwrap();
+    house.board.tidy();
+    house.journal.push(again);
+    assert_eq!(house.observations(), all);
+    // The journal's older half is gone, and its newer one, too: nobody can tell.
+    house.journal.drain(..3);
+    let memory = house.memory();
+    house.restart(memory);
+    assert_eq!(house.observations(), all);
+    for (sequence, observation) in (100..).zip(&mut house.journal) {
+        (observation.epoch, observation.sequence) = (9, sequence);
+    }
+    let memory = house.memory();
+    house.restart(memory);
+    assert_eq!(house.observations(), all);
+}
+
+/// Time without a daemon, or with a clock that is set, is no time spent.
+#[test]
+fn time_that_nobody_watched_is_not_counted() {
+    let mut house = House::new(true);
+    for day in 0..5 {
+        house.day(3, day);
+    }
+    house.say(3, 5 * DAY_S + 7 * H, "They sit on the sofa.");
+    let stays = |house: &mut House| house.board.habits().to_json().unwrap();
+    let memory = house.memory();
+    let before = memory.habits.to_json().unwrap();
+    // Twenty minutes without a daemon.
+    house.now_ns += 1_200 * S;
+    house.restart(memory);
+    assert_eq!(stays(&mut house), before);
+    // The clock is set by half a day; a minute later a minute has passed.
+    let minute = |house: &mut House| {
+        house.now_ns += 60 * S;
+        house.board.tick(house.now_ns, house.now_ns + house.unix_ns);
+    };
+    house.unix_ns += 12 * H * S;
+    minute(&mut house);
+    let set = house.ahead(3, 0);
+    assert!(set[LIVING_ROOM] > 0.5, "{set:?}");
+    house.unix_ns -= 400 * DAY_S * S;
+    (0..10).for_each(|_| minute(&mut house));
+    let at_home: f32 = house.ahead(3, 0)[..2].iter().sum();
+    assert!(at_home > 0.9, "{at_home}");
+}
+
+#[test]
+fn habits_survive_a_change_of_the_map() {
+    let mut house = House::new(true);
+    for day in 0..5 {
+        house.day(3, day);
+    }
+    house.say(3, 5 * DAY_S + 7 * H, "They sit on the sofa.");
+    let learned = house.observations();
+    let before = house.ahead(3, QUARTER);
+    let hall = r#"[{"change": "add-room", "room": {"id": "hall", "label": "hall", "box": {"min_m": [9, 0, 0], "max_m": [12, 3, 2.5]}}}]"#;
+    let map = house.board.map().changed(parse_changes(hall).unwrap()).unwrap();
+    house.board.change_map(map).unwrap();
+    house.say(3, 5 * DAY_S + 7 * H + 10, "They sit on the sofa.");
+    assert_eq!(house.observations(), learned + 1.0);
+    let forecast = *house.board.person_forecasts(house.now_ns);
+    let own = forecast.persons()[0];
+    assert!((own.probability[LIVING_ROOM][QUARTER] - before[LIVING_ROOM]).abs() < 0.2);
+    assert!(own.probability[2][QUARTER] < 0.1);
+}
+
+#[test]
+fn what_is_exported_teaches_another_home() {
+    let mut house = House::new(true);
+    for day in 0..7 {
+        house.day(3, day);
+    }
+    let json = house.board.habits().to_json().unwrap();
+    let mut other = House::new(false);
+    other.say(3, 7 * DAY_S + 7 * H, "They sit on the sofa.");
+    other.until(7 * DAY_S + 7 * H + 1_200);
+    let before = other.ahead(3, QUARTER);
+    other.board.habits_mut().take_json(&json).unwrap();
+    other.board.bind_habits();
+    other.say(3, 7 * DAY_S + 7 * H + 1_210, "They stand up.");
+    other.say(3, 7 * DAY_S + 7 * H + 1_220, "They sit on the sofa.");
+    let after = other.ahead(3, QUARTER);
+    assert!(after[KITCHEN] != before[KITCHEN], "{before:?} {after:?}");
+    assert_eq!(other.board.habits().to_json().unwrap(), json, "nothing is learned");
+    assert!(other.board.habits_mut().take_json("{}").is_err());
+    assert_eq!(other.board.habits().to_json().unwrap(), json);
+    other.board.habits_mut().forget_all();
+    other.board.bind_habits();
+    assert_eq!(other.board.habits().learned().counts, 0);
+}
+
+#[test]
+fn an_hour_is_a_local_one() {
+    let zone = Zone(tz::TimeZone::from_posix_tz("CET-1CEST,M3.5.0,M10.5.0/3").ok());
+    // 2024-03-31: at 1:00 UTC it becomes 3:00.
+    let night_s = 1_711_846_800;
+    assert_eq!(zone.local_s((night_s - 60) * S), (night_s - 60 + H) as f64);
+    assert_eq!(zone.local_s((night_s + 60) * S), (night_s + 60 + 2 * H) as f64);
+    assert_eq!(Zone::UTC.local_s(night_s * S), night_s as f64);
+}
+
+#[test]
+fn of_each_start_of_a_source_the_newest_sequence_is_kept() {
+    let mut heard = Heard::default();
+    assert!(heard.note((1, 1, 5)) && !heard.note((1, 1, 5)) && !heard.note((1, 1, 4)) && heard.note((1, 2, 1)));
+    for source in 0..2 * SOURCES_MAX as u64 {
+        assert!(heard.note((100 + source, 1, 1)));
+    }
+    assert_eq!(heard.names().len(), SOURCES_MAX);
+    assert_eq!(Heard::new(heard.names().iter().copied()), heard);
+}

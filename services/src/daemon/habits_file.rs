@@ -1,0 +1,313 @@
+//! What was learned of the home, on disk: one file in the state directory, mode 0600, replaced whole or not at all, by a thread of its own.
+//!
+//! | bytes | what |
+//! | --- | --- |
+//! | 8 | `RCHOME1` and a line feed |
+//! | 4 | CRC-32 of all that follows |
+//! | 8 | until when time spent was counted, in seconds since 1970, local time |
+//! | 4, then 24 each | names of observations that were learned: source, epoch, sequence |
+//! | the rest | counts of names and hours, as [`roomcast_core::habits`] writes them, with a version and a checksum of their own |
+//!
+//! Integers are little endian. A file that cannot be used is set aside under [`ASIDE`], and the log says what is lost.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crossbeam::channel::{Receiver, Sender, bounded};
+use roomcast_core::habits::{BYTES_MAX, Habits, HabitsOptions};
+
+use super::habits::{Heard, Memory};
+use super::journal::sync_folder;
+
+/// The file in the state directory.
+const FILE: &str = "habits";
+/// A file that could not be used.
+const ASIDE: &str = "habits.damaged";
+const MAGIC: &[u8; 8] = b"RCHOME1\n";
+/// Most names that are read.
+const NAMES_MAX: u32 = 4_096;
+
+/// The place of the file.
+#[derive(Debug, Clone)]
+pub struct HabitsFile {
+    directory: PathBuf,
+    /// It is there and cannot be read or set aside: what may be in it must not be lost.
+    unusable: bool,
+}
+
+impl HabitsFile {
+    /// Reads what was learned. Without a file nothing was; with one that cannot be used, as well, and the log says why.
+    #[must_use]
+    pub fn load(directory: &Path, options: HabitsOptions) -> (Self, Memory) {
+        let path = directory.join(FILE);
+        let mut unusable = false;
+        let read = || -> io::Result<Result<Memory, String>> {
+            let most = BYTES_MAX as u64 + 24 * u64::from(NAMES_MAX) + 24;
+            if fs::metadata(&path)?.len() > most {
+                return Ok(Err(format!("it has more than {most} bytes")));
+            }
+            Ok(parse(&fs::read(&path)?, options))
+        };
+        let memory = match read() {
+            Ok(Ok(memory)) => Some(memory),
+            Ok(Err(reason)) => {
+                unusable = fs::rename(&path, directory.join(ASIDE)).is_err();
+                tracing::warn!(
+                    reason,
+                    path = %path.display(),
+                    "the habits file cannot be used: what was learned of the home is lost, but for what the journal holds; it is set aside as {ASIDE}"
+                );
+                None
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+            Err(error) => {
+                unusable = true;
+                tracing::warn!(%error, path = %path.display(), "the habits file cannot be read: the daemon begins without what was learned, and does not write the file");
+                None
+            }
+        };
+        let directory = directory.to_owned();
+        (Self { directory, unusable }, memory.unwrap_or_else(|| Memory::new(options)))
+    }
+
+    /// Puts what was learned in place of what the file holds.
+    ///
+    /// # Errors
+    /// When the state directory cannot be written, or the file was not readable at the start.
+    pub fn write(&self, memory: &Memory) -> io::Result<()> {
+        if self.unusable {
+            return Err(io::Error::other(
+                "the habits file could not be used at the start; repair or remove it, and start the daemon again",
+            ));
+        }
+        let path = self.directory.join(FILE);
+        // Others may not read it: a temporary file's mode is 0600.
+        let mut file = tempfile::NamedTempFile::new_in(&self.directory)?;
+        file.write_all(&bytes(memory))?;
+        file.as_file().sync_all()?;
+        file.persist(&path).map_err(|error| error.error)?;
+        sync_folder(&path)
+    }
+
+    /// Removes a file that was set aside: what it holds of somebody cannot be taken out of it.
+    ///
+    /// # Errors
+    /// When the state directory cannot be written.
+    pub fn remove_aside(&self) -> io::Result<()> {
+        match fs::remove_file(self.directory.join(ASIDE)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+            _ => Ok(()),
+        }
+    }
+}
+
+fn bytes(memory: &Memory) -> Vec<u8> {
+    let names = memory.heard.names();
+    let mut body = memory.watched_until_s.to_le_bytes().to_vec();
+    body.extend_from_slice(&(names.len() as u32).to_le_bytes());
+    for (source, epoch, sequence) in names {
+        [source, epoch, sequence].into_iter().for_each(|number| body.extend_from_slice(&number.to_le_bytes()));
+    }
+    body.extend_from_slice(&memory.habits.to_bytes());
+    let mut bytes = MAGIC.to_vec();
+    bytes.extend_from_slice(&crc32fast::hash(&body).to_le_bytes());
+    bytes.append(&mut body);
+    bytes
+}
+
+/// Reads and checks what [`bytes`] made.
+fn parse(bytes: &[u8], options: HabitsOptions) -> Result<Memory, String> {
+    fn take<'a, const N: usize>(rest: &mut &'a [u8]) -> Result<&'a [u8; N], String> {
+        let (taken, after) = rest.split_first_chunk().ok_or("it ends early")?;
+        *rest = after;
+        Ok(taken)
+    }
+    let mut rest = bytes;
+    if take::<8>(&mut rest)? != MAGIC {
+        return Err("it does not begin as one of this version".to_owned());
+    }
+    if u32::from_le_bytes(*take(&mut rest)?) != crc32fast::hash(rest) {
+        return Err("its checksum is wrong".to_owned());
+    }
+    let watched_until_s = f64::from_le_bytes(*take(&mut rest)?);
+    let count = u32::from_le_bytes(*take(&mut rest)?);
+    if count > NAMES_MAX || watched_until_s.is_nan() {
+        return Err("it says something impossible".to_owned());
+    }
+    let mut names = Vec::new();
+    for _ in 0..count {
+        let mut number = || Ok::<_, String>(u64::from_le_bytes(*take(&mut rest)?));
+        names.push((number()?, number()?, number()?));
+    }
+    let habits = Habits::from_bytes(options, rest).map_err(|error| error.to_string())?;
+    Ok(Memory { habits, heard: Heard::new(names), watched_until_s })
+}
+
+/// What the keeper is to do.
+enum Work {
+    Write(Box<Memory>),
+    /// The same after somebody was forgotten: nothing of them is to be left. Says whether that went well.
+    Forget(Box<Memory>, Sender<io::Result<()>>),
+}
+
+/// Writes the file beside the scoring, whose thread waits for no disk.
+#[derive(Debug)]
+pub(super) struct Keeper {
+    work: Option<Sender<Work>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Keeper {
+    /// Starts the thread.
+    pub(super) fn start(file: HabitsFile) -> io::Result<Self> {
+        let (work, queue) = bounded(1);
+        let thread = std::thread::Builder::new().name("habits".to_owned()).spawn(move || run(&file, &queue))?;
+        Ok(Self { work: Some(work), thread: Some(thread) })
+    }
+
+    /// Hands over what is to be written, unless the last one waits still.
+    pub(super) fn write(&self, memory: Memory) -> bool {
+        self.work.as_ref().is_some_and(|work| work.try_send(Work::Write(Box::new(memory))).is_ok())
+    }
+
+    /// Hands over the last one, and waits until all is written.
+    pub(super) fn finish(&mut self, memory: Option<Memory>) {
+        if let (Some(work), Some(memory)) = (&self.work, memory) {
+            // It fails only when the thread is gone, which has said so.
+            let _handed = work.send(Work::Write(Box::new(memory)));
+        }
+        drop(self.work.take());
+        if let Some(thread) = self.thread.take() {
+            let _ended = thread.join();
+        }
+    }
+
+    /// Writes what is left after somebody was forgotten, within `patience`.
+    pub(super) fn forget(&self, memory: Memory, patience: Duration) -> io::Result<()> {
+        let (done, answer) = bounded(1);
+        let sent = self.work.as_ref().map(|work| work.send_timeout(Work::Forget(Box::new(memory), done), patience));
+        match sent.map(|sent| sent.map(|()| answer.recv_timeout(patience))) {
+            Some(Ok(Ok(result))) => result,
+            _ => Err(io::Error::from(io::ErrorKind::TimedOut)),
+        }
+    }
+}
+
+impl Drop for Keeper {
+    fn drop(&mut self) {
+        self.finish(None);
+    }
+}
+
+fn run(file: &HabitsFile, queue: &Receiver<Work>) {
+    let write = |memory: &Memory| {
+        file.write(memory).inspect_err(|error| {
+            tracing::warn!(%error, directory = %file.directory.display(), "what was learned of the home cannot be written; the daemon goes on, and tries again later");
+        })
+    };
+    for work in queue {
+        match work {
+            Work::Write(memory) => _ = write(&memory),
+            Work::Forget(memory, done) => {
+                // Whoever asked may have lost patience.
+                let _told = done.send(write(&memory).and_then(|()| file.remove_aside()));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use roomcast_core::habits::{Place, Turn};
+
+    use super::*;
+
+    fn learned() -> Memory {
+        let mut memory = Memory::new(HabitsOptions::default());
+        memory.habits.bind(vec!["bed".to_owned()], vec!["bedroom".to_owned()], vec![1.0]);
+        for at in 1..5 {
+            let at_s = 1e9 + 60.0 * f64::from(at);
+            memory.habits.observe(&Turn { person: 1, label: Some(0), room: Some(0), at_s, mark: 0 });
+        }
+        memory.habits.be(1, Place::Elsewhere, 1e9 + 600.0);
+        memory.heard = Heard::new([(1, 2, 3), (4, 5, 6)]);
+        memory.watched_until_s = 1e9 + 600.0;
+        memory
+    }
+
+    fn load(directory: &Path) -> (HabitsFile, Memory) {
+        HabitsFile::load(directory, HabitsOptions::default())
+    }
+
+    #[test]
+    fn what_was_learned_outlives_the_daemon() {
+        let directory = tempfile::tempdir().unwrap();
+        let (file, nothing) = load(directory.path());
+        assert_eq!(nothing.habits.learned().counts, 0);
+        file.write(&learned()).unwrap();
+        let (_, again) = load(directory.path());
+        assert_eq!(again.habits.to_bytes(), learned().habits.to_bytes());
+        assert_eq!((again.heard, again.watched_until_s), (learned().heard, learned().watched_until_s));
+        let mode = fs::metadata(directory.path().join(FILE)).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o600);
+    }
+
+    /// Whatever became of the file, the daemon begins, and the file is there to be looked at until somebody is forgotten.
+    #[test]
+    fn a_file_that_cannot_be_used_is_set_aside() {
+        let whole = bytes(&learned());
+        let newer = [b"RCHOME2\n", &whole[8..]].concat();
+        let mut flipped = whole.clone();
+        flipped[100] ^= 1;
+        let mut older_habits = whole[..whole.len() - 1].to_vec();
+        let sum = crc32fast::hash(&older_habits[12..]);
+        older_habits[8..12].copy_from_slice(&sum.to_le_bytes());
+        for damaged in [Vec::new(), whole[..whole.len() / 2].to_vec(), newer, flipped, older_habits] {
+            let directory = tempfile::tempdir().unwrap();
+            fs::write(directory.path().join(FILE), &damaged).unwrap();
+            let (file, memory) = load(directory.path());
+            assert_eq!(memory.habits.learned().counts, 0);
+            assert_eq!(fs::read(directory.path().join(ASIDE)).unwrap(), damaged);
+            file.write(&learned()).unwrap();
+            assert!(load(directory.path()).1.habits.learned().counts > 0);
+            file.remove_aside().unwrap();
+            assert!(!directory.path().join(ASIDE).exists());
+        }
+    }
+
+    /// A full disk and a directory that may not be written are one to the program: what was there before stays whole.
+    #[test]
+    fn what_cannot_be_written_leaves_what_was_there() {
+        let directory = tempfile::tempdir().unwrap();
+        let (file, _) = load(directory.path());
+        file.write(&learned()).unwrap();
+        let nowhere = HabitsFile { directory: directory.path().join("missing"), ..file };
+        nowhere.write(&learned()).unwrap_err();
+        // A directory in the file's place can neither be read nor be lost.
+        let other = tempfile::tempdir().unwrap();
+        fs::create_dir(other.path().join(FILE)).unwrap();
+        let (file, memory) = load(other.path());
+        assert_eq!(memory.habits.learned().counts, 0);
+        assert!(file.write(&learned()).unwrap_err().to_string().contains("repair or remove it"));
+        let mut keeper = Keeper::start(file).unwrap();
+        assert!(keeper.forget(learned(), Duration::from_secs(60)).is_err());
+        keeper.finish(Some(learned()));
+        assert!(load(directory.path()).1.habits.learned().counts > 0);
+    }
+
+    proptest::proptest! {
+        /// No bytes make it panic.
+        #[test]
+        fn any_bytes_are_read_or_refused(mut body in proptest::collection::vec(proptest::num::u8::ANY, 0..200)) {
+            let mut bytes = MAGIC.to_vec();
+            bytes.extend_from_slice(&crc32fast::hash(&body).to_le_bytes());
+            bytes.append(&mut body);
+            proptest::prop_assert!(parse(&bytes, HabitsOptions::default()).is_err());
+        }
+    }
+}

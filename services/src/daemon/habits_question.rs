@@ -1,0 +1,256 @@
+//! Questions about habits: what is asked on `roomcast/v1/habits` and what is answered, and the answers. No port, no clock.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::board::{Board, HORIZONS_S};
+use roomcast_core::habits::BYTES_MAX;
+use roomcast_core::scorer::LanguageModel;
+
+/// Most bytes of one part of what is imported: a question has a limit.
+pub const PART_BYTES: usize = 1 << 18;
+/// Most bytes of all of it.
+pub const IMPORT_BYTES_MAX: usize = 4 * BYTES_MAX;
+/// Horizons that are told of, in seconds.
+const TOLD_S: [f32; 3] = [60.0, 900.0, 3600.0];
+
+/// A question. Changes have a name that no other question has: the same one asked again is answered again, and not done again.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "ask", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum HabitsQuestion {
+    /// How much was learned, and how much of the forecast comes from it.
+    Show,
+    /// What was learned, as JSON.
+    Export,
+    /// Forget what was learned of a person, or all of it.
+    Forget {
+        /// The question's name.
+        id: String,
+        /// A name or a number; everybody where left out.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        who: Option<String>,
+    },
+    /// Put what was exported in place of what was learned. It comes in parts, in their order, each with a name of its own.
+    Import {
+        /// The question's name.
+        id: String,
+        /// The name of the whole.
+        whole: String,
+        /// Which part this is, from 0.
+        part: usize,
+        /// How many there are.
+        parts: usize,
+        /// The part.
+        text: String,
+    },
+}
+
+impl HabitsQuestion {
+    /// The name of a question that asks for a change.
+    #[must_use]
+    pub fn id(&self) -> Option<&str> {
+        match self {
+            Self::Show | Self::Export => None,
+            Self::Forget { id, .. } | Self::Import { id, .. } => Some(id),
+        }
+    }
+}
+
+/// How much of a forecast comes from where; the shares sum to one.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct HorizonLine {
+    /// How far ahead, in seconds.
+    pub horizon_s: f64,
+    /// Of the forecast without habits.
+    pub shipped: f64,
+    /// That the person is still, or again, in the same place.
+    pub persistence: f64,
+    /// The hazard of leaving, and where to.
+    pub leaving: f64,
+    /// Where the person was that much later at such times before.
+    pub later: f64,
+}
+
+/// What is known of a person.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct HabitsLine {
+    /// The number.
+    pub person: u32,
+    /// The name, where there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Observations that were learned from.
+    pub observations: f64,
+    /// Of the present forecast; empty where nothing is added to it.
+    pub forecast: Vec<HorizonLine>,
+}
+
+/// The answer.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct HabitsAnswer {
+    /// Whether it was done.
+    pub done: bool,
+    /// Why not, or what is left to do.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// Whether a restarted daemon will know it: only with a state directory.
+    pub kept: bool,
+    /// Whether anything is learned now.
+    pub learn: bool,
+    /// Names of things that are known.
+    pub names: usize,
+    /// Contexts that are known.
+    pub contexts: usize,
+    /// Counts in them.
+    pub counts: usize,
+    /// Bytes in memory.
+    pub bytes: usize,
+    /// Persons of whom something is known.
+    pub persons: Vec<HabitsLine>,
+    /// What was asked for by [`HabitsQuestion::Export`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub export: Option<String>,
+}
+
+/// What has come of an import so far.
+#[derive(Debug, Default)]
+pub(super) struct Importing {
+    whole: String,
+    parts: usize,
+    text: String,
+}
+
+impl Importing {
+    /// Takes a part; gives the whole once it is complete.
+    fn take(&mut self, whole: &str, (part, parts): (usize, usize), text: &str) -> Result<Option<String>, String> {
+        if part == 0 {
+            *self = Self { whole: whole.to_owned(), ..Self::default() };
+        }
+        if self.whole != whole || self.parts != part || part >= parts {
+            return Err("another import has begun meanwhile, or parts came out of order: import again".to_owned());
+        }
+        if self.text.len() + text.len() > IMPORT_BYTES_MAX {
+            *self = Self::default();
+            return Err(format!("it has more than {IMPORT_BYTES_MAX} bytes: that is no export of habits"));
+        }
+        self.text.push_str(text);
+        self.parts += 1;
+        Ok((self.parts == parts).then(|| std::mem::take(self).text))
+    }
+}
+
+/// What is to be done with the file after a question.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum After {
+    /// Nothing.
+    Nothing,
+    /// It is to be written, and what was set aside is to be removed.
+    Forget,
+}
+
+/// Does what was asked, but for the disk.
+pub(super) fn answer<M: LanguageModel>(
+    board: &mut Board<M>,
+    importing: &mut Importing,
+    asked: Result<HabitsQuestion, String>,
+    now_ns: u64,
+) -> (HabitsAnswer, After) {
+    let mut export = None;
+    let mut after = After::Nothing;
+    let result = asked.and_then(|question| match question {
+        HabitsQuestion::Show => Ok(()),
+        HabitsQuestion::Export => {
+            export = Some(board.habits().to_json().map_err(|error| error.to_string())?);
+            Ok(())
+        }
+        HabitsQuestion::Forget { who: None, .. } => {
+            board.habits_mut().forget_all();
+            board.bind_habits();
+            after = After::Forget;
+            Ok(())
+        }
+        HabitsQuestion::Forget { who: Some(who), .. } => {
+            let person = who.trim().parse().unwrap_or_else(|_| board.persons().number_of(&who));
+            if !board.habits_mut().forget(person) {
+                return Err(format!(
+                    "nothing was learned of {who:?}: `roomcast habits show` says of whom something was"
+                ));
+            }
+            after = After::Forget;
+            Ok(())
+        }
+        HabitsQuestion::Import { whole, part, parts, text, .. } => {
+            let Some(json) = importing.take(&whole, (part, parts), &text)? else { return Ok(()) };
+            board.habits_mut().take_json(&json).map_err(|error| error.to_string())?;
+            board.bind_habits();
+            after = After::Forget;
+            Ok(())
+        }
+    });
+    let forecasts = forecast_lines(board, now_ns);
+    let habits = board.habits();
+    let learned = habits.learned();
+    let line = |(person, observations): (u32, f64)| HabitsLine {
+        person,
+        name: board.persons().name_of(person).map(str::to_owned),
+        observations,
+        forecast: forecasts.get(&person).cloned().unwrap_or_default(),
+    };
+    let answer = HabitsAnswer {
+        done: result.is_ok(),
+        reason: result.err(),
+        kept: false,
+        learn: habits.learns_now(),
+        names: learned.names,
+        contexts: learned.contexts,
+        counts: learned.counts,
+        bytes: learned.bytes,
+        persons: habits.persons().into_iter().map(line).collect(),
+        export,
+    };
+    (answer, after)
+}
+
+/// Per person how much of the present forecast comes from where.
+fn forecast_lines<M: LanguageModel>(board: &mut Board<M>, now_ns: u64) -> BTreeMap<u32, Vec<HorizonLine>> {
+    board.forecast(now_ns);
+    let lines = |(person, _): (u32, f64)| {
+        let (sure, shares) = board.habits().shares(person)?;
+        let told = HORIZONS_S.iter().zip(shares).filter(|(horizon_s, _)| TOLD_S.contains(horizon_s));
+        let told = told.map(|(horizon_s, shares)| HorizonLine {
+            horizon_s: f64::from(*horizon_s),
+            shipped: 1.0 - sure + sure * shares.shipped,
+            persistence: sure * shares.persistence,
+            leaving: sure * shares.semi_markov,
+            later: sure * shares.later,
+        });
+        Some((person, told.collect()))
+    };
+    board.habits().persons().into_iter().filter_map(lines).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_make_a_whole_in_their_order() {
+        let mut importing = Importing::default();
+        assert_eq!(importing.take("a", (0, 3), "x"), Ok(None));
+        assert_eq!(importing.take("a", (1, 3), "y"), Ok(None));
+        assert!(importing.take("a", (1, 3), "y").is_err());
+        assert!(importing.take("b", (2, 3), "z").is_err());
+        assert_eq!(importing.take("a", (2, 3), "z"), Ok(Some("xyz".to_owned())));
+        assert!(importing.take("a", (3, 3), "z").is_err());
+        assert_eq!(importing.take("b", (0, 1), "all"), Ok(Some("all".to_owned())));
+        assert!(importing.take("c", (0, 0), "").is_err());
+    }
+
+    #[test]
+    fn questions_are_words() {
+        let forget = HabitsQuestion::Forget { id: "7".to_owned(), who: None };
+        assert_eq!(serde_json::to_string(&forget).unwrap(), r#"{"ask":"forget","id":"7"}"#);
+        assert!(serde_json::from_str::<HabitsQuestion>(r#"{"ask":"forget"}"#).is_err());
+    }
+}
