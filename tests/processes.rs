@@ -1573,3 +1573,138 @@ fn a_report_that_nobody_can_hear_or_understand_says_so() {
         assert!(said.contains(part), "{arguments:?}: {said}");
     }
 }
+
+/// What `roomcast habits` answers, and its exit code.
+fn habits(world: &World, arguments: &[&str]) -> (i32, serde_json::Value, String) {
+    let output = world.command(&[&["habits"], arguments].concat()).output().unwrap();
+    let answer = serde_json::from_slice(&output.stdout).unwrap_or_default();
+    (output.status.code().unwrap(), answer, String::from_utf8(output.stderr).unwrap())
+}
+
+/// Observations of all persons that habits were learned from.
+fn learned(world: &World) -> f64 {
+    let (code, answer, errors) = habits(world, &["show", "--json"]);
+    assert_eq!(code, 0, "{errors}");
+    answer["persons"].as_array().unwrap().iter().map(|person| person["observations"].as_f64().unwrap()).sum()
+}
+
+/// However a daemon ends, and whatever became of its file, it begins again, and has learned each observation once.
+#[test]
+fn habits_are_learned_once_over_kills_and_damage() {
+    const WALK: &str = "They open the fridge.\nThey grab the kettle.\nThey sit on the sofa.\nThey go to bed.\n";
+    let mut world = World::new("habits");
+    let config = world.directory.path().join("roomcast.toml");
+    std::fs::write(&config, "[habits]\nsave_s = 1.0\n").unwrap();
+    let (config, state) = (config.to_str().unwrap().to_owned(), world.state());
+    let start = |world: &mut World| world.start(&["daemon", "--config", &config, "--state", state.to_str().unwrap()]);
+    let file = world.state().join("habits");
+    let mut daemon = start(&mut world);
+    assert_eq!(world.narrate("one", WALK).0, 0);
+    let once = eventually("it is learned", || Some(learned(&world)).filter(|learned| *learned > 2.0));
+    for number in 2..5_u32 {
+        // Before and after it was written.
+        if number % 2 == 0 {
+            eventually("it is written", || file.exists().then_some(()));
+        }
+        world.signal(daemon, Signal::KILL);
+        world.wait(daemon);
+        daemon = start(&mut world);
+        assert_eq!(learned(&world), f64::from(number - 1) * once);
+        assert_eq!(world.narrate(&format!("walk-{number}"), WALK).0, 0);
+        eventually("all is learned", || (learned(&world) == f64::from(number) * once).then_some(()));
+    }
+    world.signal(daemon, Signal::TERM);
+    assert!(world.wait(daemon).0.success());
+    let mode = std::os::unix::fs::PermissionsExt::mode(&std::fs::metadata(&file).unwrap().permissions());
+    assert_eq!(mode & 0o777, 0o600);
+    let whole = std::fs::read(&file).unwrap();
+    assert!(!String::from_utf8_lossy(&whole).contains("They"), "words of things, no sentences");
+    daemon = start(&mut world);
+    assert_eq!(learned(&world), 4.0 * once);
+
+    // Half of the file: it is set aside, and the journal teaches what it holds.
+    world.signal(daemon, Signal::KILL);
+    world.wait(daemon);
+    std::fs::write(&file, &whole[..whole.len() / 2]).unwrap();
+    daemon = start(&mut world);
+    assert_eq!(learned(&world), 4.0 * once);
+    assert!(world.state().join("habits.damaged").exists());
+    // Forgotten is forgotten over a kill, also what was set aside.
+    assert_eq!(habits(&world, &["forget", "--person", "eve"]).0, 3);
+    let (code, _, errors) = habits(&world, &["forget", "--all"]);
+    assert_eq!((code, learned(&world)), (0, 0.0), "{errors}");
+    assert!(!world.state().join("habits.damaged").exists());
+    world.signal(daemon, Signal::KILL);
+    let (_, log) = world.wait(daemon);
+    assert!(log.contains("the habits file cannot be used"), "{log}");
+    start(&mut world);
+    assert_eq!(learned(&world), 0.0);
+}
+
+/// What another home has learned becomes the forecast, and is gone from it when it is forgotten.
+#[test]
+fn imported_habits_change_the_forecast_until_they_are_forgotten() {
+    use roomcast_core::habits::{Habits, HabitsOptions, Place};
+    const PERSON: u32 = 3;
+    // Ten minutes in the living room, ten minutes in the kitchen, the whole day long.
+    let mut teacher = Habits::new(HabitsOptions::default());
+    let rooms = ["kitchen", "living room", "bathroom"].map(str::to_owned).to_vec();
+    teacher.bind(vec!["sofa".to_owned()], rooms, vec![0.0, 1.0, 0.0]);
+    let now_s = roomcast_ipc::clock::unix_ns() as f64 / 1e9;
+    for minute in 0..4 * 1_440_u32 {
+        let at_s = now_s - 5.0 * 86_400.0 + 60.0 * f64::from(minute);
+        teacher.be(PERSON, Place::Room(usize::from(minute / 10 % 2 == 0)), at_s);
+        teacher.tick(PERSON, at_s, &mut |_, p| p.fill(0.25));
+    }
+    let mut world = World::new("import");
+    let export = world.directory.path().join("export.json");
+    std::fs::write(&export, teacher.to_json().unwrap()).unwrap();
+    let daemon = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let forecasts = node.subscriber::<PersonForecastsV1>().unwrap();
+    let narration = node.publisher::<NarrationV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let mut number = 0;
+    // In the kitchen in a quarter of an hour.
+    let mut kitchen = || {
+        number += 1;
+        let message = NarrationV1::new(narration_kind::SENTENCE, "They sit on the sofa.").unwrap();
+        let source = sequence::source_of_name("test");
+        narration.send(&NarrationV1 { source, epoch: 1, sequence: number, person: PERSON, ..message }).unwrap();
+        let told = scores_with(&scores, "it is scored", |scores| includes(scores, "test", number));
+        let forecast = eventually("the forecast", || {
+            forecasts.newest().unwrap().filter(|forecast| forecast.sequence >= told.sequence)
+        });
+        let room = forecast.rooms().position(|room| room == "kitchen").unwrap();
+        let horizon = forecast.horizon_s.iter().position(|horizon_s| *horizon_s == 900.0).unwrap();
+        let own = forecast.persons()[0];
+        let all: f32 = own.elsewhere[horizon] + own.probability.iter().map(|row| row[horizon]).sum::<f32>();
+        assert!((all - 1.0).abs() < 1e-4, "{all}");
+        own.probability[room][horizon]
+    };
+    let before = kitchen();
+    let (code, _, errors) = habits(&world, &["import", export.to_str().unwrap()]);
+    assert_eq!(code, 0, "{errors}");
+    let known = kitchen();
+    assert!(known > before + 0.2 && known > 0.6, "{before} {known}");
+    let (_, answer, _) = habits(&world, &["show", "--json"]);
+    let shipped = answer["persons"][0]["forecast"][1]["shipped"].as_f64().unwrap();
+    assert!(shipped < 0.5, "{answer}");
+    let copy = world.directory.path().join("copy.json");
+    assert_eq!(habits(&world, &["export", copy.to_str().unwrap()]).0, 0);
+    assert!(std::fs::read_to_string(&copy).unwrap().contains("living room"));
+    assert_eq!(habits(&world, &["export", copy.to_str().unwrap()]).0, 3, "a file is not overwritten");
+    std::fs::write(&copy, "{}").unwrap();
+    let (code, _, errors) = habits(&world, &["import", copy.to_str().unwrap()]);
+    assert!(code == 3 && errors.contains("the daemon changed nothing"), "{errors}");
+    assert!(kitchen() > 0.6);
+
+    // To forget a person is to forget their habits.
+    let output = world.command(&["person", "forget", "3"]).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let after = kitchen();
+    assert!((after - before).abs() < 0.15, "{before} {after}");
+    world.signal(daemon, Signal::TERM);
+    assert!(world.wait(daemon).0.success());
+}
