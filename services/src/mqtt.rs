@@ -780,9 +780,9 @@ impl<W: Write> Connection<W> {
             }
             Event::Incoming(Packet::SubAck(answer)) => self.subscriptions.take(answer, &self.client, &self.broker)?,
             Event::Incoming(Packet::Publish(message)) => {
-                if !self.recent.again(*connections, message) && self.hear(message).is_err() {
-                    return Ok(Turn::Unread);
-                }
+                let is_new = !self.recent.again(*connections, message);
+                let heard = if is_new { self.hear(message) } else { Ok(()) };
+                return Ok(heard.map_or(Turn::Unread, |()| Turn::On));
             }
             _ => {}
         }

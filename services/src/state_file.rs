@@ -4,11 +4,21 @@ use std::fs::File;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
+/// What a file of text holds; none where there is none.
+///
+/// # Errors
+/// As [`read_bytes`], and [`io::ErrorKind::InvalidData`] when it is not UTF-8.
+pub(crate) fn read(path: &Path, bytes_max: u64) -> io::Result<Option<String>> {
+    let text =
+        |bytes| String::from_utf8(bytes).map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not UTF-8"));
+    read_bytes(path, bytes_max)?.map(text).transpose()
+}
+
 /// What a file holds; none where there is none.
 ///
 /// # Errors
-/// When it cannot be read, is no plain file, has more than `bytes_max` bytes, or is not UTF-8.
-pub(crate) fn read(path: &Path, bytes_max: u64) -> io::Result<Option<String>> {
+/// When it cannot be read or is no plain file; [`io::ErrorKind::FileTooLarge`] when it has more than `bytes_max` bytes.
+pub(crate) fn read_bytes(path: &Path, bytes_max: u64) -> io::Result<Option<Vec<u8>>> {
     // A named pipe would wait for whoever writes to it, so it is not opened.
     match std::fs::metadata(path) {
         Ok(found) if !found.is_file() => return Err(io::Error::other("it is no plain file; remove it")),
@@ -16,15 +26,15 @@ pub(crate) fn read(path: &Path, bytes_max: u64) -> io::Result<Option<String>> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(error),
     }
-    let mut text = String::new();
-    File::open(path)?.take(bytes_max + 1).read_to_string(&mut text)?;
-    if text.len() as u64 > bytes_max {
-        return Err(io::Error::other(format!("it has more than {bytes_max} bytes")));
+    let mut bytes = Vec::new();
+    File::open(path)?.take(bytes_max + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > bytes_max {
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, format!("it has more than {bytes_max} bytes")));
     }
-    Ok(Some(text))
+    Ok(Some(bytes))
 }
 
-/// Puts a new file in place of the old one, which stays whole until then. A link stays one: the file that it leads to is replaced. It
+/// Puts a new file, which its owner alone may read, in place of the old one, which stays whole until then. A link stays one: the file that it leads to is replaced. It
 /// outlives a crash of this process, and may not outlive a loss of power.
 ///
 /// # Errors

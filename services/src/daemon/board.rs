@@ -14,7 +14,7 @@ use super::habits::{HomeHabits, Name};
 use super::journal::{Expectation, Outcome};
 use super::persons::{Persons, is_bed, message_ns, presence_value};
 use crate::moment::Moment;
-use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
+use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
 use roomcast_core::grounding::{Grounding, GroundingOptions, Partition, partitions};
 use roomcast_core::habits::Place as Whereabouts;
 use roomcast_core::narration::{Observation, Presence, SOMEBODY, Said, Voice};
@@ -330,7 +330,8 @@ impl<M: LanguageModel> Board<M> {
         for seen in &self.seen[..unwatched] {
             let own = self.followed.get(&seen.person);
             if let Some(own) = own.filter(|_| seen.is_sentence && seen.presence == Presence::Present) {
-                self.home.turned(seen.name, seen.person, seen.at_ns, self.mentions.last(&seen.words), own);
+                let label = turned_to(self.mentions.last(&seen.words));
+                self.home.turned(seen.name, seen.person, seen.at_ns, label, own);
             } else {
                 let out = seen.presence != Presence::Present;
                 let room = room_named(&seen.words, &self.map, grounding).filter(|_| !out).map(Whereabouts::Room);
@@ -619,8 +620,7 @@ impl<M: LanguageModel> Board<M> {
                 // What the model says after all of them is for what comes then, not for what lies between them.
                 let mention = self.mentions.last(&seen.words);
                 own.observe(at_s, mention, grounding, &[]);
-                let label = mention.filter(|found| !found.is_left).map(|found| found.label);
-                self.home.turned(seen.name, seen.person, seen.at_ns, label, own);
+                self.home.turned(seen.name, seen.person, seen.at_ns, turned_to(mention), own);
                 if let (Some(found), Some(known)) = (mention, self.persons.get_mut(seen.person)) {
                     known.on_bed = is_bed(&grounding.scored_labels()[found.label].text);
                 }
@@ -1035,6 +1035,11 @@ impl<M: LanguageModel> Board<M> {
 /// The row of a horizon.
 fn row(rows: &[f64], horizon: usize) -> Option<&[f64]> {
     rows.chunks_exact((rows.len() / HORIZONS_S.len()).max(1)).nth(horizon)
+}
+
+/// The label that is turned to, and not left.
+fn turned_to(mention: Option<Mention>) -> Option<usize> {
+    mention.filter(|found| !found.is_left).map(|found| found.label)
 }
 
 /// A person who is followed from now on.

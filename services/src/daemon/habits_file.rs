@@ -11,7 +11,7 @@
 //! Integers are little endian. A file that cannot be used is set aside under [`ASIDE`], and the log says what is lost.
 
 use std::fs;
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -20,7 +20,7 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 use roomcast_core::habits::{BYTES_MAX, Habits, HabitsOptions};
 
 use super::habits::{Heard, Memory};
-use super::journal::sync_folder;
+use crate::state_file;
 
 /// The file in the state directory.
 const FILE: &str = "habits";
@@ -44,16 +44,15 @@ impl HabitsFile {
     pub fn load(directory: &Path, options: HabitsOptions) -> (Self, Memory) {
         let path = directory.join(FILE);
         let mut unusable = false;
-        let read = || -> io::Result<Result<Memory, String>> {
-            let most = BYTES_MAX as u64 + 24 * u64::from(NAMES_MAX) + 24;
-            if fs::metadata(&path)?.len() > most {
-                return Ok(Err(format!("it has more than {most} bytes")));
-            }
-            Ok(parse(&fs::read(&path)?, options))
+        let read = match state_file::read_bytes(&path, BYTES_MAX as u64 + 24 * u64::from(NAMES_MAX) + 24) {
+            Ok(bytes) => Ok(bytes.map(|bytes| parse(&bytes, options))),
+            Err(error) if error.kind() == io::ErrorKind::FileTooLarge => Ok(Some(Err(error.to_string()))),
+            Err(error) => Err(error),
         };
-        let memory = match read() {
-            Ok(Ok(memory)) => Some(memory),
-            Ok(Err(reason)) => {
+        let memory = match read {
+            Ok(None) => None,
+            Ok(Some(Ok(memory))) => Some(memory),
+            Ok(Some(Err(reason))) => {
                 unusable = fs::rename(&path, directory.join(ASIDE)).is_err();
                 tracing::warn!(
                     reason,
@@ -62,7 +61,6 @@ impl HabitsFile {
                 );
                 None
             }
-            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
             Err(error) => {
                 unusable = true;
                 tracing::warn!(%error, path = %path.display(), "the habits file cannot be read: the daemon begins without what was learned, and does not write the file");
@@ -83,13 +81,8 @@ impl HabitsFile {
                 "the habits file could not be used at the start; repair or remove it, and start the daemon again",
             ));
         }
-        let path = self.directory.join(FILE);
-        // Others may not read it: a temporary file's mode is 0600.
-        let mut file = tempfile::NamedTempFile::new_in(&self.directory)?;
-        file.write_all(&bytes(memory))?;
-        file.as_file().sync_all()?;
-        file.persist(&path).map_err(|error| error.error)?;
-        sync_folder(&path)
+        // Others may not read it: its mode is 0600.
+        state_file::replace_for_good(&self.directory.join(FILE), &bytes(memory))
     }
 
     /// Removes a file that was set aside: what it holds of somebody cannot be taken out of it.
