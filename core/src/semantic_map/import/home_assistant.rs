@@ -699,6 +699,8 @@ mod tests {
             ("0x00158d0001", Some("door"), None),
             ("Coffee maker plug 2", None, Some("coffee maker")),
             ("Waschmaschine Leistung", None, Some("washing machine")),
+            ("Wohnzimmer Licht Decke", Some("lamp"), Some("ceiling lamp")),
+            ("Kitchen Rollo", Some("blinds"), Some("blinds")),
         ] {
             assert_eq!(thing_in(text, &area_words, kind).as_deref(), expected, "{text}");
         }
