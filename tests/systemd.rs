@@ -14,8 +14,13 @@ use rustix::process::{Pid, Signal, kill_process};
 mod skipped;
 use skipped::skipped;
 
-const UNITS: [&str; 4] =
-    ["roomcast-daemon.service", "roomcast-planner.service", "roomcast-narrator.service", "roomcast-metrics.service"];
+const UNITS: [&str; 5] = [
+    "roomcast-daemon.service",
+    "roomcast-planner.service",
+    "roomcast-narrator.service",
+    "roomcast-mqtt.service",
+    "roomcast-metrics.service",
+];
 
 /// Keys that make the delay between restarts grow. Older versions pass over them, with a warning.
 const SINCE_254: [&str; 2] = ["RestartSteps", "RestartMaxDelaySec"];

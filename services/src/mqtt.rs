@@ -1342,6 +1342,44 @@ mod tests {
 
     const STEPS: &str = "[[rule]]\ntopic = \"home/step\"\nsay = \"They do step {value}.\"";
 
+    /// A rehearsal beside the narrator of the same name: it tells what would be said, and the narrator's session keeps every message.
+    #[test]
+    fn a_rehearsal_takes_nothing_from_the_narrator() {
+        let port = free_port();
+        let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+            skipped(NO_BROKER);
+            return;
+        };
+        broker.publish(&[("home/start", "first".into(), true)]);
+        let rules =
+            format!("{STEPS}\n[[rule]]\ntopic = \"home/start\"\nsay = \"They do the {{value}}.\"\nretained = true");
+        let mut first = Listening::start(port, &rules);
+        assert!(first.next().unwrap().contains("the first"));
+        first.end();
+        broker.publish(&[("home/step", "1".into(), false)]);
+
+        let to = Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "listener".into(), ..Broker::default() };
+        let (reader, writer) = std::io::pipe().unwrap();
+        let (stop, own) = (Stop::new(), Rules::parse(&rules).unwrap());
+        let own_stop = stop.clone();
+        let rehearsal = std::thread::spawn(move || rehearse(to.options().unwrap(), own, writer, &own_stop));
+        let mut lines = BufReader::new(reader).lines().map(Result::unwrap);
+        assert_eq!(lines.next().unwrap(), "home/start  first  (retained)");
+        assert_eq!(lines.next().unwrap(), r#"  rule 2 says {"text":"They do the first."}"#);
+        broker.publish(&[("home/step", "2".into(), false)]);
+        assert_eq!(lines.next().unwrap(), "home/step  2");
+        assert_eq!(lines.next().unwrap(), r#"  rule 1 says {"text":"They do step 2."}"#);
+        stop.request();
+        assert_eq!(rehearsal.join().unwrap().unwrap().said, 2);
+
+        let mut second = Listening::start(port, &rules);
+        let said: Vec<_> = (0..3).map(|_| second.next().unwrap()).collect();
+        for step in ["step 1", "step 2"] {
+            assert!(said.iter().any(|line| line.contains(step)), "{said:?}");
+        }
+        second.end();
+    }
+
     /// Row "MQTT backlog" of the attacks. `ROOMCAST_MQTT_RESTARTS=1000` is the long form; a restart takes about a second.
     /// `ROOMCAST_MQTT_SEED` chooses other moments.
     #[test]

@@ -298,9 +298,9 @@ fn write_rules(path: &Path, rules: &str) -> Result<String, Failure> {
         .map_err(|fault| input(format!("the rules for {} cannot be used: {fault}", path.display())))?;
     write(path, rules.as_bytes())?;
     Ok(format!(
-        "{}: {}; edit them, then: roomcast narrate --mqtt URL --rules FILE --dry-run",
-        path.display(),
-        count(rules.matches("[[rule]]").count(), "rule")
+        "{path}: {}; edit them, then look at what they say: roomcast narrate --mqtt URL --rules {path} --dry-run",
+        count(rules.matches("[[rule]]").count(), "rule"),
+        path = path.display(),
     ))
 }
 

@@ -5,10 +5,9 @@ use std::sync::LazyLock;
 
 use super::valetudo::CHARGER;
 use super::{Ids, ImportError, Imported};
-use crate::grounding::{Grounding, GroundingOptions};
 use crate::names::Names;
 use crate::semantic_map::schema::{ItemEntry, MAX_PROSE_BYTES};
-use crate::semantic_map::{Box3, PartitionId, Room, SemanticMap};
+use crate::semantic_map::{Box3, Item, Room, SemanticMap};
 
 /// Label, width, depth, height, and how far above the floor, in metres.
 type Piece = (String, f64, f64, f64, f64);
@@ -45,6 +44,13 @@ fn usual(label: &str) -> &'static [Piece] {
     };
     let found = known(label).or_else(|| names.room(label).and_then(known)).or_else(other_name).or_else(ends);
     found.or_else(|| known(ANY)).unwrap_or_default()
+}
+
+/// The room that an item stands in: the one that it shares most with, else one that holds its position.
+fn holder(rooms: &[Room], item: &Item) -> Option<usize> {
+    let shared = rooms.iter().map(|room| room.space.overlap_m3(&item.bounds)).enumerate();
+    let most = shared.filter(|(_, shared_m3)| *shared_m3 > 0.0).max_by(|a, b| a.1.total_cmp(&b.1));
+    most.map(|(room, _)| room).or_else(|| rooms.iter().rposition(|room| room.space.contains(&item.position_m)))
 }
 
 /// Puts pieces into one room.
@@ -135,26 +141,18 @@ impl Imported {
         let mut file = map.to_file();
         let mut ids = Ids::default();
         ids.taken.extend(file.items.iter().map(|item| item.id.clone()));
-        // A map without items has its rooms' names to ground.
-        let Ok(grounding) = Grounding::new(&map, &GroundingOptions::default()) else {
-            return Ok(Self { map, notes, boxed });
-        };
-        let stands = |index: usize, item: &crate::semantic_map::Item| {
-            let thing = !BARE.contains(&map.labels[item.label.0 as usize].as_str());
-            grounding.item_partition()[index].filter(|_| thing)
-        };
-        let full: Vec<PartitionId> =
-            map.items.iter().enumerate().filter_map(|(index, item)| stands(index, item)).collect();
+        let thing = |item: &&Item| !BARE.contains(&map.labels[item.label.0 as usize].as_str());
+        let full: Vec<usize> = map.items.iter().filter(thing).filter_map(|item| holder(&map.rooms, item)).collect();
         let (before, mut rooms, mut unknown) = (file.items.len(), 0, Vec::new());
-        for (index, room) in (0u32..).zip(&map.rooms) {
-            if full.contains(&PartitionId(index)) {
+        for (index, room) in map.rooms.iter().enumerate() {
+            if full.contains(&index) {
                 continue;
             }
             rooms += 1;
             if usual(&room.label).as_ptr() == usual(ANY).as_ptr() {
                 unknown.push(room.label.clone());
             }
-            let doors = map.doors.iter().filter(|door| door.rooms.iter().any(|joined| joined.0 == index));
+            let doors = map.doors.iter().filter(|door| door.rooms.iter().any(|joined| joined.0 as usize == index));
             let doors = doors.map(|door| [door.position_m[0], door.position_m[1]]).collect();
             let mut furnisher = Furnisher { room, doors, taken: Vec::new() };
             for piece in usual(&room.label) {
@@ -190,6 +188,7 @@ impl Imported {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::grounding::{Grounding, GroundingOptions};
     use crate::semantic_map::LabelId;
 
     #[test]

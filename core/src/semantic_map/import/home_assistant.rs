@@ -554,7 +554,7 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
         "{} things of {} entities, {} persons, {} rules.",
         items.len(),
         entities.len(),
-        persons.len(),
+        people.len(),
         rules.count
     ));
 
