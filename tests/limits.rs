@@ -11,14 +11,14 @@ use std::path::Path;
 use roomcast_core::narration::history::{KEPT_NS, OBSERVATIONS_MAX};
 use roomcast_core::narration::{self, PERSONS_MAX, PROGRAM_BYTES_MAX, SENTENCE_BYTES_MAX, STEPS_MAX};
 use roomcast_core::pipeline::SOURCES_MAX;
-use roomcast_core::{grounding, prompt, semantic_map};
+use roomcast_core::{grounding, habits, prompt, semantic_map};
 use roomcast_ipc::{
     DecisionV1, MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES, NarrationV1,
     RoomScoresV1, question, sequence,
 };
 use roomcast_llama::{SEQUENCES_MAX, THREADS_MAX};
 use roomcast_services::config::{self, Config};
-use roomcast_services::daemon::SOURCES_OF_A_PORT;
+use roomcast_services::daemon::{self, SOURCES_OF_A_PORT};
 use roomcast_services::{mqtt, recording, sensor_log};
 
 const HEAD: &str = "# Limits
@@ -74,6 +74,18 @@ fn page() -> String {
                 "the oldest goes first",
             ),
             ("narrators named in the configuration", &config::KNOWN_NARRATORS_MAX, "is refused"),
+        ],
+    );
+    let options = Config::default().habits.options();
+    table(
+        "Habits",
+        &[
+            ("persons of whom something is learned", &habits::PERSONS_MAX, "whoever was learned least of gives way"),
+            ("names of things", &options.names_max, "the one seen longest ago gives way"),
+            ("contexts, of 28 bytes", &options.contexts_max, "the least useful gives way"),
+            ("counts, of 12 bytes", &options.counts_max, "the least useful gives way"),
+            ("bytes of the file", &habits::BYTES_MAX, "is set aside"),
+            ("bytes of an import", &daemon::IMPORT_BYTES_MAX, "is refused"),
         ],
     );
     table(

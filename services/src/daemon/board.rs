@@ -670,7 +670,7 @@ impl<M: LanguageModel> Board<M> {
         let mut free = [[1.0; MAX_ROOMS]; MAX_HORIZONS];
         let mut elsewhere = [1.0; MAX_HORIZONS];
         for (person, own) in &self.followed {
-            let by_habit = self.home.forecast(*person, own, now_ns);
+            let by_habit = self.home.forecast(*person, own, now_ns, &HORIZONS_S);
             for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
                 let free = free[place].iter_mut();
                 if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, place)?.split_last()) {
@@ -709,7 +709,7 @@ impl<M: LanguageModel> Board<M> {
             let presence = self.persons.get(person).map_or(Presence::Gone, |known| known.presence);
             (place.presence, place.flags) = (presence_value(presence), self.persons.flags(person, signed_ns));
             let own = self.followed.get(&person);
-            let by_habit = own.and_then(|own| self.home.forecast(person, own, now_ns));
+            let by_habit = own.and_then(|own| self.home.forecast(person, own, now_ns, &HORIZONS_S));
             for (horizon, horizon_s) in HORIZONS_S.iter().enumerate() {
                 if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, horizon)?.split_last()) {
                     place.elsewhere[horizon] = *gone as f32;

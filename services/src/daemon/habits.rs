@@ -18,8 +18,7 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::{Habits, HabitsOptions, Learned, Place, StoredError, Turn, WhenShares};
 use roomcast_core::narration::Observation;
 use roomcast_core::pipeline::SOURCES_MAX;
-
-use super::board::HORIZONS_S;
+use roomcast_ipc::MAX_HORIZONS;
 
 /// What an observation is called: source, epoch, sequence. No other has the same.
 pub(super) type Name = (u64, u64, u64);
@@ -346,9 +345,15 @@ impl HomeHabits {
         self.state += 1;
     }
 
-    /// Where a person will be: per horizon of the messages and place, row by row, elsewhere last. None where the forecast without habits is
+    /// Where a person will be: per horizon (always the same ones) and place, row by row, elsewhere last. None where the forecast without habits is
     /// all there is.
-    pub(super) fn forecast(&mut self, person: u32, own: &Forecaster, now_ns: u64) -> Option<&[f64]> {
+    pub(super) fn forecast(
+        &mut self,
+        person: u32,
+        own: &Forecaster,
+        now_ns: u64,
+        horizons_s: &[f32; MAX_HORIZONS],
+    ) -> Option<&[f64]> {
         let now_s = self.local_s(i64::try_from(now_ns).unwrap_or(i64::MAX)).filter(|_| !self.is_idle())?;
         let of = (now_ns, self.state);
         let ahead = self.ahead.entry(person).or_default();
@@ -365,11 +370,11 @@ impl HomeHabits {
                 return None;
             }
             self.shipped.clear();
-            self.shipped.resize(HORIZONS_S.len() * places, 0.0);
-            for (row, ahead_s) in self.shipped.chunks_exact_mut(places).zip(HORIZONS_S) {
-                write_shipped(own, from_s, f64::from(ahead_s), row);
+            self.shipped.resize(horizons_s.len() * places, 0.0);
+            for (row, ahead_s) in self.shipped.chunks_exact_mut(places).zip(horizons_s) {
+                write_shipped(own, from_s, f64::from(*ahead_s), row);
             }
-            let horizons_s = HORIZONS_S.map(f64::from);
+            let horizons_s = horizons_s.map(f64::from);
             let Ahead { probability, shares, .. } = ahead;
             self.memory.habits.at_times(person, (now_s, &horizons_s), &self.shipped, probability, shares);
             for (p, shipped) in probability.iter_mut().zip(&self.shipped) {
