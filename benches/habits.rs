@@ -23,7 +23,7 @@ impl Days {
     fn next(&mut self) -> (Turn, Vec<f64>) {
         self.state = self.state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let draw = (self.state >> 33) as usize;
-        self.label = if draw % 4 == 0 { draw / 4 % LABELS } else { (self.label * 7 + 3) % LABELS };
+        self.label = if draw.is_multiple_of(4) { draw / 4 % LABELS } else { (self.label * 7 + 3) % LABELS };
         self.at_s += 860.0;
         let turn = Turn {
             person: (draw / 1_024 % 2) as u32,

@@ -1708,3 +1708,27 @@ fn imported_habits_change_the_forecast_until_they_are_forgotten() {
     world.signal(daemon, Signal::TERM);
     assert!(world.wait(daemon).0.success());
 }
+
+/// What was narrated before the daemon was there is learned in addition to what it has learned by itself.
+#[test]
+fn habits_are_learned_from_lines_with_times() {
+    let mut world = World::new("learn");
+    world.start_daemon();
+    assert_eq!(world.narrate("camera", "They open the fridge.\n").0, 0);
+    eventually("it is learned", || (learned(&world) == 1.0).then_some(()));
+    let day = |day: u32| {
+        let at_s = f64::from(day).mul_add(86_400.0, 1_709_280_900.0);
+        let line = |at_s: f64, text: &str| format!(r#"{{"text": "{text}", "observed_unix_s": {at_s}, "person": 3}}"#);
+        [line(at_s, "They sit on the sofa."), line(at_s + 900.0, "They open the fridge.")].join("\n")
+    };
+    let file = world.directory.path().join("days.jsonl");
+    std::fs::write(&file, (0..5).map(day).collect::<Vec<_>>().join("\n") + "\nThey have no time.\n").unwrap();
+    let (code, _, errors) = habits(&world, &["learn", file.to_str().unwrap()]);
+    assert!(code == 0 && errors.contains("1 narrations have no time"), "{errors}");
+    assert_eq!(learned(&world), 11.0);
+    // Without times there is nothing to learn.
+    std::fs::write(&file, "They sit on the sofa.\n").unwrap();
+    assert_eq!(habits(&world, &["learn", file.to_str().unwrap()]).0, 3);
+    assert_eq!(habits(&world, &["learn"]).0, 2);
+    assert_eq!(learned(&world), 11.0);
+}

@@ -57,6 +57,8 @@ pub mod reporter;
 #[cfg(feature = "recording")]
 pub mod recording;
 
+pub mod lessons;
+
 #[cfg(all(test, feature = "mqtt"))]
 #[path = "../../tests/support/skipped.rs"]
 mod skipped;

@@ -8,7 +8,13 @@ use roomcast_ipc::{QuestionPort, question, sequence};
 
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
-use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES};
+use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, Zone};
+use roomcast_services::lessons::{self, Lesson};
+use roomcast_services::logging;
+use roomcast_services::narrator::{Item, Who, line_item};
+#[cfg(feature = "recordings")]
+use roomcast_services::recording;
+use roomcast_services::sensor_log::{self, SensorRules};
 
 /// Arguments of `roomcast habits`.
 #[derive(Debug, clap::Args)]
@@ -52,6 +58,30 @@ enum Action {
         #[command(flatten)]
         common: Common,
     },
+    /// Learn from what was narrated before, in addition to what was learned.
+    Learn(LearnArgs),
+}
+
+/// What is learned from.
+#[derive(Debug, clap::Args)]
+struct LearnArgs {
+    /// Lines of JSON with `observed_unix_s`, as `roomcast narrate` takes them.
+    #[arg(required_unless_present_any = ["sensors", "recording"], conflicts_with_all = ["sensors", "recording"])]
+    lines: Option<PathBuf>,
+    /// A sensor log, whose times are local ones.
+    #[arg(long, value_name = "LOG", requires = "rules", conflicts_with = "recording")]
+    sensors: Option<PathBuf>,
+    /// The rules that make narration of the sensor log (docs/sensors.md).
+    #[arg(long, value_name = "FILE", requires = "sensors")]
+    rules: Option<PathBuf>,
+    /// A recording (docs/recording.md).
+    #[arg(long, value_name = "FILE")]
+    recording: Option<PathBuf>,
+    /// The person, by name or number, where nothing says who it was.
+    #[arg(long)]
+    person: Option<Who>,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Options of every action.
@@ -88,6 +118,7 @@ pub fn run(args: &Args) -> CommandResult {
             print(&format!("{} bytes in {}.\n", text.len(), file.display()))
         }
         Action::Import { file, common } => import(file, &Asker::new(common)?),
+        Action::Learn(args) => learn(args),
     }
 }
 
@@ -100,39 +131,96 @@ fn write(file: &Path, text: &str) -> std::io::Result<()> {
     file.sync_all()
 }
 
-fn import(file: &Path, asker: &Asker) -> CommandResult {
-    let unreadable = |reason: String| {
-        let text =
-            format!("cannot import {}: {reason}; give a file that `roomcast habits export` wrote", file.display());
+/// Reads a file of at most so many bytes of text.
+fn read(file: &Path, most: u64) -> Result<String, Failure> {
+    let fault = |reason: String| {
+        let text = format!("cannot read {}: {reason}; give a file of text", file.display());
         Failure::new(exit_code::INPUT, text)
     };
     let mut text = String::new();
-    let read =
-        std::fs::File::open(file).and_then(|file| file.take(IMPORT_BYTES_MAX as u64 + 1).read_to_string(&mut text));
-    read.map_err(|error| unreadable(error.to_string()))?;
-    if text.len() > IMPORT_BYTES_MAX {
-        return Err(unreadable(format!("it has more than {IMPORT_BYTES_MAX} bytes")));
+    let opened = std::fs::File::open(file);
+    let read = opened.and_then(|file| file.take(most + 1).read_to_string(&mut text));
+    read.map_err(|error| fault(error.to_string()))?;
+    if text.is_empty() || text.len() as u64 > most {
+        return Err(fault(format!("it has {} bytes, 1 to {most} are taken", text.len())));
     }
-    let parts = parts_of(&text);
-    let whole = name();
-    let mut last = None;
-    for (part, text) in parts.iter().enumerate() {
-        let question = HabitsQuestion::Import {
-            id: name(),
-            whole: whole.clone(),
-            part,
-            parts: parts.len(),
-            text: (*text).to_owned(),
-        };
-        last = Some(asker.ask(&question)?);
+    Ok(text)
+}
+
+fn import(file: &Path, asker: &Asker) -> CommandResult {
+    let text = read(file, IMPORT_BYTES_MAX as u64)?;
+    let answer = asker.replace(&text, None)?;
+    imported("Imported", &done(answer)?)
+}
+
+fn imported(what: &str, answer: &HabitsAnswer) -> CommandResult {
+    let (counts, persons) = (answer.counts, answer.persons.len());
+    print(&format!("{what}: {counts} counts of {persons} persons.{}\n", after_restart(answer)))
+}
+
+/// Learns from a file, beside the daemon, and puts what was learned in place of what the daemon had.
+fn learn(args: &LearnArgs) -> CommandResult {
+    /// A home in which something is observed all the time leaves no time for it.
+    const ATTEMPTS: usize = 3;
+    let _log = logging::init();
+    let (lessons, zone) = lessons_of(args)?;
+    if lessons.is_empty() {
+        let text = "nothing in it can be learned from: every narration needs a time";
+        return Err(Failure::new(exit_code::INPUT, text));
     }
-    let Some(answer) = last else { return Err(unreadable("it is empty".to_owned())) };
-    print(&format!(
-        "Imported: {} counts of {} persons.{}\n",
-        answer.counts,
-        answer.persons.len(),
-        after_restart(&answer)
-    ))
+    let (config, _) = args.common.service.load()?;
+    let asker = Asker::new(&args.common)?;
+    for attempt in 1..=ATTEMPTS {
+        let before = asker.ask(&HabitsQuestion::Export)?;
+        let failed = |error| Failure::new(exit_code::FAILURE, error);
+        let board =
+            lessons::board(&config, before.export.as_deref().unwrap_or_default(), zone.clone()).map_err(failed)?;
+        let total = lessons.len();
+        let learned = lessons::teach(board, lessons.clone(), |told| {
+            if told % 1_000 == 0 {
+                eprintln!("roomcast: {told} of {total} narrations");
+            }
+        });
+        let learned = learned.map_err(failed)?;
+        let answer = asker.replace(&learned, Some(before.taken))?;
+        if !answer.learned_meanwhile || attempt == ATTEMPTS {
+            return imported("Learned", &done(answer)?);
+        }
+    }
+    Ok(())
+}
+
+/// What was narrated, and in which time zone its times are.
+fn lessons_of(args: &LearnArgs) -> Result<(Vec<Lesson>, Zone), Failure> {
+    let input = |error| Failure::new(exit_code::INPUT, error);
+    let person = args.person.clone().unwrap_or_default();
+    let ((lessons, left_out), zone) = match (&args.sensors, &args.rules, &args.recording, &args.lines) {
+        (Some(log), Some(rules), ..) => {
+            let narrated =
+                SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, &person)).map_err(input)?;
+            (Lesson::of_sensors(&narrated), Zone::UTC)
+        }
+        #[cfg(feature = "recordings")]
+        (_, _, Some(recording), _) => {
+            let recording = recording::read(recording).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+            ((Lesson::of_recording(&recording), 0), Zone::local())
+        }
+        (.., Some(lines)) => {
+            let text = read(lines, sensor_log::FILE_BYTES_MAX)?;
+            let items = text.lines().filter(|line| !line.trim().is_empty()).map(|line| line_item(line, &person));
+            let (items, faults): (Vec<_>, Vec<_>) = items.partition(Result::is_ok);
+            let items: Vec<Item> = items.into_iter().flatten().collect();
+            let (lessons, left_out) = Lesson::of_lines(&items);
+            ((lessons, left_out + faults.len()), Zone::local())
+        }
+        _ => return Err(Failure::new(exit_code::USAGE, "this build reads no recordings; give lines or --sensors")),
+    };
+    if left_out > 0 {
+        eprintln!(
+            "roomcast: {left_out} narrations have no time, or say nothing that a daemon takes; they are left out"
+        );
+    }
+    Ok((lessons, zone))
 }
 
 /// The text in parts that a question can carry, as JSON too.
@@ -173,22 +261,50 @@ impl Asker {
         Ok(Self { port, patience: Duration::from_secs(common.patience) })
     }
 
+    /// Puts what is learned in place of what the daemon has, if it has learned as many observations as expected.
+    fn replace(&self, json: &str, expected: Option<u64>) -> Result<HabitsAnswer, Failure> {
+        let (parts, whole) = (parts_of(json), name());
+        let mut last = HabitsAnswer::default();
+        for (part, text) in parts.iter().enumerate() {
+            last = self.answer(&HabitsQuestion::Import {
+                id: name(),
+                whole: whole.clone(),
+                part,
+                parts: parts.len(),
+                text: (*text).to_owned(),
+                expected,
+            })?;
+            if !last.done {
+                break;
+            }
+        }
+        Ok(last)
+    }
+
     fn ask(&self, question: &HabitsQuestion) -> Result<HabitsAnswer, Failure> {
+        done(self.answer(question)?)
+    }
+
+    fn answer(&self, question: &HabitsQuestion) -> Result<HabitsAnswer, Failure> {
         let question = serde_json::to_string(question).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
         let text = self.port.ask(&question, self.patience).map_err(|error| Failure::new(exit_code::IPC, error))?;
-        let answer: HabitsAnswer = serde_json::from_str(&text).map_err(|error| {
+        serde_json::from_str(&text).map_err(|error| {
             let text = format!("the daemon's answer cannot be read: {error}; use one version of Roomcast");
             Failure::new(exit_code::IPC, text)
-        })?;
-        let reason = answer.reason.as_deref();
-        if !answer.done {
-            let text = format!("the daemon changed nothing: {}", reason.unwrap_or("no reason given"));
-            return Err(Failure::new(exit_code::INPUT, text));
-        }
-        match reason {
-            Some(reason) => Err(Failure::new(exit_code::FAILURE, reason)),
-            None => Ok(answer),
-        }
+        })
+    }
+}
+
+/// The answer, if all of it was done.
+fn done(answer: HabitsAnswer) -> Result<HabitsAnswer, Failure> {
+    let reason = answer.reason.as_deref();
+    if !answer.done {
+        let text = format!("the daemon changed nothing: {}", reason.unwrap_or("no reason given"));
+        return Err(Failure::new(exit_code::INPUT, text));
+    }
+    match reason {
+        Some(reason) => Err(Failure::new(exit_code::FAILURE, reason)),
+        None => Ok(answer),
     }
 }
 

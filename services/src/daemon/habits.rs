@@ -113,7 +113,13 @@ impl Memory {
     /// Nothing yet.
     #[must_use]
     pub fn new(options: HabitsOptions) -> Self {
-        Self { habits: Habits::new(options), heard: Heard::default(), watched_until_s: f64::NEG_INFINITY }
+        Self::of(Habits::new(options))
+    }
+
+    /// What was learned elsewhere.
+    #[must_use]
+    pub fn of(habits: Habits) -> Self {
+        Self { habits, heard: Heard::default(), watched_until_s: f64::NEG_INFINITY }
     }
 }
 
@@ -145,6 +151,10 @@ pub struct HomeHabits {
     state: u64,
     ticked_ns: u64,
     changed: bool,
+    /// Observations that were learned since the start.
+    taken: u64,
+    /// Who was where when what was learned was replaced.
+    replaced: Vec<(u32, Place)>,
     /// Persons whose scores are new.
     rescored: Vec<u32>,
     /// Working memory: the model's labels, and forecasts without this home.
@@ -174,6 +184,8 @@ impl HomeHabits {
             state: 0,
             ticked_ns: 0,
             changed: false,
+            taken: 0,
+            replaced: Vec::new(),
             rescored: Vec::new(),
             model: Vec::new(),
             shipped: Vec::new(),
@@ -201,6 +213,13 @@ impl HomeHabits {
         self.labels = grounding.scored_labels().len();
         self.ahead.clear();
         self.state += 1;
+        self.memory.habits.set_learning(false);
+        for (person, place) in self.replaced.drain(..) {
+            if let Some((_, now_s)) = self.clock {
+                self.memory.habits.be(person, place, now_s);
+            }
+        }
+        self.memory.habits.set_learning(self.learn);
     }
 
     /// Takes note of the time.
@@ -255,6 +274,7 @@ impl HomeHabits {
             self.changes();
         }
         self.state += 1;
+        self.taken += u64::from(learns);
         learns
     }
 
@@ -411,13 +431,19 @@ impl HomeHabits {
     }
 
     /// What was learned, as JSON.
-    pub(super) fn to_json(&self) -> Result<String, StoredError> {
+    ///
+    /// # Errors
+    /// When it cannot be written as JSON: a fault of the program.
+    pub fn to_json(&self) -> Result<String, StoredError> {
         self.memory.habits.to_json()
     }
 
     /// Takes up what another run, or another home, has learned, in place of what this one has.
     pub(super) fn take_json(&mut self, json: &str) -> Result<(), StoredError> {
-        let habits = Habits::from_json(*self.memory.habits.options(), json)?;
+        let before = &self.memory.habits;
+        let habits = Habits::from_json(*before.options(), json)?;
+        let places = before.persons().filter_map(|(person, _)| Some((person, before.place(person)?)));
+        self.replaced = places.collect();
         self.replace(habits);
         Ok(())
     }
@@ -426,6 +452,12 @@ impl HomeHabits {
     #[must_use]
     pub fn learned(&self) -> Learned {
         self.memory.habits.learned()
+    }
+
+    /// How many observations were learned since the start.
+    #[must_use]
+    pub fn taken(&self) -> u64 {
+        self.taken
     }
 
     /// Whether anything is learned.

@@ -43,6 +43,9 @@ pub enum HabitsQuestion {
         parts: usize,
         /// The part.
         text: String,
+        /// How many observations the daemon may have learned since it started, for nothing of it to be lost; any number where left out.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        expected: Option<u64>,
     },
 }
 
@@ -106,6 +109,11 @@ pub struct HabitsAnswer {
     pub counts: usize,
     /// Bytes in memory.
     pub bytes: usize,
+    /// Observations that were learned since the daemon started.
+    pub taken: u64,
+    /// Whether nothing changed because the daemon has learned something that was not expected.
+    #[serde(default)]
+    pub learned_meanwhile: bool,
     /// Persons of whom something is known.
     pub persons: Vec<HabitsLine>,
     /// What was asked for by [`HabitsQuestion::Export`].
@@ -157,7 +165,7 @@ pub(super) fn answer<M: LanguageModel>(
     now_ns: u64,
 ) -> (HabitsAnswer, After) {
     let mut export = None;
-    let mut after = After::Nothing;
+    let (mut after, mut learned_meanwhile) = (After::Nothing, false);
     let result = asked.and_then(|question| match question {
         HabitsQuestion::Show => Ok(()),
         HabitsQuestion::Export => {
@@ -180,8 +188,12 @@ pub(super) fn answer<M: LanguageModel>(
             after = After::Forget;
             Ok(())
         }
-        HabitsQuestion::Import { whole, part, parts, text, .. } => {
+        HabitsQuestion::Import { whole, part, parts, text, expected, .. } => {
             let Some(json) = importing.take(&whole, (part, parts), &text)? else { return Ok(()) };
+            learned_meanwhile = expected.is_some_and(|expected| expected != board.habits().taken());
+            if learned_meanwhile {
+                return Err("it has learned something meanwhile, which would be lost: try again".to_owned());
+            }
             board.habits_mut().take_json(&json).map_err(|error| error.to_string())?;
             board.bind_habits();
             after = After::Forget;
@@ -206,6 +218,8 @@ pub(super) fn answer<M: LanguageModel>(
         contexts: learned.contexts,
         counts: learned.counts,
         bytes: learned.bytes,
+        taken: habits.taken(),
+        learned_meanwhile,
         persons: habits.persons().into_iter().map(line).collect(),
         export,
     };
