@@ -184,6 +184,22 @@ impl Forecaster {
         }
     }
 
+    /// Takes in that nobody is in `room` at `at_s`. It says nothing else: neither that the person was seen, nor that they did anything. Of a
+    /// time before the last observation it says nothing at all.
+    pub fn exclude(&mut self, at_s: f64, room: usize) {
+        // Who is out of the house is in no room.
+        if self.away_since_s.is_some() || at_s < self.updated_s || room >= self.belief.len() {
+            return;
+        }
+        let mistaken = self.options.mistaken;
+        let empty = |other: usize, p: f64| if other == room { mistaken * p } else { p };
+        let before = likeliest(&self.belief);
+        self.update(at_s, Some(empty));
+        if likeliest(&self.belief) != before {
+            (self.object, self.object_since_s) = (None, at_s);
+        }
+    }
+
     /// Takes in that the person is out of the house from `at_s` on.
     pub fn leave(&mut self, at_s: f64) {
         if self.away_since_s.is_some() {
@@ -544,6 +560,26 @@ mod tests {
         assert_eq!(text(""), None);
     }
 
+    /// A room that is empty is believed to be, and where they are else is as likely as before.
+    #[test]
+    fn nobody_is_in_an_empty_room() {
+        let (map, grounding) = studio();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
+        forecaster.observe(5.0, mentions.last("They lie on the bed."), &grounding, &[1.0 / 3.0; 3]);
+        let bed = likeliest(forecaster.belief()).unwrap();
+        let mut elsewhere = forecaster.clone();
+        forecaster.exclude(6.0, bed);
+        assert!(forecaster.belief()[bed] < 0.3, "{:?}", forecaster.belief());
+        elsewhere.exclude(6.0, (bed + 1) % 3);
+        assert_eq!(likeliest(elsewhere.belief()), Some(bed));
+        elsewhere.exclude(6.0, 7);
+        elsewhere.leave(7.0);
+        let away = elsewhere.clone();
+        elsewhere.exclude(8.0, bed);
+        assert_eq!(elsewhere.at(9.0, 60.0).collect::<Vec<_>>(), away.at(9.0, 60.0).collect::<Vec<_>>());
+    }
+
     /// A room that is left is where nobody is; what is left in a room, or put down, is none.
     #[test]
     fn who_leaves_a_room_is_in_another() {
@@ -623,18 +659,19 @@ mod tests {
         /// Rooms and elsewhere sum to one at every horizon, whatever happens; who was never away is never elsewhere.
         #[test]
         fn a_person_is_in_a_room_or_elsewhere(
-            events in prop::collection::vec((-5.0..9000.0f64, 0usize..4, 0usize..60), 0..30),
+            events in prop::collection::vec((-5.0..9000.0f64, 0usize..5, 0usize..60), 0..30),
             wait_s in 0.0..1e5f64,
         ) {
             let (_, grounding) = studio();
             let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
-            let (mut now_s, mut left) = (0.0, false);
+            let (mut now_s, mut left, mut out) = (0.0, false, false);
             for (pause_s, what, which) in events {
                 now_s += pause_s;
                 match what {
                     0 => forecaster.leave(now_s),
                     1 => forecaster.enter(now_s, None),
                     2 => forecaster.enter(now_s, Some(which % 4)),
+                    4 => forecaster.exclude(now_s, which % 4),
                     _ => forecaster.observe(now_s, Some(which.into()), &grounding, &[0.2, 0.8, 0.0]),
                 }
                 left |= what == 0;
@@ -647,7 +684,8 @@ mod tests {
                     prop_assert!(elsewhere <= before && (left || elsewhere == 0.0));
                     before = elsewhere;
                 }
-                prop_assert_eq!(forecaster.elsewhere(now_s, 0.0), f64::from(u8::from(what == 0)));
+                out = what == 0 || out && what == 4;
+                prop_assert_eq!(forecaster.elsewhere(now_s, 0.0), f64::from(u8::from(out)));
             }
         }
     }

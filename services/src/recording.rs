@@ -529,6 +529,7 @@ impl Recording {
             }
             match observation.said {
                 Said::Sentence(sentence) => narration.push((person, sentence)),
+                Said::Presence(statement) if statement.empty_room().is_some() => {}
                 Said::Presence(statement) if statement.is_of_everybody() => narration.clear(),
                 // Who leaves begins a new window.
                 said if said.presence() != Presence::Present => narration.retain(|(of, _)| *of != person),

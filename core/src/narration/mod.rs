@@ -197,7 +197,9 @@ impl Said {
     #[must_use]
     pub fn of(sentence: Sentence) -> Self {
         match PresenceStatement::of_sentence(sentence.as_str()) {
-            Some(statement) if statement.presence() == Presence::Away || statement.room().is_some() => {
+            Some(statement)
+                if statement.presence() == Presence::Away || statement.room().or(statement.empty_room()).is_some() =>
+            {
                 Self::Presence(statement)
             }
             _ => Self::Sentence(sentence),

@@ -49,8 +49,9 @@ pub struct PresenceStatement {
     of_everybody: bool,
 }
 
-/// What stands before the presence of everybody.
+/// What stands before the presence of everybody, and before a room that nobody is in.
 const EVERYBODY: &str = "everybody ";
+const NOBODY: &str = "nobody in the ";
 /// Subjects of sentences that say nothing of where anybody is.
 const NOT_SAID: [&str; 3] = ["don't", "never", "please"];
 /// Subjects that are no names.
@@ -83,6 +84,22 @@ const LEAVES: [&str; 12] = [
     "have left",
     "has left",
     "walks out of",
+];
+/// Verbs of going, and where somebody goes who is out then.
+const GOES: [&str; 10] =
+    ["goes", "go", "went", "has gone", "have gone", "is going", "are going", "is off", "are off", "heads"];
+const ERRANDS: [&str; 11] = [
+    "out",
+    "to work",
+    "to school",
+    "to university",
+    "to town",
+    "to the shop",
+    "to the shops",
+    "to the supermarket",
+    "shopping",
+    "for a walk",
+    "for a run",
 ];
 const COMES: [&str; 9] = ["comes", "come", "came", "returns", "return", "returned", "arrives", "arrive", "arrived"];
 const HOUSE: [&str; 6] = ["the house", "the home", "the apartment", "the flat", "the building", "home"];
@@ -151,7 +168,7 @@ fn predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
         let mut places_of = verbs.iter().filter_map(|verb| rest.strip_prefix(verb)?.strip_prefix(' '));
         places_of.any(|place| places.contains(&place))
     };
-    if follows(&LEAVES, &HOUSE) || ["goes out", "go out", "went out"].contains(&rest) {
+    if follows(&LEAVES, &HOUSE) || follows(&LEAVES, &["for work", "for school"]) || goes_out(rest) {
         return Some((Presence::Away, None));
     }
     if follows(&COMES, &AT_HOUSE) {
@@ -167,6 +184,12 @@ fn predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     let room = state.strip_prefix("in the ").or_else(|| state.strip_prefix("at the "))?;
     let last = room.split([' ', '-']).next_back().unwrap_or_default();
     ROOMS.contains(&last).then_some((Presence::Present, Some(room)))
+}
+
+/// Whether a sentence's words after its subject say that somebody goes where they are out of the house: "has gone to work".
+fn goes_out(rest: &str) -> bool {
+    let to = GOES.iter().find_map(|verb| rest.strip_prefix(verb)?.strip_prefix(' '));
+    to.is_some_and(|place| ERRANDS.contains(&place))
 }
 
 /// What somebody is, in a sentence that says it: "is still away" is "away".
@@ -197,7 +220,7 @@ impl PresenceStatement {
         Ok(statement)
     }
 
-    /// Reads what [`fmt::Display`] writes: `present`, `present in the kitchen`, `away`, `everybody away`, `gone`.
+    /// Reads what [`fmt::Display`] writes: `present`, `present in the kitchen`, `nobody in the kitchen`, `away`, `everybody away`, `gone`.
     ///
     /// # Errors
     /// Anything else.
@@ -213,10 +236,11 @@ impl PresenceStatement {
         let text = text.trim();
         let (presence, room) = match text {
             // An article alone names no room.
-            "present in the" => (Presence::Unknown, None),
+            "present in the" | "nobody in the" => (Presence::Unknown, None),
             "present" => (Presence::Present, None),
             "away" => (Presence::Away, None),
             "everybody away" => return Ok(Self::of_all(Presence::Away)),
+            _ if text.starts_with(NOBODY) => return Self::empty(&text[NOBODY.len()..]),
             "gone" => (Presence::Gone, None),
             _ => {
                 let room = text.strip_prefix("present in ").map(|room| room.strip_prefix("the ").unwrap_or(room));
@@ -240,12 +264,15 @@ impl PresenceStatement {
         if NOT_SAID.contains(&subject) {
             return None;
         }
-        let (presence, room) = predicate(rest)?;
+        // Who has left, and says not what, has left the house.
+        let has_left = ["left", "has left", "have left"].contains(&rest);
+        let (presence, room) = if has_left { (Presence::Away, None) } else { predicate(rest)? };
         let of_everybody = match subject {
             "nobody" | "noone" | "no-one" => {
-                // That nobody leaves, or is in one room, says of nobody where they are.
-                let nobody_is_in = presence == Presence::Present && room.is_none() && state(rest).is_some();
-                return nobody_is_in.then_some(Self::of_all(Presence::Away));
+                // That nobody leaves says of nobody where they are.
+                let nobody_is_in = presence == Presence::Present && state(rest).is_some();
+                let statement = room.map_or_else(|| Some(Self::of_all(Presence::Away)), |room| Self::empty(room).ok());
+                return statement.filter(|_| nobody_is_in);
             }
             "everybody" | "everyone" | "all" | "both" => true,
             _ => false,
@@ -260,6 +287,17 @@ impl PresenceStatement {
 
     fn of_all(presence: Presence) -> Self {
         Self { presence, room: None, subject: None, of_everybody: true }
+    }
+
+    /// That nobody is in a room: of everybody who is in the house, wherever else they are.
+    fn empty(room: &str) -> Result<Self, PresenceError> {
+        Ok(Self { of_everybody: true, ..Self::new(Presence::Present, Some(room))? })
+    }
+
+    /// The room that nobody is in, where that is said.
+    #[must_use]
+    pub fn empty_room(&self) -> Option<&str> {
+        self.room.as_deref().filter(|_| self.of_everybody)
     }
 
     /// Whether it is said of everybody who lives here or is in the house.
@@ -283,12 +321,15 @@ impl PresenceStatement {
     /// The room that the person is in, in the narrator's words.
     #[must_use]
     pub fn room(&self) -> Option<&str> {
-        self.room.as_deref()
+        self.room.as_deref().filter(|_| !self.of_everybody)
     }
 }
 
 impl fmt::Display for PresenceStatement {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(room) = self.empty_room() {
+            return write!(f, "{NOBODY}{room}");
+        }
         if self.of_everybody {
             f.write_str(EVERYBODY)?;
         }
@@ -308,9 +349,20 @@ mod tests {
         {
             assert_eq!(PresenceStatement::parse(text).unwrap().to_string(), text);
         }
-        for text in
-            ["", "unknown", "present in", "present in the ", "asleep", "away in the kitchen", "present in \u{202e}"]
-        {
+        let empty = PresenceStatement::parse("nobody in the living room").unwrap();
+        assert_eq!((empty.empty_room(), empty.room(), empty.is_of_everybody()), (Some("living room"), None, true));
+        assert_eq!(empty.to_string(), "nobody in the living room");
+        for text in [
+            "",
+            "unknown",
+            "present in",
+            "present in the ",
+            "nobody in the ",
+            "nobody in",
+            "asleep",
+            "away in the kitchen",
+            "present in \u{202e}",
+        ] {
             PresenceStatement::parse(text).unwrap_err();
         }
         assert_eq!(PresenceStatement::new(Presence::Away, Some("kitchen")).unwrap().room(), None);
@@ -338,7 +390,6 @@ mod tests {
             "They go out of the kitchen.",
             "They leave.",
             "Nobody leaves the house.",
-            "Nobody is in the kitchen.",
             "Everybody is in the kitchen.",
             "They are in the bath.",
             "They are tired.",
@@ -362,6 +413,11 @@ mod tests {
             ("No one is at home!", "everybody away", None, true),
             ("Everybody is out.", "everybody away", None, true),
             ("Everyone has left the house.", "everybody away", None, true),
+            ("Everyone left.", "everybody away", None, true),
+            ("Ada has gone to work.", "away", Some("ada"), false),
+            ("Ben left for work", "away", Some("ben"), false),
+            ("They go shopping.", "away", None, false),
+            ("Nobody is in the kitchen.", "nobody in the kitchen", None, true),
         ] {
             let statement = of(sentence);
             assert_eq!((statement.to_string().as_str(), statement.subject()), (said, subject), "{sentence}");

@@ -387,6 +387,7 @@ impl<M: LanguageModel> Board<M> {
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
             let (mut person, voice) = (observation.person, Voice::of_source(observation.source));
             self.pipeline.include(&observation, voice);
+            self.exclude(&observation, at_ns);
             for own in self.persons.each(observation) {
                 let Some(own) = self.take(own, Voice::EARLIER, at_ns) else { continue };
                 person = own.person;
@@ -484,6 +485,20 @@ impl<M: LanguageModel> Board<M> {
         place.words.push_str(words);
         place.is_sentence = is_sentence;
         Some(observation)
+    }
+
+    /// Takes a statement that a room is empty into the forecasts.
+    fn exclude(&mut self, observation: &Observation, at_ns: Option<i64>) {
+        let Said::Presence(statement) = &observation.said else { return };
+        let Some(empty) = statement.empty_room() else { return };
+        self.note_room(empty);
+        // Of a changed map nobody knows yet where they are.
+        let (Some(at_ns), None) = (at_ns, &self.next_rooms) else { return };
+        // What was observed before it comes first.
+        self.follow();
+        if let Some(room) = room_named(empty, &self.map, self.pipeline.grounding()) {
+            self.followed.values_mut().for_each(|own| own.exclude(seconds(at_ns), room));
+        }
     }
 
     /// Says once of each name that no room of the map has it: whoever is said to be there is present, and nothing is known of where.
@@ -772,6 +787,7 @@ impl<M: LanguageModel> Board<M> {
             }
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns).or(i64::try_from(received_ns).ok());
             self.pipeline.include(&observation, voice);
+            self.exclude(&observation, at_ns);
             for own in self.persons.each(observation) {
                 if let Some(own) = self.take(own, voice, at_ns) {
                     self.pipeline.enter(voice, own);

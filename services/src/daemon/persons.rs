@@ -4,7 +4,9 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
-use roomcast_core::narration::{Observation, PERSONS_MAX, Presence, SOMEBODY, Said, Voice, same_name};
+use roomcast_core::narration::{
+    Observation, PERSONS_MAX, Presence, PresenceStatement, SOMEBODY, Said, Voice, same_name,
+};
 use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
 
 use super::person_question::PersonLine;
@@ -113,9 +115,15 @@ impl Persons {
         kept.map_or_else(by_list, |resident| !resident)
     }
 
-    /// The observations that one stands for: itself, or, where it is of everybody, one of each who lives here or is in the house.
+    /// The observations of persons that one stands for: itself; where it is of everybody, one of each who lives here or is in the house; none
+    /// where it says that nobody is in a room.
     pub(super) fn each(&self, observation: Observation) -> impl Iterator<Item = Observation> + use<> {
-        let of_everybody = matches!(&observation.said, Said::Presence(statement) if statement.is_of_everybody());
+        let statement = match &observation.said {
+            Said::Presence(statement) => Some(statement),
+            Said::Sentence(_) => None,
+        };
+        let of_everybody = statement.is_some_and(PresenceStatement::is_of_everybody);
+        let of_nobody = statement.is_some_and(|statement| statement.empty_room().is_some());
         let mut whose = BTreeSet::new();
         if of_everybody && observation.person == SOMEBODY && observation.name.is_none() {
             let here = self.iter().filter(|(_, known)| known.presence == Presence::Present);
@@ -123,7 +131,8 @@ impl Persons {
         }
         let person = whose.pop_first().unwrap_or(observation.person);
         let others: Vec<_> = whose.into_iter().map(|person| Observation { person, ..observation.clone() }).collect();
-        std::iter::once(Observation { person, ..observation }).chain(others)
+        let first = (!of_nobody).then_some(Observation { person, ..observation });
+        first.into_iter().chain(others.into_iter().filter(move |_| !of_nobody))
     }
 
     /// Whether an observation that was made at `at_ns` arrives after a later one that says otherwise of whether its person is in the house.
@@ -744,6 +753,30 @@ mod tests {
         assert_eq!(presences(&mut house), [Some(presence::AWAY); 3]);
         house.after(5, "somebody", "Ben is home.");
         assert_eq!(house.presence("ben"), Some(presence::PRESENT));
+    }
+
+    /// A sensor that sees nobody tells where nobody is, and of nobody that they are here.
+    #[test]
+    fn a_room_may_be_empty() {
+        let mut house = House::new(&["ada", "ben"]);
+        house.after(1, "somebody", "Nobody is in the kitchen.");
+        assert_eq!((house.known(), house.presence("ada")), (0, None));
+        house.after(1, "ada", "present in the kitchen");
+        let kitchen = house.now().0.iter().position(|p| *p > 0.9).unwrap();
+        house.after(1, "somebody", "nobody in the kitchen");
+        let empty = house.now().0;
+        assert!(empty[kitchen] < 0.3, "{empty:?}");
+        assert_eq!((house.known(), house.presence("ben")), (1, None));
+        let before = house.person("ada").unwrap().observed_ns;
+        house.restart();
+        assert!(house.now().0.iter().zip(&empty).all(|(a, b)| (a - b).abs() < 1e-5));
+        assert_eq!(house.person("ada").unwrap().observed_ns, before);
+        // What was seen before the last word on somebody is past.
+        house.after(5, "ada", "present in the kitchen");
+        let late =
+            Observation { observed_ns: house.now_ns - S, ..house.observation("somebody", "nobody in the kitchen") };
+        house.enter(late);
+        assert!(house.now().0[kitchen] > 0.9);
     }
 
     /// Of who lives here and was never observed nobody knows whether they are out.
