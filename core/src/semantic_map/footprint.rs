@@ -277,9 +277,20 @@ impl Space {
 
     /// V_o of the paper: the volume in cubic metres that it shares with the box; zero where they only touch.
     #[must_use]
+    #[inline]
     pub(crate) fn overlap_m3(&self, other: &Box3) -> f64 {
         let boxes_m3 = self.bounds.overlap_m3(other);
-        let Some(footprint) = self.footprint.as_ref().filter(|_| boxes_m3 > 0.0) else { return boxes_m3 };
+        if boxes_m3 > 0.0
+            && let Some(footprint) = &self.footprint
+        {
+            return self.prism_overlap_m3(footprint, other);
+        }
+        boxes_m3
+    }
+
+    /// The same of a prism. Apart, so that boxes stay as quick as they are without.
+    #[inline(never)]
+    fn prism_overlap_m3(&self, footprint: &Footprint, other: &Box3) -> f64 {
         let height_m = self.bounds.max_m[2].min(other.max_m[2]) - self.bounds.min_m[2].max(other.min_m[2]);
         let level = |[x, y, _]: [f64; 3]| [x, y];
         height_m * footprint.area_within_m2(level(other.min_m), level(other.max_m))
