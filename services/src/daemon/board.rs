@@ -329,14 +329,15 @@ impl<M: LanguageModel> Board<M> {
         }
         for seen in &self.seen[..unwatched] {
             let own = self.followed.get(&seen.person);
+            self.home.next_is(seen.name, !self.persons.is_visitor(seen.person));
             if let Some(own) = own.filter(|_| seen.is_sentence && seen.presence == Presence::Present) {
                 let label = turned_to(self.mentions.last(&seen.words));
-                self.home.turned(seen.name, seen.person, seen.at_ns, label, own);
+                self.home.turned(seen.person, seen.at_ns, label, own);
             } else {
                 let out = seen.presence != Presence::Present;
                 let room = room_named(&seen.words, &self.map, grounding).filter(|_| !out).map(Whereabouts::Room);
                 let place = if out { Some(Whereabouts::Elsewhere) } else { room };
-                self.home.is_in(seen.name, seen.person, seen.at_ns, place, own);
+                self.home.is_in(seen.person, seen.at_ns, place, own);
             }
         }
     }
@@ -622,27 +623,28 @@ impl<M: LanguageModel> Board<M> {
         let grounding = self.pipeline.grounding();
         for seen in &self.seen[..std::mem::take(&mut self.unwatched)] {
             let at_s = seconds(seen.at_ns);
+            self.home.next_is(seen.name, !self.persons.is_visitor(seen.person));
             if seen.presence == Presence::Gone {
                 let own = self.followed.remove(&seen.person);
-                self.home.is_in(seen.name, seen.person, seen.at_ns, Some(Whereabouts::Elsewhere), own.as_ref());
+                self.home.is_in(seen.person, seen.at_ns, Some(Whereabouts::Elsewhere), own.as_ref());
                 continue;
             }
             let own = self.followed.entry(seen.person).or_insert_with(|| follower(grounding, self.options, seen.at_ns));
             if seen.presence == Presence::Away {
                 own.leave(at_s);
-                self.home.is_in(seen.name, seen.person, seen.at_ns, Some(Whereabouts::Elsewhere), Some(own));
+                self.home.is_in(seen.person, seen.at_ns, Some(Whereabouts::Elsewhere), Some(own));
             } else if seen.is_sentence {
                 // What the model says after all of them is for what comes then, not for what lies between them.
                 let mention = self.mentions.last(&seen.words);
                 own.observe(at_s, mention, grounding, &[]);
-                self.home.turned(seen.name, seen.person, seen.at_ns, turned_to(mention), own);
+                self.home.turned(seen.person, seen.at_ns, turned_to(mention), own);
                 if let (Some(found), Some(known)) = (mention, self.persons.get_mut(seen.person)) {
                     known.on_bed = is_bed(&grounding.scored_labels()[found.label].text);
                 }
             } else {
                 let room = room_named(&seen.words, &self.map, grounding);
                 own.enter(at_s, room);
-                self.home.is_in(seen.name, seen.person, seen.at_ns, room.map(Whereabouts::Room), Some(own));
+                self.home.is_in(seen.person, seen.at_ns, room.map(Whereabouts::Room), Some(own));
             }
         }
         let histories = self.pipeline.histories();

@@ -135,6 +135,17 @@ struct Ahead {
     sure: f64,
 }
 
+/// What becomes of an observation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Next {
+    /// It is learned from.
+    Learned,
+    /// It says where somebody is, and what they did last.
+    Recalled,
+    /// It is passed over.
+    Nothing,
+}
+
 /// Habits of the home in use.
 #[derive(Debug)]
 pub struct HomeHabits {
@@ -145,6 +156,7 @@ pub struct HomeHabits {
     clock: Option<(u64, f64)>,
     /// What comes now was learned by a former run.
     recalling: bool,
+    next: Next,
     labels: usize,
     ahead: BTreeMap<u32, Ahead>,
     /// Grows with everything that changes a forecast.
@@ -179,6 +191,7 @@ impl HomeHabits {
             zone,
             clock: None,
             recalling: false,
+            next: Next::Nothing,
             labels: 0,
             ahead: BTreeMap::new(),
             state: 0,
@@ -266,27 +279,31 @@ impl HomeHabits {
         }
     }
 
-    /// Whether something is to be learned of an observation; takes note of it.
-    fn learns(&mut self, name: Name) -> bool {
-        let new = self.memory.heard.note(name);
-        let learns = self.learn && new && !self.recalling;
-        if new && !self.recalling {
-            self.changes();
+    /// The next observation is this one, of one who lives here or of a visitor, of whom nothing is learned; takes note of it.
+    pub(super) fn next_is(&mut self, name: Name, lives_here: bool) {
+        if self.is_idle() || self.clock.is_none() {
+            self.next = Next::Nothing;
+            return;
         }
+        let new = self.memory.heard.note(name);
+        self.next = match lives_here {
+            true if self.learn && new && !self.recalling => Next::Learned,
+            true => Next::Recalled,
+            false => Next::Nothing,
+        };
+        self.changed |= new && !self.recalling;
+        self.taken += u64::from(self.next == Next::Learned);
         self.state += 1;
-        self.taken += u64::from(learns);
-        learns
     }
 
     /// Somebody did something with the label that was mentioned, if any; `own` knows it already.
-    pub(super) fn turned(&mut self, name: Name, person: u32, at_ns: i64, mention: Option<usize>, own: &Forecaster) {
-        let Some(at_s) = self.local_s(at_ns).filter(|_| !self.is_idle()) else { return };
-        let learns = self.learns(name);
+    pub(super) fn turned(&mut self, person: u32, at_ns: i64, mention: Option<usize>, own: &Forecaster) {
+        let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };
         let label = mention.filter(|label| *label < self.labels);
         let (likeliest, sure) = likeliest(own.belief());
         let was_out = self.memory.habits.place(person) == Some(Place::Elsewhere);
         let habits = &mut self.memory.habits;
-        habits.set_learning(learns);
+        habits.set_learning(self.next == Next::Learned);
         let room = likeliest.filter(|_| label.is_some() && sure > SURE);
         habits.observe(&Turn { person, label, room, at_s, mark: 0 });
         // Whoever does something is in the house.
@@ -297,13 +314,12 @@ impl HomeHabits {
     }
 
     /// Somebody is in the house, in a room if one was told, or out of it; `own` knows it already.
-    pub(super) fn is_in(&mut self, name: Name, person: u32, at_ns: i64, told: Option<Place>, own: Option<&Forecaster>) {
-        let Some(at_s) = self.local_s(at_ns).filter(|_| !self.is_idle()) else { return };
-        let learns = self.learns(name);
+    pub(super) fn is_in(&mut self, person: u32, at_ns: i64, told: Option<Place>, own: Option<&Forecaster>) {
+        let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };
         let was_out = self.memory.habits.place(person) == Some(Place::Elsewhere);
         let back = || likeliest(own?.belief()).0.filter(|_| was_out).map(Place::Room);
         let habits = &mut self.memory.habits;
-        habits.set_learning(learns);
+        habits.set_learning(self.next == Next::Learned);
         if let Some(place) = told.or_else(back) {
             habits.be(person, place, at_s);
         }
@@ -336,7 +352,9 @@ impl HomeHabits {
     /// room its probability.
     pub(super) fn look_ahead(&mut self, person: u32, at_ns: i64, labels_nats: &[f64], rooms: &[f64]) {
         let fits = labels_nats.len() == self.labels && rooms.len() + 1 == self.memory.habits.places();
-        let Some(at_s) = self.local_s(at_ns).filter(|_| fits) else { return };
+        // Of a visitor nothing is known.
+        let is_known = self.memory.habits.persons().any(|(known, _)| known == person);
+        let Some(at_s) = self.local_s(at_ns).filter(|_| fits && is_known) else { return };
         let most_nats = labels_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         self.model.clear();
         self.model.extend(labels_nats.iter().map(|nats| (nats - most_nats).exp()));

@@ -6,7 +6,7 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::semantic_map::delta::parse_changes;
 use roomcast_ipc::Message;
 
-use super::super::{Board, Entry};
+use super::super::{Board, Entry, Persons, PersonsFile};
 use super::*;
 
 const S: u64 = 1_000_000_000;
@@ -319,6 +319,18 @@ fn what_is_exported_teaches_another_home() {
     other.board.habits_mut().forget_all();
     other.board.bind_habits();
     assert_eq!(other.board.habits().learned().counts, 0);
+}
+
+#[test]
+fn nothing_is_learned_of_visitors() {
+    let mut house = House::new(true);
+    let residents = crate::config::PersonsConfig { residents: vec!["3".to_owned()], ..Default::default() };
+    house.board = house.board.with_persons(Persons::new(residents, PersonsFile::default()));
+    house.say(3, 7 * H, "They sit on the sofa.");
+    house.say(4, 7 * H + 60, "They open the fridge.");
+    house.say(4, 7 * H + 120, "away");
+    house.say(3, 7 * H + 180, "They stand up.");
+    assert_eq!(house.board.habits().persons(), [(3, 2.0)]);
 }
 
 #[test]
