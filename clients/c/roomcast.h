@@ -578,7 +578,7 @@ typedef struct RoomcastPersonForecastV1 {
   float probability[ROOMCAST_MAX_ROOMS][ROOMCAST_MAX_HORIZONS];
 } RoomcastPersonForecastV1;
 
-// Where each person will be. Sent only while somebody subscribes.
+// Where each person will be.
 typedef struct RoomcastPersonForecastsV1 {
   // Epoch of the room scores that it follows from.
   // (Offset 0.)

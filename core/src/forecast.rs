@@ -98,6 +98,8 @@ pub struct Forecaster {
     /// Working memory of an observation: the belief just after it.
     predicted: Vec<f64>,
     scores: Vec<f64>,
+    /// The scores are of what was done last: not once a sensor has said that the person is elsewhere.
+    expects: bool,
     spent_s: Vec<f64>,
     to_object: Learned,
     stay: Learned,
@@ -124,6 +126,7 @@ impl Forecaster {
             belief: even.clone(),
             predicted: even.clone(),
             scores: even,
+            expects: true,
             to_object: prior(options.object_s),
             stay: prior(options.stay_s),
             away: prior(options.away_s),
@@ -158,6 +161,7 @@ impl Forecaster {
         };
         self.update(at_s, mentioned.map(|mention| move |room: usize, p: f64| weigh(mention, room, p)));
         // What is left is not turned to.
+        self.expects = true;
         if let Some(label) = mentioned.filter(|mention| !mention.is_left).map(|mention| mention.label)
             && self.object != Some(label)
         {
@@ -179,9 +183,15 @@ impl Forecaster {
         let seen = |room: usize, p: f64| mistaken * p + (1.0 - mistaken) * f64::from(u8::from(room == entered));
         self.update(at_s, Some(seen));
         if likeliest(&self.belief) != before {
-            // Whatever was in hand is in another room.
-            (self.object, self.object_since_s) = (None, at_s);
+            self.begin_elsewhere(at_s);
         }
+    }
+
+    /// Whatever was in hand is in another room, and what the model said came next was said of what was done there.
+    fn begin_elsewhere(&mut self, at_s: f64) {
+        (self.object, self.object_since_s) = (None, at_s);
+        self.scores.copy_from_slice(&self.belief);
+        self.expects = false;
     }
 
     /// Takes in that nobody is in `room` at `at_s`. It says nothing else: neither that the person was seen, nor that they did anything. Of a
@@ -192,11 +202,13 @@ impl Forecaster {
             return;
         }
         let mistaken = self.options.mistaken;
-        let empty = |other: usize, p: f64| if other == room { mistaken * p } else { p };
+        // As much of it stays as the word is mistaken, however sure the belief was; the others share the rest as before.
+        let left = |p: f64| mistaken * p * (1.0 - p) / (1.0 - mistaken * p).max(f64::MIN_POSITIVE);
+        let empty = |other: usize, p: f64| if other == room { left(p) } else { p };
         let before = likeliest(&self.belief);
         self.update(at_s, Some(empty));
         if likeliest(&self.belief) != before {
-            (self.object, self.object_since_s) = (None, at_s);
+            self.begin_elsewhere(at_s);
         }
     }
 
@@ -218,7 +230,7 @@ impl Forecaster {
             let spent_s: f64 = self.spent_s.iter().sum();
             self.belief.clear();
             self.belief.extend(self.spent_s.iter().map(|room_s| room_s / spent_s));
-            (self.object, self.object_since_s) = (None, at_s);
+            self.begin_elsewhere(at_s);
             (self.room_since_s, self.updated_s) = (at_s, at_s);
         }
         at_s
@@ -259,9 +271,10 @@ impl Forecaster {
         self.updated_s = at_s;
     }
 
-    /// Takes in the room probabilities that the model gives after the last observation; those of another length are ignored.
+    /// Takes in the room probabilities that the model gives after the last observation; those of another length are ignored, and so are all once
+    /// the person was told to be in another room, until they do something there.
     pub fn expect(&mut self, scores: &[f64]) {
-        if scores.len() == self.scores.len() {
+        if self.expects && scores.len() == self.scores.len() {
             self.scores.copy_from_slice(scores);
         }
     }
@@ -535,6 +548,11 @@ mod tests {
             // However sure it was a moment before.
             seen.enter(6.0, Some(room));
             assert!(seen.belief()[room] > 0.98, "{:?}", seen.belief());
+            // What the model said of the bed does not draw them back, and time alone makes nobody surer.
+            seen.expect(&std::array::from_fn::<_, 3, _>(|other| f64::from(u8::from(other == bed))));
+            let after = |t: f64| seen.at(6.0 + t, 0.0).collect::<Vec<_>>();
+            let course: Vec<f64> = [1.0, 5.0, 15.0, 40.0, 180.0].iter().map(|t| after(*t)[room]).collect();
+            assert!(course[2] > 0.8 && course.is_sorted_by(|a, b| a >= b), "{course:?}");
             seen.enter(61.0, Some(7));
             assert!(seen.belief()[room] > 0.9, "no such room");
         }
@@ -570,7 +588,7 @@ mod tests {
         let bed = likeliest(forecaster.belief()).unwrap();
         let mut elsewhere = forecaster.clone();
         forecaster.exclude(6.0, bed);
-        assert!(forecaster.belief()[bed] < 0.3, "{:?}", forecaster.belief());
+        assert!(forecaster.belief()[bed] < 0.011, "{:?}", forecaster.belief());
         elsewhere.exclude(6.0, (bed + 1) % 3);
         assert_eq!(likeliest(elsewhere.belief()), Some(bed));
         elsewhere.exclude(6.0, 7);

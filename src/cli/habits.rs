@@ -2,9 +2,8 @@
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
-use roomcast_ipc::{QuestionPort, question, sequence};
+use roomcast_ipc::question;
 
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
@@ -105,7 +104,8 @@ pub fn run(args: &Args) -> CommandResult {
             if *json { super::print_json(&answer) } else { print(&shown(&answer)) }
         }
         Action::Forget { person, common, .. } => {
-            let answer = Asker::new(common)?.ask(&HabitsQuestion::Forget { id: name(), who: person.clone() })?;
+            let answer = Asker::new(common)?
+                .ask(&HabitsQuestion::Forget { id: service::question_name(), who: person.clone() })?;
             print(&format!("Forgotten.{}\n", after_restart(&answer)))
         }
         Action::Export { file, common } => {
@@ -239,35 +239,26 @@ fn parts_of(text: &str) -> Vec<&str> {
     parts
 }
 
-/// A name that no other question has.
-fn name() -> String {
-    format!("{:016x}", sequence::random_epoch())
-}
-
 fn after_restart(answer: &HabitsAnswer) -> &'static str {
     if answer.kept { "" } else { " A restarted daemon does not know this: daemon.state keeps habits." }
 }
 
-struct Asker {
-    port: QuestionPort,
-    patience: Duration,
-}
+/// The way to the daemon's habits.
+struct Asker(service::Asker);
 
 impl Asker {
     fn new(common: &Common) -> Result<Self, Failure> {
         let (_, domain) = common.service.load()?;
-        let port = domain.open("roomcast-habits").and_then(|node| node.question_port(question::HABITS));
-        let port = port.map_err(|error| Failure::new(exit_code::IPC, error))?;
-        Ok(Self { port, patience: Duration::from_secs(common.patience) })
+        service::Asker::new(&domain, "roomcast-habits", question::HABITS, common.patience).map(Self)
     }
 
     /// Puts what is learned in place of what the daemon has, if it has learned as many observations as expected.
     fn replace(&self, json: &str, expected: Option<u64>) -> Result<HabitsAnswer, Failure> {
-        let (parts, whole) = (parts_of(json), name());
+        let (parts, whole) = (parts_of(json), service::question_name());
         let mut last = HabitsAnswer::default();
         for (part, text) in parts.iter().enumerate() {
-            last = self.answer(&HabitsQuestion::Import {
-                id: name(),
+            last = self.0.ask(&HabitsQuestion::Import {
+                id: service::question_name(),
                 whole: whole.clone(),
                 part,
                 parts: parts.len(),
@@ -282,16 +273,7 @@ impl Asker {
     }
 
     fn ask(&self, question: &HabitsQuestion) -> Result<HabitsAnswer, Failure> {
-        done(self.answer(question)?)
-    }
-
-    fn answer(&self, question: &HabitsQuestion) -> Result<HabitsAnswer, Failure> {
-        let question = serde_json::to_string(question).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
-        let text = self.port.ask(&question, self.patience).map_err(|error| Failure::new(exit_code::IPC, error))?;
-        serde_json::from_str(&text).map_err(|error| {
-            let text = format!("the daemon's answer cannot be read: {error}; use one version of Roomcast");
-            Failure::new(exit_code::IPC, text)
-        })
+        done(self.0.ask(question)?)
     }
 }
 

@@ -1,8 +1,6 @@
 //! `roomcast person`: who the daemon knows, to forget somebody, to give somebody a name.
 
-use std::time::Duration;
-
-use roomcast_ipc::{question, sequence};
+use roomcast_ipc::question;
 
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
@@ -56,7 +54,7 @@ struct Common {
 /// # Errors
 /// When no daemon answers, or it refuses.
 pub fn run(args: &Args) -> CommandResult {
-    let id = format!("{:016x}", sequence::random_epoch());
+    let id = service::question_name();
     let (common, question) = match &args.action {
         Action::List(common) => (common, PersonQuestion::List),
         Action::Forget { who, common } => (common, PersonQuestion::Forget { id, who: who.clone() }),
@@ -66,14 +64,8 @@ pub fn run(args: &Args) -> CommandResult {
         }
     };
     let (_, domain) = common.service.load()?;
-    let ipc = |error| Failure::new(exit_code::IPC, error);
-    let question = serde_json::to_string(&question).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
-    let port = domain.open("roomcast-person").and_then(|node| node.question_port(question::PERSON)).map_err(ipc)?;
-    let text = port.ask(&question, Duration::from_secs(common.patience)).map_err(ipc)?;
-    let answer: PersonAnswer = serde_json::from_str(&text).map_err(|error| {
-        let text = format!("the daemon's answer cannot be read: {error}; use one version of Roomcast");
-        Failure::new(exit_code::IPC, text)
-    })?;
+    let asker = service::Asker::new(&domain, "roomcast-person", question::PERSON, common.patience)?;
+    let answer: PersonAnswer = asker.ask(&question)?;
     if common.json {
         super::print_json(&answer)?;
     }

@@ -3,11 +3,10 @@
 use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use clap::{Subcommand, ValueEnum};
 use comfy_table::{CellAlignment, Table, presets};
-use roomcast_ipc::{question, sequence};
+use roomcast_ipc::question;
 use serde_json::{Value, json};
 
 use super::choice::choice;
@@ -335,20 +334,12 @@ fn apply(args: &Apply) -> CommandResult {
         read("changes", &args.changes)?
     };
     let question = MapQuestion {
-        id: format!("{:016x}", sequence::random_epoch()),
+        id: service::question_name(),
         expected_map: args.expect.clone(),
         changes: delta::parse_changes(&json).map_err(|error| in_file("changes", &args.changes, &error))?,
     };
-    let question = serde_json::to_string(&question).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
-    let ipc = |error| Failure::new(exit_code::IPC, error);
-    let port = domain.open("roomcast-scene").and_then(|node| node.question_port(question::MAP_CHANGE)).map_err(ipc)?;
-    let text = port.ask(&question, Duration::from_secs(args.patience)).map_err(ipc)?;
-    let answer: MapAnswer = serde_json::from_str(&text).map_err(|error| {
-        Failure::new(
-            exit_code::IPC,
-            format!("the daemon's answer cannot be read: {error}; use one version of Roomcast"),
-        )
-    })?;
+    let asker = service::Asker::new(&domain, "roomcast-scene", question::MAP_CHANGE, args.patience)?;
+    let answer: MapAnswer = asker.ask(&question)?;
     if args.json {
         super::print_json(&answer)?;
     }

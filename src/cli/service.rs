@@ -2,8 +2,11 @@
 
 use std::ffi::OsStr;
 use std::path::PathBuf;
+use std::time::Duration;
 
-use roomcast_ipc::Domain;
+use roomcast_ipc::{Domain, QuestionPort, sequence};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 use super::{Failure, stage};
 use crate::exit_code;
@@ -52,6 +55,45 @@ impl Args {
         let domain = config.ipc.domain().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
         Ok((config, domain))
     }
+}
+
+/// The way to one of the daemon's services of questions.
+pub struct Asker {
+    port: QuestionPort,
+    patience: Duration,
+}
+
+impl Asker {
+    /// Joins the domain as `participant`, to ask on `service` and wait `patience_s` seconds for each answer.
+    ///
+    /// # Errors
+    ///
+    /// When the domain or the service cannot be joined.
+    pub fn new(domain: &Domain, participant: &str, service: &'static str, patience_s: u64) -> Result<Self, Failure> {
+        let port = domain.open(participant).and_then(|node| node.question_port(service));
+        let port = port.map_err(|error| Failure::new(exit_code::IPC, error))?;
+        Ok(Self { port, patience: Duration::from_secs(patience_s) })
+    }
+
+    /// Asks, and waits for the answer.
+    ///
+    /// # Errors
+    ///
+    /// When no daemon answers, or one of another version.
+    pub fn ask<A: DeserializeOwned>(&self, question: &impl Serialize) -> Result<A, Failure> {
+        let question = serde_json::to_string(question).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+        let text = self.port.ask(&question, self.patience).map_err(|error| Failure::new(exit_code::IPC, error))?;
+        serde_json::from_str(&text).map_err(|error| {
+            let text = format!("the daemon's answer cannot be read: {error}; use one version of Roomcast");
+            Failure::new(exit_code::IPC, text)
+        })
+    }
+}
+
+/// A name that no other question has.
+#[must_use]
+pub fn question_name() -> String {
+    format!("{:016x}", sequence::random_epoch())
 }
 
 /// A domain as messages name it.

@@ -138,6 +138,8 @@ def test_a_narrator_says_of_whom(domain: Domain) -> None:
     assert told() == (somebody, "", 0, "They sit.")
     narrator.say("They sit.", person=3)
     assert told() == (3, "", 0, "They sit.")
+    with pytest.raises(ValueError, match="give a verb in brackets"):
+        narrator.act("[Grab milk")
     narrator.act("[Grab] <mug> (1)", person=" Ada ")
     assert told() == (somebody, "Ada", 1, "[Grab] <mug> (1)")
     narrator.person = "Ben"

@@ -164,14 +164,12 @@ const ROOMS: [&str; 20] = [
 
 /// What a sentence's words after its subject say of where somebody is: presence, and the room where it is one.
 fn predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
-    let follows = |verbs: &[&str], places: &[&str]| {
-        let mut places_of = verbs.iter().filter_map(|verb| rest.strip_prefix(verb)?.strip_prefix(' '));
-        places_of.any(|place| places.contains(&place))
-    };
+    let rest = rest.strip_prefix("just ").unwrap_or(rest);
+    let follows = |verbs: &[&str], places: &[&str]| follows(rest, verbs, places);
     if follows(&LEAVES, &HOUSE) || follows(&LEAVES, &["for work", "for school"]) || goes_out(rest) {
         return Some((Presence::Away, None));
     }
-    if follows(&COMES, &AT_HOUSE) {
+    if arrives(rest) {
         return Some((Presence::Present, None));
     }
     let state = state(rest)?;
@@ -186,10 +184,22 @@ fn predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     ROOMS.contains(&last).then_some((Presence::Present, Some(room)))
 }
 
+/// Whether words begin with one of the verbs and one of the places, and end there or go on with something else.
+fn follows(rest: &str, verbs: &[&str], places: &[&str]) -> bool {
+    const GOES_ON: [&str; 5] = [" and ", " with ", " for ", " to ", ","];
+    let mut places_of = verbs.iter().filter_map(|verb| rest.strip_prefix(verb)?.strip_prefix(' '));
+    let ends = |more: &str| more.is_empty() || GOES_ON.iter().any(|word| more.starts_with(word));
+    places_of.any(|said| places.iter().any(|place| said.strip_prefix(place).is_some_and(ends)))
+}
+
+/// Whether a sentence's words after its subject say that somebody comes home.
+fn arrives(rest: &str) -> bool {
+    follows(rest, &COMES, &AT_HOUSE) || state(rest).is_some_and(|state| ["back", "back home"].contains(&state))
+}
+
 /// Whether a sentence's words after its subject say that somebody goes where they are out of the house: "has gone to work".
 fn goes_out(rest: &str) -> bool {
-    let to = GOES.iter().find_map(|verb| rest.strip_prefix(verb)?.strip_prefix(' '));
-    to.is_some_and(|place| ERRANDS.contains(&place))
+    follows(rest, &GOES, &ERRANDS)
 }
 
 /// What somebody is, in a sentence that says it: "is still away" is "away".
@@ -256,6 +266,9 @@ impl PresenceStatement {
     pub fn of_sentence(sentence: &str) -> Option<Self> {
         let lower = sentence.to_lowercase();
         let said = lower.trim().trim_end_matches(['.', '!']);
+        if ["the house is empty", "the home is empty", "the apartment is empty", "the flat is empty"].contains(&said) {
+            return Some(Self::of_all(Presence::Away));
+        }
         // The subject is one word: a pronoun or a name.
         let (subject, rest) = match said.strip_prefix("no one ") {
             Some(rest) => ("nobody", rest),
@@ -283,6 +296,20 @@ impl PresenceStatement {
         }
         let subject = Some(subject).filter(|subject| !PRONOUNS.contains(subject)).map(str::to_owned);
         Some(Self { subject, ..Self::new(presence, room).ok()? })
+    }
+
+    /// Whether a plain sentence says that its person comes home: who is there already is not meant.
+    #[must_use]
+    pub fn is_arrival(sentence: &str) -> bool {
+        let lower = sentence.to_lowercase();
+        let said = lower.trim().trim_end_matches(['.', '!']);
+        said.split_once(' ').is_some_and(|(_, rest)| arrives(rest))
+    }
+
+    /// The same statement of a sentence with this subject.
+    #[must_use]
+    pub fn with_subject(self, subject: &str) -> Self {
+        Self { subject: Some(subject.to_owned()), ..self }
     }
 
     fn of_all(presence: Presence) -> Self {
@@ -417,6 +444,9 @@ mod tests {
             ("Ada has gone to work.", "away", Some("ada"), false),
             ("Ben left for work", "away", Some("ben"), false),
             ("They go shopping.", "away", None, false),
+            ("Ada just left for work.", "away", Some("ada"), false),
+            ("Ben leaves the house and locks the door.", "away", Some("ben"), false),
+            ("The house is empty.", "everybody away", None, true),
             ("Nobody is in the kitchen.", "nobody in the kitchen", None, true),
         ] {
             let statement = of(sentence);

@@ -35,7 +35,7 @@ layout! {
 }
 
 layout! {
-    /// Where each person will be. Sent only while somebody subscribes.
+    /// Where each person will be.
     #[type_name("roomcast.PersonForecastsV1")]
     pub struct PersonForecastsV1 [38592] {
         /// Epoch of the room scores that it follows from.

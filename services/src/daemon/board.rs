@@ -447,6 +447,12 @@ impl<M: LanguageModel> Board<M> {
                 let Observation { source, epoch, sequence, .. } = observation;
                 self.attributed.push(Attributed { source, epoch, sequence, person });
             }
+            None if observation.by_fit => {
+                // Who was told apart by a sentence's subject before a restart goes by it again.
+                let subject = self.persons.subject(&observation.said);
+                let same = subject.filter(|name| self.persons.number_of(name) == observation.person);
+                observation.name = same.map(Into::into);
+            }
             None => {}
         }
         // After such a silence a visitor was gone, whether or not anybody looked meanwhile.
@@ -801,6 +807,10 @@ impl<M: LanguageModel> Board<M> {
                 costly,
                 "narration that was accepted for another map costs more tokens than a window holds now, and is left out"
             );
+        }
+        if self.next_rooms.is_none() {
+            // Who lies in bed does not expire like others.
+            self.follow();
         }
         self.lapse(now_ns);
         if let Err(error) = self.pipeline.score() {

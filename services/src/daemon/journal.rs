@@ -596,7 +596,10 @@ pub fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
     let name = observation.name.as_deref().unwrap_or_default().as_bytes();
     let presence = match &observation.said {
         Said::Sentence(_) => None,
-        Said::Presence(statement) => Some(statement.to_string()),
+        Said::Presence(statement) => Some(match statement.subject() {
+            Some(subject) => format!("{statement}\n{subject}"),
+            None => statement.to_string(),
+        }),
     };
     let kind = if presence.is_some() { IS_PRESENCE } else { 0 } | if observation.by_fit { IS_BY_FIT } else { 0 };
     let text = presence.as_deref().or(observation.sentence()).unwrap_or_default().as_bytes();
@@ -762,7 +765,10 @@ fn decode_observation(mut payload: &[u8], named: bool, boot_id: &[u8; 16]) -> Op
     let text = std::str::from_utf8(text).ok()?;
     let said = match kind & IS_PRESENCE {
         0 => Said::Sentence(Sentence::new(text).ok()?),
-        _ => Said::Presence(PresenceStatement::parse(text).ok()?),
+        _ => Said::Presence(match text.split_once('\n') {
+            Some((text, subject)) => PresenceStatement::parse(text).ok()?.with_subject(subject),
+            None => PresenceStatement::parse(text).ok()?,
+        }),
     };
     let observed_ns = if boot == boot_id { observed_ns } else { 0 };
     let (name, by_fit) = (name.map(Into::into), kind & IS_BY_FIT != 0);

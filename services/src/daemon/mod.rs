@@ -215,7 +215,6 @@ pub fn run<M: LanguageModel + Send + 'static>(
     let snapshot = cycle.board().snapshot();
     let mut scoring = Scoring {
         ready: false,
-        replaces_all: false,
         scores,
         items,
         forecasts,
@@ -528,9 +527,6 @@ impl Relief {
 struct Scoring<M> {
     cycle: Cycle<M>,
     ready: bool,
-    /// The next messages replace those before also where nobody listens: who joins later is given the last one that was sent, and that may
-    /// name somebody who is forgotten.
-    replaces_all: bool,
     scores: Publisher<RoomScoresV1>,
     items: ItemScoresPublisher,
     forecasts: Publisher<ForecastV1>,
@@ -599,7 +595,6 @@ impl<M: LanguageModel> Scoring<M> {
             self.renew_connections()?;
             if self.change_map()? || self.answer_about_persons()? {
                 self.cycle.score_again();
-                self.replaces_all = true;
             }
             self.answer_about_habits()?;
             self.status.answer(|| self.tally())?;
@@ -695,26 +690,18 @@ impl<M: LanguageModel> Scoring<M> {
             return Ok(());
         }
         // First, so that a planner that the scores wake finds the forecast that belongs to them. Time alone changes where a person
-        // may be, so a heartbeat has a new one too. Nobody else waits for it: who joins later gets one of that moment.
-        let wanted = |subscribers: usize| subscribers > 0 || self.replaces_all;
-        if wanted(self.forecasts.subscribers()) {
-            self.forecasts.send(self.cycle.board_mut().forecast(before_ns))?;
-        }
-        if wanted(self.persons.subscribers()) {
-            self.persons.send(self.cycle.board_mut().person_scores(before_ns))?;
-        }
-        if wanted(self.person_forecasts.subscribers()) {
-            self.person_forecasts.send(self.cycle.board_mut().person_forecasts(before_ns))?;
-        }
+        // may be, so a heartbeat has a new one too.
+        let sent = self.send_to_listeners(before_ns)?;
         let behind = !self.queue.is_empty() || self.inbox.as_ref().is_some_and(|inbox| inbox.more);
         let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
         self.scores.send(message)?;
-        self.replaces_all = false;
-        if message.has(score_flags::HEARTBEAT) {
+        let (is_heartbeat, after_ns) = (message.has(score_flags::HEARTBEAT), clock::monotonic_ns());
+        // Who joins later is given the last one that was sent: it is no older than the scores, and names nobody who is forgotten.
+        self.send_about_persons(before_ns, sent.map(|sent| !sent))?;
+        if is_heartbeat {
             self.tally.heartbeats += 1;
             return Ok(());
         }
-        let after_ns = clock::monotonic_ns();
         self.tally.published += 1;
         // Also what a step before took in that failed: its wait was the longest.
         if let Some(received_ns) = self.cycle.newly_received_ns()
@@ -747,6 +734,28 @@ impl<M: LanguageModel> Scoring<M> {
             let (labels, rooms) = (board.pipeline().prepared().labels().len(), message.rooms().len());
             tracing::info!(model, map, labels, rooms, "ready: the first scores are out");
             notify(&[NotifyState::Ready]);
+        }
+        Ok(())
+    }
+
+    /// Sends the forecasts and what is told of persons to those who listen; gives which of the three were sent.
+    fn send_to_listeners(&mut self, now_ns: u64) -> Result<[bool; 3], IpcError> {
+        let listened = [self.forecasts.subscribers(), self.persons.subscribers(), self.person_forecasts.subscribers()];
+        let sent = listened.map(|subscribers| subscribers > 0);
+        self.send_about_persons(now_ns, sent)?;
+        Ok(sent)
+    }
+
+    /// Sends those of the forecast, the persons' scores and their forecasts that are wanted.
+    fn send_about_persons(&mut self, now_ns: u64, [forecast, scores, forecasts]: [bool; 3]) -> Result<(), IpcError> {
+        if forecast {
+            self.forecasts.send(self.cycle.board_mut().forecast(now_ns))?;
+        }
+        if scores {
+            self.persons.send(self.cycle.board_mut().person_scores(now_ns))?;
+        }
+        if forecasts {
+            self.person_forecasts.send(self.cycle.board_mut().person_forecasts(now_ns))?;
         }
         Ok(())
     }

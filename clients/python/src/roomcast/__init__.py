@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import secrets
 import time
 from abc import ABC, abstractmethod
@@ -258,6 +259,10 @@ def _person(who: Who) -> tuple[int, str]:
     raise ValueError(f"person {who!r}: give a number from 0 to {layouts.ALL_PERSONS - 1}, or a name with letters, or None for somebody")
 
 
+# What an action looks like.
+_ACTION = re.compile(r"\[[^\[\]]+\](\s*<[^<>]+>\s*\(\d+\))*")
+
+
 class Narrator(_Participant):
     """Tells the daemon what persons have just done, and who is where. A context manager: leaving waits until the daemon has taken it in.
 
@@ -279,7 +284,9 @@ class Narrator(_Participant):
         self._send(SENTENCE, sentence, person)
 
     def act(self, action: str, person: Who = None) -> None:
-        """A completed action in VirtualHome's notation: "[Grab] <mug> (1)"."""
+        """A completed action in VirtualHome's notation: "[Grab] <mug> (1)". The daemon knows the verbs, and drops one that it does not know."""
+        if _ACTION.fullmatch(action.strip()) is None:
+            raise ValueError(f"action {action!r}: give a verb in brackets, then things such as \"[Grab] <mug> (1)\"")
         self._send(ACTION, action, person)
 
     def device(self, state: str, person: Who = None) -> None:

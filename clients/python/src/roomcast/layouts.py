@@ -358,7 +358,7 @@ class PersonForecastV1(Layout):
 
 
 class PersonForecastsV1(Message):
-    """Where each person will be. Sent only while somebody subscribes."""
+    """Where each person will be."""
 
     _fields_ = [
         ("epoch", ctypes.c_uint64),
