@@ -548,11 +548,11 @@ mod tests {
             // However sure it was a moment before.
             seen.enter(6.0, Some(room));
             assert!(seen.belief()[room] > 0.98, "{:?}", seen.belief());
-            // What the model said of the bed does not draw them back, and time alone makes nobody surer.
+            // What the model said of the bed does not draw them back.
             seen.expect(&std::array::from_fn::<_, 3, _>(|other| f64::from(u8::from(other == bed))));
             let after = |t: f64| seen.at(6.0 + t, 0.0).collect::<Vec<_>>();
             let course: Vec<f64> = [1.0, 5.0, 15.0, 40.0, 180.0].iter().map(|t| after(*t)[room]).collect();
-            assert!(course[2] > 0.8 && course.is_sorted_by(|a, b| a >= b), "{course:?}");
+            assert!(course.iter().all(|p| *p > 0.7) && course[2] > 0.85, "{course:?}");
             seen.enter(61.0, Some(7));
             assert!(seen.belief()[room] > 0.9, "no such room");
         }
