@@ -24,7 +24,7 @@ pub struct Statistics {
     pub markov1: BTreeMap<String, BTreeMap<String, f64>>,
     /// How often each object is next after two others, written `before>last`.
     pub markov2: BTreeMap<String, BTreeMap<String, f64>>,
-    /// How often each object is next after three others; [`START`] stands for what lies before the first.
+    /// How often each object is next after three others; `^` stands for what lies before the first.
     #[serde(default)]
     pub markov3: BTreeMap<String, BTreeMap<String, f64>>,
     /// What was fitted besides.
