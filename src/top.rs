@@ -28,6 +28,10 @@ const SILENCE_NS: u64 = 1_500_000_000;
 /// A person's line looks ahead to the first horizon of at least so many seconds.
 const AHEAD_S: f32 = 3600.0;
 
+const HEADING: &str = "rooms: where somebody is next, and its course";
+/// The panel of rooms and persons keeps its frame where it has so many rows for them.
+const FRAMED_ROWS: usize = 14;
+
 /// The names of the bits that are set, of those that a message has.
 fn set(flags: u32, names: &[(u32, &'static str)]) -> Vec<&'static str> {
     names.iter().filter(|(flag, _)| flags & flag != 0).map(|(_, name)| *name).collect()
@@ -273,7 +277,10 @@ impl View {
 
     fn draw_rooms(&self, frame: &mut Frame<'_>, area: Rect) {
         let name_width = self.rooms.iter().map(|room| room.id.chars().count()).max().unwrap_or(4).min(24);
-        let inner = usize::from(area.width.saturating_sub(2));
+        // On a small screen what is known counts before the frame.
+        let is_framed = area.height >= 2 + (self.rooms.len() + self.persons.len()).min(FRAMED_ROWS) as u16;
+        let frame_size = if is_framed { 2 } else { 0 };
+        let inner = usize::from(area.width.saturating_sub(frame_size));
         // Name, percentage, then bar and line share what is left.
         let rest = inner.saturating_sub(name_width + 9);
         let bar_width = rest * 2 / 5;
@@ -290,13 +297,14 @@ impl View {
         });
         let mut lines: Vec<_> = lines.chain(self.persons.iter().map(|line| Line::from(line.as_str()))).collect();
         // What does not fit is counted.
-        let rows = usize::from(area.height.saturating_sub(2));
+        let rows = usize::from(area.height.saturating_sub(frame_size));
         if lines.len() > rows && rows > 0 {
             let hidden = lines.len() - (rows - 1);
             lines.truncate(rows - 1);
             lines.push(Line::from(format!("and {hidden} more lines: a taller terminal has room for them")).dim());
         }
-        frame.render_widget(Paragraph::new(lines).block(titled("rooms: probability now, and over time")), area);
+        let text = Paragraph::new(lines);
+        frame.render_widget(if is_framed { text.block(titled(HEADING)) } else { text }, area);
     }
 
     fn draw_narration(&self, frame: &mut Frame<'_>, area: Rect) {
@@ -445,7 +453,7 @@ fn sparkline(points: &VecDeque<f64>, width: usize) -> String {
 
 fn draw_help(frame: &mut Frame<'_>, area: Rect) {
     let lines = [
-        "rooms      the probability that somebody is there soon, and its course;",
+        "rooms      the probability that somebody's next thing is there, and its course;",
         "           one block is half a second, the newest at the right",
         "narration  what was observed, the newest at the bottom",
         "next       the likeliest objects; asking for them costs the daemon a little",
@@ -573,6 +581,20 @@ mod tests {
                 );
             }
         }
+    }
+
+    /// Six rooms and two persons fit on the smallest screen, without a frame.
+    #[test]
+    fn a_tiny_terminal_shows_the_persons_too() {
+        let mut view = full();
+        let names = ["kitchen", "living-room", "bathroom", "bedroom", "office", "hall"];
+        view.scores(&scores(31, &names.map(|name| (name, 1.0 / 6.0))));
+        view.persons = vec!["ada: present".to_owned(), "ben: away".to_owned()];
+        let text = drawn(&view, 40, 10, 1_100_000_000);
+        for part in names.into_iter().chain(["ada: present", "ben: away", "q quits"]) {
+            assert!(text.contains(part), "{part:?} is missing:\n{text}");
+        }
+        assert!(!text.contains("more lines"), "{text}");
     }
 
     /// Who does not fit is counted, not left out.

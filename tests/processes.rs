@@ -925,6 +925,28 @@ fn a_running_systems_scores_are_explained_down_to_the_tokens() {
     assert!(std::fs::read_to_string(plan).unwrap().contains("They grab the milk."));
 }
 
+/// Of several persons the rooms are as likely as the daemon publishes them: that somebody's next thing is there.
+#[test]
+fn of_several_persons_the_rooms_are_explained_as_they_are_published() {
+    let mut world = World::new("explain-all");
+    world.start_daemon();
+    let lines = "{\"person\": \"ada\", \"text\": \"They open the fridge.\"}\n{\"person\": \"ben\", \"text\": \"They lie on the bed.\"}\n";
+    assert_eq!(world.narrate("camera", lines).0, 0);
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let scores = scores_with(&scores, "scores", |scores| includes(scores, "camera", 2));
+    let output = world.command(&["explain", "--live", "--json"]).output().unwrap();
+    let explained: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(explained["persons"].as_array().unwrap().len(), 2);
+    let partitions = explained["partitions"].as_array().unwrap();
+    for (id, probability) in probabilities(&scores) {
+        let partition = partitions.iter().find(|partition| partition["id"] == id.as_str()).unwrap();
+        assert!((partition["probability"].as_f64().unwrap() - probability).abs() < 1e-9, "{id}");
+    }
+    let falls = |pair: &[serde_json::Value]| pair[0]["probability"].as_f64() >= pair[1]["probability"].as_f64();
+    assert!(partitions.windows(2).all(falls), "{partitions:?}");
+}
+
 /// What a scrape of the loopback address gives.
 fn scrape(address: &str) -> String {
     use std::io::{Read, Write};

@@ -395,6 +395,12 @@ impl Mentions {
         }
     }
 
+    /// Whether these words, in lower case, name a thing or a room of the map.
+    #[must_use]
+    pub fn knows(&self, words: &str) -> bool {
+        self.label_of_name.contains_key(words)
+    }
+
     /// The last thing mentioned ("They put the plate on the *table*"): the longest run of up to four words that names a label or a room, after an article, a possessive or a
     /// preposition of place ("They go to *bed*"). A sentence without any says its thing last ("They watch *television*").
     #[must_use]

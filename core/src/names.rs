@@ -130,6 +130,11 @@ impl Names {
         self.words.keys().chain(self.aliases.keys()).map(String::as_str)
     }
 
+    /// Whether these words, in lower case, name a thing of the table.
+    pub(crate) fn knows(&self, words: &str) -> bool {
+        self.words.contains_key(words) || self.aliases.contains_key(words)
+    }
+
     /// Other words under which a map may list what `words` name, the best first. They are directed: a "cup" may be served
     /// by a "mug"; and they are not followed twice.
     pub fn aliases<'a>(&'a self, words: &str) -> impl Iterator<Item = &'a str> + use<'a> {

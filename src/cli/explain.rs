@@ -9,7 +9,7 @@ use roomcast_ipc::question;
 
 use super::{CommandResult, Failure, count, draw, ranges, score, service};
 use crate::exit_code;
-use roomcast_core::explanation::Explanation;
+use roomcast_core::explanation::{Explanation, PartitionReason};
 use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::narration::{Observation, Presence, PresenceError, PresenceStatement, Said};
@@ -120,6 +120,11 @@ pub fn run(args: &Args) -> CommandResult {
                 serde_json::json!({"person": person, "name": name, "explanation": explanation})
             };
             value["persons"] = persons.iter().map(person).collect();
+            // What all come to together is no sum over labels.
+            value["partitions"] = somebody(&persons);
+            if let Some(object) = value.as_object_mut() {
+                object.remove("label_mass");
+            }
         }
         return super::print_json(&value);
     }
@@ -133,6 +138,24 @@ pub fn run(args: &Args) -> CommandResult {
         let _ = write!(text, "{}\n\n{explanation}\n", heading.collect::<String>());
     }
     super::print(&text)
+}
+
+/// Per partition the probability that it is the next one of any of the persons, the likeliest first.
+fn somebody(persons: &[(u32, Explanation)]) -> serde_json::Value {
+    let Some((_, first)) = persons.first() else { return serde_json::Value::Null };
+    let of = |explanation: &Explanation, id: &str| {
+        let own = explanation.partitions.iter().find(|partition| partition.id == id);
+        own.map_or(0.0, |partition| partition.probability)
+    };
+    let any = |id: &str| 1.0 - persons.iter().map(|(_, own)| 1.0 - of(own, id)).product::<f64>();
+    let mut partitions: Vec<_> = first.partitions.iter().map(|partition| (any(&partition.id), partition)).collect();
+    partitions.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let row = |(probability, partition): (f64, &PartitionReason)| {
+        serde_json::json!({
+            "id": partition.id, "label": partition.label, "name": partition.name, "probability": probability,
+        })
+    };
+    partitions.into_iter().map(row).collect()
 }
 
 fn draw_plan(explained: &Explained, path: &Path) -> CommandResult {

@@ -7,6 +7,7 @@ use crate::text::is_hidden;
 use std::fmt;
 
 pub mod action;
+mod clause;
 pub mod history;
 mod person;
 mod presence;
@@ -215,13 +216,32 @@ impl Said {
         }
     }
 
-    /// The first word of a sentence, where it may be a name; of a statement, the subject of the sentence that said it.
+    /// The persons that a sentence names, where `is_known` says so of all of them, in lower case: of "Ada and Ben sit down" both. Of the longest
+    /// such subject.
     #[must_use]
-    pub fn subject(&self) -> Option<&str> {
+    pub fn known_names(&self, mut is_known: impl FnMut(&str) -> bool) -> Vec<String> {
+        let Self::Sentence(sentence) = self else { return Vec::new() };
+        let lower = sentence.as_str().to_lowercase();
+        let known = clause::possible_subjects(&lower).filter(|names| names.iter().all(|name| is_known(name))).last();
+        known.into_iter().flatten().map(str::to_owned).collect()
+    }
+
+    /// Whether it may name a person among those it is about: whoever `is_them` says that a name is.
+    #[must_use]
+    pub fn may_name(&self, mut is_them: impl FnMut(&str) -> bool) -> bool {
         match self {
-            Self::Sentence(sentence) => sentence.as_str().split_once(' ').map(|(subject, _)| subject),
-            Self::Presence(statement) => statement.subject(),
+            Self::Sentence(sentence) => {
+                let lower = sentence.as_str().to_lowercase();
+                clause::possible_subjects(&lower).flatten().any(is_them)
+            }
+            Self::Presence(statement) => statement.names().any(&mut is_them),
         }
+    }
+
+    /// Whether it says what somebody may do who is not there: "Ada calls.", "Ben is on his way.", "They will be home soon."
+    #[must_use]
+    pub fn is_from_afar(&self) -> bool {
+        self.sentence().is_some_and(|sentence| clause::is_from_afar(&sentence.as_str().to_lowercase()))
     }
 
     /// What it makes of its person.
@@ -326,6 +346,36 @@ mod tests {
         assert_eq!(of("They leave the house."), Said::Presence(PresenceStatement::parse("away").unwrap()));
         assert_eq!(of("They come home").sentence().map(Sentence::as_str), Some("They come home."));
         assert_eq!(of("They grab the mug").presence(), Presence::Present);
+    }
+
+    #[test]
+    fn a_sentence_names_those_who_are_known() {
+        let known = |text: &str| {
+            let said = Said::of(Sentence::new(text).unwrap());
+            said.known_names(|name| ["ada", "ben", "plumber", "aunt mary"].contains(&name)).join("+")
+        };
+        assert_eq!(known("Ada and Ben sit on the sofa."), "ada+ben");
+        assert_eq!(known("The plumber walks to the kitchen."), "plumber");
+        assert_eq!(known("Then Aunt Mary and Ada wash the dishes."), "aunt mary+ada");
+        assert_eq!(known("Ada quickly grabs the mug."), "ada");
+        assert_eq!(known("Ada and Zoe sit on the sofa."), "ada");
+        assert_eq!(known("They give Ada the mug."), "");
+        let may_name = |text: &str| Said::of(Sentence::new(text).unwrap()).may_name(|name| name == "ben");
+        assert!(may_name("Ada and Ben sit down.") && may_name("Ada and Ben leave the house."));
+        assert!(!may_name("They talk to Ben and Ada."));
+    }
+
+    #[test]
+    fn who_calls_or_will_come_may_be_anywhere() {
+        let afar = |text: &str| Said::of(Sentence::new(text).unwrap()).is_from_afar();
+        for sentence in
+            ["Ada calls.", "Ada will be home soon.", "The plumber is on his way.", "They text Ben that they are late."]
+        {
+            assert_eq!(afar(sentence), !sentence.starts_with("They"), "{sentence}");
+        }
+        for sentence in ["They come home.", "Ada opens the fridge.", "Ada willingly washes the dishes."] {
+            assert!(!afar(sentence), "{sentence}");
+        }
     }
 
     #[test]

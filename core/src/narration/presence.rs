@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::SENTENCE_BYTES_MAX;
+use super::clause::{Clause, Subject};
 use crate::text::is_hidden;
 
 /// Whether a person is in the house.
@@ -52,166 +53,8 @@ pub struct PresenceStatement {
 /// What stands before the presence of everybody, and before a room that nobody is in.
 const EVERYBODY: &str = "everybody ";
 const NOBODY: &str = "nobody in the ";
-/// Subjects of sentences that say nothing of where anybody is.
-const NOT_SAID: [&str; 3] = ["don't", "never", "please"];
-/// Subjects that are no names.
-const PRONOUNS: [&str; 14] = [
-    "they",
-    "he",
-    "she",
-    "it",
-    "i",
-    "we",
-    "you",
-    "somebody",
-    "someone",
-    "everybody",
-    "everyone",
-    "people",
-    "all",
-    "both",
-];
-const LEAVES: [&str; 12] = [
-    "leaves",
-    "leave",
-    "left",
-    "goes out of",
-    "go out of",
-    "went out of",
-    "exits",
-    "exit",
-    "exited",
-    "have left",
-    "has left",
-    "walks out of",
-];
-/// Verbs of going, and where somebody goes who is out then.
-const GOES: [&str; 10] =
-    ["goes", "go", "went", "has gone", "have gone", "is going", "are going", "is off", "are off", "heads"];
-const ERRANDS: [&str; 11] = [
-    "out",
-    "to work",
-    "to school",
-    "to university",
-    "to town",
-    "to the shop",
-    "to the shops",
-    "to the supermarket",
-    "shopping",
-    "for a walk",
-    "for a run",
-];
-const COMES: [&str; 9] = ["comes", "come", "came", "returns", "return", "returned", "arrives", "arrive", "arrived"];
-const HOUSE: [&str; 6] = ["the house", "the home", "the apartment", "the flat", "the building", "home"];
-const AT_HOUSE: [&str; 10] = [
-    "home",
-    "back home",
-    "back",
-    "at home",
-    "at the house",
-    "back to the house",
-    "to the house",
-    "into the house",
-    "back into the house",
-    "back to the apartment",
-];
-/// What somebody is who is out of the house, and who is in it.
-const OUT: [&str; 19] = [
-    "away",
-    "out",
-    "gone",
-    "gone out",
-    "abroad",
-    "not home",
-    "not at home",
-    "not in",
-    "not here",
-    "not in the house",
-    "away from home",
-    "out of the house",
-    "out of home",
-    "at work",
-    "at school",
-    "on holiday",
-    "on vacation",
-    "on a trip",
-    "travelling",
-];
-const IN: [&str; 8] = ["home", "at home", "back", "back home", "in", "here", "in the house", "at the house"];
-/// The last words of what rooms are called. What else somebody is in, as the bath, is for the language model.
-const ROOMS: [&str; 20] = [
-    "kitchen",
-    "kitchenette",
-    "bathroom",
-    "bedroom",
-    "room",
-    "office",
-    "study",
-    "hall",
-    "hallway",
-    "corridor",
-    "entrance",
-    "lounge",
-    "garage",
-    "cellar",
-    "basement",
-    "attic",
-    "pantry",
-    "nursery",
-    "playroom",
-    "library",
-];
-
-/// What a sentence's words after its subject say of where somebody is: presence, and the room where it is one.
-fn predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
-    let rest = rest.strip_prefix("just ").unwrap_or(rest);
-    let follows = |verbs: &[&str], places: &[&str]| follows(rest, verbs, places);
-    if follows(&LEAVES, &HOUSE) || follows(&LEAVES, &["for work", "for school"]) || goes_out(rest) {
-        return Some((Presence::Away, None));
-    }
-    if arrives(rest) {
-        return Some((Presence::Present, None));
-    }
-    let state = state(rest)?;
-    if OUT.contains(&state) {
-        return Some((Presence::Away, None));
-    }
-    if IN.contains(&state) {
-        return Some((Presence::Present, None));
-    }
-    let room = state.strip_prefix("in the ").or_else(|| state.strip_prefix("at the "))?;
-    let last = room.split([' ', '-']).next_back().unwrap_or_default();
-    ROOMS.contains(&last).then_some((Presence::Present, Some(room)))
-}
-
-/// Whether words begin with one of the verbs and one of the places, and end there or go on with something else.
-fn follows(rest: &str, verbs: &[&str], places: &[&str]) -> bool {
-    const GOES_ON: [&str; 5] = [" and ", " with ", " for ", " to ", ","];
-    let mut places_of = verbs.iter().filter_map(|verb| rest.strip_prefix(verb)?.strip_prefix(' '));
-    let ends = |more: &str| more.is_empty() || GOES_ON.iter().any(|word| more.starts_with(word));
-    places_of.any(|said| places.iter().any(|place| said.strip_prefix(place).is_some_and(ends)))
-}
-
-/// Whether a sentence's words after its subject say that somebody comes home.
-fn arrives(rest: &str) -> bool {
-    follows(rest, &COMES, &AT_HOUSE) || state(rest).is_some_and(|state| ["back", "back home"].contains(&state))
-}
-
-/// Whether a sentence's words after its subject say that somebody goes where they are out of the house: "has gone to work".
-fn goes_out(rest: &str) -> bool {
-    follows(rest, &GOES, &ERRANDS)
-}
-
-/// What somebody is, in a sentence that says it: "is still away" is "away".
-fn state(rest: &str) -> Option<&str> {
-    let mut state = ["is ", "are ", "am "].iter().find_map(|verb| rest.strip_prefix(verb))?;
-    while let Some(rest) =
-        ["still ", "now ", "already ", "currently ", "just "].iter().find_map(|word| state.strip_prefix(word))
-    {
-        state = rest;
-    }
-    Some(state)
-}
+/// What stands between the names in a subject.
+const AND: &str = " and ";
 
 impl PresenceStatement {
     /// A statement; a room is kept only for who is present.
@@ -260,50 +103,37 @@ impl PresenceStatement {
         Self::new(presence, room).map_err(|_| PresenceError { text: text.chars().take(80).collect() })
     }
 
-    /// What a plain sentence says of its person: "They leave the house.", "Ada comes home.", "Ben is at work.", "Somebody is in the kitchen.";
-    /// or of everybody: "Nobody is home." None where it says something else.
+    /// What a plain sentence says of its persons: "They leave the house.", "Ada and Ben come home.", "The plumber is in the kitchen."; or of
+    /// everybody: "Nobody is home." None where it says something else.
     #[must_use]
     pub fn of_sentence(sentence: &str) -> Option<Self> {
         let lower = sentence.to_lowercase();
-        let said = lower.trim().trim_end_matches(['.', '!']);
-        if ["the house is empty", "the home is empty", "the apartment is empty", "the flat is empty"].contains(&said) {
-            return Some(Self::of_all(Presence::Away));
-        }
-        // The subject is one word: a pronoun or a name.
-        let (subject, rest) = match said.strip_prefix("no one ") {
-            Some(rest) => ("nobody", rest),
-            None => said.split_once(' ')?,
-        };
-        if NOT_SAID.contains(&subject) {
-            return None;
-        }
-        // Who has left, and says not what, has left the house.
-        let has_left = ["left", "has left", "have left"].contains(&rest);
-        let (presence, room) = if has_left { (Presence::Away, None) } else { predicate(rest)? };
-        let of_everybody = match subject {
-            "nobody" | "noone" | "no-one" => {
-                // That nobody leaves says of nobody where they are.
-                let nobody_is_in = presence == Presence::Present && state(rest).is_some();
+        let clause = Clause::read(&lower)?;
+        let Clause { presence, room, .. } = clause;
+        let of_everybody = match &clause.subject {
+            // That nobody leaves says of nobody where they are.
+            Subject::Nobody => {
                 let statement = room.map_or_else(|| Some(Self::of_all(Presence::Away)), |room| Self::empty(room).ok());
-                return statement.filter(|_| nobody_is_in);
+                return statement.filter(|_| presence == Presence::Present && clause.is_state);
             }
-            "everybody" | "everyone" | "all" | "both" => true,
-            _ => false,
+            Subject::Everybody => true,
+            Subject::Unnamed | Subject::Named(_) => false,
         };
         // Where each of them is, no sentence about all of them says.
         if of_everybody {
             return (room.is_none() && presence == Presence::Away).then_some(Self::of_all(presence));
         }
-        let subject = Some(subject).filter(|subject| !PRONOUNS.contains(subject)).map(str::to_owned);
-        Some(Self { subject, ..Self::new(presence, room).ok()? })
+        let statement = Self::new(presence, room).ok()?;
+        Some(match clause.subject {
+            Subject::Named(names) => statement.with_subject(&names.join(AND)),
+            _ => statement,
+        })
     }
 
     /// Whether a plain sentence says that its person comes home: who is there already is not meant.
     #[must_use]
     pub fn is_arrival(sentence: &str) -> bool {
-        let lower = sentence.to_lowercase();
-        let said = lower.trim().trim_end_matches(['.', '!']);
-        said.split_once(' ').is_some_and(|(_, rest)| arrives(rest))
+        Clause::read(&sentence.to_lowercase()).is_some_and(|clause| clause.is_arrival)
     }
 
     /// The same statement of a sentence with this subject.
@@ -339,10 +169,15 @@ impl PresenceStatement {
         self.presence
     }
 
-    /// The subject of the plain sentence that said it, in lower case, where it is no pronoun.
+    /// The subject of the plain sentence that said it, in lower case, where it is no pronoun: "ada", or "ada and ben".
     #[must_use]
     pub fn subject(&self) -> Option<&str> {
         self.subject.as_deref()
+    }
+
+    /// The names in the subject.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.subject.iter().flat_map(|subject| subject.split(AND))
     }
 
     /// The room that the person is in, in the narrator's words.
@@ -420,6 +255,12 @@ mod tests {
             "Everybody is in the kitchen.",
             "They are in the bath.",
             "They are tired.",
+            "The dishwasher is out.",
+            "When Ada leaves the house",
+            "Either Ada or Ben is away.",
+            "Everybody else leaves the house.",
+            "Ada and the dishwasher are out.",
+            "Is Ada at home?",
             "",
         ] {
             assert_eq!(of(sentence), None, "{sentence}");
@@ -448,6 +289,12 @@ mod tests {
             ("Ben leaves the house and locks the door.", "away", Some("ben"), false),
             ("The house is empty.", "everybody away", None, true),
             ("Nobody is in the kitchen.", "nobody in the kitchen", None, true),
+            ("The plumber leaves the house.", "away", Some("plumber"), false),
+            ("Then Ada quickly leaves the house.", "away", Some("ada"), false),
+            ("Aunt Mary is in the guest room.", "present in the guest room", Some("aunt mary"), false),
+            ("Ada and Ben leave the house.", "away", Some("ada and ben"), false),
+            ("Ada, Ben, and the plumber are away.", "away", Some("ada and ben and plumber"), false),
+            ("They both leave the house.", "everybody away", None, true),
         ] {
             let statement = of(sentence);
             assert_eq!((statement.to_string().as_str(), statement.subject()), (said, subject), "{sentence}");

@@ -32,7 +32,8 @@ pub mod score_flags {
     pub const BEHIND: u32 = 1 << 2;
     /// Narration was lost on the way (a gap in its sequence numbers).
     pub const GAP: u32 = 1 << 3;
-    /// There are more sources than places: `included` names the most recent ones.
+    /// More sources said something new than there are places: `included` names the most recent ones, and the others wait for their
+    /// confirmation.
     pub const SOURCES_CUT: u32 = 1 << 4;
     /// The last scoring attempt failed; these are the last good scores, sent again at once, with the narration and of the map that
     /// they are of. A later attempt scores what this one could not.

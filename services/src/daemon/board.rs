@@ -12,7 +12,7 @@ use roomcast_ipc::{
 
 use super::habits::{HomeHabits, Name};
 use super::journal::{Expectation, Outcome};
-use super::persons::{Persons, is_bed, message_ns, presence_value};
+use super::persons::{Persons, is_bed, message_ns, presence_value, sleeps};
 use crate::moment::Moment;
 use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
 use roomcast_core::grounding::{Grounding, GroundingOptions, Partition, partitions};
@@ -164,6 +164,8 @@ pub struct Board<M> {
     /// Working memory of a step: the sources that the scores name, in the order of the message, each with how many newer ones of its voice
     /// there are.
     newest_sources: Vec<(usize, Included)>,
+    /// The newest turn of a source that scores were told with.
+    named_turn: u64,
     /// Per person where they will be; persons unknown to the histories are forgotten.
     followed: std::collections::BTreeMap<u32, Forecaster>,
     /// What is learned of the home.
@@ -223,6 +225,7 @@ impl<M: LanguageModel> Board<M> {
             unscored_gap: false,
             strange_rooms: BTreeSet::new(),
             newest_sources: Vec::new(),
+            named_turn: 0,
             followed: std::collections::BTreeMap::new(),
             home: HomeHabits::default(),
         })
@@ -389,7 +392,7 @@ impl<M: LanguageModel> Board<M> {
             let (mut person, voice) = (observation.person, Voice::of_source(observation.source));
             self.pipeline.include(&observation, voice);
             self.exclude(&observation, at_ns);
-            for own in self.persons.each(observation) {
+            for own in self.of_persons(observation) {
                 let Some(own) = self.take(own, Voice::EARLIER, at_ns) else { continue };
                 person = own.person;
                 self.pipeline.enter(voice, own);
@@ -431,6 +434,16 @@ impl<M: LanguageModel> Board<M> {
         fingerprint.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes))
     }
 
+    /// The observations of persons that one stands for; none where its subject is a thing of the map ("The milk is out.").
+    fn of_persons(&self, observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
+        let is_thing = |name: &str| self.mentions.knows(name) && !self.persons.is_name_known(name);
+        let is_of_things = match &observation.said {
+            Said::Presence(statement) => statement.names().any(is_thing),
+            Said::Sentence(_) => false,
+        };
+        (!is_of_things).then(|| self.persons.each(observation)).into_iter().flatten()
+    }
+
     /// Decides whom an observation is of, and takes note of it: also for the forecasts, where its time is known. Gives it back for the
     /// history, unless something later has said otherwise of whether its person is in the house.
     fn take(&mut self, mut observation: Observation, voice: Voice, at_ns: Option<i64>) -> Option<Observation> {
@@ -438,20 +451,21 @@ impl<M: LanguageModel> Board<M> {
         match &observation.name {
             Some(name) => observation.person = self.persons.number_of(name),
             None if observation.person == SOMEBODY => {
-                observation.name = self.persons.subject(&observation.said).map(Into::into);
+                observation.name = self.persons.named(&observation.said).pop().map(Into::into);
                 let person = match &observation.name {
                     Some(name) => self.persons.number_of(name),
                     None => self.fitting(&observation.said, noted_ns),
                 };
-                (observation.person, observation.by_fit) = (person, true);
+                (observation.person, observation.by_fit) = (person, observation.name.is_none());
                 let Observation { source, epoch, sequence, .. } = observation;
                 self.attributed.push(Attributed { source, epoch, sequence, person });
             }
             None if observation.by_fit => {
                 // Who was told apart by a sentence's subject before a restart goes by it again.
-                let subject = self.persons.subject(&observation.said);
-                let same = subject.filter(|name| self.persons.number_of(name) == observation.person);
-                observation.name = same.map(Into::into);
+                let mut names = self.persons.named(&observation.said).into_iter();
+                let own = names.find(|name| self.persons.number_of(name) == observation.person);
+                observation.name = own.map(Into::into);
+                observation.by_fit = observation.name.is_none();
             }
             None => {}
         }
@@ -461,7 +475,8 @@ impl<M: LanguageModel> Board<M> {
             self.persons.remove(observation.person);
             self.drop_person(observation.person);
         }
-        if at_ns.is_some_and(|at_ns| self.persons.is_outdated(&observation, at_ns)) {
+        let is_outdated = at_ns.is_some_and(|at_ns| self.persons.is_outdated(&observation, at_ns));
+        if is_outdated || self.persons.is_heard_from_afar(&observation) {
             return None;
         }
         if let Some(dropped) = self.persons.note(&observation, voice, noted_ns) {
@@ -644,8 +659,9 @@ impl<M: LanguageModel> Board<M> {
                 let mention = self.mentions.last(&seen.words);
                 own.observe(at_s, mention, grounding, &[]);
                 self.home.turned(seen.person, seen.at_ns, turned_to(mention), own);
-                if let (Some(found), Some(known)) = (mention, self.persons.get_mut(seen.person)) {
-                    known.on_bed = is_bed(&grounding.scored_labels()[found.label].text);
+                if let Some(known) = self.persons.get_mut(seen.person) {
+                    let on_bed = mention.map(|found| is_bed(&grounding.scored_labels()[found.label].text));
+                    known.on_bed = sleeps(&seen.words).or(on_bed).unwrap_or(known.on_bed);
                 }
             } else {
                 let room = room_named(&seen.words, &self.map, grounding);
@@ -796,7 +812,7 @@ impl<M: LanguageModel> Board<M> {
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns).or(i64::try_from(received_ns).ok());
             self.pipeline.include(&observation, voice);
             self.exclude(&observation, at_ns);
-            for own in self.persons.each(observation) {
+            for own in self.of_persons(observation) {
                 if let Some(own) = self.take(own, voice, at_ns) {
                     self.pipeline.enter(voice, own);
                 }
@@ -978,7 +994,10 @@ impl<M: LanguageModel> Board<M> {
         // Each voice's newest first, so that nobody's confirmation is pushed out by another's sources; by source where all is equal, so
         // that the same step gives the same message.
         self.newest_sources.sort_unstable_by_key(|(newer, own)| (*newer, Reverse(own.turn), own.source, own.epoch));
-        let cut = self.newest_sources.len() > MAX_SOURCES;
+        // A source that was named before, and has said nothing since, waits for no confirmation.
+        let is_new = |own: &Included| own.turn > self.named_turn;
+        let cut = self.newest_sources.iter().skip(MAX_SOURCES).any(|(_, own)| is_new(own));
+        self.named_turn = self.newest_sources.iter().map(|(_, own)| own.turn).max().unwrap_or_default();
         self.newest_sources.truncate(MAX_SOURCES);
         snapshot.source_count = self.newest_sources.len() as u32;
         snapshot.included = Default::default();
@@ -1243,6 +1262,27 @@ mod tests {
 
     fn occupied(board: &mut Board<TableModel>, room: usize, now_ns: u64) -> f32 {
         board.forecast(now_ns).probability[room][0]
+    }
+
+    /// Narrators that said one thing each, one after the other, wait for nothing; those that say it at once wait for their places.
+    #[test]
+    fn only_what_waits_is_cut() {
+        let mut board = board();
+        let told = |source: u64, at_ns: u64| {
+            let observation = Observation { source, epoch: 1, ..observation(0, at_ns, "They walk to the hall.") };
+            Entry::new(observation, at_ns)
+        };
+        let mut cut = |sources: std::ops::Range<u64>, at_ns: u64| {
+            board.step(sources.map(|source| told(source, at_ns)), at_ns, at_ns).unwrap();
+            board.snapshot().has(score_flags::SOURCES_CUT)
+        };
+        let most = MAX_SOURCES as u64;
+        for source in 0..2 * most {
+            assert!(!cut(source..source + 1, (10 + source) * S), "{source}");
+        }
+        assert!(!cut(100..100 + most, 100 * S));
+        assert!(cut(200..201 + most, 101 * S));
+        assert!(!cut(0..0, 102 * S));
     }
 
     const DAY: [(u64, &str); 4] = [

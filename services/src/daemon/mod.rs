@@ -34,7 +34,7 @@ use crate::setup::{self, SetupError};
 use crate::stop::Stop;
 use habits_file::Keeper;
 use habits_question::{After, Importing};
-use roomcast_core::narration::Observation;
+use roomcast_core::narration::{Observation, SOMEBODY};
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_llama::affinity::{self, AffinityError};
@@ -957,6 +957,7 @@ fn forget<M: LanguageModel>(
     let names = board.persons().file().clone();
     let is_theirs = move |observation: &Observation| match &observation.name {
         Some(name) => names.number_of(name) == person,
+        None if observation.person == SOMEBODY => observation.said.may_name(|name| names.number_of(name) == person),
         None => observation.person == person,
     };
     board.forget(person);

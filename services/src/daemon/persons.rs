@@ -5,7 +5,7 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
 use roomcast_core::narration::{
-    Observation, PERSONS_MAX, Presence, PresenceStatement, SOMEBODY, Said, Voice, same_name,
+    Observation, PERSONS_MAX, Presence, PresenceStatement, SOMEBODY, Said, Sentence, Voice, same_name,
 };
 use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
 
@@ -23,6 +23,21 @@ const BEDS: [&str; 8] = ["bed", "beds", "mattress", "crib", "cot", "bunk", "futo
 /// Whether people sleep on a thing of this label.
 pub(super) fn is_bed(label: &str) -> bool {
     label.split(' ').next_back().is_some_and(|word| BEDS.contains(&word))
+}
+
+/// Whether a sentence says that somebody sleeps, or that they no longer do; none where it says neither.
+pub(super) fn sleeps(sentence: &str) -> Option<bool> {
+    const SLEEPS: [&str; 8] = ["sleep", "sleeps", "asleep", "nap", "naps", "doze", "dozes", "slept"];
+    const WAKES: [&str; 8] = ["wake", "wakes", "woke", "awake", "get up", "gets up", "stand up", "stands up"];
+    let lower = sentence.to_lowercase();
+    let says = |words: &[&str]| {
+        let mut found = words.iter().flat_map(|words| lower.match_indices(words));
+        found.any(|(at, word)| {
+            let is_end = |c: Option<char>| !c.is_some_and(char::is_alphanumeric);
+            is_end(lower[..at].chars().next_back()) && is_end(lower[at + word.len()..].chars().next())
+        })
+    };
+    if says(&WAKES) { Some(false) } else { says(&SLEEPS).then_some(true) }
 }
 
 /// What is known of a person beside their narration and where they will be.
@@ -43,7 +58,7 @@ pub(super) struct Known {
     voice: u64,
     /// It named nobody.
     by_fit: bool,
-    /// The last thing mentioned is one to sleep on.
+    /// The last thing mentioned is one to sleep on, or they were said to sleep.
     pub(super) on_bed: bool,
     /// Everything is from before the daemon's start.
     pub(super) restored: bool,
@@ -115,9 +130,11 @@ impl Persons {
         kept.map_or_else(by_list, |resident| !resident)
     }
 
-    /// The observations of persons that one stands for: itself; where it is of everybody, one of each who lives here or is in the house; none
-    /// where it says that nobody is in a room.
+    /// The observations of persons that one stands for: itself; where it is of everybody, one of each who lives here or is in the house; where
+    /// it names several, one of each; none where it says that nobody is in a room.
     pub(super) fn each(&self, observation: Observation) -> impl Iterator<Item = Observation> + use<> {
+        let is_open = observation.person == SOMEBODY && observation.name.is_none();
+        let names = if is_open { self.named(&observation.said) } else { Vec::new() };
         let statement = match &observation.said {
             Said::Presence(statement) => Some(statement),
             Said::Sentence(_) => None,
@@ -125,13 +142,17 @@ impl Persons {
         let of_everybody = statement.is_some_and(PresenceStatement::is_of_everybody);
         let of_nobody = statement.is_some_and(|statement| statement.empty_room().is_some());
         let mut whose = BTreeSet::new();
-        if of_everybody && observation.person == SOMEBODY && observation.name.is_none() {
+        if of_everybody && is_open {
             let here = self.iter().filter(|(_, known)| known.presence == Presence::Present);
             whose.extend(here.map(|(number, _)| number).chain(self.residents()));
         }
         let person = whose.pop_first().unwrap_or(observation.person);
-        let others: Vec<_> = whose.into_iter().map(|person| Observation { person, ..observation.clone() }).collect();
-        let first = (!of_nobody).then_some(Observation { person, ..observation });
+        let others = whose.into_iter().map(|person| Observation { person, ..observation.clone() });
+        let named =
+            names.iter().skip(1).map(|name| Observation { name: Some(name.as_str().into()), ..observation.clone() });
+        let others: Vec<_> = others.chain(named).collect();
+        let name = names.into_iter().next().filter(|_| !others.is_empty()).map(Into::into).or(observation.name.clone());
+        let first = (!of_nobody).then_some(Observation { person, name, ..observation });
         first.into_iter().chain(others.into_iter().filter(move |_| !of_nobody))
     }
 
@@ -284,22 +305,36 @@ impl Persons {
         back.or(awake).or_else(longest_away).or(sleeper).or_else(|| self.residents().next()).unwrap_or_default()
     }
 
-    /// The name that a sentence's subject is: of somebody who is known by it, has it here, or lives here; or of a stranger who comes or
-    /// leaves, unless nobody here goes by a name.
-    pub(super) fn subject<'a>(&self, said: &'a Said) -> Option<&'a str> {
-        let name = said.subject()?;
+    /// The names of those whom an observation is about that was given no name: of persons who are known by them, have them here, or live here;
+    /// or of strangers who are said to be somewhere, unless one alone comes where nobody goes by a name.
+    pub(super) fn named(&self, said: &Said) -> Vec<String> {
+        let known = said.known_names(|name| self.is_name_known(name));
+        if !known.is_empty() {
+            return known;
+        }
+        let of_sentence = |sentence: &Sentence| PresenceStatement::of_sentence(sentence.as_str());
+        let statement = match said {
+            Said::Presence(statement) => Some(statement.clone()),
+            Said::Sentence(sentence) => of_sentence(sentence),
+        };
+        let names: Vec<String> = statement.iter().flat_map(PresenceStatement::names).map(str::to_owned).collect();
+        let may_be_new = self.has_names() || names.len() > 1;
+        let is_whose = |name: &String| self.is_name_known(name) || may_be_new && check_name(name).is_ok();
+        if names.iter().all(is_whose) { names } else { Vec::new() }
+    }
+
+    /// Whether somebody who is known goes by a name, has it here, or lives here.
+    pub(super) fn is_name_known(&self, name: &str) -> bool {
         let number = self.number_of(name);
         let lives_here = || self.config.residents.iter().any(|resident| same_name(resident, name));
         let known = self.known.get(&number).is_some_and(|known| known.name.is_some());
-        let is_known = known || self.file.of_number(number).is_some() || lives_here();
-        let says_where = match said {
-            Said::Presence(_) => true,
-            Said::Sentence(sentence) => {
-                PresenceStatement::of_sentence(sentence.as_str()).is_some_and(|statement| statement.subject().is_some())
-            }
-        };
-        let is_stranger = || says_where && self.has_names() && check_name(name).is_ok();
-        (is_known || is_stranger()).then_some(name)
+        known || self.file.of_number(number).is_some() || lives_here()
+    }
+
+    /// Whether an observation says of somebody who is out of the house what they may do there.
+    pub(super) fn is_heard_from_afar(&self, observation: &Observation) -> bool {
+        let is_out = |known: &Known| known.presence == Presence::Away;
+        self.known.get(&observation.person).is_some_and(is_out) && observation.said.is_from_afar()
     }
 
     /// Whether anybody goes by a name here.
@@ -745,6 +780,76 @@ mod tests {
         assert_eq!(known(&house, "ben"), Some(Presence::Present));
         house.restart();
         assert_eq!((known(&house, "ben"), known(&house, "cleo")), (Some(Presence::Present), Some(Presence::Away)));
+    }
+
+    /// A sentence is of all whom it names, also after a restart; who is named is not guessed.
+    #[test]
+    fn a_sentence_of_several_is_of_each() {
+        let mut house = House::new(&["ada", "ben"]);
+        house.after(1, "ada", "They open the fridge.");
+        house.after(1, "ben", "They lie on the bed.");
+        house.after(1, "somebody", "Ada and Ben sit on the sofa.");
+        let newest = |house: &House, who: &str| {
+            let number = house.board.persons().number_of(who);
+            let history = house.board.pipeline().histories().get(number).unwrap();
+            history.observations().last().and_then(|last| last.sentence().map(str::to_owned))
+        };
+        for who in ["ada", "ben"] {
+            assert_eq!(newest(&house, who).as_deref(), Some("Ada and Ben sit on the sofa."), "{who}");
+        }
+        house.after(1, "somebody", "Ada and the plumber leave the house.");
+        let presences = |house: &mut House| ["ada", "ben", "plumber"].map(|who| house.presence(who));
+        let expected = [Some(presence::AWAY), Some(presence::PRESENT), Some(presence::AWAY)];
+        assert_eq!(presences(&mut house), expected);
+        let flags = house.person("plumber").unwrap().flags;
+        assert_eq!(flags, person_flags::VISITOR, "a name is no guess");
+        house.restart();
+        assert_eq!(presences(&mut house), expected);
+        house.after(1, "somebody", "The plumber walks to the kitchen.");
+        assert_eq!(house.presence("plumber"), Some(presence::PRESENT));
+        assert_eq!(house.presence("ada"), Some(presence::AWAY));
+    }
+
+    /// Who sleeps is asleep wherever they lie, until they do something else.
+    #[test]
+    fn who_says_that_they_sleep_is_asleep() {
+        let mut house = House::new(&[]);
+        let asleep = |house: &mut House| {
+            house.now_ns += 3 * 3600 * S;
+            house.person("ada").unwrap().flags & person_flags::ASLEEP != 0
+        };
+        for (sentence, expected) in [
+            ("They sit on the sofa.", false),
+            ("They fall asleep on the sofa.", true),
+            ("They wake up.", false),
+            ("They go to sleep.", true),
+            ("They snore.", true),
+            ("They open the fridge.", false),
+        ] {
+            house.after(1, "ada", sentence);
+            assert_eq!(asleep(&mut house), expected, "{sentence}");
+        }
+    }
+
+    /// Who calls, or will come, is not home for that; things are nobody.
+    #[test]
+    fn who_calls_is_not_home() {
+        let mut house = House::new(&["ada", "ben"]);
+        house.after(1, "ben", "They open the fridge.");
+        house.after(1, "ada", "away");
+        for sentence in ["Ada calls.", "Ada will be home soon.", "Ada is on her way."] {
+            house.after(1, "somebody", sentence);
+            assert_eq!(house.presence("ada"), Some(presence::AWAY), "{sentence}");
+        }
+        house.after(1, "ada", "They call a friend.");
+        assert_eq!(house.presence("ada"), Some(presence::PRESENT), "a sentence of theirs about a call is an action");
+        let before = house.known();
+        for sentence in ["The coffee maker is out.", "Sofa is away.", "The dishwasher is out."] {
+            house.after(1, "somebody", sentence);
+            assert_eq!((house.known(), house.presence("ben")), (before, Some(presence::PRESENT)), "{sentence}");
+        }
+        house.after(1, "somebody", "Ada comes home.");
+        assert_eq!(house.presence("ada"), Some(presence::PRESENT));
     }
 
     /// What is said of everybody is said of each who lives here, and holds after a restart.

@@ -23,6 +23,15 @@ pub enum ReportFault {
          give the planner the same scene.path, or name the room in the report"
     )]
     OtherMap,
+    /// The planner asked for nothing under this number.
+    #[error(
+        "the robot answers decision {decision}, which is none that this planner knows of the work in hand or before it, and names no room: \
+         report the sequence of a decision of this planner, or name the room"
+    )]
+    UnknownDecision {
+        /// As reported.
+        decision: u64,
+    },
 }
 
 /// Whether a kind of report speaks of work in a room.
@@ -36,8 +45,8 @@ impl Planner {
     /// left alone. Rooms are known with the first scores: a report that comes before them is not to be given here.
     ///
     /// # Errors
-    /// [`ReportFault`] when it names a room that is none, or a position that cannot be placed; the rest of it is used, but for work in a room
-    /// that is none.
+    /// [`ReportFault`] when it names a room or answers a decision that is none, or a position cannot be placed; the rest of it is used, but for
+    /// work in a room that is none.
     pub fn take_report(&mut self, report: &RobotReportV1, now_ns: u64) -> Result<(), ReportFault> {
         if report.robot != self.number || !self.robot.listens() || !self.robot.is_new(report.epoch, report.sequence) {
             return Ok(());
@@ -63,6 +72,8 @@ impl Planner {
             Some(decision) => work.answers(decision),
             None => at_ns >= work.began_ns && room.is_none_or(|room| room == work.room),
         });
+        let unknown = answered.filter(|_| told.is_none() && !of_work && named.is_none() && is_of_work(report.kind));
+        let unknown_fault = unknown.map(|(_, decision)| ReportFault::UnknownDecision { decision });
         let room = room.or(work.filter(|_| of_work).map(|work| work.room));
         match report.kind {
             report_kind::POSITION => {
@@ -111,7 +122,7 @@ impl Planner {
             // The battery was taken above; kinds to come say nothing yet.
             _ => {}
         }
-        named_fault.or(placed_fault).map_or(Ok(()), Err)
+        named_fault.or(placed_fault).or(unknown_fault).map_or(Ok(()), Err)
     }
 
     /// The robot is at work in a room: the one that it was sent to, or another, as when somebody pressed its button.

@@ -726,6 +726,26 @@ fn a_room_that_is_none_is_not_the_one_in_hand() {
     assert_eq!(home.decision(7).covered.count_ones(), 1);
 }
 
+/// A decision that nobody made is said, and means no room.
+#[test]
+fn a_decision_that_is_none_is_not_the_one_in_hand() {
+    let mut home = Home::new(3, &PlannerConfig::default());
+    let first = home.decision(1);
+    home.answer(2, report_kind::STARTED, &first);
+    let unknown = RobotReportV1 {
+        robot: sequence::source_of_name("robot"),
+        epoch: 78,
+        sequence: 1,
+        reported_ns: 5 * S,
+        kind: report_kind::FINISHED,
+        decision_sequence: 12_345,
+        ..Default::default()
+    };
+    let fault = home.planner.take_report(&unknown, 5 * S).unwrap_err();
+    assert_eq!(fault, ReportFault::UnknownDecision { decision: 12_345 });
+    assert_eq!(home.look(6), None, "it is still at work");
+}
+
 #[test]
 fn reports_of_other_robots_and_reports_heard_before_change_nothing() {
     let mut home = Home::new(2, &PlannerConfig::default());
