@@ -10,14 +10,18 @@ use std::process::ExitCode;
 mod bar;
 mod cli;
 mod exit_code;
+#[cfg(any(feature = "metrics", feature = "view"))]
+mod http;
 #[cfg(feature = "pull")]
 mod hub;
 #[cfg(feature = "latency")]
 mod latency;
 #[cfg(feature = "metrics")]
 mod metrics;
-#[cfg(feature = "top")]
+#[cfg(any(feature = "top", feature = "view"))]
 mod top;
+#[cfg(feature = "view")]
+mod view;
 
 fn main() -> ExitCode {
     cli::main()

@@ -2,24 +2,14 @@
 //!
 //! A participant of its own, beside the daemon and not in it: the daemon keeps its hands free of sockets and of networks. Latencies
 //! are those that the scores themselves carry; counters are the daemon's own, asked for at a scrape.
-//!
-//! Any user of the machine can connect. What connections can take is bounded by [`CONNECTIONS_MAX`], [`HEADER_BYTES_MAX`] and
-//! [`REQUEST_TIME`], and each is closed after one answer.
 
-use std::cell::RefCell;
-use std::collections::VecDeque;
-use std::convert::Infallible;
 use std::net::SocketAddr;
-use std::rc::Rc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use hyper::header::{ALLOW, CONTENT_TYPE, HeaderValue};
-use hyper::server::conn::http1;
-use hyper::service::service_fn;
-use hyper::{Method, Response, StatusCode};
-use hyper_util::rt::TokioIo;
+use hyper::header::{CONTENT_TYPE, HeaderValue};
+use hyper::{Response, StatusCode};
 
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::metrics::counter::Counter;
@@ -32,26 +22,16 @@ use roomcast_ipc::{
     score_flags,
 };
 use sd_notify::NotifyState;
-use tokio::net::{TcpListener, TcpStream};
-use tokio::task::{JoinHandle, LocalSet};
-use tokio::time::timeout;
 
+use crate::http::{HttpError, Server, refusal};
 use roomcast_services::notify::notify;
 use roomcast_services::stop::Stop;
 
 /// Bounds of latency buckets in seconds: half a millisecond to ten seconds.
 const BUCKETS_S: [f64; 14] = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0];
-/// Connections that are served at a time; for a further one the oldest is closed.
-pub const CONNECTIONS_MAX: usize = 16;
-/// Bytes that a request may have before its body; a body is not read.
-pub const HEADER_BYTES_MAX: usize = 16 << 10;
-/// Time that a connection has for its request and for reading the answer.
-pub const REQUEST_TIME: Duration = Duration::from_secs(5);
 /// How long a scrape waits for the daemon's counters, and how long its answer holds for further scrapes.
 const PATIENCE: Duration = Duration::from_millis(500);
 const TICK: Duration = Duration::from_millis(100);
-/// How long the serving thread may take for a turn before this process no longer says that it lives.
-const TURN_MAX: Duration = Duration::from_secs(2);
 /// How often systemd hears that this process lives, at most.
 const WATCHDOG: Duration = Duration::from_secs(1);
 /// What OpenMetrics wants to be called.
@@ -60,20 +40,9 @@ const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset
 /// Why metrics cannot be served.
 #[derive(Debug, thiserror::Error)]
 pub enum MetricsError {
-    /// An address that others could reach.
-    #[error("metrics are served on a loopback address alone, not on {0}: give 127.0.0.1:PORT or [::1]:PORT")]
-    NotLoopback(SocketAddr),
-    /// The port cannot be had.
-    #[error("metrics cannot be served on {address}: {reason}; is the port taken? give another one in metrics.listen")]
-    Listen {
-        /// Where.
-        address: SocketAddr,
-        /// The system's word.
-        reason: String,
-    },
-    /// The thread that answers could not be started.
-    #[error("cannot start the thread that serves metrics: {0}; is a limit on tasks or descriptors set too low?")]
-    Thread(std::io::Error),
+    /// They cannot be served.
+    #[error("metrics: {0}")]
+    Http(#[from] HttpError),
     /// The thread that answers has ended by itself.
     #[error("the thread that serves metrics has ended unexpectedly; start this command again and report it")]
     Ended,
@@ -359,29 +328,14 @@ pub fn run(
     stop: &Stop,
     ready: impl FnOnce(SocketAddr),
 ) -> Result<(), MetricsError> {
-    if !address.ip().is_loopback() {
-        return Err(MetricsError::NotLoopback(address));
-    }
     let node = domain.open("roomcast-metrics")?;
     let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
     let decisions: Subscriber<DecisionV1> = node.subscriber()?;
     let status = node.status_client()?;
-    let listen = |error: std::io::Error| MetricsError::Listen { address, reason: error.to_string() };
-    let listener = std::net::TcpListener::bind(address).map_err(listen)?;
-    listener.set_nonblocking(true).map_err(listen)?;
-    ready(listener.local_addr().map_err(listen)?);
     let metrics = Arc::new(Mutex::new(Metrics::new()));
-    let turned_ns = Arc::new(AtomicU64::new(clock::monotonic_ns()));
-    let scrapes = Scrapes { status, metrics: Arc::clone(&metrics), asked: None };
-    let serving = {
-        let (turned_ns, stop) = (Arc::clone(&turned_ns), stop.clone());
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build();
-        let runtime = runtime.map_err(MetricsError::Thread)?;
-        std::thread::Builder::new()
-            .name("serve".to_owned())
-            .spawn(move || LocalSet::new().block_on(&runtime, serve(listener, scrapes, &turned_ns, &stop)))
-    };
-    let serving = serving.map_err(MetricsError::Thread)?;
+    let mut scrapes = Scrapes { status, metrics: Arc::clone(&metrics), asked: None };
+    let server = Server::start(address, stop, move |request| scrapes.answer(request.uri.path()))?;
+    ready(server.address());
     let mut said = Instant::now();
     while !stop.requested() {
         scores.wait(TICK)?;
@@ -400,22 +354,16 @@ pub fn run(
             }
         }
         drop(metrics);
-        if serving.is_finished() && !stop.requested() {
+        if server.is_finished() && !stop.requested() {
             return Err(MetricsError::Ended);
         }
-        if said.elapsed() >= WATCHDOG && turns(turned_ns.load(Ordering::Relaxed), clock::monotonic_ns()) {
+        if said.elapsed() >= WATCHDOG && server.is_turning() {
             said = Instant::now();
             notify(&[NotifyState::Watchdog]);
         }
     }
-    // It looks at the wish to stop every tick.
-    let _ended = serving.join();
+    server.join();
     Ok(())
-}
-
-/// Whether the serving thread, which last turned then, is at work.
-fn turns(turned_ns: u64, now_ns: u64) -> bool {
-    u128::from(now_ns.saturating_sub(turned_ns)) <= TURN_MAX.as_nanos()
 }
 
 /// Answers scrapes.
@@ -427,21 +375,11 @@ struct Scrapes {
 }
 
 impl Scrapes {
-    fn answer(&mut self, method: &Method, path: &str) -> Response<String> {
-        let mut response = match (method, path) {
-            (&Method::GET, "/metrics") => Response::new(self.text()),
-            (&Method::GET, _) => {
-                let mut response = Response::new("see /metrics\n".to_owned());
-                *response.status_mut() = StatusCode::NOT_FOUND;
-                return response;
-            }
-            _ => {
-                let mut response = Response::new("only GET\n".to_owned());
-                *response.status_mut() = StatusCode::METHOD_NOT_ALLOWED;
-                response.headers_mut().insert(ALLOW, HeaderValue::from_static("GET"));
-                return response;
-            }
-        };
+    fn answer(&mut self, path: &str) -> Response<String> {
+        if path != "/metrics" {
+            return refusal(StatusCode::NOT_FOUND, "see /metrics");
+        }
+        let mut response = Response::new(self.text());
         response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(OPEN_METRICS));
         response
     }
@@ -459,59 +397,10 @@ impl Scrapes {
     }
 }
 
-/// Serves connections on this thread until it is asked to stop, and notes each turn.
-async fn serve(
-    listener: std::net::TcpListener,
-    scrapes: Scrapes,
-    turned_ns: &AtomicU64,
-    stop: &Stop,
-) -> std::io::Result<()> {
-    let listener = TcpListener::from_std(listener)?;
-    let scrapes = Rc::new(RefCell::new(scrapes));
-    let mut connections: VecDeque<JoinHandle<()>> = VecDeque::with_capacity(CONNECTIONS_MAX);
-    while !stop.requested() {
-        turned_ns.store(clock::monotonic_ns(), Ordering::Relaxed);
-        let Ok(accepted) = timeout(TICK, listener.accept()).await else { continue };
-        match accepted {
-            Ok((stream, _)) => {
-                connections.retain(|connection| !connection.is_finished());
-                // Whoever holds connections without a word is in nobody's way.
-                if connections.len() == CONNECTIONS_MAX
-                    && let Some(oldest) = connections.pop_front()
-                {
-                    oldest.abort();
-                }
-                connections.push_back(tokio::task::spawn_local(converse(stream, Rc::clone(&scrapes))));
-            }
-            Err(error) => {
-                tracing::warn!(%error, "a scrape failed");
-                // A limit of the system, such as that of descriptors, does not pass at once.
-                tokio::time::sleep(TICK).await;
-            }
-        }
-    }
-    Ok(())
-}
-
-/// One request and its answer.
-async fn converse(stream: TcpStream, scrapes: Rc<RefCell<Scrapes>>) {
-    let service = service_fn(|request: hyper::Request<hyper::body::Incoming>| {
-        let response = scrapes.borrow_mut().answer(request.method(), request.uri().path());
-        async move { Ok::<_, Infallible>(response) }
-    });
-    let mut http = http1::Builder::new();
-    // The one limit on time is around all of it.
-    http.keep_alive(false).max_buf_size(HEADER_BYTES_MAX).header_read_timeout(None);
-    match timeout(REQUEST_TIME, http.serve_connection(TokioIo::new(stream), service)).await {
-        Ok(Ok(())) => {}
-        Ok(Err(error)) => tracing::debug!(%error, "a scrape was no request, or was not read to its end"),
-        Err(_) => tracing::debug!("a scrape took too long"),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::http::REQUEST_TIME;
     use rand::seq::IndexedRandom;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
@@ -523,7 +412,7 @@ mod tests {
         let domain = Domain::new("/tmp/roomcast-metrics-test", "metrics-test").unwrap();
         for address in ["0.0.0.0:9464", "192.168.1.2:9464", "[::]:9464"] {
             let refused = run(address.parse().unwrap(), &domain, &Stop::new(), |_| ());
-            assert!(matches!(refused, Err(MetricsError::NotLoopback(_))), "{address}");
+            assert!(matches!(refused, Err(MetricsError::Http(HttpError::NotLoopback(_)))), "{address}");
         }
     }
 
@@ -712,11 +601,5 @@ mod tests {
             let _gone = stream.write_all(&bytes);
         }
         assert!(served.scrape() < SOON);
-    }
-
-    #[test]
-    fn a_serving_thread_that_stands_still_is_no_sign_of_life() {
-        assert!(turns(7, 7) && turns(7, 2_000_000_007) && turns(9, 7));
-        assert!(!turns(7, 2_000_000_008));
     }
 }

@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 
 use super::{CommandResult, Failure, service};
+use crate::http::HttpError;
 use crate::metrics::{self, MetricsError};
 use roomcast_services::{logging, notify};
 
@@ -39,9 +40,9 @@ pub fn run(args: &Args) -> CommandResult {
     });
     served.map_err(|error| {
         let code = match error {
-            MetricsError::NotLoopback(_) => exit_code::CONFIG,
+            MetricsError::Http(HttpError::NotLoopback(_)) => exit_code::CONFIG,
             MetricsError::Ipc(_) => exit_code::IPC,
-            MetricsError::Listen { .. } | MetricsError::Thread(_) | MetricsError::Ended => exit_code::FAILURE,
+            MetricsError::Http(_) | MetricsError::Ended => exit_code::FAILURE,
         };
         Failure::new(code, error)
     })

@@ -56,6 +56,8 @@ mod service;
 mod stage;
 #[cfg(feature = "top")]
 mod top;
+#[cfg(feature = "view")]
+mod view;
 
 /// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
 #[derive(Debug)]
@@ -220,6 +222,9 @@ enum Command {
     /// Watch a running system: rooms over time, narration, likely objects, decisions, health.
     #[cfg(feature = "top")]
     Top(top::Args),
+    /// Show the plan in a browser: where persons are and will be, and what the robot does, now or in a recording.
+    #[cfg(feature = "view")]
+    View(view::Args),
 }
 
 impl Command {
@@ -295,6 +300,8 @@ pub fn main() -> ExitCode {
         Command::Score(args) => score::run(&args),
         #[cfg(feature = "top")]
         Command::Top(args) => top::run(&args),
+        #[cfg(feature = "view")]
+        Command::View(args) => view::run(&args),
     };
     match result {
         Ok(()) => ExitCode::from(exit_code::OK),

@@ -1,0 +1,62 @@
+//! `roomcast view`: the plan in a browser, of the running system or of a recording.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use super::{CommandResult, Failure, service};
+use crate::exit_code;
+use crate::http::HttpError;
+use crate::view::{self, Place, ViewError};
+use roomcast_services::{logging, notify, recording};
+
+/// Arguments of `roomcast view`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    service: service::Args,
+    /// The loopback address to serve on; port 0 takes a free one and prints it.
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:9465")]
+    listen: SocketAddr,
+    /// Show a recording of `roomcast record` in place of the running system.
+    #[arg(long, value_name = "FILE")]
+    recording: Option<PathBuf>,
+    /// Let every user of this machine look. Without it only who has the address with its key can.
+    #[arg(long)]
+    no_key: bool,
+}
+
+/// Serves the page until it is asked to stop.
+///
+/// # Errors
+/// When the address is none of this machine alone, or is taken; when a service is lost; when the recording cannot be read.
+pub fn run(args: &Args) -> CommandResult {
+    let stop = service::stop()?;
+    let _log = logging::init();
+    let place = if args.no_key { Place { address: args.listen, key: None } } else { Place::with_key(args.listen) };
+    let ready = |address: SocketAddr| {
+        eprintln!("open {} in a browser on this machine", place.url(address));
+        notify::notify(&[sd_notify::NotifyState::Ready]);
+    };
+    let served = match &args.recording {
+        Some(_) if args.service.on_command_line() => {
+            let text = "--config, --root and --domain name a running system: leave them out with --recording";
+            return Err(Failure::new(exit_code::USAGE, text));
+        }
+        Some(path) => {
+            let recording = recording::read(path).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+            view::run_recording(&place, recording, &stop, ready)
+        }
+        None => {
+            let (_, domain) = args.service.load()?;
+            view::run(&place, &domain, &stop, ready)
+        }
+    };
+    served.map_err(|error| {
+        let code = match &error {
+            ViewError::Http(HttpError::NotLoopback(_)) => exit_code::USAGE,
+            ViewError::Ipc(_) => exit_code::IPC,
+            ViewError::Http(_) | ViewError::Ended => exit_code::FAILURE,
+        };
+        Failure::new(code, error)
+    })
+}

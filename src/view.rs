@@ -1,0 +1,790 @@
+//! What `roomcast view` shows in a browser: the plan of the map, and where persons and robot are, as JSON for the page in `view/`.
+//!
+//! Only loopback addresses are served, and only requests that name one: a page elsewhere that the browser has open must not read where people
+//! are. Nor must other users of the machine: what is shown is for those who have the key of this start. The page itself may load nothing from anywhere else. What comes from the system reaches the page as JSON, never as markup.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::net::{IpAddr, SocketAddr};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, HeaderName, HeaderValue};
+use hyper::{Response, StatusCode};
+use roomcast_core::semantic_map::{SceneError, SemanticMap};
+use roomcast_ipc::{
+    DecisionV1, Domain, ForecastV1, IpcError, ItemScores, MAX_HORIZONS, NarrationV1, PersonForecastV1,
+    PersonForecastsV1, PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, action, clock, presence, question, sequence,
+};
+use roomcast_services::daemon::{flag_words, presence_word};
+use roomcast_services::message_text::said_of;
+use roomcast_services::moment::{Moment, MomentError};
+use roomcast_services::recording::{Recorded, Recording};
+use roomcast_services::stop::Stop;
+use serde_json::{Value, json};
+
+use crate::http::{HttpError, Request, Server, refusal};
+use crate::top::{decision_flag_names, forecast_flag_names, score_flag_names, who};
+
+const PAGE: &str = include_str!("view/page.html");
+const STYLE: &str = include_str!("view/page.css");
+const SCRIPT: &str = include_str!("view/page.js");
+/// What the page may load: its own style, its own script, its own data.
+const POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// Narrations that the page lists.
+const NARRATIONS: usize = 50;
+/// Silence after which the daemon counts as gone, in nanoseconds: some heartbeats.
+const SILENCE_NS: u64 = 1_500_000_000;
+/// How long the view goes on asking for the things' scores, which cost the daemon a little, after somebody looked last.
+const LOOKED: Duration = Duration::from_secs(5);
+const TICK: Duration = Duration::from_millis(200);
+/// How long the daemon may take to tell its map, and how long after it did not the view asks again.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// Why there is nothing to look at.
+#[derive(Debug, thiserror::Error)]
+pub enum ViewError {
+    /// It cannot be served.
+    #[error(transparent)]
+    Http(#[from] HttpError),
+    /// A service.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+    /// The thread that answers has ended by itself.
+    #[error("the thread that serves the page has ended unexpectedly; start this command again and report it")]
+    Ended,
+}
+
+/// The header line in which the page sends its key.
+const KEY: HeaderName = HeaderName::from_static("x-roomcast-key");
+
+/// Where the page is served, and to whom.
+#[derive(Debug, Clone)]
+pub struct Place {
+    /// A loopback address; port 0 takes a free one.
+    pub address: SocketAddr,
+    /// What those must know who look; none lets every user of the machine look.
+    pub key: Option<String>,
+}
+
+impl Place {
+    /// A place whose key nobody can guess.
+    #[must_use]
+    pub fn with_key(address: SocketAddr) -> Self {
+        let half = sequence::random_epoch;
+        Self { address, key: Some(format!("{:016x}{:016x}", half(), half())) }
+    }
+
+    /// What to open in a browser. The key stands behind `#`, where no log and no referrer has it.
+    #[must_use]
+    pub fn url(&self, address: SocketAddr) -> String {
+        self.key.as_ref().map_or_else(|| format!("http://{address}/"), |key| format!("http://{address}/#{key}"))
+    }
+}
+
+/// Serves the page of the running system until it is asked to stop; `ready` gets the address, with the port that was found for port 0.
+///
+/// # Errors
+/// [`ViewError`] for an address that is not loopback or is taken, and when a service is lost.
+pub fn run(place: &Place, domain: &Domain, stop: &Stop, ready: impl FnOnce(SocketAddr)) -> Result<(), ViewError> {
+    let node = domain.open("roomcast-view")?;
+    let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
+    let forecast: Subscriber<ForecastV1> = node.subscriber()?;
+    let persons: Subscriber<PersonScoresV1> = node.subscriber()?;
+    let forecasts: Subscriber<PersonForecastsV1> = node.subscriber()?;
+    let narration: Subscriber<NarrationV1> = node.subscriber()?;
+    let decisions: Subscriber<DecisionV1> = node.subscriber()?;
+    let moments = node.question_port(question::MOMENT)?;
+    let shared = Arc::new(Mutex::new(Live::default()));
+    let (answered, key) = (Arc::clone(&shared), place.key.clone());
+    let server = Server::start(place.address, stop, move |request| {
+        let mut live = answered.lock().unwrap_or_else(PoisonError::into_inner);
+        answer(request, key.as_deref(), &mut *live)
+    })?;
+    ready(server.address());
+    let (mut items, mut asked) = (None, None::<Instant>);
+    while !stop.requested() {
+        scores.wait(TICK)?;
+        let now_ns = clock::monotonic_ns();
+        let mut live = shared.lock().unwrap_or_else(PoisonError::into_inner);
+        let picture = &mut live.picture;
+        // What is malformed is passed over; `roomcast top` and the metrics count it.
+        while let Some(received) = narration.receive()? {
+            received.iter().for_each(|message| picture.narration(message, now_ns));
+        }
+        if let Some(message) = scores.newest()? {
+            picture.scores(&message, now_ns);
+        }
+        if let Some(message) = forecast.newest()? {
+            picture.forecast(&message);
+        }
+        if let Some(message) = persons.newest()? {
+            picture.persons(&message);
+        }
+        if let Some(message) = forecasts.newest()? {
+            picture.forecasts(&message, now_ns);
+        }
+        if let Some(message) = decisions.newest()? {
+            picture.decision(&message, now_ns);
+        }
+        let is_looked_at = live.looked.is_some_and(|looked| looked.elapsed() < LOOKED);
+        items = match items {
+            _ if !is_looked_at => None,
+            None => Some(node.item_scores_subscriber()?),
+            own => own,
+        };
+        if let Some(message) = items.as_ref().map(|own| own.newest()).transpose()?.flatten() {
+            live.picture.items(&message);
+        }
+        let map = live.picture.map();
+        let is_new = map.is_some() && live.plan.as_ref().map(|plan| plan.map.as_str()) != map.as_deref();
+        drop(live);
+        if is_new && asked.is_none_or(|asked| asked.elapsed() >= PATIENCE) {
+            asked = Some(Instant::now());
+            // A daemon that is busy is asked again; the rooms are listed meanwhile.
+            let plan =
+                moments.ask("{}", PATIENCE).ok().and_then(|text| Plan::of_moment(&Moment::from_json(&text).ok()?).ok());
+            shared.lock().unwrap_or_else(PoisonError::into_inner).plan = plan;
+        }
+        if server.is_finished() && !stop.requested() {
+            return Err(ViewError::Ended);
+        }
+    }
+    server.join();
+    Ok(())
+}
+
+/// Serves the page of a recording until it is asked to stop.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_recording(
+    place: &Place,
+    recording: Recording,
+    stop: &Stop,
+    ready: impl FnOnce(SocketAddr),
+) -> Result<(), ViewError> {
+    let (mut played, key) = (Played::new(recording), place.key.clone());
+    let server = Server::start(place.address, stop, move |request| answer(request, key.as_deref(), &mut played))?;
+    ready(server.address());
+    while !stop.requested() {
+        std::thread::sleep(TICK);
+        if server.is_finished() && !stop.requested() {
+            return Err(ViewError::Ended);
+        }
+    }
+    server.join();
+    Ok(())
+}
+
+/// What the page asks for.
+trait Shown {
+    /// The state, of a recording at so many seconds from its beginning.
+    fn state(&mut self, at_s: Option<f64>) -> Value;
+    /// The plan of the map in use.
+    fn plan(&mut self) -> Option<Value>;
+}
+
+fn answer(request: Request<'_>, key: Option<&str>, shown: &mut impl Shown) -> Response<String> {
+    let host = request.headers.get(HOST).and_then(|host| host.to_str().ok());
+    if !host.is_some_and(is_own_name) {
+        return refusal(StatusCode::MISDIRECTED_REQUEST, "ask for a loopback address by its number, or for localhost");
+    }
+    let is_data = ["/state", "/plan"].contains(&request.uri.path());
+    let given = request.headers.get(KEY).map(HeaderValue::as_bytes).unwrap_or_default();
+    if is_data && key.is_some_and(|key| !is_same(key.as_bytes(), given)) {
+        return refusal(
+            StatusCode::FORBIDDEN,
+            "open the address that `roomcast view` printed when it started: it has the key",
+        );
+    }
+    let query = |key: &str| {
+        let pairs = request.uri.query()?.split('&').filter_map(|pair| pair.split_once('='));
+        pairs.filter(|(name, _)| *name == key).map(|(_, value)| value).next()
+    };
+    let (kind, body) = match request.uri.path() {
+        "/" => ("text/html; charset=utf-8", PAGE.to_owned()),
+        "/page.css" => ("text/css; charset=utf-8", STYLE.to_owned()),
+        "/page.js" => ("text/javascript; charset=utf-8", SCRIPT.to_owned()),
+        "/state" => {
+            let at_s = query("at").and_then(|at| at.parse().ok()).filter(|at: &f64| at.is_finite());
+            ("application/json", shown.state(at_s).to_string())
+        }
+        "/plan" => match shown.plan() {
+            Some(plan) => ("application/json", plan.to_string()),
+            None => return refusal(StatusCode::NOT_FOUND, "the daemon has not told its map yet"),
+        },
+        "/favicon.ico" => return refusal(StatusCode::NOT_FOUND, "no picture"),
+        _ => return refusal(StatusCode::NOT_FOUND, "see /"),
+    };
+    let mut response = Response::new(body);
+    for (name, value) in [
+        (CONTENT_TYPE, kind),
+        (CACHE_CONTROL, "no-store"),
+        (CONTENT_SECURITY_POLICY, POLICY),
+        (HeaderName::from_static("x-content-type-options"), "nosniff"),
+        (HeaderName::from_static("referrer-policy"), "no-referrer"),
+        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+    ] {
+        response.headers_mut().insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+/// Compares in a time that does not tell where two differ.
+fn is_same(key: &[u8], given: &[u8]) -> bool {
+    key.len() == given.len() && key.iter().zip(given).fold(0, |differs, (a, b)| differs | (a ^ b)) == 0
+}
+
+/// Whether a request was meant for this machine: a name that a page elsewhere owns may lead here, too.
+fn is_own_name(host: &str) -> bool {
+    let name = match host.rsplit_once(':') {
+        Some((name, port)) if !port.ends_with(']') => name,
+        _ => host,
+    };
+    let address = name.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>();
+    name == "localhost" || address.is_ok_and(|address| address.is_loopback())
+}
+
+/// The running system.
+#[derive(Debug, Default)]
+struct Live {
+    picture: Picture,
+    plan: Option<Plan>,
+    /// When somebody looked last.
+    looked: Option<Instant>,
+}
+
+impl Shown for Live {
+    fn state(&mut self, _at_s: Option<f64>) -> Value {
+        self.looked = Some(Instant::now());
+        let now_ns = clock::monotonic_ns();
+        let mut state = self.picture.state(now_ns);
+        let map = self.plan.as_ref().map(|plan| plan.map.as_str());
+        state["live"] = true.into();
+        // A plan of another map is none.
+        state["map"] = map.filter(|map| Some(*map) == self.picture.map().as_deref()).into();
+        state["daemon"] = self.picture.daemon(now_ns);
+        self.plan.iter().for_each(|plan| plan.name(&mut state));
+        state
+    }
+
+    fn plan(&mut self) -> Option<Value> {
+        self.plan.as_ref().map(|plan| plan.drawing.clone())
+    }
+}
+
+/// A recording.
+#[derive(Debug)]
+struct Played {
+    recording: Recording,
+    picture: Picture,
+    /// Messages that the picture has.
+    taken: usize,
+    begin_ns: u64,
+    length_s: f64,
+    plan: Option<Plan>,
+}
+
+impl Played {
+    fn new(recording: Recording) -> Self {
+        let begin_ns = recording.messages.first().map_or(0, |(time_ns, _)| *time_ns);
+        let end_ns = recording.messages.last().map_or(0, |(time_ns, _)| *time_ns);
+        let length_s = end_ns.saturating_sub(begin_ns) as f64 / 1e9;
+        Self { recording, picture: Picture::default(), taken: 0, begin_ns, length_s, plan: None }
+    }
+
+    fn play_to(&mut self, now_ns: u64) {
+        if self
+            .taken
+            .checked_sub(1)
+            .and_then(|last| self.recording.messages.get(last))
+            .is_some_and(|last| last.0 > now_ns)
+        {
+            (self.picture, self.taken) = (Picture::default(), 0);
+        }
+        while let Some((time_ns, message)) =
+            self.recording.messages.get(self.taken).filter(|(time_ns, _)| *time_ns <= now_ns)
+        {
+            self.picture.take(message, *time_ns);
+            self.taken += 1;
+        }
+        let map = self.picture.map();
+        if self.plan.as_ref().map(|plan| plan.map.as_str()) != map.as_deref() {
+            let moment = self.recording.moments.iter().find(|moment| Some(&moment.map_fingerprint) == map.as_ref());
+            self.plan = moment.and_then(|moment| Plan::of_moment(moment).ok());
+        }
+    }
+}
+
+impl Shown for Played {
+    fn state(&mut self, at_s: Option<f64>) -> Value {
+        let at_s = at_s.unwrap_or(self.length_s).clamp(0.0, self.length_s);
+        let now_ns = self.begin_ns.saturating_add((at_s * 1e9).round() as u64);
+        self.play_to(now_ns);
+        let mut state = self.picture.state(now_ns);
+        state["live"] = false.into();
+        (state["at_s"], state["length_s"]) = (at_s.into(), self.length_s.into());
+        state["map"] = self.plan.as_ref().map(|plan| plan.map.clone()).into();
+        state["daemon"] = json!({"alarm": false, "text": "A recording."});
+        self.plan.iter().for_each(|plan| plan.name(&mut state));
+        state
+    }
+
+    fn plan(&mut self) -> Option<Value> {
+        self.plan.as_ref().map(|plan| plan.drawing.clone())
+    }
+}
+
+/// A map to draw.
+#[derive(Debug)]
+struct Plan {
+    /// Its fingerprint, hexadecimal.
+    map: String,
+    /// The names of its partitions, by id.
+    names: BTreeMap<String, String>,
+    drawing: Value,
+}
+
+impl Plan {
+    fn of_moment(moment: &Moment) -> Result<Self, MomentError> {
+        let explained = SemanticMap::from_json(&moment.scene.to_string());
+        Self::of_map(&explained.map_err(MomentError::Scene)?, moment).map_err(MomentError::Scene)
+    }
+
+    fn of_map(map: &SemanticMap, moment: &Moment) -> Result<Self, SceneError> {
+        let metres = |value: f64| (value * 1e3).round() / 1e3;
+        let point = |[x, y]: [f64; 2]| json!([metres(x), metres(y)]);
+        let partitions = roomcast_core::grounding::partitions(map, moment.grounding.level);
+        let room = |partition: &roomcast_core::grounding::Partition| {
+            let rings = partition.boxes.iter().flat_map(|space| space.rings());
+            let rings: Vec<Vec<Value>> = rings.map(|ring| ring.into_iter().map(point).collect()).collect();
+            json!({"id": partition.id, "name": partition.label, "rings": rings})
+        };
+        let item = |item: &roomcast_core::semantic_map::Item| {
+            let [x, y, _] = item.position_m;
+            json!({"id": item.id, "label": map.labels()[item.label.0 as usize], "at": point([x, y])})
+        };
+        let doors = map.doors().iter().map(|door| point([door.position_m[0], door.position_m[1]]));
+        let drawing = json!({
+            "map": moment.map_fingerprint, "name": map.name(),
+            "rooms": partitions.iter().map(room).collect::<Vec<_>>(),
+            "doors": doors.collect::<Vec<_>>(), "items": map.items().iter().map(item).collect::<Vec<_>>(),
+        });
+        let names = partitions.iter().map(|partition| (partition.id.clone(), partition.label.clone()));
+        Ok(Self { map: moment.map_fingerprint.clone(), names: names.collect(), drawing })
+    }
+
+    /// Puts the rooms' names into a state.
+    fn name(&self, state: &mut Value) {
+        for room in state["rooms"].as_array_mut().into_iter().flatten() {
+            if let Some(name) = room["id"].as_str().and_then(|id| self.names.get(id)) {
+                room["name"] = name.as_str().into();
+            }
+        }
+    }
+}
+
+/// A probability as the page needs it.
+fn short(p: f64) -> f64 {
+    (p * 1e4).round() / 1e4
+}
+
+fn row(row: &[f32]) -> Vec<f64> {
+    row.iter().map(|p| short(f64::from(*p))).collect()
+}
+
+/// The newest of everything.
+#[derive(Debug, Default)]
+struct Picture {
+    scores: Option<(RoomScoresV1, u64)>,
+    forecast: Option<Box<ForecastV1>>,
+    persons: Option<Box<PersonScoresV1>>,
+    forecasts: Option<Box<PersonForecastsV1>>,
+    decision: Option<(DecisionV1, u64)>,
+    /// The newest first: when it came, who was told of by whom, and what was said.
+    narration: VecDeque<(u64, String, String)>,
+    items: BTreeMap<String, f64>,
+    quality: Quality,
+}
+
+impl Picture {
+    fn take(&mut self, message: &Recorded, taken_ns: u64) {
+        match message {
+            Recorded::Narration(message) => self.narration(message, taken_ns),
+            Recorded::RoomScores(message) => self.scores(message, taken_ns),
+            Recorded::PersonScores(message) => self.persons(message),
+            Recorded::Forecast(message) => self.forecast(message),
+            Recorded::PersonForecasts(message) => self.forecasts(message, taken_ns),
+            Recorded::Decision(message) => self.decision(message, taken_ns),
+            Recorded::RobotReport(_) => {}
+        }
+    }
+
+    fn scores(&mut self, scores: &RoomScoresV1, taken_ns: u64) {
+        self.scores = Some((*scores, taken_ns));
+    }
+
+    fn forecast(&mut self, forecast: &ForecastV1) {
+        self.forecast = Some(Box::new(*forecast));
+    }
+
+    fn persons(&mut self, persons: &PersonScoresV1) {
+        self.persons = Some(Box::new(*persons));
+    }
+
+    fn forecasts(&mut self, forecasts: &PersonForecastsV1, taken_ns: u64) {
+        self.quality.take(forecasts, taken_ns);
+        self.forecasts = Some(Box::new(*forecasts));
+    }
+
+    fn decision(&mut self, decision: &DecisionV1, taken_ns: u64) {
+        self.decision = Some((*decision, taken_ns));
+    }
+
+    fn narration(&mut self, narration: &NarrationV1, taken_ns: u64) {
+        self.narration.truncate(NARRATIONS - 1);
+        // As the model reads it; what is no observation is shown as it came.
+        let said = said_of(narration.kind, narration.text());
+        let text = said.map_or_else(|_| narration.text().to_owned(), |said| said.to_string());
+        let source = match narration.person_name() {
+            "" => narration.source_name().to_owned(),
+            name => format!("{} of {name}", narration.source_name()),
+        };
+        self.narration.push_front((taken_ns, source, text));
+    }
+
+    fn items(&mut self, items: &ItemScores) {
+        let mass: f64 = items.items.iter().map(|item| item.log_score_nats.exp()).sum();
+        let share = |log_nats: f64| if mass > 0.0 { short(log_nats.exp() / mass) } else { 0.0 };
+        let items = items.items.iter().map(|item| (item.id().to_owned(), share(item.log_score_nats)));
+        self.items = items.filter(|(_, share)| *share > 0.0).collect();
+    }
+
+    /// The fingerprint of the map that the scores are of, hexadecimal.
+    fn map(&self) -> Option<String> {
+        self.scores.as_ref().map(|(scores, _)| hex::encode(scores.map_fingerprint))
+    }
+
+    /// Whether the daemon lives, in words.
+    fn daemon(&self, now_ns: u64) -> Value {
+        let Some((scores, _)) = &self.scores else {
+            return json!({"alarm": true, "text": "No daemon has been heard yet: start `roomcast daemon`."});
+        };
+        let silence_ns = scores.silence_ns(now_ns);
+        if silence_ns > SILENCE_NS {
+            let text =
+                format!("The daemon has been silent for {:.0} s: what is shown is old.", silence_ns as f64 / 1e9);
+            return json!({"alarm": true, "text": text});
+        }
+        let flags: Vec<_> = score_flag_names(scores.flags & !roomcast_ipc::score_flags::HEARTBEAT);
+        let flags = if flags.is_empty() { String::new() } else { format!(" ({})", flags.join(", ")) };
+        json!({"alarm": false, "text": format!("The daemon is alive{flags}.")})
+    }
+
+    fn state(&self, now_ns: u64) -> Value {
+        let seconds = |then_ns: u64| now_ns.saturating_sub(then_ns) as f64 / 1e9;
+        let scores = self.scores.as_ref().map(|(scores, _)| scores);
+        let forecast = self
+            .forecast
+            .as_deref()
+            .filter(|own| scores.is_some_and(|of| (of.epoch, of.room_count) == (own.epoch, own.room_count)));
+        let horizons = forecast.map_or(0, |own| (own.horizon_count as usize).min(MAX_HORIZONS));
+        let rooms = scores.map_or(&[][..], |scores| scores.rooms()).iter().enumerate().map(|(place, room)| {
+            let occupied =
+                forecast.and_then(|own| own.room(place)).filter(|(id, _)| *id == room.id()).map(|(_, p)| row(p));
+            json!({"id": room.id(), "name": room.id(), "next": short(room.probability), "occupied": occupied})
+        });
+        let said =
+            self.narration.iter().map(|(at_ns, who, text)| json!({"age_s": seconds(*at_ns), "who": who, "text": text}));
+        let decision = self.decision.as_ref().map(|(decision, taken_ns)| {
+            let text = match decision.action {
+                action::GO => format!("The robot goes to {}.", decision.to()),
+                action::PAUSE => "The robot pauses where it disturbs nobody.".to_owned(),
+                _ => "The robot stays where it is.".to_owned(),
+            };
+            json!({
+                "to": decision.to(), "text": text, "reason": decision.reason(), "policy": decision.policy(), "age_s": seconds(*taken_ns),
+                "flags": decision_flag_names(decision.flags),
+            })
+        });
+        json!({
+            "rooms": rooms.collect::<Vec<_>>(),
+            "horizons_s": forecast.map_or(&[][..], |own| &own.horizon_s[..horizons]),
+            "forecast_flags": forecast.map_or_else(Vec::new, |own| forecast_flag_names(own.flags)),
+            "persons": self.person_cards(), "decision": decision, "narration": said.collect::<Vec<_>>(),
+            "items": self.items, "quality": self.quality.curve(),
+        })
+    }
+
+    fn person_cards(&self) -> Vec<Value> {
+        let Some(persons) = self.persons.as_deref() else { return Vec::new() };
+        let forecasts = self.forecasts.as_deref().filter(|own| own.epoch == persons.epoch);
+        let card = |person: &PersonV1| {
+            let own =
+                forecasts.and_then(|told| Some((told, told.persons().iter().find(|own| own.person == person.person)?)));
+            let mut card = json!({
+                "name": who(person.person, person.name()), "presence": presence_word(person.presence),
+                "flags": flag_words(person.flags).collect::<Vec<_>>(),
+            });
+            if let Some((told, own)) = own {
+                let horizons = told.horizons_s().len();
+                let rooms =
+                    (0..told.rooms().len()).filter_map(|room| own.probability.get(room)?.get(..horizons).map(row));
+                card["rooms"] = rooms.collect::<Vec<_>>().into();
+                card["elsewhere"] = own.elsewhere.get(..horizons).map(row).into();
+                let likely = likeliest(told, own).filter(|(_, p)| *p >= 0.5 && person.presence <= presence::PRESENT);
+                card["likely"] = likely.map(|(room, _)| room).into();
+            }
+            card
+        };
+        persons.persons().iter().map(card).collect()
+    }
+}
+
+/// The room that a person is in now, most likely, and how likely.
+fn likeliest(told: &PersonForecastsV1, own: &PersonForecastV1) -> Option<(usize, f32)> {
+    let now = (0..told.rooms().len()).filter_map(|room| Some((room, *own.probability.get(room)?.first()?)));
+    now.max_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+/// How good forecasts were: what the one of 15 minutes before gave the room where a person then was, where that is known well enough.
+#[derive(Debug, Default)]
+struct Quality {
+    /// Forecasts a minute apart, the newest last.
+    samples: VecDeque<(u64, Box<PersonForecastsV1>)>,
+    /// Per hour of the clock in use, the newest last: its number, the sum of probabilities, and how many they are.
+    hours: VecDeque<(u64, f64, u64)>,
+}
+
+impl Quality {
+    const AHEAD_S: f32 = 900.0;
+    const AHEAD_NS: u64 = 900_000_000_000;
+    const MINUTE_NS: u64 = 60_000_000_000;
+    const HOUR_NS: u64 = 3_600_000_000_000;
+    /// A week.
+    const HOURS: usize = 168;
+    /// How sure a room must be to count as where the person is.
+    const KNOWN: f32 = 0.9;
+
+    fn take(&mut self, now: &PersonForecastsV1, taken_ns: u64) {
+        if self.samples.back().is_some_and(|(then_ns, _)| taken_ns.saturating_sub(*then_ns) < Self::MINUTE_NS) {
+            return;
+        }
+        let is_old = |then_ns: u64| taken_ns.saturating_sub(then_ns) >= Self::AHEAD_NS + Self::MINUTE_NS;
+        while self.samples.front().is_some_and(|(then_ns, _)| is_old(*then_ns)) {
+            self.samples.pop_front();
+        }
+        let before = self.samples.front().filter(|(then_ns, _)| taken_ns.saturating_sub(*then_ns) >= Self::AHEAD_NS);
+        if let Some((_, before)) =
+            before.filter(|(_, before)| before.room_count == now.room_count && before.id == now.id)
+        {
+            let given = now.persons().iter().filter_map(|person| Self::given(before, now, person));
+            let (sum, count) = given.fold((0.0, 0), |(sum, count), p| (sum + f64::from(p), count + 1));
+            let hour = taken_ns / Self::HOUR_NS;
+            match self.hours.back_mut() {
+                _ if count == 0 => {}
+                Some(last) if last.0 == hour => (last.1, last.2) = (last.1 + sum, last.2 + count),
+                _ => self.hours.push_back((hour, sum, count)),
+            }
+            if self.hours.len() > Self::HOURS {
+                self.hours.pop_front();
+            }
+        }
+        self.samples.push_back((taken_ns, Box::new(*now)));
+    }
+
+    /// What the forecast of before gave the place where a person is now.
+    fn given(before: &PersonForecastsV1, now: &PersonForecastsV1, person: &PersonForecastV1) -> Option<f32> {
+        let horizon = before.horizons_s().iter().position(|horizon_s| *horizon_s == Self::AHEAD_S)?;
+        let then = before.persons().iter().find(|then| then.person == person.person)?;
+        if person.elsewhere[0] >= Self::KNOWN {
+            return then.elsewhere.get(horizon).copied();
+        }
+        let (room, _) = likeliest(now, person).filter(|(_, p)| *p >= Self::KNOWN)?;
+        then.probability.get(room)?.get(horizon).copied()
+    }
+
+    fn curve(&self) -> Vec<Value> {
+        self.hours.iter().map(|(_, sum, count)| json!({"p": short(sum / *count as f64), "n": count})).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use roomcast_core::grounding::GroundingOptions;
+    use roomcast_ipc::{narration_kind, text};
+    use std::io::{Read, Write};
+
+    const HOSTILE: &str = "<img src=x onerror=alert(1)>";
+
+    #[test]
+    fn requests_for_another_name_are_not_meant_for_this_machine() {
+        for host in ["127.0.0.1:9465", "localhost:9465", "localhost", "[::1]:9465", "127.0.0.1", "[::1]"] {
+            assert!(is_own_name(host), "{host}");
+        }
+        for host in [
+            "evil.example:9465",
+            "127.0.0.1.evil.example",
+            "192.168.1.2:9465",
+            "",
+            "localhost.evil.example:1",
+            "[::2]:9465",
+        ] {
+            assert!(!is_own_name(host), "{host}");
+        }
+    }
+
+    /// Nothing in the script makes markup of a text.
+    #[test]
+    fn what_comes_from_the_system_is_never_markup() {
+        for way in [
+            "innerHTML",
+            "outerHTML",
+            "insertAdjacentHTML",
+            "document.write",
+            "eval(",
+            "DOMParser",
+            "createContextualFragment",
+            "http://e",
+            "https://",
+        ] {
+            assert!(!SCRIPT.contains(way), "{way}");
+        }
+        assert!(!PAGE.contains("https://") && !STYLE.contains("url("), "the page needs nothing from elsewhere");
+        let mut picture = Picture::default();
+        picture.narration(&NarrationV1::new(narration_kind::SENTENCE, &format!("They say {HOSTILE}")).unwrap(), 1);
+        let state = picture.state(2).to_string();
+        assert_eq!(
+            serde_json::from_str::<Value>(&state).unwrap()["narration"][0]["text"],
+            format!("They say {HOSTILE}.")
+        );
+    }
+
+    fn moment(scene: &str) -> Moment {
+        let map = SemanticMap::from_json(scene).unwrap();
+        serde_json::from_value(json!({
+            "version": 1, "epoch": "", "sequence": 0, "computed_unix_ns": 0, "model": "", "model_fingerprint": "",
+            "map_fingerprint": hex::encode(map.fingerprint()), "grounding": GroundingOptions::default(), "binding_name": "", "binding": "",
+            "narration": [], "included": [], "labels": [], "scene": serde_json::from_str::<Value>(scene).unwrap(),
+        }))
+        .unwrap()
+    }
+
+    const STUDIO: &str = include_str!("../scenes/studio.json");
+
+    #[test]
+    fn a_plan_has_every_room_and_thing() {
+        let plan = Plan::of_moment(&moment(STUDIO)).unwrap();
+        let map = SemanticMap::from_json(STUDIO).unwrap();
+        let rooms = plan.drawing["rooms"].as_array().unwrap();
+        assert_eq!((rooms.len(), plan.names.len()), (map.rooms().len(), map.rooms().len()));
+        assert!(rooms.iter().all(|room| room["rings"][0].as_array().unwrap().len() >= 4), "{rooms:?}");
+        assert_eq!(plan.drawing["items"].as_array().unwrap().len(), map.items().len());
+    }
+
+    fn scores(sequence: u64, kitchen: f64) -> RoomScoresV1 {
+        let map = SemanticMap::from_json(STUDIO).unwrap();
+        let mut scores = RoomScoresV1 {
+            epoch: 1,
+            sequence,
+            room_count: 2,
+            map_fingerprint: map.fingerprint(),
+            ..Default::default()
+        };
+        for (place, id) in ["kitchen", "bathroom"].into_iter().enumerate() {
+            scores.room[place].id = text::encode("id", id).unwrap();
+        }
+        (scores.room[0].probability, scores.room[1].probability) = (kitchen, 1.0 - kitchen);
+        scores
+    }
+
+    #[test]
+    fn a_recording_is_shown_as_it_was_at_each_moment() {
+        let said = NarrationV1::new(narration_kind::SENTENCE, "They open the fridge.").unwrap();
+        let messages = vec![
+            (1_000_000_000, Recorded::RoomScores(Box::new(scores(1, 0.25)))),
+            (2_000_000_000, Recorded::Narration(Box::new(said))),
+            (3_000_000_000, Recorded::RoomScores(Box::new(scores(2, 0.75)))),
+        ];
+        let mut played = Played::new(Recording { messages, moments: vec![moment(STUDIO)] });
+        for (at_s, kitchen, told) in
+            [(None, 0.75, 1), (Some(0.5), 0.25, 0), (Some(1.5), 0.25, 1), (Some(99.0), 0.75, 1), (Some(-1.0), 0.25, 0)]
+        {
+            let state = played.state(at_s);
+            assert_eq!(state["rooms"][0]["next"], kitchen, "{at_s:?}");
+            assert_eq!(state["rooms"][0]["name"], "kitchen");
+            assert_eq!(state["narration"].as_array().unwrap().len(), told, "{at_s:?}");
+            assert_eq!((&state["live"], &state["length_s"]), (&json!(false), &json!(2.0)));
+            assert_eq!(state["map"], played.plan().unwrap()["map"]);
+        }
+    }
+
+    #[test]
+    fn a_forecast_is_compared_with_where_people_then_are() {
+        let mut quality = Quality::default();
+        let mut told =
+            PersonForecastsV1 { epoch: 1, room_count: 2, person_count: 1, horizon_count: 2, ..Default::default() };
+        told.horizon_s[1] = 900.0;
+        told.person[0].probability[0][..2].copy_from_slice(&[0.95, 0.25]);
+        told.person[0].probability[1][..2].copy_from_slice(&[0.05, 0.5]);
+        for minute in 0..15 {
+            quality.take(&told, minute * Quality::MINUTE_NS);
+            assert!(quality.curve().is_empty(), "{minute}");
+        }
+        quality.take(&told, 15 * Quality::MINUTE_NS);
+        // Where nobody knows, nothing is compared.
+        told.person[0].probability[0][0] = 0.5;
+        quality.take(&told, 16 * Quality::MINUTE_NS);
+        told.person[0].elsewhere[0] = 1.0;
+        quality.take(&told, 17 * Quality::MINUTE_NS);
+        assert_eq!(quality.curve(), [json!({"p": 0.125, "n": 2})]);
+        (0..200).for_each(|hour| {
+            quality.take(&told, (20 + 60 * hour) * Quality::MINUTE_NS);
+            quality.take(&told, (35 + 60 * hour) * Quality::MINUTE_NS);
+        });
+        assert_eq!(quality.curve().len(), Quality::HOURS);
+        assert!(quality.samples.len() <= 17);
+    }
+
+    /// The page of a system in which nothing runs is served, to those who ask this machine.
+    #[test]
+    fn the_page_is_served_with_its_policy_to_this_machine_alone() {
+        let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(folder.path().join("d"), &format!("view-{}", std::process::id())).unwrap();
+        let (stop, (found, address)) = (Stop::new(), std::sync::mpsc::channel());
+        let (own_stop, own_domain) = (stop.clone(), domain.clone());
+        let any = Place { key: Some("k3y".to_owned()), ..Place::with_key("127.0.0.1:0".parse().unwrap()) };
+        let thread =
+            std::thread::spawn(move || run(&any, &own_domain, &own_stop, |address| found.send(address).unwrap()));
+        let address = address.recv_timeout(Duration::from_secs(60)).unwrap();
+        let get_with = |path: &str, host: &str, key: &str| {
+            let mut stream = std::net::TcpStream::connect(address).unwrap();
+            write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\nX-Roomcast-Key: {key}\r\n\r\n").unwrap();
+            let mut text = String::new();
+            stream.read_to_string(&mut text).unwrap();
+            text
+        };
+        let get = |path: &str, host: &str| get_with(path, host, "k3y");
+        let page = get_with("/", "localhost", "");
+        assert!(page.starts_with("HTTP/1.1 200") && page.contains(POLICY) && page.contains("nosniff"), "{page}");
+        for path in ["/page.css", "/page.js"] {
+            assert!(get(path, "127.0.0.1:1").starts_with("HTTP/1.1 200"), "{path}");
+        }
+        let state = get("/state?at=nan", "localhost");
+        assert!(state.contains("No daemon has been heard yet"), "{state}");
+        for (path, host, status) in
+            [("/state", "evil.example", "421"), ("/plan", "localhost", "404"), ("/../etc/passwd", "localhost", "404")]
+        {
+            assert!(get(path, host).starts_with(&format!("HTTP/1.1 {status}")), "{path} {host}");
+        }
+        for key in ["", "k3x", "k3", "k3yy"] {
+            assert!(get_with("/state", "localhost", key).starts_with("HTTP/1.1 403"), "{key:?}");
+            assert!(get_with("/plan", "localhost", key).starts_with("HTTP/1.1 403"), "{key:?}");
+        }
+        stop.request();
+        assert!(matches!(thread.join(), Ok(Ok(()))));
+        let _left = domain.clean_up();
+    }
+}

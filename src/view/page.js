@@ -1,0 +1,273 @@
+"use strict";
+// Everything that comes from the running system is put into the page as text, never as markup.
+const SVG = "http://www.w3.org/2000/svg";
+const POLL_MS = 500;
+const RETRY_MS = 2000;
+const element = (id) => document.getElementById(id);
+const made = (name, attributes, text) => {
+  const node = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes || {})) node.setAttribute(key, value);
+  if (text !== undefined) node.textContent = text;
+  return node;
+};
+const html = (name, text, className) => {
+  const node = document.createElement(name);
+  if (text !== undefined) node.textContent = text;
+  if (className) node.className = className;
+  return node;
+};
+const percent = (p) => (p === null || p === undefined ? "–" : p >= 0.0995 || p === 0 ? `${(100 * p).toFixed(0)} %` : p >= 0.001 ? `${(100 * p).toFixed(1)} %` : "< 0.1 %");
+const time = (seconds) => {
+  const s = Math.max(0, Math.round(seconds));
+  if (s < 60) return `${s} s`;
+  if (s < 3600) return `${Math.floor(s / 60)} min` + (s % 60 ? ` ${s % 60} s` : "");
+  if (s < 86400) return `${Math.floor(s / 3600)} h ${Math.floor((s % 3600) / 60)} min`;
+  return `${Math.floor(s / 86400)} d ${Math.floor((s % 86400) / 3600)} h`;
+};
+
+let plan = null;
+let state = null;
+let paused = false;
+let playing = false;
+let timer = null;
+let asking = false;
+// 0 is the next thing; 1 is now; the others are the horizons after it.
+let when = 1;
+let chosenTime = null;
+let playedAt = 0;
+
+const whenText = () => {
+  if (when === 0) return "next thing";
+  const seconds = state && state.horizons_s.length ? state.horizons_s[when - 1] : 0;
+  return seconds ? `in ${time(seconds)}` : "now";
+};
+const roomValue = (room) => (when === 0 ? room.next : room.occupied ? room.occupied[when - 1] : null);
+const personValue = (person, place) => (person.rooms ? person.rooms[place][Math.max(0, when - 1)] : null);
+
+// Area and centre of a ring, to find where a name fits.
+const centre = (ring) => {
+  let area = 0, x = 0, y = 0;
+  for (let i = 0; i < ring.length; i++) {
+    const [ax, ay] = ring[i], [bx, by] = ring[(i + 1) % ring.length];
+    const cross = ax * by - bx * ay;
+    area += cross; x += (ax + bx) * cross; y += (ay + by) * cross;
+  }
+  return area ? [x / (3 * area), y / (3 * area)] : ring[0];
+};
+
+const drawPlan = () => {
+  const svg = element("plan");
+  svg.replaceChildren();
+  if (!plan || !plan.rooms.length) return;
+  const points = plan.rooms.flatMap((room) => room.rings.flat());
+  const xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
+  const least = [Math.min(...xs), Math.min(...ys)], most = [Math.max(...xs), Math.max(...ys)];
+  const size = Math.max(most[0] - least[0], most[1] - least[1], 0.1);
+  const unit = size / 100, margin = 2 * unit;
+  // North is up: y is turned round.
+  const at = ([x, y]) => [x - least[0], most[1] - y];
+  svg.setAttribute("viewBox", `${-margin} ${-margin} ${most[0] - least[0] + 2 * margin} ${most[1] - least[1] + 2 * margin}`);
+  const path = (rings) => rings.map((ring) => "M" + ring.map((p) => at(p).map((v) => v.toFixed(3)).join(" ")).join("L") + "Z").join("");
+  const layers = ["floors", "heats", "things", "walls", "names"].map(() => svg.appendChild(made("g")));
+  const [floors, heats, things, walls, names] = layers;
+  plan.shapes = {};
+  for (const room of plan.rooms) {
+    const d = path(room.rings);
+    floors.append(made("path", { d, "fill-rule": "evenodd", class: "floor" }));
+    const heat = made("path", { d, "fill-rule": "evenodd", class: "heat", "fill-opacity": 0 });
+    const title = made("title");
+    heat.append(title);
+    heats.append(heat);
+    walls.append(made("path", { d, class: "wall", "stroke-width": 0.5 * unit }));
+    const [x, y] = at(centre(room.rings[0]));
+    const style = { x, y, "font-size": 2.6 * unit, "stroke-width": 0.8 * unit };
+    const name = made("text", style, room.name);
+    const value = made("text", { ...style, y: y + 3.2 * unit, "font-weight": "bold" });
+    const who = made("text", { ...style, y: y + 6.2 * unit, "font-size": 2.2 * unit, class: "person" });
+    const robot = made("circle", { cx: x, cy: y - 4.6 * unit, r: 1.4 * unit, class: "robot", "stroke-width": 0.4 * unit, visibility: "hidden" });
+    robot.append(made("title", {}, "The robot is or goes here"));
+    names.append(name, value, who, robot);
+    plan.shapes[room.id] = { heat, title, value, who, robot };
+  }
+  for (const [x, y] of plan.doors) {
+    const [cx, cy] = at([x, y]);
+    walls.append(made("circle", { cx, cy, r: 0.7 * unit, class: "door", "stroke-width": 0.25 * unit }));
+  }
+  plan.dots = {};
+  for (const item of plan.items) {
+    const [cx, cy] = at(item.at);
+    const dot = made("circle", { cx, cy, r: 0, class: "thing" });
+    dot.append(made("title", {}, item.label));
+    things.append(dot);
+    plan.dots[item.id] = dot;
+  }
+  plan.unit = unit;
+};
+
+const line = (parent, text, className) => parent.append(html("span", text, className), document.createElement("br"));
+
+const show = () => {
+  if (!state) return;
+  const horizon = element("horizon");
+  horizon.max = Math.max(1, state.horizons_s.length);
+  element("horizon-text").textContent = whenText();
+  horizon.setAttribute("aria-valuetext", whenText());
+  element("rooms-when").textContent = when === 0 ? "somebody now" : `somebody ${whenText()}`;
+  const daemon = element("daemon");
+  daemon.className = state.daemon.alarm ? "alarm" : "";
+  daemon.textContent = state.daemon.text;
+  const to = state.decision ? state.decision.to : null;
+  const body = element("rooms").tBodies[0];
+  const rows = state.rooms.map((room, place) => {
+    const p = roomValue(room);
+    const shape = plan && plan.shapes && plan.shapes[room.id];
+    const there = state.persons.filter((person) => person.likely === place).map((person) => person.name);
+    if (shape) {
+      shape.heat.setAttribute("fill-opacity", 0.85 * (p || 0));
+      shape.value.textContent = percent(p);
+      shape.who.textContent = there.join(", ");
+      shape.title.textContent = `${room.name}: ${percent(p)} ${whenText()}`;
+      shape.robot.setAttribute("visibility", to === room.id ? "visible" : "hidden");
+    }
+    const row = html("tr");
+    const head = html("th", room.name);
+    head.scope = "row";
+    row.append(head, html("td", percent(room.occupied ? room.occupied[Math.max(0, when - 1)] : null)), html("td", percent(room.next)));
+    return row;
+  });
+  body.replaceChildren(...rows);
+  if (plan && plan.dots) {
+    const warm = element("items").checked ? state.items : {};
+    const most = Math.max(0, ...Object.values(warm));
+    for (const [id, dot] of Object.entries(plan.dots)) {
+      const share = warm[id] || 0;
+      dot.setAttribute("r", most > 0 ? 1.6 * plan.unit * Math.sqrt(share / most) : 0);
+    }
+  }
+  const persons = state.persons.map((person) => {
+    const card = html("li");
+    card.append(html("strong", person.name));
+    line(card, person.presence + (person.flags.length ? ` · ${person.flags.join(", ")}` : ""), "dim");
+    if (person.rooms) {
+      const likely = state.rooms.map((room, place) => [personValue(person, place), room.name]).sort((a, b) => b[0] - a[0]);
+      const shown = likely.slice(0, 2).filter(([p]) => p >= 0.005).map(([p, name]) => `${name} ${percent(p)}`);
+      const out = person.elsewhere[Math.max(0, when - 1)];
+      if (out >= 0.005) shown.push(`out of the house ${percent(out)}`);
+      line(card, `${when === 0 ? "now" : whenText()}: ${shown.join(", ") || "not known"}`);
+    }
+    if (person.set) line(card, `${percent(person.set.coverage)} sure: ${person.set.rooms.join(", ")}`);
+    return card;
+  });
+  element("persons").replaceChildren(...(persons.length ? persons : [html("li", "Nobody is known yet.")]));
+  const robot = element("robot");
+  robot.replaceChildren();
+  if (state.decision) {
+    robot.append(html("strong", state.decision.text));
+    line(robot, state.decision.reason);
+    line(robot, `by ${state.decision.policy}, ${time(state.decision.age_s)} ago` + (state.decision.flags.length ? ` · ${state.decision.flags.join(", ")}` : ""), "dim");
+  } else {
+    robot.append("No decision has been heard yet.");
+  }
+  const said = state.narration.map((told) => {
+    const item = html("li", told.text);
+    item.append(" ", html("span", `${told.who}, ${time(told.age_s)} ago`, "dim"));
+    return item;
+  });
+  element("narration").replaceChildren(...(said.length ? said : [html("li", "Nothing has been heard yet.")]));
+  showQuality();
+  if (!state.live) {
+    element("time-controls").hidden = false;
+    element("pause-controls").querySelector("button").hidden = true;
+    const slider = element("time");
+    slider.max = state.length_s;
+    if (document.activeElement !== slider || playing) slider.value = state.at_s;
+    element("time-text").textContent = `${time(state.at_s)} of ${time(state.length_s)}`;
+    slider.setAttribute("aria-valuetext", element("time-text").textContent);
+  }
+};
+
+const showQuality = () => {
+  const box = element("quality");
+  const curve = state.quality;
+  if (!curve.length) {
+    box.textContent = "Known once a forecast is 15 minutes old.";
+    return;
+  }
+  const last = curve[curve.length - 1];
+  const svg = made("svg", { viewBox: "0 0 100 100", preserveAspectRatio: "none", role: "img", "aria-label": "The curve of the last week, an hour a point" });
+  const step = curve.length > 1 ? 100 / (curve.length - 1) : 0;
+  const points = curve.map((hour, i) => `${(i * step).toFixed(2)},${(100 - 100 * hour.p).toFixed(2)}`);
+  if (points.length === 1) points.push(`100,${points[0].split(",")[1]}`);
+  svg.append(made("polyline", { points: points.join(" ") }));
+  const text = `On average the forecast of 15 minutes before gave ${percent(last.p)} to the room where somebody then was, in the last of ${curve.length} hours (${last.n} comparisons). Compared only where the room is known to 90 %.`;
+  box.replaceChildren(svg, html("span", text, "dim"));
+};
+
+const get = async (path) => {
+  // The key of this start stands in the address, behind #.
+  const headers = { "x-roomcast-key": location.hash.slice(1) };
+  const answer = await fetch(path, { cache: "no-store", credentials: "omit", headers });
+  if (!answer.ok) {
+    const error = new Error(await answer.text());
+    error.refused = answer.status === 403;
+    throw error;
+  }
+  return answer.json();
+};
+
+const ask = async () => {
+  if (asking) return;
+  asking = true;
+  clearTimeout(timer);
+  let wait = POLL_MS;
+  try {
+    if (playing && chosenTime !== null) {
+      const now = performance.now();
+      chosenTime = Math.min(chosenTime + (now - playedAt) / 1000, state ? state.length_s : Infinity);
+      playedAt = now;
+    }
+    state = await get(chosenTime === null ? "state" : `state?at=${chosenTime.toFixed(3)}`);
+    if (state.map && (!plan || plan.map !== state.map)) {
+      plan = await get(`plan?map=${state.map}`);
+      drawPlan();
+    }
+    show();
+  } catch (error) {
+    const daemon = element("daemon");
+    daemon.className = "alarm";
+    daemon.textContent = error.refused
+      ? "This page has no key, or that of an earlier start: open the address that `roomcast view` printed when it started."
+      : "No answer from `roomcast view`: start it again, and open the address that it prints.";
+    wait = RETRY_MS;
+  }
+  asking = false;
+  const goesOn = state && !state.live ? playing : !paused;
+  // Nobody looks at a hidden page.
+  if (goesOn && !document.hidden) timer = setTimeout(ask, wait);
+  else if (wait === RETRY_MS && !document.hidden) timer = setTimeout(ask, wait);
+};
+
+element("horizon").addEventListener("input", (event) => { when = Number(event.target.value); show(); });
+element("items").addEventListener("change", show);
+element("pause").addEventListener("click", (event) => {
+  paused = !paused;
+  event.target.setAttribute("aria-pressed", paused);
+  event.target.textContent = paused ? "Go on" : "Pause";
+  if (!paused) ask();
+});
+element("time").addEventListener("input", (event) => {
+  chosenTime = Number(event.target.value);
+  playedAt = performance.now();
+  ask();
+});
+element("play").addEventListener("click", (event) => {
+  playing = !playing;
+  if (playing && chosenTime === null) chosenTime = 0;
+  if (playing && state && chosenTime >= state.length_s) chosenTime = 0;
+  playedAt = performance.now();
+  event.target.setAttribute("aria-pressed", playing);
+  event.target.textContent = playing ? "Stop" : "Play";
+  ask();
+});
+document.addEventListener("visibilitychange", () => { if (!document.hidden) { playedAt = performance.now(); ask(); } });
+ask();
