@@ -176,6 +176,10 @@ impl Forecaster {
     /// [`ForecastOptions::mistaken`], wherever they were believed to be.
     pub fn enter(&mut self, at_s: f64, room: Option<usize>) {
         let rooms = self.belief.len();
+        // What was seen before the last observation says nothing of now.
+        if self.away_since_s.is_none() && at_s < self.updated_s {
+            return;
+        }
         let at_s = self.come_home(at_s);
         let Some(entered) = room.filter(|room| *room < rooms) else { return };
         let before = likeliest(&self.belief);

@@ -18,6 +18,9 @@ pub fn check_name(name: &str) -> Result<(), String> {
     if is_number(name) {
         return Err(format!("{shown:?} is a number: give a name with a letter"));
     }
+    if ["somebody", "someone", "nobody", "everybody", "everyone"].contains(&name.to_lowercase().as_str()) {
+        return Err(format!("{shown:?} is no one person's name: leave it out where nobody is named"));
+    }
     let hides = name.contains(roomcast_core::text::is_hidden);
     if hides || name.len() > NAME_BYTES || !name.contains(char::is_alphanumeric) {
         return Err(format!(

@@ -1,7 +1,48 @@
-//! What a plain sentence says of where its persons are: its subject, and what the words after it mean.
+//! What a plain sentence says of where its persons are: its subject, and what the words after it mean. The words are in `clause.toml`.
+
+use std::sync::LazyLock;
+
+use serde::Deserialize;
 
 use super::Presence;
 use crate::names::Names;
+
+static WORDS: LazyLock<Words> = LazyLock::new(|| {
+    #[expect(clippy::expect_used, reason = "the table is compiled in and a test parses it")]
+    toml::from_str(include_str!("clause.toml")).expect("clause.toml is valid")
+});
+
+/// The table of words; see there.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Words {
+    first: Vec<String>,
+    between: Vec<String>,
+    not_said: Vec<String>,
+    pronouns: Vec<String>,
+    nobody: Vec<String>,
+    everybody: Vec<String>,
+    determiners: Vec<String>,
+    titles: Vec<String>,
+    people: Vec<String>,
+    nothing: Vec<String>,
+    leaves: Vec<String>,
+    goes: Vec<String>,
+    errands: Vec<String>,
+    comes: Vec<String>,
+    house: Vec<String>,
+    at_house: Vec<String>,
+    elsewhere: Vec<String>,
+    out: Vec<String>,
+    r#in: Vec<String>,
+    goes_on: Vec<String>,
+    rooms: Vec<String>,
+    from_afar: Vec<String>,
+}
+
+fn has(words: &[String], word: &str) -> bool {
+    words.iter().any(|own| own == word)
+}
 
 /// Whom a sentence is about.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -12,6 +53,8 @@ pub(super) enum Subject<'a> {
     Named(Vec<&'a str>),
     Everybody,
     Nobody,
+    /// No person, or it is not told that it is so.
+    Other,
 }
 
 /// A sentence that says where its persons are.
@@ -26,188 +69,125 @@ pub(super) struct Clause<'a> {
     pub(super) is_arrival: bool,
 }
 
-/// Words that stand before a subject and say only when.
-const FIRST: [&str; 9] = ["then", "now", "later", "today", "finally", "suddenly", "meanwhile", "afterwards", "and"];
-/// Words between a subject and its verb that change nothing.
-const BETWEEN: [&str; 12] = [
-    "just", "also", "now", "then", "soon", "already", "finally", "quickly", "slowly", "quietly", "suddenly", "usually",
-];
-/// Words with which a sentence does not say of its subject that it is so.
-const NOT_SAID: [&str; 29] = [
-    "after", "are", "as", "because", "before", "don't", "either", "else", "except", "if", "is", "maybe", "neither",
-    "never", "nor", "not", "of", "once", "or", "perhaps", "please", "probably", "since", "that", "until", "when",
-    "where", "while", "without",
-];
-/// What a subject may begin with.
-const DETERMINERS: [&str; 10] = ["the", "a", "an", "my", "our", "your", "their", "his", "her", "its"];
 /// A subject has at most so many words, all its persons together.
-const SUBJECT_WORDS_MAX: usize = 8;
-/// A person's name in a sentence has at most so many words.
-const NAME_WORDS_MAX: usize = 2;
-const NOBODY: [&str; 4] = ["nobody", "noone", "no-one", "no one"];
-const EVERYBODY: [&str; 8] =
-    ["everybody", "everyone", "all", "both", "they all", "they both", "all of them", "both of them"];
-/// How somebody is heard of who is not there, and what has not happened yet.
-const FROM_AFAR: [&str; 24] = [
-    "will",
-    "would",
-    "won't",
-    "might",
-    "may",
-    "should",
-    "is going to",
-    "are going to",
-    "plans",
-    "wants",
-    "hopes",
-    "is coming",
-    "are coming",
-    "is late",
-    "is delayed",
-    "calls",
-    "phones",
-    "rings",
-    "texts",
-    "messages",
-    "sends",
-    "has called",
-    "has texted",
-    "has not",
-];
-/// Whose way somebody is on.
-const ON_THE_WAY: [&str; 5] =
-    ["is on the way", "is on their way", "is on his way", "is on her way", "are on their way"];
-/// Subjects of one person that are no names.
-const PRONOUNS: [&str; 10] = ["they", "he", "she", "it", "i", "we", "you", "somebody", "someone", "people"];
-const LEAVES: [&str; 12] = [
-    "leaves",
-    "leave",
-    "left",
-    "goes out of",
-    "go out of",
-    "went out of",
-    "exits",
-    "exit",
-    "exited",
-    "have left",
-    "has left",
-    "walks out of",
-];
-/// Verbs of going, and where somebody goes who is out then.
-const GOES: [&str; 10] =
-    ["goes", "go", "went", "has gone", "have gone", "is going", "are going", "is off", "are off", "heads"];
-const ERRANDS: [&str; 11] = [
-    "out",
-    "to work",
-    "to school",
-    "to university",
-    "to town",
-    "to the shop",
-    "to the shops",
-    "to the supermarket",
-    "shopping",
-    "for a walk",
-    "for a run",
-];
-const COMES: [&str; 9] = ["comes", "come", "came", "returns", "return", "returned", "arrives", "arrive", "arrived"];
-const HOUSE: [&str; 6] = ["the house", "the home", "the apartment", "the flat", "the building", "home"];
-const AT_HOUSE: [&str; 10] = [
-    "home",
-    "back home",
-    "back",
-    "at home",
-    "at the house",
-    "back to the house",
-    "to the house",
-    "into the house",
-    "back into the house",
-    "back to the apartment",
-];
-/// What somebody is who is out of the house, and who is in it.
-const OUT: [&str; 19] = [
-    "away",
-    "out",
-    "gone",
-    "gone out",
-    "abroad",
-    "not home",
-    "not at home",
-    "not in",
-    "not here",
-    "not in the house",
-    "away from home",
-    "out of the house",
-    "out of home",
-    "at work",
-    "at school",
-    "on holiday",
-    "on vacation",
-    "on a trip",
-    "travelling",
-];
-const IN: [&str; 8] = ["home", "at home", "back", "back home", "in", "here", "in the house", "at the house"];
-/// The last words of what rooms are called. What else somebody is in, as the bath, is for the language model.
-const ROOMS: [&str; 20] = [
-    "kitchen",
-    "kitchenette",
-    "bathroom",
-    "bedroom",
-    "room",
-    "office",
-    "study",
-    "hall",
-    "hallway",
-    "corridor",
-    "entrance",
-    "lounge",
-    "garage",
-    "cellar",
-    "basement",
-    "attic",
-    "pantry",
-    "nursery",
-    "playroom",
-    "library",
-];
+const SUBJECT_WORDS_MAX: usize = 24;
+/// The name of somebody who is known has at most so many words.
+const NAME_WORDS_MAX: usize = 4;
+/// The name of somebody of whom nobody has told yet has at most so many words.
+const NEW_NAME_WORDS_MAX: usize = 2;
+
+/// A sentence in lower case, with short forms written out: "Ada isn't home." is "ada is not home".
+pub(super) fn plain(sentence: &str) -> String {
+    const SHORT: [(&str, &str); 12] = [
+        ("can't", "can not"),
+        ("cannot", "can not"),
+        ("won't", "will not"),
+        ("n't", " not"),
+        ("'re ", " are "),
+        ("'ve ", " have "),
+        ("'ll ", " will "),
+        ("i'm ", "i am "),
+        ("“", ""),
+        ("”", ""),
+        ("\"", ""),
+        (": ", " "),
+    ];
+    let mut text = sentence.trim().trim_end_matches(['.', '!']).to_lowercase().replace('’', "'");
+    for (short, long) in SHORT {
+        if text.contains(short) {
+            text = text.replace(short, long);
+        }
+    }
+    for nobody in ["nobody in the ", "no one in the "] {
+        if let Some(room) = text.strip_prefix(nobody) {
+            text = format!("nobody is in the {room}");
+        }
+    }
+    // What belongs to somebody is not somebody: only before what somebody can be is it "is".
+    while let Some((at, _)) = text.match_indices("'s ").find(|(at, _)| is_state_ahead(&text[at + 3..])) {
+        text.replace_range(at..at + 3, " is ");
+    }
+    text
+}
+
+/// Whether words go on with what somebody is: "in the kitchen", "away until monday".
+fn is_state_ahead(rest: &str) -> bool {
+    let words = ["not ", "still ", "now ", "on ", "off ", "coming", "in the ", "at the ", "going ", "late"];
+    let begins = |place: &String| rest.strip_prefix(place.as_str()).is_some_and(ends);
+    words.iter().any(|word| rest.starts_with(word)) || WORDS.out.iter().chain(&WORDS.r#in).any(begins)
+}
+
+/// Whether nothing follows a place that changes what was said of it.
+fn ends(more: &str) -> bool {
+    let follows = |word: &String| {
+        more.trim_start().strip_prefix(word.as_str()).is_some_and(|rest| !rest.starts_with(char::is_alphanumeric))
+    };
+    more.is_empty() || (more.starts_with([' ', ',']) && WORDS.goes_on.iter().any(follows))
+}
 
 /// What a sentence's words after its subject say of where somebody is: presence, and the room where it is one.
 fn predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     let rest = rest.strip_prefix("just ").unwrap_or(rest);
-    let follows = |verbs: &[&str], places: &[&str]| follows(rest, verbs, places);
-    if follows(&LEAVES, &HOUSE) || follows(&LEAVES, &["for work", "for school"]) || goes_out(rest) {
+    // Who has left, and says not what, has left the house.
+    let has_left = || {
+        ["left", "has left", "have left"]
+            .iter()
+            .filter_map(|left| rest.strip_prefix(left))
+            .any(|more| ends(more) && !more.starts_with(" to "))
+    };
+    // Who arrives at work is there.
+    if follows(rest, &WORDS.comes, &WORDS.elsewhere) {
+        return Some((Presence::Away, None));
+    }
+    let for_work = || ["for work", "for school"].map(str::to_owned);
+    if follows(rest, &WORDS.leaves, &WORDS.house)
+        || follows(rest, &WORDS.leaves, &for_work())
+        || goes_out(rest)
+        || has_left()
+    {
         return Some((Presence::Away, None));
     }
     if arrives(rest) {
         return Some((Presence::Present, None));
     }
     let state = state(rest)?;
-    if OUT.contains(&state) {
+    let is = |places: &[String]| places.iter().any(|place| state.strip_prefix(place.as_str()).is_some_and(ends));
+    if is(&WORDS.out) {
         return Some((Presence::Away, None));
     }
-    if IN.contains(&state) {
-        return Some((Presence::Present, None));
+    let room = in_the(state).map(room_of);
+    if let Some(room) = room.filter(|room| has(&WORDS.rooms, room.split([' ', '-']).next_back().unwrap_or_default())) {
+        return Some((Presence::Present, Some(room)));
     }
-    let room = state.strip_prefix("in the ").or_else(|| state.strip_prefix("at the "))?;
-    let last = room.split([' ', '-']).next_back().unwrap_or_default();
-    ROOMS.contains(&last).then_some((Presence::Present, Some(room)))
+    is(&WORDS.r#in).then_some((Presence::Present, None))
 }
 
-/// Whether words begin with one of the verbs and one of the places, and end there or go on with something else.
-fn follows(rest: &str, verbs: &[&str], places: &[&str]) -> bool {
-    const GOES_ON: [&str; 5] = [" and ", " with ", " for ", " to ", ","];
-    let mut places_of = verbs.iter().filter_map(|verb| rest.strip_prefix(verb)?.strip_prefix(' '));
-    let ends = |more: &str| more.is_empty() || GOES_ON.iter().any(|word| more.starts_with(word));
-    places_of.any(|said| places.iter().any(|place| said.strip_prefix(place).is_some_and(ends)))
+/// What comes after "in the" or "at the".
+fn in_the(state: &str) -> Option<&str> {
+    state.strip_prefix("in the ").or_else(|| state.strip_prefix("at the "))
+}
+
+/// A room's name: what stands before the words that change nothing.
+fn room_of(words: &str) -> &str {
+    let ends_at = words.match_indices([' ', ',']).map(|(at, _)| at).find(|at| ends(&words[*at..]));
+    &words[..ends_at.unwrap_or(words.len())]
+}
+
+/// Whether words begin with one of the verbs and one of the places, and end there or go on with what changes nothing.
+fn follows(rest: &str, verbs: &[String], places: &[String]) -> bool {
+    let mut places_of = verbs.iter().filter_map(|verb| rest.strip_prefix(verb.as_str())?.strip_prefix(' '));
+    places_of.any(|said| places.iter().any(|place| said.strip_prefix(place.as_str()).is_some_and(ends)))
 }
 
 /// Whether a sentence's words after its subject say that somebody comes home.
 fn arrives(rest: &str) -> bool {
-    follows(rest, &COMES, &AT_HOUSE) || state(rest).is_some_and(|state| ["back", "back home"].contains(&state))
+    let is_back = |state: &str| ["back home", "back"].iter().any(|back| state.strip_prefix(back).is_some_and(ends));
+    follows(rest, &WORDS.comes, &WORDS.at_house) || state(rest).is_some_and(is_back)
 }
 
 /// Whether a sentence's words after its subject say that somebody goes where they are out of the house: "has gone to work".
 fn goes_out(rest: &str) -> bool {
-    follows(rest, &GOES, &ERRANDS)
+    follows(rest, &WORDS.goes, &WORDS.errands)
 }
 
 /// What somebody is, in a sentence that says it: "is still away" is "away".
@@ -222,70 +202,243 @@ fn state(rest: &str) -> Option<&str> {
 }
 
 impl<'a> Clause<'a> {
-    /// Reads a sentence in lower case; none where it does not say where its persons are.
-    pub(super) fn read(sentence: &'a str) -> Option<Self> {
-        let said = sentence.trim().trim_end_matches(['.', '!']);
-        if ["the house is empty", "the home is empty", "the apartment is empty", "the flat is empty"].contains(&said) {
-            let (subject, presence, room) = (Subject::Everybody, Presence::Away, None);
-            return Some(Self { subject, presence, room, is_state: true, is_arrival: false });
+    /// Reads a [`plain`] sentence; none where it does not say where somebody or something is.
+    pub(super) fn read(said: &'a str) -> Option<Self> {
+        let of = |subject, presence, room| Self { subject, presence, room, is_state: true, is_arrival: false };
+        if let Some(place) =
+            said.strip_prefix("the ").and_then(|said| said.split_once(" is empty")).filter(|(_, more)| ends(more))
+        {
+            return match place.0 {
+                "house" | "home" | "apartment" | "flat" => Some(of(Subject::Everybody, Presence::Away, None)),
+                room if has(&WORDS.rooms, room.split([' ', '-']).next_back()?) => {
+                    Some(of(Subject::Nobody, Presence::Present, Some(room)))
+                }
+                _ => None,
+            };
         }
-        let (subject, rest, (presence, room)) = cuts(said).find_map(|(subject, rest)| {
-            // Who has left, and says not what, has left the house.
-            let has_left = ["left", "has left", "have left"].contains(&rest);
-            let said = if has_left { (Presence::Away, None) } else { predicate(rest)? };
-            Some((subject, rest, said))
-        })?;
+        let is_nobody = |subject: &str| has(&WORDS.nobody, subject);
+        if let Some((_, rest)) = cuts(said).find(|(subject, rest)| is_nobody(subject) && state(rest).is_some()) {
+            let room = state(rest).and_then(in_the).map(room_of);
+            return Some(of(Subject::Nobody, Presence::Present, room.or(predicate(rest)?.1)));
+        }
+        let Some((subject, rest, (presence, room))) =
+            cuts(said).find_map(|(subject, rest)| Some((subject, rest, predicate(rest)?)))
+        else {
+            // What somebody is not, in other words, moves nobody.
+            let is_denied = cuts(said)
+                .any(|(_, rest)| state(rest).and_then(|state| state.strip_prefix("not ")).and_then(in_the).is_some());
+            return is_denied.then_some(of(Subject::Other, Presence::Present, None));
+        };
         let subject = match subject {
-            _ if NOBODY.contains(&subject) => Subject::Nobody,
-            _ if EVERYBODY.contains(&subject) => Subject::Everybody,
-            _ if PRONOUNS.contains(&subject) => Subject::Unnamed,
-            _ => Subject::Named(names(subject)?),
+            _ if has(&WORDS.nobody, subject) => Subject::Nobody,
+            _ if has(&WORDS.everybody, subject) => Subject::Everybody,
+            _ if has(&WORDS.pronouns, subject) => Subject::Unnamed,
+            _ => names(subject).map_or(Subject::Other, Subject::Named),
         };
         Some(Self { subject, presence, room, is_state: state(rest).is_some(), is_arrival: arrives(rest) })
     }
 }
 
-/// The persons that a sentence in lower case may be about, from one word to the longest subject: of "ada and ben sit down" it gives "ada",
-/// then "ada" and "ben". Most of it is not meant: only who knows the persons can tell.
-pub(super) fn possible_subjects(sentence: &str) -> impl Iterator<Item = Vec<&str>> {
-    cuts(sentence.trim()).filter_map(|(subject, _)| names(subject))
+/// The persons that a [`plain`] sentence may be about, from one word to the longest subject: of "ada and ben sit down" it gives "ada", then
+/// "ada" and "ben". Most of it is not meant: only who knows the persons can tell.
+pub(super) fn possible_subjects(said: &str) -> impl Iterator<Item = Vec<&str>> {
+    cuts(said)
+        .filter_map(|(subject, _)| parts(subject).map(|part| bare(part).filter(|name| is_possible(name))).collect())
 }
 
-/// Whether a sentence says what somebody may do who is not there: call, be on the way, plan to come.
-pub(super) fn is_from_afar(sentence: &str) -> bool {
-    let begins = |rest: &str, words: &&str| {
-        rest.strip_prefix(words).is_some_and(|more| !more.starts_with(char::is_alphanumeric))
+/// Whether a [`plain`] sentence says what somebody may do who is not there: call, be on the way, plan to come.
+pub(super) fn is_from_afar(said: &str) -> bool {
+    let begins = |rest: &str, words: &String| {
+        rest.strip_prefix(words.as_str()).is_some_and(|more| !more.starts_with(char::is_alphanumeric))
     };
-    cuts(sentence.trim()).any(|(_, rest)| FROM_AFAR.iter().chain(&ON_THE_WAY).any(|words| begins(rest, words)))
+    cuts(said).any(|(_, rest)| WORDS.from_afar.iter().any(|words| begins(rest, words)))
+}
+
+/// Whether a [`plain`] sentence begins with a pronoun.
+pub(super) fn is_of_a_pronoun(said: &str) -> bool {
+    cuts(said).next().is_some_and(|(subject, _)| has(&WORDS.pronouns, subject))
 }
 
 /// Every way to cut a sentence into a subject and what is said of it, the shortest subject first.
 fn cuts(said: &str) -> impl Iterator<Item = (&str, &str)> {
     let mut said = said;
-    while let Some(rest) = FIRST.iter().find_map(|word| said.strip_prefix(word)?.strip_prefix([' ', ','])) {
+    while let Some(rest) =
+        WORDS.first.iter().find_map(|word| said.strip_prefix(word.as_str())?.strip_prefix([' ', ',']))
+    {
         said = rest.trim_start();
     }
     let spaces = said.match_indices(' ').take(SUBJECT_WORDS_MAX);
     spaces.map(move |(at, _)| {
         let mut subject = said[..at].trim_end_matches([' ', ',']);
-        while let Some((before, _)) = subject.rsplit_once(' ').filter(|(_, last)| BETWEEN.contains(last)) {
+        while let Some((before, _)) = subject.rsplit_once(' ').filter(|(_, last)| has(&WORDS.between, last)) {
             subject = before;
         }
         (subject, said[at..].trim_start())
     })
 }
 
-/// What the persons of a subject are called: "ada" and "plumber" of "ada and the plumber". None where one of them can be nobody.
-fn names(subject: &str) -> Option<Vec<&str>> {
-    let parts = subject.split(" and ").flat_map(|part| part.split(", ")).map(|part| part.trim_matches([' ', ',']));
-    parts.filter(|part| !part.is_empty()).map(name).collect::<Option<Vec<_>>>().filter(|names| !names.is_empty())
+/// The parts of a subject that are joined by "and".
+fn parts(subject: &str) -> impl Iterator<Item = &str> {
+    // Commas alone join nobody: "Ada, Ben is away" speaks to Ada.
+    let commas = if subject.contains(" and ") { ", " } else { " and " };
+    let parts = subject.split(" and ").flat_map(move |part| part.split(commas));
+    parts.map(|part| part.trim_matches([' ', ','])).filter(|part| !part.is_empty())
 }
 
-fn name(part: &str) -> Option<&str> {
-    let bare = part.split_once(' ').filter(|(first, _)| DETERMINERS.contains(first)).map_or(part, |(_, name)| name);
-    let is_word = |word: &str| !word.is_empty() && !NOT_SAID.contains(&word) && !DETERMINERS.contains(&word);
-    let words = bare.split(' ');
-    let fits = words.clone().count() <= NAME_WORDS_MAX && words.clone().all(is_word);
-    let is_other = [PRONOUNS.as_slice(), &NOBODY, &EVERYBODY].iter().any(|others| others.contains(&bare));
-    (fits && !is_other && !Names::built_in().knows(bare)).then_some(bare)
+/// What the persons of a subject are called: "ada" and "plumber" of "ada and the plumber". None where one of them is a thing, or where it is
+/// not told whom it is of.
+fn names(subject: &str) -> Option<Vec<&str>> {
+    parts(subject).map(person_of).collect::<Option<Vec<_>>>().filter(|names| !names.is_empty())
+}
+
+/// What a person is called in a part of a subject; none of a thing.
+fn person_of(part: &str) -> Option<&str> {
+    let name = bare(part)?;
+    let has_determiner = part.split(' ').next().is_some_and(|first| has(&WORDS.determiners, first));
+    let is_nothing = has(&WORDS.nothing, name.split(' ').next().unwrap_or_default());
+    let is_person = is_possible(name) && !is_nothing && (!has_determiner || has(&WORDS.people, name));
+    is_person.then_some(name)
+}
+
+/// Whom a [`plain`] sentence is about that begins with what persons are called: of "the plumber repairs the shower" it is "plumber".
+pub(super) fn person_called(said: &str) -> Option<&str> {
+    cuts(said).filter_map(|(subject, _)| bare(subject)).filter(|name| has(&WORDS.people, name)).last()
+}
+
+/// A name without what stands before and after it: "plumber" of "the plumber", "ada" of "ada reluctantly".
+fn bare(part: &str) -> Option<&str> {
+    let bare = part.split_once(' ').filter(|(first, _)| has(&WORDS.determiners, first)).map_or(part, |(_, name)| name);
+    let bare = match bare.rsplit_once(' ') {
+        Some((name, last)) if last.ends_with("ly") && !name.split(' ').any(|word| has(&WORDS.titles, word)) => name,
+        _ => bare,
+    };
+    let first = bare.split(' ').next()?;
+    let is_other = has(&WORDS.pronouns, first) || has(&WORDS.nobody, bare) || has(&WORDS.everybody, first);
+    let is_word = |word: &str| !word.is_empty() && !has(&WORDS.not_said, word) && !has(&WORDS.determiners, word);
+    let fits = bare.split(' ').count() <= NAME_WORDS_MAX && bare.split(' ').all(is_word);
+    (fits && !is_other && !bare.contains(',')).then_some(bare)
+}
+
+/// Whether a name is not that of a thing.
+fn is_possible(name: &str) -> bool {
+    !Names::built_in().knows(name)
+}
+
+/// Whether somebody of whom nobody has told yet may go by a name.
+pub(super) fn may_be_new(name: &str) -> bool {
+    name.split(' ').count() <= NEW_NAME_WORDS_MAX
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a sentence says, in one word.
+    fn said(sentence: &str) -> String {
+        let plain = plain(sentence);
+        let Some(clause) = Clause::read(&plain) else { return "-".to_owned() };
+        let subject = match &clause.subject {
+            Subject::Unnamed => "they".to_owned(),
+            Subject::Named(names) => names.join("+"),
+            Subject::Everybody => "all".to_owned(),
+            Subject::Nobody => "nobody".to_owned(),
+            Subject::Other => "other".to_owned(),
+        };
+        format!(
+            "{subject} {}{}",
+            clause.presence.as_str(),
+            clause.room.map_or_else(String::new, |room| format!(" {room}"))
+        )
+    }
+
+    #[test]
+    fn sentences_say_what_they_say() {
+        for (sentence, expected) in [
+            ("Ada is away until Monday.", "ada away"),
+            ("Ada isn't home.", "ada away"),
+            ("Ada is not home yet.", "ada away"),
+            ("Carl is gone for the day.", "carl away"),
+            ("Carl is out of town.", "carl away"),
+            ("Eve left early.", "eve away"),
+            ("Nobody's home.", "nobody present"),
+            ("There is nobody home.", "nobody present"),
+            ("There's nobody in the kitchen.", "nobody present kitchen"),
+            ("The kitchen is empty.", "nobody present kitchen"),
+            ("The house is empty now.", "all away"),
+            ("Ada's in the kitchen.", "ada present kitchen"),
+            ("Ada’s away.", "ada away"),
+            ("They come home from work.", "they present"),
+            ("Ada comes home late.", "ada present"),
+            ("Ada is in the living room with Ben.", "ada present living room"),
+            ("Everybody is home.", "all present"),
+            ("They're out.", "they away"),
+            ("Nobody in the bathroom.", "nobody present bathroom"),
+            ("Nobody is in the bath.", "nobody present bath"),
+            ("No one is in the kitchen any more.", "nobody present kitchen"),
+            ("Nora leaves the house at 8:15.", "nora away"),
+            ("Nora drives to work.", "nora away"),
+            ("Nora arrives at work.", "nora away"),
+            ("Tom goes outside.", "tom away"),
+            ("Ada reluctantly leaves the house.", "ada away"),
+            ("Aunt Emily leaves the house.", "aunt emily away"),
+            ("Ada and Bea and Cid and Dan and Eve leave the house.", "ada+bea+cid+dan+eve away"),
+            ("Ada, Bea, and our cleaning lady leave the house.", "ada+bea+cleaning lady away"),
+            ("“Ben” is away.", "ben away"),
+        ] {
+            assert_eq!(said(sentence), expected, "{sentence}");
+        }
+    }
+
+    #[test]
+    fn what_is_denied_planned_or_of_a_thing_moves_nobody() {
+        for sentence in [
+            "They will leave the house.",
+            "They won't leave the house.",
+            "He can't leave the house.",
+            "They almost leave the house.",
+            "Ada doesn't leave the house.",
+            "Ada wants to leave the house.",
+            "Ada, Ben is at work.",
+            "They both leave the house.",
+            "If Ada is away the heating goes down.",
+            "Tom thinks that Nora is in the bedroom.",
+            "Tom is not in the study.",
+            "Somebody else is in the bathroom.",
+            "Two people leave the house.",
+            "The robot is in the kitchen.",
+            "Dinner is in the dining room.",
+            "The dog leaves the house.",
+            "The sun is out.",
+            "Power is out.",
+            "The dishwasher is out.",
+            "Ada and the robot are in the kitchen.",
+        ] {
+            assert!(said(sentence).starts_with("other "), "{sentence} {}", said(sentence));
+        }
+        for sentence in [
+            "Ada left the mug on the table.",
+            "Ada's phone is at the table.",
+            "They leave the house key on the table.",
+            "Ada is in the bath.",
+            "They open the fridge.",
+            "The oven is on.",
+        ] {
+            assert_eq!(said(sentence), "-", "{sentence}");
+        }
+    }
+
+    #[test]
+    fn who_is_called_by_what_they_do_is_a_person() {
+        let called = |sentence: &str| person_called(&plain(sentence)).map(str::to_owned);
+        for (sentence, expected) in [
+            ("The plumber repairs the shower.", Some("plumber")),
+            ("Grandma sleeps in the guest bed.", Some("grandma")),
+            ("Our cleaning lady cleans the bathroom.", Some("cleaning lady")),
+            ("They cook.", None),
+            ("The oven is on.", None),
+            ("Ada greets the plumber.", None),
+        ] {
+            assert_eq!(called(sentence).as_deref(), expected, "{sentence}");
+        }
+    }
 }

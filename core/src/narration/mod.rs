@@ -6,6 +6,8 @@
 use crate::text::is_hidden;
 use std::fmt;
 
+use clause::{Clause, Subject};
+
 pub mod action;
 mod clause;
 pub mod history;
@@ -199,7 +201,9 @@ impl Said {
     pub fn of(sentence: Sentence) -> Self {
         match PresenceStatement::of_sentence(sentence.as_str()) {
             Some(statement)
-                if statement.presence() == Presence::Away || statement.room().or(statement.empty_room()).is_some() =>
+                if statement.presence() == Presence::Away
+                    || statement.is_of_everybody()
+                    || statement.room().or(statement.empty_room()).is_some() =>
             {
                 Self::Presence(statement)
             }
@@ -221,8 +225,8 @@ impl Said {
     #[must_use]
     pub fn known_names(&self, mut is_known: impl FnMut(&str) -> bool) -> Vec<String> {
         let Self::Sentence(sentence) = self else { return Vec::new() };
-        let lower = sentence.as_str().to_lowercase();
-        let known = clause::possible_subjects(&lower).filter(|names| names.iter().all(|name| is_known(name))).last();
+        let plain = clause::plain(sentence.as_str());
+        let known = clause::possible_subjects(&plain).filter(|names| names.iter().all(|name| is_known(name))).last();
         known.into_iter().flatten().map(str::to_owned).collect()
     }
 
@@ -231,8 +235,8 @@ impl Said {
     pub fn may_name(&self, mut is_them: impl FnMut(&str) -> bool) -> bool {
         match self {
             Self::Sentence(sentence) => {
-                let lower = sentence.as_str().to_lowercase();
-                clause::possible_subjects(&lower).flatten().any(is_them)
+                let plain = clause::plain(sentence.as_str());
+                clause::possible_subjects(&plain).flatten().any(is_them)
             }
             Self::Presence(statement) => statement.names().any(&mut is_them),
         }
@@ -241,7 +245,36 @@ impl Said {
     /// Whether it says what somebody may do who is not there: "Ada calls.", "Ben is on his way.", "They will be home soon."
     #[must_use]
     pub fn is_from_afar(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::is_from_afar(&sentence.as_str().to_lowercase()))
+        self.sentence().is_some_and(|sentence| clause::is_from_afar(&clause::plain(sentence.as_str())))
+    }
+
+    /// Whether it is about somebody by a pronoun: "They open the fridge."
+    #[must_use]
+    pub fn is_of_a_pronoun(&self) -> bool {
+        self.sentence().is_some_and(|sentence| clause::is_of_a_pronoun(&clause::plain(sentence.as_str())))
+    }
+
+    /// Whether it says where something is that is no person, or does not tell whose place it says: "The robot is in the kitchen.", "Somebody else
+    /// is in the kitchen.", "Tom is not in the study."
+    #[must_use]
+    pub fn moves_nobody(&self) -> bool {
+        let is_other = |sentence: &Sentence| {
+            Clause::read(&clause::plain(sentence.as_str())).is_some_and(|clause| clause.subject == Subject::Other)
+        };
+        self.sentence().is_some_and(is_other)
+    }
+
+    /// Whom it is about, where it begins with what persons are called: "plumber" of "The plumber repairs the shower."
+    #[must_use]
+    pub fn person_called(&self) -> Option<String> {
+        let sentence = self.sentence()?;
+        clause::person_called(&clause::plain(sentence.as_str())).map(str::to_owned)
+    }
+
+    /// Whether somebody of whom nobody has told yet may go by a name in a sentence.
+    #[must_use]
+    pub fn may_be_new(name: &str) -> bool {
+        clause::may_be_new(name)
     }
 
     /// What it makes of its person.

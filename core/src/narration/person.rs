@@ -3,14 +3,21 @@
 /// The number of an observation that names nobody.
 pub const SOMEBODY: u32 = u32::MAX;
 
-/// Whether two names are one: without regard to case and to space around them.
+/// A name without what does not count: case, space around it, and "the" before it.
+fn bare(name: &str) -> String {
+    let name = name.trim().to_lowercase();
+    let without = name.strip_prefix("the ").map(str::trim_start).filter(|name| !name.is_empty());
+    without.map(str::to_owned).unwrap_or(name)
+}
+
+/// Whether two names are one: without regard to case, to space around them, and to "the" before them.
 #[must_use]
 pub fn same_name(a: &str, b: &str) -> bool {
-    a.trim().chars().flat_map(char::to_lowercase).eq(b.trim().chars().flat_map(char::to_lowercase))
+    bare(a) == bare(b)
 }
 
 /// The number of a name, the same in every process and over restarts, unless the home says otherwise: 32-bit FNV-1a of the trimmed name in
-/// lower case with the highest bit set, so that it is none of the small numbers that narrators give by hand. Never [`SOMEBODY`].
+/// lower case without "the" before it, with the highest bit set, so that it is none of the small numbers that narrators give by hand. Never [`SOMEBODY`].
 ///
 /// ```
 /// use roomcast_core::narration::{SOMEBODY, person_number};
@@ -21,12 +28,9 @@ pub fn same_name(a: &str, b: &str) -> bool {
 /// ```
 #[must_use]
 pub fn person_number(name: &str) -> u32 {
-    let mut bytes = [0; 4];
     let mut hash = 0x811c_9dc5_u32;
-    for letter in name.trim().chars().flat_map(char::to_lowercase) {
-        for byte in letter.encode_utf8(&mut bytes).bytes() {
-            hash = (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193);
-        }
+    for byte in bare(name).bytes() {
+        hash = (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193);
     }
     (hash | 1 << 31).min(SOMEBODY - 1)
 }
@@ -40,5 +44,6 @@ mod tests {
     fn a_names_number_stays_what_it_is() {
         assert_eq!(person_number("ada"), 0xb839_0dbb);
         assert!(same_name(" Ada", "ada") && same_name("Éva", "éva") && !same_name("ada", "adam"));
+        assert!(same_name("the plumber", "Plumber") && same_name("ΝΊΚΟΣ", "Νίκος") && !same_name("the", ""));
     }
 }

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::SENTENCE_BYTES_MAX;
-use super::clause::{Clause, Subject};
+use super::clause::{self, Clause, Subject};
 use crate::text::is_hidden;
 
 /// Whether a person is in the house.
@@ -73,7 +73,8 @@ impl PresenceStatement {
         Ok(statement)
     }
 
-    /// Reads what [`fmt::Display`] writes: `present`, `present in the kitchen`, `nobody in the kitchen`, `away`, `everybody away`, `gone`.
+    /// Reads what [`fmt::Display`] writes: `present`, `present in the kitchen`, `nobody in the kitchen`, `away`, `everybody away`,
+    /// `everybody present`, `gone`.
     ///
     /// # Errors
     /// Anything else.
@@ -93,6 +94,7 @@ impl PresenceStatement {
             "present" => (Presence::Present, None),
             "away" => (Presence::Away, None),
             "everybody away" => return Ok(Self::of_all(Presence::Away)),
+            "everybody present" => return Ok(Self::of_all(Presence::Present)),
             _ if text.starts_with(NOBODY) => return Self::empty(&text[NOBODY.len()..]),
             "gone" => (Presence::Gone, None),
             _ => {
@@ -107,8 +109,8 @@ impl PresenceStatement {
     /// everybody: "Nobody is home." None where it says something else.
     #[must_use]
     pub fn of_sentence(sentence: &str) -> Option<Self> {
-        let lower = sentence.to_lowercase();
-        let clause = Clause::read(&lower)?;
+        let plain = clause::plain(sentence);
+        let clause = Clause::read(&plain)?;
         let Clause { presence, room, .. } = clause;
         let of_everybody = match &clause.subject {
             // That nobody leaves says of nobody where they are.
@@ -116,12 +118,13 @@ impl PresenceStatement {
                 let statement = room.map_or_else(|| Some(Self::of_all(Presence::Away)), |room| Self::empty(room).ok());
                 return statement.filter(|_| presence == Presence::Present && clause.is_state);
             }
+            Subject::Other => return None,
             Subject::Everybody => true,
             Subject::Unnamed | Subject::Named(_) => false,
         };
         // Where each of them is, no sentence about all of them says.
         if of_everybody {
-            return (room.is_none() && presence == Presence::Away).then_some(Self::of_all(presence));
+            return room.is_none().then_some(Self::of_all(presence));
         }
         let statement = Self::new(presence, room).ok()?;
         Some(match clause.subject {
@@ -133,7 +136,7 @@ impl PresenceStatement {
     /// Whether a plain sentence says that its person comes home: who is there already is not meant.
     #[must_use]
     pub fn is_arrival(sentence: &str) -> bool {
-        Clause::read(&sentence.to_lowercase()).is_some_and(|clause| clause.is_arrival)
+        Clause::read(&clause::plain(sentence)).is_some_and(|clause| clause.is_arrival)
     }
 
     /// The same statement of a sentence with this subject.
@@ -206,9 +209,15 @@ mod tests {
 
     #[test]
     fn what_is_written_is_read() {
-        for text in
-            ["present", "present in the kitchen", "present in the living room", "away", "everybody away", "gone"]
-        {
+        for text in [
+            "present",
+            "present in the kitchen",
+            "present in the living room",
+            "away",
+            "everybody away",
+            "everybody present",
+            "gone",
+        ] {
             assert_eq!(PresenceStatement::parse(text).unwrap().to_string(), text);
         }
         let empty = PresenceStatement::parse("nobody in the living room").unwrap();
@@ -294,7 +303,7 @@ mod tests {
             ("Aunt Mary is in the guest room.", "present in the guest room", Some("aunt mary"), false),
             ("Ada and Ben leave the house.", "away", Some("ada and ben"), false),
             ("Ada, Ben, and the plumber are away.", "away", Some("ada and ben and plumber"), false),
-            ("They both leave the house.", "everybody away", None, true),
+            ("They all come home.", "everybody present", None, true),
         ] {
             let statement = of(sentence);
             assert_eq!((statement.to_string().as_str(), statement.subject()), (said, subject), "{sentence}");

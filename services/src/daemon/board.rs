@@ -367,7 +367,7 @@ impl<M: LanguageModel> Board<M> {
     pub fn restore(
         &mut self,
         observations: impl IntoIterator<Item = Observation>,
-        mut expectations: Vec<(usize, Expectation)>,
+        mut expectations: Vec<(usize, u32, Expectation)>,
         now_ns: u64,
         now_unix_ns: u64,
     ) -> usize {
@@ -375,9 +375,13 @@ impl<M: LanguageModel> Board<M> {
         let observations: Vec<Observation> = observations.into_iter().collect();
         let learned = self.home.begin_recall(&observations, now_ns, now_unix_ns);
         // What is said of several persons after one step is told in no particular order.
-        expectations.sort_by_key(|(after, _)| *after);
+        expectations.sort_by_key(|(after, person, _)| (*after, *person));
         let mut expectations = expectations.iter().peekable();
-        for (index, observation) in observations.into_iter().enumerate() {
+        for (index, mut observation) in observations.into_iter().enumerate() {
+            if observation.by_fit {
+                // The home may have given the person another number since.
+                observation.person = self.persons.file().current(observation.person);
+            }
             if index == learned {
                 self.home.end_recall();
             }
@@ -385,16 +389,16 @@ impl<M: LanguageModel> Board<M> {
                 costly += 1;
                 self.pass_over(observation.source, observation.epoch, observation.sequence);
                 // What was said of its person then rests on it.
-                while expectations.next_if(|(after, _)| *after <= index).is_some() {}
+                while expectations.next_if(|(after, ..)| *after <= index).is_some() {}
                 continue;
             }
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
-            let (mut person, voice) = (observation.person, Voice::of_source(observation.source));
+            let voice = Voice::of_source(observation.source);
             self.pipeline.include(&observation, voice);
             self.exclude(&observation, at_ns);
             for own in self.of_persons(observation) {
                 let Some(own) = self.take(own, Voice::EARLIER, at_ns) else { continue };
-                person = own.person;
+                let person = own.person;
                 self.pipeline.enter(voice, own);
                 self.follow();
                 match self.persons.get_mut(person) {
@@ -404,7 +408,8 @@ impl<M: LanguageModel> Board<M> {
                     None => {}
                 }
             }
-            while let Some((_, expectation)) = expectations.next_if(|(after, _)| *after <= index) {
+            while let Some((_, person, expectation)) = expectations.next_if(|(after, ..)| *after <= index) {
+                let person = self.persons.file().current(*person);
                 let said: Vec<f64> =
                     expectation.probability.iter().map(|probability| f64::from(*probability)).collect();
                 if let Some(own) = self.followed.get_mut(&person).filter(|_| expectation.map == map) {
@@ -434,14 +439,27 @@ impl<M: LanguageModel> Board<M> {
         fingerprint.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes))
     }
 
-    /// The observations of persons that one stands for; none where its subject is a thing of the map ("The milk is out.").
-    fn of_persons(&self, observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
+    /// The observations of persons that one stands for; none where it moves nobody ("The milk is out."), or where its subject is somebody who is not known
+    /// and may be anywhere ("Carl is on his way.").
+    fn of_persons(&self, mut observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
+        let said = &observation.said;
         let is_thing = |name: &str| self.mentions.knows(name) && !self.persons.is_name_known(name);
-        let is_of_things = match &observation.said {
+        let is_of_things = match said {
             Said::Presence(statement) => statement.names().any(is_thing),
-            Said::Sentence(_) => false,
+            Said::Sentence(_) => said.moves_nobody(),
         };
-        (!is_of_things).then(|| self.persons.each(observation)).into_iter().flatten()
+        let is_open = observation.person == SOMEBODY && observation.name.is_none();
+        let is_unknown =
+            || is_open && said.is_from_afar() && !said.is_of_a_pronoun() && self.persons.named(said).is_empty();
+        let is_of_nobody = is_of_things || is_unknown();
+        // A sentence that says where somebody else is, is of them, whoever's narrator heard it.
+        if let Said::Presence(statement) = said
+            && !is_open
+            && self.persons.is_of_others(&observation, statement)
+        {
+            (observation.person, observation.name) = (SOMEBODY, None);
+        }
+        (!is_of_nobody).then(|| self.persons.each(observation)).into_iter().flatten()
     }
 
     /// Decides whom an observation is of, and takes note of it: also for the forecasts, where its time is known. Gives it back for the
@@ -1022,7 +1040,12 @@ impl<M: LanguageModel> Board<M> {
         let persons = &self.persons;
         let rank = |(heard_ns, person): &(i64, u32)| (persons.is_visitor(*person), Reverse(*heard_ns), *person);
         self.newest_persons.sort_unstable_by_key(rank);
-        self.newest_persons.truncate(MAX_PERSONS);
+        // Who finds no place among them is not told of, and waits for nothing.
+        for (_, person) in self.newest_persons.drain(MAX_PERSONS.min(self.newest_persons.len())..) {
+            if let Some(known) = self.persons.get_mut(person) {
+                known.told = true;
+            }
+        }
         self.newest_persons.sort_unstable_by_key(|(_, person)| *person);
 
         let (message, snapshot) = (&mut *self.person_scores, &self.snapshot);

@@ -104,7 +104,7 @@ pub struct Recovered {
     /// Per carried one, before which of the observations it stands.
     pub carried_before: Vec<usize>,
     /// What the model said of a person after one of the observations, whose index comes first.
-    pub expectations: Vec<(usize, Expectation)>,
+    pub expectations: Vec<(usize, u32, Expectation)>,
     /// Bytes that were no record: a torn end, or damage.
     pub damaged_bytes: u64,
 }
@@ -150,7 +150,7 @@ enum Work {
     /// Append a record.
     Append(Vec<u8>),
     /// Take out what a person did, and say whether that went well.
-    Forget { person: u32, is_theirs: Box<IsTheirs>, done: Sender<io::Result<()>> },
+    Forget { person: u32, is_theirs: Box<IsTheirs>, done: Sender<io::Result<usize>> },
 }
 
 /// The way to the writer, for every thread that has something to write.
@@ -293,8 +293,8 @@ impl JournalHandle {
         self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_outcome(outcome))
     }
 
-    /// Takes out of the journal what a person did, before and after a restart of the machine: what `is_theirs` says of observations that
-    /// name somebody, and what was found to be theirs of the others. Waits at most `patience` for it.
+    /// Takes out of the journal what a person did, before and after a restart of the machine: the observations of which `is_theirs` says so,
+    /// which is told whose those are found to be that named nobody. Gives how many they are. Waits at most `patience` for it.
     ///
     /// # Errors
     ///
@@ -302,9 +302,9 @@ impl JournalHandle {
     pub fn forget(
         &self,
         person: u32,
-        is_theirs: impl Fn(&Observation) -> bool + Send + 'static,
+        is_theirs: impl Fn(&Observation, Option<u32>) -> bool + Send + 'static,
         patience: Duration,
-    ) -> io::Result<()> {
+    ) -> io::Result<usize> {
         let (done, answer) = bounded(1);
         let work = self.sink.lock().unwrap_or_else(PoisonError::into_inner).work.clone();
         let sent = work.map(|work| work.send(Work::Forget { person, is_theirs: Box::new(is_theirs), done }));
@@ -715,7 +715,7 @@ impl Recovered {
             (observation.person, observation.by_fit) = (person, true);
         }
         if !expectation.probability.is_empty() {
-            self.expectations.push((index, expectation));
+            self.expectations.push((index, person, expectation));
         }
     }
 }
@@ -992,7 +992,9 @@ mod tests {
             assert!(handle.wait_for(number, Duration::from_secs(30)));
         }
         let is_ada = |o: &Observation| o.name.as_deref() == Some("ada");
-        handle.forget(1, is_ada, Duration::from_secs(30)).unwrap();
+        let is_theirs = move |o: &Observation, found: Option<u32>| is_ada(o) || found == Some(1);
+        assert_eq!(handle.forget(1, is_theirs, Duration::from_secs(30)).unwrap(), 60);
+        assert_eq!(handle.forget(1, is_theirs, Duration::from_secs(30)).unwrap(), 0);
         let last = journal.append(&of(121, "ben"));
         assert!(handle.wait_for(last, Duration::from_secs(30)));
         let size: u64 = fs::read_dir(directory.path()).unwrap().map(|f| f.unwrap().metadata().unwrap().len()).sum();
@@ -1038,7 +1040,7 @@ mod tests {
         read_records(&bytes, &boot, &mut recovered);
         let attributed = Observation { person: 9, by_fit: true, ..told[3].clone() };
         assert_eq!(recovered.observations, [told[0].clone(), told[1].clone(), told[2].clone(), attributed.clone()]);
-        assert_eq!(recovered.expectations, [(1, Expectation { map: 77, probability: vec![0.25, 0.75] })]);
+        assert_eq!(recovered.expectations, [(1, 9, Expectation { map: 77, probability: vec![0.25, 0.75] })]);
         assert_eq!(recovered.damaged_bytes, 0);
         // An attribution that is carried over stays one.
         let mut again = Recovered::default();

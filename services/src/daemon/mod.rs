@@ -37,6 +37,7 @@ use habits_question::{After, Importing};
 use roomcast_core::narration::{Observation, SOMEBODY};
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
+use roomcast_core::text::has_words;
 use roomcast_llama::affinity::{self, AffinityError};
 
 mod board;
@@ -940,7 +941,12 @@ fn answer_about_person<M: LanguageModel>(
             let person = find(board, &who)?;
             board.persons_mut().rename(person, &name).map(|()| None)
         }
-        PersonQuestion::Forget { who, .. } => find(board, &who).map(|person| forget(board, kept, person)),
+        PersonQuestion::Forget { who, .. } => {
+            // Of somebody who is known no more the files may still tell.
+            let (is_known, person) = (find(board, &who), board.persons().meant(&who));
+            let (left, records) = forget(board, kept, person, &who);
+            if records == 0 { is_known.map(|_| left) } else { Ok(left) }
+        }
     });
     let now_ns = i64::try_from(clock::monotonic_ns()).unwrap_or(i64::MAX);
     let (done, left) = (result.is_ok(), result.unwrap_or_else(Some));
@@ -948,24 +954,39 @@ fn answer_about_person<M: LanguageModel>(
     PersonAnswer { done, reason: left, kept, persons: board.persons().lines(now_ns) }
 }
 
-/// Forgets a person, also on the disk; gives what could not be forgotten there.
+/// Forgets a person, also on the disk; gives what could not be forgotten there, and how many records of the journal were theirs.
 fn forget<M: LanguageModel>(
     board: &mut Board<M>,
     (journal, keeper): (Option<&JournalHandle>, Option<&Keeper>),
     person: u32,
-) -> Option<String> {
-    let names = board.persons().file().clone();
-    let is_theirs = move |observation: &Observation| match &observation.name {
-        Some(name) => names.number_of(name) == person,
-        None if observation.person == SOMEBODY => observation.said.may_name(|name| names.number_of(name) == person),
-        None => observation.person == person,
+    who: &str,
+) -> (Option<String>, usize) {
+    let file = board.persons().file().clone();
+    let mut names = board.persons().names_of(person);
+    names.extend(Some(who.trim().to_lowercase()).filter(|who| who.parse::<u32>().is_err()));
+    let is_theirs = move |observation: &Observation, found: Option<u32>| {
+        let own = match (&observation.name, found) {
+            (Some(name), _) => file.number_of(name) == person,
+            (None, Some(found)) => found == person,
+            (None, None) if observation.person == SOMEBODY => {
+                observation.said.may_name(|name| file.number_of(name) == person)
+            }
+            (None, None) => observation.person == person,
+        };
+        // What others did to them tells of them, too.
+        let text = || observation.sentence().unwrap_or_default().to_lowercase();
+        own || names.iter().any(|name| has_words(&text(), name))
     };
     board.forget(person);
-    let in_journal = journal.map_or(Ok(()), |journal| journal.forget(person, is_theirs, FORGET_PATIENCE));
+    let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, FORGET_PATIENCE));
+    let records = *in_journal.as_ref().unwrap_or(&1);
     let in_file = board.persons_mut().file_mut().remove(person);
     let in_habits = write_habits(board, keeper);
-    let error = in_journal.err().or(in_file.err()).or(in_habits.err())?;
-    Some(format!("they are forgotten until the daemon starts again: the state directory cannot be written: {error}"))
+    let error = in_journal.err().or(in_file.err()).or(in_habits.err());
+    let left = error.map(|error| {
+        format!("they are forgotten until the daemon starts again: the state directory cannot be written: {error}")
+    });
+    (left, records)
 }
 
 /// Writes what is left of what was learned after somebody was forgotten, and waits for it.

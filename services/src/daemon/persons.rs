@@ -7,15 +7,19 @@ use std::collections::{BTreeMap, BTreeSet};
 use roomcast_core::narration::{
     Observation, PERSONS_MAX, Presence, PresenceStatement, SOMEBODY, Said, Sentence, Voice, same_name,
 };
+use roomcast_core::text::has_words;
 use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
 
 use super::person_question::PersonLine;
 use super::persons_file::{KeptPerson, PersonsFile};
 use crate::config::PersonsConfig;
-use crate::person_name::check_name;
+use crate::person_name::{check_name, is_number};
 
 /// A visitor on a bed is not gone before so long a silence: a night's sleep.
 const NIGHT_NS: i64 = 12 * 3_600_000_000_000;
+
+/// What was observed so long before the newest observation of its person says nothing of where they are, nor of what they do next.
+const LATE_NS: i64 = 60_000_000_000;
 
 /// Words of things that people sleep on.
 const BEDS: [&str; 8] = ["bed", "beds", "mattress", "crib", "cot", "bunk", "futon", "bassinet"];
@@ -30,13 +34,7 @@ pub(super) fn sleeps(sentence: &str) -> Option<bool> {
     const SLEEPS: [&str; 8] = ["sleep", "sleeps", "asleep", "nap", "naps", "doze", "dozes", "slept"];
     const WAKES: [&str; 8] = ["wake", "wakes", "woke", "awake", "get up", "gets up", "stand up", "stands up"];
     let lower = sentence.to_lowercase();
-    let says = |words: &[&str]| {
-        let mut found = words.iter().flat_map(|words| lower.match_indices(words));
-        found.any(|(at, word)| {
-            let is_end = |c: Option<char>| !c.is_some_and(char::is_alphanumeric);
-            is_end(lower[..at].chars().next_back()) && is_end(lower[at + word.len()..].chars().next())
-        })
-    };
+    let says = |words: &[&str]| words.iter().any(|words| has_words(&lower, words));
     if says(&WAKES) { Some(false) } else { says(&SLEEPS).then_some(true) }
 }
 
@@ -143,7 +141,10 @@ impl Persons {
         let of_nobody = statement.is_some_and(|statement| statement.empty_room().is_some());
         let mut whose = BTreeSet::new();
         if of_everybody && is_open {
-            let here = self.iter().filter(|(_, known)| known.presence == Presence::Present);
+            let comes = statement.is_some_and(|statement| statement.presence() == Presence::Present);
+            let meant =
+                |known: &Known| known.presence == Presence::Present || comes && known.presence == Presence::Away;
+            let here = self.iter().filter(|(_, known)| meant(known));
             whose.extend(here.map(|(number, _)| number).chain(self.residents()));
         }
         let person = whose.pop_first().unwrap_or(observation.person);
@@ -156,11 +157,14 @@ impl Persons {
         first.into_iter().chain(others.into_iter().filter(move |_| !of_nobody))
     }
 
-    /// Whether an observation that was made at `at_ns` arrives after a later one that says otherwise of whether its person is in the house.
-    /// Who is gone may be back.
+    /// Whether an observation that was made at `at_ns` arrives so late that it says nothing any more: after a later one that says otherwise of
+    /// whether its person is in the house, or a minute after what is known of them. Who is gone may be back.
     pub(super) fn is_outdated(&self, observation: &Observation, at_ns: i64) -> bool {
         let differs = |known: &Known| ![Presence::Gone, observation.said.presence()].contains(&known.presence);
-        self.known.get(&observation.person).is_some_and(|known| at_ns < known.heard_ns && differs(known))
+        let is_old = |known: &Known| at_ns.saturating_add(LATE_NS) < known.heard_ns && known.presence != Presence::Gone;
+        self.known
+            .get(&observation.person)
+            .is_some_and(|known| (at_ns < known.heard_ns && differs(known)) || is_old(known))
     }
 
     /// Takes in an observation of a person that was made at `at_ns`; gives who has to make room for them, if they are one too many.
@@ -318,9 +322,25 @@ impl Persons {
             Said::Sentence(sentence) => of_sentence(sentence),
         };
         let names: Vec<String> = statement.iter().flat_map(PresenceStatement::names).map(str::to_owned).collect();
-        let may_be_new = self.has_names() || names.len() > 1;
-        let is_whose = |name: &String| self.is_name_known(name) || may_be_new && check_name(name).is_ok();
+        // One person whom nobody has given a name may be meant by any.
+        let is_alone = self.known.len() == 1 && !self.has_names();
+        let may_be_new = !is_alone || names.len() > 1;
+        let begins_with_known = |name: &str| name.split_once(' ').is_some_and(|(first, _)| self.is_name_known(first));
+        let is_new = |name: &String| {
+            may_be_new && Said::may_be_new(name) && !begins_with_known(name) && check_name(name).is_ok()
+        };
+        let is_whose = |name: &String| self.is_name_known(name) || is_new(name);
+        if names.is_empty() {
+            return said.person_called().into_iter().filter(is_whose).collect();
+        }
         if names.iter().all(is_whose) { names } else { Vec::new() }
+    }
+
+    /// Whether a statement of a person names others who are known, and not that person.
+    pub(super) fn is_of_others(&self, observation: &Observation, statement: &PresenceStatement) -> bool {
+        let number = observation.name.as_deref().map_or(observation.person, |name| self.number_of(name));
+        let mut names = statement.names().peekable();
+        names.peek().is_some() && names.all(|name| self.is_name_known(name) && self.number_of(name) != number)
     }
 
     /// Whether somebody who is known goes by a name, has it here, or lives here.
@@ -331,10 +351,11 @@ impl Persons {
         known || self.file.of_number(number).is_some() || lives_here()
     }
 
-    /// Whether an observation says of somebody who is out of the house what they may do there.
+    /// Whether an observation says of somebody who is not known to be in the house what they may do elsewhere.
     pub(super) fn is_heard_from_afar(&self, observation: &Observation) -> bool {
-        let is_out = |known: &Known| known.presence == Presence::Away;
-        self.known.get(&observation.person).is_some_and(is_out) && observation.said.is_from_afar()
+        let is_here = |known: &Known| known.presence == Presence::Present;
+        let by_name = observation.name.is_some() || self.known.contains_key(&observation.person);
+        by_name && !self.known.get(&observation.person).is_some_and(is_here) && observation.said.is_from_afar()
     }
 
     /// Whether anybody goes by a name here.
@@ -343,10 +364,22 @@ impl Persons {
         named || !self.file.persons().is_empty() || self.config.residents.iter().any(|who| who.parse::<u32>().is_err())
     }
 
+    /// The number that a name or a number means, whether or not anybody is known by it.
+    pub(super) fn meant(&self, who: &str) -> u32 {
+        let who = who.trim();
+        who.parse().ok().filter(|_| is_number(who)).unwrap_or_else(|| self.number_of(who))
+    }
+
+    /// All that a person is called, in lower case.
+    pub(super) fn names_of(&self, number: u32) -> Vec<String> {
+        let kept = self.file.of_number(number).into_iter().flat_map(KeptPerson::names);
+        kept.chain(self.name_of(number)).map(str::to_lowercase).collect()
+    }
+
     /// The person that a name or a number means; none where it means nobody who is known or has a name here.
     #[must_use]
     pub fn find(&self, who: &str) -> Option<u32> {
-        let number = who.trim().parse().unwrap_or_else(|_| self.number_of(who));
+        let number = self.meant(who);
         (self.known.contains_key(&number) || self.file.of_number(number).is_some()).then_some(number)
     }
 

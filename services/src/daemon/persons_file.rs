@@ -34,7 +34,7 @@ pub struct KeptPerson {
 
 impl KeptPerson {
     /// The names that mean this person, the newest first.
-    fn names(&self) -> impl Iterator<Item = &str> {
+    pub(super) fn names(&self) -> impl Iterator<Item = &str> {
         std::iter::once(self.name.as_str()).chain(self.former.iter().rev().map(String::as_str))
     }
 
@@ -92,6 +92,13 @@ impl PersonsFile {
         kept.map_or_else(|| person_number(name), |kept| kept.number)
     }
 
+    /// The number that the home gave the person who had this one by their name.
+    #[must_use]
+    pub fn current(&self, number: u32) -> u32 {
+        let kept = self.persons.iter().find(|kept| kept.names().any(|name| person_number(name) == number));
+        kept.map_or(number, |kept| kept.number)
+    }
+
     /// The person of a number.
     #[must_use]
     pub fn of_number(&self, number: u32) -> Option<&KeptPerson> {
@@ -118,7 +125,8 @@ impl PersonsFile {
     /// # Errors
     /// As [`PersonsFile::put`].
     pub fn remove(&mut self, number: u32) -> std::io::Result<()> {
-        if self.of_number(number).is_none() {
+        // What a file that cannot be used says of them stays in it.
+        if self.of_number(number).is_none() && !self.unusable {
             return Ok(());
         }
         self.replace(self.persons.iter().filter(|kept| kept.number != number).cloned().collect())
@@ -126,9 +134,10 @@ impl PersonsFile {
 
     fn replace(&mut self, persons: Vec<KeptPerson>) -> std::io::Result<()> {
         if self.unusable {
-            return Err(std::io::Error::other(
-                "it could not be used at the start; repair or remove it, and start the daemon again",
-            ));
+            let path = self.path.as_deref().unwrap_or(Path::new(FILE)).display();
+            return Err(std::io::Error::other(format!(
+                "{path} could not be used at the start; repair or remove it, and start the daemon again"
+            )));
         }
         if let Some(path) = &self.path {
             state_file::replace_for_good(path, serde_json::to_string_pretty(&persons)?.as_bytes())?;

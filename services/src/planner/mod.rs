@@ -234,7 +234,12 @@ impl Planner {
                 0 => "asks what became of what it was sent to do before the planner's restart",
                 _ => "goes on with what it was sent to do before the planner's restart",
             };
+            let forecast = Forecast::usable(self.forecast.as_ref(), &scores, now_ns, self.deadline_ns);
+            let outlook = Outlook::new(&scores, forecast, self.stay_s(), 0);
+            let likely = outlook.over_stay(work.room, self.stay_s()).filter(|_| self.plans());
+            let likely = likely.or_else(|| outlook.likely.get(work.room).copied()).unwrap_or_default().clamp(0.0, 1.0);
             let decision = self.go(work.room, left_ns, reason, now_ns, now_unix_ns);
+            let decision = DecisionV1 { probability: likely, ..decision };
             if let Some(work) = &mut self.robot.work {
                 work.asked_by(decision.epoch, decision.sequence);
             }

@@ -83,6 +83,7 @@ impl Planner {
         robot.room = kept.room.as_deref().and_then(room);
         robot.work = kept.work.as_ref().and_then(|work| {
             let KeptWork { decisions, began_ns, ends_ns, waits, started, .. } = work.clone();
+
             Some(Work { room: room(&work.room)?, decisions, began_ns, ends_ns, waits, started })
         });
         self.asks_again = robot.work.is_some();
@@ -129,8 +130,17 @@ impl RoundFile {
                 return None;
             }
         };
-        let past = kept.began_ns.is_none_or(|began_ns| began_ns <= clock::monotonic_ns());
-        (kept.boot == self.boot && past).then_some(kept)
+        let now_ns = clock::monotonic_ns();
+        let past = kept.began_ns.is_none_or(|began_ns| began_ns <= now_ns);
+        // A file that says that work goes on for longer than a day would hold the robot up.
+        const LONGEST_NS: u64 = 86_400_000_000_000;
+        let is_sane = |work: &KeptWork| {
+            work.began_ns <= now_ns
+                && work.began_ns <= work.ends_ns
+                && work.ends_ns <= now_ns.saturating_add(LONGEST_NS)
+        };
+        let in_order = kept.work.as_ref().is_none_or(is_sane);
+        (kept.boot == self.boot && past && in_order).then_some(kept)
     }
 
     /// Keeps a round if it has changed; the old file stays whole until the new one is. A directory that cannot be written costs the

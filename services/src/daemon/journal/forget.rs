@@ -1,6 +1,7 @@
 //! What a person did is taken out of the journal. What remains of each of their records is that it was taken: its source, epoch and
 //! sequence, so that a narrator that sends it again does not bring it back.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, Write};
@@ -12,16 +13,16 @@ use rustix::fs::FlockOperation;
 use super::{HEADER_BYTES, MAGIC_CARRIED, Record, Writer, decode, encode, open_file};
 use crate::state_file::sync_folder;
 
-/// Says whose an observation is.
-pub(super) type IsTheirs = dyn Fn(&Observation) -> bool + Send;
+/// Says whether an observation is of the forgotten person or names them. Of one that named nobody it is told whose it was found to be.
+pub(super) type IsTheirs = dyn Fn(&Observation, Option<u32>) -> bool + Send;
 
 /// What stands for the sentence of a person who is forgotten.
 const BLANK: &str = "Forgotten.";
 
 impl Writer {
     /// Rewrites both halves, and what the disk has refused so far, without what `is_theirs` says, `person`. A half stays whole until its
-    /// successor is.
-    pub(super) fn forget(&mut self, person: u32, is_theirs: &IsTheirs) -> io::Result<()> {
+    /// successor is. Gives how many records were theirs.
+    pub(super) fn forget(&mut self, person: u32, is_theirs: &IsTheirs) -> io::Result<usize> {
         let older = match fs::read(&self.older) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
             read => read?,
@@ -31,7 +32,7 @@ impl Writer {
         for half in [&older, &current, &self.unwritten] {
             attributions(half, &mut attributed);
         }
-        let forgets = Forgets { person, is_theirs, attributed };
+        let forgets = Forgets { person, is_theirs, attributed, records: Cell::new(0) };
         if !older.is_empty() {
             let kept = forgets.without(&older);
             replace(&self.older, &kept)?;
@@ -47,7 +48,8 @@ impl Writer {
         }
         self.last.retain(|_, last| last.record.len() > HEADER_BYTES);
         self.progress.bytes.store(self.older_length + self.length, std::sync::atomic::Ordering::Relaxed);
-        sync_folder(&self.current)
+        sync_folder(&self.current)?;
+        Ok(forgets.records.get())
     }
 }
 
@@ -56,16 +58,18 @@ struct Forgets<'a> {
     is_theirs: &'a IsTheirs,
     /// Whose an observation that named nobody is.
     attributed: BTreeMap<(u64, u64, u64), u32>,
+    /// How many records were theirs.
+    records: Cell<usize>,
 }
 
 impl Forgets<'_> {
     fn is_theirs(&self, observation: &Observation) -> bool {
         let name = (observation.source, observation.epoch, observation.sequence);
-        match self.attributed.get(&name) {
-            Some(person) => *person == self.person,
-            None if observation.by_fit => observation.person == self.person,
-            None => (self.is_theirs)(observation),
-        }
+        let found = self.attributed.get(&name).copied();
+        let found = found.or(observation.by_fit.then_some(observation.person));
+        let is_theirs = (self.is_theirs)(observation, found);
+        self.records.set(self.records.get() + usize::from(is_theirs));
+        is_theirs
     }
 
     /// The records without what is theirs; whatever is no record goes, too.
@@ -122,10 +126,13 @@ fn replace(path: &Path, bytes: &[u8]) -> io::Result<fs::File> {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
         _ => {}
     }
-    let mut file = open_file(&new)?;
-    file.write_all(bytes)?;
-    file.sync_all()?;
-    rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
-    fs::rename(&new, path)?;
-    Ok(file)
+    let written = open_file(&new).and_then(|mut file| {
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
+        fs::rename(&new, path)?;
+        Ok(file)
+    });
+    // What a full disk has of it helps nobody.
+    written.inspect_err(|_| _ = fs::remove_file(&new))
 }
