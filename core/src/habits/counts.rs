@@ -7,6 +7,8 @@
 
 /// No further row or entry.
 const END: u32 = u32::MAX;
+/// The key of a free row, which no context has.
+const FREE: u64 = u64::MAX;
 /// Entries with less than this left are dropped when their row is touched.
 const FORGOTTEN: f32 = 0.02;
 /// Rows that the hand compares before the least useful gives way.
@@ -119,11 +121,11 @@ impl Counts {
     }
 
     fn factor(&self, touched_min: u32, now_min: u32) -> f32 {
-        let age_min = f64::from(now_min.saturating_sub(touched_min));
-        if age_min == 0.0 || self.limits.half_life_min <= 0.0 {
+        let age_min = now_min.saturating_sub(touched_min);
+        if age_min == 0 || self.limits.half_life_min <= 0.0 {
             return 1.0;
         }
-        (-age_min / self.limits.half_life_min).exp2() as f32
+        ((-f64::from(age_min) / self.limits.half_life_min) as f32).exp2()
     }
 
     fn find(&self, key: u64) -> Option<u32> {
@@ -151,17 +153,12 @@ impl Counts {
             Some(row) => row,
             None => self.insert(key, now_min),
         };
-        self.decay(row, now_min);
+        let known = self.decay(row, now_min, symbol);
         let weight = weight as f32;
         self.rows[row as usize].total += weight;
-        let mut at = self.rows[row as usize].first;
-        while at != END {
-            let entry = &mut self.entries[at as usize];
-            if entry.symbol == symbol {
-                entry.count += weight;
-                return false;
-            }
-            at = entry.next;
+        if let Some(known) = known {
+            self.entries[known as usize].count += weight;
+            return false;
         }
         let entry = self.new_entry(row);
         let first = self.rows[row as usize].first;
@@ -170,19 +167,27 @@ impl Counts {
         true
     }
 
-    /// Brings a row up to date, and drops what is forgotten.
-    fn decay(&mut self, row: u32, now_min: u32) {
+    /// Brings a row up to date, and drops what is forgotten; gives the entry of a symbol.
+    fn decay(&mut self, row: u32, now_min: u32, symbol: u16) -> Option<u32> {
         let Row { touched_min, first, .. } = self.rows[row as usize];
         let factor = self.factor(touched_min, now_min);
         self.rows[row as usize].touched_min = touched_min.max(now_min);
-        if factor >= 1.0 {
-            return;
-        }
+        let mut known = None;
         let (mut at, mut before, mut total) = (first, END, 0.0);
+        if factor >= 1.0 {
+            while at != END {
+                let entry = self.entries[at as usize];
+                if entry.symbol == symbol {
+                    return Some(at);
+                }
+                at = entry.next;
+            }
+            return None;
+        }
         while at != END {
             let entry = &mut self.entries[at as usize];
             entry.count *= factor;
-            let Entry { next, count, .. } = *entry;
+            let Entry { next, count, symbol: own } = *entry;
             if count < FORGOTTEN {
                 match before {
                     END => self.rows[row as usize].first = next,
@@ -190,12 +195,16 @@ impl Counts {
                 }
                 self.give_back_entry(at);
             } else {
+                if own == symbol {
+                    known = Some(at);
+                }
                 total += count;
                 before = at;
             }
             at = next;
         }
         self.rows[row as usize].total = total;
+        known
     }
 
     fn insert(&mut self, key: u64, now_min: u32) -> u32 {
@@ -283,7 +292,7 @@ impl Counts {
             self.hand = (self.hand + 1) % self.rows.len();
             let at = self.hand as u32;
             let row = self.rows[self.hand];
-            if keep == Some(at) || self.find(row.key) != Some(at) {
+            if keep == Some(at) || row.key == FREE {
                 continue;
             }
             let worth = row.total * self.factor(row.touched_min, now_min);
@@ -321,8 +330,8 @@ impl Counts {
             entry = next;
         }
         let row = &mut self.rows[at as usize];
-        // A free row has a key that no context has, so that the hand passes over it.
-        *row = Row { key: u64::MAX, next: self.free_row, first: END, total: 0.0, touched_min: 0 };
+        // The hand passes over it.
+        *row = Row { key: FREE, next: self.free_row, first: END, total: 0.0, touched_min: 0 };
         self.free_row = at;
         self.live_rows -= 1;
     }

@@ -97,6 +97,12 @@ impl Frame {
         look(place, &self.number_of_place)
     }
 
+    /// Per room the share of a label's items that lie there, by the map.
+    pub(crate) fn shares_of(&self, label: usize) -> &[f64] {
+        let rooms = self.rooms.len();
+        self.shares.get(label * rooms..(label + 1) * rooms).unwrap_or_default()
+    }
+
     /// The share of a label's items that lie in a room, by the map.
     pub(crate) fn share(&self, label: usize, room: usize) -> f64 {
         self.shares.get(label * self.rooms.len() + room).copied().unwrap_or(0.0)

@@ -40,7 +40,7 @@ mod words;
 use counts::{Counts, Limits};
 use frame::{ELSEWHERE, Frame};
 use key::{Kind, NONE, Number, SLOT_MASK, key, parts};
-use objects::Objects;
+use objects::{Kept, Objects};
 use rooms::Rooms;
 use stays::{ANCHORS_S, Stays};
 use stored::{Stored, StoredAnchor, StoredName, StoredPerson, StoredRow, malformed};
@@ -112,7 +112,7 @@ pub enum Place {
 }
 
 /// How much of a probability comes from where; the shares sum to one.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Shares {
     /// The probability.
     pub probability: f64,
@@ -127,6 +127,25 @@ pub struct Shares {
     /// Of the things in the present room.
     pub staying: f64,
     /// Observations of this person at all, after the last thing, the last two, the last three; older ones count less.
+    pub observations: [f64; 4],
+}
+
+/// How much of the probability that the next thing is in a room comes from where; the shares sum to one.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct RoomShares {
+    /// The probability.
+    pub probability: f64,
+    /// Of the language model, alone and where habit backs off to it.
+    pub model: f64,
+    /// Of where this person went from this room and after the last things.
+    pub habit: f64,
+    /// Of the next thing that is expected, and where things are.
+    pub things: f64,
+    /// Of the part of the day.
+    pub hour: f64,
+    /// Of how often this person stays.
+    pub staying: f64,
+    /// Observations of this person in this room, after the last thing, the last two, the last three; older ones count less.
     pub observations: [f64; 4],
 }
 
@@ -489,17 +508,44 @@ impl Habits {
         if probability <= 0.0 {
             return None;
         }
-        // Within habit the model keeps what the counts leave to it; recency, hour and staying are counted where they add to habit.
-        let backed_off = (person.objects.model_in_habit() * p[0] / p[1].max(f64::MIN_POSITIVE)).min(1.0);
+        // Within habit the model keeps what the counts leave to it, and recency, hour and staying keep some of habit: only what they add
+        // to it is theirs.
+        let Kept { model_in_habit, model_in_short, habit_in } = person.objects.kept();
+        let of_model = |expert: usize, kept: f64| (kept * p[0] / p[expert].max(f64::MIN_POSITIVE)).min(1.0);
         let part = |expert: usize| weights[expert] * p[expert] / probability;
+        let of_habit = |at: usize| (habit_in[at] * p[1] / p[3 + at].max(f64::MIN_POSITIVE)).min(1.0);
+        let through_habit: f64 = part(1) + (0..3).map(|at| of_habit(at) * part(3 + at)).sum::<f64>();
+        let (in_habit, in_short) = (of_model(1, model_in_habit), of_model(2, model_in_short));
+        let added = |at: usize| (1.0 - of_habit(at)) * part(3 + at);
         Some(Shares {
             probability,
-            model: part(0) + backed_off * part(1),
-            habit: (1.0 - backed_off) * part(1) + part(2),
-            recency: part(3),
-            hour: part(4),
-            staying: part(5),
+            model: part(0) + in_habit * through_habit + in_short * part(2),
+            habit: (1.0 - in_habit) * through_habit + (1.0 - in_short) * part(2),
+            recency: added(0),
+            hour: added(1),
+            staying: added(2),
             observations: person.objects.observations,
+        })
+    }
+
+    /// Where the probability of a room comes from, in the latest forecast of the next room of a person.
+    #[must_use]
+    pub fn explain_room(&self, person: u32, room: usize) -> Option<RoomShares> {
+        let person = self.persons.iter().find(|other| other.number == person)?;
+        let (parts, [in_habit, in_short]) = person.rooms.by_expert(room)?;
+        let probability: f64 = parts.iter().sum();
+        if probability <= 0.0 {
+            return None;
+        }
+        let [model, habit, short, things, hour, staying] = parts.map(|part| part / probability);
+        Some(RoomShares {
+            probability,
+            model: model + in_habit * habit + in_short * short,
+            habit: (1.0 - in_habit) * habit + (1.0 - in_short) * short,
+            things,
+            hour,
+            staying,
+            observations: person.rooms.observations,
         })
     }
 

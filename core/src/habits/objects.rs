@@ -43,6 +43,14 @@ const RECENT_KEPT: f64 = 0.9;
 const CACHE: f64 = 0.6;
 const HERE: f64 = 0.8;
 
+/// The weights that the model keeps within habit and within short, and habit within recency, hour and staying.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Kept {
+    pub(crate) model_in_habit: f64,
+    pub(crate) model_in_short: f64,
+    pub(crate) habit_in: [f64; 3],
+}
+
 /// What one person turns to.
 #[derive(Debug, Clone)]
 pub(crate) struct Objects {
@@ -56,7 +64,7 @@ pub(crate) struct Objects {
     experts: Vec<f64>,
     labels: usize,
     gate: usize,
-    model_in_habit: f64,
+    kept: Kept,
     pub(crate) observations: [f64; 4],
     /// Probabilities of the mixture.
     pub(crate) mixed: Vec<f64>,
@@ -73,7 +81,7 @@ impl Objects {
             experts: Vec::new(),
             labels: 0,
             gate: 0,
-            model_in_habit: 1.0,
+            kept: Kept { model_in_habit: 1.0, model_in_short: 1.0, habit_in: [1.0; 3] },
             observations: [0.0; 4],
             mixed: Vec::new(),
         }
@@ -115,7 +123,6 @@ impl Objects {
 
         let [of_model, of_even] = *self.base.weights();
         habit.iter_mut().zip(&*own).for_each(|(habit, p)| *habit = of_model * p + of_even / labels as f64);
-        self.model_in_habit = of_model;
         self.observations = [0.0; 4];
         let index = |number| frame.label(number);
         let [first, second, third] = self.last;
@@ -129,9 +136,10 @@ impl Objects {
             self.observations[order] = seen;
             if order == 1 {
                 short.copy_from_slice(habit);
+                self.kept.model_in_short = of_model * kept;
             }
         }
-        self.model_in_habit *= kept;
+        self.kept.model_in_habit = of_model * kept;
         self.gate = match kept {
             kept if kept > 0.5 => 0,
             kept if kept > 0.2 => 1,
@@ -150,12 +158,13 @@ impl Objects {
 
         hour.copy_from_slice(habit);
         let (part, kind_of_day) = (moment::part_of_day(at_s, 3), u16::from(moment::weekend(at_s)));
-        whose.smooth(Kind::ObjectHour, [part, kind_of_day, NONE], DISCOUNT, 20.0, index, hour);
-        again.smooth(Kind::ObjectAfterHour, [first, part, NONE], DISCOUNT, 1.0, index, hour);
+        let (at_all, _) = whose.smooth(Kind::ObjectHour, [part, kind_of_day, NONE], DISCOUNT, 20.0, index, hour);
+        let (after, _) = again.smooth(Kind::ObjectAfterHour, [first, part, NONE], DISCOUNT, 1.0, index, hour);
 
         let in_room = |label: usize| here.map_or(0.0, |here| frame.share(label, here));
         let there: f64 = habit.iter().enumerate().map(|(label, p)| p * in_room(label)).sum();
         let kept = if there > 0.0 { 1.0 - HERE } else { 1.0 };
+        self.kept.habit_in = [1.0 - cache, at_all * after, kept];
         for (label, (p, habit)) in staying.iter_mut().zip(&*habit).enumerate() {
             *p = kept * habit + if there > 0.0 { HERE * habit * in_room(label) / there } else { 0.0 };
         }
@@ -175,9 +184,9 @@ impl Objects {
         (label < self.labels).then(|| (std::array::from_fn(p), *self.mixtures[self.gate].weights()))
     }
 
-    /// The weight that the model keeps within habit, in the latest forecast.
-    pub(crate) fn model_in_habit(&self) -> f64 {
-        self.model_in_habit
+    /// What experts keep of one another, in the latest forecast.
+    pub(crate) fn kept(&self) -> Kept {
+        self.kept
     }
 
     /// Learns how good the latest forecast was: the person turned to `label`.

@@ -26,6 +26,8 @@ const DISCOUNT: f64 = 0.5;
 const CONCENTRATIONS: [f64; 4] = [2.0, 2.0, 1.0, 1.0];
 /// Of the model and of even chances in the base.
 const BASE: [f64; 2] = [0.9, 0.1];
+/// Of things that are less likely next, the map says where they are: all 150 of a home together could move 3 %.
+const UNLIKELY: f64 = 2e-4;
 /// How many observations what the map says of a thing's room is worth.
 const MAP_STRENGTH: f64 = 1.0;
 
@@ -43,6 +45,10 @@ pub(crate) struct Rooms {
     rooms: usize,
     here: Option<usize>,
     gate: usize,
+    /// The weight that the model keeps within habit and within short, and the observations after this room, and after the last one to
+    /// three things.
+    model_in: [f64; 2],
+    pub(crate) observations: [f64; 4],
     pub(crate) mixed: Vec<f64>,
 }
 
@@ -58,6 +64,8 @@ impl Rooms {
             rooms: 0,
             here: None,
             gate: 0,
+            model_in: [1.0; 2],
+            observations: [0.0; 4],
             mixed: Vec::new(),
         }
     }
@@ -102,16 +110,21 @@ impl Rooms {
         let mut kept = 1.0;
         for (order, kind) in [Kind::Room0, Kind::Room1, Kind::Room2, Kind::Room3].into_iter().enumerate() {
             let whose = if order == 0 { whose } else { again };
-            kept *= whose.smooth(kind, after[order], DISCOUNT, CONCENTRATIONS[order], index, habit).0;
+            let (left, seen) = whose.smooth(kind, after[order], DISCOUNT, CONCENTRATIONS[order], index, habit);
+            kept *= left;
+            self.observations[order] = seen;
             if order == 1 {
                 short.copy_from_slice(habit);
+                self.model_in[1] = of_model * kept;
             }
         }
+        self.model_in[0] = of_model * kept;
         self.gate = usize::from(kept < 0.2);
 
         for (label, p) in objects.iter().enumerate() {
-            let found =
-                frame.label_number(label).and_then(|number| whose.own(Kind::RoomOfObject, [number, NONE, NONE]));
+            // Where a thing is that is next to impossible need not be looked up.
+            let number = frame.label_number(label).filter(|_| *p > UNLIKELY);
+            let found = number.and_then(|number| whose.own(Kind::RoomOfObject, [number, NONE, NONE]));
             let mut strength = MAP_STRENGTH;
             if let Some(found) = found {
                 let total: f64 = found.symbols().filter(|(n, _)| index(*n).is_some()).map(|(_, count)| count).sum();
@@ -122,9 +135,8 @@ impl Rooms {
                 }
                 strength /= total + MAP_STRENGTH;
             }
-            for (room, sum) in by_object.iter_mut().enumerate() {
-                *sum += p * strength * frame.share(label, room);
-            }
+            let of_label = frame.shares_of(label).iter();
+            by_object.iter_mut().zip(of_label).for_each(|(sum, share)| *sum += p * strength * share);
         }
         let total: f64 = by_object.iter().sum::<f64>() + rooms as f64 * FLOOR;
         by_object.iter_mut().for_each(|p| *p = (*p + FLOOR) / total);
@@ -159,6 +171,25 @@ impl Rooms {
             self.mixed.iter_mut().for_each(|p| *p *= (1.0 - stay) / others.max(f64::MIN_POSITIVE));
             self.mixed[here] = stay;
         }
+    }
+
+    /// What each expert adds to the probability of a room in the latest forecast, and how much of what habit and short give to it is
+    /// the model's.
+    pub(crate) fn by_expert(&self, room: usize) -> Option<([f64; EXPERTS], [f64; 2])> {
+        let mixed = *self.mixed.get(room).filter(|_| room < self.rooms)?;
+        let p = |expert: usize, room: usize| self.experts[expert * self.rooms + room];
+        let part = |expert: usize| match self.here {
+            Some(here) if here == room => self.staying[self.gate].weights()[expert] * p(expert, room),
+            here => {
+                let leaves = here.map_or(1.0, |here| 1.0 - p(expert, here));
+                self.destination[self.gate].weights()[expert] * p(expert, room) / leaves.max(f64::MIN_POSITIVE)
+            }
+        };
+        let parts: [f64; EXPERTS] = std::array::from_fn(part);
+        let total: f64 = parts.iter().sum();
+        let of_model = |expert: usize, kept: f64| (kept * p(0, room) / p(expert, room).max(f64::MIN_POSITIVE)).min(1.0);
+        let scale = if total > 0.0 { mixed / total } else { 0.0 };
+        Some((parts.map(|part| part * scale), [of_model(1, self.model_in[0]), of_model(2, self.model_in[1])]))
     }
 
     /// Learns how good the latest forecast was: the next object was in `room`.

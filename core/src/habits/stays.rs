@@ -39,6 +39,9 @@ const GAP_S: f64 = 36.0 * 3_600.0;
 const DWELLS_S: [f64; 12] =
     [15.0, 30.0, 60.0, 120.0, 240.0, 480.0, 960.0, 1_920.0, 3_840.0, 7_680.0, 15_360.0, 30_720.0];
 const DWELLS: usize = DWELLS_S.len() + 1;
+/// Steps of the semi-Markov forecast in seconds, and until how far ahead; and beyond.
+const STEPS_S: [(f64, f64); 4] = [(7.5, 60.0), (20.0, 300.0), (50.0, 900.0), (90.0, 3_600.0)];
+const STEP_S: (f64, f64) = (180.0, f64::INFINITY);
 /// Symbols of the counts of stays.
 const EXITS: u16 = 0;
 const MINUTES: u16 = 1;
@@ -46,6 +49,9 @@ const MINUTES: u16 = 1;
 const HAZARD_STRENGTH: f64 = 2.0;
 /// How many samples the wider level is worth in what is counted directly.
 const LATER_STRENGTH: [f64; 3] = [8.0, 40.0, 40.0];
+/// Experts whose forecasts at the anchors are read from counts, and how many they are.
+const COUNTED_EXPERTS: [usize; COUNTED] = [1, 3, 4];
+const COUNTED: usize = 3;
 /// Mean stay that the shipped forecast begins with, in seconds, and the exponent of its survival.
 const SHIPPED_STAY_S: f64 = 120.0;
 
@@ -102,9 +108,11 @@ struct Scratch {
     hazard: Vec<f64>,
     lead: Vec<f64>,
     leaving: Vec<f64>,
-    /// Per place and time spent, the shares that leave and that grow older in a step.
+    /// Per place and time spent, the share that leaves in a step.
     leave: Vec<f64>,
     semi: Vec<f64>,
+    /// Per anchor what the counted experts say, row by row.
+    anchored: Vec<f64>,
 }
 
 impl Stays {
@@ -334,9 +342,17 @@ impl Stays {
         scratch.semi.clear();
         scratch.semi.resize(cells, 0.0);
         let known = self.semi_markov(whose, frame, now_s, next_rooms, horizons_s, &mut scratch);
+        scratch.anchored.clear();
+        scratch.anchored.resize(ANCHORS_S.len() * COUNTED * places, 0.0);
+        let needed = |index: usize| horizons_s.iter().any(|horizon_s| between(*horizon_s).uses(index));
+        for (index, rows) in scratch.anchored.chunks_exact_mut(COUNTED * places).enumerate() {
+            if known && needed(index) {
+                self.counted(whose, frame, index, now_s, rows);
+            }
+        }
         for (index, (horizon_s, out)) in horizons_s.iter().zip(out.chunks_exact_mut(places)).enumerate() {
             given(match known {
-                true => self.mixed_at(whose, frame, (now_s, *horizon_s), index, out, &mut scratch),
+                true => self.mixed_at(frame, *horizon_s, index, out, &mut scratch),
                 false => [1.0, 0.0, 0.0, 0.0, 0.0],
             });
         }
@@ -346,57 +362,57 @@ impl Stays {
     /// One row of [`Stays::at`], whose semi-Markov forecast is the row `index` of the scratch.
     fn mixed_at(
         &self,
-        whose: Whose<'_>,
         frame: &Frame,
-        (now_s, horizon_s): (f64, f64),
+        horizon_s: f64,
         index: usize,
         out: &mut [f64],
         scratch: &mut Scratch,
     ) -> [f64; EXPERTS] {
         let places = out.len();
+        let Scratch { rows, semi, anchored, .. } = scratch;
         // Between two anchors, by the logarithm of the time; before the first one towards certainty of the present place.
-        let (lower, upper, share) = between(horizon_s);
-        scratch.rows.clear();
-        scratch.rows.resize((EXPERTS + 1) * places, 0.0);
-        let (own, rest) = scratch.rows.split_at_mut(places);
-        own.copy_from_slice(out);
-        let (persistence, rest) = rest.split_at_mut(places);
-        let (semi, rest) = rest.split_at_mut(places);
-        semi.copy_from_slice(&scratch.semi[index * places..(index + 1) * places]);
-        let (by_place, rest) = rest.split_at_mut(places);
-        let (later, mixed) = rest.split_at_mut(places);
-        let (own, by_own) = (&mut scratch.lead, &mut scratch.leaving);
-        own.clear();
-        own.resize(places, 0.0);
-        by_own.clear();
-        by_own.resize(places, 0.0);
+        let Between { lower, upper, share } = between(horizon_s);
+        rows.clear();
+        rows.resize((EXPERTS + 1) * places, 0.0);
+        rows[..places].copy_from_slice(out);
+        rows[2 * places..3 * places].copy_from_slice(&semi[index * places..(index + 1) * places]);
         let mut weights = [0.0; EXPERTS];
         for (index, part) in [(lower, 1.0 - share), (Some(upper), share)] {
-            let Some(index) = index else {
-                // At once everybody is where they are.
-                if let Some(here) = frame.place(self.place) {
-                    persistence[here] += part;
-                    by_place[here] += part;
-                    later[here] += part;
+            match index {
+                Some(index) => {
+                    let counted = &anchored[index * COUNTED * places..(index + 1) * COUNTED * places];
+                    for (expert, row) in COUNTED_EXPERTS.into_iter().zip(counted.chunks_exact(places)) {
+                        let sums = &mut rows[expert * places..(expert + 1) * places];
+                        sums.iter_mut().zip(row).for_each(|(sum, p)| *sum += part * p);
+                    }
                 }
-                weights.iter_mut().zip(self.anchors[upper].mixture.weights()).for_each(|(sum, w)| *sum += part * w);
-                continue;
-            };
-            self.persistence(index, frame, mixed);
-            self.later(whose, frame, index, now_s, mixed, by_own, own);
-            for (sums, p) in [(&mut *persistence, &*mixed), (&mut *by_place, &*by_own), (&mut *later, &*own)] {
-                sums.iter_mut().zip(p).for_each(|(sum, p)| *sum += part * p);
+                // At once everybody is where they are.
+                None => {
+                    if let Some(here) = frame.place(self.place) {
+                        COUNTED_EXPERTS.into_iter().for_each(|expert| rows[expert * places + here] += part);
+                    }
+                }
             }
-            weights.iter_mut().zip(self.anchors[index].mixture.weights()).for_each(|(sum, w)| *sum += part * w);
+            let of = self.anchors[index.unwrap_or(upper)].mixture.weights();
+            weights.iter_mut().zip(of).for_each(|(sum, weight)| *sum += part * weight);
         }
-        mix(&weights, &mut scratch.rows, places);
-        out.copy_from_slice(&scratch.rows[EXPERTS * places..]);
+        mix(&weights, rows, places);
+        out.copy_from_slice(&rows[EXPERTS * places..]);
         weights
+    }
+
+    /// What [`COUNTED_EXPERTS`] say at an anchor, row by row.
+    fn counted(&self, whose: Whose<'_>, frame: &Frame, index: usize, now_s: f64, rows: &mut [f64]) {
+        let places = rows.len() / COUNTED;
+        let (persistence, rest) = rows.split_at_mut(places);
+        let (by_place, later) = rest.split_at_mut(places);
+        self.persistence(index, frame, persistence);
+        self.later(whose, frame, index, now_s, persistence, by_place, later);
     }
 
     /// The places of a set with the promised coverage, `horizon_s` ahead, for probabilities that [`Stays::at`] gave.
     pub(crate) fn set(&self, horizon_s: f64, probabilities: &[f64], set: &mut Vec<bool>) {
-        let (lower, upper, share) = between(horizon_s);
+        let Between { lower, upper, share } = between(horizon_s);
         let index = if share < 0.5 { lower.unwrap_or(upper) } else { upper };
         let sets = &self.anchors[index].sets;
         sets.set(probabilities, sets.issue(), set);
@@ -512,52 +528,52 @@ impl Stays {
         mass.clear();
         mass.resize(places * DWELLS, 0.0);
         leave.clear();
-        leave.resize(2 * places * DWELLS, 0.0);
-        let (mut original, mut spent_s, mut ahead_s, mut step_s) = (1.0, now_s - self.entered_s, 0.0, 0.0);
+        leave.resize(places * DWELLS, 0.0);
+        leaving.clear();
+        leaving.resize(places, 0.0);
+        let mut older = [0.0; DWELLS];
+        let (mut original, mut spent_s, mut ahead_s) = (1.0, now_s - self.entered_s, 0.0);
         for (horizon, row) in horizons_s.iter().zip(semi.chunks_exact_mut(places)) {
             let horizon_s = horizon.clamp(0.0, FARTHEST_S);
             while ahead_s < horizon_s {
-                let wanted_s = match ahead_s {
-                    near if near < 60.0 => 5.0,
-                    near if near < 300.0 => 15.0,
-                    near if near < 3_600.0 => 30.0,
-                    _ => 120.0,
-                };
-                let next_s = f64::min(wanted_s, horizon_s - ahead_s);
-                if next_s != step_s {
-                    step_s = next_s;
-                    for (at, rate) in hazard.iter().enumerate() {
-                        let older = DWELLS_S
-                            .get(at % DWELLS)
-                            .map_or(0.0, |end_s| 1.0 - (-step_s / (end_s - dwell_begin_s(at % DWELLS))).exp());
-                        leave[2 * at] = 1.0 - (-step_s * rate).exp();
-                        leave[2 * at + 1] = older;
-                    }
+                // Equal steps up to the next horizon, or to the time from which longer ones do.
+                let (wanted_s, until_s) = STEPS_S.into_iter().find(|(_, until_s)| ahead_s < *until_s).unwrap_or(STEP_S);
+                let span_s = horizon_s.min(until_s) - ahead_s;
+                let steps = (span_s / wanted_s).ceil().max(1.0);
+                let (step_s, until_s) = (span_s / steps, ahead_s + span_s);
+                // Whoever comes is there no longer than since now: stays of greater age are not looked at.
+                let ages = dwell(until_s) + 1;
+                for (age, older) in older.iter_mut().take(ages).enumerate() {
+                    let end_s = DWELLS_S.get(age).filter(|_| age + 1 < ages);
+                    *older = end_s.map_or(0.0, |end_s| gone(step_s / (end_s - dwell_begin_s(age))));
                 }
-                leaving.clear();
-                leaving.resize(places, 0.0);
-                let gone = original * leave[2 * (here * DWELLS + dwell(spent_s))];
-                original -= gone;
-                leaving[here] += gone;
-                for (place, (mass, leave)) in
-                    mass.chunks_exact_mut(DWELLS).zip(leave.chunks_exact(2 * DWELLS)).enumerate()
-                {
-                    let mut older = 0.0;
-                    for (mass, leave) in mass.iter_mut().zip(leave.chunks_exact(2)) {
-                        let gone = *mass * leave[0];
-                        let aged = (*mass - gone) * leave[1];
-                        *mass += older - gone - aged;
-                        older = aged;
-                        leaving[place] += gone;
-                    }
+                for (leave, rate) in leave.chunks_exact_mut(DWELLS).zip(hazard.chunks_exact(DWELLS)) {
+                    leave.iter_mut().zip(rate).take(ages).for_each(|(leave, rate)| *leave = gone(step_s * rate));
                 }
-                for (gone, lead) in leaving.iter().zip(lead.chunks_exact(places)) {
-                    for (mass, lead) in mass.chunks_exact_mut(DWELLS).zip(lead) {
-                        mass[0] += gone * lead;
+                for _ in 0..steps as usize {
+                    leaving.fill(0.0);
+                    let left = original * leave_of(hazard, here, spent_s, step_s);
+                    original -= left;
+                    leaving[here] = left;
+                    let of_places = mass.chunks_exact_mut(DWELLS).zip(leave.chunks_exact(DWELLS));
+                    for ((mass, leave), leaving) in of_places.zip(leaving.iter_mut()) {
+                        let (mut aged, mut left) = (0.0, 0.0);
+                        for ((mass, leave), older) in mass.iter_mut().zip(leave).zip(&older).take(ages) {
+                            let gone = *mass * leave;
+                            let grown = (*mass - gone) * older;
+                            *mass += aged - gone - grown;
+                            (aged, left) = (grown, left + gone);
+                        }
+                        *leaving += left;
                     }
+                    for (left, lead) in leaving.iter().zip(lead.chunks_exact(places)) {
+                        for (mass, lead) in mass.chunks_exact_mut(DWELLS).zip(lead) {
+                            mass[0] += left * lead;
+                        }
+                    }
+                    spent_s += step_s;
                 }
-                ahead_s += step_s;
-                spent_s += step_s;
+                ahead_s = until_s;
             }
             for (p, mass) in row.iter_mut().zip(mass.chunks_exact(DWELLS)) {
                 *p = mass.iter().sum();
@@ -574,17 +590,40 @@ impl Stays {
     }
 }
 
+/// The share that is gone after a time at a rate: `1 - exp(-x)`, to three digits up to one, without its cost.
+fn gone(x: f64) -> f64 {
+    if x < 1.0 { x / (1.0 + x * (0.5 + x / 12.0)) } else { 1.0 - (-x).exp() }
+}
+
+/// The share that leaves `here` in a step, after so long.
+fn leave_of(hazard: &[f64], here: usize, spent_s: f64, step_s: f64) -> f64 {
+    gone(step_s * hazard[here * DWELLS + dwell(spent_s)])
+}
+
 /// The anchors below and above a horizon, and the share of the latter.
-fn between(horizon_s: f64) -> (Option<usize>, usize, f64) {
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Between {
+    lower: Option<usize>,
+    upper: usize,
+    share: f64,
+}
+
+impl Between {
+    fn uses(self, index: usize) -> bool {
+        self.upper == index || self.lower == Some(index)
+    }
+}
+
+fn between(horizon_s: f64) -> Between {
     let last = ANCHORS_S.len() - 1;
     let Some(upper) = ANCHORS_S.iter().position(|anchor_s| horizon_s <= *anchor_s) else {
-        return (Some(last), last, 1.0);
+        return Between { lower: Some(last), upper: last, share: 1.0 };
     };
     match upper.checked_sub(1) {
-        None => (None, 0, (horizon_s / ANCHORS_S[0]).clamp(0.0, 1.0)),
+        None => Between { lower: None, upper: 0, share: (horizon_s / ANCHORS_S[0]).clamp(0.0, 1.0) },
         Some(lower) => {
             let share = (horizon_s / ANCHORS_S[lower]).ln() / (ANCHORS_S[upper] / ANCHORS_S[lower]).ln();
-            (Some(lower), upper, share)
+            Between { lower: Some(lower), upper, share }
         }
     }
 }
@@ -614,11 +653,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn what_is_gone_after_a_time_is_known_to_three_digits() {
+        for x in [0.0, 0.01, 0.3, 0.7, 0.999, 1.0, 3.0, 50.0] {
+            assert!((gone(x) - (1.0 - (-x).exp())).abs() < 1e-3, "{x}");
+        }
+    }
+
+    #[test]
     fn times_between_the_anchors_are_interpolated() {
-        assert_eq!(between(0.0), (None, 0, 0.0));
-        assert_eq!(between(60.0), (None, 0, 1.0));
-        assert_eq!(between(1e9), (Some(3), 3, 1.0));
-        let (lower, upper, share) = between(150.0);
+        assert_eq!(between(0.0), Between { lower: None, upper: 0, share: 0.0 });
+        assert_eq!(between(60.0), Between { lower: None, upper: 0, share: 1.0 });
+        assert_eq!(between(1e9), Between { lower: Some(3), upper: 3, share: 1.0 });
+        let Between { lower, upper, share } = between(150.0);
         assert_eq!((lower, upper), (Some(0), 1));
         assert!((0.5..0.6).contains(&share));
     }
