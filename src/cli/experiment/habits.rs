@@ -97,7 +97,8 @@ fn read(path: &Path) -> Result<Vec<u8>, Failure> {
         .map_err(|error| Failure::new(exit_code::INPUT, format!("failed to read {}: {error}", path.display())))
 }
 
-fn days(folder: &Path) -> Result<Vec<Day>, Failure> {
+/// The days of a folder, in the order of their names.
+pub(in crate::cli) fn days(folder: &Path) -> Result<Vec<Day>, Failure> {
     let fault = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", folder.display()));
     let entries = std::fs::read_dir(folder).map_err(|error| fault(error.to_string()))?;
     let mut files: Vec<PathBuf> = entries.filter_map(Result::ok).map(|entry| entry.path()).collect();
@@ -232,7 +233,31 @@ fn tables(report: &Report) -> Vec<Table> {
             format!("{:.2}", row.size_mean_never_empty),
         ]);
     }
-    vec![all, sets]
+    vec![all, sets, cleaning(report)]
+}
+
+/// What the forecasts are worth to a robot.
+fn cleaning(report: &Report) -> Table {
+    let header = ["forecast", "policy", "disturbance (s/h)", "less", "coverage", "less"];
+    let title = "Rounds of a robot, planned against the forecast without habits (model) and with them (mixture)";
+    let mut cleaning = Table::new("cleaning", title, &header);
+    let with = |value: f64, [low, high]: [f64; 2]| format!("{value:.3} [{low:.3}, {high:.3}]");
+    for row in &report.cleaning {
+        let less = row.less.map(|less| {
+            let disturbance = with(less.disturbance_s_per_h, less.disturbance_ci95);
+            (disturbance, with(less.coverage, less.coverage_ci95))
+        });
+        let (disturbance, coverage) = less.unwrap_or_default();
+        cleaning.rows.push(vec![
+            row.predictor.to_owned(),
+            row.policy.to_owned(),
+            format!("{:.1}", row.disturbance_s_per_h),
+            disturbance,
+            format!("{:.3}", row.coverage),
+            coverage,
+        ]);
+    }
+    cleaning
 }
 
 /// The loss of each day, for those whom it is worth to follow.

@@ -15,6 +15,7 @@ use super::scores::ScoreSource;
 use super::{ExperimentError, Progress};
 use crate::simulation::binding::{Binder, ItemChoice};
 use chains::{Chain, ORDER_MAX, Style};
+use cleaning::{Cleaning, STAY_S, Sight};
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::habits::{AdaptiveSets, Habits, HabitsOptions, Issued, Place, SetOptions, Turn};
@@ -24,6 +25,7 @@ use roomcast_core::scorer::LanguageModel;
 use roomcast_core::semantic_map::SemanticMap;
 
 pub(crate) mod chains;
+pub mod cleaning;
 pub mod trace;
 
 pub use trace::{Interval, Step, Trace};
@@ -170,6 +172,8 @@ pub struct Report {
     pub differences: Vec<Difference>,
     /// The sets.
     pub sets: Vec<Sets>,
+    /// What the forecasts are worth to a robot.
+    pub cleaning: Vec<cleaning::Row>,
     /// Scores that the model computed and the cache did not have.
     pub computed: usize,
     /// What was learned, and what it takes.
@@ -305,6 +309,7 @@ struct Watch<'a> {
     last_s: f64,
     cases: Vec<Case>,
     tally: Tally,
+    cleaning: Cleaning,
     /// How far the places of the trace were told.
     told: usize,
     out_since_s: Option<f64>,
@@ -466,6 +471,26 @@ impl Watch<'_> {
             forecasts.push(p);
         }
         self.counts.tick(PERSON, now_s, &mut |_, p| p.fill(1.0));
+        if let Some(stays) = self.cleaning.stays_left(now_s, until_s) {
+            let middles_s: Vec<f64> = (0..stays).map(|stay| (stay as f64 + 0.5) * STAY_S).collect();
+            let mut without = vec![0.0; stays * places];
+            without.chunks_exact_mut(places).zip(&middles_s).for_each(|(row, ahead_s)| shipped(*ahead_s, row));
+            let (mut with, mut shares) = (Vec::new(), Vec::new());
+            self.mixture.at_times(PERSON, (now_s, &middles_s), &without, &mut with, &mut shares);
+            let in_rooms =
+                |rows: &[f64]| rows.chunks_exact(places).flat_map(|row| row[..places - 1].to_vec()).collect::<Vec<_>>();
+            // At the begin and at the end of the first stay.
+            let mut in_set = vec![false; places];
+            for ahead_s in [0.0, STAY_S] {
+                let (mut row, mut p, mut set) = (vec![0.0; places], Vec::new(), Vec::new());
+                shipped(ahead_s, &mut row);
+                self.mixture.at(PERSON, now_s, ahead_s, &row, &mut p);
+                self.mixture.room_set(PERSON, ahead_s, &p, &mut set);
+                in_set.iter_mut().zip(set).for_each(|(held, own)| *held |= own);
+            }
+            let sight = Sight { shipped: &in_rooms(&without), mixture: &in_rooms(&with), set: &in_set[..places - 1] };
+            self.cleaning.stay((now_s, self.trace.day(now_s)), &sight, self.trace);
+        }
         let even = vec![1.0; places];
         let day = self.trace.day(now_s);
         for (index, (horizon, mut shipped)) in self.horizons.iter_mut().zip(forecasts).enumerate() {
@@ -567,12 +592,14 @@ pub fn run<M: LanguageModel>(
             sums: vec![Vec::new(); PREDICTORS.len() * TARGETS.len()],
             unseen: vec![Vec::new(); PREDICTORS.len() * TARGETS.len()],
         },
+        cleaning: Cleaning::new(rooms, options.seed),
         told: 0,
         out_since_s: None,
     };
     let mut grounded = GroundedScores::default();
     let mut next = 0;
     for (begin_s, end_s) in &trace.watched {
+        watch.cleaning.begin();
         let mut now_s = (begin_s / MOMENT_S).floor() * MOMENT_S;
         while now_s <= *end_s + MOMENT_S {
             while trace.steps.get(next).is_some_and(|step| step.at_s <= now_s) {
@@ -678,6 +705,7 @@ fn report(watch: &Watch<'_>, options: &Options, computed: usize) -> Report {
         rows,
         differences,
         sets: sets.collect(),
+        cleaning: watch.cleaning.rows(options.seed),
         computed,
         learned: watch.mixture.learned(),
     }

@@ -154,10 +154,22 @@ impl Trace {
         Self { steps, places, watched }
     }
 
-    /// Where the person is at a moment, and since when.
-    pub(crate) fn place_at(&self, at_s: f64) -> Option<(f64, usize)> {
+    /// Where the person is at a moment, and since when: a room of the map, or elsewhere after the last one.
+    #[must_use]
+    pub fn place_at(&self, at_s: f64) -> Option<(f64, usize)> {
         let after = self.places.partition_point(|(from_s, _)| *from_s <= at_s);
         after.checked_sub(1).map(|at| self.places[at])
+    }
+
+    /// For how long the person is in a place between two moments, in seconds.
+    pub(crate) fn time_in(&self, place: usize, from_s: f64, to_s: f64) -> f64 {
+        let first = self.places.partition_point(|(at_s, _)| *at_s <= from_s).saturating_sub(1);
+        let stays = self.places[first..].iter().take_while(|(at_s, _)| *at_s < to_s).enumerate();
+        let time_s = |(index, (at_s, own)): (usize, &(f64, usize))| {
+            let ends_s = self.places.get(first + index + 1).map_or(to_s, |(next_s, _)| next_s.min(to_s));
+            if *own == place { (ends_s - at_s.max(from_s)).max(0.0) } else { 0.0 }
+        };
+        stays.map(time_s).sum()
     }
 
     /// The day of a moment, from 0.
@@ -183,5 +195,8 @@ mod tests {
             [Some(0), Some(1), Some(0), Some(1), Some(1), Some(3), Some(1), Some(2)]
         );
         assert_eq!(place(-1.0), None);
+        let in_kitchen = |from_s, to_s| trace.time_in(0, from_s, to_s);
+        assert_eq!([in_kitchen(0.0, 60.0), in_kitchen(25.0, 40.0), in_kitchen(110.0, 300.0)], [50.0, 10.0, 40.0]);
+        assert_eq!((trace.time_in(3, 100.0, 1_000.0), trace.time_in(2, 2_000.0, 2_010.0)), (600.0, 10.0));
     }
 }

@@ -1,0 +1,247 @@
+//! What habits are worth to a robot: rounds of all rooms, one after another while the home is watched, planned against the forecast
+//! without habits and against the one with. Every stay is decided before anything of it is learned, so no day has been seen.
+//!
+//! Robots go by [`CoverageAware`]: one that covers whenever it can, so that both forecasts are compared at the same coverage, one by the
+//! default price of a room left undone, and one that enters no room of the set. Disturbance is the time in which robot and person share a
+//! room.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+
+use super::trace::Trace;
+use roomcast_core::policy::{CoverageAware, Policy, RobotState};
+
+/// Seconds of work in each room.
+pub const STAY_S: f64 = 300.0;
+/// Stays of a round for each room.
+const STAYS: usize = 2;
+/// How often days are drawn for an interval.
+const RESAMPLES: usize = 2_000;
+
+/// The robots, each by its forecast and its policy.
+const ROBOTS: [(&str, &str); 5] = [
+    ("model", "always-covers"),
+    ("mixture", "always-covers"),
+    ("model", "coverage-aware"),
+    ("mixture", "coverage-aware"),
+    ("mixture", "avoids-sets"),
+];
+/// Whose forecast a robot goes by.
+const MIXTURE: &str = "mixture";
+/// A robot's figures less those of the one that goes by the forecast without habits, by the same policy where there is one.
+const COMPARED: [(usize, usize); 3] = [(1, 0), (3, 2), (4, 2)];
+
+/// What a robot sees when it is free.
+pub(crate) struct Sight<'a> {
+    /// Per stay left and room, how likely somebody is there, in the middle of the stay: without habits, and with.
+    pub(crate) shipped: &'a [f64],
+    pub(crate) mixture: &'a [f64],
+    /// Per room, whether it is in the set at any time of the first stay.
+    pub(crate) set: &'a [bool],
+}
+
+/// Sums of a day.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    disturbed_s: f64,
+    worked_s: f64,
+    covered: f64,
+    rooms: f64,
+}
+
+impl Sums {
+    fn add(&mut self, other: &Self) {
+        self.disturbed_s += other.disturbed_s;
+        self.worked_s += other.worked_s;
+        self.covered += other.covered;
+        self.rooms += other.rooms;
+    }
+
+    /// Seconds of disturbance per hour, and the share of rooms that were done.
+    fn rates(&self) -> [f64; 2] {
+        [3_600.0 * self.disturbed_s / self.worked_s.max(1.0), self.covered / self.rooms.max(1.0)]
+    }
+}
+
+/// A robot at work.
+#[derive(Debug)]
+struct Robot {
+    mixture: bool,
+    avoids_sets: bool,
+    policy: CoverageAware,
+    covered: Vec<bool>,
+    days: Vec<Sums>,
+}
+
+/// All robots, which begin every stay together.
+#[derive(Debug)]
+pub(crate) struct Cleaning {
+    robots: Vec<Robot>,
+    rng: ChaCha8Rng,
+    rooms: usize,
+    stay: usize,
+    next_s: f64,
+}
+
+/// One line of the table.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// Whose forecast it goes by: `mixture` with habits, `model` without.
+    pub predictor: &'static str,
+    /// By which rule it chooses.
+    pub policy: &'static str,
+    /// Seconds of disturbance per hour.
+    pub disturbance_s_per_h: f64,
+    /// Share of rooms that were done by the ends of their rounds.
+    pub coverage: f64,
+    /// Less those of a robot without habits.
+    pub less: Option<Less>,
+}
+
+/// A robot's figures less another's on the same days.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Less {
+    /// Seconds of disturbance per hour.
+    pub disturbance_s_per_h: f64,
+    /// 95 % interval, by days.
+    pub disturbance_ci95: [f64; 2],
+    /// Share of rooms that were done.
+    pub coverage: f64,
+    /// 95 % interval, by days.
+    pub coverage_ci95: [f64; 2],
+}
+
+impl Cleaning {
+    pub(crate) fn new(rooms: usize, seed: u64) -> Self {
+        let robot = |(predictor, rule): (&str, &str)| Robot {
+            mixture: predictor == MIXTURE,
+            avoids_sets: rule == "avoids-sets",
+            policy: if rule == "always-covers" { CoverageAware::clairvoyant() } else { CoverageAware::new(None) },
+            covered: vec![false; rooms],
+            days: Vec::new(),
+        };
+        let robots = ROBOTS.into_iter().map(robot).collect();
+        Self { robots, rng: ChaCha8Rng::seed_from_u64(seed), rooms, stay: 0, next_s: f64::NEG_INFINITY }
+    }
+
+    /// Nobody watched until now: a round begins.
+    pub(crate) fn begin(&mut self) {
+        (self.stay, self.next_s) = (0, f64::NEG_INFINITY);
+        self.robots.iter_mut().for_each(|robot| robot.covered.fill(false));
+    }
+
+    /// Whether the next stay begins, one that ends while the home is watched; and how many are left of the round.
+    pub(crate) fn stays_left(&self, now_s: f64, until_s: f64) -> Option<usize> {
+        (now_s >= self.next_s && now_s + STAY_S <= until_s).then_some(STAYS * self.rooms - self.stay)
+    }
+
+    /// A stay begins.
+    pub(crate) fn stay(&mut self, (now_s, day): (f64, usize), sight: &Sight<'_>, trace: &Trace) {
+        let rooms = self.rooms;
+        // One draw for all, so that robots differ by what they see alone.
+        let seed: u64 = self.rng.random();
+        for robot in &mut self.robots {
+            let likely = if robot.mixture { sight.mixture } else { sight.shipped };
+            let expected_shared_s: Vec<f64> = likely.iter().map(|p| p * STAY_S).collect();
+            let closed = if robot.avoids_sets { sight.set } else { &[] };
+            let state = RobotState {
+                partition: None,
+                covered: &robot.covered,
+                closed,
+                room_time_s: STAY_S,
+                expected_shared_s: &expected_shared_s,
+            };
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            // Where every room is closed the robot is nowhere.
+            let chosen = robot.policy.choose(&state, &likely[..rooms], &mut rng).ok();
+            if robot.days.len() <= day {
+                robot.days.resize(day + 1, Sums::default());
+            }
+            let sums = &mut robot.days[day];
+            sums.worked_s += STAY_S;
+            if let Some(room) = chosen.map(|choice| choice.partition.0 as usize) {
+                sums.disturbed_s += trace.time_in(room, now_s, now_s + STAY_S);
+                robot.covered[room] = true;
+            }
+        }
+        (self.stay, self.next_s) = (self.stay + 1, now_s + STAY_S);
+        if self.stay == STAYS * rooms {
+            self.stay = 0;
+            for robot in &mut self.robots {
+                let covered = robot.covered.iter().filter(|covered| **covered).count();
+                robot.days[day].covered += covered as f64;
+                robot.days[day].rooms += rooms as f64;
+                robot.covered.fill(false);
+            }
+        }
+    }
+
+    /// The table, with intervals by bootstrap over days.
+    pub(crate) fn rows(&self, seed: u64) -> Vec<Row> {
+        let days = self.robots.iter().map(|robot| robot.days.len()).max().unwrap_or(0);
+        let rates = |robot: usize, of: &[usize]| {
+            let mut sums = Sums::default();
+            let own = &self.robots[robot].days;
+            of.iter().filter_map(|day| own.get(*day)).for_each(|day| sums.add(day));
+            sums.rates()
+        };
+        let all: Vec<usize> = (0..days).collect();
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let samples: Vec<Vec<usize>> =
+            (0..RESAMPLES).map(|_| (0..days).map(|_| rng.random_range(0..days)).collect()).collect();
+        let less = |own: usize, other: usize, of: &[usize]| {
+            let (own, other) = (rates(own, of), rates(other, of));
+            [own[0] - other[0], own[1] - other[1]]
+        };
+        let row = |(index, (predictor, policy)): (usize, (&'static str, &'static str))| {
+            let [disturbance_s_per_h, coverage] = rates(index, &all);
+            let compared = COMPARED.into_iter().find(|(own, _)| *own == index);
+            let less = compared.map(|(own, other)| {
+                let mut values: [Vec<f64>; 2] = Default::default();
+                for sample in &samples {
+                    values.iter_mut().zip(less(own, other, sample)).for_each(|(values, value)| values.push(value));
+                }
+                let [disturbance_ci95, coverage_ci95] = values.map(|mut values| {
+                    values.sort_by(f64::total_cmp);
+                    [0.025, 0.975].map(|share| values[(share * values.len() as f64) as usize])
+                });
+                let [disturbance_s_per_h, coverage] = less(own, other, &all);
+                Less { disturbance_s_per_h, disturbance_ci95, coverage, coverage_ci95 }
+            });
+            Row { predictor, policy, disturbance_s_per_h, coverage, less }
+        };
+        if days == 0 { Vec::new() } else { ROBOTS.into_iter().enumerate().map(row).collect() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A robot that knows where the person is disturbs nobody and does all the same; one that is told the contrary does disturb.
+    #[test]
+    fn who_knows_more_disturbs_less_at_the_same_coverage() {
+        // A day in which somebody changes between two rooms with every stay, and a third room is always free.
+        let at = |stay: usize| stay % 2;
+        let mut trace = Trace::default();
+        (0..60).for_each(|stay| trace.places.push((stay as f64 * STAY_S, at(stay))));
+        let mut cleaning = Cleaning::new(3, 1);
+        for stay in 0..60 {
+            let now_s = stay as f64 * STAY_S;
+            let left = cleaning.stays_left(now_s, f64::INFINITY).unwrap();
+            let knows: Vec<f64> =
+                (stay..stay + left).flat_map(|s| (0..3).map(move |room| f64::from(u8::from(room == at(s))))).collect();
+            let even = vec![1.0 / 3.0; knows.len()];
+            let set: Vec<bool> = (0..3).map(|room| room == at(stay)).collect();
+            cleaning.stay((now_s, stay / 20), &Sight { shipped: &even, mixture: &knows, set: &set }, &trace);
+            assert_eq!(cleaning.stays_left(now_s + 60.0, f64::INFINITY), None);
+        }
+        let rows = cleaning.rows(1);
+        assert_eq!((rows[1].disturbance_s_per_h, rows[1].coverage, rows[0].coverage), (0.0, 1.0, 1.0), "{rows:?}");
+        let less = rows[1].less.unwrap();
+        assert!(rows[0].disturbance_s_per_h > 100.0 && less.disturbance_ci95[1] < -50.0, "{rows:?}");
+        assert_eq!((rows[4].disturbance_s_per_h, rows[4].coverage), (0.0, 1.0), "{rows:?}");
+        assert!(Cleaning::new(3, 1).rows(1).is_empty());
+    }
+}
