@@ -18,12 +18,13 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::{Registry, Unit};
 use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, RoomScoresV1, StatusClient, StatusResponseV1, Subscriber, clock, decision_flags,
-    score_flags,
+    DecisionV1, Domain, IpcError, QuestionPort, RoomScoresV1, StatusClient, StatusResponseV1, Subscriber, clock,
+    decision_flags, question, score_flags,
 };
 use sd_notify::NotifyState;
 
 use crate::http::{HttpError, Server, refusal};
+use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion};
 use roomcast_services::notify::notify;
 use roomcast_services::stop::Stop;
 
@@ -81,6 +82,18 @@ struct Versions {
     map_fingerprint: String,
 }
 
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Person {
+    person: u32,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct ForecastPart {
+    person: u32,
+    horizon_s: u32,
+    part: &'static str,
+}
+
 type Ratio = Gauge<f64, AtomicU64>;
 
 /// All that is measured.
@@ -110,6 +123,11 @@ struct Metrics {
     journal_failures: Counter,
     sources: Gauge,
     persons: Gauge,
+    habits_bytes: Gauge,
+    habits_counts: Gauge,
+    habits_names: Gauge,
+    habits_observations: Family<Person, Ratio>,
+    habits_shares: Family<ForecastPart, Ratio>,
     versions: Family<Versions, Gauge>,
     /// The newest scores, to know what is a repetition, and how old they are at a scrape.
     newest: Option<RoomScoresV1>,
@@ -150,6 +168,11 @@ impl Metrics {
             journal_failures: Counter::default(),
             sources: Gauge::default(),
             persons: Gauge::default(),
+            habits_bytes: Gauge::default(),
+            habits_counts: Gauge::default(),
+            habits_names: Gauge::default(),
+            habits_observations: Family::default(),
+            habits_shares: Family::default(),
             versions: Family::default(),
             newest: None,
         };
@@ -219,6 +242,19 @@ impl Metrics {
         r.register("journal_failures", "Failed writes of the journal", self.journal_failures.clone());
         r.register("sources", "Narrators known", self.sources.clone());
         r.register("persons", "Persons known", self.persons.clone());
+        r.register("habits_size_bytes", "Bytes of memory that habits take", self.habits_bytes.clone());
+        r.register("habits_counts", "Counts that habits hold", self.habits_counts.clone());
+        r.register("habits_names", "Names of things that habits hold", self.habits_names.clone());
+        r.register(
+            "habits_observations",
+            "Observations that a person's habits rest on; older ones count less",
+            self.habits_observations.clone(),
+        );
+        r.register(
+            "habits_forecast_share",
+            "How much of a person's present forecast comes from where, 0 to 1",
+            self.habits_shares.clone(),
+        );
         r.register("daemon", "Versions, model and map", self.versions.clone());
     }
 
@@ -289,6 +325,9 @@ impl Metrics {
         gauge(&self.journal_bytes, status.journal_bytes);
         gauge(&self.sources, status.sources.into());
         gauge(&self.persons, status.persons.into());
+        gauge(&self.habits_bytes, status.habits_bytes);
+        gauge(&self.habits_counts, status.habits_counts);
+        gauge(&self.habits_names, status.habits_names.into());
         self.daemon_start.set(seconds(status.started_unix_ns));
         self.versions.clear();
         let versions = Versions {
@@ -299,6 +338,26 @@ impl Metrics {
             map_fingerprint: hex::encode(status.map_fingerprint),
         };
         self.versions.get_or_create(&versions).set(1);
+    }
+
+    /// Takes what the daemon has learned of each person; who is forgotten is none any more.
+    fn habits(&self, learned: &HabitsAnswer) {
+        self.habits_observations.clear();
+        self.habits_shares.clear();
+        for HabitsLine { person, observations, forecast, .. } in &learned.persons {
+            self.habits_observations.get_or_create(&Person { person: *person }).set(*observations);
+            for line in forecast {
+                for (part, share) in [
+                    ("model", line.shipped),
+                    ("persistence", line.persistence),
+                    ("leaving", line.leaving),
+                    ("later", line.later),
+                ] {
+                    let of = ForecastPart { person: *person, horizon_s: line.horizon_s as u32, part };
+                    self.habits_shares.get_or_create(&of).set(share);
+                }
+            }
+        }
     }
 
     /// The text of a scrape.
@@ -331,9 +390,9 @@ pub fn run(
     let node = domain.open("roomcast-metrics")?;
     let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
     let decisions: Subscriber<DecisionV1> = node.subscriber()?;
-    let status = node.status_client()?;
+    let (status, habits) = (node.status_client()?, node.question_port(question::HABITS)?);
     let metrics = Arc::new(Mutex::new(Metrics::new()));
-    let mut scrapes = Scrapes { status, metrics: Arc::clone(&metrics), asked: None };
+    let mut scrapes = Scrapes { status, habits, metrics: Arc::clone(&metrics), asked: None };
     let server = Server::start(address, stop, move |request| scrapes.answer(request.uri.path()))?;
     ready(server.address());
     let mut said = Instant::now();
@@ -369,6 +428,7 @@ pub fn run(
 /// Answers scrapes.
 struct Scrapes {
     status: StatusClient,
+    habits: QuestionPort,
     metrics: Arc<Mutex<Metrics>>,
     /// When the daemon was last asked.
     asked: Option<Instant>,
@@ -388,12 +448,22 @@ impl Scrapes {
         // A silent daemon holds up one scrape, and not each of those that come at once.
         let fresh = self.asked.is_some_and(|asked| asked.elapsed() < PATIENCE);
         let answer = (!fresh).then(|| self.status.ask(PATIENCE).ok());
+        // Of whom nothing was learned there is nothing to ask.
+        let knows = matches!(&answer, Some(Some(status)) if status.habits_persons > 0);
+        let learned = knows.then(|| self.learned()).flatten();
         let metrics = self.metrics.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(answer) = answer {
             self.asked = Some(Instant::now());
             metrics.ask(answer.as_ref());
+            metrics.habits(&learned.unwrap_or_default());
         }
         metrics.text(clock::monotonic_ns())
+    }
+
+    /// What the daemon says that it has learned.
+    fn learned(&self) -> Option<HabitsAnswer> {
+        let question = serde_json::to_string(&HabitsQuestion::Show).ok()?;
+        serde_json::from_str(&self.habits.ask(&question, PATIENCE).ok()?).ok()
     }
 }
 
@@ -405,6 +475,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use roomcast_ipc::text;
+    use roomcast_services::habits_reason::HorizonLine;
     use std::io::{Read, Write};
 
     #[test]
@@ -447,6 +518,40 @@ mod tests {
             assert!(text.lines().any(|own| own == line), "{line}\n{text}");
         }
         assert!(text.ends_with("# EOF\n"));
+    }
+
+    #[test]
+    fn what_was_learned_of_each_person_is_told_until_they_are_forgotten() {
+        let metrics = Metrics::new();
+        metrics.ask(Some(&StatusResponseV1 {
+            habits_bytes: 4_096,
+            habits_counts: 12,
+            habits_names: 3,
+            ..Default::default()
+        }));
+        let line = HorizonLine {
+            horizon_s: 900.0,
+            shipped: 0.25,
+            persistence: 0.5,
+            leaving: 0.125,
+            later: 0.125,
+            set: Vec::new(),
+        };
+        let ada = HabitsLine { person: 7, name: Some("ada".to_owned()), observations: 41.5, forecast: vec![line] };
+        metrics.habits(&HabitsAnswer { persons: vec![ada], ..HabitsAnswer::default() });
+        let text = metrics.text(1);
+        for line in [
+            "roomcast_habits_size_bytes 4096",
+            "roomcast_habits_counts 12",
+            "roomcast_habits_names 3",
+            "roomcast_habits_observations{person=\"7\"} 41.5",
+            "roomcast_habits_forecast_share{person=\"7\",horizon_s=\"900\",part=\"model\"} 0.25",
+            "roomcast_habits_forecast_share{person=\"7\",horizon_s=\"900\",part=\"persistence\"} 0.5",
+        ] {
+            assert!(text.lines().any(|own| own == line), "{line}\n{text}");
+        }
+        metrics.habits(&HabitsAnswer::default());
+        assert!(!metrics.text(2).contains("person=\"7\""));
     }
 
     /// Metrics that are served in this process.

@@ -15,6 +15,7 @@ use roomcast_ipc::{
 
 use crate::bar::bar;
 use roomcast_services::daemon::{flag_words, presence_word};
+use roomcast_services::habits_reason::ELSEWHERE;
 use roomcast_services::message_text::said_of;
 
 /// Points of a room's line over time that are kept; the widest terminal shows them all.
@@ -27,6 +28,10 @@ pub const POINT_NS: u64 = 500_000_000;
 const SILENCE_NS: u64 = 1_500_000_000;
 /// A person's line looks ahead to the first horizon of at least so many seconds.
 const AHEAD_S: f32 = 3600.0;
+/// The set of places in a person's line is of the first horizon of at least so many seconds; which of the shares that were learned is
+/// nearest to it.
+const SET_S: f32 = 900.0;
+const SET_SHARE: usize = 1;
 
 const HEADING: &str = "rooms: where somebody is next, and its course";
 /// The panel of rooms and persons keeps its frame where it has so many rows for them.
@@ -179,10 +184,11 @@ impl View {
         let plain = |persons: &[roomcast_ipc::PersonV1]| {
             persons.iter().all(|person| person.name().is_empty() && person.presence <= presence::PRESENT)
         };
-        if scores.persons().len() < 2 && plain(scores.persons()) {
+        let forecasts = self.forecasts.as_deref().filter(|forecasts| forecasts.epoch == scores.epoch);
+        let learned = forecasts.is_some_and(|told| told.persons().iter().any(|own| own.set_coverage > 0.0));
+        if scores.persons().len() < 2 && plain(scores.persons()) && !learned {
             return;
         }
-        let forecasts = self.forecasts.as_deref().filter(|forecasts| forecasts.epoch == scores.epoch);
         for person in scores.persons() {
             let own = forecasts.and_then(|told| told.persons().iter().find(|own| own.person == person.person));
             let mut line = format!("{}: {}", who(person.person, person.name()), presence_word(person.presence));
@@ -198,6 +204,7 @@ impl View {
                 line.push_str(if word == "restored" { "" } else { word });
             }
             self.persons.push(line);
+            self.persons.extend(forecasts.zip(own).and_then(|(told, own)| set_words(told, own)));
         }
         let left_out = (scores.persons as usize).saturating_sub(scores.persons().len());
         if left_out > 0 {
@@ -379,8 +386,12 @@ impl View {
                 .collect();
                 // What is lost stands first: the line may be too long for the screen.
                 let lost = if lost.is_empty() { "nothing lost".to_owned() } else { lost.join(", ") };
+                let learned = match status.learned {
+                    0 => String::new(),
+                    learned => format!("; {learned} learned, {} KiB", status.habits_bytes >> 10),
+                };
                 Line::from(format!(
-                    "{age}{} narrations, {lost}; event to scores {:.1} ms median, {:.1} ms p99",
+                    "{age}{} narrations, {lost}; event to scores {:.1} ms median, {:.1} ms p99{learned}",
                     status.accepted,
                     status.latency_p50_ns as f64 / 1e6,
                     status.latency_p99_ns as f64 / 1e6,
@@ -424,6 +435,22 @@ fn forecast_words(told: &PersonForecastsV1, own: &PersonForecastV1) -> String {
         words.push_str(&format!(", elsewhere in {minutes:.0} min {:.1} %", 100.0 * elsewhere));
     }
     words
+}
+
+/// Where a person is later, as sure as the sets are, and how much of that was learned. None where there are no sets.
+fn set_words(told: &PersonForecastsV1, own: &PersonForecastV1) -> Option<String> {
+    let horizon = told.horizons_s().iter().position(|horizon_s| *horizon_s >= SET_S)?;
+    let minutes = told.horizons_s()[horizon] / 60.0;
+    let places = set_places(told, own, horizon)?.join(", ");
+    let (sure, learned) = (100.0 * own.set_coverage, 100.0 * own.learned_share[SET_SHARE]);
+    Some(format!("  in {minutes:.0} min, {sure:.0} % sure: {places} ({learned:.0} % learned)"))
+}
+
+/// The places of the set of a horizon: ids of rooms, and elsewhere. None where there are no sets.
+pub fn set_places<'a>(told: &'a PersonForecastsV1, own: &PersonForecastV1, horizon: usize) -> Option<Vec<&'a str>> {
+    let elsewhere = own.set_holds_elsewhere(horizon)?;
+    let rooms = told.rooms().enumerate().filter(|(room, _)| own.set_holds(horizon, *room) == Some(true));
+    Some(rooms.map(|(_, id)| id).chain(elsewhere.then_some(ELSEWHERE)).collect())
 }
 
 fn titled(title: &'static str) -> Block<'static> {
@@ -681,6 +708,14 @@ mod tests {
         {
             assert!(text.contains(line), "{line:?} is missing:\n{text}");
         }
+        // Where the habits promise something, it has a line of its own.
+        let ada = &mut forecasts.person[0];
+        (ada.set_coverage, ada.room_set[1], ada.set_elsewhere, ada.learned_share[1]) = (0.9, 0b10, 0b10, 0.4);
+        view.forecasts(&forecasts);
+        view.persons(&scores);
+        let text = drawn(&view, 80, 24, 1_100_000_000);
+        let line = "in 60 min, 90 % sure: bathroom, elsewhere (40 % learned)";
+        assert!(text.contains(line), "{line:?} is missing:\n{text}");
         // One person alone has a line too where it says more than the rooms.
         (scores.person_count, scores.persons) = (1, 1);
         view.persons(&scores);

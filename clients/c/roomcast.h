@@ -570,9 +570,15 @@ typedef struct RoomcastPersonForecastV1 {
   // Bit h: elsewhere belongs to the set of horizon h.
   // (Offset 260.)
   uint32_t set_elsewhere;
-  // Zero.
+  // Observations of the person that habits rest on; older ones count less. 0 where nothing was learned.
   // (Offset 264.)
-  uint8_t reserved[56];
+  float observations;
+  // How much of the forecast comes from what was learned of this home, LEARNED_SHARE_S seconds ahead, 0 to 1.
+  // (Offset 268.)
+  float learned_share[3];
+  // Zero.
+  // (Offset 280.)
+  uint8_t reserved[40];
   // probability[room][horizon], 0 to 1.
   // (Offset 320.)
   float probability[ROOMCAST_MAX_ROOMS][ROOMCAST_MAX_HORIZONS];
@@ -604,7 +610,7 @@ typedef struct RoomcastPersonForecastsV1 {
   // Entries in person, at most 8.
   // (Offset 44.)
   uint32_t person_count;
-  // Minor version of the layout: 0.
+  // Minor version of the layout: 1 has sets, observations and learned_share; they are 0 before.
   // (Offset 48.)
   uint32_t minor;
   // Zero.
@@ -834,7 +840,7 @@ typedef struct RoomcastStatusResponseV1 {
   // Persons known.
   // (Offset 232.)
   uint32_t persons;
-  // Minor version of the layout: 1, which has forged, costly and learned.
+  // Minor version of the layout: 1 has forged, costly and learned, 2 what follows learned; they are 0 before.
   // (Offset 236.)
   uint32_t minor;
   // Version of the daemon, UTF-8, zero padded.
@@ -858,12 +864,24 @@ typedef struct RoomcastStatusResponseV1 {
   // Narrations refused because their tokens do not fit the window.
   // (Offset 408.)
   uint64_t costly;
-  // Observations that the habits rest on.
+  // Observations that the habits rest on; older ones count less.
   // (Offset 416.)
   uint64_t learned;
-  // Zero.
+  // Bytes of memory that the habits take.
   // (Offset 424.)
-  uint8_t reserved[88];
+  uint64_t habits_bytes;
+  // Counts that the habits hold.
+  // (Offset 432.)
+  uint64_t habits_counts;
+  // Names of things that the habits hold.
+  // (Offset 440.)
+  uint32_t habits_names;
+  // Persons of whom something was learned.
+  // (Offset 444.)
+  uint32_t habits_persons;
+  // Zero.
+  // (Offset 448.)
+  uint8_t reserved[64];
 } RoomcastStatusResponseV1;
 
 #endif  /* ROOMCAST_H */
@@ -1041,7 +1059,9 @@ _Static_assert(offsetof(RoomcastPersonForecastV1, elsewhere) == 64, "RoomcastPer
 _Static_assert(offsetof(RoomcastPersonForecastV1, room_set) == 128, "RoomcastPersonForecastV1.room_set");
 _Static_assert(offsetof(RoomcastPersonForecastV1, set_coverage) == 256, "RoomcastPersonForecastV1.set_coverage");
 _Static_assert(offsetof(RoomcastPersonForecastV1, set_elsewhere) == 260, "RoomcastPersonForecastV1.set_elsewhere");
-_Static_assert(offsetof(RoomcastPersonForecastV1, reserved) == 264, "RoomcastPersonForecastV1.reserved");
+_Static_assert(offsetof(RoomcastPersonForecastV1, observations) == 264, "RoomcastPersonForecastV1.observations");
+_Static_assert(offsetof(RoomcastPersonForecastV1, learned_share) == 268, "RoomcastPersonForecastV1.learned_share");
+_Static_assert(offsetof(RoomcastPersonForecastV1, reserved) == 280, "RoomcastPersonForecastV1.reserved");
 _Static_assert(offsetof(RoomcastPersonForecastV1, probability) == 320, "RoomcastPersonForecastV1.probability");
 _Static_assert(sizeof(RoomcastPersonForecastsV1) == 38592, "RoomcastPersonForecastsV1");
 _Static_assert(offsetof(RoomcastPersonForecastsV1, epoch) == 0, "RoomcastPersonForecastsV1.epoch");
@@ -1136,5 +1156,9 @@ _Static_assert(offsetof(RoomcastStatusResponseV1, journal_failures) == 392, "Roo
 _Static_assert(offsetof(RoomcastStatusResponseV1, forged) == 400, "RoomcastStatusResponseV1.forged");
 _Static_assert(offsetof(RoomcastStatusResponseV1, costly) == 408, "RoomcastStatusResponseV1.costly");
 _Static_assert(offsetof(RoomcastStatusResponseV1, learned) == 416, "RoomcastStatusResponseV1.learned");
-_Static_assert(offsetof(RoomcastStatusResponseV1, reserved) == 424, "RoomcastStatusResponseV1.reserved");
+_Static_assert(offsetof(RoomcastStatusResponseV1, habits_bytes) == 424, "RoomcastStatusResponseV1.habits_bytes");
+_Static_assert(offsetof(RoomcastStatusResponseV1, habits_counts) == 432, "RoomcastStatusResponseV1.habits_counts");
+_Static_assert(offsetof(RoomcastStatusResponseV1, habits_names) == 440, "RoomcastStatusResponseV1.habits_names");
+_Static_assert(offsetof(RoomcastStatusResponseV1, habits_persons) == 444, "RoomcastStatusResponseV1.habits_persons");
+_Static_assert(offsetof(RoomcastStatusResponseV1, reserved) == 448, "RoomcastStatusResponseV1.reserved");
 #endif

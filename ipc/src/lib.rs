@@ -74,12 +74,12 @@ pub mod text;
 pub use domain::{Domain, Node};
 pub use error::{IpcError, MessageError};
 pub use message::{
-    ALL_PERSONS, ByteImage, DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout,
-    MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES, NARRATION_TEXT_BYTES,
-    NO_PARTITION, NOTE_TEXT_BYTES, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1,
-    REASON_TEXT_BYTES, RobotReportV1, RoomScoresV1, RoomV1, ServiceQuality, StatusRequestV1, StatusResponseV1, action,
-    decision_flags, forecast_flags, narration_kind, person_flags, presence, reached, report_flags, report_kind,
-    score_flags,
+    ALL_PERSONS, ByteImage, DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1,
+    LEARNED_SHARE_S, Layout, MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES,
+    NARRATION_TEXT_BYTES, NO_PARTITION, NOTE_TEXT_BYTES, NarrationV1, PersonForecastV1, PersonForecastsV1,
+    PersonScoresV1, PersonV1, REASON_TEXT_BYTES, RobotReportV1, RoomScoresV1, RoomV1, ServiceQuality, StatusRequestV1,
+    StatusResponseV1, action, decision_flags, forecast_flags, narration_kind, person_flags, presence, reached,
+    report_flags, report_kind, score_flags,
 };
 pub use port::{
     ItemScores, ItemScoresPublisher, ItemScoresSubscriber, Judged, Publisher, Sender, StatusClient, StatusServer,

@@ -57,6 +57,7 @@ pub mod reporter;
 #[cfg(feature = "recording")]
 pub mod recording;
 
+pub mod habits_reason;
 pub mod lessons;
 
 #[cfg(all(test, feature = "mqtt"))]

@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use roomcast_ipc::RoomScoresV1;
 use serde::{Deserialize, Serialize};
 
+use crate::habits_reason::PersonHabits;
 use roomcast_core::explanation::{self, Evidence, Explanation, TokenReason};
 use roomcast_core::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions};
 use roomcast_core::narration::same_name;
@@ -143,6 +144,9 @@ pub struct Moment {
     /// The names of those who have one, by number.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub names: BTreeMap<u32, String>,
+    /// What was learned of the home, by person: it makes the forecasts, and no scores.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub habits: Vec<PersonHabits>,
     /// Everybody who is known is out of the house: no label has a score.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub nobody_home: bool,
@@ -227,6 +231,7 @@ impl Moment {
             labels: labels.collect(),
             persons,
             names: BTreeMap::new(),
+            habits: Vec::new(),
             nobody_home: pipeline.persons().next().is_some() && at_home().next().is_none(),
             scene: serde_json::from_str(&map.to_json()).unwrap_or_default(),
         }
@@ -278,6 +283,12 @@ impl Moment {
         };
         let narration = self.narration.iter().filter(|sentence| sentence.person == person).cloned().collect();
         Ok(Self { labels, narration, persons: Vec::new(), ..self.clone() })
+    }
+
+    /// What was learned of a person.
+    #[must_use]
+    pub fn habits_of(&self, person: u32) -> Option<&PersonHabits> {
+        self.habits.iter().find(|own| own.person == person)
     }
 
     /// The binding sequence.

@@ -455,7 +455,8 @@ pub fn absences(log: &[u8]) -> Result<Vec<(f64, f64)>, String> {
 
 /// Seconds of `2024-03-01 08:15:00` (with `T`, `/` and fractions as well) since 1970, without regard to time zones and leap seconds;
 /// or of a plain number of seconds.
-fn seconds(text: &str) -> Option<f64> {
+#[must_use]
+pub fn seconds(text: &str) -> Option<f64> {
     if let Ok(seconds) = text.parse::<f64>() {
         return seconds.is_finite().then_some(seconds);
     }

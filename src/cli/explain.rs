@@ -18,6 +18,7 @@ use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_lab::drawing::{self, Heat};
+use roomcast_services::habits_reason::PersonHabits;
 use roomcast_services::moment::{Explained, Moment};
 use roomcast_services::recording::{self, RecordedMoment};
 use roomcast_services::setup;
@@ -112,8 +113,13 @@ pub fn run(args: &Args) -> CommandResult {
     });
     let persons: Vec<_> = persons.collect::<Result<_, _>>().map_err(failed)?;
     if args.score.json() {
-        let mut value =
-            serde_json::to_value(&explained.explanation).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+        let failed_json = |error: serde_json::Error| Failure::new(exit_code::FAILURE, error);
+        let mut value = serde_json::to_value(&explained.explanation).map_err(failed_json)?;
+        let learned = |own: &&PersonHabits| args.person.is_none() || moment.person_numbers().contains(&own.person);
+        let learned: Vec<_> = moment.habits.iter().filter(learned).collect();
+        if !learned.is_empty() {
+            value["habits"] = serde_json::to_value(&learned).map_err(failed_json)?;
+        }
         if !persons.is_empty() {
             let person = |(person, explanation): &(u32, Explanation)| {
                 let name = moment.names.get(person);
@@ -131,11 +137,14 @@ pub fn run(args: &Args) -> CommandResult {
     let mut text = note.map_or_else(String::new, |note| format!("{note}\n\n"));
     if persons.is_empty() {
         let _ = write!(text, "{}", explained.explanation);
+        let own = moment.person_numbers().first().and_then(|person| moment.habits_of(*person));
+        let _ = own.map_or(Ok(()), |own| write!(text, "\n{own}"));
     }
     for (person, explanation) in &persons {
         let name = moment.name_of(*person);
         let heading = name.chars().take(1).flat_map(char::to_uppercase).chain(name.chars().skip(1));
         let _ = write!(text, "{}\n\n{explanation}\n", heading.collect::<String>());
+        let _ = moment.habits_of(*person).map_or(Ok(()), |own| writeln!(text, "{own}"));
     }
     super::print(&text)
 }

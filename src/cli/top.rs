@@ -5,14 +5,14 @@ use std::time::{Duration, Instant};
 
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
 use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, NarrationV1, Node, PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1,
-    RoomScoresV1, Subscriber, clock,
+    DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
+    PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, clock,
 };
 use serde_json::{Value, json};
 
 use super::{CommandResult, Failure, ranges, service};
 use crate::exit_code;
-use crate::top::{POINT_NS, View, decision_flag_names, forecast_flag_names, score_flag_names};
+use crate::top::{POINT_NS, View, decision_flag_names, forecast_flag_names, score_flag_names, set_places};
 use roomcast_services::daemon::{flag_words, presence_word};
 use roomcast_services::stop::Stop;
 
@@ -263,15 +263,24 @@ fn forecasts_json(told: &PersonForecastsV1) -> Value {
     let person = |person: &PersonForecastV1| {
         let rooms = told.rooms().zip(&person.probability);
         let rooms = rooms.map(|(id, row)| json!({"id": id, "probability": row.get(..horizons)}));
+        let sets = (0..horizons).map_while(|horizon| set_places(told, person, horizon));
         json!({
             "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
             "flags": flag_words(person.flags).collect::<Vec<_>>(), "elsewhere": person.elsewhere.get(..horizons),
             "rooms": rooms.collect::<Vec<_>>(),
+            "set_coverage": person.set_coverage, "sets": sets.collect::<Vec<_>>(),
+            "observations": person.observations, "learned_share": learned_json(person),
         })
     };
     json!({
         "horizon_s": told.horizons_s(), "persons": told.persons().iter().map(person).collect::<Vec<_>>(),
     })
+}
+
+/// How much of the forecast was learned, by how far ahead it looks, in seconds.
+fn learned_json(person: &PersonForecastV1) -> Value {
+    let share = |(ahead_s, share): (&f32, &f32)| json!({"horizon_s": ahead_s, "share": share});
+    LEARNED_SHARE_S.iter().zip(&person.learned_share).map(share).collect()
 }
 
 fn narration_json(told: &NarrationV1) -> Value {

@@ -95,6 +95,7 @@ def person_forecasts(sequence: int = 1) -> layouts.PersonForecastsV1:
         ada.probability[room][:2] = row
     ada.elsewhere[:2] = [0.0, 0.625]
     ada.room_set[:2] = [0b01, 0b11]
+    ada.observations, ada.learned_share[:] = 240.0, [0.25, 0.5, 0.75]
     return message
 
 

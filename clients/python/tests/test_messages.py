@@ -139,6 +139,7 @@ FAULTS: list[tuple[type[layouts.Message], str, Change, str]] = [
     (layouts.PersonForecastsV1, "an unknown presence", lambda m: setattr(m.person[0], "presence", 4), "presence: 4, allowed is 0 to 3"),
     (layouts.PersonForecastsV1, "a name in no text", lambda m: ctypes.memset(m.person[0].name, 0xFF, 2), "name: not UTF-8 from byte 0 on"),
     (layouts.PersonForecastsV1, "a coverage above 1", lambda m: setattr(m.person[0], "set_coverage", 1.5), "set_coverage: 1.5, allowed is 0 to 1"),
+    (layouts.PersonForecastsV1, "a share above 1", lambda m: m.person[0].learned_share.__setitem__(1, 1.5), "learned_share: 1.5, allowed is 0 to 1"),
     (layouts.PersonForecastsV1, "a probability above 1", person(0, "elsewhere", 2.0), "probability: 2.0, allowed is 0 to 1"),
     (layouts.RobotReportV1, "no robot", field("robot", 0), "robot: 0, allowed is not 0"),
     (layouts.RobotReportV1, "no epoch", field("epoch", 0), "epoch: 0, allowed is not 0"),
@@ -236,6 +237,7 @@ def test_the_dataclasses_say_what_the_messages_say() -> None:
     assert [room.probabilities for room in told.rooms] == [(1, 0.25), (0, 0.125)] and told.elsewhere == (0, 0.625)
     assert told.sets == (RoomSet(("kitchen",), False), RoomSet(("kitchen", "bathroom"), True))
     assert told.set_coverage == pytest.approx(0.9)
+    assert (told.observations, told.learned_share) == (240.0, (0.25, 0.5, 0.75))
     without = samples.person_forecasts()
     without.person[0].set_coverage = 0.0
     assert PersonForecasts.from_message(without).persons[0].sets == ()

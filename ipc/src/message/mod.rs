@@ -14,7 +14,7 @@ pub use decision::{DecisionV1, REASON_TEXT_BYTES, action, decision_flags};
 pub use forecast::{ForecastV1, MAX_HORIZONS, forecast_flags};
 pub use item_scores::{ItemScoreV1, ItemScoresHeaderV1, MAX_ITEMS, NO_PARTITION};
 pub use narration::{NARRATION_TEXT_BYTES, NarrationV1, narration_kind};
-pub use person_forecasts::{PersonForecastV1, PersonForecastsV1};
+pub use person_forecasts::{LEARNED_SHARE_S, PersonForecastV1, PersonForecastsV1};
 pub use person_scores::{MAX_PERSONS, PersonScoresV1, PersonV1, person_flags, presence};
 pub use robot_report::{NOTE_TEXT_BYTES, RobotReportV1, report_flags, report_kind};
 pub use room_scores::{ALL_PERSONS, IncludedV1, MAX_ROOMS, MAX_SOURCES, RoomScoresV1, RoomV1, reached, score_flags};

@@ -5,6 +5,9 @@ use super::{
 };
 use crate::{MessageError, text};
 
+/// How far ahead the entries of [`PersonForecastV1::learned_share`] look, in seconds.
+pub const LEARNED_SHARE_S: [f32; 3] = [60.0, 900.0, 3_600.0];
+
 layout! {
     /// Where one person will be: P(room at `computed_ns` + horizon), and P(elsewhere), which together sum to one per horizon.
     #[type_name("roomcast.PersonForecastV1")]
@@ -27,8 +30,12 @@ layout! {
         256 => set_coverage: f32,
         /// Bit h: elsewhere belongs to the set of horizon h.
         260 => set_elsewhere: u32,
+        /// Observations of the person that habits rest on; older ones count less. 0 where nothing was learned.
+        264 => observations: f32,
+        /// How much of the forecast comes from what was learned of this home, [`LEARNED_SHARE_S`] seconds ahead, 0 to 1.
+        268 => learned_share: [f32; 3],
         /// Zero.
-        264 => reserved: [u8; 56],
+        280 => reserved: [u8; 40],
         /// `probability[room][horizon]`, 0 to 1.
         320 => probability: [[f32; MAX_HORIZONS]; MAX_ROOMS],
     }
@@ -54,7 +61,7 @@ layout! {
         40 => persons: u32,
         /// Entries in `person`, at most 8.
         44 => person_count: u32,
-        /// Minor version of the layout: 0.
+        /// Minor version of the layout: 1 has sets, `observations` and `learned_share`; they are 0 before.
         48 => minor: u32,
         /// Zero.
         52 => reserved: [u8; 76],
@@ -79,6 +86,12 @@ impl PersonForecastV1 {
     pub fn set_holds(&self, horizon: usize, room: usize) -> Option<bool> {
         let set = self.room_set.get(horizon).filter(|_| self.set_coverage > 0.0)?;
         Some(room < MAX_ROOMS && set >> room & 1 == 1)
+    }
+
+    /// Whether elsewhere belongs to the set of a horizon; none where there are no sets.
+    #[must_use]
+    pub fn set_holds_elsewhere(&self, horizon: usize) -> Option<bool> {
+        (self.set_coverage > 0.0 && horizon < MAX_HORIZONS).then(|| self.set_elsewhere >> horizon & 1 == 1)
     }
 }
 
@@ -122,6 +135,10 @@ impl Message for PersonForecastsV1 {
             at_most("presence", person.presence, presence::GONE as usize, "0 to 3")?;
             text::decode("name", &person.name)?;
             in_range("set_coverage", f64::from(person.set_coverage), 0.0, 1.0, "0 to 1")?;
+            in_range("observations", f64::from(person.observations), 0.0, f64::from(f32::MAX), "0 or more, finite")?;
+            for share in person.learned_share {
+                in_range("learned_share", f64::from(share), 0.0, 1.0, "0 to 1")?;
+            }
             let rows = person.probability.iter().take(rooms).chain(std::iter::once(&person.elsewhere));
             for probability in rows.flat_map(|row| row.iter().take(horizons)) {
                 in_range("probability", f64::from(*probability), 0.0, 1.0, "0 to 1")?;
@@ -147,6 +164,12 @@ mod tests {
         let mut hostile = forecasts;
         hostile.person[1].elsewhere[2] = f32::NAN;
         assert!(matches!(hostile.check(), Err(MessageError::OutOfRange { field: "probability", .. })));
+        let mut hostile = forecasts;
+        hostile.person[0].learned_share[2] = 1.5;
+        assert!(matches!(hostile.check(), Err(MessageError::OutOfRange { field: "learned_share", .. })));
+        let mut hostile = forecasts;
+        hostile.person[0].observations = f32::INFINITY;
+        assert!(matches!(hostile.check(), Err(MessageError::OutOfRange { field: "observations", .. })));
         let hostile = PersonForecastsV1 { person_count: 9, horizon_count: 17, room_count: 65, ..forecasts };
         hostile.check().unwrap_err();
         assert_eq!((hostile.persons().len(), hostile.horizons_s().len()), (MAX_PERSONS, MAX_HORIZONS));
@@ -161,5 +184,7 @@ mod tests {
         person.set_coverage = 0.9;
         assert_eq!([person.set_holds(1, 0), person.set_holds(1, 1)], [Some(false), Some(true)]);
         assert_eq!([person.set_holds(0, 64), person.set_holds(16, 0)], [Some(false), None]);
+        person.set_elsewhere = 0b10;
+        assert_eq!([0, 1, 16].map(|h| person.set_holds_elsewhere(h)), [Some(false), Some(true), None]);
     }
 }

@@ -68,7 +68,7 @@ layout! {
         228 => sources: u32,
         /// Persons known.
         232 => persons: u32,
-        /// Minor version of the layout: 1, which has `forged`, `costly` and `learned`.
+        /// Minor version of the layout: 1 has `forged`, `costly` and `learned`, 2 what follows `learned`; they are 0 before.
         236 => minor: u32,
         /// Version of the daemon, UTF-8, zero padded.
         240 => version: [u8; NAME_BYTES],
@@ -84,10 +84,18 @@ layout! {
         400 => forged: u64,
         /// Narrations refused because their tokens do not fit the window.
         408 => costly: u64,
-        /// Observations that the habits rest on.
+        /// Observations that the habits rest on; older ones count less.
         416 => learned: u64,
+        /// Bytes of memory that the habits take.
+        424 => habits_bytes: u64,
+        /// Counts that the habits hold.
+        432 => habits_counts: u64,
+        /// Names of things that the habits hold.
+        440 => habits_names: u32,
+        /// Persons of whom something was learned.
+        444 => habits_persons: u32,
         /// Zero.
-        424 => reserved: [u8; 88],
+        448 => reserved: [u8; 64],
     }
 }
 

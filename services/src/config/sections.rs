@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use roomcast_core::habits::HabitsOptions;
+use roomcast_core::habits::{HabitsOptions, SetOptions};
 use roomcast_core::policy::PolicyName;
 use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
@@ -114,12 +114,14 @@ pub struct HabitsConfig {
     pub half_life_days: f64,
     /// Seconds between two writes of what was learned, at least; it is also written when the daemon is stopped.
     pub save_s: f64,
+    /// Share of moments, 0 to 1, in which a person is to be in their room set.
+    pub coverage: f64,
 }
 
 impl Default for HabitsConfig {
     fn default() -> Self {
-        let HabitsOptions { learn, half_life_days, .. } = HabitsOptions::default();
-        Self { learn, half_life_days, save_s: 300.0 }
+        let HabitsOptions { learn, half_life_days, sets, .. } = HabitsOptions::default();
+        Self { learn, half_life_days, save_s: 300.0, coverage: sets.coverage }
     }
 }
 
@@ -127,7 +129,9 @@ impl HabitsConfig {
     /// The options for learning.
     #[must_use]
     pub fn options(&self) -> HabitsOptions {
-        HabitsOptions { learn: self.learn, half_life_days: self.half_life_days, ..HabitsOptions::default() }
+        let default = HabitsOptions::default();
+        let sets = SetOptions { coverage: self.coverage, ..default.sets };
+        HabitsOptions { learn: self.learn, half_life_days: self.half_life_days, sets, ..default }
     }
 }
 
@@ -206,6 +210,8 @@ pub struct PlannerConfig {
     pub repeat: bool,
     /// What the planner does where the deadline leaves no later time for a room that somebody is likely in.
     pub forced: Forced,
+    /// No room is entered that is in the room set of a person at any time of the stay. Where nothing was learned there are no sets.
+    pub avoid_sets: bool,
     /// A person who comes into the robot's room ends its work there.
     pub interrupt: bool,
     /// How likely somebody must be in a room, 0 to 1, to interrupt the robot; and to keep it out under `forced = "skip"`.
@@ -235,6 +241,7 @@ impl Default for PlannerConfig {
             deadline_ms: 2000,
             repeat: true,
             forced: Forced::default(),
+            avoid_sets: false,
             interrupt: true,
             interrupt_at: 0.6,
             interrupt_after_s: 2.0,

@@ -5,18 +5,19 @@ use std::cmp::Reverse;
 use std::collections::BTreeSet;
 
 use roomcast_ipc::{
-    ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS,
-    MAX_ROOMS, MAX_SOURCES, MessageError, NAME_BYTES, NO_PARTITION, PersonForecastV1, PersonForecastsV1,
+    ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, LEARNED_SHARE_S, MAX_HORIZONS, MAX_ITEMS,
+    MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, MessageError, NAME_BYTES, NO_PARTITION, PersonForecastV1, PersonForecastsV1,
     PersonScoresV1, PersonV1, RoomScoresV1, RoomV1, forecast_flags, reached, score_flags, text,
 };
 
-use super::habits::{HomeHabits, Name};
+use super::habits::{HomeHabits, Name, PlaceSet};
 use super::journal::{Expectation, Outcome};
 use super::persons::{Persons, is_bed, message_ns, presence_value, sleeps};
+use crate::habits_reason::{ELSEWHERE, HorizonLine, PersonHabits, RoomReason, ThingReason};
 use crate::moment::Moment;
 use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
 use roomcast_core::grounding::{Grounding, GroundingOptions, Partition, partitions};
-use roomcast_core::habits::Place as Whereabouts;
+use roomcast_core::habits::{Place as Whereabouts, WhenShares};
 use roomcast_core::narration::{Observation, Presence, SOMEBODY, Said, Voice};
 use roomcast_core::pipeline::{Included, PersonScores, Pipeline, PipelineError, Prepared};
 use roomcast_core::scorer::LanguageModel;
@@ -175,6 +176,9 @@ pub struct Board<M> {
 /// Names of rooms that the map does not have which are logged, until the map changes.
 const STRANGE_ROOMS_LOGGED: usize = 16;
 
+/// Things whose probability is explained by habits.
+const REASONS: usize = 12;
+
 /// Observations whose memory is used again: more come at once after a stand-still only.
 const SEEN_KEPT: usize = 256;
 
@@ -256,8 +260,8 @@ impl<M: LanguageModel> Board<M> {
         &self.home
     }
 
-    /// The same, to forget or to replace it.
-    pub(super) fn habits_mut(&mut self) -> &mut HomeHabits {
+    /// The same, to forget or to replace it, and to take what is to be written.
+    pub fn habits_mut(&mut self) -> &mut HomeHabits {
         &mut self.home
     }
 
@@ -332,7 +336,7 @@ impl<M: LanguageModel> Board<M> {
         }
         for seen in &self.seen[..unwatched] {
             let own = self.followed.get(&seen.person);
-            self.home.next_is(seen.name, !self.persons.is_visitor(seen.person));
+            self.home.next_is(seen.name, seen.person, !self.persons.is_visitor(seen.person));
             if let Some(own) = own.filter(|_| seen.is_sentence && seen.presence == Presence::Present) {
                 let label = turned_to(self.mentions.last(&seen.words));
                 self.home.turned(seen.person, seen.at_ns, label, own);
@@ -350,14 +354,65 @@ impl<M: LanguageModel> Board<M> {
         self.next_rooms.is_none()
     }
 
-    /// All that is behind the newest scores.
+    /// All that is behind the newest scores, and what was learned, in the forecasts of `now_ns`.
     #[must_use]
-    pub fn moment(&self) -> Moment {
+    pub fn moment(&mut self, now_ns: u64) -> Moment {
+        self.forecast(now_ns);
         let names =
             self.persons.iter().filter_map(|(person, _)| Some((person, self.persons.name_of(person)?.to_owned())));
+        let known = self.home.persons().into_iter().map(|(person, _)| person);
+        let known = known.filter(|person| self.persons.get(*person).is_some());
         Moment {
             names: names.collect(),
+            habits: known.map(|person| self.habits_of(person)).collect(),
             ..Moment::of(&self.pipeline, &self.map, &self.grounding, Some(&self.snapshot))
+        }
+    }
+
+    /// How much of a person's latest forecast comes from where, for some horizons, with the sets.
+    pub(super) fn habits_ahead(&self, person: u32) -> Vec<HorizonLine> {
+        let (Some((sure, shares)), Some((_, sets))) = (self.home.shares(person), self.home.sets(person)) else {
+            return Vec::new();
+        };
+        let rooms = self.snapshot.rooms();
+        let told = HORIZONS_S.iter().zip(shares.iter().zip(sets));
+        let told = told.filter(|(horizon_s, _)| LEARNED_SHARE_S.contains(horizon_s));
+        let line = |(horizon_s, (shares, set)): (&f32, (&WhenShares, &PlaceSet))| {
+            let held = rooms.iter().enumerate().filter(|(room, _)| set.rooms >> room & 1 == 1);
+            let held = held.map(|(_, room)| room.id().to_owned());
+            HorizonLine {
+                horizon_s: f64::from(*horizon_s),
+                shipped: 1.0 - sure + sure * shares.shipped,
+                persistence: sure * shares.persistence,
+                leaving: sure * shares.semi_markov,
+                later: sure * shares.later,
+                set: held.chain(set.elsewhere.then(|| ELSEWHERE.to_owned())).collect(),
+            }
+        };
+        told.map(line).collect()
+    }
+
+    /// What was learned of a person, in the latest forecast.
+    fn habits_of(&self, person: u32) -> PersonHabits {
+        let labels = self.pipeline.grounding().label_texts();
+        let thing = |(label, text): (usize, &&str)| {
+            Some(ThingReason { label: (*text).to_owned(), shares: self.home.why_thing(person, label)? })
+        };
+        let mut things: Vec<_> = labels.iter().enumerate().filter_map(thing).collect();
+        things.sort_by(|a, b| b.shares.probability.total_cmp(&a.shares.probability));
+        things.truncate(REASONS);
+        let room = |(index, room): (usize, &RoomV1)| {
+            Some(RoomReason { room: room.id().to_owned(), shares: self.home.why_room(person, index)? })
+        };
+        let mut rooms: Vec<_> = self.snapshot.rooms().iter().enumerate().filter_map(room).collect();
+        rooms.sort_by(|a, b| b.shares.probability.total_cmp(&a.shares.probability));
+        PersonHabits {
+            person,
+            observations: self.home.observations_of(person),
+            things,
+            rooms,
+            forecast: self.habits_ahead(person),
+            coverage: self.home.sets(person).map_or(0.0, |(coverage, _)| coverage),
         }
     }
 
@@ -662,7 +717,7 @@ impl<M: LanguageModel> Board<M> {
         let grounding = self.pipeline.grounding();
         for seen in &self.seen[..std::mem::take(&mut self.unwatched)] {
             let at_s = seconds(seen.at_ns);
-            self.home.next_is(seen.name, !self.persons.is_visitor(seen.person));
+            self.home.next_is(seen.name, seen.person, !self.persons.is_visitor(seen.person));
             if seen.presence == Presence::Gone {
                 let own = self.followed.remove(&seen.person);
                 self.home.is_in(seen.person, seen.at_ns, Some(Whereabouts::Elsewhere), own.as_ref());
@@ -755,7 +810,7 @@ impl<M: LanguageModel> Board<M> {
         let signed_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
         let (message, scores) = (&mut *self.person_forecasts, &self.person_scores);
         (message.epoch, message.sequence) = (self.snapshot.epoch, self.snapshot.sequence);
-        (message.computed_ns, message.published_ns) = (now_ns, now_ns);
+        (message.computed_ns, message.published_ns, message.minor) = (now_ns, now_ns, 1);
         (message.room_count, message.id) = (scores.room_count, scores.id);
         (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
         (message.persons, message.person_count) = (scores.persons, scores.person_count);
@@ -766,9 +821,10 @@ impl<M: LanguageModel> Board<M> {
             let presence = self.persons.get(person).map_or(Presence::Gone, |known| known.presence);
             (place.presence, place.flags) = (presence_value(presence), self.persons.flags(person, signed_ns));
             let own = self.followed.get(&person);
-            let by_habit = own.and_then(|own| self.home.forecast(person, own, now_ns, &HORIZONS_S));
+            let rows = own.and_then(|own| self.home.forecast(person, own, now_ns, &HORIZONS_S));
+            let by_habit = rows.is_some();
             for (horizon, horizon_s) in HORIZONS_S.iter().enumerate() {
-                if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, horizon)?.split_last()) {
+                if let Some((gone, known)) = rows.and_then(|rows| row(rows, horizon)?.split_last()) {
                     place.elsewhere[horizon] = *gone as f32;
                     for (row, probability) in place.probability.iter_mut().zip(known).take(rooms) {
                         row[horizon] = probability.clamp(0.0, 1.0) as f32;
@@ -788,6 +844,10 @@ impl<M: LanguageModel> Board<M> {
                 for (row, probability) in place.probability.iter_mut().zip(probability).take(rooms) {
                     row[horizon] = probability.clamp(0.0, 1.0) as f32;
                 }
+            }
+            place.observations = self.home.observations_of(person) as f32;
+            if by_habit {
+                write_learned(&self.home, person, place);
             }
         }
         places.for_each(|place| *place = PersonForecastV1::default());
@@ -1099,6 +1159,23 @@ impl<M: LanguageModel> Board<M> {
         }
         places.for_each(|place| *place = PersonV1::default());
         message.person_count = count;
+    }
+}
+
+/// The sets of a person's latest forecast, and how much of it was learned.
+fn write_learned(home: &HomeHabits, person: u32, place: &mut PersonForecastV1) {
+    if let Some((coverage, sets)) = home.sets(person) {
+        place.set_coverage = coverage as f32;
+        for (horizon, (bits, set)) in place.room_set.iter_mut().zip(sets).enumerate() {
+            *bits = set.rooms;
+            place.set_elsewhere |= u32::from(set.elsewhere) << horizon;
+        }
+    }
+    let Some(learned) = home.learned_shares(person) else { return };
+    for (horizon_s, learned) in HORIZONS_S.iter().zip(learned) {
+        if let Some(at) = LEARNED_SHARE_S.iter().position(|told_s| told_s == horizon_s) {
+            place.learned_share[at] = learned as f32;
+        }
     }
 }
 

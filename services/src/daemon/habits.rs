@@ -15,10 +15,10 @@ use std::collections::BTreeMap;
 
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
-use roomcast_core::habits::{Habits, HabitsOptions, Learned, Place, StoredError, Turn, WhenShares};
+use roomcast_core::habits::{Habits, HabitsOptions, Learned, Place, RoomShares, Shares, StoredError, Turn, WhenShares};
 use roomcast_core::narration::Observation;
 use roomcast_core::pipeline::SOURCES_MAX;
-use roomcast_ipc::MAX_HORIZONS;
+use roomcast_ipc::{MAX_HORIZONS, MAX_ROOMS};
 
 /// What an observation is called: source, epoch, sequence. No other has the same.
 pub(super) type Name = (u64, u64, u64);
@@ -131,8 +131,28 @@ struct Ahead {
     /// Per horizon and place, row by row; elsewhere comes last.
     probability: Vec<f64>,
     shares: Vec<WhenShares>,
+    /// Per horizon the places of the set with the promised coverage.
+    sets: Vec<PlaceSet>,
     /// How far the person is believed to be where the habits have them.
     sure: f64,
+}
+
+/// A set of places: a bit per room, and elsewhere.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct PlaceSet {
+    /// Bit i is room i.
+    pub(super) rooms: u64,
+    /// Whether elsewhere belongs to it.
+    pub(super) elsewhere: bool,
+}
+
+impl PlaceSet {
+    /// Of places of which elsewhere comes last.
+    fn of(held: &[bool]) -> Self {
+        let Some((elsewhere, rooms)) = held.split_last() else { return Self::default() };
+        let bit = |bits: u64, (room, held): (usize, &bool)| bits | u64::from(*held) << room;
+        Self { rooms: rooms.iter().take(MAX_ROOMS).enumerate().fold(0, bit), elsewhere: *elsewhere }
+    }
 }
 
 /// What becomes of an observation.
@@ -157,6 +177,9 @@ pub struct HomeHabits {
     /// What comes now was learned by a former run.
     recalling: bool,
     next: Next,
+    /// The newest observation that was not known before, and those of its persons who had it.
+    newest: Option<Name>,
+    newest_of: Vec<u32>,
     labels: usize,
     ahead: BTreeMap<u32, Ahead>,
     /// Grows with everything that changes a forecast.
@@ -172,6 +195,7 @@ pub struct HomeHabits {
     /// Working memory: the model's labels, and forecasts without this home.
     model: Vec<f64>,
     shipped: Vec<f64>,
+    held: Vec<bool>,
 }
 
 impl Default for HomeHabits {
@@ -192,6 +216,8 @@ impl HomeHabits {
             clock: None,
             recalling: false,
             next: Next::Nothing,
+            newest: None,
+            newest_of: Vec::new(),
             labels: 0,
             ahead: BTreeMap::new(),
             state: 0,
@@ -202,6 +228,7 @@ impl HomeHabits {
             rescored: Vec::new(),
             model: Vec::new(),
             shipped: Vec::new(),
+            held: Vec::new(),
         }
     }
 
@@ -280,12 +307,20 @@ impl HomeHabits {
     }
 
     /// The next observation is this one, of one who lives here or of a visitor, of whom nothing is learned; takes note of it.
-    pub(super) fn next_is(&mut self, name: Name, lives_here: bool) {
+    /// One that is about several persons comes once for each of them.
+    pub(super) fn next_is(&mut self, name: Name, person: u32, lives_here: bool) {
         if self.is_idle() || self.clock.is_none() {
             self.next = Next::Nothing;
             return;
         }
-        let new = self.memory.heard.note(name);
+        if self.memory.heard.note(name) {
+            self.newest = Some(name);
+            self.newest_of.clear();
+        }
+        let new = self.newest == Some(name) && !self.newest_of.contains(&person);
+        if new {
+            self.newest_of.push(person);
+        }
         self.next = match lives_here {
             true if self.learn && new && !self.recalling => Next::Learned,
             true => Next::Recalled,
@@ -413,10 +448,15 @@ impl HomeHabits {
                 write_shipped(own, from_s, f64::from(*ahead_s), row);
             }
             let horizons_s = horizons_s.map(f64::from);
-            let Ahead { probability, shares, .. } = ahead;
+            let Ahead { probability, shares, sets, .. } = ahead;
             self.memory.habits.at_times(person, (now_s, &horizons_s), &self.shipped, probability, shares);
             for (p, shipped) in probability.iter_mut().zip(&self.shipped) {
                 *p = sure * *p + (1.0 - sure) * shipped;
+            }
+            sets.clear();
+            for (row, horizon_s) in probability.chunks_exact(places).zip(horizons_s) {
+                self.memory.habits.room_set(person, horizon_s, row, &mut self.held);
+                sets.push(PlaceSet::of(&self.held));
             }
             (ahead.sure, ahead.of) = (sure, Some(of));
         }
@@ -427,6 +467,33 @@ impl HomeHabits {
     pub(super) fn shares(&self, person: u32) -> Option<(f64, &[WhenShares])> {
         let ahead = self.ahead.get(&person).filter(|ahead| ahead.of.is_some())?;
         Some((ahead.sure, &ahead.shares))
+    }
+
+    /// The sets of places of a person's latest forecast, by horizon, and the coverage that they promise.
+    pub(super) fn sets(&self, person: u32) -> Option<(f64, &[PlaceSet])> {
+        let ahead = self.ahead.get(&person).filter(|ahead| ahead.of.is_some())?;
+        Some((self.memory.habits.options().sets.coverage, &ahead.sets))
+    }
+
+    /// How much of a person's latest forecast comes from what was learned, by horizon, 0 to 1.
+    pub(super) fn learned_shares(&self, person: u32) -> Option<impl Iterator<Item = f64>> {
+        let (sure, shares) = self.shares(person)?;
+        Some(shares.iter().map(move |shares| (sure * (1.0 - shares.shipped)).clamp(0.0, 1.0)))
+    }
+
+    /// Where the probability comes from that a person turns to a thing next.
+    pub(super) fn why_thing(&self, person: u32, label: usize) -> Option<Shares> {
+        self.memory.habits.explain(person, label)
+    }
+
+    /// Where the probability comes from that the next thing is in a room.
+    pub(super) fn why_room(&self, person: u32, room: usize) -> Option<RoomShares> {
+        self.memory.habits.explain_room(person, room)
+    }
+
+    /// How many observations of a person the habits rest on; older ones count less.
+    pub(super) fn observations_of(&self, person: u32) -> f64 {
+        self.memory.habits.observations(person)
     }
 
     /// Forgets a person; says whether anything was known.
@@ -491,7 +558,7 @@ impl HomeHabits {
     }
 
     /// What is to be written, if anything has changed since this was asked last.
-    pub(super) fn memory_if_changed(&mut self) -> Option<Memory> {
+    pub fn memory_if_changed(&mut self) -> Option<Memory> {
         if !std::mem::take(&mut self.changed) {
             return None;
         }
@@ -501,7 +568,7 @@ impl HomeHabits {
     }
 
     /// It could not be written: it is to be asked for again.
-    pub(super) fn keep_changed(&mut self) {
+    pub fn keep_changed(&mut self) {
         self.changed = true;
     }
 }

@@ -45,7 +45,7 @@ impl HabitsFile {
         let path = directory.join(FILE);
         let mut unusable = false;
         let read = match state_file::read_bytes(&path, BYTES_MAX as u64 + 24 * u64::from(NAMES_MAX) + 24) {
-            Ok(bytes) => Ok(bytes.map(|bytes| parse(&bytes, options))),
+            Ok(bytes) => Ok(bytes.map(|bytes| decode_memory(&bytes, options))),
             Err(error) if error.kind() == io::ErrorKind::FileTooLarge => Ok(Some(Err(error.to_string()))),
             Err(error) => Err(error),
         };
@@ -82,7 +82,7 @@ impl HabitsFile {
             ));
         }
         // Others may not read it: its mode is 0600.
-        state_file::replace_for_good(&self.directory.join(FILE), &bytes(memory))
+        state_file::replace_for_good(&self.directory.join(FILE), &encode_memory(memory))
     }
 
     /// Removes a file that was set aside: what it holds of somebody cannot be taken out of it.
@@ -97,7 +97,9 @@ impl HabitsFile {
     }
 }
 
-fn bytes(memory: &Memory) -> Vec<u8> {
+/// What the file holds.
+#[must_use]
+pub fn encode_memory(memory: &Memory) -> Vec<u8> {
     let names = memory.heard.names();
     let mut body = memory.watched_until_s.to_le_bytes().to_vec();
     body.extend_from_slice(&(names.len() as u32).to_le_bytes());
@@ -111,8 +113,11 @@ fn bytes(memory: &Memory) -> Vec<u8> {
     bytes
 }
 
-/// Reads and checks what [`bytes`] made.
-fn parse(bytes: &[u8], options: HabitsOptions) -> Result<Memory, String> {
+/// Reads and checks what [`encode_memory`] made.
+///
+/// # Errors
+/// When the bytes are damaged, of another version, or say something impossible: why.
+pub fn decode_memory(bytes: &[u8], options: HabitsOptions) -> Result<Memory, String> {
     fn take<'a, const N: usize>(rest: &mut &'a [u8]) -> Result<&'a [u8; N], String> {
         let (taken, after) = rest.split_first_chunk().ok_or("it ends early")?;
         *rest = after;
@@ -253,7 +258,7 @@ mod tests {
     /// Whatever became of the file, the daemon begins, and the file is there to be looked at until somebody is forgotten.
     #[test]
     fn a_file_that_cannot_be_used_is_set_aside() {
-        let whole = bytes(&learned());
+        let whole = encode_memory(&learned());
         let newer = [b"RCHOME2\n", &whole[8..]].concat();
         let mut flipped = whole.clone();
         flipped[100] ^= 1;
@@ -300,7 +305,7 @@ mod tests {
             let mut bytes = MAGIC.to_vec();
             bytes.extend_from_slice(&crc32fast::hash(&body).to_le_bytes());
             bytes.append(&mut body);
-            proptest::prop_assert!(parse(&bytes, HabitsOptions::default()).is_err());
+            proptest::prop_assert!(decode_memory(&bytes, HabitsOptions::default()).is_err());
         }
     }
 }

@@ -1,10 +1,9 @@
 //! Questions about habits: what is asked on `roomcast/v1/habits` and what is answered, and the answers. No port, no clock.
 
-use std::collections::BTreeMap;
-
 use serde::{Deserialize, Serialize};
 
-use super::board::{Board, HORIZONS_S};
+use super::board::Board;
+use crate::habits_reason::HorizonLine;
 use roomcast_core::habits::BYTES_MAX;
 use roomcast_core::scorer::LanguageModel;
 
@@ -12,8 +11,6 @@ use roomcast_core::scorer::LanguageModel;
 pub const PART_BYTES: usize = 1 << 18;
 /// Most bytes of all of it.
 pub const IMPORT_BYTES_MAX: usize = 4 * BYTES_MAX;
-/// Horizons that are told of, in seconds.
-const TOLD_S: [f32; 3] = [60.0, 900.0, 3600.0];
 
 /// A question. Changes have a name that no other question has: the same one asked again is answered again, and not done again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -58,21 +55,6 @@ impl HabitsQuestion {
             Self::Forget { id, .. } | Self::Import { id, .. } => Some(id),
         }
     }
-}
-
-/// How much of a forecast comes from where; the shares sum to one.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct HorizonLine {
-    /// How far ahead, in seconds.
-    pub horizon_s: f64,
-    /// Of the forecast without habits.
-    pub shipped: f64,
-    /// That the person is still, or again, in the same place.
-    pub persistence: f64,
-    /// The hazard of leaving, and where to.
-    pub leaving: f64,
-    /// Where the person was that much later at such times before.
-    pub later: f64,
 }
 
 /// What is known of a person.
@@ -200,14 +182,14 @@ pub(super) fn answer<M: LanguageModel>(
             Ok(())
         }
     });
-    let forecasts = forecast_lines(board, now_ns);
+    board.forecast(now_ns);
     let habits = board.habits();
     let learned = habits.learned();
     let line = |(person, observations): (u32, f64)| HabitsLine {
         person,
         name: board.persons().name_of(person).map(str::to_owned),
         observations,
-        forecast: forecasts.get(&person).cloned().unwrap_or_default(),
+        forecast: board.habits_ahead(person),
     };
     let answer = HabitsAnswer {
         done: result.is_ok(),
@@ -224,24 +206,6 @@ pub(super) fn answer<M: LanguageModel>(
         export,
     };
     (answer, after)
-}
-
-/// Per person how much of the present forecast comes from where.
-fn forecast_lines<M: LanguageModel>(board: &mut Board<M>, now_ns: u64) -> BTreeMap<u32, Vec<HorizonLine>> {
-    board.forecast(now_ns);
-    let lines = |(person, _): (u32, f64)| {
-        let (sure, shares) = board.habits().shares(person)?;
-        let told = HORIZONS_S.iter().zip(shares).filter(|(horizon_s, _)| TOLD_S.contains(horizon_s));
-        let told = told.map(|(horizon_s, shares)| HorizonLine {
-            horizon_s: f64::from(*horizon_s),
-            shipped: 1.0 - sure + sure * shares.shipped,
-            persistence: sure * shares.persistence,
-            leaving: sure * shares.semi_markov,
-            later: sure * shares.later,
-        });
-        Some((person, told.collect()))
-    };
-    board.habits().persons().into_iter().filter_map(lines).collect()
 }
 
 #[cfg(test)]

@@ -55,8 +55,8 @@ mod persons_file;
 pub use board::{Board, BoardError, Entry, MapError};
 pub use cycle::Cycle;
 pub use habits::{HomeHabits, Memory, Zone};
-pub use habits_file::HabitsFile;
-pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, HorizonLine, IMPORT_BYTES_MAX, PART_BYTES};
+pub use habits_file::{HabitsFile, decode_memory, encode_memory};
+pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES};
 pub use intake::{Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
 pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
 pub use map_change::{Answered, KeptMap, MapAnswer, MapQuestion, Outcome};
@@ -253,7 +253,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
             model_fingerprint: snapshot.model_fingerprint,
             map_fingerprint: snapshot.map_fingerprint,
             process: std::process::id(),
-            minor: 1,
+            minor: 2,
             version: text::encode_cut(env!("CARGO_PKG_VERSION")),
             map: text::encode_cut(cycle.board().map().name()),
             model: text::encode_cut(&model_name),
@@ -601,7 +601,9 @@ impl<M: LanguageModel> Scoring<M> {
             self.status.answer(|| self.tally())?;
             // Whoever asks meanwhile waits for the first scores of a changed map.
             if self.cycle.board().is_scored() {
-                self.moments.answer(|_| serde_json::to_string(&self.cycle.board().moment()).unwrap_or_default())?;
+                let board = self.cycle.board_mut();
+                let mut moment = || serde_json::to_string(&board.moment(clock::monotonic_ns())).unwrap_or_default();
+                self.moments.answer(|_| moment())?;
             }
             if self.queue.is_empty() {
                 self.cycle.tidy();
@@ -884,7 +886,13 @@ impl<M: LanguageModel> Scoring<M> {
     fn tally(&self) -> StatusResponseV1 {
         let (counters, sources) = *self.counters.lock().unwrap_or_else(PoisonError::into_inner);
         let quantile = |q| self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.value_at_quantile(q));
+        let habits = self.cycle.board().habits().learned();
         StatusResponseV1 {
+            learned: habits.observations as u64,
+            habits_bytes: habits.bytes as u64,
+            habits_counts: habits.counts as u64,
+            habits_names: habits.names as u32,
+            habits_persons: habits.persons as u32,
             answered_ns: clock::monotonic_ns(),
             received: counters.received,
             accepted: counters.accepted,

@@ -17,7 +17,8 @@ use std::time::Duration;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use roomcast_ipc::{
-    DecisionV1, ForecastV1, NAME_BYTES, RoomScoresV1, action, decision_flags, score_flags, sequence, text,
+    DecisionV1, ForecastV1, NAME_BYTES, PersonForecastsV1, RoomScoresV1, action, decision_flags, score_flags, sequence,
+    text,
 };
 
 use crate::config::{Forced, PlannerConfig};
@@ -68,6 +69,9 @@ pub struct Planner {
     occupied: (f64, f64),
     scores: Option<RoomScoresV1>,
     forecast: Option<ForecastV1>,
+    /// Each person's forecast, where rooms of their sets are not entered.
+    avoid_sets: bool,
+    sets: Option<Box<PersonForecastsV1>>,
     places: Option<Places>,
     round: Round,
     robot: Robot,
@@ -133,6 +137,8 @@ impl Planner {
             occupied: (config.interrupt_at, config.resume_at),
             scores: None,
             forecast: None,
+            avoid_sets: config.avoid_sets,
+            sets: None,
             places: None,
             round: Round::new(config),
             robot: Robot::new(config),
@@ -210,6 +216,19 @@ impl Planner {
     /// Takes a checked forecast; it is used as long as it is of the same rooms as the scores.
     pub fn take_forecast(&mut self, forecast: &ForecastV1) {
         self.forecast = Some(*forecast);
+    }
+
+    /// Takes each person's checked forecast: rooms of their sets are not entered, where the configuration says so.
+    pub fn take_sets(&mut self, forecasts: &PersonForecastsV1) {
+        if self.avoid_sets {
+            self.sets = Some(Box::new(*forecasts));
+        }
+    }
+
+    /// Rooms that are not to be entered because somebody may be there; none where sets are not looked at.
+    fn avoided(&self, now_ns: u64) -> Vec<bool> {
+        let Some(scores) = self.scores.as_ref().filter(|_| self.avoid_sets) else { return Vec::new() };
+        outlook::in_sets(self.sets.as_deref(), scores, (now_ns, self.deadline_ns), self.stay_s())
     }
 
     /// Decides if the robot is free, or has to leave its room, and there is something new to say.
@@ -374,7 +393,10 @@ impl Planner {
     /// The policy's choice, among the rooms that the robot may go to.
     fn next(&mut self, outlook: &Outlook, here: Option<&[f64]>, now_ns: u64) -> Result<Next, PolicyError> {
         let (occupied, empty) = self.occupied;
+        let avoided = self.avoided(now_ns);
         let mut closed = self.interruption.held().to_vec();
+        closed.resize(closed.len().max(avoided.len()), false);
+        closed.iter_mut().zip(&avoided).for_each(|(closed, avoided)| *closed |= avoided);
         let mut left = Vec::new();
         // What is scarce is time only if every stay that is left is needed.
         let scarce = self.plans()
@@ -382,7 +404,8 @@ impl Planner {
             && self.round.slots_left(now_ns).is_some_and(|slots| slots <= self.round.undone());
         loop {
             let Some(Choice { partition, reason }) = self.choose(&closed, outlook, now_ns)? else {
-                return Ok(Next::Pause { why: Pause::NoRoom, reason: self.why_nowhere(&left) });
+                let reason = self.why_nowhere(&left, avoided.contains(&true));
+                return Ok(Next::Pause { why: Pause::NoRoom, reason });
             };
             let room = partition.0 as usize;
             let likely = outlook.over_stay(room, self.stay_s()).filter(|_| scarce && !self.round.is_done(room));
@@ -453,10 +476,12 @@ impl Planner {
     }
 
     /// Why no room is open.
-    fn why_nowhere(&self, left: &[usize]) -> String {
+    fn why_nowhere(&self, left: &[usize], avoided: bool) -> String {
         let held = self.interruption.held().contains(&true);
         let left = self.why_left(left);
-        if held {
+        if avoided {
+            format!("{left}somebody may be in each room that could be done now, by the room sets")
+        } else if held {
             format!("{left}the rooms that are open to the robot are those that somebody is likely in")
         } else {
             format!("{left}no other room can be done now")

@@ -1,6 +1,6 @@
 //! What a planner sees of persons at one moment: how likely somebody is in each room next, now, and in each slot to come.
 
-use roomcast_ipc::{ForecastV1, RoomScoresV1, decision_flags, forecast_flags, score_flags};
+use roomcast_ipc::{ForecastV1, PersonForecastsV1, RoomScoresV1, decision_flags, forecast_flags, score_flags};
 
 /// A forecast that may be used with scores: it is fresh, and of the same daemon's same rooms.
 #[derive(Debug, Clone, Copy)]
@@ -41,6 +41,34 @@ impl<'a> Forecast<'a> {
     pub(super) fn now(&self) -> Vec<f64> {
         (0..self.message.room_count as usize).map(|room| self.likely(room, 0.0)).collect()
     }
+}
+
+/// The rooms, of those of the scores, that are in the set of any person at any time of a stay of so many seconds that begins now. Of
+/// persons without sets nothing is said, nor where the sets are old or of other rooms.
+pub(super) fn in_sets(
+    sets: Option<&PersonForecastsV1>,
+    scores: &RoomScoresV1,
+    (now_ns, deadline_ns): (u64, u64),
+    stay_s: f64,
+) -> Vec<bool> {
+    let rooms = scores.rooms();
+    let usable = sets.filter(|sets| {
+        sets.epoch == scores.epoch
+            && now_ns.saturating_sub(sets.published_ns) <= deadline_ns
+            && sets.room_count == scores.room_count
+            && rooms.iter().zip(&sets.id).all(|(room, id)| *id == room.id)
+    });
+    let Some(sets) = usable else { return vec![false; rooms.len()] };
+    let begin_s = now_ns.saturating_sub(sets.computed_ns) as f64 / 1e9;
+    let grid = sets.horizons_s();
+    let at = |index: usize| f64::from(grid[index]);
+    // From the last point before the stay to the first one after it.
+    let first = (0..grid.len()).rev().find(|index| at(*index) <= begin_s).unwrap_or(0);
+    let last = (0..grid.len()).find(|index| at(*index) >= begin_s + stay_s).unwrap_or(grid.len().saturating_sub(1));
+    let horizons = || first..(last + 1).min(grid.len());
+    let persons = sets.persons();
+    let held = |room: usize| persons.iter().any(|own| horizons().any(|h| own.set_holds(h, room) == Some(true)));
+    (0..rooms.len()).map(held).collect()
 }
 
 /// What policies weigh.
@@ -107,6 +135,34 @@ fn interpolate(grid: &[f32], values: &[f32], at: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use roomcast_ipc::text;
+
+    #[test]
+    fn a_room_is_in_a_set_if_any_person_may_be_there_during_the_stay() {
+        let mut scores = RoomScoresV1 { epoch: 1, room_count: 3, ..Default::default() };
+        let mut sets =
+            PersonForecastsV1 { epoch: 1, room_count: 3, horizon_count: 3, person_count: 2, ..Default::default() };
+        for (room, id) in ["kitchen", "bathroom", "hall"].into_iter().enumerate() {
+            scores.room[room].id = text::encode("id", id).unwrap();
+            sets.id[room] = scores.room[room].id;
+        }
+        sets.horizon_s[..3].copy_from_slice(&[0.0, 60.0, 600.0]);
+        (sets.person[0].set_coverage, sets.person[1].set_coverage) = (0.9, 0.9);
+        sets.person[0].room_set[..3].copy_from_slice(&[0b001, 0b001, 0b011]);
+        sets.person[1].set_elsewhere = 0b111;
+        let of =
+            |sets: &PersonForecastsV1, now_ns, stay_s| in_sets(Some(sets), &scores, (now_ns, 2_000_000_000), stay_s);
+        assert_eq!(of(&sets, 0, 60.0), [true, false, false]);
+        assert_eq!(of(&sets, 0, 61.0), [true, true, false]);
+        assert_eq!(of(&sets, 1_000_000_000, 60.0), [true, true, false], "the sets are a second old");
+        assert_eq!(of(&sets, 3_000_000_000, 60.0), [false; 3], "they are too old");
+        sets.person[1].room_set[0] = 0b100;
+        assert_eq!(of(&sets, 0, 60.0), [true, false, true]);
+        sets.person[1].set_coverage = 0.0;
+        assert_eq!(of(&sets, 0, 60.0), [true, false, false]);
+        sets.id[1] = text::encode("id", "attic").unwrap();
+        assert_eq!(of(&sets, 0, 60.0), [false; 3], "they are of other rooms");
+    }
 
     #[test]
     fn curves_are_straight_between_their_points_and_flat_beyond() {

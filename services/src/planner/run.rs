@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 
 use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, Message, MessageError, Publisher, RobotReportV1, RoomScoresV1,
-    Subscriber, clock, decision_flags, sequence,
+    DecisionV1, Domain, ForecastV1, IpcError, Message, MessageError, PersonForecastsV1, Publisher, RobotReportV1,
+    RoomScoresV1, Subscriber, clock, decision_flags, sequence,
 };
 use sd_notify::NotifyState;
 
@@ -33,6 +33,8 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     node.be_the_only_one()?;
     let scores = node.subscriber::<RoomScoresV1>()?;
     let forecasts = node.subscriber::<ForecastV1>()?;
+    // The daemon makes them for whoever follows them.
+    let sets = config.planner.avoid_sets.then(|| node.subscriber::<PersonForecastsV1>()).transpose()?;
     let reports = node.subscriber::<RobotReportV1>()?;
     let decisions = node.publisher::<DecisionV1>()?;
     let mut planner = Planner::new(&config.planner, sequence::random_epoch());
@@ -48,6 +50,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     // At the start the scores need a moment to arrive; saying that there are none is worth something only after the deadline.
     let patience_ns = clock::monotonic_ns() + config.planner.deadline_ms.saturating_mul(1_000_000);
     let (mut snapshot, mut forecast) = (Box::<RoomScoresV1>::default(), Box::<ForecastV1>::default());
+    let mut each = Box::<PersonForecastsV1>::default();
     let mut report = RobotReportV1::default();
     let mut early = VecDeque::new();
     notify(&[NotifyState::Ready]);
@@ -58,6 +61,11 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
         }
         while receive(&forecasts, &mut forecast, &mut log)? {
             planner.take_forecast(&forecast);
+        }
+        if let Some(sets) = &sets {
+            while receive(sets, &mut each, &mut log)? {
+                planner.take_sets(&each);
+            }
         }
         // Who reports may leave at once, so reports are taken from the port although rooms are known only with the first scores.
         while receive(&reports, &mut report, &mut log)? {

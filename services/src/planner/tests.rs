@@ -836,3 +836,43 @@ fn a_kept_round_of_another_map_is_left() {
     planner.take(&RoomScoresV1 { map_fingerprint: [1; 32], ..scores(1, 150 * S, &[0.0, 0.0]) });
     assert_eq!(planner.decide(150 * S, 0).unwrap().unwrap().covered, 0);
 }
+
+/// Where the configuration says so, a room that somebody may be in is not entered, and a robot to which none is left pauses.
+#[test]
+fn rooms_of_the_sets_are_not_entered() {
+    let of = |avoid_sets| PlannerConfig {
+        policy: PolicyName::UncoveredFirst,
+        room_time_s: 10.0,
+        avoid_sets,
+        ..Default::default()
+    };
+    // By the scores alone the robot goes into room 0.
+    let scores = scores(1, S, &[0.1, 0.5, 0.4]);
+    let mut sets = PersonForecastsV1 {
+        epoch: scores.epoch,
+        computed_ns: S,
+        published_ns: S,
+        room_count: 3,
+        horizon_count: 2,
+        person_count: 1,
+        ..Default::default()
+    };
+    sets.horizon_s[1] = 60.0;
+    (0..3).for_each(|room| sets.id[room] = scores.room[room].id);
+    sets.person[0].set_coverage = 0.9;
+    sets.person[0].room_set[1] = 0b011;
+    let decide = |avoid_sets, sets: &PersonForecastsV1| {
+        let mut planner = Planner::new(&of(avoid_sets), 1);
+        planner.take(&scores);
+        planner.take_sets(sets);
+        planner.decide(S, 0).unwrap().unwrap()
+    };
+    assert_eq!(decide(false, &sets).to(), "room-0");
+    assert_eq!(decide(true, &sets).to(), "room-2");
+    sets.person[0].room_set[0] = 0b100;
+    let nowhere = decide(true, &sets);
+    assert_eq!((nowhere.action, nowhere.to()), (action::PAUSE, ""));
+    assert!(nowhere.reason().contains("by the room sets"), "{}", nowhere.reason());
+    sets.person[0].set_coverage = 0.0;
+    assert_eq!(decide(true, &sets).to(), "room-0", "nothing was learned yet");
+}

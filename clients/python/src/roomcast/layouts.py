@@ -352,7 +352,9 @@ class PersonForecastV1(Layout):
         ("room_set", ctypes.c_uint64 * MAX_HORIZONS),
         ("set_coverage", ctypes.c_float),
         ("set_elsewhere", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint8 * 56),
+        ("observations", ctypes.c_float),
+        ("learned_share", ctypes.c_float * 3),
+        ("reserved", ctypes.c_uint8 * 40),
         ("probability", (ctypes.c_float * MAX_HORIZONS) * MAX_ROOMS),
     ]
 
@@ -389,6 +391,9 @@ class PersonForecastsV1(Message):
             _in_range("presence", person.presence, 0, 3, "0 to 3")
             read_text("name", person.name)
             _in_range("set_coverage", person.set_coverage, 0, 1, "0 to 1")
+            _in_range("observations", person.observations, 0, sys.float_info.max, "0 or more, finite")
+            for share in person.learned_share:
+                _in_range("learned_share", share, 0, 1, "0 to 1")
             for row in (*person.probability[: self.room_count], person.elsewhere):
                 for probability in row[: self.horizon_count]:
                     _in_range("probability", probability, 0, 1, "0 to 1")
@@ -512,7 +517,11 @@ class StatusResponseV1(Layout):
         ("forged", ctypes.c_uint64),
         ("costly", ctypes.c_uint64),
         ("learned", ctypes.c_uint64),
-        ("reserved", ctypes.c_uint8 * 88),
+        ("habits_bytes", ctypes.c_uint64),
+        ("habits_counts", ctypes.c_uint64),
+        ("habits_names", ctypes.c_uint32),
+        ("habits_persons", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint8 * 64),
     ]
 
 

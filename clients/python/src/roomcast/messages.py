@@ -378,6 +378,10 @@ class PersonForecast:
     set_coverage: float
     #: One per horizon; empty where there are none.
     sets: tuple[RoomSet, ...]
+    #: Observations that habits rest on; 0 where nothing was learned.
+    observations: float
+    #: How much of the forecast for a minute, a quarter of an hour and an hour ahead comes from what was learned of the home, 0 to 1.
+    learned_share: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -424,6 +428,8 @@ class PersonForecasts:
                     elsewhere=tuple(each.elsewhere[:horizons]),
                     set_coverage=each.set_coverage,
                     sets=tuple(room_set(each, horizon) for horizon in range(horizons)) if each.set_coverage > 0 else (),
+                    observations=each.observations,
+                    learned_share=tuple(each.learned_share),
                 )
                 for each in message.person[: message.person_count]
             ),
@@ -619,6 +625,11 @@ class Status:
     forged: int
     costly: int
     learned: int
+    #: Bytes of memory, counts and names of things of the habits, and persons of whom something was learned.
+    habits_bytes: int
+    habits_counts: int
+    habits_names: int
+    habits_persons: int
 
     @staticmethod
     def from_message(message: layouts.StatusResponseV1) -> Status:
@@ -657,4 +668,8 @@ class Status:
             forged=message.forged,
             costly=message.costly,
             learned=message.learned,
+            habits_bytes=message.habits_bytes,
+            habits_counts=message.habits_counts,
+            habits_names=message.habits_names,
+            habits_persons=message.habits_persons,
         )

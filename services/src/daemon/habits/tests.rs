@@ -1,5 +1,5 @@
 use roomcast_core::grounding::GroundingOptions;
-use roomcast_core::narration::{PresenceStatement, Said, Sentence};
+use roomcast_core::narration::{PresenceStatement, SOMEBODY, Said, Sentence};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
@@ -197,6 +197,54 @@ fn a_routine_becomes_the_forecast_and_is_forgotten() {
     assert_eq!(told(&mut house.board, now_ns), told(&mut plain, now_ns));
 }
 
+/// The sets are the smallest that hold what they promise, with what they rest on; without habits there are none.
+#[test]
+fn sets_and_their_grounds_are_told_of_each_person() {
+    let mut house = House::new(true);
+    for day in 0..14 {
+        house.day(3, day);
+    }
+    house.say(3, 14 * DAY_S + 7 * H, "They sit on the sofa.");
+    house.until(14 * DAY_S + 7 * H + 1_200);
+    house.ahead(3, QUARTER);
+    let message = *house.board.person_forecasts(house.now_ns);
+    message.check().unwrap();
+    let own = message.persons()[0];
+    assert!((own.set_coverage - 0.9).abs() < 1e-6 && message.minor == 1);
+    assert_eq!(own.observations, house.observations() as f32);
+    assert!(own.learned_share[1] > 0.5 && own.learned_share.iter().all(|share| (0.0..=1.0).contains(share)), "{own:?}");
+    for horizon in 0..MAX_HORIZONS {
+        let places =
+            [(KITCHEN, own.probability[KITCHEN][horizon]), (LIVING_ROOM, own.probability[LIVING_ROOM][horizon])];
+        let likeliest = places.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+        let elsewhere = (own.set_holds_elsewhere(horizon).unwrap(), own.elsewhere[horizon]);
+        let held = places.map(|(room, p)| (own.set_holds(horizon, room).unwrap(), p));
+        assert!(own.set_holds(horizon, likeliest.0).unwrap() || elsewhere.0, "the likeliest place is in every set");
+        // What is likelier than a place of the set is in it, too.
+        let all = [held[0], held[1], elsewhere];
+        let least = all.iter().filter(|(held, _)| *held).map(|(_, p)| *p).fold(1.0, f32::min);
+        assert!(all.iter().all(|(held, p)| *held || *p <= least), "{horizon}: {all:?}");
+    }
+    let reasons = house.board.moment(house.now_ns);
+    let learned = reasons.habits_of(3).unwrap();
+    assert_eq!((learned.forecast.len(), learned.coverage), (3, 0.9));
+    assert!(learned.forecast.iter().all(|line| !line.set.is_empty()), "{learned}");
+    let thing = &learned.things[0].shares;
+    let sum = thing.model + thing.habit + thing.recency + thing.hour + thing.staying;
+    assert!((sum - 1.0).abs() < 1e-6 && thing.observations[0] > 10.0, "{thing:?}");
+    let room = &learned.rooms[0].shares;
+    let sum = room.model + room.habit + room.things + room.hour + room.staying;
+    assert!((sum - 1.0).abs() < 1e-6 && room.observations[0] > 10.0, "{room:?}");
+    let total: f64 = learned.rooms.iter().map(|room| room.shares.probability).sum();
+    assert!((total - 1.0).abs() < 1e-6, "{total}");
+
+    let mut plain = without_habits(&house);
+    let nothing = *plain.person_forecasts(house.now_ns);
+    let own = nothing.persons()[0];
+    assert_eq!((own.set_coverage, own.observations, own.room_set), (0.0, 0.0, [0; MAX_HORIZONS]));
+    assert!(plain.moment(house.now_ns).habits.is_empty());
+}
+
 /// Whenever the daemon is killed, and however long before that it wrote, everything is learned once.
 #[test]
 fn nothing_is_learned_twice() {
@@ -352,4 +400,33 @@ fn of_each_start_of_a_source_the_newest_sequence_is_kept() {
     }
     assert_eq!(heard.names().len(), SOURCES_MAX);
     assert_eq!(Heard::new(heard.names().iter().copied()), heard);
+}
+
+/// What is said of everybody is learned of each of them, and once: also by a daemon that was killed then.
+#[test]
+fn what_is_said_of_everybody_is_learned_of_each() {
+    let mut house = House::new(true);
+    let exits = |house: &House| {
+        let json: serde_json::Value = serde_json::from_str(&house.board.habits().to_json().unwrap()).unwrap();
+        let (persons, rows) = (json["persons"].as_array().unwrap(), json["rows"].as_array().unwrap());
+        let of = |slot: &serde_json::Value| {
+            // Where a stay in a place led to.
+            let own = rows.iter().filter(|row| row["kind"] == EXIT && row["slot"] == *slot);
+            own.flat_map(|row| row["counts"].as_array().unwrap()).map(|count| count[1].as_f64().unwrap()).sum::<f64>()
+        };
+        persons.iter().map(|person| of(&person["slot"])).collect::<Vec<_>>()
+    };
+    /// The number of these counts in an export.
+    const EXIT: u8 = 16;
+    for person in [3, 5] {
+        house.say(person, 7 * H + u64::from(person), "They sit on the sofa.");
+    }
+    house.say(SOMEBODY, 9 * H, "everybody away");
+    house.until(9 * H + 60);
+    assert_eq!(exits(&house), [1.0, 1.0]);
+    let memory = house.memory();
+    house.restart(memory);
+    assert_eq!(exits(&house), [1.0, 1.0], "written before the daemon was killed");
+    house.restart(Memory::new(options(true)));
+    assert_eq!(exits(&house), [1.0, 1.0], "learned from the journal");
 }
