@@ -1754,3 +1754,42 @@ fn habits_are_learned_from_lines_with_times() {
     assert_eq!(habits(&world, &["learn"]).0, 2);
     assert_eq!(learned(&world), 11.0);
 }
+
+/// What was recorded, and days of activities, teach a home as well.
+#[test]
+fn habits_are_learned_from_a_recording_and_from_days() {
+    let mut world = World::new("learn-days");
+    let daemon = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let file = world.directory.path().join("day.mcap");
+    let recorder = world.start(&["record", file.to_str().unwrap()]);
+    eventually("the recorder listens", || (scores.subscribers() > 1).then_some(()));
+    assert_eq!(world.narrate("camera", "They open the fridge.\nThey sit on the sofa.\n").0, 0);
+    eventually("it is learned", || (learned(&world) == 2.0).then_some(()));
+    world.signal(recorder, Signal::TERM);
+    assert!(world.wait(recorder).0.success());
+    assert_eq!(habits(&world, &["forget", "--all"]).0, 0);
+    assert_eq!(learned(&world), 0.0);
+    let (code, _, errors) = habits(&world, &["learn", "--recording", file.to_str().unwrap()]);
+    assert_eq!((code, learned(&world)), (0, 2.0), "{errors}");
+
+    let days = world.directory.path().join("days");
+    std::fs::create_dir(&days).unwrap();
+    for day in 0..3 {
+        let text = "### breakfast-00.txt\n[OPEN] <fridge> (305) [1]\n420.0\n[SIT] <sofa> (368) [2]\n430.5\n";
+        std::fs::write(days.join(format!("{day:03}.txt")), text).unwrap();
+    }
+    let days = days.to_str().unwrap();
+    let learn = ["learn", "--days", days, "--first-day", "2024-03-04", "--person", "3"];
+    let (code, _, errors) = habits(&world, &learn);
+    assert_eq!((code, learned(&world)), (0, 8.0), "{errors}");
+    let (_, answer, _) = habits(&world, &["show", "--json"]);
+    let of = |person: u64| answer["persons"].as_array().unwrap().iter().find(|own| own["person"] == person).cloned();
+    assert_eq!(of(3).unwrap()["observations"], 6.0, "{answer}");
+    assert_eq!(habits(&world, &["learn", "--days", days, "--first-day", "soon"]).0, 2);
+    assert_eq!(habits(&world, &["learn", "--days", world.state().to_str().unwrap()]).0, 3);
+    drop((scores, node));
+    world.signal(daemon, Signal::TERM);
+    assert!(world.wait(daemon).0.success());
+}

@@ -24,6 +24,8 @@ use roomcast_services::setup;
 mod habits;
 mod study;
 
+pub(super) use habits::days;
+
 /// Arguments of `roomcast experiment`.
 #[derive(Debug, clap::Args)]
 pub struct Args {

@@ -3,10 +3,14 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+#[cfg(feature = "lab")]
+use roomcast_ipc::narration_kind;
 use roomcast_ipc::question;
 
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
+#[cfg(feature = "lab")]
+use roomcast_lab::simulation::homer::Day;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, Zone};
 use roomcast_services::lessons::{self, Lesson};
 use roomcast_services::logging;
@@ -65,7 +69,7 @@ enum Action {
 #[derive(Debug, clap::Args)]
 struct LearnArgs {
     /// Lines of JSON with `observed_unix_s`, as `roomcast narrate` takes them.
-    #[arg(required_unless_present_any = ["sensors", "recording"], conflicts_with_all = ["sensors", "recording"])]
+    #[arg(required_unless_present_any = OF_OTHER_KINDS, conflicts_with_all = OF_OTHER_KINDS)]
     lines: Option<PathBuf>,
     /// A sensor log, whose times are local ones.
     #[arg(long, value_name = "LOG", requires = "rules", conflicts_with = "recording")]
@@ -76,12 +80,26 @@ struct LearnArgs {
     /// A recording (docs/recording.md).
     #[arg(long, value_name = "FILE")]
     recording: Option<PathBuf>,
+    /// A folder of days of activities (HOMER+), in the order of their names, whose times are local ones.
+    #[cfg(feature = "lab")]
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["sensors", "recording"])]
+    days: Option<PathBuf>,
+    /// The date of the first of these days; else the last one was yesterday.
+    #[cfg(feature = "lab")]
+    #[arg(long, value_name = "YYYY-MM-DD", requires = "days")]
+    first_day: Option<String>,
     /// The person, by name or number, where nothing says who it was.
     #[arg(long)]
     person: Option<Who>,
     #[command(flatten)]
     common: Common,
 }
+
+/// What is learned from instead of lines.
+#[cfg(feature = "lab")]
+const OF_OTHER_KINDS: [&str; 3] = ["sensors", "recording", "days"];
+#[cfg(not(feature = "lab"))]
+const OF_OTHER_KINDS: [&str; 2] = ["sensors", "recording"];
 
 /// Options of every action.
 #[derive(Debug, clap::Args)]
@@ -194,6 +212,12 @@ fn learn(args: &LearnArgs) -> CommandResult {
 fn lessons_of(args: &LearnArgs) -> Result<(Vec<Lesson>, Zone), Failure> {
     let input = |error| Failure::new(exit_code::INPUT, error);
     let person = args.person.clone().unwrap_or_default();
+    #[cfg(feature = "lab")]
+    if let Some(folder) = &args.days {
+        let days = super::experiment::days(folder)?;
+        let items = day_items(&days, first_day_s(args.first_day.as_deref(), days.len())?, &person);
+        return Ok((Lesson::of_lines(&items).0, Zone::UTC));
+    }
     let ((lessons, left_out), zone) = match (&args.sensors, &args.rules, &args.recording, &args.lines) {
         (Some(log), Some(rules), ..) => {
             let narrated =
@@ -221,6 +245,36 @@ fn lessons_of(args: &LearnArgs) -> Result<(Vec<Lesson>, Zone), Failure> {
         );
     }
     Ok((lessons, zone))
+}
+
+/// When the first of so many days began, in seconds since 1970, local time.
+#[cfg(feature = "lab")]
+fn first_day_s(date: Option<&str>, days: usize) -> Result<f64, Failure> {
+    const DAY_S: f64 = 86_400.0;
+    let Some(date) = date else {
+        let today = (roomcast_ipc::clock::unix_ns() as f64 / 1e9 / DAY_S).floor();
+        return Ok((today - days as f64).max(0.0) * DAY_S);
+    };
+    sensor_log::seconds(&format!("{date} 00:00:00"))
+        .filter(|at_s| *at_s >= 0.0)
+        .ok_or_else(|| Failure::new(exit_code::USAGE, format!("--first-day {date:?} is no date: give YYYY-MM-DD")))
+}
+
+/// What is narrated of days that follow one another: each action when it was done; times do not go back where a day ends after the next
+/// one has begun.
+#[cfg(feature = "lab")]
+fn day_items(days: &[Day], first_s: f64, person: &Who) -> Vec<Item> {
+    let mut last_s = first_s;
+    let days = days.iter().enumerate().flat_map(|(number, day)| {
+        let begin_s = first_s + 86_400.0 * number as f64;
+        day.actions.iter().map(move |timed| (begin_s + 60.0 * timed.done_min, timed))
+    });
+    days.map(|(at_s, timed)| {
+        last_s = at_s.max(last_s);
+        let observed_unix_ns = Some((last_s * 1e9) as u64);
+        Item { observed_unix_ns, ..Item::new(narration_kind::SENTENCE, timed.action.sentence(), person.clone()) }
+    })
+    .collect()
 }
 
 /// The text in parts that a question can carry, as JSON too.
@@ -327,6 +381,24 @@ mod tests {
         let question = serde_json::to_string(&parts[0]).unwrap();
         assert!(question.len() < question::QUESTION_BYTES_MAX);
         assert!(parts_of("").is_empty());
+    }
+
+    #[cfg(feature = "lab")]
+    #[test]
+    fn days_of_activities_are_narrated_with_their_times() {
+        let day = Day::parse("### a.txt\n[GRAB] <mug> (12) [1]\n1439.0\n[OPEN] <fridge> (3) [2]\n1450.5\n").unwrap();
+        let first_s = first_day_s(Some("2024-03-01"), 2).unwrap();
+        assert_eq!(first_s, 1_709_251_200.0);
+        let items = day_items(&[day.clone(), day], first_s, &Who::Number(3));
+        let minutes = |item: &Item| (item.observed_unix_ns.unwrap() as f64 / 1e9 - first_s) / 60.0;
+        assert_eq!(items.iter().map(minutes).collect::<Vec<_>>(), [1439.0, 1450.5, 2879.0, 2890.5]);
+        assert!(items[0].text.contains("mug") && items[0].person == Who::Number(3), "{:?}", items[0]);
+        let (lessons, left_out) = Lesson::of_lines(&items);
+        assert_eq!((lessons.len(), left_out), (4, 0));
+        assert!(first_day_s(Some("yesterday"), 1).is_err());
+        // Without a date the last day was yesterday.
+        let today = roomcast_ipc::clock::unix_ns() as f64 / 1e9 / 86_400.0;
+        assert!(today - first_day_s(None, 3).unwrap() / 86_400.0 - 3.0 < 1.01);
     }
 
     #[test]
