@@ -22,7 +22,7 @@ use roomcast_ipc::{
 
 use super::demo_robot::DemoRobot;
 use super::stage::Stage;
-use super::{CommandResult, Failure, count, ranges, service, table};
+use super::{CommandResult, Failure, count, demo_week, ranges, service, table};
 use crate::bar::bar;
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
@@ -36,6 +36,7 @@ use roomcast_lab::experiment::{ExperimentError, ScoreSource};
 use roomcast_lab::simulation::timeline::Timeline;
 use roomcast_lab::simulation::world::{Cost, Stay, check_room_time, tally};
 use roomcast_llama::{CacheType, LlamaOptions};
+use roomcast_services::config::Config;
 use roomcast_services::setup;
 use roomcast_services::stop::Stop;
 
@@ -74,6 +75,10 @@ pub struct Args {
     /// Let somebody who comes into the robot's room end its work there. The simulated robots of the table stay.
     #[arg(long)]
     interrupt: bool,
+    /// Show instead how the forecast becomes good while so many days of the home are watched.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=60),
+        conflicts_with_all = ["program", "policy", "seconds", "room_time", "interrupt"])]
+    days: Option<u16>,
 }
 
 /// Plays the activity and prints what happens, and a summary.
@@ -82,6 +87,12 @@ pub struct Args {
 ///
 /// When a process cannot be started or ends too early, with what it said.
 pub fn run(args: &Args) -> CommandResult {
+    if let Some(days) = args.days {
+        let mut config = Config::default();
+        config.scene.path = Some(args.scene.clone());
+        config.model.path.clone_from(&args.model);
+        return demo_week::run(&config, usize::from(days), args.seed);
+    }
     let stop = service::stop()?;
     let map = setup::load_map(Some(&args.scene))?;
     let grounding = Grounding::new(&map, &GroundingOptions::default());

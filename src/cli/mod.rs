@@ -23,6 +23,8 @@ mod daemon;
 mod demo;
 #[cfg(feature = "demo")]
 mod demo_robot;
+#[cfg(feature = "demo")]
+mod demo_week;
 mod doctor;
 #[cfg(feature = "lab")]
 mod draw;

@@ -1,0 +1,345 @@
+//! `roomcast demo --days N`: some days of one home, in a minute, in which the forecast becomes good.
+//!
+//! The person's days are made of the shipped activity programs at nearly the same hours, and of an absence on working days. What is
+//! observed goes through the daemon's own [`Board`], with its model, its habits and a tick every minute; a second one that learns nothing
+//! stands beside it. Once a minute both say where the person will be a quarter of an hour later, and are measured then.
+
+use std::collections::VecDeque;
+use std::fmt::Write as _;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use roomcast_ipc::PersonForecastV1;
+
+use super::{CommandResult, Failure};
+use crate::bar::bar;
+use crate::exit_code;
+use roomcast_core::grounding::Grounding;
+use roomcast_core::habits::HabitsOptions;
+use roomcast_core::narration::{Observation, Presence, PresenceStatement, Program, Said};
+use roomcast_core::scorer::LanguageModel;
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_lab::experiment::habits::Trace;
+use roomcast_lab::simulation::binding::ItemChoice;
+use roomcast_lab::simulation::homer::{Day, TimedAction};
+use roomcast_services::config::Config;
+use roomcast_services::daemon::{Board, Entry, HomeHabits, Memory, Zone};
+use roomcast_services::{embedded, setup};
+
+const DAY_S: f64 = 86_400.0;
+const MINUTE_S: f64 = 60.0;
+/// How far ahead is measured.
+const AHEAD_S: f64 = 900.0;
+/// Who.
+const PERSON: u32 = 0;
+/// What is impossible for a forecast is not quite.
+const FLOOR: f64 = 1e-6;
+const BAR_WIDTH: usize = 20;
+const WEEKDAYS: [&str; 7] = ["Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday"];
+
+/// An activity of a day: a shipped program, when it begins, by how much that differs from day to day, and how long an action takes; all in
+/// minutes.
+type Habit = (&'static str, f64, f64, f64);
+
+const WORKDAY: [Habit; 3] = [
+    ("p0-breakfast-and-television", 7.0 * 60.0, 10.0, 4.0),
+    ("p2-long-evening", 17.5 * 60.0, 20.0, 4.5),
+    ("p1-laundry-and-to-bed", 21.8 * 60.0, 15.0, 2.5),
+];
+const WEEKEND: [Habit; 3] = [
+    ("p0-breakfast-and-television", 9.0 * 60.0, 25.0, 5.0),
+    ("p2-long-evening", 16.0 * 60.0, 30.0, 6.0),
+    ("p1-laundry-and-to-bed", 22.5 * 60.0, 20.0, 2.5),
+];
+/// On working days the person leaves this long after breakfast's last action, and is back at the evening's first.
+const LEAVES_MIN: f64 = 12.0;
+
+/// What happens in the home.
+struct Life {
+    trace: Trace,
+    /// When nobody is there.
+    out: Vec<(f64, f64)>,
+    rooms: usize,
+}
+
+/// A forecast that was made, and what came.
+#[derive(Debug, Clone)]
+pub(super) struct Case {
+    day: usize,
+    /// Per place, elsewhere last: without habits, and with.
+    without: Vec<f64>,
+    with: Vec<f64>,
+    /// The places of the set; none where there are no sets yet.
+    set: Option<Vec<bool>>,
+    learned: f64,
+    truth: usize,
+}
+
+/// Means of a day.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Figures {
+    cases: f64,
+    /// Loss in nats, and share in which the likeliest place was right: without habits, and with.
+    without: [f64; 2],
+    with: [f64; 2],
+    /// Share of the forecast that was learned.
+    learned: f64,
+    /// Sets, the share that held the person, and places in one.
+    sets: f64,
+    held: f64,
+    size: f64,
+}
+
+impl Figures {
+    fn of<'a>(cases: impl IntoIterator<Item = &'a Case>) -> Self {
+        let mut sums = Self::default();
+        for case in cases {
+            sums.cases += 1.0;
+            for (sums, p) in [(&mut sums.without, &case.without), (&mut sums.with, &case.with)] {
+                let likeliest = (0..p.len()).max_by(|a, b| p[*a].total_cmp(&p[*b]));
+                sums[0] -= p[case.truth].max(FLOOR).ln();
+                sums[1] += f64::from(u8::from(likeliest == Some(case.truth)));
+            }
+            sums.learned += case.learned;
+            if let Some(set) = &case.set {
+                sums.sets += 1.0;
+                sums.held += f64::from(u8::from(set[case.truth]));
+                sums.size += set.iter().filter(|held| **held).count() as f64;
+            }
+        }
+        let cases = sums.cases.max(1.0);
+        for sum in sums.without.iter_mut().chain(&mut sums.with).chain([&mut sums.learned]) {
+            *sum /= cases;
+        }
+        (sums.held, sums.size) = (sums.held / sums.sets.max(1.0), sums.size / sums.sets.max(1.0));
+        sums
+    }
+}
+
+fn failed(error: impl std::fmt::Display) -> Failure {
+    Failure::new(exit_code::FAILURE, error.to_string())
+}
+
+impl Life {
+    fn new(days: usize, map: &SemanticMap, grounding: &Grounding, seed: u64) -> Result<Self, Failure> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut of_days = Vec::new();
+        let mut edges = Vec::new();
+        for day in 0..days {
+            let works = day % 7 < 5;
+            let mut actions = Vec::new();
+            for (index, (name, begins_min, differs_min, action_min)) in
+                (if works { WORKDAY } else { WEEKEND }).into_iter().enumerate()
+            {
+                let text = embedded::program(name).ok_or_else(|| failed(format!("no program {name}")))?;
+                let program = Program::parse(text.text).map_err(failed)?;
+                let mut at_min = begins_min + differs_min * rng.random_range(-1.0..1.0);
+                if works && index == 1 {
+                    edges.push(day as f64 * DAY_S + MINUTE_S * (at_min - 1.0));
+                }
+                for action in program.steps {
+                    at_min += action_min * rng.random_range(0.5..1.5);
+                    actions.push(TimedAction { activity: name.to_owned(), action, done_min: at_min });
+                }
+                if works && index == 0 {
+                    edges.push(day as f64 * DAY_S + MINUTE_S * (at_min + LEAVES_MIN));
+                }
+            }
+            of_days.push(Day { actions });
+        }
+        let trace = Trace::of_days(&of_days, map, grounding, ItemChoice::Nearest, seed).map_err(failed)?;
+        // The trace begins on a Monday of its own.
+        let begins_s = trace.steps.first().map_or(0.0, |step| (step.at_s / DAY_S).floor() * DAY_S);
+        let out = edges.chunks_exact(2).map(|edge| (begins_s + edge[0], begins_s + edge[1])).collect();
+        Ok(Self { trace, out, rooms: grounding.partitions().len() })
+    }
+
+    /// Where the person is, elsewhere as the last place.
+    fn truth(&self, at_s: f64) -> Option<usize> {
+        if self.out.iter().any(|(from_s, to_s)| *from_s <= at_s && at_s < *to_s) {
+            return Some(self.rooms);
+        }
+        self.trace.place_at(at_s).map(|(_, place)| place)
+    }
+
+    /// What is observed, in the order of time.
+    fn said(&self) -> Vec<(f64, Said)> {
+        let sentences = self.trace.steps.iter().map(|step| (step.at_s, Said::Sentence(step.sentence.clone())));
+        let away = PresenceStatement::new(Presence::Away, None).ok();
+        let leaves = self.out.iter().filter_map(|(from_s, _)| Some((*from_s, Said::Presence(away.clone()?))));
+        let mut said: Vec<_> = sentences.chain(leaves).collect();
+        said.sort_by(|a, b| a.0.total_cmp(&b.0));
+        said
+    }
+}
+
+/// A daemon without its threads.
+struct Watcher<M>(Board<M>);
+
+impl<M: LanguageModel> Watcher<M> {
+    fn hears(&mut self, sequence: u64, (at_s, said): &(f64, Said)) -> Result<(), Failure> {
+        let at_ns = (at_s * 1e9) as u64;
+        let observation = Observation {
+            person: PERSON,
+            observed_ns: at_ns,
+            observed_unix_ns: at_ns,
+            source: 1,
+            epoch: 1,
+            ..Observation::saying(sequence, said.clone())
+        };
+        self.0.step([Entry::new(observation, at_ns)], at_ns, at_ns).map_err(failed)?;
+        self.0.tell_outcomes(|_| {});
+        self.0.tidy();
+        Ok(())
+    }
+
+    /// Where the person will be, per place, with the message itself.
+    fn looks_ahead(&mut self, now_s: f64, rooms: usize) -> Option<(Vec<f64>, usize, &PersonForecastV1)> {
+        let now_ns = (now_s * 1e9) as u64;
+        self.0.tick(now_ns, now_ns);
+        self.0.person_scores(now_ns);
+        let message = self.0.person_forecasts(now_ns);
+        let horizon = message.horizons_s().iter().position(|horizon_s| f64::from(*horizon_s) == AHEAD_S)?;
+        let own = message.persons().iter().find(|own| own.person == PERSON)?;
+        let p = own.probability[..rooms].iter().map(|row| f64::from(row[horizon]));
+        Some((p.chain([f64::from(own.elsewhere[horizon])]).collect(), horizon, own))
+    }
+}
+
+/// Lets both watch the home; every day's cases are told when it is over.
+fn watch<M: LanguageModel>(
+    life: &Life,
+    with: Board<M>,
+    without: Board<M>,
+    mut day_is_over: impl FnMut(usize, &[Case]) -> CommandResult,
+) -> CommandResult {
+    let (mut with, mut without) = (Watcher(with), Watcher(without));
+    let said = life.said();
+    let (Some((first_s, _)), Some((last_s, _))) = (said.first(), said.last()) else { return Ok(()) };
+    let begins_s = (first_s / DAY_S).floor() * DAY_S;
+    let day_of = |at_s: f64| ((at_s - begins_s) / DAY_S) as usize;
+    let (mut waiting, mut over): (VecDeque<(f64, Case)>, Vec<Case>) = Default::default();
+    let (mut next, mut now_s) = (0, first_s + MINUTE_S);
+    while now_s <= *last_s {
+        while let Some(observed) = said.get(next).filter(|(at_s, _)| *at_s <= now_s) {
+            next += 1;
+            with.hears(next as u64, observed)?;
+            without.hears(next as u64, observed)?;
+        }
+        while waiting.front().is_some_and(|(due_s, _)| *due_s <= now_s) {
+            let Some(((_, mut case), truth)) = waiting.pop_front().zip(life.truth(now_s)) else { break };
+            if over.last().is_some_and(|last| last.day != case.day) {
+                day_is_over(over[0].day, &std::mem::take(&mut over))?;
+            }
+            case.truth = truth;
+            over.push(case);
+        }
+        let plain = without.looks_ahead(now_s, life.rooms).map(|(p, ..)| p);
+        if let (Some(plain), Some((p, horizon, own))) = (plain, with.looks_ahead(now_s, life.rooms)) {
+            let places = (0..life.rooms).map(|room| own.set_holds(horizon, room));
+            let set = places.chain([own.set_holds_elsewhere(horizon)]).collect();
+            let learned = f64::from(own.learned_share[1]);
+            let case = Case { day: day_of(now_s), without: plain, with: p, set, learned, truth: 0 };
+            waiting.push_back((now_s + AHEAD_S, case));
+        }
+        now_s += MINUTE_S;
+    }
+    if over.is_empty() { Ok(()) } else { day_is_over(over[0].day, &over) }
+}
+
+/// Plays the days and prints how good the forecast was on each.
+pub(super) fn run(config: &Config, days: usize, seed: u64) -> CommandResult {
+    let board = |learn: bool| {
+        let (pipeline, map) = setup::open(config).map_err(failed)?;
+        let board = Board::new(pipeline, map, config.grounding, 1).map_err(failed)?;
+        let options = HabitsOptions { learn, ..config.habits.options() };
+        Ok::<_, Failure>(board.with_habits(HomeHabits::new(Memory::new(options), Zone::UTC)))
+    };
+    let (with, without) = (board(true)?, board(false)?);
+    let life = Life::new(days, with.map(), with.pipeline().grounding(), seed)?;
+    let mut text = format!(
+        "{} days of one person in {}: {} observations. Once a minute the daemon says where the person will be a quarter of an\n\
+         hour later, without habits and with what it has learned by then; a day's figures are the means of its minutes.\n\n",
+        days,
+        with.map().name(),
+        life.said().len()
+    );
+    let _ = writeln!(
+        text,
+        "{:<10} | without: loss  right | with: loss  right | {:<BAR_WIDTH$} learned | 90 % sure: places  held",
+        "", "right, with habits"
+    );
+    super::print(&text)?;
+    let mut all = Vec::new();
+    watch(&life, with, without, |day, cases| {
+        all.extend_from_slice(cases);
+        super::print(&line(WEEKDAYS[day % 7], &Figures::of(cases)))
+    })?;
+    super::print(&format!("{}\n", line("all days", &Figures::of(&all))))
+}
+
+fn line(name: &str, figures: &Figures) -> String {
+    let Figures { without, with, learned, sets, held, size, .. } = figures;
+    let sets = if *sets > 0.0 { format!("{size:.1}  {:.0} %", 100.0 * held) } else { "none yet".to_owned() };
+    format!(
+        "{name:<10} | {:>9.2} nats {:>4.0} % | {:>5.2} nats {:>4.0} % | {:<BAR_WIDTH$} {:>5.0} % | {sets:>17}\n",
+        without[0],
+        100.0 * without[1],
+        with[0],
+        100.0 * with[1],
+        bar(with[1], BAR_WIDTH),
+        100.0 * learned
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_core::grounding::GroundingOptions;
+    use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+    use roomcast_core::scorer::table::TableModel;
+
+    use super::*;
+
+    fn board(learn: bool) -> Board<TableModel> {
+        let map = setup::load_map(Some("apartment-e0".as_ref())).unwrap();
+        let options = GroundingOptions::default();
+        let grounding = Grounding::new(&map, &options).unwrap();
+        let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+        let habits = HabitsOptions { learn, ..HabitsOptions::default() };
+        let board = Board::new(pipeline, map, options, 1).unwrap();
+        board.with_habits(HomeHabits::new(Memory::new(habits), Zone::UTC))
+    }
+
+    /// The figures are those of the minutes, the person's days are what is measured against, and the week is worth showing.
+    #[test]
+    fn a_week_makes_the_forecast_good() {
+        let (with, without) = (board(true), board(false));
+        let life = Life::new(7, with.map(), with.pipeline().grounding(), 3).unwrap();
+        assert_eq!(life.out.len(), 5);
+        let mut days = Vec::new();
+        watch(&life, with, without, |day, cases| {
+            assert!(cases.iter().all(|case| case.day == day));
+            days.push((day, cases.to_vec()));
+            Ok(())
+        })
+        .unwrap();
+        assert_eq!(days.iter().map(|(day, _)| *day).collect::<Vec<_>>(), (0..7).collect::<Vec<_>>());
+        for (_, cases) in &days {
+            let figures = Figures::of(cases);
+            // Once more, from the cases themselves.
+            let n = cases.len() as f64;
+            let loss = cases.iter().map(|case| -case.with[case.truth].max(1e-6).ln()).sum::<f64>() / n;
+            let right = |p: &[f64], truth: usize| p.iter().all(|other| *other <= p[truth]);
+            let hits = cases.iter().filter(|case| right(&case.with, case.truth)).count() as f64 / n;
+            assert!((figures.with[0] - loss).abs() < 1e-9 && (figures.with[1] - hits).abs() < 2e-2, "{figures:?}");
+            assert!(cases.iter().all(|case| (case.with.iter().sum::<f64>() - 1.0).abs() < 1e-4));
+            assert!(line("Monday", &figures).contains(&format!("{:.2} nats", figures.with[0])));
+        }
+        let of = |day: usize| Figures::of(&days[day].1);
+        let (first, last, plain) = (of(0).with, of(4).with, of(4).without);
+        assert!(last[0] < first[0] && last[0] < 0.7 * plain[0], "{first:?} {last:?} {plain:?}");
+        let all: Vec<Case> = days.iter().skip(1).flat_map(|(_, cases)| cases.clone()).collect();
+        let sets = Figures::of(&all);
+        assert!(sets.held > 0.85 && sets.size < 3.0, "{sets:?}");
+    }
+}
