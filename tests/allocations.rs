@@ -4,20 +4,24 @@
 #![expect(clippy::unwrap_used, reason = "a panic is a test's report")]
 
 use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::habits::HabitsOptions;
 use roomcast_core::narration::{Observation, Program, Sentence};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::certified::Effort;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::{Domain, ForecastV1, RoomScoresV1, clock};
 use roomcast_llama::LlamaOptions;
-use roomcast_services::daemon::{Board, Cycle, Entry};
+use roomcast_services::daemon::{Board, Cycle, Entry, HomeHabits, Memory, Zone};
 use roomcast_services::embedded;
 use roomcast_services::setup::load_model;
 
 /// iceoryx2 itself allocates once for each message sent: in `send_copy`, an `Arc` around the mutex of the sample that it lends.
 const SENDS: u64 = 2;
 
-/// Allocations of each event of the shipped programs, the third time that they are told: of the step, of writing the messages, of sending
+/// How often the programs are told before an event counts as warm: habits see further contexts the second time, and the third.
+const TOLD: usize = 5;
+
+/// Allocations of each event of the shipped programs, the last time that they are told: of the step, of writing the messages, of sending
 /// them, of the idle work.
 fn allocations(effort: Effort) -> Vec<[u64; 4]> {
     let map = SemanticMap::from_json(embedded::scene("apartment-e0").unwrap().text).unwrap();
@@ -25,6 +29,7 @@ fn allocations(effort: Effort) -> Vec<[u64; 4]> {
     let options = PipelineOptions { effort, ..PipelineOptions::default() };
     let pipeline = Pipeline::new(load_model(None, &LlamaOptions::default()).unwrap(), grounding, options).unwrap();
     let board = Board::new(pipeline, map, GroundingOptions::default(), 1).unwrap();
+    let board = board.with_habits(HomeHabits::new(Memory::new(HabitsOptions::default()), Zone::UTC));
     let mut cycle = Cycle::new(board, u64::MAX / 2);
     let sentences: Vec<String> = embedded::PROGRAMS
         .iter()
@@ -40,7 +45,7 @@ fn allocations(effort: Effort) -> Vec<[u64; 4]> {
         let forecasts = node.publisher::<ForecastV1>().unwrap();
         let scores = node.publisher::<RoomScoresV1>().unwrap();
         let received = node.subscriber::<RoomScoresV1>().unwrap();
-        for (sequence, sentence) in (1..).zip(sentences.iter().cycle().take(3 * sentences.len())) {
+        for (sequence, sentence) in (1..).zip(sentences.iter().cycle().take((TOLD + 1) * sentences.len())) {
             let now_ns = clock::monotonic_ns();
             let sentence = Sentence::new(sentence).unwrap();
             let observation = Observation { observed_ns: now_ns, ..Observation::of(sequence, sentence) };
@@ -51,6 +56,9 @@ fn allocations(effort: Effort) -> Vec<[u64; 4]> {
             let (mut forecast, mut message) = (None, None);
             let written = allocation_counter::measure(|| {
                 forecast = Some(*cycle.board_mut().forecast(now_ns));
+                cycle.board_mut().person_scores(now_ns);
+                cycle.board_mut().person_forecasts(now_ns);
+                cycle.board_mut().tick(now_ns, now_ns);
                 message = cycle.message(now_ns, u64::MAX, false).copied();
             });
             let sent = allocation_counter::measure(|| {
@@ -64,7 +72,8 @@ fn allocations(effort: Effort) -> Vec<[u64; 4]> {
     }
     domain.clean_up().unwrap();
     assert!(counts[0][0] > 0, "the first event finds its memory, or nothing is counted");
-    counts.split_off(2 * sentences.len())
+    assert!(cycle.board().habits().learned().observations > sentences.len() as f64);
+    counts.split_off(TOLD * sentences.len())
 }
 
 #[test]

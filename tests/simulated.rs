@@ -9,6 +9,8 @@
 //! - scores and forecasts are of one map, the one that the last good step scored, also when steps fail after a change;
 //! - whoever is away or gone is in no room, nobody is known whom nobody named, and what lies before a gap is in no window;
 //! - a restarted daemon believes everybody where they were, to the last digits, and takes what named nobody for the same person's;
+//! - of no observation habits are learned twice, and where nothing was lost, of each once: whenever the daemon is killed, whether the file
+//!   of habits was written, could not be written, or is damaged or of another version;
 //! - no decision rests on scores past their deadline;
 //! - the coverage-aware planner never waits while a room that it has to do is free;
 //! - of a robot that reports, a room counts as done only when it has said so, and no room whose work it ended otherwise;
@@ -29,6 +31,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
+use roomcast_core::habits::HabitsOptions;
 use roomcast_core::label_trie::TokenTree;
 use roomcast_core::narration::{HistoryLimits, Observation, Presence, SOMEBODY, Said, Sentence, person_number};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
@@ -42,7 +45,8 @@ use roomcast_ipc::{
 };
 use roomcast_services::config::{IntakeLimits, PersonsConfig, PlannerConfig};
 use roomcast_services::daemon::{
-    Board, Cycle, Entry, Intake, Persons, PersonsFile, Recovered, SentenceCost, Taken, journal,
+    Board, Cycle, Entry, HomeHabits, Intake, Memory, Persons, PersonsFile, Recovered, SentenceCost, Taken, Zone,
+    decode_memory, encode_memory, journal,
 };
 use roomcast_services::narrator::{Account, Item, Who};
 use roomcast_services::planner::Planner;
@@ -105,6 +109,8 @@ enum Planted {
     OnePort,
     /// The intake does not ask what a sentence costs.
     NoCost,
+    /// A restarted daemon does not know of which observations it has learned.
+    NoNamesOfLessons,
 }
 
 /// A model whose scores depend on every token of the prompt, so that one narration more or less shows. Fails when told to.
@@ -268,6 +274,11 @@ struct World {
     /// Nobody is killed any more.
     calm: bool,
     disk: Vec<u8>,
+    /// Whether habits are learned, and the file that holds them.
+    learns: bool,
+    habits_disk: Option<Vec<u8>>,
+    /// Sentences that were ever accepted.
+    lessons: BTreeSet<(u64, u64, u64)>,
     /// What must be in the history, in order, as it came.
     accepted: Vec<Observation>,
     /// Whose the daemon said that is which named nobody, and of these what the journal has.
@@ -316,6 +327,9 @@ struct Tally {
     silent: u64,
     paused: u64,
     kept: u64,
+    habits_written: u64,
+    habits_read: u64,
+    habits_lost: u64,
 }
 
 type Check = Result<(), String>;
@@ -371,6 +385,9 @@ impl World {
             strangers: VecDeque::new(),
             calm: false,
             disk: Vec::new(),
+            learns: false,
+            habits_disk: None,
+            lessons: BTreeSet::new(),
             accepted: Vec::new(),
             attributed: BTreeMap::new(),
             taken: BTreeSet::new(),
@@ -388,6 +405,7 @@ impl World {
             world.narrators.push(Narrator { name, port: Sender::simulated(epoch), account, history, wire, scores });
         }
         world.start_planner();
+        world.learns = world.rng.random_bool(0.4);
         world
     }
 
@@ -421,7 +439,8 @@ impl World {
             500..680 => return self.score(),
             680..780 => self.confirm(),
             780..900 => return self.plan(),
-            900..960 => self.act(),
+            900..957 => self.act(),
+            957..960 => self.keep_habits(),
             960..970 => self.now_ns += self.rng.random_range(0..600) * MS,
             970..976 => self.hang(),
             976..979 => self.failures.set(self.rng.random_range(1..4)),
@@ -563,6 +582,9 @@ impl World {
                 daemon.heard.insert((observation.source, observation.epoch));
                 let name = (observation.source, observation.epoch, observation.sequence);
                 ensure(self.taken.insert(name), || format!("taken twice: {name:?}"))?;
+                if observation.sentence().is_some() {
+                    self.lessons.insert(name);
+                }
                 // Damage to the journal may have taken a narration that nobody sends again.
                 let lost = self.faithful && missed > self.damaged.len() as u64;
                 ensure(!lost, || format!("lost on a faithful transport: {missed} before {name:?}"))?;
@@ -579,6 +601,67 @@ impl World {
             Taken::Limited => {}
         }
         Ok(())
+    }
+
+    /// What was learned is written, if the disk is not full.
+    fn keep_habits(&mut self) {
+        if !self.awake() || !self.learns {
+            return;
+        }
+        let is_full = self.rng.random_bool(0.2);
+        let Some(daemon) = &mut self.daemon else { return };
+        let habits = daemon.cycle.board_mut().habits_mut();
+        match habits.memory_if_changed() {
+            Some(_) if is_full => habits.keep_changed(),
+            Some(memory) => {
+                self.habits_disk = Some(encode_memory(&memory));
+                self.tally.habits_written += 1;
+            }
+            None => {}
+        }
+    }
+
+    /// The file of habits is damaged while nobody runs, or another version has written it.
+    fn damage_habits(&mut self) {
+        let Some(bytes) = &mut self.habits_disk else { return };
+        match self.rng.random_range(0..3) {
+            0 => bytes.truncate(self.rng.random_range(0..bytes.len())),
+            1 => bytes[..8].copy_from_slice(b"RCHOME0\n"),
+            _ => {
+                let at = self.rng.random_range(0..bytes.len());
+                bytes[at] ^= 1 << self.rng.random_range(0..8);
+            }
+        }
+    }
+
+    /// What a starting daemon knows of the home.
+    fn memory(&mut self) -> Memory {
+        let options = HabitsOptions { learn: self.learns, half_life_days: 0.0, ..HabitsOptions::default() };
+        let Some(bytes) = self.habits_disk.take() else { return Memory::new(options) };
+        match decode_memory(&bytes, options) {
+            Ok(memory) => {
+                self.habits_disk = Some(bytes);
+                self.tally.habits_read += 1;
+                if self.planted == Planted::NoNamesOfLessons { Memory::of(memory.habits) } else { memory }
+            }
+            Err(_) => {
+                self.tally.habits_lost += 1;
+                Memory::new(options)
+            }
+        }
+    }
+
+    /// Each sentence was learned once at most; and once where `whole` says that none can have been lost.
+    fn check_habits(&mut self, whole: bool) -> Check {
+        let now_ns = self.now_ns;
+        let Some(daemon) = self.daemon.as_mut().filter(|_| self.learns) else { return Ok(()) };
+        // What is observed is learned with the next forecast.
+        daemon.cycle.board_mut().forecast(now_ns);
+        let (learned, said) = (daemon.cycle.board().habits().learned().observations as usize, self.lessons.len());
+        ensure(learned <= said, || format!("{learned} sentences were learned, of {said} that were said"))?;
+        // Who is no resident is a visitor, of whom nothing is learned; and what comes too late is passed over.
+        let all = whole && self.residents.is_empty() && self.tally.outdated == 0 && self.damaged.is_empty();
+        ensure(!all || learned == said, || format!("{learned} sentences were learned, and {said} were said"))
     }
 
     /// The journal's writer hands some records to the system.
@@ -671,6 +754,7 @@ impl World {
         self.check_scores(&message)?;
         self.check_persons(&message)?;
         self.check_restored()?;
+        self.check_habits(false)?;
         self.note(|| format!("daemon sends {} with {} claims", message.sequence, message.source_count));
         if !self.calm && self.rng.random_bool(0.01) {
             // Killed in the middle of a publish: some subscribers have it, some have not.
@@ -906,7 +990,8 @@ impl World {
             })?;
             let rows = own.probability.iter().zip(&again.probability).chain([(&own.elsewhere, &again.elsewhere)]);
             for (before, after) in rows.flat_map(|(before, after)| before.iter().zip(after)) {
-                ensure(!same_windows || (before - after).abs() < 1e-4, || {
+                // What was learned since it was written is learned again in less detail.
+                ensure(!same_windows || self.learns || (before - after).abs() < 1e-4, || {
                     format!("after a restart person {} is in a room with {after}, before with {before}", own.person)
                 })?;
             }
@@ -966,6 +1051,9 @@ impl World {
         if self.rng.random_bool(0.15) {
             self.damage_disk();
         }
+        if self.rng.random_bool(0.15) {
+            self.damage_habits();
+        }
         Ok(())
     }
 
@@ -993,6 +1081,7 @@ impl World {
             PersonsConfig { residents: self.residents.clone(), visitor_s: VISITOR_S, ..PersonsConfig::default() };
         let persons = Persons::new(config, PersonsFile::default());
         let board = Board::new(pipeline, self.maps[0].clone(), GROUNDING, self.epoch()).unwrap().with_persons(persons);
+        let board = board.with_habits(HomeHabits::new(self.memory(), Zone::UTC));
         let mut cycle = Cycle::new(board, HEARTBEAT_NS);
         let mut intake = Intake::new(IntakeLimits::default());
         if self.planted != Planted::NoCost {
@@ -1024,6 +1113,9 @@ impl World {
         }
         let costly = cycle.restore(recovered, known, self.now_ns, self.now_ns);
         ensure(costly == 0, || format!("{costly} sentences of the journal cannot be scored"))?;
+        let learned = cycle.board().habits().learned().observations as usize;
+        let said = self.lessons.len();
+        ensure(learned <= said, || format!("{learned} sentences were learned, of {said} that were said"))?;
         let (queue, records) = Default::default();
         self.daemon = Some(Daemon {
             intake,
@@ -1320,6 +1412,7 @@ impl World {
             self.confirm();
             self.plan()?;
         }
+        self.check_habits(self.faithful)?;
         if !self.faithful {
             return Ok(());
         }
@@ -1450,6 +1543,9 @@ fn no_seed_violates_an_invariant() {
                 total.silent += tally.silent;
                 total.paused += tally.paused;
                 total.kept += tally.kept;
+                total.habits_written += tally.habits_written;
+                total.habits_read += tally.habits_read;
+                total.habits_lost += tally.habits_lost;
             }
             Err(what) => {
                 println!("{}", what.lines().next().unwrap_or_default());
@@ -1477,6 +1573,9 @@ fn no_seed_violates_an_invariant() {
             total.silent,
             total.paused,
             total.kept,
+            total.habits_written,
+            total.habits_read,
+            total.habits_lost,
         ] {
             assert!(reached > 0, "{total:?}");
         }
@@ -1504,6 +1603,7 @@ fn planted_faults_are_found() {
         (Planted::MapBeforeScores, "of another map"),
         (Planted::OnePort, "a stranger is heard"),
         (Planted::NoCost, "a stranger is heard"),
+        (Planted::NoNamesOfLessons, "sentences were learned, of"),
     ] {
         let found = (0..500).into_par_iter().filter_map(|seed| play(seed, planted).err()).collect::<Vec<_>>();
         let as_expected = found.iter().filter(|what| what.lines().next().unwrap_or("").contains(violation)).count();
