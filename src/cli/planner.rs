@@ -33,6 +33,9 @@ pub struct Args {
     /// What to do where the deadline leaves no later time for a room that somebody is in, in place of the configuration's.
     #[arg(long, value_name = "HOW", value_parser = choice::<Forced>())]
     forced: Option<Forced>,
+    /// Whether no room is entered that is in a person's room set at any time of the stay, in place of the configuration's.
+    #[arg(long, value_name = "BOOL")]
+    avoid_sets: Option<bool>,
     /// Whether somebody who comes into the robot's room ends its work there, in place of the configuration's.
     #[arg(long, value_name = "BOOL")]
     interrupt: Option<bool>,
@@ -62,6 +65,7 @@ impl Args {
         planned.room_time_s = self.room_time.unwrap_or(planned.room_time_s);
         planned.round_s = self.round.or(planned.round_s);
         planned.forced = self.forced.unwrap_or(planned.forced);
+        planned.avoid_sets = self.avoid_sets.unwrap_or(planned.avoid_sets);
         planned.interrupt = self.interrupt.unwrap_or(planned.interrupt);
         planned.interrupt_after_s = self.interrupt_after.unwrap_or(planned.interrupt_after_s);
         planned.reports = self.reports.unwrap_or(planned.reports);
