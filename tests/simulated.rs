@@ -330,6 +330,7 @@ struct Tally {
     habits_written: u64,
     habits_read: u64,
     habits_lost: u64,
+    habits_whole: u64,
 }
 
 type Check = Result<(), String>;
@@ -660,7 +661,9 @@ impl World {
         let (learned, said) = (daemon.cycle.board().habits().learned().observations as usize, self.lessons.len());
         ensure(learned <= said, || format!("{learned} sentences were learned, of {said} that were said"))?;
         // Who is no resident is a visitor, of whom nothing is learned; and what comes too late is passed over.
-        let all = whole && self.residents.is_empty() && self.tally.outdated == 0 && self.damaged.is_empty();
+        let late = self.accepted.windows(2).any(|pair| pair[1].observed_ns < pair[0].observed_ns);
+        let all = whole && !late && self.residents.is_empty() && self.tally.outdated == 0 && self.damaged.is_empty();
+        self.tally.habits_whole += u64::from(all);
         ensure(!all || learned == said, || format!("{learned} sentences were learned, and {said} were said"))
     }
 
@@ -1546,6 +1549,7 @@ fn no_seed_violates_an_invariant() {
                 total.habits_written += tally.habits_written;
                 total.habits_read += tally.habits_read;
                 total.habits_lost += tally.habits_lost;
+                total.habits_whole += tally.habits_whole;
             }
             Err(what) => {
                 println!("{}", what.lines().next().unwrap_or_default());

@@ -884,6 +884,9 @@ typedef struct RoomcastStatusResponseV1 {
   uint8_t reserved[64];
 } RoomcastStatusResponseV1;
 
+// How far ahead the entries of PersonForecastV1::learned_share look, in seconds.
+#define ROOMCAST_LEARNED_SHARE_S { 60.0, 900.0, 3600.0, }
+
 #endif  /* ROOMCAST_H */
 
 
