@@ -196,7 +196,7 @@ mod tests {
         );
         assert_eq!(place(-1.0), None);
         let in_kitchen = |from_s, to_s| trace.time_in(0, from_s, to_s);
-        assert_eq!([in_kitchen(0.0, 60.0), in_kitchen(25.0, 40.0), in_kitchen(110.0, 300.0)], [50.0, 10.0, 40.0]);
+        assert_eq!([in_kitchen(0.0, 60.0), in_kitchen(25.0, 40.0), in_kitchen(110.0, 300.0)], [50.0, 10.0, 0.0]);
         assert_eq!((trace.time_in(3, 100.0, 1_000.0), trace.time_in(2, 2_000.0, 2_010.0)), (600.0, 10.0));
     }
 }
