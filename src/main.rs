@@ -8,6 +8,8 @@
 use std::process::ExitCode;
 
 mod bar;
+#[cfg(feature = "bridge")]
+mod bridge;
 mod cli;
 mod exit_code;
 #[cfg(any(feature = "metrics", feature = "view"))]

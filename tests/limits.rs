@@ -19,7 +19,7 @@ use roomcast_ipc::{
 use roomcast_llama::{SEQUENCES_MAX, THREADS_MAX};
 use roomcast_services::config::{self, Config};
 use roomcast_services::daemon::{self, SOURCES_OF_A_PORT};
-use roomcast_services::{mqtt, recording, sensor_log};
+use roomcast_services::{mqtt, mqtt_link, recording, sensor_log};
 
 const HEAD: &str = "# Limits
 
@@ -122,6 +122,14 @@ fn page() -> String {
             ("bytes of a packet", &mqtt::PACKET_BYTES_MAX, "the broker does not send it"),
             ("bytes of a payload", &mqtt::PAYLOAD_BYTES_MAX, "is passed over, with its topic in the log"),
             ("messages that the broker sends ahead", &mqtt::MESSAGES_AHEAD_MAX, "wait at the broker"),
+            ("messages of bridge or robot that wait to be sent", &mqtt_link::SAYING_MAX, "wait until there is room"),
+            ("bytes that wait to be read by bridge or robot", &mqtt_link::HEARING_BYTES_MAX, "the oldest give way"),
+            (
+                "bytes of what topics of the bridge begin with",
+                &config::TOPIC_BYTES_MAX,
+                "is refused in the configuration",
+            ),
+            ("horizons that the bridge tells of", &config::BRIDGE_HORIZONS_MAX, "is refused in the configuration"),
         ],
     );
     page

@@ -14,11 +14,13 @@ use rustix::process::{Pid, Signal, kill_process};
 mod skipped;
 use skipped::skipped;
 
-const UNITS: [&str; 6] = [
+const UNITS: [&str; 8] = [
     "roomcast-daemon.service",
     "roomcast-planner.service",
     "roomcast-narrator.service",
     "roomcast-mqtt.service",
+    "roomcast-bridge.service",
+    "roomcast-robot.service",
     "roomcast-metrics.service",
     "roomcast-view.service",
 ];
@@ -259,5 +261,18 @@ fn metrics_say_that_they_live_while_they_serve() {
     assert!(supervisor.hears("READY=1", Duration::from_secs(60)), "they say when they are ready");
     for _ in 0..3 {
         assert!(supervisor.hears("WATCHDOG=1", Duration::from_secs(5)), "they say again and again that they live");
+    }
+}
+
+/// The broker is away: that is no reason to start them again.
+#[test]
+fn bridge_and_robot_say_that_they_live_also_while_their_broker_is_away() {
+    for service in [&["bridge", "mqtt"][..], &["robot"]] {
+        let mut supervisor = Supervisor::new();
+        supervisor.start_service(&[service, &["--mqtt", "mqtt://127.0.0.1:9"]].concat());
+        assert!(supervisor.hears("READY=1", Duration::from_secs(60)), "{service:?} says when it is ready");
+        for _ in 0..3 {
+            assert!(supervisor.hears("WATCHDOG=1", Duration::from_secs(5)), "{service:?} says that it lives");
+        }
     }
 }

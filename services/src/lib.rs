@@ -50,9 +50,15 @@ pub mod sensor_log;
 #[cfg(feature = "mqtt")]
 pub mod mqtt;
 
+#[cfg(feature = "mqtt")]
+pub mod mqtt_link;
+
 pub mod planner;
 
 pub mod reporter;
+
+#[cfg(feature = "mqtt")]
+pub mod vacuum;
 
 #[cfg(feature = "recording")]
 pub mod recording;
@@ -63,3 +69,14 @@ pub mod lessons;
 #[cfg(all(test, feature = "mqtt"))]
 #[path = "../../tests/support/skipped.rs"]
 mod skipped;
+
+#[cfg(all(test, feature = "mqtt"))]
+#[path = "../../tests/support/mosquitto.rs"]
+#[expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
+mod mosquitto;
+
+#[cfg(all(test, feature = "mqtt"))]
+#[path = "../../tests/support/fake_valetudo.rs"]
+#[expect(dead_code, reason = "a test needs some of it")]
+#[expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
+mod fake_valetudo;

@@ -848,15 +848,14 @@ impl<W: Write> Connection<W> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
     use crate::skipped::skipped;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rumqttc::v5::Client;
     use std::io::{BufRead, BufReader, Read};
-    use std::process::{Child, Command, Stdio};
+    use std::process::Command;
     use std::sync::{Mutex, PoisonError};
-
-    const NO_BROKER: &str = "mosquitto is not installed (apt-get install mosquitto)";
 
     const RULES: &str = r#"
         [[rule]]
@@ -1096,88 +1095,6 @@ mod tests {
         assert!(with("mqtt://hub", text.clone()).to_string().contains("with a CA file"));
         assert!(matches!(with("mqtts://hub", text), MqttError::Authority { .. }));
         assert!(matches!(with("mqtts://hub", Some(folder.path().join("nowhere"))), MqttError::Read { .. }));
-    }
-
-    const ANYBODY: &str = "allow_anonymous true";
-
-    struct Mosquitto {
-        child: Child,
-        port: u16,
-        folder: tempfile::TempDir,
-    }
-
-    impl Mosquitto {
-        /// `access` says who may come in, in the words of its configuration.
-        fn start(port: u16, folder: tempfile::TempDir, access: &str) -> Option<Self> {
-            let config = folder.path().join("mosquitto.conf");
-            let text = format!(
-                "listener {port} 127.0.0.1\n{access}\npersistence true\npersistence_location {}/\nautosave_interval 1000\nautosave_on_changes true\nmax_queued_messages 0\n",
-                folder.path().display()
-            );
-            std::fs::write(&config, text).unwrap();
-            // Debian's package puts it where an ordinary user's path does not lead; as root it would become another user.
-            let program =
-                ["/usr/sbin/mosquitto", "/usr/bin/mosquitto"].into_iter().find(|path| Path::new(path).exists())?;
-            std::fs::write(&config, std::fs::read_to_string(&config).unwrap() + "user root\n").unwrap();
-            let mut command = Command::new(program);
-            command.arg("-c").arg(&config).stdout(Stdio::null()).stderr(Stdio::null());
-            let child = command.spawn().unwrap();
-            let deadline = Instant::now() + Duration::from_secs(20);
-            while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
-                assert!(Instant::now() < deadline, "mosquitto does not listen on port {port}");
-                std::thread::sleep(Duration::from_millis(20));
-            }
-            Some(Self { child, port, folder })
-        }
-
-        fn restart(mut self) -> Self {
-            self.stop();
-            let Self { port, .. } = self;
-            let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
-            drop(self);
-            Self::start(port, folder, ANYBODY).unwrap()
-        }
-
-        fn stop(&mut self) {
-            // SIGTERM, so that it writes its sessions down.
-            let pid = rustix::process::Pid::from_child(&self.child);
-            let _ended = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
-            let _waited = self.child.wait();
-        }
-
-        /// Publishes messages in order and returns when the broker has all of them.
-        fn publish(&self, messages: &[(&'static str, String, bool)]) {
-            let mut options = MqttOptions::new("publisher", "127.0.0.1", self.port);
-            options.set_max_packet_size(Some(64 << 20));
-            let (client, mut connection) = Client::new(options, messages.len().max(1));
-            // A broker that has just begun to listen may still turn its first clients away.
-            let deadline = Instant::now() + Duration::from_secs(20);
-            loop {
-                match connection.recv().unwrap() {
-                    Ok(Event::Incoming(Packet::ConnAck(_))) => break,
-                    Ok(_) => {}
-                    Err(error) => {
-                        assert!(Instant::now() < deadline, "no connection to port {}: {error}", self.port);
-                        std::thread::sleep(Duration::from_millis(20));
-                    }
-                }
-            }
-            for (topic, payload, retain) in messages {
-                client.try_publish(*topic, QoS::AtLeastOnce, *retain, payload.clone()).unwrap();
-            }
-            let mut acknowledged = 0;
-            while acknowledged < messages.len() {
-                if let Event::Incoming(Packet::PubAck(_)) = connection.recv().unwrap().unwrap() {
-                    acknowledged += 1;
-                }
-            }
-        }
-    }
-
-    impl Drop for Mosquitto {
-        fn drop(&mut self) {
-            self.stop();
-        }
     }
 
     /// A PEM file, and its path.

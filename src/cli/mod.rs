@@ -14,6 +14,10 @@ use roomcast_services::setup::SetupError;
 
 use crate::exit_code;
 
+#[cfg(feature = "bridge")]
+mod bridge;
+#[cfg(feature = "mqtt")]
+mod broker;
 mod choice;
 #[cfg(feature = "manuals")]
 mod completions;
@@ -51,6 +55,8 @@ mod record;
 #[cfg(feature = "recordings")]
 mod replay;
 mod report;
+#[cfg(feature = "robot")]
+mod robot;
 mod scene;
 mod scene_files;
 mod score;
@@ -168,6 +174,9 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Publish what Roomcast knows over MQTT, for Home Assistant and others.
+    #[cfg(feature = "bridge")]
+    Bridge(bridge::Args),
     /// Print a completion script for a shell.
     #[cfg(feature = "manuals")]
     Completions(completions::Args),
@@ -217,6 +226,9 @@ enum Command {
     Replay(replay::Args),
     /// Tell a robot's planner what the robot does: started, finished, failed, position, battery.
     Report(report::Args),
+    /// Drive a robot vacuum by the planner's decisions: Valetudo, or what Home Assistant has. Only says what it would do, until --obey.
+    #[cfg(feature = "robot")]
+    Robot(robot::Args),
     /// Import, check, show and draw semantic maps.
     Scene(scene::Args),
     /// Score every label, item and partition of a scene once.
@@ -269,6 +281,8 @@ pub fn main() -> ExitCode {
         sigpipe::reset();
     }
     let result = match command {
+        #[cfg(feature = "bridge")]
+        Command::Bridge(args) => bridge::run(&args),
         #[cfg(feature = "manuals")]
         Command::Completions(args) => completions::run(&args),
         Command::Config(args) => config::run(&args),
@@ -298,6 +312,8 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "recordings")]
         Command::Replay(args) => replay::run(&args),
         Command::Report(args) => report::run(&args),
+        #[cfg(feature = "robot")]
+        Command::Robot(args) => robot::run(&args),
         Command::Scene(args) => scene::run(&args),
         Command::Score(args) => score::run(&args),
         #[cfg(feature = "top")]

@@ -8,7 +8,7 @@ use roomcast_services::mqtt::{self, Broker, Heard, MqttError, Rules};
 use roomcast_services::narrator::{Input, Who};
 use roomcast_services::stop::Stop;
 
-use super::{CommandResult, Failure, print};
+use super::{CommandResult, Failure, broker, print};
 use crate::exit_code;
 
 const TICK: Duration = Duration::from_millis(100);
@@ -18,8 +18,8 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// Listens to the broker in a thread of its own; its lines come through a pipe, whose small buffer holds it back while the daemon is
 /// behind: what is in it is acknowledged, and goes with this process if that is killed.
 pub(super) fn listen(broker: &Broker, rules: &Path, person: Who, stop: &Stop) -> Result<(Input, Listener), Failure> {
-    let rules = Rules::load(rules).map_err(mqtt_failure)?;
-    let options = broker.options().map_err(mqtt_failure)?;
+    let rules = Rules::load(rules).map_err(broker::failure)?;
+    let options = broker.options().map_err(broker::failure)?;
     let (reader, writer) = std::io::pipe().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
     // The least there is, a page; a system that refuses leaves it larger.
     let _resized = rustix::pipe::fcntl_setpipe_size(&writer, 4096);
@@ -33,9 +33,9 @@ pub(super) fn listen(broker: &Broker, rules: &Path, person: Who, stop: &Stop) ->
 
 /// Prints what the broker's messages would say, until it is asked to stop. No daemon is needed.
 pub(super) fn rehearse(broker: &Broker, rules: &Path, stop: &Stop) -> CommandResult {
-    let rules = Rules::load(rules).map_err(mqtt_failure)?;
-    let options = broker.options().map_err(mqtt_failure)?;
-    let heard = mqtt::rehearse(options, rules, std::io::stdout(), stop).map_err(mqtt_failure)?;
+    let rules = Rules::load(rules).map_err(broker::failure)?;
+    let options = broker.options().map_err(broker::failure)?;
+    let heard = mqtt::rehearse(options, rules, std::io::stdout(), stop).map_err(broker::failure)?;
     let Heard { said, unfit, silent, oversized } = heard;
     let summary = format!(
         "{said} lines would be said; of the messages no rule fits {unfit}, {silent} say nothing new, {oversized} are too large\n"
@@ -64,17 +64,8 @@ pub(super) type Listener = JoinHandle<Result<Heard, MqttError>>;
 /// How listening ended, which it does by itself only when the client cannot go on.
 pub(super) fn join(listener: Listener) -> CommandResult {
     let heard = listener.join().map_err(|_| Failure::new(exit_code::FAILURE, "the mqtt thread ended unexpectedly"))?;
-    let heard = heard.map_err(mqtt_failure)?;
+    let heard = heard.map_err(broker::failure)?;
     let Heard { said, unfit, silent, oversized } = heard;
     tracing::info!(said, unfit, silent, oversized, "left the broker");
     Ok(())
-}
-
-fn mqtt_failure(error: MqttError) -> Failure {
-    let code = match error {
-        MqttError::Address { .. } | MqttError::Scheme { .. } => exit_code::USAGE,
-        MqttError::Read { .. } | MqttError::Rules { .. } | MqttError::Authority { .. } => exit_code::INPUT,
-        _ => exit_code::FAILURE,
-    };
-    Failure::new(code, error)
 }

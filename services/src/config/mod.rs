@@ -22,8 +22,8 @@ use roomcast_llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
 mod sections;
 
 pub use sections::{
-    DaemonConfig, Forced, HabitsConfig, IntakeLimits, KnownNarrator, MetricsConfig, NarratorConfig, PersonsConfig,
-    PlannerConfig, Reports,
+    BridgeConfig, DaemonConfig, Forced, HabitsConfig, IntakeLimits, KnownNarrator, MetricsConfig, MqttConfig,
+    NarratorConfig, OnPause, PersonsConfig, PlannerConfig, Reports, RobotConfig, RobotKind,
 };
 
 /// The commented default configuration, as a file to start from.
@@ -36,6 +36,11 @@ pub const DEADLINE_MS_MAX: u64 = 60_000;
 
 /// Most entries of `[[daemon.narrator]]`.
 pub const KNOWN_NARRATORS_MAX: usize = 64;
+
+/// Most bytes of what topics begin with.
+pub const TOPIC_BYTES_MAX: usize = 64;
+/// Most horizons that the bridge tells of.
+pub const BRIDGE_HORIZONS_MAX: usize = 8;
 
 /// Least bytes of the journal: either half holds a few of the longest sentences.
 const JOURNAL_BYTES_MIN: u64 = 8192;
@@ -136,6 +141,12 @@ pub struct Config {
     pub narrator: NarratorConfig,
     /// Metrics for Prometheus.
     pub metrics: MetricsConfig,
+    /// The MQTT broker.
+    pub mqtt: MqttConfig,
+    /// What is published over MQTT.
+    pub bridge: BridgeConfig,
+    /// The robot that is driven.
+    pub robot: RobotConfig,
 }
 
 /// The section `[ipc]`.
@@ -288,6 +299,7 @@ impl Config {
     /// Every limit, and whether it holds.
     fn limits(&self) -> Vec<Limit> {
         let Self { model, scoring, history, daemon, persons, forecast, habits, planner, metrics, narrator, .. } = self;
+        let (bridge, vacuum) = (&self.bridge, &self.robot);
         let row = |key, value: &dyn fmt::Display, holds, remedy: &str| Limit {
             key,
             value: value.to_string(),
@@ -296,6 +308,18 @@ impl Config {
         };
         let is_name = |name: &str| {
             !name.trim().is_empty() && name.len() <= NAME_BYTES && !name.contains(roomcast_core::text::is_hidden)
+        };
+        let is_topic = |topic: &str| {
+            let plain = !topic.starts_with('$')
+                && !topic.contains(['+', '#'])
+                && !topic.contains(roomcast_core::text::is_hidden);
+            topic.len() <= TOPIC_BYTES_MAX && plain && topic.split('/').all(|level| !level.is_empty())
+        };
+        let topics =
+            format!("an MQTT topic of 1 to {TOPIC_BYTES_MAX} bytes without wildcards, and without a slash at its ends");
+        let ahead = format!("{:?}", bridge.horizons_s);
+        let rises = |times: &[f64]| {
+            times.iter().all(|time| (1.0..=86_400.0).contains(time)) && times.is_sorted_by(|one, next| one < next)
         };
         let is_sum = |sum: &String| sum.len() == 64 && sum.bytes().all(|digit| digit.is_ascii_hexdigit());
         let is_free = |directory: &PathBuf| !directory.as_os_str().is_empty();
@@ -376,6 +400,17 @@ impl Config {
             within("planner.battery_low", low, 0.0..=1.0),
             row("planner.battery_ready", &ready, (low..=1.0).contains(&ready), "give planner.battery_low to 1"),
             row("metrics.listen", &listen, on_loopback, "give a loopback address, 127.0.0.1:PORT or [::1]:PORT: whoever else wants to see metrics needs a proxy"),
+            row("bridge.topic", &format!("{:?}", bridge.topic), is_topic(&bridge.topic), &format!("give {topics}")),
+            row("bridge.discovery", &format!("{:?}", bridge.discovery), bridge.discovery.is_empty() || is_topic(&bridge.discovery), &format!("give {topics}, or \"\" for no discovery")),
+            row("bridge.horizons_s", &ahead, bridge.horizons_s.len() <= BRIDGE_HORIZONS_MAX && rises(&bridge.horizons_s), &format!("give at most {BRIDGE_HORIZONS_MAX} times of 1 to 86400 s, rising")),
+            within("bridge.soon_s", bridge.soon_s, 0.0..=86_400.0),
+            row("bridge.soon_at", &bridge.soon_at, bridge.soon_at > 0.0 && bridge.soon_at <= 1.0, "give more than 0, at most 1"),
+            row("bridge.soon_until", &bridge.soon_until, (0.0..=bridge.soon_at).contains(&bridge.soon_until), "give 0 to bridge.soon_at"),
+            row("robot.topic", &format!("{:?}", vacuum.topic), is_topic(&vacuum.topic), &format!("give {topics}")),
+            within("robot.start_s", vacuum.start_s, 0.1..=3600.0),
+            within("robot.most_s", vacuum.most_s, 1.0..=86_400.0),
+            row("robot.segments", &vacuum.segments.len(), vacuum.segments.len() <= roomcast_ipc::MAX_ROOMS && vacuum.segments.iter().all(|(room, segment)| is_name(room) && is_name(segment)), &format!("give at most {} rooms, each with a segment of {plain}", roomcast_ipc::MAX_ROOMS)),
+            within("bridge.interval_s", bridge.interval_s, 0.1..=3600.0),
             within("narrator.linger_s", narrator.linger_s, seconds),
         ];
         limits
@@ -456,6 +491,19 @@ mod tests {
             ("[habits]\ncoverage = 1.0", "habits.coverage is 1"),
             ("[persons]\nasleep_s = -1", "persons.asleep_s is -1"),
             ("[persons]\nvisitor_s = 0", "persons.visitor_s is 0"),
+            ("[bridge]\ntopic = \"a/#\"", "bridge.topic is \"a/#\""),
+            ("[bridge]\ntopic = \"\"", "bridge.topic is \"\""),
+            ("[bridge]\ntopic = \"$SYS\"", "bridge.topic is \"$SYS\""),
+            ("[bridge]\ntopic = \"a\\u0000\"", "bridge.topic is"),
+            ("[bridge]\ndiscovery = \"/a\"", "bridge.discovery is \"/a\""),
+            ("[bridge]\nhorizons_s = [600.0, 60.0]", "bridge.horizons_s is [600.0, 60.0]"),
+            ("[bridge]\nsoon_at = nan", "bridge.soon_at is NaN"),
+            ("[bridge]\nsoon_until = 0.6", "bridge.soon_until is 0.6"),
+            ("[robot]\ntopic = \"a/+/b\"", "robot.topic is \"a/+/b\""),
+            ("[robot]\nstart_s = 0", "robot.start_s is 0"),
+            ("[robot]\nmost_s = nan", "robot.most_s is NaN"),
+            ("[robot.segments]\nkitchen = \"\"", "robot.segments is 1"),
+            ("[bridge]\ninterval_s = 0.0", "bridge.interval_s is 0"),
             ("[history]\ngap_s = 1000000001", "history.gap_s is 1000000001"),
         ] {
             let error = toml::from_str::<Config>(toml).unwrap().check().unwrap_err().to_string();

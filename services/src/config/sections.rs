@@ -1,5 +1,6 @@
 //! The sections of the configuration that belong to one process each.
 
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
@@ -276,4 +277,138 @@ impl Default for NarratorConfig {
 pub struct MetricsConfig {
     /// Where to serve them: a loopback address with a port. None: not at all.
     pub listen: Option<SocketAddr>,
+}
+
+/// How a robot speaks.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    Eq,
+    serde::Serialize,
+    serde::Deserialize,
+    Display,
+    EnumMessage,
+    EnumString,
+    IntoStaticStr,
+    VariantArray,
+)]
+#[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
+pub enum RobotKind {
+    /// Valetudo's topics.
+    #[default]
+    Valetudo,
+    /// A vacuum that Home Assistant has, by an automation.
+    HomeAssistant,
+}
+
+/// What a robot at work does when it is to pause.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    Eq,
+    serde::Serialize,
+    serde::Deserialize,
+    Display,
+    EnumMessage,
+    EnumString,
+    IntoStaticStr,
+    VariantArray,
+)]
+#[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
+pub enum OnPause {
+    /// It goes to its dock.
+    #[default]
+    Return,
+    /// It stands still where it is.
+    Pause,
+    /// It goes on: nobody is to interrupt it.
+    GoOn,
+}
+
+/// The section `[robot]`: what `roomcast robot` drives.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RobotConfig {
+    /// How it speaks.
+    pub kind: RobotKind,
+    /// Where it speaks: Valetudo's topic prefix and identifier, or Home Assistant's state topics of the vacuum.
+    pub topic: String,
+    /// Whether it is told anything; otherwise what it would be told is only printed.
+    pub obey: bool,
+    /// What it does when it is to pause.
+    pub on_pause: OnPause,
+    /// Seconds after which an order that the robot does not follow is given again; the third time it has failed.
+    pub start_s: f64,
+    /// Seconds that the robot may take for a room.
+    pub most_s: f64,
+    /// Segments by the ids of rooms, where names and numbers do not tell.
+    pub segments: BTreeMap<String, String>,
+}
+
+impl Default for RobotConfig {
+    fn default() -> Self {
+        Self {
+            kind: RobotKind::default(),
+            topic: "valetudo/robot".to_owned(),
+            obey: false,
+            on_pause: OnPause::default(),
+            start_s: 20.0,
+            most_s: 7200.0,
+            segments: BTreeMap::new(),
+        }
+    }
+}
+
+/// The section `[mqtt]`: the broker that everything meets at which speaks MQTT.
+#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MqttConfig {
+    /// `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with `ca`. None: the command line says it.
+    pub broker: Option<String>,
+    /// A file with user name and password, a line each.
+    pub credentials: Option<PathBuf>,
+    /// A PEM file with the certificates that the broker's is signed by.
+    pub ca: Option<PathBuf>,
+}
+
+/// The section `[bridge]`: what `roomcast bridge mqtt` publishes.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BridgeConfig {
+    /// What its topics begin with.
+    pub topic: String,
+    /// What Home Assistant's discovery topics begin with; empty for no discovery.
+    pub discovery: String,
+    /// Seconds ahead that rooms and persons are told of, beside now: each takes the nearest horizon of the forecast.
+    pub horizons_s: Vec<f64>,
+    /// "Somebody soon" means within so many seconds.
+    pub soon_s: f64,
+    /// ... with this probability, more than 0.
+    pub soon_at: f64,
+    /// ... until the probability is below this, at most `soon_at`.
+    pub soon_until: f64,
+    /// Seconds between two messages of a topic, at least.
+    pub interval_s: f64,
+}
+
+impl Default for BridgeConfig {
+    fn default() -> Self {
+        Self {
+            topic: "roomcast".to_owned(),
+            discovery: "homeassistant".to_owned(),
+            horizons_s: vec![60.0, 600.0],
+            soon_s: 300.0,
+            soon_at: 0.5,
+            soon_until: 0.4,
+            interval_s: 2.0,
+        }
+    }
 }

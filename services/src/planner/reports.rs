@@ -106,8 +106,8 @@ impl Planner {
                 if let Some(room) = room {
                     self.round.fail(room, at_ns);
                 }
-                if of_work {
-                    self.robot.work = None;
+                if of_work && let Some(work) = self.robot.work.take() {
+                    self.complain(work.room, report.note());
                 }
             }
             report_kind::DOCKED => {
@@ -147,6 +147,14 @@ impl Planner {
                 }
             }
             None => {}
+        }
+    }
+
+    /// The next decision says why the robot could not do a room, where the robot does.
+    fn complain(&mut self, room: usize, note: &str) {
+        if !note.is_empty() {
+            let id = self.id_of(room);
+            self.notice.why = format!("the robot could not do the {id} ({note}): ");
         }
     }
 

@@ -441,6 +441,18 @@ fn a_room_that_could_not_be_done_is_tried_after_the_others() {
 }
 
 #[test]
+fn the_next_decision_says_why_the_robot_could_not_do_a_room() {
+    let mut home = Home::new(2, &PlannerConfig::default());
+    let first = home.decision(1);
+    home.report(5, report_kind::FAILED, |report| report.note = text::encode("note", "brush jammed").unwrap());
+    let next = home.decision(5);
+    assert!(next.reason().starts_with("the robot could not do the room-0 (brush jammed): "), "{}", next.reason());
+    assert_ne!(next.to(), first.to());
+    home.answer(50, report_kind::FAILED, &next);
+    assert!(!home.decision(50).reason().contains("could not"), "without a reason there is none to tell");
+}
+
+#[test]
 fn a_robot_that_gets_nowhere_pauses_between_its_tries() {
     let mut home = Home::new(1, &PlannerConfig { repeat: false, ..Default::default() });
     let first = home.decision(1);

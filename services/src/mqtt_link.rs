@@ -1,0 +1,427 @@
+//! A link to a broker for programs that speak and listen: in a thread of its own, with bounded memory, connected again for ever.
+//!
+//! What is said while there is no connection is refused, not kept: whoever speaks knows what is true then, and an order that is an hour
+//! old must not be carried out. What a broken connection had not delivered is dropped for the same reason, and the number of the
+//! connection changes, so that the speaker says again what still holds.
+
+use std::collections::VecDeque;
+use std::pin::pin;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use roomcast_ipc::clock;
+use rumqttc::Outgoing;
+use rumqttc::v5::mqttbytes::QoS;
+use rumqttc::v5::mqttbytes::v5::{Filter, LastWill, Packet, PubAckReason, Publish, PublishProperties};
+use rumqttc::v5::{AsyncClient, Event, EventLoop, MqttOptions};
+use tokio::time::timeout;
+
+use crate::logging::Limiter;
+use crate::mqtt::{Broker, MqttError, PAYLOAD_BYTES_MAX};
+use crate::stop::Stop;
+
+/// Messages that may wait to be sent.
+pub const SAYING_MAX: usize = 128;
+/// Bytes of messages that may wait to be read; the oldest give way.
+pub const HEARING_BYTES_MAX: usize = 4 << 20;
+/// Messages on their way whose receipt the broker has not confirmed.
+const UNCONFIRMED_MAX: u16 = 32;
+/// How long the connection is listened to before the wish to stop is looked at.
+const POLL: Duration = Duration::from_millis(200);
+/// Pause before a lost connection is tried again.
+const RECONNECT: Duration = Duration::from_secs(1);
+/// How long the broker has at the end to confirm what was said last.
+const FAREWELL: Duration = Duration::from_secs(2);
+/// Complaints about the broker come at most so often.
+const QUIET_NS: u64 = 30_000_000_000;
+
+/// A message from the broker.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Heard {
+    /// Its topic.
+    pub topic: String,
+    /// What it says.
+    pub payload: Vec<u8>,
+    /// Whether the broker has kept it: it tells how things are, not what has just happened.
+    pub retained: bool,
+}
+
+/// What is told to whoever listens when this link is gone.
+#[derive(Debug, Clone)]
+pub struct Will {
+    /// The topic, retained.
+    pub topic: String,
+    /// What it says.
+    pub payload: String,
+}
+
+/// What both threads know.
+#[derive(Debug, Default)]
+struct Shared {
+    /// The number of the connection that stands, 0 for none.
+    connection: u64,
+    /// Connections until now.
+    connections: u64,
+    heard: VecDeque<Heard>,
+    heard_bytes: usize,
+    /// Messages said over this connection, and those that the broker has.
+    said: u64,
+    confirmed: u64,
+    refused: u64,
+    disconnected: bool,
+    turned_ns: u64,
+}
+
+/// The link. Dropped, it ends without a farewell, so that the broker publishes the will.
+#[derive(Debug)]
+pub struct Link {
+    client: AsyncClient,
+    shared: Arc<Mutex<Shared>>,
+    stop: Stop,
+    thread: Option<JoinHandle<()>>,
+}
+
+fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Link {
+    /// Connects, and subscribes to `filters` at every connection. Whatever is wrong with the set-up shows here; a broker that is away is
+    /// waited for.
+    ///
+    /// # Errors
+    ///
+    /// [`MqttError`] for an address or a file that cannot be used, and where the system has no thread.
+    pub fn start(broker: &Broker, filters: Vec<String>, will: Option<Will>) -> Result<Self, MqttError> {
+        let mut options = broker.options()?;
+        // Nothing is to be kept for it while it is away.
+        options.set_clean_start(true).set_session_expiry_interval(Some(0));
+        options.set_outgoing_inflight_upper_limit(UNCONFIRMED_MAX);
+        if let Some(Will { topic, payload }) = will {
+            options.set_last_will(LastWill::new(topic, payload, QoS::AtLeastOnce, true, None));
+        }
+        let failed = |error: std::io::Error| MqttError::Client { reason: error.to_string() };
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build();
+        let runtime = runtime.map_err(failed)?;
+        let (client, events) = AsyncClient::new(options.clone(), SAYING_MAX);
+        let shared = Arc::new(Mutex::new(Shared { turned_ns: clock::monotonic_ns(), ..Shared::default() }));
+        let stop = Stop::new();
+        let turning = Turning {
+            broker: shown(&options),
+            client: client.clone(),
+            events,
+            shared: Arc::clone(&shared),
+            filters,
+            log: Limiter::new(QUIET_NS),
+            stop: stop.clone(),
+        };
+        let thread = std::thread::Builder::new().name("mqtt".to_owned());
+        let thread = thread.spawn(move || runtime.block_on(turning.turn())).map_err(failed)?;
+        Ok(Self { client, shared, stop, thread: Some(thread) })
+    }
+
+    /// The number of the connection that stands, 0 for none. A new number means that what was said before may not have arrived.
+    #[must_use]
+    pub fn connection(&self) -> u64 {
+        lock(&self.shared).connection
+    }
+
+    /// When the thread last looked up, in monotonic nanoseconds.
+    #[must_use]
+    pub fn turned_ns(&self) -> u64 {
+        lock(&self.shared).turned_ns
+    }
+
+    /// Says something; whether it was taken. Without a connection, or with too much under way, it is not. `keep` is MQTT's retain;
+    /// `for_s` is how long the broker may hold it for whoever is away.
+    pub fn say(&self, topic: &str, payload: &str, keep: bool, for_s: Option<u32>) -> bool {
+        let mut shared = lock(&self.shared);
+        if shared.connection == 0 {
+            return false;
+        }
+        let properties = PublishProperties { message_expiry_interval: for_s, ..PublishProperties::default() };
+        let payload = payload.as_bytes().to_vec();
+        let said = self.client.try_publish_with_properties(topic, QoS::AtLeastOnce, keep, payload, properties).is_ok();
+        shared.said += u64::from(said);
+        said
+    }
+
+    /// Messages of this connection that the broker has not confirmed.
+    #[must_use]
+    pub fn unconfirmed(&self) -> u64 {
+        let shared = lock(&self.shared);
+        shared.said - shared.confirmed
+    }
+
+    /// What was heard since the last call.
+    #[must_use]
+    pub fn heard(&self) -> Vec<Heard> {
+        let mut shared = lock(&self.shared);
+        shared.heard_bytes = 0;
+        shared.heard.drain(..).collect()
+    }
+
+    /// Waits until the broker has what was said, for two seconds at most, and leaves it: no will is published.
+    pub fn leave(mut self) {
+        let start = Instant::now();
+        while start.elapsed() < FAREWELL && self.connection() > 0 && self.unconfirmed() > 0 {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        if self.connection() > 0 && self.client.try_disconnect().is_ok() {
+            while start.elapsed() < FAREWELL && !lock(&self.shared).disconnected {
+                std::thread::sleep(Duration::from_millis(10));
+            }
+        }
+        self.end();
+    }
+
+    fn end(&mut self) {
+        self.stop.request();
+        if let Some(thread) = self.thread.take() {
+            let _ended = thread.join();
+        }
+    }
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+fn shown(options: &MqttOptions) -> String {
+    let (host, port) = options.broker_address();
+    format!("{host}:{port}")
+}
+
+/// The thread's side.
+struct Turning {
+    broker: String,
+    client: AsyncClient,
+    events: EventLoop,
+    shared: Arc<Mutex<Shared>>,
+    filters: Vec<String>,
+    log: Limiter,
+    stop: Stop,
+}
+
+impl Turning {
+    async fn turn(mut self) {
+        while !self.stop.requested() {
+            let event = {
+                // Looking at the wish to stop breaks off nothing that is under way.
+                let mut poll = pin!(self.events.poll());
+                loop {
+                    lock(&self.shared).turned_ns = clock::monotonic_ns();
+                    if self.stop.requested() {
+                        return;
+                    }
+                    if let Ok(event) = timeout(POLL, poll.as_mut()).await {
+                        break event;
+                    }
+                }
+            };
+            match event {
+                Ok(event) => self.take(event),
+                Err(error) => {
+                    self.lose();
+                    if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+                        tracing::warn!(broker = self.broker, %error, held_back, "no connection, trying again");
+                    }
+                    let pause = Instant::now();
+                    while !self.stop.requested() && pause.elapsed() < RECONNECT {
+                        lock(&self.shared).turned_ns = clock::monotonic_ns();
+                        tokio::time::sleep(POLL).await;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Drops what a broken connection had under way. Under the lock, so that nothing is said into it meanwhile.
+    fn lose(&mut self) {
+        let mut shared = lock(&self.shared);
+        (shared.connection, shared.said, shared.confirmed) = (0, 0, 0);
+        self.events.clean();
+        self.events.pending.clear();
+        self.events.state.events.clear();
+    }
+
+    fn take(&mut self, event: Event) {
+        match event {
+            Event::Incoming(Packet::ConnAck(_)) => {
+                let mut shared = lock(&self.shared);
+                shared.connections += 1;
+                let connections = shared.connections;
+                let filters: Vec<_> = self.filters.iter().map(|path| Filter::new(path, QoS::AtLeastOnce)).collect();
+                // Before anything is said over this connection, so that an answer is not missed.
+                if !filters.is_empty()
+                    && let Err(error) = self.client.try_subscribe_many(filters)
+                {
+                    tracing::error!(broker = self.broker, %error, "cannot subscribe");
+                }
+                (shared.connection, shared.said, shared.confirmed) = (connections, 0, 0);
+                tracing::info!(broker = self.broker, connections, "connected");
+            }
+            Event::Incoming(Packet::SubAck(answer)) => {
+                for (filter, reason) in self.filters.iter().zip(&answer.return_codes) {
+                    if !matches!(reason, rumqttc::v5::mqttbytes::v5::SubscribeReasonCode::Success(_)) {
+                        tracing::error!(
+                            broker = self.broker,
+                            filter,
+                            ?reason,
+                            "the broker refuses a subscription: nothing is heard of it; give this client the right to read it"
+                        );
+                    }
+                }
+            }
+            Event::Incoming(Packet::PubAck(answer)) => {
+                let mut shared = lock(&self.shared);
+                shared.confirmed += 1;
+                if !matches!(answer.reason, PubAckReason::Success | PubAckReason::NoMatchingSubscribers) {
+                    shared.refused += 1;
+                    // Each doubling of their number is one line.
+                    if shared.refused.is_power_of_two() {
+                        tracing::error!(broker = self.broker, reason = ?answer.reason, refused = shared.refused, "the broker refuses what is published; give this client the right to write its topics");
+                    }
+                }
+            }
+            Event::Incoming(Packet::Publish(message)) => self.hear(message),
+            Event::Outgoing(Outgoing::Disconnect) => lock(&self.shared).disconnected = true,
+            _ => {}
+        }
+    }
+
+    fn hear(&mut self, message: Publish) {
+        let Ok(topic) = String::from_utf8(message.topic.to_vec()) else { return };
+        let mut shared = lock(&self.shared);
+        if message.payload.len() > PAYLOAD_BYTES_MAX {
+            if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+                tracing::warn!(
+                    topic,
+                    bytes = message.payload.len(),
+                    held_back,
+                    "a message is too large and is passed over"
+                );
+            }
+            return;
+        }
+        let heard = Heard { topic, payload: message.payload.to_vec(), retained: message.retain };
+        shared.heard_bytes += heard.topic.len() + heard.payload.len();
+        shared.heard.push_back(heard);
+        while shared.heard_bytes > HEARING_BYTES_MAX
+            && let Some(oldest) = shared.heard.pop_front()
+        {
+            shared.heard_bytes = shared.heard_bytes.saturating_sub(oldest.topic.len() + oldest.payload.len());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+    use crate::skipped::skipped;
+
+    /// Far longer than anything here takes.
+    const PATIENCE: Duration = Duration::from_secs(60);
+
+    fn eventually(what: &str, mut holds: impl FnMut() -> bool) {
+        let start = Instant::now();
+        while !holds() {
+            assert!(start.elapsed() < PATIENCE, "not within {PATIENCE:?}: {what}");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
+    fn link(port: u16, client: &str, filter: &str) -> Link {
+        let address = format!("mqtt://127.0.0.1:{port}");
+        let broker = Broker { address, client: client.to_owned(), ..Broker::default() };
+        let will = Will { topic: format!("will/{client}"), payload: "gone".to_owned() };
+        Link::start(&broker, vec![filter.to_owned()], Some(will)).unwrap()
+    }
+
+    fn free_port() -> u16 {
+        std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+    }
+
+    /// What a link hears until it has heard a payload.
+    fn hear_until(link: &Link, payload: &str) -> Vec<Heard> {
+        let mut all = Vec::new();
+        eventually(payload, || {
+            all.extend(link.heard());
+            all.iter().any(|heard| heard.payload == payload.as_bytes())
+        });
+        all
+    }
+
+    #[test]
+    fn what_is_said_without_a_connection_is_refused_and_not_carried_out_later() {
+        let port = free_port();
+        let (speaker, ears) = (link(port, "speaker", "none"), link(port, "ears", "order/#"));
+        assert!((0..1000).all(|_| !speaker.say("order/clean", "stale", false, None)));
+        let Some(mut broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+            skipped(NO_BROKER);
+            return;
+        };
+        eventually("both are connected", || speaker.connection() > 0 && ears.connection() > 0);
+        assert!(speaker.say("order/clean", "one", false, Some(30)));
+        assert_eq!(hear_until(&ears, "one").len(), 1);
+        eventually("the broker has it", || speaker.unconfirmed() == 0);
+        // The broker goes. What is said while nobody has noticed yet goes with it.
+        let first = speaker.connection();
+        broker.stop();
+        while speaker.connection() == first {
+            speaker.say("order/clean", "stale", false, None);
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let _broker = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY).unwrap();
+        eventually("both are connected again", || speaker.connection() > first && ears.connection() > 1);
+        assert!(speaker.say("order/clean", "two", false, None));
+        assert_eq!(hear_until(&ears, "two").len(), 1, "nothing stale came before it");
+    }
+
+    #[test]
+    fn who_is_dropped_leaves_a_will_and_who_leaves_does_not() {
+        let port = free_port();
+        let Some(_broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+            skipped(NO_BROKER);
+            return;
+        };
+        let ears = link(port, "ears", "will/#");
+        let (dropped, leaving) = (link(port, "dropped", "none"), link(port, "leaving", "none"));
+        eventually("all are connected", || [&ears, &dropped, &leaving].iter().all(|link| link.connection() > 0));
+        assert!(leaving.say("will/leaving", "farewell", true, None));
+        leaving.leave();
+        drop(dropped);
+        let heard = hear_until(&ears, "gone");
+        let said: Vec<_> = heard.iter().map(|heard| heard.topic.as_str()).collect();
+        assert_eq!(said, ["will/leaving", "will/dropped"], "{heard:?}");
+    }
+
+    #[test]
+    fn what_nobody_reads_fills_no_memory() {
+        const BYTES: usize = 60 << 10;
+        let port = free_port();
+        let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+            skipped(NO_BROKER);
+            return;
+        };
+        let ears = link(port, "ears", "#");
+        eventually("it is connected", || ears.connection() > 0);
+        let (long, too_long) = ("x".repeat(BYTES), "y".repeat(PAYLOAD_BYTES_MAX + 1));
+        for _ in 0..4 {
+            broker.publish(&vec![("long", long.clone(), false); 64]);
+            broker.publish(&[("long", too_long.clone(), false)]);
+        }
+        broker.publish(&[("last", "last".into(), false)]);
+        eventually("the last one has come", || {
+            lock(&ears.shared).heard.back().is_some_and(|heard| heard.topic == "last")
+        });
+        assert!(lock(&ears.shared).heard_bytes <= HEARING_BYTES_MAX);
+        let heard = ears.heard();
+        assert!(heard.len() > 32 && heard.len() <= HEARING_BYTES_MAX / BYTES + 1, "{}", heard.len());
+        assert!(heard.iter().all(|heard| heard.payload.first() != Some(&b'y')));
+    }
+}

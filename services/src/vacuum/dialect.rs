@@ -1,0 +1,227 @@
+//! How robots speak over MQTT.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+
+use crate::config::{RobotConfig, RobotKind};
+
+/// Most segments that a robot may tell of.
+const SEGMENTS_MAX: usize = 256;
+
+/// What a robot does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Status {
+    /// At its dock.
+    Docked,
+    /// It stands somewhere.
+    Idle,
+    /// At work, or on its way there.
+    Cleaning,
+    /// Its work was interrupted.
+    Paused,
+    /// On its way to the dock.
+    Returning,
+    /// Somebody steers it.
+    Manual,
+    /// It cannot go on.
+    Error,
+}
+
+/// What a message of a robot says.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Sensed {
+    /// What it does.
+    Status(Status),
+    /// Whether it means to go on by itself with what it has left, as after charging.
+    Resumes(bool),
+    /// How full its battery is, 0 to 1.
+    Battery(f64),
+    /// What is wrong with it, in its own words; empty where nothing is.
+    Fault(String),
+    /// Its segments: numbers and names.
+    Segments(BTreeMap<String, String>),
+    /// Whether it is connected.
+    Online(bool),
+}
+
+/// What a robot is told to do.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Order {
+    /// To clean a segment, which is this room.
+    Clean {
+        /// The robot's own number or name of it.
+        segment: String,
+        /// The room's id in Roomcast's map.
+        room: String,
+    },
+    /// To end its work and stand still.
+    Stop,
+    /// To interrupt its work where it is.
+    Pause,
+    /// To go to its dock.
+    Home,
+}
+
+/// The topics of one robot.
+#[derive(Debug, Clone)]
+pub struct Dialect {
+    kind: RobotKind,
+    /// Where it speaks, without a slash at the end.
+    topic: String,
+    /// Where orders for Home Assistant go.
+    orders: String,
+}
+
+impl Dialect {
+    /// The dialect of the configured robot; `base` is what Roomcast's own topics begin with, `name` the robot's name in them.
+    #[must_use]
+    pub fn new(config: &RobotConfig, base: &str, name: &str) -> Self {
+        let safe = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c.to_ascii_lowercase() } else { '_' };
+        let name: String = name.chars().map(safe).collect();
+        Self { kind: config.kind, topic: config.topic.clone(), orders: format!("{base}/robots/{name}/order") }
+    }
+
+    /// What to subscribe to.
+    #[must_use]
+    pub fn filters(&self) -> Vec<String> {
+        let own = |part: &str| format!("{}/{part}", self.topic);
+        match self.kind {
+            RobotKind::Valetudo => {
+                ["$state", "StatusStateAttribute/+", "BatteryStateAttribute/level", "MapData/segments"].map(own).into()
+            }
+            RobotKind::HomeAssistant => ["state", "battery_level", "error"].map(own).into(),
+        }
+    }
+
+    /// What a message says; nothing where it is not understood.
+    #[must_use]
+    pub fn hear(&self, topic: &str, payload: &[u8]) -> Option<Sensed> {
+        let part = topic.strip_prefix(&self.topic)?.strip_prefix('/')?;
+        let text = std::str::from_utf8(payload).ok()?.trim();
+        let plain = text.trim_matches('"');
+        let battery =
+            || plain.parse().ok().map(|percent: f64| percent / 100.0).filter(|share| (0.0..=1.0).contains(share));
+        match (self.kind, part) {
+            (RobotKind::Valetudo, "$state") => Some(Sensed::Online(plain == "ready")),
+            (RobotKind::Valetudo, "StatusStateAttribute/status") => status(plain).map(Sensed::Status),
+            (RobotKind::Valetudo, "StatusStateAttribute/flag") => Some(Sensed::Resumes(plain == "resumable")),
+            (RobotKind::Valetudo, "StatusStateAttribute/error_description") => {
+                Some(Sensed::Fault(if plain.eq_ignore_ascii_case("no error") {
+                    String::new()
+                } else {
+                    plain.to_owned()
+                }))
+            }
+            (RobotKind::Valetudo, "BatteryStateAttribute/level") | (RobotKind::HomeAssistant, "battery_level") => {
+                battery().map(Sensed::Battery)
+            }
+            (RobotKind::Valetudo, "MapData/segments") => segments(text).map(Sensed::Segments),
+            (RobotKind::HomeAssistant, "state") => match plain {
+                "unavailable" | "unknown" => Some(Sensed::Online(false)),
+                known => status(known).map(Sensed::Status),
+            },
+            (RobotKind::HomeAssistant, "error") => {
+                let none = ["", "null", "none", "no error"].iter().any(|none| plain.eq_ignore_ascii_case(none));
+                Some(Sensed::Fault(if none { String::new() } else { plain.to_owned() }))
+            }
+            _ => None,
+        }
+    }
+
+    /// An order as a message: its topic and what it says.
+    #[must_use]
+    pub fn order(&self, order: &Order) -> (String, String) {
+        if self.kind == RobotKind::HomeAssistant {
+            let message = match order {
+                Order::Clean { segment, room } => json!({ "order": "clean", "segment": segment, "room": room }),
+                Order::Stop => json!({ "order": "stop" }),
+                Order::Pause => json!({ "order": "pause" }),
+                Order::Home => json!({ "order": "return" }),
+            };
+            return (self.orders.clone(), message.to_string());
+        }
+        let operation = |word: &str| (format!("{}/BasicControlCapability/operation/set", self.topic), word.to_owned());
+        match order {
+            Order::Clean { segment, .. } => (
+                format!("{}/MapSegmentationCapability/clean/set", self.topic),
+                json!({ "segment_ids": [segment], "iterations": 1, "customOrder": true }).to_string(),
+            ),
+            Order::Stop => operation("STOP"),
+            Order::Pause => operation("PAUSE"),
+            Order::Home => operation("HOME"),
+        }
+    }
+}
+
+/// The words that Valetudo and Home Assistant have in common, and Valetudo's own.
+fn status(word: &str) -> Option<Status> {
+    Some(match word {
+        "docked" => Status::Docked,
+        "idle" => Status::Idle,
+        "cleaning" | "moving" => Status::Cleaning,
+        "paused" => Status::Paused,
+        "returning" => Status::Returning,
+        "manual_control" => Status::Manual,
+        "error" => Status::Error,
+        _ => return None,
+    })
+}
+
+/// Valetudo's segments: an object from numbers to names.
+fn segments(json: &str) -> Option<BTreeMap<String, String>> {
+    let Value::Object(segments) = serde_json::from_str(json).ok()? else { return None };
+    let named = segments.into_iter().take(SEGMENTS_MAX);
+    Some(named.map(|(number, name)| (number, name.as_str().unwrap_or_default().to_owned())).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn dialect(kind: RobotKind, topic: &str) -> Dialect {
+        let config = RobotConfig { kind, topic: topic.to_owned(), ..RobotConfig::default() };
+        Dialect::new(&config, "roomcast", "My robot")
+    }
+
+    #[test]
+    fn valetudo_is_understood_and_told() {
+        let robot = dialect(RobotKind::Valetudo, "valetudo/rockrobo");
+        let hear = |part: &str, payload: &str| robot.hear(&format!("valetudo/rockrobo/{part}"), payload.as_bytes());
+        assert_eq!(hear("StatusStateAttribute/status", "cleaning"), Some(Sensed::Status(Status::Cleaning)));
+        assert_eq!(hear("StatusStateAttribute/status", "dancing"), None);
+        assert_eq!(hear("StatusStateAttribute/flag", "resumable"), Some(Sensed::Resumes(true)));
+        assert_eq!(hear("StatusStateAttribute/error_description", "No error"), Some(Sensed::Fault(String::new())));
+        assert_eq!(hear("BatteryStateAttribute/level", "62"), Some(Sensed::Battery(0.62)));
+        for nonsense in ["", "full", "620", "-1", "nan"] {
+            assert_eq!(hear("BatteryStateAttribute/level", nonsense), None, "{nonsense}");
+        }
+        let segments = BTreeMap::from([("16".to_owned(), "Küche".to_owned()), ("17".to_owned(), String::new())]);
+        assert_eq!(hear("MapData/segments", r#"{"16": "Küche", "17": null}"#), Some(Sensed::Segments(segments)));
+        assert_eq!(hear("MapData/segments", "[1]"), None);
+        assert_eq!(hear("$state", "lost"), Some(Sensed::Online(false)));
+        assert_eq!(robot.hear("valetudo/rockrobo2/StatusStateAttribute/status", b"idle"), None);
+        assert_eq!(robot.hear("valetudo/rockrobo/StatusStateAttribute/status", b"\xff"), None);
+        let (topic, payload) = robot.order(&Order::Clean { segment: "16".into(), room: "kitchen".into() });
+        assert_eq!(topic, "valetudo/rockrobo/MapSegmentationCapability/clean/set");
+        assert_eq!(payload, r#"{"customOrder":true,"iterations":1,"segment_ids":["16"]}"#);
+        let home = ("valetudo/rockrobo/BasicControlCapability/operation/set".to_owned(), "HOME".to_owned());
+        assert_eq!(robot.order(&Order::Home), home);
+    }
+
+    #[test]
+    fn home_assistants_vacuums_are_understood_and_told() {
+        let robot = dialect(RobotKind::HomeAssistant, "homeassistant/vacuum/dusty");
+        let hear =
+            |part: &str, payload: &str| robot.hear(&format!("homeassistant/vacuum/dusty/{part}"), payload.as_bytes());
+        assert_eq!(hear("state", "returning"), Some(Sensed::Status(Status::Returning)));
+        assert_eq!(hear("state", "unavailable"), Some(Sensed::Online(false)));
+        assert_eq!(hear("battery_level", "80"), Some(Sensed::Battery(0.8)));
+        assert_eq!(hear("error", "\"main brush\""), Some(Sensed::Fault("main brush".into())));
+        let (topic, payload) = robot.order(&Order::Clean { segment: "2".into(), room: "a\"b".into() });
+        assert_eq!(
+            (topic.as_str(), payload.as_str()),
+            ("roomcast/robots/my_robot/order", r#"{"order":"clean","room":"a\"b","segment":"2"}"#)
+        );
+    }
+}

@@ -1,0 +1,449 @@
+//! What a vacuum is told, and what is said of it. Pure: time comes in as a number.
+//!
+//! One order is under way at a time, and it counts as heard when the robot's own state says so: an order that was lost is given again, and
+//! after three times it has failed. Work is finished when a robot that was seen at work has left it by itself and means to do no more. A
+//! robot in an error, one that does not start and one that never ends are reported as failed, with the reason in words.
+
+use std::collections::BTreeMap;
+
+use roomcast_ipc::{DecisionV1, NOTE_TEXT_BYTES, action};
+
+use super::dialect::{Order, Sensed, Status};
+use super::rooms::segment_of;
+use crate::config::{OnPause, RobotConfig, RobotKind};
+use crate::reporter::{Kind, Report};
+
+/// How often an order is given before it has failed.
+const TRIES: u32 = 3;
+/// A robot that leaves its work has finished when it has said nothing else for so long.
+const SETTLE_NS: u64 = 3_000_000_000;
+/// A robot at work is heard of at least so often: the planner takes one that is silent for lost.
+const TELL_NS: u64 = 30_000_000_000;
+
+/// What is to be done.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Act {
+    /// The robot is told this.
+    Order(Order),
+    /// The planner is told this.
+    Report(Report),
+}
+
+/// A room that a decision asks for.
+#[derive(Debug, Clone, PartialEq)]
+struct Work {
+    decision: u64,
+    room: String,
+    asked_ns: u64,
+}
+
+/// What the driver is about.
+#[derive(Debug, Clone, PartialEq)]
+enum State {
+    /// Nothing is under way.
+    Free,
+    /// An order is given, and the robot's state does not show it yet.
+    Ordered { order: Order, since_ns: u64, tries: u32 },
+    /// The robot is at work for a decision. `left_ns`: since when it is not any more.
+    Working { since_ns: u64, left_ns: Option<u64>, paused_ns: Option<u64> },
+}
+
+/// Follows the decisions for one robot.
+#[derive(Debug)]
+pub struct Driver {
+    number: u64,
+    kind: RobotKind,
+    obeys: bool,
+    on_pause: OnPause,
+    start_ns: u64,
+    most_ns: u64,
+    configured: BTreeMap<String, String>,
+    segments: BTreeMap<String, String>,
+    /// Rooms of the map in the order of `covered`.
+    rooms: Vec<String>,
+    online: bool,
+    status: Option<Status>,
+    resumes: bool,
+    battery: Option<f64>,
+    fault: String,
+    /// It has not looked at the robot yet: what that is at, it may have been sent to do by a driver before this one.
+    is_new: bool,
+    /// The last decision's epoch and sequence.
+    decided: Option<(u64, u64)>,
+    /// What is to be done next, or is under way.
+    wish: Option<Work>,
+    /// The robot is to stop, and after that to be home, where that is wanted.
+    rest: Option<Order>,
+    state: State,
+    /// A robot that charges in the middle of its work is not to go on by itself.
+    forgets: bool,
+    told_ns: u64,
+    told_battery: Option<f64>,
+    /// What became of the last work.
+    outcome: Option<Report>,
+}
+
+fn nanoseconds(seconds: f64) -> u64 {
+    (seconds * 1e9) as u64
+}
+
+impl Driver {
+    /// A driver of the robot that decisions name by this number.
+    #[must_use]
+    pub fn new(config: &RobotConfig, number: u64) -> Self {
+        Self {
+            number,
+            kind: config.kind,
+            obeys: config.obey,
+            on_pause: config.on_pause,
+            start_ns: nanoseconds(config.start_s),
+            most_ns: nanoseconds(config.most_s),
+            configured: config.segments.clone(),
+            segments: BTreeMap::new(),
+            rooms: Vec::new(),
+            online: true,
+            status: None,
+            resumes: false,
+            battery: None,
+            fault: String::new(),
+            is_new: true,
+            decided: None,
+            wish: None,
+            rest: None,
+            state: State::Free,
+            forgets: false,
+            told_ns: 0,
+            told_battery: None,
+            outcome: None,
+        }
+    }
+
+    /// Takes the ids of the map's rooms, in the order of scores.
+    pub fn know_rooms<'a>(&mut self, rooms: impl Iterator<Item = &'a str> + Clone) {
+        if !rooms.clone().eq(self.rooms.iter().map(String::as_str)) {
+            self.rooms = rooms.map(str::to_owned).collect();
+        }
+    }
+
+    /// What each room is to the robot: its segment, or why there is none.
+    pub fn plan(&self) -> impl Iterator<Item = (&str, Result<String, String>)> {
+        self.rooms.iter().map(|room| (room.as_str(), self.segment(room)))
+    }
+
+    fn segment(&self, room: &str) -> Result<String, String> {
+        match self.kind {
+            RobotKind::Valetudo => segment_of(room, &self.configured, &self.segments),
+            // Its automation knows rooms by their ids.
+            RobotKind::HomeAssistant => Ok(self.configured.get(room).map_or(room, String::as_str).to_owned()),
+        }
+    }
+
+    /// Takes a checked decision.
+    #[must_use]
+    pub fn decide(&mut self, decision: &DecisionV1, now_ns: u64) -> Vec<Act> {
+        let own = (decision.epoch, decision.sequence);
+        if decision.robot != self.number || self.decided == Some(own) {
+            return Vec::new();
+        }
+        self.decided = Some(own);
+        let mut acts = Vec::new();
+        match decision.action {
+            action::GO if !self.is_covered(decision) => self.go(decision, now_ns, &mut acts),
+            // A room that is done, to wait in: this robot waits at its dock.
+            action::GO | action::PAUSE => self.stop_work(now_ns, &mut acts),
+            // To stay where it is, with nothing to do.
+            _ => {}
+        }
+        self.step(now_ns, &mut acts);
+        acts
+    }
+
+    /// Whether the room that a decision leads to is done already.
+    fn is_covered(&self, decision: &DecisionV1) -> bool {
+        let room = self.rooms.iter().position(|room| room == decision.to());
+        room.is_some_and(|room| room < 64 && decision.covered >> room & 1 == 1)
+    }
+
+    fn go(&mut self, decision: &DecisionV1, now_ns: u64, acts: &mut Vec<Act>) {
+        let (sequence, room) = (decision.sequence, decision.to().to_owned());
+        if let Some(work) = self.wish.as_mut().filter(|work| work.room == room && self.rest.is_none()) {
+            // The same again, as from a planner that was started again.
+            work.decision = sequence;
+            if matches!(self.state, State::Working { .. }) {
+                self.report(Kind::Started, "", acts);
+            }
+            return;
+        }
+        if decision.stay_ns == 0 {
+            // Its time is over, and a report is owed.
+            let known = self.outcome.take().filter(|outcome| outcome.room.as_ref() == Some(&room));
+            let unknown =
+                || Report { room: Some(room.clone()), ..note(Kind::Failed, "what became of it is not known") };
+            let owed = Report { decision: Some(sequence), ..known.unwrap_or_else(unknown) };
+            return self.say(owed, acts);
+        }
+        if self.wish.is_some() && self.state != State::Free {
+            self.halt(Order::Stop, now_ns, acts);
+        }
+        self.wish = Some(Work { decision: sequence, room, asked_ns: now_ns });
+    }
+
+    /// The work in hand ends: a person has come, or the robot is to wait.
+    fn stop_work(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
+        self.wish = None;
+        let moves = matches!(self.status, Some(Status::Cleaning | Status::Paused | Status::Idle));
+        match self.on_pause {
+            OnPause::GoOn => self.state = State::Free,
+            OnPause::Pause if self.status == Some(Status::Cleaning) => self.halt(Order::Pause, now_ns, acts),
+            OnPause::Return if moves || matches!(self.state, State::Ordered { .. }) => {
+                self.halt(Order::Home, now_ns, acts)
+            }
+            _ => self.state = State::Free,
+        }
+    }
+
+    /// Gives an order that ends work, before anything else is done.
+    fn halt(&mut self, order: Order, now_ns: u64, acts: &mut Vec<Act>) {
+        self.rest = Some(order.clone());
+        self.order(order, now_ns, acts);
+    }
+
+    fn order(&mut self, order: Order, now_ns: u64, acts: &mut Vec<Act>) {
+        acts.push(Act::Order(order.clone()));
+        // Whoever only says what it would do waits for nothing.
+        self.state = if self.obeys { State::Ordered { order, since_ns: now_ns, tries: 1 } } else { State::Free };
+        if !self.obeys {
+            (self.wish, self.rest) = (None, None);
+        }
+    }
+
+    /// Takes what the robot says.
+    #[must_use]
+    pub fn sense(&mut self, sensed: Sensed, now_ns: u64) -> Vec<Act> {
+        let mut acts = Vec::new();
+        match sensed {
+            Sensed::Status(status) => {
+                self.online = true;
+                let before = self.status.replace(status);
+                if status == Status::Docked && before != Some(status) && !matches!(self.state, State::Working { .. }) {
+                    self.say(Report { battery: self.battery, ..Report::new(Kind::Docked) }, &mut acts);
+                }
+            }
+            Sensed::Resumes(resumes) => self.resumes = resumes,
+            Sensed::Fault(fault) => self.fault = fault,
+            Sensed::Segments(segments) => self.segments = segments,
+            Sensed::Online(online) => {
+                self.online = online;
+                if !online {
+                    self.status = None;
+                }
+            }
+            Sensed::Battery(battery) => {
+                self.battery = Some(battery);
+                let far = self.told_battery.is_none_or(|told| (told - battery).abs() >= 0.05);
+                if far {
+                    self.tell(now_ns, &mut acts);
+                }
+            }
+        }
+        self.step(now_ns, &mut acts);
+        acts
+    }
+
+    /// Takes that time has passed.
+    #[must_use]
+    pub fn tick(&mut self, now_ns: u64) -> Vec<Act> {
+        let mut acts = Vec::new();
+        self.step(now_ns, &mut acts);
+        // Only of work: a robot that does nothing must not seem to be at what it was sent to do. Nor one that is away.
+        let works = matches!(self.state, State::Working { .. }) && self.online && self.status.is_some();
+        if works && now_ns.saturating_sub(self.told_ns) >= TELL_NS {
+            self.tell(now_ns, &mut acts);
+        }
+        acts
+    }
+
+    fn tell(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
+        (self.told_ns, self.told_battery) = (now_ns, self.battery);
+        let works = matches!(self.state, State::Working { .. });
+        match (&self.wish, self.battery) {
+            (_, Some(battery)) => self.say(Report { battery: Some(battery), ..Report::new(Kind::Battery) }, acts),
+            (Some(work), None) if works => {
+                self.say(Report { room: Some(work.room.clone()), ..Report::new(Kind::Position) }, acts)
+            }
+            _ => {}
+        }
+    }
+
+    /// Goes on as far as the robot's state allows.
+    fn step(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
+        if self.forgets && self.status == Some(Status::Docked) && self.resumes {
+            self.forgets = false;
+            acts.push(Act::Order(Order::Stop));
+        }
+        match self.state.clone() {
+            State::Free => self.start(now_ns, acts),
+            State::Ordered { order, since_ns, tries } => self.look_at_order(order, since_ns, tries, now_ns, acts),
+            State::Working { since_ns, left_ns, paused_ns } => {
+                self.look_at_work(since_ns, left_ns, paused_ns, now_ns, acts);
+            }
+        }
+    }
+
+    /// Begins what is wished for.
+    fn start(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
+        let Some(work) = self.wish.clone() else { return };
+        let is_new = self.is_new && self.obeys;
+        self.is_new &= self.status.is_none();
+        match self.status {
+            // What it does is known soon after the connection.
+            None if self.obeys => {}
+            // A driver that was started again finds the robot at what it was sent to do.
+            Some(Status::Cleaning) if is_new => self.begin(now_ns, acts),
+            Some(Status::Error) => self.end(Kind::Failed, &self.trouble(), acts),
+            // Somebody else has sent it out.
+            Some(Status::Cleaning | Status::Manual) => self.halt(Order::Stop, now_ns, acts),
+            _ => match self.segment(&work.room) {
+                Ok(segment) => self.order(Order::Clean { segment, room: work.room }, now_ns, acts),
+                // What segments there are is known soon after the connection.
+                Err(_) if self.segments.is_empty() && now_ns.saturating_sub(work.asked_ns) < self.start_ns => {}
+                Err(why) => self.end(Kind::Blocked, &why, acts),
+            },
+        }
+    }
+
+    /// What is wrong, in words.
+    fn trouble(&self) -> String {
+        let fault = if self.fault.is_empty() { "it does not say which" } else { &self.fault };
+        format!("the robot has an error: {fault}")
+    }
+
+    /// Whether the robot's state shows that it has heard an order.
+    fn has_heard(&self, order: &Order) -> bool {
+        match order {
+            Order::Clean { .. } => self.status == Some(Status::Cleaning),
+            Order::Stop => !matches!(self.status, Some(Status::Cleaning | Status::Manual) | None),
+            Order::Pause => !matches!(self.status, Some(Status::Cleaning) | None),
+            Order::Home => matches!(self.status, Some(Status::Returning | Status::Docked)),
+        }
+    }
+
+    fn look_at_order(&mut self, order: Order, since_ns: u64, tries: u32, now_ns: u64, acts: &mut Vec<Act>) {
+        let cleans = matches!(order, Order::Clean { .. });
+        if self.status == Some(Status::Error) {
+            self.rest = None;
+            self.state = State::Free;
+            if cleans {
+                self.end(Kind::Failed, &self.trouble(), acts);
+            }
+            return self.start(now_ns, acts);
+        }
+        if self.has_heard(&order) {
+            if cleans {
+                return self.begin(now_ns, acts);
+            }
+            self.rest = None;
+            self.state = State::Free;
+            return self.start(now_ns, acts);
+        }
+        if now_ns.saturating_sub(since_ns) < self.start_ns {
+            return;
+        }
+        if tries < TRIES {
+            acts.push(Act::Order(order.clone()));
+            self.state = State::Ordered { order, since_ns: now_ns, tries: tries + 1 };
+            return;
+        }
+        let away =
+            if self.online && self.status.is_some() { "does not do what it is told" } else { "is not connected" };
+        let what = if cleans { "" } else { ", also not to stop" };
+        self.rest = None;
+        self.state = State::Free;
+        if cleans {
+            // What it hears late is not to be begun.
+            acts.push(Act::Order(Order::Stop));
+        }
+        if self.wish.is_some() {
+            self.end(Kind::Failed, &format!("the robot {away}{what}"), acts);
+        } else {
+            tracing::error!("the robot {away}{what}");
+        }
+    }
+
+    /// The robot is at work.
+    fn begin(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
+        self.state = State::Working { since_ns: now_ns, left_ns: None, paused_ns: None };
+        self.told_ns = now_ns;
+        self.report(Kind::Started, "", acts);
+    }
+
+    fn look_at_work(
+        &mut self,
+        since_ns: u64,
+        left_ns: Option<u64>,
+        paused_ns: Option<u64>,
+        now_ns: u64,
+        acts: &mut Vec<Act>,
+    ) {
+        let (mut left, mut paused) = (None, None);
+        match self.status {
+            Some(Status::Error) => return self.end(Kind::Failed, &self.trouble(), acts),
+            Some(Status::Returning | Status::Docked | Status::Idle) => left = Some(left_ns.unwrap_or(now_ns)),
+            Some(Status::Paused | Status::Manual) => paused = Some(paused_ns.unwrap_or(now_ns)),
+            Some(Status::Cleaning) | None => {}
+        }
+        self.state = State::Working { since_ns, left_ns: left, paused_ns: paused };
+        let for_ns = |since: Option<u64>| since.map(|since_ns| now_ns.saturating_sub(since_ns));
+        if for_ns(left).is_some_and(|left_ns| left_ns >= SETTLE_NS) {
+            if self.resumes {
+                self.forgets = true;
+                return self.end(Kind::Failed, "the robot has to charge before it can go on", acts);
+            }
+            return self.end(Kind::Finished, "", acts);
+        }
+        if for_ns(paused).is_some_and(|paused_ns| paused_ns >= self.most_ns.min(10 * self.start_ns)) {
+            return self.end(Kind::Cancelled, "somebody has paused the robot", acts);
+        }
+        if now_ns.saturating_sub(since_ns) >= self.most_ns {
+            self.end(Kind::Failed, "the robot is at it for longer than it may take", acts);
+            self.halt(Order::Home, now_ns, acts);
+        }
+    }
+
+    /// The work is over, one way or the other.
+    fn end(&mut self, kind: Kind, why: &str, acts: &mut Vec<Act>) {
+        self.report(kind, why, acts);
+        self.outcome = self.wish.take().map(|work| Report { room: Some(work.room), ..note(kind, why) });
+        self.state = State::Free;
+        if self.status == Some(Status::Docked) {
+            self.say(Report { battery: self.battery, ..Report::new(Kind::Docked) }, acts);
+        }
+    }
+
+    /// Reports what became of the work in hand.
+    fn report(&self, kind: Kind, why: &str, acts: &mut Vec<Act>) {
+        let Some(work) = &self.wish else { return };
+        let report = Report { room: Some(work.room.clone()), decision: Some(work.decision), ..note(kind, why) };
+        self.say(Report { battery: self.battery, ..report }, acts);
+    }
+
+    /// Whoever only says what it would do has no say in what is done.
+    fn say(&self, report: Report, acts: &mut Vec<Act>) {
+        if self.obeys {
+            acts.push(Act::Report(report));
+        }
+    }
+}
+
+/// A report with its reason, cut to fit.
+fn note(kind: Kind, why: &str) -> Report {
+    let mut end = why.len().min(NOTE_TEXT_BYTES);
+    while !why.is_char_boundary(end) {
+        end -= 1;
+    }
+    let why: String = why[..end].chars().map(|c| if roomcast_core::text::is_hidden(c) { ' ' } else { c }).collect();
+    Report { note: (!why.is_empty()).then_some(why), ..Report::new(kind) }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,480 @@
+use super::*;
+use crate::config::{PlannerConfig, Reports, RobotKind};
+use crate::fake_valetudo::{Doing, FakeValetudo};
+use crate::planner::Planner;
+use crate::reporter::Reporter;
+use crate::vacuum::Dialect;
+use roomcast_core::forecast::{ForecastOptions, Forecaster};
+use roomcast_core::policy::PolicyName;
+use roomcast_ipc::{ForecastV1, RoomScoresV1, sequence, text};
+
+const S: u64 = 1_000_000_000;
+const ROOMS: [&str; 4] = ["bedroom-1", "hall-2", "kitchen-3", "office-4"];
+const TOPIC: &str = "valetudo/fake";
+
+fn config() -> RobotConfig {
+    RobotConfig { topic: TOPIC.to_owned(), obey: true, ..RobotConfig::default() }
+}
+
+fn segments(seconds: f64) -> [(&'static str, &'static str, f64); 4] {
+    [("1", "Schlafzimmer", seconds), ("2", "Flur", seconds), ("3", "Küche", seconds), ("4", "Büro", seconds)]
+}
+
+fn decision(sequence: u64, action: u32, room: &str) -> DecisionV1 {
+    let to = text::encode("to", room).unwrap();
+    DecisionV1 { robot: 7, epoch: 1, sequence, action, to, stay_ns: 600 * S, ..Default::default() }
+}
+
+/// A driver and the fake robot, second by second.
+struct Pair {
+    driver: Driver,
+    robot: FakeValetudo,
+    dialect: Dialect,
+    now_s: u64,
+    reports: Vec<Report>,
+}
+
+impl Pair {
+    fn new(config: &RobotConfig, seconds: f64) -> Self {
+        let mut driver = Driver::new(config, 7);
+        driver.know_rooms(ROOMS.into_iter());
+        let mut pair = Self {
+            driver,
+            robot: FakeValetudo::new(TOPIC, &segments(seconds)),
+            dialect: Dialect::new(config, "roomcast", "robot"),
+            now_s: 0,
+            reports: Vec::new(),
+        };
+        pair.pass(1);
+        pair.reports.clear();
+        pair
+    }
+
+    fn carry_out(&mut self, acts: Vec<Act>) {
+        for act in acts {
+            match act {
+                Act::Order(order) => {
+                    let (topic, payload) = self.dialect.order(&order);
+                    self.robot.hear(&topic, &payload);
+                }
+                Act::Report(report) => self.reports.push(report),
+            }
+        }
+    }
+
+    fn decide(&mut self, decision: &DecisionV1) {
+        let acts = self.driver.decide(decision, self.now_s * S);
+        self.carry_out(acts);
+    }
+
+    fn pass(&mut self, seconds: u64) {
+        for _ in 0..seconds {
+            self.now_s += 1;
+            self.robot.pass(1.0);
+            for (topic, payload) in self.robot.say(false) {
+                if let Some(sensed) = self.dialect.hear(&topic, payload.as_bytes()) {
+                    let acts = self.driver.sense(sensed, self.now_s * S);
+                    self.carry_out(acts);
+                }
+            }
+            let acts = self.driver.tick(self.now_s * S);
+            self.carry_out(acts);
+        }
+    }
+
+    /// What was reported of work, in order, with the decision that it answers.
+    fn of_work(&mut self) -> Vec<(Kind, Option<u64>)> {
+        let work = |report: &Report| !matches!(report.kind, Kind::Battery | Kind::Docked | Kind::Position);
+        let told = self.reports.drain(..).filter(work).map(|report| (report.kind, report.decision));
+        told.collect()
+    }
+
+    fn last_note(&self) -> String {
+        self.reports.iter().rev().find_map(|report| report.note.clone()).unwrap_or_default()
+    }
+}
+
+#[test]
+fn a_room_is_done_when_the_robot_has_left_it_by_itself() {
+    let mut pair = Pair::new(&config(), 300.0);
+    pair.decide(&decision(1, action::GO, "kitchen-3"));
+    pair.pass(5);
+    assert_eq!(pair.of_work(), [(Kind::Started, Some(1))]);
+    pair.pass(280);
+    assert_eq!(pair.of_work(), [], "it is still at it");
+    pair.pass(30);
+    assert_eq!(pair.of_work(), [(Kind::Finished, Some(1))]);
+    assert_eq!(
+        (pair.robot.cleaned.as_slice(), pair.robot.orders.as_slice()),
+        (&["3".to_owned()][..], &["clean 3".to_owned()][..])
+    );
+    // The next one, from wherever it is.
+    pair.decide(&decision(2, action::GO, "office-4"));
+    pair.pass(400);
+    let docked = pair.reports.iter().filter(|report| report.kind == Kind::Docked).count();
+    assert_eq!(pair.of_work(), [(Kind::Started, Some(2)), (Kind::Finished, Some(2))]);
+    assert_eq!(docked, 1, "at its dock, after it has said that it is done");
+    assert!(pair.reports.is_empty() && pair.driver.wish.is_none());
+}
+
+#[test]
+fn orders_that_are_lost_are_given_again_and_in_the_end_have_failed() {
+    let mut pair = Pair::new(&config(), 300.0);
+    pair.robot.deaf = 2;
+    pair.decide(&decision(1, action::GO, "hall-2"));
+    pair.pass(60);
+    assert_eq!(pair.of_work(), [(Kind::Started, Some(1))]);
+    pair.pass(400);
+    assert_eq!(pair.of_work(), [(Kind::Finished, Some(1))]);
+    pair.robot.deaf = 4;
+    pair.decide(&decision(2, action::GO, "kitchen-3"));
+    pair.pass(100);
+    assert!(pair.last_note().contains("does not do what it is told"), "{}", pair.last_note());
+    assert_eq!(pair.of_work(), [(Kind::Failed, Some(2))]);
+    assert_eq!(pair.robot.deaf, 0, "the last order takes the others back");
+}
+
+#[test]
+fn a_person_who_comes_in_sends_it_home_or_elsewhere() {
+    for (on_pause, order, then) in [
+        (OnPause::Return, Some("HOME"), Doing::Docked),
+        (OnPause::Pause, Some("PAUSE"), Doing::Paused),
+        (OnPause::GoOn, None, Doing::Cleaning),
+    ] {
+        let mut pair = Pair::new(&RobotConfig { on_pause, ..config() }, 600.0);
+        pair.decide(&decision(1, action::GO, "hall-2"));
+        pair.pass(60);
+        pair.decide(&decision(2, action::PAUSE, ""));
+        pair.pass(60);
+        assert_eq!(pair.robot.orders.get(1).map(String::as_str), order);
+        assert_eq!(pair.robot.doing, then, "{on_pause}");
+        assert_eq!(pair.of_work(), [(Kind::Started, Some(1))], "the planner has taken the room back itself");
+    }
+    let mut pair = Pair::new(&config(), 600.0);
+    pair.decide(&decision(1, action::GO, "hall-2"));
+    pair.pass(60);
+    pair.decide(&decision(2, action::GO, "office-4"));
+    pair.pass(20);
+    assert_eq!(pair.robot.orders, ["clean 2", "STOP", "clean 4"]);
+    pair.pass(700);
+    assert_eq!(pair.of_work(), [(Kind::Started, Some(1)), (Kind::Started, Some(2)), (Kind::Finished, Some(2))]);
+    assert_eq!(pair.robot.cleaned, ["4"]);
+}
+
+#[test]
+fn a_stuck_robot_has_failed_and_says_why() {
+    let mut pair = Pair::new(&config(), 300.0);
+    pair.robot.sticks = Some(("1".to_owned(), 600.0));
+    pair.decide(&decision(1, action::GO, "bedroom-1"));
+    pair.pass(10);
+    assert!(pair.last_note().contains("Wheel lost floor contact"), "{}", pair.last_note());
+    // The next room fails at once, without an order that a robot in an error would not hear.
+    let orders = pair.robot.orders.len();
+    pair.decide(&decision(2, action::GO, "hall-2"));
+    pair.pass(1);
+    assert_eq!((pair.robot.orders.len(), pair.of_work().last()), (orders, Some(&(Kind::Failed, Some(2)))));
+    pair.pass(700);
+    pair.decide(&decision(3, action::GO, "bedroom-1"));
+    pair.pass(400);
+    assert_eq!(pair.of_work(), [(Kind::Started, Some(3)), (Kind::Finished, Some(3))]);
+}
+
+#[test]
+fn a_robot_that_has_to_charge_in_the_middle_has_not_finished_and_does_not_go_on_by_itself() {
+    let mut pair = Pair::new(&config(), 3600.0);
+    pair.robot.battery = 0.2;
+    pair.decide(&decision(1, action::GO, "kitchen-3"));
+    pair.pass(600);
+    assert!(pair.last_note().contains("charge"), "{}", pair.last_note());
+    let docked = pair.reports.iter().find(|report| report.kind == Kind::Docked).unwrap();
+    assert!(docked.battery.unwrap() < 0.2);
+    assert_eq!(pair.of_work(), [(Kind::Started, Some(1)), (Kind::Failed, Some(1))]);
+    pair.pass(4 * 3600);
+    assert!(pair.robot.cleaned.is_empty() && pair.robot.doing == Doing::Docked);
+    let told = pair.reports.iter().filter_map(|report| report.battery).next_back().unwrap();
+    assert!(told > 0.9, "the planner hears how full the battery is: {told}");
+}
+
+#[test]
+fn what_somebody_else_does_with_the_robot_is_understood() {
+    let mut pair = Pair::new(&config(), 600.0);
+    // Somebody has sent it out by its button.
+    pair.robot
+        .hear(&format!("{TOPIC}/MapSegmentationCapability/clean/set"), r#"{"segment_ids": ["1"], "iterations": 1}"#);
+    pair.decide(&decision(0, action::STAY, ""));
+    pair.driver.is_new = false;
+    pair.pass(5);
+    pair.decide(&decision(1, action::GO, "office-4"));
+    pair.pass(5);
+    assert_eq!(pair.robot.orders, ["clean 1", "STOP", "clean 4"]);
+    // Somebody pauses it, and never goes on.
+    pair.robot.hear(&format!("{TOPIC}/BasicControlCapability/operation/set"), "PAUSE");
+    pair.pass(300);
+    assert_eq!(pair.of_work(), [(Kind::Started, Some(1)), (Kind::Cancelled, Some(1))]);
+}
+
+#[test]
+fn a_robot_that_never_ends_is_called_home() {
+    let mut pair = Pair::new(&RobotConfig { most_s: 600.0, ..config() }, 1e9);
+    pair.decide(&decision(1, action::GO, "office-4"));
+    pair.pass(700);
+    assert_eq!(pair.of_work(), [(Kind::Started, Some(1)), (Kind::Failed, Some(1))]);
+    assert_eq!((pair.robot.doing, pair.robot.orders.last().map(String::as_str)), (Doing::Docked, Some("HOME")));
+}
+
+#[test]
+fn a_planner_or_driver_that_is_started_again_does_not_begin_the_room_again() {
+    let mut pair = Pair::new(&config(), 300.0);
+    pair.decide(&decision(1, action::GO, "office-4"));
+    pair.pass(60);
+    // The planner asks for it once more.
+    pair.decide(&DecisionV1 { epoch: 2, ..decision(1, action::GO, "office-4") });
+    pair.pass(10);
+    assert_eq!(pair.of_work(), [(Kind::Started, Some(1)); 2]);
+    // Another driver finds the robot at work; the broker has kept what it said.
+    pair.driver = Driver::new(&config(), 7);
+    pair.driver.know_rooms(ROOMS.into_iter());
+    pair.decide(&DecisionV1 { epoch: 2, ..decision(1, action::GO, "office-4") });
+    for (topic, payload) in pair.robot.say(true) {
+        let sensed = pair.dialect.hear(&topic, payload.as_bytes()).unwrap();
+        let acts = pair.driver.sense(sensed, pair.now_s * S);
+        pair.carry_out(acts);
+    }
+    pair.pass(300);
+    assert_eq!(pair.of_work(), [(Kind::Started, Some(1)), (Kind::Finished, Some(1))]);
+    assert_eq!(pair.robot.orders, ["clean 4"]);
+}
+
+#[test]
+fn what_is_owed_is_told_to_a_planner_that_asks_for_it() {
+    let mut pair = Pair::new(&config(), 100.0);
+    pair.decide(&decision(1, action::GO, "office-4"));
+    pair.pass(200);
+    pair.of_work();
+    pair.decide(&DecisionV1 { epoch: 2, stay_ns: 0, ..decision(1, action::GO, "office-4") });
+    assert_eq!(pair.of_work(), [(Kind::Finished, Some(1))]);
+    pair.decide(&DecisionV1 { epoch: 2, stay_ns: 0, ..decision(2, action::GO, "hall-2") });
+    assert_eq!(pair.of_work(), [(Kind::Failed, Some(2))]);
+}
+
+#[test]
+fn rooms_without_a_segment_are_blocked_and_rooms_that_are_done_are_not_cleaned_again() {
+    let mut pair = Pair::new(&config(), 100.0);
+    pair.decide(&decision(1, action::GO, "garage"));
+    assert_eq!(pair.of_work(), [(Kind::Blocked, Some(1))]);
+    pair.decide(&DecisionV1 { covered: 0b0100, ..decision(2, action::GO, "kitchen-3") });
+    pair.decide(&DecisionV1 { robot: 8, ..decision(3, action::GO, "hall-2") });
+    pair.pass(100);
+    assert!(pair.robot.orders.is_empty() && pair.of_work().is_empty());
+}
+
+#[test]
+fn a_dry_run_gives_orders_to_nobody_and_reports_nothing() {
+    let mut driver = Driver::new(&RobotConfig { obey: false, ..config() }, 7);
+    let segments = BTreeMap::from([("3".to_owned(), "Küche".to_owned())]);
+    assert!(driver.sense(Sensed::Segments(segments), 0).is_empty());
+    let clean = Act::Order(Order::Clean { segment: "3".to_owned(), room: "kitchen-3".to_owned() });
+    assert_eq!(driver.decide(&decision(1, action::GO, "kitchen-3"), S), [clean]);
+    let later: Vec<_> = (2..200).flat_map(|s| driver.tick(s * S)).collect();
+    assert!(later.is_empty() && driver.sense(Sensed::Status(Status::Docked), 300 * S).is_empty(), "{later:?}");
+    assert_eq!(driver.decide(&decision(2, action::GO, "kitchen-3"), 301 * S).len(), 1);
+}
+
+/// Where the person is: from this hour on, in this room of [`ROOMS`], or away.
+const DAY: [(f64, Option<usize>); 16] = [
+    (0.0, Some(0)),
+    (7.0, Some(2)),
+    (7.6, Some(1)),
+    (7.7, Some(3)),
+    (9.5, Some(2)),
+    (9.8, Some(3)),
+    (12.0, Some(2)),
+    (13.0, None),
+    (14.0, Some(3)),
+    (16.0, Some(2)),
+    (16.3, Some(3)),
+    (18.0, Some(2)),
+    (19.5, Some(3)),
+    (21.0, Some(1)),
+    (21.1, Some(0)),
+    (24.0, None),
+];
+/// Seconds that the robot takes for a room.
+const ROOM_S: f64 = 1500.0;
+/// The robot works from 8 to 20.
+const HOURS: (u64, u64) = (8, 20);
+/// What the daemon sends, that often.
+const EVERY_S: u64 = 2;
+const HORIZONS_S: [f32; 16] =
+    [0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 300.0, 450.0, 600.0, 900.0, 1800.0, 3600.0];
+
+fn person_at(hour: f64) -> Option<usize> {
+    DAY.iter().rev().find(|(from, _)| hour >= *from).and_then(|(_, room)| *room)
+}
+
+/// What a day came to.
+#[derive(Debug, PartialEq)]
+struct Day {
+    shared_min: f64,
+    cleaned: usize,
+    failed: usize,
+}
+
+/// What goes wrong on a day: the robot gets stuck, loses orders, the broker is away, the driver is started again.
+#[derive(Debug, Clone, Copy)]
+struct Trouble(bool);
+
+/// A day of the whole chain: person, forecast, planner, driver, fake robot.
+fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
+    let planning = PlannerConfig {
+        policy,
+        room_time_s: ROOM_S,
+        round_s: Some(3600.0 * (HOURS.1 - HOURS.0) as f64),
+        reports: Reports::Always,
+        ..PlannerConfig::default()
+    };
+    let number = sequence::source_of_name(&planning.robot);
+    let (mut planner, mut reporter) = (Planner::new(&planning, 1), Reporter::new(&planning.robot, 9).unwrap());
+    let mut driver = Driver::new(&config(), number);
+    let mut robot = FakeValetudo::new(TOPIC, &segments(ROOM_S));
+    let dialect = Dialect::new(&config(), "roomcast", "robot");
+    let mut forecaster = Forecaster::new(ROOMS.len(), ForecastOptions::default(), 0.0);
+    let (mut before, mut shared_s, mut failed, mut was_away) = (None, 0.0, 0, false);
+    for second in HOURS.0 * 3600..HOURS.1 * 3600 {
+        let (now_ns, now_s) = (second * S, second as f64);
+        let person = person_at(now_s / 3600.0);
+        if before != Some(person) {
+            before = Some(person);
+            match person {
+                Some(room) => forecaster.enter(now_s, Some(room)),
+                None => forecaster.leave(now_s),
+            }
+        }
+        let hour = |hours: f64| trouble && second == (hours * 3600.0) as u64;
+        let away = trouble && (11.0..11.05).contains(&(now_s / 3600.0));
+        if hour(8.2) {
+            robot.deaf = 2;
+        }
+        if hour(9.0) {
+            robot.sticks = Some(("2".to_owned(), 900.0));
+        }
+        if hour(10.1) {
+            driver = Driver::new(&config(), number);
+        }
+        robot.pass(1.0);
+        if person.is_some()
+            && robot.job.as_ref().is_some_and(|(segment, _)| {
+                robot.doing == Doing::Cleaning && segments(0.0).iter().position(|s| s.0 == segment) == person
+            })
+        {
+            shared_s += 1.0;
+        }
+        let mut acts = Vec::new();
+        // A connection that is new has what the broker kept.
+        let again = was_away && !away || hour(10.1);
+        was_away = away;
+        if !away {
+            for (topic, payload) in robot.say(again) {
+                acts.extend(
+                    dialect
+                        .hear(&topic, payload.as_bytes())
+                        .into_iter()
+                        .flat_map(|sensed| driver.sense(sensed, now_ns)),
+                );
+            }
+        }
+        acts.extend(driver.tick(now_ns));
+        if second % EVERY_S == 0 {
+            let (scores, forecast) = tell(&forecaster, second);
+            planner.take(&scores);
+            planner.take_forecast(&forecast);
+            driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::RoomV1::id));
+        }
+        if let Some(decision) = planner.decide(now_ns, 0).unwrap() {
+            acts.extend(driver.decide(&decision, now_ns));
+        }
+        for act in acts {
+            match act {
+                Act::Order(order) if !away => {
+                    let (topic, payload) = dialect.order(&order);
+                    robot.hear(&topic, &payload);
+                }
+                Act::Order(_) => {}
+                Act::Report(report) => {
+                    failed += usize::from(report.kind == Kind::Failed);
+                    planner.take_report(&reporter.message(&report, now_ns, 0).unwrap(), now_ns).unwrap();
+                }
+            }
+        }
+    }
+    let cleaned: std::collections::BTreeSet<_> = robot.cleaned.iter().collect();
+    Day { shared_min: shared_s / 60.0, cleaned: cleaned.len(), failed }
+}
+
+/// What the daemon would publish.
+fn tell(forecaster: &Forecaster, second: u64) -> (RoomScoresV1, ForecastV1) {
+    let (now_s, now_ns) = (second as f64, second * S);
+    let mut scores =
+        RoomScoresV1 { epoch: 1, sequence: second, computed_ns: now_ns, published_ns: now_ns, ..Default::default() };
+    let mut forecast =
+        ForecastV1 { epoch: 1, sequence: second, computed_ns: now_ns, published_ns: now_ns, ..Default::default() };
+    (scores.room_count, forecast.room_count, forecast.horizon_count) = (4, 4, 16);
+    forecast.horizon_s = HORIZONS_S;
+    for (room, id) in ROOMS.iter().enumerate() {
+        scores.room[room].id = text::encode("id", id).unwrap();
+        scores.room[room].probability = forecaster.belief()[room];
+        scores.room[room].log_score_nats = scores.room[room].probability.ln();
+        forecast.id[room] = scores.room[room].id;
+    }
+    for (horizon, horizon_s) in HORIZONS_S.iter().enumerate() {
+        for (room, p) in forecaster.at(now_s, f64::from(*horizon_s)).enumerate() {
+            forecast.probability[room][horizon] = p as f32;
+        }
+    }
+    (scores, forecast)
+}
+
+/// What a robot shares that does the rooms one after the other, as a timer at this hour has it.
+fn plain_schedule(hour: f64) -> f64 {
+    let seconds = 0..(ROOMS.len() as f64 * ROOM_S) as u64;
+    let together = |s: &u64| person_at(hour + *s as f64 / 3600.0) == Some((*s as f64 / ROOM_S) as usize);
+    seconds.filter(together).count() as f64 / 60.0
+}
+
+#[test]
+fn a_flat_is_cleaned_over_a_day_while_a_person_lives_there() {
+    let quiet = live(PolicyName::CoverageAware, Trouble(false));
+    let naive = live(PolicyName::Naive, Trouble(false));
+    let schedules: Vec<_> = (8..18).map(|hour| plain_schedule(f64::from(hour))).collect();
+    let mean = schedules.iter().sum::<f64>() / schedules.len() as f64;
+    println!("coverage-aware {quiet:?}, naive {naive:?}, plain schedules {schedules:.1?} min, mean {mean:.1} min");
+    assert_eq!((quiet.cleaned, quiet.failed), (4, 0));
+    assert!(quiet.shared_min < naive.shared_min && quiet.shared_min < mean, "{quiet:?} {naive:?} {schedules:?}");
+    // Orders are lost, the robot is stuck, the broker is away, the driver is started again: all is done all the same.
+    let troubled = live(PolicyName::CoverageAware, Trouble(true));
+    println!("with trouble {troubled:?}");
+    assert_eq!(troubled.cleaned, 4);
+    assert!(troubled.failed >= 1 && troubled.shared_min < mean, "{troubled:?}");
+}
+
+#[test]
+fn home_assistants_robot_is_driven_by_the_same_driver() {
+    let config = RobotConfig {
+        kind: RobotKind::HomeAssistant,
+        segments: BTreeMap::from([("hall-2".into(), "2".into())]),
+        ..config()
+    };
+    let mut driver = Driver::new(&config, 7);
+    let dialect = Dialect::new(&RobotConfig { topic: "ha/vacuum/dusty".into(), ..config }, "roomcast", "robot");
+    let sense = |driver: &mut Driver, part: &str, payload: &str, s: u64| {
+        driver.sense(dialect.hear(&format!("ha/vacuum/dusty/{part}"), payload.as_bytes()).unwrap(), s * S)
+    };
+    sense(&mut driver, "state", "docked", 1);
+    let acts = driver.decide(&decision(1, action::GO, "hall-2"), 2 * S);
+    assert_eq!(acts, [Act::Order(Order::Clean { segment: "2".into(), room: "hall-2".into() })]);
+    let acts = sense(&mut driver, "state", "cleaning", 3);
+    assert!(matches!(&acts[..], [Act::Report(report)] if report.kind == Kind::Started), "{acts:?}");
+    sense(&mut driver, "state", "returning", 600);
+    let acts = driver.tick(604 * S);
+    assert!(acts.iter().any(|act| matches!(act, Act::Report(report) if report.kind == Kind::Finished)), "{acts:?}");
+}

@@ -1,0 +1,166 @@
+//! The driver's process: its ports, the broker and the clock.
+
+use std::time::{Duration, Instant};
+
+use roomcast_ipc::{
+    DecisionV1, Domain, IpcError, MessageError, Publisher, RobotReportV1, RoomScoresV1, Subscriber, clock, sequence,
+};
+use sd_notify::NotifyState;
+
+use super::dialect::{Dialect, Order};
+use super::driver::{Act, Driver};
+use crate::config::Config;
+use crate::logging::Limiter;
+use crate::mqtt::{Broker, MqttError};
+use crate::mqtt_link::Link;
+use crate::notify::notify;
+use crate::reporter::{Report, Reporter};
+use crate::stop::Stop;
+
+/// How often the broker is listened to.
+const TICK: Duration = Duration::from_millis(50);
+/// How long a broker may hold an order for a robot that is away: what it hears late, it would do at the wrong time.
+const ORDER_S: u32 = 10;
+/// How long the connection's thread may take for a turn before this process no longer says that it lives.
+const TURN_MAX_NS: u64 = 5_000_000_000;
+/// How often systemd hears that this process lives, at most.
+const WATCHDOG: Duration = Duration::from_secs(1);
+/// Complaints of one kind come at most so often.
+const QUIET_NS: u64 = 5_000_000_000;
+
+/// Why a robot cannot be driven.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DriveError {
+    /// A service.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+    /// The broker.
+    #[error(transparent)]
+    Mqtt(#[from] MqttError),
+    /// The robot's name.
+    #[error("planner.robot cannot be a robot's name: {0}")]
+    Name(#[from] MessageError),
+    /// What is printed cannot be written.
+    #[error("failed to write to standard output: {0}; check where it leads")]
+    Print(std::io::Error),
+}
+
+/// What becomes of orders.
+pub enum Way<'a> {
+    /// The robot is told.
+    Obey,
+    /// They are only shown: topic and message.
+    Show(&'a mut dyn FnMut(&str, &str) -> std::io::Result<()>),
+}
+
+/// What was said or not.
+struct Mouth<'a> {
+    dialect: Dialect,
+    link: Link,
+    reporter: Reporter,
+    reports: Publisher<RobotReportV1>,
+    way: Way<'a>,
+    log: Limiter,
+}
+
+impl Mouth<'_> {
+    fn act(&mut self, acts: Vec<Act>) -> Result<(), DriveError> {
+        acts.into_iter().try_for_each(|act| match act {
+            Act::Order(order) => self.order(&order),
+            Act::Report(report) => self.report(&report),
+        })
+    }
+
+    fn order(&mut self, order: &Order) -> Result<(), DriveError> {
+        let (topic, payload) = self.dialect.order(order);
+        if let Way::Show(show) = &mut self.way {
+            return show(&topic, &payload).map_err(DriveError::Print);
+        }
+        // One that is not taken is given again.
+        let said = self.link.say(&topic, &payload, false, Some(ORDER_S));
+        tracing::info!(?order, said, "order to the robot");
+        Ok(())
+    }
+
+    fn report(&mut self, report: &Report) -> Result<(), DriveError> {
+        tracing::info!(kind = %report.kind, room = report.room, battery = report.battery, note = report.note, "report of the robot");
+        match self.reporter.message(report, clock::monotonic_ns(), clock::unix_ns()) {
+            Ok(message) => self.reports.send(&message)?,
+            Err(error) => {
+                if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+                    tracing::warn!(%error, held_back, "a report cannot be made");
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Drives the robot until it is asked to stop. A robot at work then goes on with its room.
+///
+/// # Errors
+///
+/// [`DriveError`] when a service is lost, or the broker's set-up cannot be used.
+pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop: &Stop) -> Result<(), DriveError> {
+    let robot = &config.planner.robot;
+    let number = sequence::source_of_name(robot);
+    let node = domain.open(&format!("roomcast-robot {robot} {number:016x}"))?;
+    node.be_the_only_one()?;
+    let decisions: Subscriber<DecisionV1> = node.subscriber()?;
+    let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
+    let dialect = Dialect::new(&config.robot, &config.bridge.topic, robot);
+    let link = Link::start(broker, dialect.filters(), None)?;
+    let reporter = Reporter::new(robot, sequence::random_epoch())?;
+    let reports = node.publisher()?;
+    let mut driver = Driver::new(&config.robot, number);
+    let mut mouth = Mouth { dialect, link, reporter, reports, way, log: Limiter::new(QUIET_NS) };
+    let mut plan = Vec::new();
+    let mut told = Instant::now();
+    notify(&[NotifyState::Ready]);
+    while !stop.requested() {
+        decisions.wait(TICK)?;
+        if let Some(scores) = scores.newest()? {
+            driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::RoomV1::id));
+        }
+        let now_ns = clock::monotonic_ns();
+        for heard in mouth.link.heard() {
+            if let Some(sensed) = mouth.dialect.hear(&heard.topic, &heard.payload) {
+                let acts = driver.sense(sensed, now_ns);
+                mouth.act(acts)?;
+            }
+        }
+        while let Some(received) = decisions.receive()? {
+            if let Ok(decision) = received {
+                let acts = driver.decide(&decision, now_ns);
+                mouth.act(acts)?;
+            }
+        }
+        let acts = driver.tick(now_ns);
+        mouth.act(acts)?;
+        mouth.reports.tick()?;
+        show_plan(&driver, &mut plan);
+        let turned_ns = now_ns.saturating_sub(mouth.link.turned_ns());
+        if told.elapsed() >= WATCHDOG && turned_ns <= TURN_MAX_NS {
+            told = Instant::now();
+            notify(&[NotifyState::Watchdog]);
+        }
+    }
+    notify(&[NotifyState::Stopping]);
+    mouth.link.leave();
+    Ok(())
+}
+
+/// Logs which segment each room is, whenever that changes.
+fn show_plan(driver: &Driver, before: &mut Vec<(String, Result<String, String>)>) {
+    if driver.plan().eq(before.iter().map(|(room, segment)| (room.as_str(), segment.clone()))) {
+        return;
+    }
+    *before = driver.plan().map(|(room, segment)| (room.to_owned(), segment)).collect();
+    for (room, segment) in before {
+        match segment {
+            Ok(segment) => tracing::info!(room, segment, "a room that the robot can do"),
+            Err(why) => tracing::warn!(room, why, "a room that the robot cannot do"),
+        }
+    }
+}

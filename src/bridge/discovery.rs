@@ -1,0 +1,211 @@
+//! Home Assistant's discovery by MQTT: a message for each entity, all of one device.
+
+use serde_json::{Value, json};
+
+use super::names::{ahead, slug};
+use roomcast_services::config::BridgeConfig;
+
+/// Who has made the entities, as discovery names it.
+pub(super) const ORIGIN: &str = "roomcast";
+/// Most bytes of the state of a text sensor in Home Assistant.
+const STATE_BYTES_MAX: usize = 255;
+
+/// Makes the messages.
+pub(super) struct Discovery<'a> {
+    config: &'a BridgeConfig,
+    node: String,
+    device: Value,
+    messages: Vec<(String, String)>,
+}
+
+/// The node that a bridge's entities have in discovery topics.
+pub(super) fn node(config: &BridgeConfig) -> String {
+    slug(&config.topic)
+}
+
+/// Whether a discovery message is one of a bridge's of this node, and not of somebody else who took its name.
+pub(super) fn is_own(payload: &[u8], node: &str) -> bool {
+    let Ok(message) = serde_json::from_slice::<Value>(payload) else { return false };
+    let at = |pointer: &str| message.pointer(pointer).and_then(Value::as_str);
+    at("/origin/name") == Some(ORIGIN) && at("/device/identifiers/0") == Some(node)
+}
+
+/// A share as percent, or unknown.
+fn percent(at: &str) -> String {
+    format!("{{{{ 'None' if value_json.{at} is none else (value_json.{at} * 100) | round | int }}}}")
+}
+
+/// True or false as Home Assistant's binary sensors have it, or unknown.
+fn on_off(at: &str) -> String {
+    format!("{{{{ 'None' if value_json.{at} is none else ('ON' if value_json.{at} else 'OFF') }}}}")
+}
+
+fn time(at: &str) -> String {
+    format!("{{{{ 'None' if value_json.{at} is none else (value_json.{at} | as_datetime) }}}}")
+}
+
+/// An entity.
+struct Entity<'a> {
+    component: &'a str,
+    object: String,
+    name: String,
+    topic: String,
+    template: String,
+    more: Value,
+}
+
+impl<'a> Discovery<'a> {
+    pub(super) fn new(config: &'a BridgeConfig, map: &str) -> Self {
+        let node = node(config);
+        let mut device = json!({
+            "identifiers": [node],
+            "name": if config.topic == "roomcast" { "Roomcast".to_owned() } else { format!("Roomcast {}", config.topic) },
+            "manufacturer": "Roomcast",
+            "sw_version": env!("CARGO_PKG_VERSION"),
+        });
+        if let (false, Some(device)) = (map.is_empty(), device.as_object_mut()) {
+            device.insert("model".to_owned(), map.into());
+        }
+        Self { config, node, device, messages: Vec::new() }
+    }
+
+    pub(super) fn messages(self) -> Vec<(String, String)> {
+        self.messages
+    }
+
+    /// Adds an entity, which is there while the bridge is, and the daemon, unless it tells of the daemon itself.
+    fn add(&mut self, entity: Entity<'_>, needs_daemon: bool) {
+        let Entity { component, object, name, topic, template, more } = entity;
+        let (base, node) = (&self.config.topic, &self.node);
+        let mut availability = vec![json!({ "topic": format!("{base}/status") })];
+        if needs_daemon {
+            availability.push(json!({ "topic": format!("{base}/daemon") }));
+        }
+        let id = format!("{node}_{object}");
+        let mut message = json!({
+            "name": name,
+            "unique_id": id,
+            // The name of the next key until 2025, and since then.
+            "object_id": id,
+            "default_entity_id": format!("{component}.{id}"),
+            "state_topic": format!("{base}/{topic}"),
+            "value_template": template,
+            "availability": availability,
+            "availability_mode": "all",
+            "device": self.device,
+            "origin": { "name": ORIGIN, "sw_version": env!("CARGO_PKG_VERSION") },
+        });
+        if let (Value::Object(more), Some(message)) = (more, message.as_object_mut()) {
+            message.extend(more);
+        }
+        let topic = format!("{}/{component}/{node}/{object}/config", self.config.discovery);
+        self.messages.push((topic, message.to_string()));
+    }
+
+    /// The home, and how the daemon is.
+    pub(super) fn home(&mut self) {
+        let entity = |component, object: &str, name: &str, topic: &str, template, more| Entity {
+            component,
+            object: object.to_owned(),
+            name: name.to_owned(),
+            topic: topic.to_owned(),
+            template,
+            more,
+        };
+        let occupancy = json!({ "device_class": "occupancy" });
+        self.add(entity("binary_sensor", "somebody", "somebody home", "home", on_off("somebody"), occupancy), true);
+        let attributes = format!("{}/health", self.config.topic);
+        let connectivity = json!({
+            "device_class": "connectivity", "entity_category": "diagnostic", "json_attributes_topic": attributes,
+        });
+        self.add(entity("binary_sensor", "daemon", "daemon", "health", on_off("daemon"), connectivity), false);
+        let timestamp = json!({ "device_class": "timestamp", "entity_category": "diagnostic" });
+        let narrated = time("narrated_unix_s");
+        self.add(entity("sensor", "narrated", "last narration", "health", narrated, timestamp), false);
+    }
+
+    /// A room: how likely somebody is there now and later, and whether somebody is expected soon.
+    pub(super) fn room(&mut self, id: &str) {
+        let (room, shown) = (slug(id), id.replace('-', " "));
+        let topic = format!("rooms/{room}");
+        let measured = |icon: &str| json!({ "unit_of_measurement": "%", "state_class": "measurement", "icon": icon });
+        let mut now = measured("mdi:account-eye");
+        if let Some(now) = now.as_object_mut() {
+            now.insert("json_attributes_topic".to_owned(), format!("{}/{topic}", self.config.topic).into());
+        }
+        let entity = |component, object: String, name, template, more| Entity {
+            component,
+            object,
+            name,
+            topic: topic.clone(),
+            template,
+            more,
+        };
+        self.add(entity("sensor", format!("{room}_now"), format!("{shown} now"), percent("now"), now), true);
+        for seconds in self.config.horizons_s.clone() {
+            let object = format!("{room}_in_{}_s", slug(&seconds.to_string()));
+            let name = format!("{shown} in {}", ahead(seconds));
+            let template = percent(&format!("at['{seconds}']"));
+            self.add(entity("sensor", object, name, template, measured("mdi:account-clock")), true);
+        }
+        let soon = json!({ "device_class": "occupancy" });
+        let (object, name) = (format!("{room}_soon"), format!("{shown} soon"));
+        self.add(entity("binary_sensor", object, name, on_off("soon"), soon), true);
+    }
+
+    /// A person: the likely room, also later, and whether they are at home.
+    pub(super) fn person(&mut self, name: &str) {
+        let person = slug(name);
+        let topic = format!("persons/{person}");
+        let entity = |component, object: String, name, template: String, more| Entity {
+            component,
+            object,
+            name,
+            topic: topic.clone(),
+            template,
+            more,
+        };
+        let attributes = format!("{}/{topic}", self.config.topic);
+        let now = json!({ "icon": "mdi:account", "json_attributes_topic": attributes });
+        let template = "{{ value_json.likely }}".to_owned();
+        self.add(entity("sensor", format!("person_{person}"), name.to_owned(), template, now), true);
+        for seconds in self.config.horizons_s.clone() {
+            let object = format!("person_{person}_in_{}_s", slug(&seconds.to_string()));
+            let template = format!("{{{{ (value_json.at['{seconds}'] or {{}}).likely }}}}");
+            let (name, later) = (format!("{name} in {}", ahead(seconds)), json!({ "icon": "mdi:account-clock" }));
+            self.add(entity("sensor", object, name, template, later), true);
+        }
+        let home = "{{ {'present': 'ON', 'away': 'OFF', 'gone': 'OFF'}.get(value_json.presence, 'None') }}".to_owned();
+        let presence = json!({ "device_class": "presence" });
+        let object = format!("person_{person}_home");
+        self.add(entity("binary_sensor", object, format!("{name} home"), home, presence), true);
+    }
+
+    /// A robot: what it is to do, where and why.
+    pub(super) fn robot(&mut self, name: &str) {
+        let robot = slug(name);
+        let topic = format!("robots/{robot}");
+        let attributes = format!("{}/{topic}", self.config.topic);
+        let entity = |part: &str, template: String, more: Value| Entity {
+            component: "sensor",
+            object: format!("robot_{robot}_{part}"),
+            name: format!("{name} {part}"),
+            topic: topic.clone(),
+            template,
+            more,
+        };
+        let options = json!({
+            "device_class": "enum", "options": ["go", "stay", "pause"], "icon": "mdi:robot-vacuum",
+            "json_attributes_topic": attributes,
+        });
+        let plain = |icon: &str| json!({ "icon": icon });
+        let reason = format!("{{{{ value_json.reason[:{STATE_BYTES_MAX}] }}}}");
+        let all = [
+            entity("decision", "{{ value_json.action }}".to_owned(), options),
+            entity("room", "{{ value_json.room }}".to_owned(), plain("mdi:floor-plan")),
+            entity("reason", reason, plain("mdi:comment-question")),
+        ];
+        // What the robot was told holds on while the daemon is away.
+        all.into_iter().for_each(|entity| self.add(entity, false));
+    }
+}

@@ -1,0 +1,192 @@
+use super::*;
+use roomcast_ipc::{action, forecast_flags, presence, text};
+use roomcast_services::config::BridgeConfig;
+use serde_json::{Value, json};
+
+const ODD: &str = "a/b+c#<b>&\"{{x}}";
+
+fn scores(ids: &[&str]) -> RoomScoresV1 {
+    let mut scores = RoomScoresV1 { epoch: 1, sequence: 1, published_ns: 5, ..Default::default() };
+    scores.room_count = ids.len() as u32;
+    for (room, id) in scores.room.iter_mut().zip(ids) {
+        room.id = text::encode("id", id).unwrap();
+        room.probability = 1.0 / ids.len() as f64;
+    }
+    scores
+}
+
+/// Horizons 0, 60 and 600 s; a row for each room.
+fn forecast(of: &RoomScoresV1, rows: &[[f32; 3]]) -> ForecastV1 {
+    let mut forecast = ForecastV1 { room_count: of.room_count, horizon_count: 3, ..Default::default() };
+    forecast.horizon_s[1..3].copy_from_slice(&[60.0, 600.0]);
+    for (index, row) in rows.iter().enumerate() {
+        forecast.id[index] = of.room[index].id;
+        forecast.probability[index][..3].copy_from_slice(row);
+    }
+    forecast
+}
+
+fn persons(of: &RoomScoresV1, names: &[&str]) -> PersonForecastsV1 {
+    let mut persons = PersonForecastsV1 { room_count: of.room_count, horizon_count: 3, ..Default::default() };
+    persons.horizon_s[1..3].copy_from_slice(&[60.0, 600.0]);
+    for (index, room) in of.rooms().iter().enumerate() {
+        persons.id[index] = room.id;
+    }
+    persons.person_count = names.len() as u32;
+    for (person, name) in persons.person.iter_mut().zip(names) {
+        person.name = text::encode("name", name).unwrap();
+        person.presence = presence::PRESENT;
+        person.probability[0] = [0.7; roomcast_ipc::MAX_HORIZONS];
+        person.elsewhere[2] = 0.9;
+    }
+    persons
+}
+
+fn known(ids: &[&str], rows: &[[f32; 3]], names: &[&str]) -> Known {
+    let mut known = Known::default();
+    let scores = scores(ids);
+    known.take_scores(&scores);
+    known.take_forecast(&forecast(&scores, rows));
+    known.take_persons(&persons(&scores, names));
+    known
+}
+
+fn draw(known: &mut Known) -> Picture {
+    known.picture(&BridgeConfig::default(), "robot", true)
+}
+
+fn message(picture: &Picture, topic: &str) -> Value {
+    serde_json::from_str(picture.get(topic).unwrap_or_else(|| panic!("no {topic} in {:?}", picture.keys()))).unwrap()
+}
+
+#[test]
+fn rooms_are_told_now_and_later() {
+    let mut known = known(&["kitchen", "hall"], &[[0.9, 0.4, 0.2], [0.0, 0.104, 0.3]], &["ada"]);
+    let picture = draw(&mut known);
+    assert_eq!(
+        message(&picture, "roomcast/rooms/hall"),
+        json!({ "room": "hall", "next": 0.5, "now": 0.0, "at": { "60": 0.1, "600": 0.3 }, "soon": false })
+    );
+    assert_eq!(message(&picture, "roomcast/rooms/kitchen")["soon"], true);
+    assert_eq!(message(&picture, "roomcast/home"), json!({ "somebody": true, "persons": 0 }));
+    assert_eq!(picture["roomcast/status"], "online");
+}
+
+#[test]
+fn what_is_not_known_is_null_and_nobody_home_is_false() {
+    let scores = scores(&["kitchen"]);
+    let mut known = known(&["kitchen"], &[[0.5, 0.5, 0.5]], &[]);
+    let of = |flags| ForecastV1 { flags, ..forecast(&scores, &[[0.5; 3]]) };
+    known.take_forecast(&of(forecast_flags::NOT_KNOWN));
+    let picture = draw(&mut known);
+    assert_eq!(message(&picture, "roomcast/rooms/kitchen")["now"], Value::Null);
+    assert_eq!(message(&picture, "roomcast/rooms/kitchen")["soon"], Value::Null);
+    assert_eq!(message(&picture, "roomcast/home")["somebody"], Value::Null);
+    known.take_forecast(&of(forecast_flags::NOBODY_HOME));
+    assert_eq!(message(&draw(&mut known), "roomcast/home")["somebody"], false);
+}
+
+#[test]
+fn somebody_soon_has_hysteresis() {
+    let scores = scores(&["kitchen"]);
+    let mut known = known(&["kitchen"], &[[0.0; 3]], &[]);
+    let mut soon = |p: f32| {
+        known.take_forecast(&forecast(&scores, &[[0.0, p, 1.0]]));
+        message(&draw(&mut known), "roomcast/rooms/kitchen")["soon"].as_bool().unwrap()
+    };
+    assert_eq!([0.45, 0.5, 0.45, 0.4, 0.39, 0.45].map(&mut soon), [false, true, true, true, false, false]);
+}
+
+#[test]
+fn persons_are_in_their_likeliest_room_or_away() {
+    let mut known = known(&["kitchen", "hall"], &[[0.9; 3]; 2], &["ada"]);
+    let ada = message(&draw(&mut known), "roomcast/persons/ada");
+    assert_eq!(
+        (&ada["likely"], &ada["presence"], &ada["at"]["60"]["likely"]),
+        (&json!("kitchen"), &json!("present"), &json!("kitchen"))
+    );
+    assert_eq!(ada["at"]["600"], json!({ "likely": "away", "probability": 0.9, "away": 0.9 }));
+    assert_eq!(ada.get("set"), None, "the daemon made no sets");
+    let mut all = persons(&scores(&["kitchen", "hall"]), &["ada", ""]);
+    (all.person[0].set_coverage, all.person[0].room_set[0]) = (0.9, 0b10);
+    (all.person[1].person, all.person[1].presence) = (7, presence::UNKNOWN);
+    known.take_persons(&all);
+    let picture = draw(&mut known);
+    assert_eq!(
+        message(&picture, "roomcast/persons/ada")["set"],
+        json!({ "coverage": 0.9, "rooms": ["hall"], "away": false })
+    );
+    let stranger = picture.keys().find(|topic| topic.starts_with("roomcast/persons/person_7_")).unwrap();
+    assert_eq!(message(&picture, stranger)["likely"], Value::Null);
+}
+
+#[test]
+fn decisions_come_with_their_reason_and_robots_are_bounded() {
+    let mut known = known(&["kitchen"], &[[0.0; 3]], &[]);
+    let decision = DecisionV1 {
+        robot: sequence::source_of_name("robot"),
+        sequence: 3,
+        action: action::GO,
+        to: text::encode("to", "kitchen").unwrap(),
+        reason: text::encode("reason", "nobody is \"there\"").unwrap(),
+        ..Default::default()
+    };
+    known.take_decision(&decision);
+    let told = message(&draw(&mut known), "roomcast/robots/robot");
+    assert_eq!(
+        (&told["action"], &told["room"], &told["reason"]),
+        (&json!("go"), &json!("kitchen"), &json!("nobody is \"there\""))
+    );
+    let mut other = decision;
+    for number in 1..100 {
+        (other.robot, other.decided_ns) = (number, number);
+        known.take_decision(&other);
+    }
+    let robots = draw(&mut known).keys().filter(|topic| topic.starts_with("roomcast/robots/")).count();
+    assert_eq!(robots, 8);
+}
+
+#[test]
+fn discovery_is_one_device_with_unique_safe_ids_whatever_names_are_like() {
+    let long = "x".repeat(48);
+    let ids = ["kitchen", ODD, "küche", "a b", "a_b", long.as_str()];
+    let mut known = known(&ids, &[[0.1; 3]; 6], &[ODD, "Ada Lovelace"]);
+    let picture = draw(&mut known);
+    let configs: Vec<_> = picture.iter().filter(|(topic, _)| topic.ends_with("/config")).collect();
+    // Three of the home, four of each room, four of each person, three of the robot.
+    assert_eq!(configs.len(), 3 + 6 * 4 + 2 * 4 + 3);
+    let mut unique = std::collections::HashSet::new();
+    for (topic, payload) in configs {
+        let levels: Vec<_> = topic.split('/').collect();
+        assert!(
+            matches!(levels[..], ["homeassistant", "sensor" | "binary_sensor", "roomcast", _, "config"]),
+            "{topic}"
+        );
+        let safe = |text: &str| text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
+        let config: Value = serde_json::from_str(payload).unwrap();
+        assert!(safe(levels[3]) && safe(config["unique_id"].as_str().unwrap()), "{topic}: {payload}");
+        assert!(unique.insert(config["unique_id"].clone()), "{payload}");
+        assert_eq!(config["device"]["identifiers"], json!(["roomcast"]));
+        assert_eq!(config["origin"]["name"], "roomcast");
+        assert_eq!(config["availability"][0]["topic"], "roomcast/status");
+        let state = config["state_topic"].as_str().unwrap();
+        assert!(state == "roomcast/robots/robot" || picture.contains_key(state), "{state}");
+        assert!(!config["value_template"].as_str().unwrap().contains("<b>"), "no name is part of a template");
+        assert!(discovery::is_own(payload.as_bytes(), "roomcast") && !discovery::is_own(payload.as_bytes(), "other"));
+    }
+    assert!(picture.keys().all(|topic| !topic.contains(['+', '#', '\0', ' '])), "{:?}", picture.keys());
+    assert!(!discovery::is_own(b"{\"name\": \"lamp\"}", "roomcast") && !discovery::is_own(b"\xff", "roomcast"));
+}
+
+#[test]
+fn without_a_prefix_there_is_no_discovery_and_horizons_can_be_any() {
+    let mut known = known(&["kitchen"], &[[0.1, 0.2, 0.3]], &[]);
+    let config = BridgeConfig { discovery: String::new(), horizons_s: vec![1.5, 86_400.0], ..BridgeConfig::default() };
+    let picture = known.picture(&config, "robot", false);
+    assert!(picture.keys().all(|topic| topic.starts_with("roomcast/")));
+    assert_eq!(message(&picture, "roomcast/rooms/kitchen")["at"], json!({ "1.5": 0.1, "86400": 0.3 }));
+    assert_eq!(picture["roomcast/daemon"], "offline");
+    let config = BridgeConfig { discovery: "ha".to_owned(), ..config };
+    let picture = known.picture(&config, "robot", true);
+    assert!(picture.keys().all(|topic| !topic.contains('.')), "{:?}", picture.keys());
+}

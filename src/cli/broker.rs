@@ -1,0 +1,58 @@
+//! What the commands that speak MQTT have in common: the broker, and which error has which exit code.
+
+use std::path::PathBuf;
+
+use roomcast_services::config::MqttConfig;
+use roomcast_services::mqtt::{Broker, MqttError};
+
+use super::Failure;
+use crate::exit_code;
+
+/// The broker, in place of the configuration's section `[mqtt]`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The broker, in place of the configuration's: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca.
+    #[arg(long, value_name = "URL")]
+    mqtt: Option<String>,
+    /// A file with the broker's user name and password, a line each.
+    #[arg(long, value_name = "FILE")]
+    mqtt_credentials: Option<PathBuf>,
+    /// A PEM file with the certificates that the broker's is signed by.
+    #[arg(long, value_name = "FILE")]
+    mqtt_ca: Option<PathBuf>,
+}
+
+impl Args {
+    /// The broker, for a client of this name.
+    ///
+    /// # Errors
+    ///
+    /// When neither the command line nor the configuration names one.
+    pub fn broker(&self, config: &MqttConfig, client: String) -> Result<Broker, Failure> {
+        let Some(address) = self.mqtt.clone().or_else(|| config.broker.clone()) else {
+            return Err(Failure::new(
+                exit_code::CONFIG,
+                "no broker is named: set broker = \"mqtt://127.0.0.1\" in the section [mqtt], or give --mqtt",
+            ));
+        };
+        // Files of the configuration belong to its broker.
+        let own = self.mqtt.is_none();
+        let configured = |path: &Option<PathBuf>| path.clone().filter(|_| own);
+        Ok(Broker {
+            address,
+            client,
+            credentials: self.mqtt_credentials.clone().or_else(|| configured(&config.credentials)),
+            authority: self.mqtt_ca.clone().or_else(|| configured(&config.ca)),
+        })
+    }
+}
+
+/// The failure that an error of MQTT is.
+pub fn failure(error: MqttError) -> Failure {
+    let code = match error {
+        MqttError::Address { .. } | MqttError::Scheme { .. } => exit_code::USAGE,
+        MqttError::Read { .. } | MqttError::Rules { .. } | MqttError::Authority { .. } => exit_code::INPUT,
+        _ => exit_code::FAILURE,
+    };
+    Failure::new(code, error)
+}

@@ -1,0 +1,69 @@
+//! `roomcast robot`: a vacuum that follows the planner's decisions.
+
+use std::io::Write;
+
+use super::choice::choice;
+use super::{CommandResult, Failure, broker, service};
+use crate::exit_code;
+use roomcast_services::config::RobotKind;
+use roomcast_services::logging;
+use roomcast_services::vacuum::{self, DriveError, Way};
+
+/// Arguments of `roomcast robot`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    service: service::Args,
+    #[command(flatten)]
+    broker: broker::Args,
+    /// How the robot speaks, in place of the configuration's.
+    #[arg(long, value_name = "KIND", value_parser = choice::<RobotKind>())]
+    kind: Option<RobotKind>,
+    /// Where it speaks, in place of the configuration's: Valetudo's prefix and identifier, or Home Assistant's state topics of the vacuum.
+    #[arg(long, value_name = "TOPIC")]
+    topic: Option<String>,
+    /// The robot's name, in place of the configuration's planner.robot.
+    #[arg(long, value_name = "NAME")]
+    robot: Option<String>,
+    /// Tell the robot. Without it, and without robot.obey in the configuration, what it would be told is only printed.
+    #[arg(long)]
+    obey: bool,
+}
+
+/// Drives the robot until it is asked to stop.
+///
+/// # Errors
+///
+/// When no broker is named, its files cannot be used, or a service is lost.
+pub fn run(args: &Args) -> CommandResult {
+    let stop = service::stop()?;
+    let _log = logging::init();
+    let (mut config, domain) = args.service.load()?;
+    let robot = &mut config.robot;
+    robot.kind = args.kind.unwrap_or(robot.kind);
+    robot.obey |= args.obey;
+    if let Some(topic) = &args.topic {
+        robot.topic.clone_from(topic);
+    }
+    if let Some(name) = &args.robot {
+        config.planner.robot.clone_from(name);
+    }
+    config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+    let client = format!("roomcast-robot-{}", config.robot.topic.replace('/', "-"));
+    let broker = args.broker.broker(&config.mqtt, client)?;
+    let mut show = |topic: &str, payload: &str| {
+        let line = serde_json::json!({ "topic": topic, "payload": payload });
+        let mut out = std::io::stdout().lock();
+        writeln!(out, "{line}").and_then(|()| out.flush())
+    };
+    let way = if config.robot.obey { Way::Obey } else { Way::Show(&mut show) };
+    if !config.robot.obey {
+        eprintln!("roomcast: a dry run: what the robot would be told is printed; --obey tells it");
+    }
+    vacuum::run(&config, &domain, &broker, way, &stop).map_err(|error| match error {
+        DriveError::Mqtt(error) => broker::failure(error),
+        DriveError::Ipc(_) => Failure::new(exit_code::IPC, error),
+        DriveError::Name(_) => Failure::new(exit_code::CONFIG, error),
+        _ => Failure::new(exit_code::FAILURE, error),
+    })
+}

@@ -1,0 +1,487 @@
+//! Real processes and a real broker. The bridge: what stands at the broker over restarts of each, and what goes when rooms go. The robot:
+//! a fake one over the broker is driven by the real planner.
+
+#![cfg(all(feature = "bridge", feature = "robot"))]
+#![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use roomcast_ipc::{DecisionV1, Domain, decision_flags};
+use rumqttc::v5::mqttbytes::QoS;
+use rumqttc::v5::mqttbytes::v5::Packet;
+use rumqttc::v5::{Client, Event, MqttOptions};
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+
+#[expect(dead_code, reason = "a test needs some of them")]
+#[path = "../src/exit_code.rs"]
+mod exit_code;
+#[path = "support/fake_valetudo.rs"]
+mod fake_valetudo;
+#[path = "support/mosquitto.rs"]
+mod mosquitto;
+#[path = "support/skipped.rs"]
+mod skipped;
+
+use fake_valetudo::FakeValetudo;
+use mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+use skipped::skipped;
+
+/// Far longer than anything here takes, also on a loaded machine.
+const PATIENCE: Duration = Duration::from_secs(120);
+/// Somebody else's entity that has taken our node's name.
+const FOREIGN: &str = "homeassistant/sensor/roomcast/foreign/config";
+const STUDIO_ROOM: &str = "roomcast/rooms/main-room";
+
+/// A private domain with its processes and their logs; gone when dropped.
+struct World {
+    directory: tempfile::TempDir,
+    domain: Domain,
+    children: Vec<(Child, PathBuf)>,
+}
+
+impl World {
+    fn new(name: &str) -> Self {
+        let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(directory.path().join("d"), &format!("{name}-{}", std::process::id())).unwrap();
+        std::fs::write(directory.path().join("roomcast.toml"), "[bridge]\ninterval_s = 0.1\n").unwrap();
+        Self { directory, domain, children: Vec::new() }
+    }
+
+    fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
+        command.args(arguments).env_remove("ROOMCAST_CONFIG").stdin(Stdio::null());
+        command.arg("--root").arg(self.domain.root()).args(["--domain", self.domain.name()]);
+        command
+    }
+
+    fn start(&mut self, arguments: &[&str]) -> usize {
+        let log = self.directory.path().join(format!("log-{}", self.children.len()));
+        let mut command = self.command(arguments);
+        let child = command.stderr(File::create(&log).unwrap()).stdout(Stdio::null()).spawn().unwrap();
+        self.children.push((child, log));
+        self.children.len() - 1
+    }
+
+    fn start_daemon(&mut self, state: &str, more: &[&str]) -> usize {
+        let state = self.directory.path().join(state);
+        self.start(&[&["daemon", "--state", state.to_str().unwrap()], more].concat())
+    }
+
+    fn start_bridge(&mut self, port: u16) -> usize {
+        let config = self.directory.path().join("roomcast.toml");
+        let broker = format!("mqtt://127.0.0.1:{port}");
+        self.start(&["bridge", "mqtt", "--config", config.to_str().unwrap(), "--mqtt", &broker])
+    }
+
+    fn narrate(&self, lines: &str) {
+        let file = self.directory.path().join("lines.txt");
+        std::fs::write(&file, lines).unwrap();
+        let mut command = self.command(&["narrate", file.to_str().unwrap(), "--pace", "0", "--linger", "100"]);
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+    }
+
+    fn signal(&mut self, process: usize, signal: Signal) -> Option<i32> {
+        let child = &mut self.children[process].0;
+        kill_process(Pid::from_raw(child.id().cast_signed()).unwrap(), signal).unwrap();
+        eventually("the process ends", || child.try_wait().unwrap()).code()
+    }
+}
+
+impl Drop for World {
+    fn drop(&mut self) {
+        for (child, log) in &mut self.children {
+            let _gone = child.kill();
+            let _reaped = child.wait();
+            if std::thread::panicking() {
+                eprintln!("--- {}", std::fs::read_to_string(log).unwrap_or_default());
+            }
+        }
+        let _left = self.domain.clean_up();
+    }
+}
+
+fn eventually<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(value) = attempt() {
+            return value;
+        }
+        assert!(start.elapsed() < PATIENCE, "not within {PATIENCE:?}: {what}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// What the broker keeps: a marker comes behind all of it.
+fn kept(port: u16) -> BTreeMap<String, String> {
+    static NUMBER: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
+    let name = format!("looker-{}", NUMBER.fetch_add(1, std::sync::atomic::Ordering::Relaxed));
+    let mut options = MqttOptions::new(&name, "127.0.0.1", port);
+    options.set_max_packet_size(Some(64 << 20));
+    let (client, mut connection) = Client::new(options, 4);
+    client.subscribe("#", QoS::AtLeastOnce).unwrap();
+    client.publish(format!("marker/{name}"), QoS::AtLeastOnce, false, "").unwrap();
+    let mut kept = BTreeMap::new();
+    loop {
+        if let Ok(Event::Incoming(Packet::Publish(message))) = connection.recv().unwrap() {
+            let topic = String::from_utf8(message.topic.to_vec()).unwrap();
+            if topic == format!("marker/{name}") {
+                return kept;
+            }
+            if message.retain {
+                kept.insert(topic, String::from_utf8(message.payload.to_vec()).unwrap());
+            }
+        }
+    }
+}
+
+/// What the broker keeps, once it is so.
+fn kept_with(port: u16, what: &str, holds: impl Fn(&BTreeMap<String, String>) -> bool) -> BTreeMap<String, String> {
+    eventually(what, || Some(kept(port)).filter(&holds))
+}
+
+fn at(kept: &BTreeMap<String, String>, topic: &str) -> Value {
+    kept.get(topic).map_or(Value::Null, |payload| serde_json::from_str(payload).unwrap())
+}
+
+fn config_of(entity: &str) -> String {
+    let (component, object) = entity.split_once('.').unwrap();
+    format!("homeassistant/{component}/roomcast/{object}/config")
+}
+
+fn is(kept: &BTreeMap<String, String>, topic: &str, value: &str) -> bool {
+    kept.get(topic).is_some_and(|payload| payload == value)
+}
+
+fn broker() -> Option<Mosquitto> {
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let broker = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY);
+    if broker.is_none() {
+        skipped(NO_BROKER);
+    }
+    broker
+}
+
+#[test]
+fn what_is_known_stands_at_the_broker_over_restarts_and_goes_with_its_rooms() {
+    let Some(mut broker) = broker() else { return };
+    let port = broker.port;
+    broker.publish(&[
+        (FOREIGN, r#"{"name": "somebody else's", "state_topic": "x"}"#.into(), true),
+        // Left by an earlier run, of a room that no map has any more.
+        ("roomcast/rooms/attic", "{}".into(), true),
+    ]);
+    let mut world = World::new("bridge");
+    let bridge = world.start_bridge(port);
+    let now = kept_with(port, "a bridge without a daemon says so", |kept| is(kept, "roomcast/daemon", "offline"));
+    assert_eq!(at(&now, "roomcast/health")["daemon"], false);
+    assert!(now.contains_key("roomcast/rooms/attic"), "which rooms there are is not known yet");
+    let daemon = world.start_daemon("state", &[]);
+    world.narrate("{\"text\": \"They walk to the kitchen.\", \"person\": \"ada\"}\n{\"text\": \"They open the fridge.\", \"person\": \"ada\"}\n");
+    world.start(&["planner"]);
+    let now = kept_with(port, "rooms, persons and decisions", |kept| {
+        at(kept, "roomcast/persons/ada")["likely"] == "kitchen" && at(kept, "roomcast/robots/robot")["action"] == "go"
+    });
+    assert!(at(&now, "roomcast/rooms/kitchen")["now"].as_f64().unwrap() > 0.5, "{now:?}");
+    assert_eq!(at(&now, "roomcast/rooms/kitchen")["soon"], true);
+    assert!(!at(&now, "roomcast/robots/robot")["reason"].as_str().unwrap().is_empty());
+    for entity in
+        ["sensor.main-room_now", "binary_sensor.kitchen_soon", "sensor.person_ada", "sensor.robot_robot_reason"]
+    {
+        let config = at(&now, &config_of(entity));
+        assert!(now.contains_key(config["state_topic"].as_str().unwrap()), "{entity}: {config}");
+    }
+    let now = kept_with(port, "what an earlier run left goes", |kept| !kept.contains_key("roomcast/rooms/attic"));
+    assert!(now.contains_key(FOREIGN));
+
+    // The daemon goes: the bridge says so, and keeps what was known.
+    world.signal(daemon, Signal::KILL);
+    let now = kept_with(port, "the daemon is gone", |kept| is(kept, "roomcast/daemon", "offline"));
+    assert!(is(&now, "roomcast/status", "online") && now.contains_key(STUDIO_ROOM));
+
+    // The broker forgets everything.
+    broker.stop();
+    broker = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY).unwrap();
+    kept_with(port, "all of it is said again", |kept| {
+        kept.contains_key(STUDIO_ROOM) && kept.contains_key(&config_of("sensor.person_ada"))
+    });
+    broker.publish(&[(FOREIGN, r#"{"name": "somebody else's", "state_topic": "x"}"#.into(), true)]);
+    let broker = broker.restart();
+
+    // The bridge is killed, and the home's map is another one when the next bridge comes.
+    kept_with(port, "it is back", |kept| is(kept, "roomcast/status", "online"));
+    world.signal(bridge, Signal::KILL);
+    let now = kept_with(port, "its will", |kept| is(kept, "roomcast/status", "offline"));
+    assert!(now.contains_key(STUDIO_ROOM));
+    let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/two_rooms.json");
+    let daemon = world.start_daemon("other", &["--scene", scene]);
+    let bridge = world.start_bridge(port);
+    let now = kept_with(port, "the rooms of the other map", |kept| {
+        kept.contains_key("roomcast/rooms/living-room") && !kept.contains_key(STUDIO_ROOM)
+    });
+    let now = if now.keys().any(|topic| topic.contains("main-room") || topic.contains("person_ada")) {
+        kept_with(port, "no entity of the former rooms and persons", |kept| {
+            !kept.keys().any(|topic| topic.contains("main-room") || topic.contains("ada"))
+        })
+    } else {
+        now
+    };
+    assert!(now.contains_key(&config_of("sensor.living-room_now")) && now.contains_key(FOREIGN));
+
+    // The daemon comes back with the former map while the bridge runs.
+    world.signal(daemon, Signal::KILL);
+    world.start_daemon("third", &[]);
+    kept_with(port, "the room is gone", |kept| !kept.keys().any(|topic| topic.contains("living-room")));
+
+    // Asked to stop, it says that it is gone; what it has told stays until it is taken away.
+    assert_eq!(world.signal(bridge, Signal::TERM), Some(0));
+    let now = kept(port);
+    assert!(is(&now, "roomcast/status", "offline") && now.contains_key("roomcast/rooms/kitchen"));
+    let address = format!("mqtt://127.0.0.1:{port}");
+    let removed = world.command(&["bridge", "mqtt", "--remove", "--mqtt", &address]).output().unwrap();
+    assert!(removed.status.success(), "{removed:?}");
+    assert_eq!(kept(port).into_keys().collect::<Vec<_>>(), [FOREIGN]);
+    drop(broker);
+}
+
+/// What a topic was told while somebody looked, and for how long that was.
+fn watch(port: u16, stop: Arc<Mutex<bool>>) -> std::thread::JoinHandle<BTreeMap<String, usize>> {
+    std::thread::spawn(move || {
+        let mut options = MqttOptions::new("watcher", "127.0.0.1", port);
+        options.set_keep_alive(Duration::from_secs(5));
+        let (client, mut connection) = Client::new(options, 4);
+        client.subscribe("roomcast/#", QoS::AtLeastOnce).unwrap();
+        let mut told = BTreeMap::new();
+        while !*stop.lock().unwrap() {
+            if let Ok(Ok(Event::Incoming(Packet::Publish(message)))) =
+                connection.recv_timeout(Duration::from_millis(50))
+            {
+                *told.entry(String::from_utf8(message.topic.to_vec()).unwrap()).or_default() += 1;
+            }
+        }
+        told
+    })
+}
+
+#[test]
+fn nothing_is_told_faster_than_the_interval_however_much_happens() {
+    const INTERVAL_S: f64 = 0.5;
+    let Some(broker) = broker() else { return };
+    let mut world = World::new("rate");
+    let config = world.directory.path().join("roomcast.toml");
+    std::fs::write(config, format!("[bridge]\ninterval_s = {INTERVAL_S:?}\n")).unwrap();
+    world.start_daemon("state", &[]);
+    let stop = Arc::new(Mutex::new(false));
+    let watcher = watch(broker.port, Arc::clone(&stop));
+    let start = Instant::now();
+    world.start_bridge(broker.port);
+    kept_with(broker.port, "the bridge is at work", |kept| kept.contains_key("roomcast/rooms/kitchen"));
+    for round in 0..5 {
+        let places = ["fridge", "bed", "stove", "sofa", "sink"];
+        let lines: Vec<_> = places.iter().map(|thing| format!("They walk to the {thing}.")).collect();
+        world.narrate(&format!("{}\nThey look at the mug {round}.\n", lines.join("\n")));
+    }
+    kept_with(broker.port, "narration is told of", |kept| at(kept, "roomcast/health")["narrated_unix_s"].is_u64());
+    *stop.lock().unwrap() = true;
+    let told = watcher.join().unwrap();
+    let most = (start.elapsed().as_secs_f64() / INTERVAL_S) as usize + 1;
+    assert!(told["roomcast/rooms/kitchen"] >= 2, "{told:?}");
+    for (topic, count) in &told {
+        assert!(*count <= most, "{topic}: {count} messages, at most {most}");
+    }
+}
+
+#[test]
+fn a_dry_run_prints_what_would_be_published_and_odd_names_are_safe() {
+    let mut world = World::new("dry");
+    world.start_daemon("state", &[]);
+    world.narrate("{\"text\": \"They open the fridge.\", \"person\": \"<b>a/+#\"}\n");
+    let output = world.command(&["bridge", "mqtt", "--dry-run", "--once", "--topic", "my/home"]).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let text = String::from_utf8(output.stdout).unwrap();
+    let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let topics: Vec<&str> = lines.iter().map(|line| line["topic"].as_str().unwrap()).collect();
+    assert!(topics.contains(&"my/home/rooms/kitchen") && lines.iter().all(|line| line["retain"] == true), "{text}");
+    assert!(topics.iter().all(|topic| !topic.contains(['+', '#', '<'])), "{topics:?}");
+    let person = lines.iter().find(|line| line["topic"].as_str().unwrap().starts_with("my/home/persons/")).unwrap();
+    let message: Value = serde_json::from_str(person["payload"].as_str().unwrap()).unwrap();
+    assert_eq!(message["person"], "<b>a/+#");
+    assert!(topics.iter().any(|topic| topic.starts_with("homeassistant/sensor/my_home_")), "{topics:?}");
+}
+
+#[test]
+fn a_wrong_set_up_is_one_clear_error() {
+    let world = World::new("wrong");
+    let run = |arguments: &[&str]| {
+        let output = world.command(&[&["bridge", "mqtt"], arguments].concat()).output().unwrap();
+        (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
+    };
+    for (arguments, code, part) in [
+        (&[][..], exit_code::CONFIG, "no broker is named"),
+        (&["--mqtt", "http://x"], exit_code::USAGE, "is no broker"),
+        (&["--mqtt", "mqtts://x"], exit_code::USAGE, "without a CA file"),
+        (&["--mqtt", "mqtt://x", "--mqtt-credentials", "/nowhere"], exit_code::INPUT, "/nowhere"),
+        (&["--mqtt", "mqtt://x", "--topic", "a/#"], exit_code::CONFIG, "bridge.topic"),
+        (&["--once"], exit_code::USAGE, "--dry-run"),
+        (&["--dry-run", "--once"], exit_code::IPC, "no daemon has published"),
+    ] {
+        let (got, said) = run(arguments);
+        assert!(got == i32::from(code) && said.contains(part), "{arguments:?}: {got} {said}");
+    }
+    assert!(run(&["--mqtt", "mqtt://127.0.0.1:9", "--remove"]).1.contains("has not taken everything away"));
+}
+
+/// The fake robot at the broker, in a thread of its own: so many times faster than a real one.
+struct Fake {
+    robot: Arc<Mutex<FakeValetudo>>,
+    stop: Arc<Mutex<bool>>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+const SPEED: f64 = 60.0;
+const FAKE: &str = "valetudo/fake";
+
+impl Fake {
+    fn start(port: u16, robot: FakeValetudo) -> Self {
+        let (robot, stop) = (Arc::new(Mutex::new(robot)), Arc::new(Mutex::new(false)));
+        let (own, own_stop) = (Arc::clone(&robot), Arc::clone(&stop));
+        let live = move || {
+            let mut options = MqttOptions::new("fake-robot", "127.0.0.1", port);
+            options.set_keep_alive(Duration::from_secs(5));
+            let (client, mut connection) = Client::new(options, 64);
+            let (mut passed, mut connected) = (Instant::now(), false);
+            while !*own_stop.lock().unwrap() {
+                let event = connection.recv_timeout(Duration::from_millis(20));
+                let mut robot = own.lock().unwrap();
+                robot.pass(passed.elapsed().as_secs_f64() * SPEED);
+                passed = Instant::now();
+                let mut again = false;
+                match event {
+                    Ok(Ok(Event::Incoming(Packet::ConnAck(_)))) => {
+                        client.try_subscribe(format!("{FAKE}/+/+/set"), QoS::AtLeastOnce).unwrap();
+                        (connected, again) = (true, true);
+                    }
+                    Ok(Ok(Event::Incoming(Packet::Publish(message)))) => {
+                        let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
+                        robot.hear(&text(&message.topic), &text(&message.payload));
+                    }
+                    Ok(Err(_)) => {
+                        connected = false;
+                        std::thread::sleep(Duration::from_millis(50));
+                    }
+                    _ => {}
+                }
+                if connected {
+                    for (topic, payload) in robot.say(again) {
+                        let _full = client.try_publish(topic, QoS::AtLeastOnce, true, payload);
+                    }
+                }
+            }
+        };
+        Self { robot, stop, thread: Some(std::thread::spawn(live)) }
+    }
+
+    fn look<T>(&self, at: impl Fn(&FakeValetudo) -> T) -> T {
+        at(&self.robot.lock().unwrap())
+    }
+}
+
+impl Drop for Fake {
+    fn drop(&mut self) {
+        *self.stop.lock().unwrap() = true;
+        let _ended = self.thread.take().map(std::thread::JoinHandle::join);
+    }
+}
+
+fn home_with_a_robot(world: &World) -> String {
+    let config = world.directory.path().join("robot.toml");
+    let text = format!(
+        "[planner]\nroom_time_s = 10.0\nreports = \"always\"\nrepeat = false\npolicy = \"uncovered-first\"\n\
+        [robot]\ntopic = \"{FAKE}\"\nstart_s = 1.0\n[robot.segments]\nmain-room = \"1\"\nkitchen = \"2\"\nbathroom = \"3\"\n"
+    );
+    std::fs::write(&config, text).unwrap();
+    config.to_str().unwrap().to_owned()
+}
+
+const SEGMENTS: [(&str, &str, f64); 3] = [("1", "Wohnen", 180.0), ("2", "Küche", 180.0), ("3", "Bad", 180.0)];
+
+#[test]
+fn a_robot_over_a_real_broker_obeys_and_its_word_counts_over_lost_orders_an_error_and_a_restarted_broker() {
+    let Some(mut broker) = broker() else { return };
+    let port = broker.port;
+    let mut world = World::new("robot");
+    let config = home_with_a_robot(&world);
+    let mut robot = FakeValetudo::new(FAKE, &SEGMENTS);
+    robot.deaf = 1;
+    // It is stuck until after the test.
+    robot.sticks = Some(("2".to_owned(), 1e9));
+    let fake = Fake::start(port, robot);
+    world.start_daemon("state", &[]);
+    let node = world.domain.open("test").unwrap();
+    let decisions = node.subscriber::<DecisionV1>().unwrap();
+    let broker_at = format!("mqtt://127.0.0.1:{port}");
+    world.start(&["robot", "--obey", "--config", &config, "--mqtt", &broker_at]);
+    world.start(&["planner", "--config", &config]);
+    let mut told = Vec::new();
+    let listen = |told: &mut Vec<DecisionV1>| {
+        while let Some(decision) = decisions.receive().unwrap() {
+            told.push(decision.unwrap());
+        }
+    };
+    // In the middle of its first room the broker goes and has forgotten everything when it is back.
+    eventually("it is at work", || {
+        listen(&mut told);
+        fake.look(|robot| robot.job.is_some()).then_some(())
+    });
+    broker.stop();
+    broker = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY).unwrap();
+    // Whichever order the rooms come in, the one that it is stuck in ends in a decision that says why.
+    let why = eventually("a decision says that it is stuck", || {
+        listen(&mut told);
+        told.iter().find(|decision| decision.reason().contains("Wheel lost floor contact")).copied()
+    });
+    assert!(why.reason().contains("could not do the kitchen"), "{}", why.reason());
+    assert!(why.has(decision_flags::REPORTED));
+    let cleaned = fake.look(|robot| robot.cleaned.len());
+    assert_eq!(why.covered.count_ones() as usize, cleaned, "a room is done when the robot says so, and only then");
+    // Somebody frees it.
+    fake.robot.lock().unwrap().free();
+    let all = eventually("every other room is done", || {
+        listen(&mut told);
+        let last = told.last().filter(|decision| decision.covered.count_ones() >= 2).copied();
+        last.filter(|_| fake.look(|robot| robot.cleaned.len() >= 2))
+    });
+    assert!(all.covered.count_ones() as usize <= fake.look(|robot| robot.cleaned.len()));
+    assert!(fake.look(|robot| robot.deaf == 0));
+    drop(broker);
+}
+
+#[test]
+fn without_obey_a_robot_is_told_nothing() {
+    let Some(broker) = broker() else { return };
+    let mut world = World::new("rehearsal");
+    let config = home_with_a_robot(&world);
+    let fake = Fake::start(broker.port, FakeValetudo::new(FAKE, &SEGMENTS));
+    world.start_daemon("state", &[]);
+    world.start(&["planner", "--config", &config]);
+    let shown = world.directory.path().join("shown");
+    let broker_at = format!("mqtt://127.0.0.1:{}", broker.port);
+    let mut command = world.command(&["robot", "--config", &config, "--mqtt", &broker_at]);
+    let child = command.stdout(File::create(&shown).unwrap()).stderr(Stdio::null()).spawn().unwrap();
+    world.children.push((child, shown.clone()));
+    let line = eventually("it says what it would do", || {
+        std::fs::read_to_string(&shown)
+            .unwrap()
+            .lines()
+            .next()
+            .and_then(|line| serde_json::from_str::<Value>(line).ok())
+    });
+    assert_eq!(line["topic"], format!("{FAKE}/MapSegmentationCapability/clean/set"));
+    assert!(fake.look(|robot| robot.orders.is_empty()));
+}

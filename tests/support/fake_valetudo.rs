@@ -1,0 +1,184 @@
+//! A FAKE robot for tests, and nothing else: it speaks the topics that Valetudo's documentation describes and cleans nothing. Pure: time
+//! comes in, messages go in and out.
+
+use std::collections::BTreeMap;
+
+/// How long it drives to its dock.
+const RETURN_S: f64 = 30.0;
+/// Battery that an hour of work takes, and that an hour at the dock gives.
+const WORK_PER_H: f64 = 0.5;
+const CHARGE_PER_H: f64 = 0.8;
+/// It goes home by itself below this, and goes on by itself above that.
+const LOW: f64 = 0.15;
+const FULL: f64 = 0.8;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Doing {
+    Docked,
+    Idle,
+    Cleaning,
+    Paused,
+    Returning,
+    Error,
+}
+
+/// The robot, and what is done to it.
+#[derive(Debug)]
+pub(crate) struct FakeValetudo {
+    topic: String,
+    /// Seconds that each segment takes.
+    segments: BTreeMap<String, f64>,
+    names: BTreeMap<String, String>,
+    pub(crate) doing: Doing,
+    pub(crate) battery: f64,
+    /// The segment that it works on, and the seconds that are left of it.
+    pub(crate) job: Option<(String, f64)>,
+    home_s: f64,
+    fault: String,
+    /// Orders that it will not hear.
+    pub(crate) deaf: u32,
+    /// It gets stuck in this segment, once, and somebody frees it after so many seconds.
+    pub(crate) sticks: Option<(String, f64)>,
+    freed_s: f64,
+    /// Segments that it has cleaned to the end, and all orders that it has heard.
+    pub(crate) cleaned: Vec<String>,
+    pub(crate) orders: Vec<String>,
+    /// What it has published last.
+    said: BTreeMap<String, String>,
+}
+
+impl FakeValetudo {
+    /// At its dock with a full battery; segments with their names and the seconds that they take.
+    pub(crate) fn new(topic: &str, segments: &[(&str, &str, f64)]) -> Self {
+        Self {
+            topic: topic.to_owned(),
+            segments: segments.iter().map(|(number, _, seconds)| ((*number).to_owned(), *seconds)).collect(),
+            names: segments.iter().map(|(number, name, _)| ((*number).to_owned(), (*name).to_owned())).collect(),
+            doing: Doing::Docked,
+            battery: 1.0,
+            job: None,
+            home_s: 0.0,
+            fault: String::new(),
+            deaf: 0,
+            sticks: None,
+            freed_s: 0.0,
+            cleaned: Vec::new(),
+            orders: Vec::new(),
+            said: BTreeMap::new(),
+        }
+    }
+
+    /// An order comes.
+    pub(crate) fn hear(&mut self, topic: &str, payload: &str) {
+        if self.deaf > 0 {
+            self.deaf -= 1;
+            return;
+        }
+        let Some(part) = topic.strip_prefix(&self.topic) else { return };
+        match part {
+            "/MapSegmentationCapability/clean/set" => {
+                let order: serde_json::Value = serde_json::from_str(payload).unwrap();
+                let segment = order["segment_ids"][0].as_str().unwrap().to_owned();
+                assert_eq!(order["iterations"], 1, "{payload}");
+                self.orders.push(format!("clean {segment}"));
+                if self.doing != Doing::Error
+                    && let Some(seconds) = self.segments.get(&segment)
+                {
+                    (self.job, self.doing) = (Some((segment, *seconds)), Doing::Cleaning);
+                }
+            }
+            "/BasicControlCapability/operation/set" => {
+                self.orders.push(payload.to_owned());
+                match (payload, self.doing) {
+                    (_, Doing::Error) => {}
+                    ("STOP", Doing::Cleaning | Doing::Paused | Doing::Returning) => {
+                        (self.job, self.doing) = (None, Doing::Idle);
+                    }
+                    ("STOP", _) => self.job = None,
+                    ("PAUSE", Doing::Cleaning) => self.doing = Doing::Paused,
+                    ("HOME", Doing::Cleaning | Doing::Paused | Doing::Idle) => {
+                        (self.job, self.doing, self.home_s) = (None, Doing::Returning, RETURN_S);
+                    }
+                    _ => {}
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// So many seconds pass.
+    pub(crate) fn pass(&mut self, seconds: f64) {
+        match self.doing {
+            Doing::Cleaning => {
+                self.battery = (self.battery - WORK_PER_H * seconds / 3600.0).max(0.0);
+                let Some((segment, left_s)) = &mut self.job else { return };
+                *left_s -= seconds;
+                if self.sticks.as_ref().is_some_and(|(there, _)| there == segment) {
+                    let (_, freed_s) = self.sticks.take().unwrap();
+                    (self.freed_s, self.job, self.doing) = (freed_s, None, Doing::Error);
+                    self.fault = "Wheel lost floor contact".to_owned();
+                } else if *left_s <= 0.0 {
+                    self.cleaned.push(segment.clone());
+                    (self.job, self.doing, self.home_s) = (None, Doing::Returning, RETURN_S);
+                } else if self.battery < LOW {
+                    (self.doing, self.home_s) = (Doing::Returning, RETURN_S);
+                }
+            }
+            Doing::Returning => {
+                self.home_s -= seconds;
+                if self.home_s <= 0.0 {
+                    self.doing = Doing::Docked;
+                }
+            }
+            Doing::Docked => {
+                self.battery = (self.battery + CHARGE_PER_H * seconds / 3600.0).min(1.0);
+                if self.job.is_some() && self.battery >= FULL {
+                    self.doing = Doing::Cleaning;
+                }
+            }
+            Doing::Error => {
+                self.freed_s -= seconds;
+                if self.freed_s <= 0.0 {
+                    self.fault.clear();
+                    self.doing = Doing::Idle;
+                }
+            }
+            Doing::Idle | Doing::Paused => {}
+        }
+    }
+
+    /// Somebody frees it.
+    pub(crate) fn free(&mut self) {
+        self.freed_s = 0.0;
+    }
+
+    /// What it says now that it has not said before, retained; after `again`, all of it.
+    pub(crate) fn say(&mut self, again: bool) -> Vec<(String, String)> {
+        if again {
+            self.said.clear();
+        }
+        let status = match self.doing {
+            Doing::Docked => "docked",
+            Doing::Idle => "idle",
+            Doing::Cleaning => "cleaning",
+            Doing::Paused => "paused",
+            Doing::Returning => "returning",
+            Doing::Error => "error",
+        };
+        let resumes = self.job.is_some() && matches!(self.doing, Doing::Returning | Doing::Docked);
+        let fault = if self.fault.is_empty() { "No error" } else { &self.fault };
+        let all = [
+            ("$state", "ready".to_owned()),
+            ("MapData/segments", serde_json::to_string(&self.names).unwrap()),
+            ("BatteryStateAttribute/level", format!("{:.0}", 100.0 * self.battery)),
+            ("StatusStateAttribute/error_description", fault.to_owned()),
+            ("StatusStateAttribute/flag", if resumes { "resumable" } else { "none" }.to_owned()),
+            ("StatusStateAttribute/status", status.to_owned()),
+        ];
+        let all = all.map(|(part, payload)| (format!("{}/{part}", self.topic), payload));
+        let said = &mut self.said;
+        all.into_iter()
+            .filter(|(topic, payload)| said.insert(topic.clone(), payload.clone()).as_ref() != Some(payload))
+            .collect()
+    }
+}

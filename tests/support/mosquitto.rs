@@ -1,0 +1,94 @@
+//! A real broker for tests: mosquitto from Debian's package, on a loopback port of its own.
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use rumqttc::v5::mqttbytes::QoS;
+use rumqttc::v5::mqttbytes::v5::Packet;
+use rumqttc::v5::{Client, Event, MqttOptions};
+
+pub(crate) const NO_BROKER: &str = "mosquitto is not installed (apt-get install mosquitto)";
+
+/// Anybody may come in.
+pub(crate) const ANYBODY: &str = "allow_anonymous true";
+
+pub(crate) struct Mosquitto {
+    child: Child,
+    pub(crate) port: u16,
+    folder: tempfile::TempDir,
+}
+
+impl Mosquitto {
+    /// `access` says who may come in, in the words of its configuration.
+    pub(crate) fn start(port: u16, folder: tempfile::TempDir, access: &str) -> Option<Self> {
+        let config = folder.path().join("mosquitto.conf");
+        let text = format!(
+            "listener {port} 127.0.0.1\n{access}\npersistence true\npersistence_location {}/\nautosave_interval 1000\nautosave_on_changes true\nmax_queued_messages 0\n",
+            folder.path().display()
+        );
+        std::fs::write(&config, text).unwrap();
+        // Debian's package puts it where an ordinary user's path does not lead; as root it would become another user.
+        let program =
+            ["/usr/sbin/mosquitto", "/usr/bin/mosquitto"].into_iter().find(|path| Path::new(path).exists())?;
+        std::fs::write(&config, std::fs::read_to_string(&config).unwrap() + "user root\n").unwrap();
+        let mut command = Command::new(program);
+        command.arg("-c").arg(&config).stdout(Stdio::null()).stderr(Stdio::null());
+        let child = command.spawn().unwrap();
+        let deadline = Instant::now() + Duration::from_secs(20);
+        while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
+            assert!(Instant::now() < deadline, "mosquitto does not listen on port {port}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        Some(Self { child, port, folder })
+    }
+
+    pub(crate) fn restart(mut self) -> Self {
+        self.stop();
+        let Self { port, .. } = self;
+        let folder = std::mem::replace(&mut self.folder, tempfile::tempdir().unwrap());
+        drop(self);
+        Self::start(port, folder, ANYBODY).unwrap()
+    }
+
+    pub(crate) fn stop(&mut self) {
+        // SIGTERM, so that it writes its sessions down.
+        let pid = rustix::process::Pid::from_child(&self.child);
+        let _ended = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
+        let _waited = self.child.wait();
+    }
+
+    /// Publishes messages in order and returns when the broker has all of them.
+    pub(crate) fn publish(&self, messages: &[(&str, String, bool)]) {
+        let mut options = MqttOptions::new("publisher", "127.0.0.1", self.port);
+        options.set_max_packet_size(Some(64 << 20));
+        let (client, mut connection) = Client::new(options, messages.len().max(1));
+        // A broker that has just begun to listen may still turn its first clients away.
+        let deadline = Instant::now() + Duration::from_secs(20);
+        loop {
+            match connection.recv().unwrap() {
+                Ok(Event::Incoming(Packet::ConnAck(_))) => break,
+                Ok(_) => {}
+                Err(error) => {
+                    assert!(Instant::now() < deadline, "no connection to port {}: {error}", self.port);
+                    std::thread::sleep(Duration::from_millis(20));
+                }
+            }
+        }
+        for (topic, payload, retain) in messages {
+            client.try_publish(*topic, QoS::AtLeastOnce, *retain, payload.clone()).unwrap();
+        }
+        let mut acknowledged = 0;
+        while acknowledged < messages.len() {
+            if let Event::Incoming(Packet::PubAck(_)) = connection.recv().unwrap().unwrap() {
+                acknowledged += 1;
+            }
+        }
+    }
+}
+
+impl Drop for Mosquitto {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}
