@@ -351,14 +351,20 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
             }
         }
         let hour = |hours: f64| trouble && second == (hours * 3600.0) as u64;
-        let away = trouble && (11.0..11.05).contains(&(now_s / 3600.0));
-        if hour(8.2) {
+        let away = trouble && (8.2..8.25).contains(&(now_s / 3600.0));
+        if hour(8.0) {
             robot.deaf = 2;
         }
-        if hour(9.0) {
-            robot.sticks = Some(("2".to_owned(), 900.0));
+        if hour(8.3) {
+            // In a room that is still to come.
+            let at_work = robot.job.as_ref().map(|(segment, _)| segment.as_str());
+            let left = segments(0.0).into_iter().map(|(segment, ..)| segment);
+            let next = left
+                .into_iter()
+                .find(|segment| Some(*segment) != at_work && !robot.cleaned.iter().any(|done| done == segment));
+            robot.sticks = Some((next.unwrap().to_owned(), 900.0));
         }
-        if hour(10.1) {
+        if hour(8.1) {
             driver = Driver::new(&config(), number);
         }
         robot.pass(1.0);
@@ -371,7 +377,7 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
         }
         let mut acts = Vec::new();
         // A connection that is new has what the broker kept.
-        let again = was_away && !away || hour(10.1);
+        let again = was_away && !away || hour(8.1);
         was_away = away;
         if !away {
             for (topic, payload) in robot.say(again) {
