@@ -36,6 +36,8 @@ const FREE_BYTES: u64 = 8 << 20;
 const FOLDERS: [&str; 2] = ["nodes", "services"];
 /// What iceoryx2 keeps of a participant in `nodes`, beside its folder.
 const MONITOR_FILES: [&str; 3] = ["node_monitor", "node_monitor_owner_lock", "node_monitor_context"];
+/// The ending of iceoryx2's counter of participants.
+const COUNTER_FILE: &str = "global_mgmt";
 /// Endings of the files of ports.
 const PORT_FILES: [&str; 4] = ["data", "connection", "event", "event_mgmt"];
 /// A participant of which a part is missing joins or leaves at this moment, or was killed while it did; after this long it is
@@ -141,7 +143,7 @@ impl Domain {
             .create::<Flavour>()
             .map_err(|error| join(format!("{error:?}")))?;
         self.close_to_others();
-        Ok(Node { node, config, domain: self.clone(), _guardian: guardian })
+        Ok(Node { node, config, domain: self.clone(), _last: LastOut(self.clone()), _guardian: guardian })
     }
 
     /// Removes what dead participants left, and, when nobody is left alive, everything of the domain: its shared memory, its files
@@ -238,6 +240,21 @@ impl Domain {
             {
                 let _removed = fs::remove_file(file);
             }
+        }
+    }
+
+    /// Whether nobody has an entry in the domain, dead or alive. Where that cannot be seen, somebody has.
+    fn is_deserted(&self) -> bool {
+        let (nodes, prefix) = (self.root.join("nodes"), self.prefix());
+        let details = format!("{prefix}node.details");
+        let of_somebody = |entry: io::Result<fs::DirEntry>| {
+            entry.map_or(true, |entry| {
+                entry.file_name().to_string_lossy().starts_with(&prefix) || entry.path().join(&details).exists()
+            })
+        };
+        match fs::read_dir(nodes) {
+            Ok(mut entries) => !entries.any(of_somebody),
+            Err(error) => error.kind() == io::ErrorKind::NotFound,
         }
     }
 
@@ -485,8 +502,30 @@ pub struct Node {
     node: iceoryx2::node::Node<Flavour>,
     config: Config,
     domain: Domain,
+    /// After the node has left.
+    _last: LastOut,
     /// Last, since leaving may have to wait for memory too.
     _guardian: Guardian,
+}
+
+/// Removes iceoryx2's counter of participants when the last one leaves, so that a clean stop leaves nothing in shared memory.
+///
+/// It makes participants' numbers differ, together with the process and the nanosecond in which they joined. So nothing is mistaken where
+/// somebody joins at this very moment: they have their number already, and whoever comes next begins a new counter.
+#[derive(Debug)]
+struct LastOut(Domain);
+
+impl Drop for LastOut {
+    fn drop(&mut self) {
+        if self.0.is_deserted() {
+            for file in self.0.shared_memory().unwrap_or_default() {
+                if file.extension().is_some_and(|suffix| suffix == COUNTER_FILE) {
+                    // Who leaves at the same moment may have done it.
+                    let _removed = fs::remove_file(file);
+                }
+            }
+        }
+    }
 }
 
 /// Frees whoever waits for shared memory that will never be finished.

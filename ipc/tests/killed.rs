@@ -80,7 +80,7 @@ fn start(role: &str, domain: &Domain) -> Child {
     command.stdin(Stdio::null()).stdout(Stdio::null()).spawn().unwrap()
 }
 
-/// Every file of the domain, but for iceoryx2's counter of participants, which stays until the domain is removed.
+/// Every file of the domain.
 fn files(domain: &Domain) -> Vec<PathBuf> {
     let mut files = Vec::new();
     let prefix = domain.prefix();
@@ -93,7 +93,7 @@ fn files(domain: &Domain) -> Vec<PathBuf> {
                     files.push(path.clone());
                 }
                 folders.push(path);
-            } else if name.starts_with(&prefix) && !name.ends_with(".global_mgmt") {
+            } else if name.starts_with(&prefix) {
                 files.push(path);
             }
         }

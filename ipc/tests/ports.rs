@@ -283,6 +283,20 @@ fn cleaning_up_leaves_nothing() {
     assert!(!private.domain.root().exists());
 }
 
+/// iceoryx2's counter of participants is there as long as somebody is, and goes with the last one.
+#[test]
+fn the_last_one_out_leaves_nothing_in_shared_memory() {
+    let private = Private::new("last-out");
+    let [first, second] = ["first", "second"].map(|name| private.domain.open(name).unwrap());
+    let publisher = first.publisher::<RoomScoresV1>().unwrap();
+    drop((publisher, first));
+    assert!(private.shared_memory_files() > 0, "somebody is there still");
+    drop(second);
+    assert_eq!(private.shared_memory_files(), 0);
+    drop(private.domain.open("third").unwrap());
+    assert_eq!(private.shared_memory_files(), 0);
+}
+
 #[test]
 fn cleaning_up_spares_what_is_not_the_domains() {
     let private = Private::new("spares");
