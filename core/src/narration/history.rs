@@ -15,8 +15,9 @@ pub const KEPT_NS: u64 = 600_000_000_000;
 
 /// For whom an observation counts in a window that several narrators fill.
 ///
-/// While one voice speaks alone, the oldest observation leaves a full window. Otherwise the voice that holds most places for its share
-/// loses its oldest, so that each voice keeps what it said in the last [`KEPT_NS`], up to its share of the places, whatever the others say.
+/// While one voice speaks alone, the oldest observation leaves a full window. Otherwise the voice that holds most for its share loses its
+/// oldest: most places where these are too many, most tokens where these are. So each voice keeps what it said in the last [`KEPT_NS`], up
+/// to its share of the places and of the tokens, whatever the others say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Voice {
     /// Which.
@@ -93,8 +94,15 @@ pub struct History {
     window: VecDeque<Held>,
     tokens: usize,
     left: u64,
-    /// Working memory of a cut: each voice, how many places it holds, and where its oldest is.
+    /// Working memory of a cut: each voice, what it holds, and where its oldest is.
     voices: Vec<(Voice, u64, usize)>,
+}
+
+/// Of what a window has too much.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Excess {
+    Places,
+    Tokens,
 }
 
 impl History {
@@ -112,7 +120,8 @@ impl History {
     }
 
     /// Appends an observation whose sentence costs `tokens`; without a tokeniser its length in bytes is a safe bound.
-    /// Gives how many observations left the window, this one included when it costs more than the window holds.
+    /// Gives how many observations left the window, this one included when it costs more than the window holds, or more than its voice's
+    /// share of one that is full.
     pub fn hear(&mut self, observation: Observation, voice: Voice, tokens: usize) -> usize {
         if tokens > self.limits.tokens {
             return 1;
@@ -159,25 +168,31 @@ impl History {
         let tokens_low = self.limits.tokens as u128 * self.limits.observations as u128 / high.max(1) as u128;
         let before = self.window.len();
         let over_tokens = self.tokens > self.limits.tokens;
-        while self.window.len() > 1
-            && (self.window.len() > self.limits.observations || (over_tokens && self.tokens as u128 > tokens_low))
-        {
-            self.drop_one();
+        while self.window.len() > 1 {
+            // First the tokens: what leaves for them may be room enough.
+            if over_tokens && self.tokens as u128 > tokens_low {
+                self.drop_one(Excess::Tokens);
+            } else if self.window.len() > self.limits.observations {
+                self.drop_one(Excess::Places);
+            } else {
+                break;
+            }
         }
         before - self.window.len()
     }
 
     /// Drops what is to leave next.
-    fn drop_one(&mut self) {
-        let place = self.next_to_leave();
+    fn drop_one(&mut self, excess: Excess) {
+        let place = self.next_to_leave(excess);
         if let Some(gone) = self.window.remove(place) {
             self.tokens -= gone.tokens;
             self.left += 1;
         }
     }
 
-    /// What leaves next: what nobody has a right to any more, else the oldest of the voice that holds most for its share. Never the newest.
-    fn next_to_leave(&mut self) -> usize {
+    /// What leaves next: what nobody has a right to any more, else the oldest of the voice that holds most for its share. The newest only where
+    /// it alone has more tokens than that share, since otherwise a long sentence would empty the window of all others.
+    fn next_to_leave(&mut self, excess: Excess) -> usize {
         let Some(first) = self.window.front().map(|held| held.voice) else { return 0 };
         if self.window.iter().all(|held| held.voice.number == first.number) {
             return 0;
@@ -191,19 +206,21 @@ impl History {
         }
         self.voices.clear();
         for (place, held) in self.window.iter().enumerate() {
+            let holds = if excess == Excess::Places { 1 } else { held.tokens as u64 };
             match self.voices.iter_mut().find(|(voice, ..)| voice.number == held.voice.number) {
-                Some((_, places, _)) => *places += 1,
-                None => self.voices.push((held.voice, 1, place)),
+                Some((_, held, _)) => *held = held.saturating_add(holds),
+                None => self.voices.push((held.voice, holds, place)),
             }
         }
         let mut most: Option<(Voice, u64, usize)> = None;
-        for &(voice, places, oldest) in self.voices.iter().filter(|(.., oldest)| *oldest < others) {
+        let may_leave = |oldest: usize| excess == Excess::Tokens || oldest < others;
+        for &(voice, held, oldest) in self.voices.iter().filter(|(.., oldest)| may_leave(*oldest)) {
             // Of equal ones, the one that spoke first.
-            let more = |(than, held, _): &(Voice, u64, usize)| {
-                places * u64::from(than.share.max(1)) > held * u64::from(voice.share.max(1))
+            let more = |(than, most, _): &(Voice, u64, usize)| {
+                held.saturating_mul(u64::from(than.share.max(1))) > most.saturating_mul(u64::from(voice.share.max(1)))
             };
             if most.as_ref().is_none_or(more) {
-                most = Some((voice, places, oldest));
+                most = Some((voice, held, oldest));
             }
         }
         most.map_or(0, |(.., oldest)| oldest)
@@ -217,7 +234,7 @@ impl History {
             return 0;
         }
         let left = self.window.len() - self.limits.observations;
-        (0..left).for_each(|_| self.drop_one());
+        (0..left).for_each(|_| self.drop_one(Excess::Places));
         left
     }
 
@@ -447,6 +464,29 @@ mod tests {
         assert_eq!(history.observations().next_back().unwrap().sequence, 1000);
     }
 
+    /// Row "one narrator with long permitted sentences" of the attacks: each of them alone would fill the window.
+    #[test]
+    fn long_sentences_leave_the_others_their_part() {
+        let mut history = History::new(HistoryLimits::default());
+        for n in 0..12 {
+            history.push(said(1, n), 20);
+        }
+        for n in 12..100 {
+            assert_eq!(history.push(said(2, n), 1000), 1, "it has no place among the others");
+        }
+        assert_eq!(sequences(&history), (0..12).collect::<Vec<_>>());
+        // As many as go into its share stay.
+        for n in 100..200 {
+            history.push(said(2, n), 150);
+        }
+        let (honest, held) = (sources(&history).iter().filter(|source| **source == 1).count(), history.len());
+        assert!(honest >= 6 && history.observations().next_back().unwrap().sequence == 199, "{honest} of {held}");
+        // Alone with itself it has the whole window.
+        let mut alone = History::new(HistoryLimits::default());
+        (0..100).for_each(|n| drop(alone.push(said(2, n), 1000)));
+        assert_eq!(sequences(&alone), [99]);
+    }
+
     #[test]
     fn what_is_older_than_ten_minutes_is_kept_for_nobody() {
         let mut history = History::new(HistoryLimits::exact(4));
@@ -516,9 +556,32 @@ mod tests {
             }
         }
 
-        /// However the others flood, a voice keeps its newest observations up to its share of the places, less one for the rounding.
+        /// However the others flood, and with however long sentences, a voice keeps its newest observations up to its share of the places, less
+        /// one for the rounding, and of the tokens that a cut leaves.
         #[test]
         fn a_voice_keeps_its_share(
+            observations in 1usize..20, slack in 0usize..6, tokens in 1usize..300, voices in 2u64..5,
+            said_by in prop::collection::vec((0u64..5, 1usize..400), 1..200),
+        ) {
+            let mut history = History::new(HistoryLimits { observations, slack, tokens, gap_s: 0 });
+            for (i, (voice, cost)) in said_by.iter().enumerate() {
+                history.push(said(1 + voice % voices, i as u64), *cost);
+            }
+            let left_by_a_cut = tokens * observations / (observations + slack);
+            for voice in 0..voices {
+                let own = |(i, (by, cost)): (u64, &(u64, usize))| (by % voices == voice && *cost <= tokens).then_some((i, *cost));
+                let own: Vec<(u64, usize)> = (0..).zip(&said_by).filter_map(own).collect();
+                let mut sum = 0;
+                let due = own.iter().rev().take(observations / voices as usize);
+                let due: Vec<u64> = due.take_while(|(_, cost)| { sum += cost; sum * voices as usize <= left_by_a_cut }).map(|(i, _)| *i).collect();
+                let held: Vec<u64> = history.observations().filter(|o| o.source == 1 + voice).map(|o| o.sequence).collect();
+                prop_assert!(due.iter().all(|due| held.contains(due)), "{held:?} of {own:?}, due {due:?}");
+            }
+        }
+
+        /// The same of short sentences, of which each voice keeps the newest.
+        #[test]
+        fn a_voice_keeps_its_newest(
             observations in 1usize..20, slack in 0usize..6, voices in 2u64..5,
             said_by in prop::collection::vec(0u64..5, 1..200),
         ) {
