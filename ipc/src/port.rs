@@ -1,9 +1,11 @@
 //! Ports: what a participant sends and receives through.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::fmt::Debug;
 use std::hint::black_box;
 use std::os::fd::BorrowedFd;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use iceoryx2::identifiers::UniqueNodeId;
@@ -13,6 +15,7 @@ use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::server::Server;
 use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo};
 use iceoryx2::prelude::{
     AllocationStrategy, CallbackProgression, EventId, FileDescriptorBased, IceoryxSend, MessagingPattern, NodeState,
     PortFactory, Service, ServiceName, ZeroCopySend,
@@ -50,6 +53,45 @@ const ITEM_SCORES: &str = "roomcast/v1/item-scores";
 const STATUS: &str = "roomcast/v1/status";
 const STATUS_CLIENTS: usize = 8;
 
+/// A connection that could not be made is tried again after so long.
+const RECONNECT: Duration = Duration::from_secs(1);
+
+/// Connections that failed, for want of file descriptors or memory for instance. iceoryx2 tries again only when ports come or go, so
+/// that without this the two ends would be deaf to one another for good.
+#[derive(Debug, Default)]
+struct Connections {
+    failed: Arc<AtomicBool>,
+    again: Cell<Option<Instant>>,
+}
+
+impl Connections {
+    /// What iceoryx2 calls when one fails.
+    fn watch(&self) -> impl Fn(DegradationCause, &DegradationInfo) -> DegradationAction + Send + use<> {
+        let failed = Arc::clone(&self.failed);
+        move |_, _| {
+            failed.store(true, Ordering::Relaxed);
+            DegradationAction::Ignore
+        }
+    }
+
+    /// Whether it is time to try again.
+    fn are_due(&self) -> bool {
+        match self.again.get() {
+            Some(at) if at <= Instant::now() => {
+                self.again.set(None);
+                true
+            }
+            Some(_) => false,
+            None => {
+                if self.failed.load(Ordering::Relaxed) && self.failed.swap(false, Ordering::Relaxed) {
+                    self.again.set(Some(Instant::now() + RECONNECT));
+                }
+                false
+            }
+        }
+    }
+}
+
 type Factory<P, H> = publish_subscribe::PortFactory<Flavour, P, H>;
 
 /// Sends messages of one kind. Never blocks on a slow subscriber.
@@ -63,6 +105,7 @@ pub struct Publisher<M: Message> {
     notifier: Notifier<Flavour>,
     /// Subscribers at the last tick.
     known: Cell<usize>,
+    connections: Connections,
 }
 
 impl<M: Message> Publisher<M> {
@@ -70,7 +113,8 @@ impl<M: Message> Publisher<M> {
         let quality = M::SERVICE;
         let factory = open_service::<M>(node)?;
         // The publisher first: it is the place that others may hold.
-        let publisher = factory.publisher_builder().create();
+        let connections = Connections::default();
+        let publisher = factory.publisher_builder().set_degradation_handler(connections.watch()).create();
         let publisher = publisher
             .map_err(|_| occupied(&factory, &publishers(&factory), quality.name, "publisher", quality.publishers))?;
         let notifier = open_event(node, quality.name, quality.publishers, quality.subscribers)?
@@ -78,7 +122,7 @@ impl<M: Message> Publisher<M> {
             .default_event_id(EventId::new(DATA))
             .create();
         let notifier = notifier.map_err(|error| passing(quality.name, &error))?;
-        Ok(Self { publisher, factory, notifier, known: Cell::new(0) })
+        Ok(Self { publisher, factory, notifier, known: Cell::new(0), connections })
     }
 
     /// Sends a copy and wakes the subscribers.
@@ -109,6 +153,10 @@ impl<M: Message> Publisher<M> {
     ///
     /// [`IpcError::Port`].
     pub fn tick(&self) -> Result<bool, IpcError> {
+        if self.connections.are_due() {
+            // iceoryx2 looks at all of them when a subscriber comes or goes. Where this one cannot come, another will.
+            drop(self.factory.subscriber_builder().create());
+        }
         let subscribers = self.subscribers();
         self.publisher.update_connections().map_err(|error| port(M::SERVICE.name, "connect", &error))?;
         // A newcomer has its history now and may be asleep.
@@ -152,7 +200,8 @@ impl<M: Message> Publisher<M> {
 /// Receives messages of one kind, each copied out of shared memory and checked.
 #[derive(Debug)]
 pub struct Subscriber<M: Message> {
-    subscriber: iceoryx2::port::subscriber::Subscriber<Flavour, M, ()>,
+    subscriber: RefCell<iceoryx2::port::subscriber::Subscriber<Flavour, M, ()>>,
+    connections: Connections,
     factory: Factory<M, ()>,
     listener: Listener<Flavour>,
     /// The last wait ended with news that the listener still holds.
@@ -176,6 +225,18 @@ impl Sender {
     pub const fn simulated(number: u64) -> Self {
         Self(number as u128)
     }
+
+    /// As bytes, to be kept over a restart: ports outlive the process that listens to them.
+    #[must_use]
+    pub const fn to_bytes(self) -> [u8; 16] {
+        self.0.to_le_bytes()
+    }
+
+    /// From what [`Sender::to_bytes`] gave.
+    #[must_use]
+    pub const fn from_bytes(bytes: [u8; 16]) -> Self {
+        Self(u128::from_le_bytes(bytes))
+    }
 }
 
 impl<M: Message> Subscriber<M> {
@@ -185,11 +246,14 @@ impl<M: Message> Subscriber<M> {
         // The listener is there before the subscriber: no wake-up falls between the two.
         let events = open_event(node, quality.name, quality.publishers, quality.subscribers)?;
         let listener = events.listener_builder().create().map_err(|error| passing(quality.name, &error))?;
-        let subscriber = factory.subscriber_builder().buffer_size(quality.buffer).create();
+        let connections = Connections::default();
+        let subscriber = factory.subscriber_builder().buffer_size(quality.buffer);
+        let subscriber = subscriber.set_degradation_handler(connections.watch()).create();
         let subscriber = subscriber
             .map_err(|_| occupied(&factory, &subscribers(&factory), quality.name, "subscriber", quality.subscribers))?;
         wake(waker(node, quality.name).as_ref());
-        Ok(Self { subscriber, factory, listener, woken: Cell::new(false) })
+        let subscriber = RefCell::new(subscriber);
+        Ok(Self { subscriber, connections, factory, listener, woken: Cell::new(false) })
     }
 
     /// Sleeps until there is news (a message, a publisher that comes, goes or dies) or `timeout` is over, whichever is first;
@@ -223,7 +287,7 @@ impl<M: Message> Subscriber<M> {
     }
 
     fn has_messages(&self) -> Result<bool, IpcError> {
-        self.subscriber.has_samples().map_err(|error| port(M::SERVICE.name, "wait", &error))
+        self.subscriber.borrow().has_samples().map_err(|error| port(M::SERVICE.name, "wait", &error))
     }
 
     /// Takes the oldest message that waits, if any: a good one, or why it was dropped.
@@ -267,7 +331,10 @@ impl<M: Message> Subscriber<M> {
     ///
     /// [`IpcError::Port`].
     pub fn receive_from(&self, message: &mut M) -> Result<Option<Judged>, IpcError> {
-        let sample = self.subscriber.receive().map_err(|error| port(M::SERVICE.name, "receive", &error))?;
+        if self.connections.are_due() {
+            self.connect_again();
+        }
+        let sample = self.subscriber.borrow().receive().map_err(|error| port(M::SERVICE.name, "receive", &error))?;
         Ok(sample.map(|sample| {
             // Its sender can still write to the sample. What is checked must be what is used: copy first; the black box keeps the
             // compiler from reading the shared memory a second time.
@@ -275,6 +342,16 @@ impl<M: Message> Subscriber<M> {
             // The connection's own number, not the one in the sample's header, which its sender can write to.
             (black_box(message).check(), Sender(sample.origin().value()))
         }))
+    }
+
+    /// Another subscriber in place of this one, whose connections are made from the start: publishers give it their history.
+    fn connect_again(&self) {
+        let subscriber = self.factory.subscriber_builder().buffer_size(M::SERVICE.buffer);
+        match subscriber.set_degradation_handler(self.connections.watch()).create() {
+            Ok(subscriber) => drop(self.subscriber.replace(subscriber)),
+            // There may be no place for two at this moment.
+            Err(_) => self.connections.failed.store(true, Ordering::Relaxed),
+        }
     }
 
     /// Takes all that wait and returns the newest good one.
