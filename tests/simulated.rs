@@ -111,6 +111,8 @@ enum Planted {
     NoCost,
     /// A restarted daemon does not know of which observations it has learned.
     NoNamesOfLessons,
+    /// A restarted daemon does not know whose port each source is.
+    NoPortsAfterRestart,
 }
 
 /// A model whose scores depend on every token of the prompt, so that one narration more or less shows. Fails when told to.
@@ -494,11 +496,17 @@ impl World {
         self.note(|| format!("narrator {who} says {}: {:?}", message.sequence, message.text()));
     }
 
+    /// Whether the daemon knows whose a start of a source is: it has heard it, or what it said is in the journal, which nothing has damaged.
+    fn is_known(&self, start: (u64, u64)) -> bool {
+        let heard = self.daemon.as_ref().is_some_and(|daemon| daemon.heard.contains(&start));
+        heard || (self.tally.damaged == 0 && self.claimed.iter().any(|name| (name.0, name.1) == start))
+    }
+
     /// A stranger, with a port of its own, speaks in a narrator's name, or says what no window holds.
     fn intrude(&mut self) {
         let who = self.rng.random_range(0..self.narrators.len());
         let Some(last) = self.narrators[who].history.back().copied() else { return };
-        let known = self.daemon.as_ref().is_some_and(|daemon| daemon.heard.contains(&(last.source, last.epoch)));
+        let known = self.is_known((last.source, last.epoch));
         let long = self.rng.random_bool(0.3);
         let text = if long {
             format!("They tidy the {FORGED}{}", " a b".repeat(90))
@@ -569,10 +577,15 @@ impl World {
             format!("the counters do not add up: {counted:?}")
         })?;
         match taken {
-            Taken::Accepted { observation, missed, voice, leaves } => {
+            Taken::Accepted { observation, missed, voice, leaves, binds } => {
                 ensure(!observation.said.to_string().contains(FORGED), || {
                     format!("a stranger is heard: {}", observation.said)
                 })?;
+                if binds {
+                    let record = journal::encode_port((observation.source, observation.epoch), port);
+                    daemon.appended += 1;
+                    daemon.records.push_back((record, false));
+                }
                 daemon.appended += 1;
                 daemon.records.push_back((journal::encode(&observation, &BOOT), true));
                 let after_gap = missed > 0;
@@ -1046,7 +1059,11 @@ impl World {
             })?;
             self.taken.remove(&name);
         }
-        self.strangers.clear();
+        // What the strangers' service keeps reaches the next daemon, as a narrator's does.
+        let known: Vec<bool> =
+            self.strangers.iter().map(|said| said.source == 99 || self.is_known((said.source, said.epoch))).collect();
+        let mut known = known.into_iter();
+        self.strangers.retain(|_| known.next().unwrap_or_default());
         for narrator in &mut self.narrators {
             narrator.wire.clear();
         }
@@ -1068,6 +1085,8 @@ impl World {
         let at = self.rng.random_range(0..self.disk.len());
         self.disk[at] ^= 1 << self.rng.random_range(0..8);
         self.ghost = None;
+        // It may be the record of whose a source is.
+        self.strangers.clear();
         self.tally.damaged += 1;
         self.note(|| format!("byte {at} of the journal is damaged"));
         if self.planted == Planted::NoChecksum {
@@ -1113,6 +1132,9 @@ impl World {
         let known = if self.planted == Planted::NoDeduplicationAfterRestart { &mut forgetful } else { &mut intake };
         if self.planted == Planted::NoTimesAfterRestart {
             (recovered.observations.iter_mut()).for_each(|o| (o.observed_ns, o.observed_unix_ns) = (0, 0));
+        }
+        if self.planted == Planted::NoPortsAfterRestart {
+            recovered.ports.clear();
         }
         let costly = cycle.restore(recovered, known, self.now_ns, self.now_ns);
         ensure(costly == 0, || format!("{costly} sentences of the journal cannot be scored"))?;
@@ -1608,6 +1630,7 @@ fn planted_faults_are_found() {
         (Planted::OnePort, "a stranger is heard"),
         (Planted::NoCost, "a stranger is heard"),
         (Planted::NoNamesOfLessons, "sentences were learned, of"),
+        (Planted::NoPortsAfterRestart, "a stranger is heard"),
     ] {
         let found = (0..500).into_par_iter().filter_map(|seed| play(seed, planted).err()).collect::<Vec<_>>();
         let as_expected = found.iter().filter(|what| what.lines().next().unwrap_or("").contains(violation)).count();

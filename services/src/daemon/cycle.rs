@@ -64,6 +64,7 @@ impl<M: LanguageModel> Cycle<M> {
     /// many were left out, because they cost more tokens than a window holds.
     pub fn restore(&mut self, recovered: Recovered, intake: &mut Intake, now_ns: u64, now_unix_ns: u64) -> usize {
         recovered.taken().for_each(|observation| intake.restore(observation));
+        recovered.ports.iter().for_each(|(name, port)| intake.restore_port(*name, *port));
         self.board.restore(recovered.observations, recovered.expectations, now_ns, now_unix_ns)
     }
 

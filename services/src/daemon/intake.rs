@@ -42,6 +42,8 @@ pub enum Taken {
         voice: Voice,
         /// The start of a source, by number and epoch, that gives way to its source.
         leaves: Option<(u64, u64)>,
+        /// The first of its start that this port says, so that a successor has to be told whose it is.
+        binds: bool,
     },
     /// It was taken before.
     Duplicate,
@@ -119,8 +121,10 @@ impl fmt::Debug for SentenceCost {
 #[derive(Debug, Clone)]
 struct Source {
     follower: Follower,
-    /// None while only a former run of the daemon has heard it.
+    /// None while only a former run of the daemon has heard it, which did not say whose it is.
     port: Option<Sender>,
+    /// A successor will be told.
+    bound: bool,
     trust: u32,
     /// A number that grows with every message of any source.
     turn: u64,
@@ -176,10 +180,17 @@ impl Intake {
         self.make_room_for_source(name);
         self.turns += 1;
         let (trust, turn) = (self.trust(observation.source), self.turns);
-        let fresh = || Source { follower: Follower::default(), port: None, trust, turn, costly: false };
+        let fresh = || Source { follower: Follower::default(), port: None, bound: false, trust, turn, costly: false };
         let source = self.sources.entry(name).or_insert_with(fresh);
         source.follower.take(observation.epoch, observation.sequence);
         source.turn = turn;
+    }
+
+    /// Takes note of whose a start of a source is, by its number and epoch, where it is still followed.
+    pub fn restore_port(&mut self, name: (u64, u64), port: Sender) {
+        if let Some(source) = self.sources.get_mut(&name) {
+            (source.port, source.bound) = (Some(port), true);
+        }
     }
 
     /// Whether a port was heard before. Of one that was not, [`Intake::note_alive`] is to say which others there are now.
@@ -262,6 +273,8 @@ impl Intake {
         };
         let Some(port) = self.ports.get_mut(&sender) else { return Taken::Limited };
         port.bucket.take();
+        let binds = excess.is_none() && !source.bound;
+        source.bound |= binds;
         if let Some((tokens, most)) = excess {
             let first = !std::mem::replace(&mut source.costly, true);
             return Taken::Costly { tokens, most, first };
@@ -287,7 +300,7 @@ impl Intake {
             observed_unix_ns: message.observed_unix_ns,
             said,
         };
-        Taken::Accepted { observation, missed, voice, leaves }
+        Taken::Accepted { observation, missed, voice, leaves, binds }
     }
 
     /// The counters.
@@ -351,7 +364,7 @@ impl Intake {
             left = left.or(self.make_room_for_source(name));
         }
         let trust = self.trust(name.0);
-        let fresh = || Source { follower: Follower::default(), port: None, trust, turn, costly: false };
+        let fresh = || Source { follower: Follower::default(), port: None, bound: false, trust, turn, costly: false };
         let source = self.sources.entry(name).or_insert_with(fresh);
         source.port = source.port.or(Some(sender));
         source.turn = turn;
@@ -446,6 +459,33 @@ mod tests {
         let next = intake.take(&message(7, 1, 2, "They stand up."), PORT, 4);
         assert!(matches!(next, Taken::Accepted { missed: 0, .. }), "{next:?}");
         assert_eq!((intake.counters().forged, intake.counters().malformed), (3, 1));
+    }
+
+    /// Whoever speaks first after a restart gains nothing by it, for any start of a source that was told to be somebody's.
+    #[test]
+    fn a_restarted_daemon_knows_whose_each_source_is() {
+        let mut intake = Intake::new(IntakeLimits::default());
+        let binds = |taken| match taken {
+            Taken::Accepted { binds, observation, .. } => (binds, observation),
+            other => panic!("{other:?}"),
+        };
+        let (first, said) = binds(intake.take(&message(7, 1, 1, "They sit."), PORT, 1));
+        assert!(first && !binds(intake.take(&message(7, 1, 2, "They sit."), PORT, 2)).0, "it is told once");
+        let mut restarted = Intake::new(IntakeLimits::default());
+        restarted.restore(&said);
+        restarted.restore_port((7, 1), PORT);
+        restarted.restore_port((8, 1), PORT);
+        assert_eq!(restarted.sources(), 1);
+        for sequence in [2, 3, u64::MAX] {
+            assert_eq!(restarted.take(&message(7, 1, sequence, "They hide."), OTHER, 3), Taken::Forged);
+        }
+        assert_eq!(restarted.take(&message(7, 1, 1, "They sit."), OTHER, 3), Taken::Duplicate);
+        assert!(!binds(restarted.take(&message(7, 1, 2, "They sit."), PORT, 4)).0);
+        // A journal from before says nothing of ports: then it is told at once.
+        let mut older = Intake::new(IntakeLimits::default());
+        older.restore(&said);
+        assert_eq!(older.take(&message(7, 1, 1, "They sit."), PORT, 3), Taken::Duplicate);
+        assert!(binds(older.take(&message(7, 1, 2, "They sit."), PORT, 4)).0);
     }
 
     /// Row "two narrators of one name" of the attacks.

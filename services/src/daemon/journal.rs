@@ -10,12 +10,13 @@
 //! | `RCJ3` | the same with a name, presence or an attribution: before the text come what it is (u8; bit 0: presence, bit 1: the person was found by fit) and the person's name (u8 of bytes, the bytes) |
 //! | `RCJ2`, `RCJ4` | `RCJ1` and `RCJ3` carried over, see below |
 //! | `RCJ5` | what became of an observation that was written before: its source, epoch, sequence (u64 each), the person that it is of (u32), whether that was found by fit (u8), the map's fingerprint (its first 8 bytes), and per room the probability that the model then gave (f32) |
+//! | `RCJ6` | whose a start of a source is: its source and epoch (u64 each), and the port that speaks for it (16 bytes) |
 //!
 //! Observations are kept as they came. What the daemon made of one that names nobody, and what the model said after it, is kept beside it, so
 //! that a restarted daemon believes the same.
 //!
 //! When the older half goes, the last record of every source that it alone knew is carried over: what the source said then is
-//! history no more, but what it says again is still known.
+//! history no more, but what it says again is still known. So is whose port each source is.
 //!
 //! A record is handed to the system as soon as it is written, so a daemon that is killed loses nothing; what the machine loses with
 //! its power is at most the last [`JournalOptions::sync_ms`].
@@ -38,7 +39,7 @@ use self::forget::IsTheirs;
 use crate::state_file::sync_folder;
 use roomcast_core::narration::{Observation, PresenceStatement, Said, Sentence};
 use roomcast_core::pipeline::SOURCES_MAX;
-use roomcast_ipc::{MAX_ROOMS, NAME_BYTES};
+use roomcast_ipc::{MAX_ROOMS, NAME_BYTES, Sender as Port};
 
 mod forget;
 
@@ -47,8 +48,11 @@ const MAGIC_CARRIED: [u8; 4] = *b"RCJ2";
 const MAGIC_NAMED: [u8; 4] = *b"RCJ3";
 const MAGIC_NAMED_CARRIED: [u8; 4] = *b"RCJ4";
 const MAGIC_OUTCOME: [u8; 4] = *b"RCJ5";
+const MAGIC_PORT: [u8; 4] = *b"RCJ6";
 /// Letters that a record may begin with.
-const MAGICS: [[u8; 4]; 5] = [MAGIC, MAGIC_CARRIED, MAGIC_NAMED, MAGIC_NAMED_CARRIED, MAGIC_OUTCOME];
+const MAGICS: [[u8; 4]; 6] = [MAGIC, MAGIC_CARRIED, MAGIC_NAMED, MAGIC_NAMED_CARRIED, MAGIC_OUTCOME, MAGIC_PORT];
+/// Those of which a copy in each half is enough, so that they go last where there is too little room.
+const MAGICS_KEPT: [[u8; 4]; 3] = [MAGIC_CARRIED, MAGIC_NAMED_CARRIED, MAGIC_PORT];
 const HEADER_BYTES: usize = 12;
 const FIXED_BYTES: usize = 5 * 8 + 4 + 16;
 /// No payload is longer: a sentence has at most 1024 bytes, and a name comes with two more.
@@ -103,6 +107,8 @@ pub struct Recovered {
     pub carried: Vec<Observation>,
     /// Per carried one, before which of the observations it stands.
     pub carried_before: Vec<usize>,
+    /// The port that speaks for a start of a source, by the source's number and epoch.
+    pub ports: BTreeMap<(u64, u64), Port>,
     /// What the model said of a person after one of the observations, whose index comes first.
     pub expectations: Vec<(usize, u32, Expectation)>,
     /// Bytes that were no record: a torn end, or damage.
@@ -228,6 +234,7 @@ impl Journal {
         file.read_to_end(&mut bytes).map_err(failed(&current, "read"))?;
         read_records(&bytes, &boot_id, &mut recovered);
         note(&recovered.carried[carried..], &recovered.observations[observations..], true);
+        let ports = recovered.ports.iter().map(|(name, port)| (*name, encode_port(*name, *port))).collect();
 
         let (work, queue) = bounded(QUEUE);
         let progress = Arc::new(Progress::default());
@@ -244,6 +251,7 @@ impl Journal {
             synced: bytes.len() as u64,
             sync_data: File::sync_data,
             last,
+            ports,
             turn,
             half_bytes: (options.bytes_max / 2).max(4096),
             sync_every: Duration::from_millis(options.sync_ms.max(1)),
@@ -261,6 +269,11 @@ impl Journal {
     pub fn append(&mut self, observation: &Observation) -> u64 {
         let record = encode(observation, &self.boot_id);
         self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(record)
+    }
+
+    /// Hands to the writer which port speaks for a start of a source, by its number and epoch.
+    pub fn bind(&mut self, name: (u64, u64), port: Port) {
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_port(name, port));
     }
 
     /// What other threads may ask of the journal.
@@ -372,6 +385,8 @@ struct Writer {
     sync_data: fn(&File) -> io::Result<()>,
     /// The last record of each start of a source. What the current half has not is carried over at the next rotation.
     last: BTreeMap<(u64, u64), Last>,
+    /// Whose each of them is; every half has all of these records.
+    ports: BTreeMap<(u64, u64), Vec<u8>>,
     /// Records written.
     turn: u64,
     half_bytes: u64,
@@ -466,11 +481,11 @@ impl Writer {
         OpenOptions::new().write(true).open(again)?.write_all_at(&self.unsynced, self.synced)
     }
 
-    /// Drops the oldest of what the disk refuses, so that the rest fits into a half; last words that are carried over go last.
+    /// Drops the oldest of what the disk refuses, so that the rest fits into a half; what is carried over goes last.
     fn trim_unwritten(&mut self) {
         while self.unwritten.len() as u64 > self.half_bytes {
             let mut from = 0;
-            while [MAGIC_CARRIED, MAGIC_NAMED_CARRIED].iter().any(|magic| self.unwritten[from..].starts_with(magic)) {
+            while MAGICS_KEPT.iter().any(|magic| self.unwritten[from..].starts_with(magic)) {
                 from += record_bytes(&self.unwritten[from..]);
             }
             if from >= self.unwritten.len() {
@@ -498,7 +513,9 @@ impl Writer {
         let mut rest = &self.unwritten[..];
         while !rest.is_empty() {
             let (record, after) = rest.split_at(record_bytes(rest));
-            if !record.starts_with(&MAGIC_OUTCOME) {
+            if record.starts_with(&MAGIC_PORT) {
+                self.ports.insert(source_of(record), record.to_vec());
+            } else if !record.starts_with(&MAGIC_OUTCOME) {
                 self.turn += 1;
                 let last = Last { record: record.to_vec(), in_current: true, turn: self.turn };
                 self.last.insert(source_of(record), last);
@@ -524,7 +541,10 @@ impl Writer {
         for (_, name) in quiet.iter().rev().skip(SOURCES_MAX) {
             self.last.remove(name);
         }
-        let mut carried: Vec<u8> = Vec::new();
+        if self.ports.len() > SOURCES_MAX {
+            self.ports.retain(|name, _| self.last.contains_key(name));
+        }
+        let mut carried: Vec<u8> = self.ports.values().flatten().copied().collect();
         for last in self.last.values().filter(|last| !last.in_current) {
             let record = &last.record;
             let named = record.starts_with(&MAGIC_NAMED) || record.starts_with(&MAGIC_NAMED_CARRIED);
@@ -643,6 +663,13 @@ pub fn encode_outcome(outcome: &Outcome<'_>) -> Vec<u8> {
     sealed(MAGIC_OUTCOME, payload)
 }
 
+/// Which port speaks for a start of a source, as a record.
+#[must_use]
+pub fn encode_port(name: (u64, u64), port: Port) -> Vec<u8> {
+    let payload = [&[0; HEADER_BYTES][..], &name.0.to_le_bytes(), &name.1.to_le_bytes(), &port.to_bytes()];
+    sealed(MAGIC_PORT, payload.concat())
+}
+
 /// A record of its payload, which stands behind room for the header.
 fn sealed(magic: [u8; 4], mut record: Vec<u8>) -> Vec<u8> {
     let (length, checksum) = ((record.len() - HEADER_BYTES) as u32, crc32fast::hash(&record[HEADER_BYTES..]));
@@ -680,6 +707,9 @@ pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered)
                     }
                     Record::Outcome { name, person, by_fit, expectation } => {
                         recovered.note_outcome(name, person, by_fit, expectation);
+                    }
+                    Record::Port { name, port } => {
+                        recovered.ports.insert(name, port);
                     }
                 }
                 rest = &rest[length..];
@@ -725,6 +755,7 @@ enum Record {
     Observation(Observation),
     Carried(Observation),
     Outcome { name: (u64, u64, u64), person: u32, by_fit: bool, expectation: Expectation },
+    Port { name: (u64, u64), port: Port },
 }
 
 /// The record that some bytes begin with, and how many of them it has.
@@ -744,6 +775,7 @@ fn decode(bytes: &[u8], boot_id: &[u8; 16]) -> Option<(Record, usize)> {
     }
     let record = match magic {
         MAGIC_OUTCOME => decode_outcome(payload)?,
+        MAGIC_PORT => decode_port(payload)?,
         MAGIC | MAGIC_NAMED => Record::Observation(decode_observation(payload, magic == MAGIC_NAMED, boot_id)?),
         _ => Record::Carried(decode_observation(payload, magic == MAGIC_NAMED_CARRIED, boot_id)?),
     };
@@ -787,6 +819,11 @@ fn decode_outcome(mut payload: &[u8]) -> Option<Record> {
         && probability.iter().all(|probability| (0.0..=1.0).contains(probability));
     let expectation = Expectation { map, probability };
     sound.then_some(Record::Outcome { name, person, by_fit: by_fit != 0, expectation })
+}
+
+fn decode_port(mut payload: &[u8]) -> Option<Record> {
+    let name = (take_u64(&mut payload)?, take_u64(&mut payload)?);
+    Some(Record::Port { name, port: Port::from_bytes(payload.try_into().ok()?) })
 }
 
 fn take_u64(bytes: &mut &[u8]) -> Option<u64> {
@@ -876,7 +913,10 @@ mod tests {
                     .windows(2)
                     .all(|pair| pair[0].source == 99 || pair[0].sequence < pair[1].sequence || pair[1].source == 99)
             );
+            let port = recovered.ports.get(&(quiet.source, quiet.epoch));
+            assert!(run == 0 || port == Some(&Port::simulated(3)), "{run}: {port:?}");
             if run == 0 {
+                journal.bind((quiet.source, quiet.epoch), Port::simulated(3));
                 journal.append(&quiet);
             }
             // Some rotations in every run.
@@ -905,6 +945,7 @@ mod tests {
             synced: 0,
             sync_data: File::sync_data,
             last: BTreeMap::new(),
+            ports: BTreeMap::new(),
             turn: 0,
             half_bytes,
             sync_every: Duration::from_secs(1),

@@ -444,8 +444,13 @@ impl Inbox {
             }
             let name = self.message.source_name();
             let refused = match self.intake.receive(received, sender, now_ns) {
-                Taken::Accepted { observation, missed, voice, leaves } => {
-                    let number = self.journal.as_mut().map_or(0, |journal| journal.append(&observation));
+                Taken::Accepted { observation, missed, voice, leaves, binds } => {
+                    let number = self.journal.as_mut().map_or(0, |journal| {
+                        if binds {
+                            journal.bind((observation.source, observation.epoch), sender);
+                        }
+                        journal.append(&observation)
+                    });
                     let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0, voice, leaves };
                     take(Heard::Entry(entry, number));
                     (missed > 0).then(|| format!("{missed} narrations before it were lost"))
