@@ -5,7 +5,7 @@
 
 use std::io::IsTerminal;
 
-use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
+use tracing_appender::non_blocking::{NonBlocking, NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, fmt};
@@ -44,16 +44,35 @@ pub fn init() -> Log {
         }
         None => {
             let colours = std::io::stderr().is_terminal();
-            let (lines, writer) =
-                NonBlockingBuilder::default().buffered_lines_limit(LINES_MAX).finish(std::io::stderr());
-            let _set = registry.with(fmt::layer().with_writer(lines).with_ansi(colours)).try_init();
-            Log { _writer: Some(writer) }
+            let started = writer();
+            let _set = match &started {
+                Some((lines, _)) => {
+                    registry.with(fmt::layer().with_writer(lines.clone()).with_ansi(colours)).try_init()
+                }
+                None => registry.with(fmt::layer().with_writer(std::io::stderr).with_ansi(colours)).try_init(),
+            };
+            if started.is_none() {
+                tracing::warn!(
+                    "no thread can be started for the log, so what is logged may hold up what acts; is a limit on tasks set too low?"
+                );
+            }
+            Log { _writer: started.map(|(_, writer)| writer) }
         }
     };
     if let Some(error) = refused {
         tracing::warn!(%error, "{FILTER_VARIABLE} is no filter of logs, so the default holds; write for instance warn or info,roomcast=debug");
     }
     log
+}
+
+/// The thread that writes the log; none where the system gives no thread, of which the library makes a panic.
+fn writer() -> Option<(NonBlocking, WorkerGuard)> {
+    let hook = std::panic::take_hook();
+    std::panic::set_hook(Box::new(|_| {}));
+    let builder = || NonBlockingBuilder::default().buffered_lines_limit(LINES_MAX).finish(std::io::stderr());
+    let started = std::panic::catch_unwind(builder).ok();
+    std::panic::set_hook(hook);
+    started
 }
 
 /// An error with its causes, in one line.

@@ -1,7 +1,8 @@
 //! A clean stop on ctrl-C and on a termination signal; one more, from somebody who has waited, ends at once.
 
 use std::convert::Infallible;
-use std::io;
+use std::io::{self, Read};
+use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -9,8 +10,8 @@ use std::time::{Duration, Instant};
 use crossbeam::channel::{Receiver, Sender, bounded};
 
 use signal_hook::consts::{SIGINT, SIGTERM};
-use signal_hook::iterator::Signals;
-use signal_hook::{flag, low_level};
+use signal_hook::flag;
+use signal_hook::low_level::{self, pipe};
 
 /// Signals closer together are one request: `timeout` and terminals send theirs to a process and again to its group.
 const SAME_REQUEST: Duration = Duration::from_millis(500);
@@ -49,11 +50,21 @@ impl Stop {
         for signal in [SIGINT, SIGTERM] {
             flag::register(signal, Arc::clone(&stop.asked))?;
         }
-        let mut signals = Signals::new([SIGINT, SIGTERM])?;
+        // A byte for each signal. The library's own way of waiting for them ends by a panic where the system fails a read.
+        let (mut signals, given) = UnixStream::pair()?;
+        for signal in [SIGINT, SIGTERM] {
+            pipe::register(signal, given.try_clone()?)?;
+        }
         let asked = stop.clone();
         let wait = move || {
+            // Kept, so that there is an end to read from whatever becomes of the handlers.
+            let _given = given;
             let mut first = None;
-            for _signal in &mut signals {
+            loop {
+                if signals.read_exact(&mut [0]).is_err() {
+                    std::thread::sleep(SAME_REQUEST);
+                    continue;
+                }
                 asked.request();
                 if first.get_or_insert_with(Instant::now).elapsed() >= SAME_REQUEST {
                     low_level::exit(i32::from(second_signal));

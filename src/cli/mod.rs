@@ -324,7 +324,8 @@ pub fn main() -> ExitCode {
     match result {
         Ok(()) => ExitCode::from(exit_code::OK),
         Err(failure) => {
-            eprintln!("roomcast: {failure}");
+            // Nobody is left to tell where this fails, on a full disk for instance; the exit code says it too.
+            let _untold = writeln!(std::io::stderr(), "roomcast: {failure}");
             ExitCode::from(failure.code)
         }
     }
