@@ -1,9 +1,9 @@
-//! The units as systemd itself judges them.
+//! The units as systemd itself judges them, and as a systemd of the test's own runs them.
 
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
 
 use std::os::unix::net::UnixDatagram;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -169,6 +169,124 @@ fn what_crashes_at_once_for_an_hour_is_back_soon_after_the_cause_has_gone() {
             );
         }
     }
+}
+
+/// A systemd in namespaces of its own, with the daemon's unit as it is shipped. Everything of it goes with it.
+struct OwnSystemd {
+    /// Of `unshare`, which ends systemd when it ends.
+    child: Child,
+    group: PathBuf,
+    directory: tempfile::TempDir,
+}
+
+impl OwnSystemd {
+    /// None, with the reason, where this user or this machine cannot have one.
+    fn start() -> Result<Self, String> {
+        let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let (units, source) = (directory.path().join("units"), Path::new(env!("CARGO_MANIFEST_DIR")));
+        std::fs::create_dir(&units).unwrap();
+        std::fs::copy(env!("CARGO_BIN_EXE_roomcast"), directory.path().join("roomcast")).unwrap();
+        let unit = std::fs::read_to_string(source.join("systemd").join(UNITS[0])).unwrap();
+        std::fs::write(units.join(UNITS[0]), unit.replace("/usr/bin/roomcast", "/mnt/roomcast")).unwrap();
+        // Nothing else of the machine is to start.
+        let alone = "[Unit]\nDefaultDependencies=no\n";
+        for target in ["sysinit.target", "basic.target", "shutdown.target", "local-fs.target"] {
+            std::fs::write(units.join(target), alone).unwrap();
+        }
+        std::fs::write(units.join("test.target"), format!("{alone}Wants={}\n", UNITS[0])).unwrap();
+        let groups = ["/sys/fs/cgroup/systemd", "/sys/fs/cgroup"].map(Path::new);
+        let groups = groups.into_iter().find(|path| path.exists()).ok_or("there are no control groups")?;
+        let group = groups.join(format!("roomcast-test-{}", std::process::id()));
+        std::fs::create_dir(&group).map_err(|error| format!("no control group can be made: {error}"))?;
+        let log = std::fs::File::create(directory.path().join("log")).unwrap();
+        // The shell is of the group, and so are all that it starts.
+        let start = "echo 0 > \"$1\"/cgroup.procs && shift && exec \"$@\"";
+        let mut command = Command::new("sh");
+        command.args(["-c", start, "sh"]).arg(&group).args([
+            "unshare",
+            "--kill-child=KILL",
+            "-fpmCniu",
+            "--mount-proc",
+        ]);
+        command.arg(source.join("tests/support/systemd.sh")).arg(directory.path());
+        command.stdin(Stdio::null()).stdout(log.try_clone().unwrap()).stderr(log);
+        let mut own = Self { child: command.spawn().unwrap(), group, directory };
+        let start = Instant::now();
+        while own.property("LoadState").is_none_or(|state| state != "loaded") {
+            if own.child.try_wait().unwrap().is_some() || start.elapsed() > Duration::from_secs(20) {
+                return Err(own.log().lines().last().unwrap_or("it does not start").to_owned());
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        Ok(own)
+    }
+
+    fn log(&self) -> String {
+        std::fs::read_to_string(self.directory.path().join("log")).unwrap()
+    }
+
+    /// Its process.
+    fn process(&self) -> Option<u32> {
+        let of = self.child.id();
+        let children = std::fs::read_to_string(format!("/proc/{of}/task/{of}/children")).ok()?;
+        children.split_whitespace().next()?.parse().ok()
+    }
+
+    /// What it says of the daemon.
+    fn property(&self, name: &str) -> Option<String> {
+        let mut command = Command::new("nsenter");
+        command.arg(format!("--target={}", self.process()?)).args(["--mount", "--pid", "--cgroup"]);
+        let output = command.args(["systemctl", "show", "--value", "--property", name, UNITS[0]]).output().ok()?;
+        output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+    }
+
+    /// Waits until that holds.
+    fn until(&self, name: &str, holds: impl Fn(&str) -> bool) -> String {
+        let mut newest = None;
+        let start = Instant::now();
+        // As long as it goes on starting the daemon.
+        while start.elapsed() < Duration::from_secs(120) {
+            let value = self.property(name);
+            if let Some(value) = value.as_deref().filter(|value| holds(value)) {
+                return value.to_owned();
+            }
+            newest = value;
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        panic!("{name} stays at {newest:?}: {}", self.log());
+    }
+}
+
+impl Drop for OwnSystemd {
+    fn drop(&mut self) {
+        let _gone = self.child.kill();
+        let _reaped = self.child.wait();
+        // Groups go from the innermost, once their processes have gone.
+        let groups = self.group.to_str().unwrap();
+        let remove = "for n in 1 2 3 4 5 6 7 8 9; do find \"$0\" -depth -type d -exec rmdir {} + 2>/dev/null && break; sleep 0.1; done";
+        let _removed = Command::new("sh").args(["-c", remove, groups]).status();
+    }
+}
+
+/// `ROOMCAST_RESTARTS=4800` is an hour of failures.
+#[test]
+fn the_shipped_unit_under_a_real_systemd_is_back_when_the_cause_has_gone() {
+    let restarts = std::env::var("ROOMCAST_RESTARTS").map_or(12, |text| text.parse::<u64>().unwrap());
+    let systemd = match OwnSystemd::start() {
+        Ok(systemd) => systemd,
+        Err(why) => return skipped(format!("no systemd can be run in namespaces: {why}")),
+    };
+    // Five failures within ten seconds are where systemd gives up by itself.
+    let mut failed = 0;
+    while failed < restarts {
+        let more = |value: &str| value.parse().is_ok_and(|count: u64| count > failed);
+        failed = systemd.until("NRestarts", more).parse().unwrap();
+    }
+    assert_ne!(systemd.property("ActiveState").as_deref(), Some("active"), "it cannot run with this configuration");
+    let configuration = format!("/proc/{}/root/etc/roomcast/roomcast.toml", systemd.process().unwrap());
+    std::fs::write(configuration, "").unwrap();
+    systemd.until("ActiveState", |state| state == "active");
+    println!("failed {failed} times, then ready");
 }
 
 /// What systemd does with a `Type=notify` service that has a watchdog.
