@@ -967,6 +967,41 @@ mod tests {
     }
 
     proptest! {
+        /// What one narrator says, of whomever it invents too, changes nothing for persons that it does not speak of. Of the probability that
+        /// anybody enters a room it moves what these leave of it, and no more: it can never make a room look free of them.
+        #[test]
+        fn a_narrator_moves_no_room_below_what_the_others_give_it(
+            honest in prop::collection::vec(0u32..3, 1..12),
+            other in prop::collection::vec((2u32..8, 0usize..12), 0..12),
+            first in any::<bool>(),
+        ) {
+            let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+            let honest: Vec<_> = (1..).zip(&honest).map(|(number, person)| observation(number, *person)).collect();
+            let said_by_other = |(number, &(person, what)): (u64, &(u32, usize))| {
+                let said = match what {
+                    0 => presence(number, person, "away"),
+                    1 => presence(number, person, "present in the kitchen"),
+                    _ => observation(number, person),
+                };
+                Observation { source: 99, ..said }
+            };
+            let others: Vec<_> = (1000..).zip(&other).map(said_by_other).collect();
+            let mut with = pipeline(&map, Effort::Exact, CORRECTED);
+            let mut without = pipeline(&map, Effort::Exact, CORRECTED);
+            let (before, after) = if first { (&others, &honest) } else { (&honest, &others) };
+            with.step(before.iter().chain(after).cloned()).unwrap();
+            without.step(honest.iter().cloned()).unwrap();
+            let spoken_of = |person: u32| other.iter().any(|(of, _)| *of == person);
+            let mut free = [1.0; 2];
+            for own in without.persons().filter(|own| !spoken_of(own.person)) {
+                prop_assert_eq!(values(own), values(with.person(own.person).unwrap()));
+                free.iter_mut().zip(&own.grounded.partition_probability).for_each(|(free, p)| *free *= 1.0 - p);
+            }
+            for (free, p) in free.iter().zip(&with.scores().grounded.partition_probability) {
+                prop_assert!((1.0 - free) - 1e-12 <= *p && *p <= 1.0, "{p}, and the others alone give {}", 1.0 - free);
+            }
+        }
+
         /// A person's scores are those that they have alone, to the bit; one person's are those of all together.
         #[test]
         fn a_persons_scores_are_those_of_that_person_alone(
