@@ -54,8 +54,8 @@ unit:
 	cargo test --release --locked --workspace --features full
 
 .PHONY: nightly
-nightly: ## An hour of faults by seed: simulation, killed processes, mutated input.
-	ROOMCAST_SEEDS=60000 ROOMCAST_CHAOS_CYCLES=1000 ROOMCAST_CHAOS_SEED=$$(date +%j) ROOMCAST_FUZZ_RUNS=3000000 cargo test --release --locked --workspace --features full --test simulated --test chaos --test killed --test fuzzed -- --nocapture
+nightly: ## About an hour of faults by seed: simulation, killed processes and strangers, failing system calls, mutated input.
+	ROOMCAST_SEEDS=30000 ROOMCAST_CHAOS_CYCLES=700 ROOMCAST_CHAOS_SEED=$$(date +%j) ROOMCAST_SYSCALLS=300 ROOMCAST_SYSCALLS_SEED=$$(date +%j) ROOMCAST_FUZZ_RUNS=2000000 ROOMCAST_RESTARTS=100 cargo test --release --locked --workspace --features full --test simulated --test chaos --test killed --test syscalls --test systemd --test fuzzed -- --nocapture
 
 .PHONY: docs
 docs:

@@ -127,6 +127,8 @@ impl Domain {
         self.prepare_root()?;
         self.refuse_foreign_shared_memory()?;
         refuse_full_shared_memory()?;
+        // Whoever joins fails on such memory before the guardian's first look.
+        self.remove_unmade_memory();
         // iceoryx2 logs to standard error; what matters comes back as an error.
         iceoryx2::prelude::set_log_level(LogLevel::Fatal);
         let join = |cause: String| IpcError::Join { root: self.root.clone(), cause };

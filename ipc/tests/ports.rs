@@ -297,6 +297,21 @@ fn the_last_one_out_leaves_nothing_in_shared_memory() {
     assert_eq!(private.shared_memory_files(), 0);
 }
 
+/// The first one failed, or was killed, between making the counter and giving it a size: that keeps nobody out.
+#[test]
+fn a_counter_without_a_size_keeps_nobody_out() {
+    let private = Private::new("no-size");
+    let node = private.domain.open("first").unwrap();
+    let prefix = private.domain.prefix();
+    let names = std::fs::read_dir("/dev/shm").unwrap().map(|file| file.unwrap().path());
+    let ours = |path: &std::path::PathBuf| path.file_name().unwrap().to_string_lossy().starts_with(&prefix);
+    let counter = names.filter(ours).find(|path| path.extension().is_some_and(|end| end == "global_mgmt")).unwrap();
+    drop(node);
+    let file = std::fs::File::create(&counter).unwrap();
+    file.set_modified(std::time::SystemTime::now() - Duration::from_secs(60)).unwrap();
+    private.domain.open("second").unwrap();
+}
+
 #[test]
 fn cleaning_up_spares_what_is_not_the_domains() {
     let private = Private::new("spares");

@@ -35,7 +35,7 @@ pub fn run(args: &Args) -> CommandResult {
         ));
     };
     let served = metrics::run(address, &domain, &stop, |address| {
-        eprintln!("metrics at http://{address}/metrics");
+        super::tell(format_args!("metrics at http://{address}/metrics"));
         notify::notify(&[sd_notify::NotifyState::Ready]);
     });
     served.map_err(|error| {

@@ -147,6 +147,11 @@ pub fn print(text: &str) -> CommandResult {
     })
 }
 
+/// Writes a line on standard error. Where that cannot be written, on a full disk for instance, nobody is left to tell.
+pub fn tell(line: impl fmt::Display) {
+    let _untold = writeln!(std::io::stderr(), "{line}");
+}
+
 /// Prints a value as indented JSON on standard output.
 ///
 /// # Errors
@@ -324,8 +329,8 @@ pub fn main() -> ExitCode {
     match result {
         Ok(()) => ExitCode::from(exit_code::OK),
         Err(failure) => {
-            // Nobody is left to tell where this fails, on a full disk for instance; the exit code says it too.
-            let _untold = writeln!(std::io::stderr(), "roomcast: {failure}");
+            // The exit code says it too.
+            tell(format_args!("roomcast: {failure}"));
             ExitCode::from(failure.code)
         }
     }

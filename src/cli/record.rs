@@ -147,7 +147,11 @@ pub fn run(args: &Args) -> CommandResult {
         }
     }
     recorder.finish().map_err(output)?;
-    eprintln!("{} messages in {}; {malformed} malformed ones left out", recorder.written(), args.file.display());
+    super::tell(format_args!(
+        "{} messages in {}; {malformed} malformed ones left out",
+        recorder.written(),
+        args.file.display()
+    ));
     Ok(())
 }
 

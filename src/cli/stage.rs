@@ -130,7 +130,7 @@ impl Drop for Stage {
             let _reaped = child.wait();
         }
         if let Err(error) = self.domain.clean_up() {
-            eprintln!("roomcast: {error}");
+            super::tell(format_args!("roomcast: {error}"));
         }
     }
 }

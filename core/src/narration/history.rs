@@ -483,7 +483,9 @@ mod tests {
         assert!(honest >= 6 && history.observations().next_back().unwrap().sequence == 199, "{honest} of {held}");
         // Alone with itself it has the whole window.
         let mut alone = History::new(HistoryLimits::default());
-        (0..100).for_each(|n| drop(alone.push(said(2, n), 1000)));
+        for n in 0..100 {
+            alone.push(said(2, n), 1000);
+        }
         assert_eq!(sequences(&alone), [99]);
     }
 
