@@ -144,8 +144,6 @@ struct Hostile {
     persons: QuestionPort,
     /// Scores once more, from what a moment names.
     pipeline: Pipeline<LlamaModel>,
-    /// The narrator's latest epochs.
-    epochs: Vec<u64>,
     /// Lines that were claimed since the daemon of this moment started; for what was said before it keeps no place.
     fresh: Vec<usize>,
     /// A number that nothing else has.
@@ -251,7 +249,6 @@ impl World {
                 moments: node.question_port(question::MOMENT).unwrap(),
                 persons: node.question_port(question::PERSON).unwrap(),
                 pipeline: setup::open(&Config::load(&config).unwrap()).unwrap().0,
-                epochs: Vec::new(),
                 fresh: Vec::new(),
                 counter: 0,
                 name: RESIDENTS[0].to_owned(),
@@ -420,9 +417,6 @@ impl World {
                 self.tally.wrong_claims += 1;
             }
             if let Some(hostile) = &mut self.hostile {
-                if !hostile.epochs.contains(&claim.epoch) {
-                    hostile.epochs.push(claim.epoch);
-                }
                 // The first scores of a daemon may contain what it has from its predecessor.
                 let known = self.seen.last().is_some_and(|seen| seen.epoch == scores.epoch);
                 let lines = usize::try_from(self.claimed).unwrap()..usize::try_from(claim.sequence).unwrap();
@@ -491,7 +485,7 @@ impl World {
         let what = self.rng.random_range(0..7);
         let many = self.rng.random_range(1..20);
         let place = self.rng.random_range(0..4);
-        let (given, claimed) = (self.given.len() as u64, self.claimed);
+        let (given, claimed, epoch) = (self.given.len() as u64, self.claimed, self.narrator_epoch);
         let alive = self.all_recovered();
         let Some(hostile) = &mut self.hostile else { return };
         hostile.counter += 1;
@@ -507,9 +501,8 @@ impl World {
         };
         match what {
             0 | 1 => {
-                // In the narrator's name, as it is now or was before.
-                let latest = hostile.epochs.iter().rev().take(3).nth(place % 3).copied();
-                let Some(epoch) = latest else { return };
+                // In the name of the living narrator: what is remembered of ended ones gives way to others.
+                let Some(epoch) = epoch else { return };
                 let number = [claimed + 1, given + 1, given + 1000, u64::MAX][place];
                 let said = sentence(&format!("They hide in the {FORGED} {counter}."));
                 let source = sequence::source_of_name(NARRATOR);
