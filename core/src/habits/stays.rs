@@ -12,7 +12,7 @@
 //! | later | the same by hour and time spent there as well |
 //!
 //! Hazards are exits over time spent, each level with the next wider one as its prior: place and part of the day over place over all
-//! places over the shipped stay. What happened is known only a horizon later, and is learned then.
+//! places over the shipped stay; of a time out of the house, over the shipped absence, since rooms say nothing of how long it lasts. What happened is known only a horizon later, and is learned then.
 
 use super::counts::Counts;
 use super::frame::{ELSEWHERE, Frame};
@@ -54,6 +54,8 @@ const COUNTED_EXPERTS: [usize; COUNTED] = [1, 3, 4];
 const COUNTED: usize = 3;
 /// Mean stay that the shipped forecast begins with, in seconds, and the exponent of its survival.
 const SHIPPED_STAY_S: f64 = 120.0;
+/// The same of a time out of the house.
+const SHIPPED_AWAY_S: f64 = 14_400.0;
 
 fn dwell(spent_s: f64) -> usize {
     DWELLS_S.iter().position(|end_s| spent_s < *end_s).unwrap_or(DWELLS - 1)
@@ -425,7 +427,11 @@ impl Stays {
             p.fill(1.0 / places as f64);
             return;
         };
-        let stay = anchor.stayed / anchor.sampled;
+        // Being out is another kind of stay: rooms say nothing of how long it lasts.
+        let stay = match self.place {
+            ELSEWHERE => (SHIPPED_AWAY_S / (SHIPPED_AWAY_S + ANCHORS_S[index])).powi(2),
+            _ => anchor.stayed / anchor.sampled,
+        };
         p.fill((1.0 - stay) / (places - 1).max(1) as f64);
         p[here] = if places > 1 { stay } else { 1.0 };
     }
@@ -467,13 +473,15 @@ impl Stays {
             Some(end_s) => 0.5 * (dwell_begin_s(bucket) + end_s),
             None => 1.5 * dwell_begin_s(bucket),
         };
-        let mut rate = 2.0 / (SHIPPED_STAY_S + middle_s);
+        let is_out = place == ELSEWHERE;
+        let mut rate = 2.0 / (if is_out { SHIPPED_AWAY_S } else { SHIPPED_STAY_S } + middle_s);
         let bucket = bucket as u16;
-        for (kind, after) in [
+        let levels = [
             (Kind::Stay, [NONE, bucket, NONE]),
             (Kind::StayPlace, [place, bucket, NONE]),
             (Kind::StayPlaceHour, [place, bucket, part]),
-        ] {
+        ];
+        for (kind, after) in levels.into_iter().skip(usize::from(is_out)) {
             for seen in whose.of_others(kind, after).chain(whose.own(kind, after)) {
                 let (exits, spent_s) = (seen.count(EXITS), 60.0 * seen.count(MINUTES));
                 rate = (exits + HAZARD_STRENGTH) / (spent_s + HAZARD_STRENGTH / rate);

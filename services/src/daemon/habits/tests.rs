@@ -6,6 +6,7 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::semantic_map::delta::parse_changes;
 use roomcast_ipc::Message;
 
+use super::super::board::HORIZONS_S;
 use super::super::{Board, Entry, Persons, PersonsFile};
 use super::*;
 
@@ -127,6 +128,20 @@ impl House {
         let p = [own.probability[KITCHEN][horizon], own.probability[LIVING_ROOM][horizon], own.elsewhere[horizon]];
         assert!((p.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{p:?}");
         p
+    }
+}
+
+/// Who leaves a home that nothing is known of is not back within the minute: rooms say nothing of how long people are out.
+#[test]
+fn who_has_just_left_a_new_home_is_out() {
+    let mut house = House::new(true);
+    house.say(1, 10, "They grab the coffee maker.");
+    house.say(1, 40, "They sit on the sofa.");
+    house.say(1, 60, "away");
+    let horizon_of = |seconds: f32| HORIZONS_S.iter().position(|horizon_s| *horizon_s == seconds).unwrap();
+    for (seconds, least) in [(60.0, 0.95), (900.0, 0.85), (3600.0, 0.55)] {
+        let [.., elsewhere] = house.ahead(1, horizon_of(seconds));
+        assert!(elsewhere >= least, "{seconds} s: {elsewhere}");
     }
 }
 
