@@ -532,6 +532,16 @@ impl Picture {
                 let rooms =
                     (0..told.rooms().len()).filter_map(|room| own.probability.get(room)?.get(..horizons).map(row));
                 card["rooms"] = rooms.collect::<Vec<_>>().into();
+                if own.set_coverage > 0.0 {
+                    let ids: Vec<&str> = told.rooms().collect();
+                    let set = |horizon: usize| -> Vec<&str> {
+                        let holds = |room: usize| own.set_holds(horizon, room) == Some(true);
+                        let out = (own.set_holds_elsewhere(horizon) == Some(true)).then_some("out of the house");
+                        ids.iter().enumerate().filter(|(room, _)| holds(*room)).map(|(_, id)| *id).chain(out).collect()
+                    };
+                    card["sets"] = (0..horizons).map(set).collect::<Vec<_>>().into();
+                    card["coverage"] = short(f64::from(own.set_coverage)).into();
+                }
                 card["elsewhere"] = own.elsewhere.get(..horizons).map(row).into();
                 let likely = likeliest(told, own).filter(|(_, p)| *p >= 0.5 && person.presence <= presence::PRESENT);
                 card["likely"] = likely.map(|(room, _)| room).into();

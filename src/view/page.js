@@ -155,7 +155,11 @@ const show = () => {
       if (out >= 0.005) shown.push(`out of the house ${percent(out)}`);
       line(card, `${when === 0 ? "now" : whenText()}: ${shown.join(", ") || "not known"}`);
     }
-    if (person.set) line(card, `${percent(person.set.coverage)} sure: ${person.set.rooms.join(", ")}`);
+    if (person.sets) {
+      // The promise is of a time ahead.
+      const set = person.sets[Math.max(0, when - 1)].map((id) => (state.rooms.find((room) => room.id === id) || { name: id }).name);
+      if (set.length) line(card, `in one of these with ${percent(person.coverage)}: ${set.join(", ")}`, "dim");
+    }
     return card;
   });
   element("persons").replaceChildren(...(persons.length ? persons : [html("li", "Nobody is known yet.")]));

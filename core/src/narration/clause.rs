@@ -1,5 +1,6 @@
 //! What a plain sentence says of where its persons are: its subject, and what the words after it mean. The words are in `clause.toml`.
 
+use std::cell::Cell;
 use std::sync::LazyLock;
 
 use serde::Deserialize;
@@ -27,6 +28,7 @@ struct Words {
     people: Vec<String>,
     nothing: Vec<String>,
     leaves: Vec<String>,
+    leaves_for: Vec<String>,
     goes: Vec<String>,
     errands: Vec<String>,
     comes: Vec<String>,
@@ -76,38 +78,58 @@ const NAME_WORDS_MAX: usize = 4;
 /// The name of somebody of whom nobody has told yet has at most so many words.
 const NEW_NAME_WORDS_MAX: usize = 2;
 
-/// A sentence in lower case, with short forms written out: "Ada isn't home." is "ada is not home".
-pub(super) fn plain(sentence: &str) -> String {
-    const SHORT: [(&str, &str); 12] = [
+thread_local! {
+    /// Memory for a sentence in plain form, so that reading one allocates nothing once warm.
+    static PLAIN: Cell<String> = const { Cell::new(String::new()) };
+}
+
+/// Reads a sentence in lower case, with short forms written out: "Ada isn't home." is "ada is not home".
+pub(super) fn with_plain<T>(sentence: &str, read: impl FnOnce(&str) -> T) -> T {
+    let mut text = PLAIN.take();
+    text.clear();
+    let letters = sentence.trim().chars().filter(|c| !matches!(c, '“' | '”' | '"'));
+    text.extend(letters.flat_map(char::to_lowercase).map(|c| if c == '’' { '\'' } else { c }));
+    text.truncate(text.trim_end_matches(['.', '!']).len());
+    if text.contains(['\'', ':']) {
+        write_out(&mut text);
+    }
+    for (told, nobody) in [("there is nobody ", "nobody is "), ("there is no one ", "no one is ")] {
+        if text.starts_with(told) {
+            text.replace_range(..told.len(), nobody);
+        }
+    }
+    for nobody in ["nobody in the ", "no one in the "] {
+        if text.starts_with(nobody) {
+            text.insert_str(nobody.len() - "in the ".len(), "is ");
+        }
+    }
+    let said = read(&text);
+    PLAIN.set(text);
+    said
+}
+
+/// Writes short forms out.
+fn write_out(text: &mut String) {
+    const SHORT: [(&str, &str); 9] = [
         ("can't", "can not"),
-        ("cannot", "can not"),
         ("won't", "will not"),
         ("n't", " not"),
         ("'re ", " are "),
         ("'ve ", " have "),
         ("'ll ", " will "),
+        ("'d ", " would "),
         ("i'm ", "i am "),
-        ("“", ""),
-        ("”", ""),
-        ("\"", ""),
         (": ", " "),
     ];
-    let mut text = sentence.trim().trim_end_matches(['.', '!']).to_lowercase().replace('’', "'");
     for (short, long) in SHORT {
         if text.contains(short) {
-            text = text.replace(short, long);
-        }
-    }
-    for nobody in ["nobody in the ", "no one in the "] {
-        if let Some(room) = text.strip_prefix(nobody) {
-            text = format!("nobody is in the {room}");
+            *text = text.replace(short, long);
         }
     }
     // What belongs to somebody is not somebody: only before what somebody can be is it "is".
     while let Some((at, _)) = text.match_indices("'s ").find(|(at, _)| is_state_ahead(&text[at + 3..])) {
         text.replace_range(at..at + 3, " is ");
     }
-    text
 }
 
 /// Whether words go on with what somebody is: "in the kitchen", "away until monday".
@@ -139,9 +161,8 @@ fn predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     if follows(rest, &WORDS.comes, &WORDS.elsewhere) {
         return Some((Presence::Away, None));
     }
-    let for_work = || ["for work", "for school"].map(str::to_owned);
     if follows(rest, &WORDS.leaves, &WORDS.house)
-        || follows(rest, &WORDS.leaves, &for_work())
+        || follows(rest, &WORDS.leaves, &WORDS.leaves_for)
         || goes_out(rest)
         || has_left()
     {
@@ -202,7 +223,7 @@ fn state(rest: &str) -> Option<&str> {
 }
 
 impl<'a> Clause<'a> {
-    /// Reads a [`plain`] sentence; none where it does not say where somebody or something is.
+    /// Reads a sentence in plain form ([`with_plain`]); none where it does not say where somebody or something is.
     pub(super) fn read(said: &'a str) -> Option<Self> {
         let of = |subject, presence, room| Self { subject, presence, room, is_state: true, is_arrival: false };
         if let Some(place) =
@@ -239,14 +260,14 @@ impl<'a> Clause<'a> {
     }
 }
 
-/// The persons that a [`plain`] sentence may be about, from one word to the longest subject: of "ada and ben sit down" it gives "ada", then
+/// The persons that a plain sentence may be about, from one word to the longest subject: of "ada and ben sit down" it gives "ada", then
 /// "ada" and "ben". Most of it is not meant: only who knows the persons can tell.
 pub(super) fn possible_subjects(said: &str) -> impl Iterator<Item = Vec<&str>> {
     cuts(said)
         .filter_map(|(subject, _)| parts(subject).map(|part| bare(part).filter(|name| is_possible(name))).collect())
 }
 
-/// Whether a [`plain`] sentence says what somebody may do who is not there: call, be on the way, plan to come.
+/// Whether a plain sentence says what somebody may do who is not there: call, be on the way, plan to come.
 pub(super) fn is_from_afar(said: &str) -> bool {
     let begins = |rest: &str, words: &String| {
         rest.strip_prefix(words.as_str()).is_some_and(|more| !more.starts_with(char::is_alphanumeric))
@@ -254,7 +275,7 @@ pub(super) fn is_from_afar(said: &str) -> bool {
     cuts(said).any(|(_, rest)| WORDS.from_afar.iter().any(|words| begins(rest, words)))
 }
 
-/// Whether a [`plain`] sentence begins with a pronoun.
+/// Whether a plain sentence begins with a pronoun.
 pub(super) fn is_of_a_pronoun(said: &str) -> bool {
     cuts(said).next().is_some_and(|(subject, _)| has(&WORDS.pronouns, subject))
 }
@@ -300,7 +321,7 @@ fn person_of(part: &str) -> Option<&str> {
     is_person.then_some(name)
 }
 
-/// Whom a [`plain`] sentence is about that begins with what persons are called: of "the plumber repairs the shower" it is "plumber".
+/// Whom a plain sentence is about that begins with what persons are called: of "the plumber repairs the shower" it is "plumber".
 pub(super) fn person_called(said: &str) -> Option<&str> {
     cuts(said).filter_map(|(subject, _)| bare(subject)).filter(|name| has(&WORDS.people, name)).last()
 }
@@ -335,8 +356,11 @@ mod tests {
 
     /// What a sentence says, in one word.
     fn said(sentence: &str) -> String {
-        let plain = plain(sentence);
-        let Some(clause) = Clause::read(&plain) else { return "-".to_owned() };
+        with_plain(sentence, in_words)
+    }
+
+    fn in_words(plain: &str) -> String {
+        let Some(clause) = Clause::read(plain) else { return "-".to_owned() };
         let subject = match &clause.subject {
             Subject::Unnamed => "they".to_owned(),
             Subject::Named(names) => names.join("+"),
@@ -400,7 +424,7 @@ mod tests {
             "Ada wants to leave the house.",
             "Ada, Ben is at work.",
             "They both leave the house.",
-            "If Ada is away the heating goes down.",
+            "If Ada is away, the heating goes down.",
             "Tom thinks that Nora is in the bedroom.",
             "Tom is not in the study.",
             "Somebody else is in the bathroom.",
@@ -429,7 +453,7 @@ mod tests {
 
     #[test]
     fn who_is_called_by_what_they_do_is_a_person() {
-        let called = |sentence: &str| person_called(&plain(sentence)).map(str::to_owned);
+        let called = |sentence: &str| with_plain(sentence, |plain| person_called(plain).map(str::to_owned));
         for (sentence, expected) in [
             ("The plumber repairs the shower.", Some("plumber")),
             ("Grandma sleeps in the guest bed.", Some("grandma")),

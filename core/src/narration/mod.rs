@@ -225,9 +225,10 @@ impl Said {
     #[must_use]
     pub fn known_names(&self, mut is_known: impl FnMut(&str) -> bool) -> Vec<String> {
         let Self::Sentence(sentence) = self else { return Vec::new() };
-        let plain = clause::plain(sentence.as_str());
-        let known = clause::possible_subjects(&plain).filter(|names| names.iter().all(|name| is_known(name))).last();
-        known.into_iter().flatten().map(str::to_owned).collect()
+        clause::with_plain(sentence.as_str(), |said| {
+            let known = clause::possible_subjects(said).filter(|names| names.iter().all(|name| is_known(name))).last();
+            known.into_iter().flatten().map(str::to_owned).collect()
+        })
     }
 
     /// Whether it may name a person among those it is about: whoever `is_them` says that a name is.
@@ -235,8 +236,7 @@ impl Said {
     pub fn may_name(&self, mut is_them: impl FnMut(&str) -> bool) -> bool {
         match self {
             Self::Sentence(sentence) => {
-                let plain = clause::plain(sentence.as_str());
-                clause::possible_subjects(&plain).flatten().any(is_them)
+                clause::with_plain(sentence.as_str(), |said| clause::possible_subjects(said).flatten().any(is_them))
             }
             Self::Presence(statement) => statement.names().any(&mut is_them),
         }
@@ -245,13 +245,13 @@ impl Said {
     /// Whether it says what somebody may do who is not there: "Ada calls.", "Ben is on his way.", "They will be home soon."
     #[must_use]
     pub fn is_from_afar(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::is_from_afar(&clause::plain(sentence.as_str())))
+        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_from_afar))
     }
 
     /// Whether it is about somebody by a pronoun: "They open the fridge."
     #[must_use]
     pub fn is_of_a_pronoun(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::is_of_a_pronoun(&clause::plain(sentence.as_str())))
+        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_of_a_pronoun))
     }
 
     /// Whether it says where something is that is no person, or does not tell whose place it says: "The robot is in the kitchen.", "Somebody else
@@ -259,7 +259,9 @@ impl Said {
     #[must_use]
     pub fn moves_nobody(&self) -> bool {
         let is_other = |sentence: &Sentence| {
-            Clause::read(&clause::plain(sentence.as_str())).is_some_and(|clause| clause.subject == Subject::Other)
+            clause::with_plain(sentence.as_str(), |said| {
+                Clause::read(said).is_some_and(|clause| clause.subject == Subject::Other)
+            })
         };
         self.sentence().is_some_and(is_other)
     }
@@ -268,7 +270,7 @@ impl Said {
     #[must_use]
     pub fn person_called(&self) -> Option<String> {
         let sentence = self.sentence()?;
-        clause::person_called(&clause::plain(sentence.as_str())).map(str::to_owned)
+        clause::with_plain(sentence.as_str(), |said| clause::person_called(said).map(str::to_owned))
     }
 
     /// Whether somebody of whom nobody has told yet may go by a name in a sentence.

@@ -109,8 +109,11 @@ impl PresenceStatement {
     /// everybody: "Nobody is home." None where it says something else.
     #[must_use]
     pub fn of_sentence(sentence: &str) -> Option<Self> {
-        let plain = clause::plain(sentence);
-        let clause = Clause::read(&plain)?;
+        clause::with_plain(sentence, Self::of_plain)
+    }
+
+    fn of_plain(said: &str) -> Option<Self> {
+        let clause = Clause::read(said)?;
         let Clause { presence, room, .. } = clause;
         let of_everybody = match &clause.subject {
             // That nobody leaves says of nobody where they are.
@@ -136,7 +139,7 @@ impl PresenceStatement {
     /// Whether a plain sentence says that its person comes home: who is there already is not meant.
     #[must_use]
     pub fn is_arrival(sentence: &str) -> bool {
-        Clause::read(&clause::plain(sentence)).is_some_and(|clause| clause.is_arrival)
+        clause::with_plain(sentence, |said| Clause::read(said).is_some_and(|clause| clause.is_arrival))
     }
 
     /// The same statement of a sentence with this subject.

@@ -33,8 +33,8 @@ pub(super) fn is_bed(label: &str) -> bool {
 pub(super) fn sleeps(sentence: &str) -> Option<bool> {
     const SLEEPS: [&str; 8] = ["sleep", "sleeps", "asleep", "nap", "naps", "doze", "dozes", "slept"];
     const WAKES: [&str; 8] = ["wake", "wakes", "woke", "awake", "get up", "gets up", "stand up", "stands up"];
-    let lower = sentence.to_lowercase();
-    let says = |words: &[&str]| words.iter().any(|words| has_words(&lower, words));
+    // A sentence begins with a capital at most in its first word, which is nobody's sleep.
+    let says = |words: &[&str]| words.iter().any(|words| has_words(sentence, words));
     if says(&WAKES) { Some(false) } else { says(&SLEEPS).then_some(true) }
 }
 
