@@ -58,7 +58,8 @@
 // Narration was lost on the way (a gap in its sequence numbers).
 #define ROOMCAST_SCORE_FLAGS_GAP (1 << 3)
 
-// There are more sources than places: included names the most recent ones.
+// More sources said something new than there are places: included names the most recent ones, and the others wait for their
+// confirmation.
 #define ROOMCAST_SCORE_FLAGS_SOURCES_CUT (1 << 4)
 
 // The last scoring attempt failed; these are the last good scores, sent again at once, with the narration and of the map that

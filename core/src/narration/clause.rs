@@ -110,7 +110,8 @@ pub(super) fn with_plain<T>(sentence: &str, read: impl FnOnce(&str) -> T) -> T {
 
 /// Writes short forms out.
 fn write_out(text: &mut String) {
-    const SHORT: [(&str, &str); 9] = [
+    const SHORT: [(&str, &str); 10] = [
+        ("there's ", "there is "),
         ("can't", "can not"),
         ("won't", "will not"),
         ("n't", " not"),
