@@ -241,7 +241,9 @@ impl<'a> Clause<'a> {
         let is_nobody = |subject: &str| has(&WORDS.nobody, subject);
         if let Some((_, rest)) = cuts(said).find(|(subject, rest)| is_nobody(subject) && state(rest).is_some()) {
             let room = state(rest).and_then(in_the).map(room_of);
-            return Some(of(Subject::Nobody, Presence::Present, room.or(predicate(rest)?.1)));
+            let presence = predicate(rest).map(|(presence, _)| presence);
+            let presence = if room.is_some() { Presence::Present } else { presence? };
+            return Some(of(Subject::Nobody, presence, room));
         }
         let Some((subject, rest, (presence, room))) =
             cuts(said).find_map(|(subject, rest)| Some((subject, rest, predicate(rest)?)))
