@@ -12,6 +12,8 @@ mod bar;
 mod bridge;
 mod cli;
 mod exit_code;
+#[cfg(any(feature = "bridge", feature = "top", feature = "view"))]
+mod flags;
 #[cfg(any(feature = "metrics", feature = "view"))]
 mod http;
 #[cfg(feature = "pull")]

@@ -10,10 +10,11 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph};
 use roomcast_ipc::{
     DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, RoomScoresV1,
-    StatusResponseV1, decision_flags, forecast_flags, presence, reached, score_flags,
+    StatusResponseV1, presence, reached, score_flags,
 };
 
 use crate::bar::bar;
+use crate::flags::{decision_flag_names, score_flag_names};
 use roomcast_services::daemon::{flag_words, presence_word};
 use roomcast_services::habits_reason::ELSEWHERE;
 use roomcast_services::message_text::said_of;
@@ -36,62 +37,6 @@ const SET_SHARE: usize = 1;
 const HEADING: &str = "rooms: where somebody is next, and its course";
 /// The panel of rooms and persons keeps its frame where it has so many rows for them.
 const FRAMED_ROWS: usize = 14;
-
-/// The names of the bits that are set, of those that a message has.
-fn set(flags: u32, names: &[(u32, &'static str)]) -> Vec<&'static str> {
-    names.iter().filter(|(flag, _)| flags & flag != 0).map(|(_, name)| *name).collect()
-}
-
-/// Names for the bits of room scores.
-#[must_use]
-pub fn score_flag_names(flags: u32) -> Vec<&'static str> {
-    set(
-        flags,
-        &[
-            (score_flags::HEARTBEAT, "heartbeat"),
-            (score_flags::NO_NARRATION, "no-narration"),
-            (score_flags::BEHIND, "behind"),
-            (score_flags::GAP, "gap"),
-            (score_flags::SOURCES_CUT, "sources-cut"),
-            (score_flags::SCORER_FAILED, "scorer-failed"),
-            (score_flags::NOBODY_HOME, "nobody-home"),
-        ],
-    )
-}
-
-/// Names for the bits of a forecast.
-#[must_use]
-pub fn forecast_flag_names(flags: u32) -> Vec<&'static str> {
-    set(
-        flags,
-        &[
-            (forecast_flags::NOT_KNOWN, "not-known"),
-            (forecast_flags::RESTORED, "restored"),
-            (forecast_flags::NOBODY_HOME, "nobody-home"),
-        ],
-    )
-}
-
-/// Names for the bits of a decision.
-#[must_use]
-pub fn decision_flag_names(flags: u32) -> Vec<&'static str> {
-    set(
-        flags,
-        &[
-            (decision_flags::FALLBACK, "fallback"),
-            (decision_flags::STALE, "stale"),
-            (decision_flags::NO_SCORES, "no-scores"),
-            (decision_flags::DAEMON_SILENT, "daemon-silent"),
-            (decision_flags::COVERED, "covered"),
-            (decision_flags::INTERRUPTED, "interrupted"),
-            (decision_flags::REPORTED, "reported"),
-            (decision_flags::DEADLINE, "deadline"),
-            (decision_flags::NOT_KNOWN, "not-known"),
-            (decision_flags::NOBODY_HOME, "nobody-home"),
-            (decision_flags::ROBOT_SILENT, "robot-silent"),
-        ],
-    )
-}
 
 /// Who a message speaks of: a name where there is one.
 #[must_use]
@@ -720,13 +665,6 @@ mod tests {
         (scores.person_count, scores.persons) = (1, 1);
         view.persons(&scores);
         assert!(drawn(&view, 80, 24, 1_100_000_000).contains("ada: present"));
-    }
-
-    #[test]
-    fn flags_have_names() {
-        assert_eq!(score_flag_names(score_flags::GAP | score_flags::NOBODY_HOME), ["gap", "nobody-home"]);
-        assert_eq!(forecast_flag_names(u32::MAX).len(), 3);
-        assert_eq!(decision_flag_names(u32::MAX).len(), 11);
     }
 
     #[test]

@@ -22,8 +22,9 @@ use roomcast_services::recording::{Recorded, Recording};
 use roomcast_services::stop::Stop;
 use serde_json::{Value, json};
 
+use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
 use crate::http::{HttpError, Request, Server, refusal};
-use crate::top::{decision_flag_names, forecast_flag_names, score_flag_names, who};
+use crate::top::who;
 
 const PAGE: &str = include_str!("view/page.html");
 const STYLE: &str = include_str!("view/page.css");

@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 
 use roomcast_ipc::{
     DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, action,
-    decision_flags, forecast_flags, person_flags, presence, sequence,
+    forecast_flags, person_flags, presence, sequence,
 };
 use serde_json::{Value, json};
 
 use super::discovery::Discovery;
 use super::names::slug;
 use super::outbox::Picture;
+use crate::flags::decision_flag_names;
 use roomcast_services::config::BridgeConfig;
 
 /// Robots that are told of; of more, the one that decided longest ago gives way.
@@ -255,23 +256,7 @@ fn decision_message(decision: &DecisionV1, robot: &str) -> Value {
         action::PAUSE => "pause",
         _ => "stay",
     };
-    let flags: Vec<&str> = [
-        (decision_flags::FALLBACK, "fallback"),
-        (decision_flags::STALE, "stale"),
-        (decision_flags::NO_SCORES, "no-scores"),
-        (decision_flags::DAEMON_SILENT, "daemon-silent"),
-        (decision_flags::COVERED, "covered"),
-        (decision_flags::INTERRUPTED, "interrupted"),
-        (decision_flags::REPORTED, "reported"),
-        (decision_flags::DEADLINE, "deadline"),
-        (decision_flags::NOT_KNOWN, "not-known"),
-        (decision_flags::NOBODY_HOME, "nobody-home"),
-        (decision_flags::ROBOT_SILENT, "robot-silent"),
-    ]
-    .into_iter()
-    .filter(|(flag, _)| decision.has(*flag))
-    .map(|(_, name)| name)
-    .collect();
+    let flags = decision_flag_names(decision.flags);
     let place = |id: &str| (!id.is_empty()).then(|| id.to_owned());
     json!({
         "robot": robot,

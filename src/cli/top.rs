@@ -12,7 +12,8 @@ use serde_json::{Value, json};
 
 use super::{CommandResult, Failure, ranges, service};
 use crate::exit_code;
-use crate::top::{POINT_NS, View, decision_flag_names, forecast_flag_names, score_flag_names, set_places};
+use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
+use crate::top::{POINT_NS, View, set_places};
 use roomcast_services::daemon::{flag_words, presence_word};
 use roomcast_services::stop::Stop;
 

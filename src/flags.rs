@@ -1,0 +1,71 @@
+//! Names for the bits of messages, as people and programs read them.
+
+use roomcast_ipc::{decision_flags, forecast_flags, score_flags};
+
+/// The names of the bits that are set, of those that a message has.
+fn set(flags: u32, names: &[(u32, &'static str)]) -> Vec<&'static str> {
+    names.iter().filter(|(flag, _)| flags & flag != 0).map(|(_, name)| *name).collect()
+}
+
+/// Names for the bits of room scores.
+#[must_use]
+pub fn score_flag_names(flags: u32) -> Vec<&'static str> {
+    set(
+        flags,
+        &[
+            (score_flags::HEARTBEAT, "heartbeat"),
+            (score_flags::NO_NARRATION, "no-narration"),
+            (score_flags::BEHIND, "behind"),
+            (score_flags::GAP, "gap"),
+            (score_flags::SOURCES_CUT, "sources-cut"),
+            (score_flags::SCORER_FAILED, "scorer-failed"),
+            (score_flags::NOBODY_HOME, "nobody-home"),
+        ],
+    )
+}
+
+/// Names for the bits of a forecast.
+#[must_use]
+pub fn forecast_flag_names(flags: u32) -> Vec<&'static str> {
+    set(
+        flags,
+        &[
+            (forecast_flags::NOT_KNOWN, "not-known"),
+            (forecast_flags::RESTORED, "restored"),
+            (forecast_flags::NOBODY_HOME, "nobody-home"),
+        ],
+    )
+}
+
+/// Names for the bits of a decision.
+#[must_use]
+pub fn decision_flag_names(flags: u32) -> Vec<&'static str> {
+    set(
+        flags,
+        &[
+            (decision_flags::FALLBACK, "fallback"),
+            (decision_flags::STALE, "stale"),
+            (decision_flags::NO_SCORES, "no-scores"),
+            (decision_flags::DAEMON_SILENT, "daemon-silent"),
+            (decision_flags::COVERED, "covered"),
+            (decision_flags::INTERRUPTED, "interrupted"),
+            (decision_flags::REPORTED, "reported"),
+            (decision_flags::DEADLINE, "deadline"),
+            (decision_flags::NOT_KNOWN, "not-known"),
+            (decision_flags::NOBODY_HOME, "nobody-home"),
+            (decision_flags::ROBOT_SILENT, "robot-silent"),
+        ],
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn flags_have_names() {
+        assert_eq!(score_flag_names(score_flags::GAP | score_flags::NOBODY_HOME), ["gap", "nobody-home"]);
+        assert_eq!(forecast_flag_names(u32::MAX).len(), 3);
+        assert_eq!(decision_flag_names(u32::MAX).len(), 11);
+    }
+}
