@@ -33,6 +33,7 @@ pub fn forecast_flag_names(flags: u32) -> Vec<&'static str> {
             (forecast_flags::NOT_KNOWN, "not-known"),
             (forecast_flags::RESTORED, "restored"),
             (forecast_flags::NOBODY_HOME, "nobody-home"),
+            (forecast_flags::RESIDENT_UNKNOWN, "resident-unknown"),
         ],
     )
 }

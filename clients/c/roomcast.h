@@ -115,6 +115,9 @@
 // Everybody who is known or lives here is away now.
 #define ROOMCAST_FORECAST_FLAGS_NOBODY_HOME (1 << 2)
 
+// Of somebody who lives here nothing was observed: they are in no probability, and may be in any room.
+#define ROOMCAST_FORECAST_FLAGS_RESIDENT_UNKNOWN (1 << 3)
+
 // Most bytes of a decision's reason.
 #define ROOMCAST_REASON_TEXT_BYTES 256
 

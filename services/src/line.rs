@@ -262,15 +262,21 @@ fn json_item(line: &str, person: &Who) -> Result<Item, LineError> {
             (kind, text.trim().to_owned())
         }
         (None, Some(presence)) if json.kind.is_none() => {
+            let room = json.room.as_ref().map(|room| string("room", room)).transpose()?;
             let presence = match presence {
                 "present" => Presence::Present,
                 "away" => Presence::Away,
                 "gone" => Presence::Gone,
-                _ => return Err(key_error("presence", json.presence.as_ref(), "\"present\", \"away\" or \"gone\"")),
+                "empty" => return empty_item(&json, room),
+                _ => {
+                    let allowed = "\"present\", \"away\", \"gone\" or \"empty\"";
+                    return Err(key_error("presence", json.presence.as_ref(), allowed));
+                }
             };
-            let room = json.room.as_ref().map(|room| string("room", room)).transpose()?;
             if room.is_some() && presence != Presence::Present {
-                return Err(reason("\"room\" goes with \"presence\": \"present\" alone; leave one of them out"));
+                return Err(reason(
+                    "\"room\" goes with \"presence\": \"present\" or \"empty\" alone; leave one of them out",
+                ));
             }
             let room = room.map(|room| room.trim().strip_prefix("the ").unwrap_or(room));
             (narration_kind::PRESENCE, PresenceStatement::new(presence, room)?.to_string())
@@ -288,6 +294,18 @@ fn json_item(line: &str, person: &Who) -> Result<Item, LineError> {
     };
     let observed_unix_ns = json.observed_unix_s.as_ref().map(unix_ns).transpose()?;
     Ok(Item { observed_unix_ns, ..Item::new(kind, text, person) })
+}
+
+/// That nobody is in a room.
+fn empty_item(json: &JsonLine, room: Option<&str>) -> Result<Item, LineError> {
+    let room = room.ok_or_else(|| reason("\"presence\": \"empty\" needs a \"room\""))?;
+    if json.person.as_ref().is_some_and(|person| !person.is_null()) {
+        return Err(reason("\"presence\": \"empty\" is of everybody; leave \"person\" out"));
+    }
+    let room = room.trim().strip_prefix("the ").unwrap_or(room);
+    let empty = PresenceStatement::empty(room)?;
+    let observed_unix_ns = json.observed_unix_s.as_ref().map(unix_ns).transpose()?;
+    Ok(Item { observed_unix_ns, ..Item::new(narration_kind::PRESENCE, empty.to_string(), Who::Somebody) })
 }
 
 /// Whole nanoseconds of seconds since 1970; what lies in the future is for whoever has a clock.
@@ -370,6 +388,7 @@ mod tests {
     #[test]
     fn presence_is_said_by_json() {
         for (json, text, person) in [
+            (r#"{"room": "the hall", "presence": "empty"}"#, "nobody in the hall", Who::Somebody),
             (r#"{"person": "ada", "presence": "away"}"#, "away", Who::Name("ada".to_owned())),
             (r#"{"presence": "gone", "person": 7}"#, "gone", Who::Number(7)),
             (r#"{"presence": "present"}"#, "present", Who::Number(3)),
@@ -390,10 +409,18 @@ mod tests {
             (r#"{"text": "They sit.", "kind": "word"}"#, "\"kind\" is \"word\"; give \"sentence\", \"action\" or"),
             (r#"{"text": "They sit.", "presence": "away"}"#, "\"text\" and \"presence\" exclude each other"),
             (r#"{"text": "They sit.", "room": "hall"}"#, "\"room\" goes with \"presence\""),
-            (r#"{"presence": "away", "room": "hall"}"#, "\"room\" goes with \"presence\": \"present\" alone"),
+            (
+                r#"{"presence": "away", "room": "hall"}"#,
+                "\"room\" goes with \"presence\": \"present\" or \"empty\" alone",
+            ),
             (r#"{"presence": "present", "room": ""}"#, "is no presence"),
             (r#"{"presence": "present", "room": 3}"#, "\"room\" is 3; give a text"),
-            (r#"{"presence": "asleep"}"#, "\"presence\" is \"asleep\"; give \"present\", \"away\" or \"gone\""),
+            (
+                r#"{"presence": "asleep"}"#,
+                "\"presence\" is \"asleep\"; give \"present\", \"away\", \"gone\" or \"empty\"",
+            ),
+            (r#"{"presence": "empty"}"#, "\"presence\": \"empty\" needs a \"room\""),
+            (r#"{"presence": "empty", "room": "hall", "person": "ada"}"#, "is of everybody; leave \"person\" out"),
             (r#"{"presence": "unknown"}"#, "\"presence\" is \"unknown\""),
             (r#"{"presence": "away", "kind": "sentence"}"#, "\"kind\" goes with \"text\""),
             (r#"{"text": "They sit.", "person": -1}"#, "\"person\": invalid value: integer `-1`, expected a person's"),

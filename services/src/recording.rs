@@ -527,13 +527,18 @@ impl Recording {
             if !is_claimed && !is_contained {
                 continue;
             }
-            match observation.said {
-                Said::Sentence(sentence) => narration.push((person, sentence)),
-                Said::Presence(statement) if statement.empty_room().is_some() => {}
-                Said::Presence(statement) if statement.is_of_everybody() => narration.clear(),
-                // Who leaves begins a new window.
-                said if said.presence() != Presence::Present => narration.retain(|(of, _)| *of != person),
-                Said::Presence(_) => {}
+            let clauses = observation.said.clauses(|name| self.named(name, scores.epoch).is_some());
+            let whole = clauses.is_empty().then_some(observation.said);
+            for said in whole.into_iter().chain(clauses) {
+                let person = self.subject(&said, scores.epoch).unwrap_or(person);
+                match said {
+                    Said::Sentence(sentence) => narration.push((person, sentence)),
+                    Said::Presence(statement) if statement.empty_room().is_some() => {}
+                    Said::Presence(statement) if statement.is_of_everybody() => narration.clear(),
+                    // Who leaves begins a new window.
+                    said if said.presence() != Presence::Present => narration.retain(|(of, _)| *of != person),
+                    Said::Presence(_) => {}
+                }
             }
         }
         // The window of each is what the daemon says: an hour without a sentence ends one, and who is gone has none.
@@ -570,6 +575,26 @@ impl Recording {
             }
             _ => None,
         })
+    }
+
+    /// Whom a daemon called by a name.
+    fn named(&self, name: &str, epoch: u64) -> Option<u32> {
+        self.messages.iter().find_map(|(_, told)| match told {
+            Recorded::PersonScores(told) if told.epoch == epoch => {
+                told.persons().iter().find(|person| same_name(person.name(), name)).map(|person| person.person)
+            }
+            _ => None,
+        })
+    }
+
+    /// The first person whom a clause names.
+    fn subject(&self, said: &Said, epoch: u64) -> Option<u32> {
+        let known = said.known_names(|name| self.named(name, epoch).is_some());
+        let stated = match said {
+            Said::Presence(statement) => statement.names().next().map(str::to_owned),
+            Said::Sentence(_) => None,
+        };
+        known.into_iter().next().or(stated).and_then(|name| self.named(&name, epoch))
     }
 
     /// Whose an observation is, by the daemon's word, which tells of the newest one in a step, or by its own. None where neither says it.

@@ -1,11 +1,13 @@
 //! `roomcast report`: what a robot says of itself, to its planner.
 
 use std::io::{self, BufRead, Read};
+use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::{Duration, Instant};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use roomcast_ipc::{IpcError, Publisher, RobotReportV1, clock, sequence};
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_ipc::{IpcError, Node, Publisher, RobotReportV1, RoomScoresV1, RoomV1, Subscriber, clock, sequence};
 use strum::{EnumMessage, VariantArray};
 
 use super::{CommandResult, Failure, count, ranges, service};
@@ -17,6 +19,8 @@ use roomcast_services::stop::Stop;
 /// A planner looks at its ports every 100 ms; after so long a running one has what was sent.
 const LINGER: Duration = Duration::from_millis(500);
 const TICK: Duration = Duration::from_millis(50);
+/// A daemon that runs repeats its scores within so long.
+const HEARTBEAT: Duration = Duration::from_millis(1500);
 /// Lines that may lie between standard input and the service.
 const LINES: usize = 8;
 
@@ -119,13 +123,15 @@ pub fn run(args: &Args) -> CommandResult {
     };
     let node = domain.open(&format!("roomcast-report {robot}")).map_err(ipc)?;
     let publisher = node.publisher::<RobotReportV1>().map_err(ipc)?;
+    let mut rooms = Rooms::open(&node, config.scene.path.as_deref()).map_err(ipc)?;
     let (mut sent, mut refused) = (0, 0);
     match one {
         Some(message) => {
+            rooms.check(message.room()).map_err(|error| Failure::new(exit_code::INPUT, error))?;
             publisher.send(&message).map_err(ipc)?;
             sent = 1;
         }
-        None => send_lines(&mut reporter, &publisher, &stop, &mut sent, &mut refused)?,
+        None => send_lines(&mut reporter, &publisher, &mut rooms, &stop, (&mut sent, &mut refused))?,
     }
     if sent > 0 && !stop.requested() {
         let heard = wait(&publisher, robot, Duration::from_secs_f64(args.wait), &stop).map_err(ipc)?;
@@ -162,9 +168,9 @@ pub fn run(args: &Args) -> CommandResult {
 fn send_lines(
     reporter: &mut Reporter,
     publisher: &Publisher<RobotReportV1>,
+    rooms: &mut Rooms,
     stop: &Stop,
-    sent: &mut usize,
-    refused: &mut usize,
+    (sent, refused): (&mut usize, &mut usize),
 ) -> CommandResult {
     let ipc = |error: IpcError| Failure::new(exit_code::IPC, error);
     let lines = read_lines().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
@@ -185,7 +191,8 @@ fn send_lines(
             line => {
                 let message = Report::parse(line)
                     .and_then(|report| reporter.message(&report, clock::monotonic_ns(), clock::unix_ns()));
-                message.map(Some).map_err(|error| error.to_string())
+                let message = message.map_err(|error| error.to_string());
+                message.and_then(|message| rooms.check(message.room()).map(|()| Some(message)))
             }
         });
         match said {
@@ -201,6 +208,40 @@ fn send_lines(
         }
     }
     Ok(())
+}
+
+/// The rooms that a planner can know, where a daemon says which there are.
+struct Rooms {
+    scores: Subscriber<RoomScoresV1>,
+    newest: Option<RoomScoresV1>,
+    /// The scene, whose names of rooms mean ids.
+    map: Option<SemanticMap>,
+}
+
+impl Rooms {
+    fn open(node: &Node, scene: Option<&Path>) -> Result<Self, IpcError> {
+        // What is wrong with the scene is for the planner and the daemon to say.
+        let map = scene.and_then(|path| SemanticMap::load(path).ok());
+        Ok(Self { scores: node.subscriber()?, newest: None, map })
+    }
+
+    /// Refuses a room that neither the daemon nor the scene has. Without a daemon nobody can tell.
+    fn check(&mut self, room: &str) -> Result<(), String> {
+        if room.is_empty() {
+            return Ok(());
+        }
+        if self.newest.is_none() {
+            self.scores.wait(HEARTBEAT).map_err(|error| error.to_string())?;
+        }
+        self.newest = self.scores.newest().map_err(|error| error.to_string())?.or(self.newest);
+        let Some(scores) = &self.newest else { return Ok(()) };
+        let is_named = || self.map.as_ref().is_some_and(|map| map.find_room(room).is_some());
+        if scores.rooms().iter().any(|own| own.id() == room) || is_named() {
+            return Ok(());
+        }
+        let known = scores.rooms().iter().map(RoomV1::id).collect::<Vec<_>>().join(", ");
+        Err(format!("no room is called `{room}`: the rooms are {known}"))
+    }
 }
 
 /// Standard input, line by line, from a thread that waits for it.

@@ -22,7 +22,8 @@ use roomcast_services::stop::Stop;
 pub struct Args {
     #[command(flatten)]
     service: service::Args,
-    /// Print each new snapshot as a line of JSON instead of drawing; also where standard output is no terminal.
+    /// Print each new snapshot as a line of JSON instead of drawing, and the newest one again when a robot's planner decides; also where
+    /// standard output is no terminal.
     #[arg(long)]
     json: bool,
     /// Leave after so many snapshots, or with exit code 6 when no daemon is heard for 10 seconds.
@@ -149,13 +150,17 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
 fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>) -> CommandResult {
     let node = domain.open("roomcast-top").map_err(ipc)?;
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
-    let others = Others::open(&node).map_err(ipc)?;
-    let mut taken = None;
+    let mut others = Others::open(&node).map_err(ipc)?;
+    let mut taken = None::<RoomScoresV1>;
     let mut count = 0;
     let mut silent_from = Some(Instant::now());
     while !stop.requested() && limit.is_none_or(|limit| count < limit) {
         scores.wait(Duration::from_millis(250)).map_err(ipc)?;
+        others.receive().map_err(ipc)?;
         let Some(snapshot) = scores.newest().map_err(ipc)? else {
+            if let Some(known) = taken.filter(|_| !others.decisions.is_empty()) {
+                print_line(&known, &mut others)?;
+            }
             if silent_from.is_some_and(|from| from.elapsed() >= SILENCE) {
                 let place = service::shown(domain);
                 let told =
@@ -169,71 +174,89 @@ fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>) -> CommandResult {
             continue;
         };
         silent_from = limit.map(|_| Instant::now());
-        if taken == Some((snapshot.epoch, snapshot.sequence)) {
-            continue;
+        let is_new = taken.is_none_or(|taken| (taken.epoch, taken.sequence) != (snapshot.epoch, snapshot.sequence));
+        taken = Some(snapshot);
+        count += u64::from(is_new);
+        if is_new || !others.decisions.is_empty() {
+            print_line(&snapshot, &mut others)?;
         }
-        taken = Some((snapshot.epoch, snapshot.sequence));
-        count += 1;
-        let rooms: Vec<_> = (snapshot.rooms().iter())
-            .map(
-                |room| json!({"id": room.id(), "probability": room.probability, "log_score_nats": room.log_score_nats}),
-            )
-            .collect();
-        let mut line = json!({
-            "epoch": snapshot.epoch, "sequence": snapshot.sequence, "age_ns": snapshot.age_ns(clock::monotonic_ns()),
-            "rooms": rooms, "label_mass": snapshot.label_mass, "flags": score_flag_names(snapshot.flags),
-            "model": hex::encode(snapshot.model_fingerprint), "map": hex::encode(snapshot.map_fingerprint),
-            "timing_ns": {"wait": snapshot.wait_ns, "tokenise": snapshot.tokenise_ns, "prefix": snapshot.prefix_ns,
-                "trie": snapshot.trie_ns, "ground": snapshot.ground_ns},
-        });
-        for (key, value) in others.since_the_last_line((snapshot.epoch, snapshot.sequence)).map_err(ipc)? {
-            line[key] = value;
-        }
-        super::print(&format!("{line}\n"))?;
     }
     Ok(())
 }
 
-/// What a line tells beside the room scores.
+/// Prints a snapshot, with what came beside it since the last line.
+fn print_line(snapshot: &RoomScoresV1, others: &mut Others) -> CommandResult {
+    let rooms: Vec<_> = (snapshot.rooms().iter())
+        .map(|room| json!({"id": room.id(), "probability": room.probability, "log_score_nats": room.log_score_nats}))
+        .collect();
+    let mut line = json!({
+        "epoch": snapshot.epoch, "sequence": snapshot.sequence, "age_ns": snapshot.age_ns(clock::monotonic_ns()),
+        "rooms": rooms, "label_mass": snapshot.label_mass, "flags": score_flag_names(snapshot.flags),
+        "model": hex::encode(snapshot.model_fingerprint), "map": hex::encode(snapshot.map_fingerprint),
+        "timing_ns": {"wait": snapshot.wait_ns, "tokenise": snapshot.tokenise_ns, "prefix": snapshot.prefix_ns,
+            "trie": snapshot.trie_ns, "ground": snapshot.ground_ns},
+    });
+    for (key, value) in others.since_the_last_line((snapshot.epoch, snapshot.sequence)) {
+        line[key] = value;
+    }
+    super::print(&format!("{line}\n"))
+}
+
+/// What a line tells beside the room scores: the newest of persons and forecasts, and what was narrated and decided since the last line.
 struct Others {
-    persons: Subscriber<PersonScoresV1>,
-    forecast: Subscriber<ForecastV1>,
-    forecasts: Subscriber<PersonForecastsV1>,
-    narration: Subscriber<NarrationV1>,
-    decisions: Subscriber<DecisionV1>,
+    ports: (
+        Subscriber<PersonScoresV1>,
+        Subscriber<ForecastV1>,
+        Subscriber<PersonForecastsV1>,
+        Subscriber<NarrationV1>,
+        Subscriber<DecisionV1>,
+    ),
+    persons: Option<PersonScoresV1>,
+    forecast: Option<ForecastV1>,
+    forecasts: Option<PersonForecastsV1>,
+    narration: Vec<Value>,
+    decisions: Vec<Value>,
 }
 
 impl Others {
     fn open(node: &Node) -> Result<Self, roomcast_ipc::IpcError> {
         Ok(Self {
-            persons: node.subscriber()?,
-            forecast: node.subscriber()?,
-            forecasts: node.subscriber()?,
-            narration: node.subscriber()?,
-            decisions: node.subscriber()?,
+            ports: (node.subscriber()?, node.subscriber()?, node.subscriber()?, node.subscriber()?, node.subscriber()?),
+            persons: None,
+            forecast: None,
+            forecasts: None,
+            narration: Vec::new(),
+            decisions: Vec::new(),
         })
+    }
+
+    fn receive(&mut self) -> Result<(), roomcast_ipc::IpcError> {
+        let (persons, forecast, forecasts, narration, decisions) = &self.ports;
+        self.persons = persons.newest()?.or(self.persons);
+        self.forecast = forecast.newest()?.or(self.forecast);
+        self.forecasts = forecasts.newest()?.or(self.forecasts);
+        while let Some(received) = narration.receive()? {
+            self.narration.extend(received.iter().map(narration_json));
+        }
+        while let Some(received) = decisions.receive()? {
+            self.decisions.extend(received.iter().map(decision_json));
+        }
+        Ok(())
     }
 
     /// Persons and forecasts that go with the scores of this epoch and sequence (they come before them; whoever has just joined may lack the
     /// first ones), and the narration and the decisions that came since the last line.
-    fn since_the_last_line(&self, of: (u64, u64)) -> Result<[(&'static str, Value); 5], roomcast_ipc::IpcError> {
-        let persons = self.persons.newest()?.filter(|told| (told.epoch, told.sequence) == of);
-        let forecast = self.forecast.newest()?.filter(|told| (told.epoch, told.sequence) == of);
-        let forecasts = self.forecasts.newest()?.filter(|told| (told.epoch, told.sequence) == of);
-        let (mut narration, mut decisions) = (Vec::new(), Vec::new());
-        while let Some(received) = self.narration.receive()? {
-            narration.extend(received.iter().map(narration_json));
-        }
-        while let Some(received) = self.decisions.receive()? {
-            decisions.extend(received.iter().map(decision_json));
-        }
-        Ok([
-            ("persons", persons.as_ref().map_or(Value::Null, persons_json)),
-            ("forecast", forecast.as_ref().map_or(Value::Null, forecast_json)),
-            ("person_forecasts", forecasts.as_ref().map_or(Value::Null, forecasts_json)),
-            ("narration", narration.into()),
-            ("decisions", decisions.into()),
-        ])
+    fn since_the_last_line(&mut self, of: (u64, u64)) -> [(&'static str, Value); 5] {
+        let persons = self.persons.as_ref().filter(|told| (told.epoch, told.sequence) == of);
+        let forecast = self.forecast.as_ref().filter(|told| (told.epoch, told.sequence) == of);
+        let forecasts = self.forecasts.as_ref().filter(|told| (told.epoch, told.sequence) == of);
+        [
+            ("persons", persons.map_or(Value::Null, persons_json)),
+            ("forecast", forecast.map_or(Value::Null, forecast_json)),
+            ("person_forecasts", forecasts.map_or(Value::Null, forecasts_json)),
+            ("narration", std::mem::take(&mut self.narration).into()),
+            ("decisions", std::mem::take(&mut self.decisions).into()),
+        ]
     }
 }
 

@@ -40,6 +40,9 @@ struct Words {
     goes_on: Vec<String>,
     rooms: Vec<String>,
     from_afar: Vec<String>,
+    past: Vec<String>,
+    no_verbs: Vec<String>,
+    ended: Vec<String>,
 }
 
 fn has(words: &[String], word: &str) -> bool {
@@ -281,6 +284,41 @@ pub(super) fn is_from_afar(said: &str) -> bool {
 /// Whether a plain sentence begins with a pronoun.
 pub(super) fn is_of_a_pronoun(said: &str) -> bool {
     cuts(said).next().is_some_and(|(subject, _)| has(&WORDS.pronouns, subject))
+}
+
+/// Whether a plain text begins with persons who are known or called by what they are, and what they do.
+pub(super) fn begins_with_persons(said: &str, mut is_known: impl FnMut(&str) -> bool) -> bool {
+    let subjects = cuts(said).filter(|(subject, _)| is_of_persons_alone(subject, &mut is_known));
+    subjects.last().is_some_and(|(subject, rest)| {
+        let verb = rest.split([' ', ',']).next().unwrap_or_default();
+        let is_done = verb.ends_with('s') || verb.ends_with("ed") || has(&WORDS.past, verb);
+        let is_several = parts(subject).nth(1).is_some();
+        !has(&WORDS.no_verbs, verb) && (is_done || is_several)
+    })
+}
+
+/// Whether all that a plain text has are persons: "ada and the plumber".
+pub(super) fn is_of_persons_alone(subject: &str, mut is_known: impl FnMut(&str) -> bool) -> bool {
+    let mut is_person = |part: &str| {
+        let is_all = has(&WORDS.everybody, part) || has(&WORDS.nobody, part);
+        is_all || bare(part).is_some_and(|name| is_known(name) || has(&WORDS.people, name))
+    };
+    parts(subject).next().is_some() && parts(subject).all(&mut is_person)
+}
+
+/// Whether a plain sentence says of a device that something has ended.
+pub(super) fn is_of_an_end(said: &str) -> bool {
+    cuts(said).any(|(subject, rest)| {
+        let is_thing = subject.strip_prefix("the ").is_some_and(|name| !has(&WORDS.people, name));
+        is_thing
+            && state(rest)
+                .is_some_and(|state| WORDS.ended.iter().any(|end| state.strip_prefix(end.as_str()).is_some_and(ends)))
+    })
+}
+
+/// Whether a word in lower case is written with a full stop before a name.
+pub(super) fn is_title(word: &str) -> bool {
+    has(&WORDS.titles, word)
 }
 
 /// Every way to cut a sentence into a subject and what is said of it, the shortest subject first.

@@ -14,6 +14,7 @@ pub mod history;
 mod person;
 mod presence;
 pub mod program;
+mod several;
 
 pub use action::{
     Action, ActionEntry, ActionError, LINE_BYTES_MAX, NAME_BYTES_MAX, OBJECTS_MAX, ObjectRef, table as action_table,
@@ -196,19 +197,52 @@ pub enum Said {
 
 impl Said {
     /// What a sentence says: one that says in plain words where its person is, and nothing of what they do, is a statement; any other is done
-    /// in the house. Who comes home does something.
+    /// in the house. Who comes home does something. A text that may be about several persons in turn stays as it is for
+    /// [`Said::clauses`], which is told who they are.
     #[must_use]
     pub fn of(sentence: Sentence) -> Self {
-        match PresenceStatement::of_sentence(sentence.as_str()) {
-            Some(statement)
-                if statement.presence() == Presence::Away
-                    || statement.is_of_everybody()
-                    || statement.room().or(statement.empty_room()).is_some() =>
-            {
-                Self::Presence(statement)
-            }
-            _ => Self::Sentence(sentence),
+        if several::may_be_several(sentence.as_str()) {
+            return Self::Sentence(sentence);
         }
+        Self::statement_of(sentence.as_str()).map_or(Self::Sentence(sentence), Self::Presence)
+    }
+
+    /// The statement that a sentence is, if it is one.
+    fn statement_of(text: &str) -> Option<PresenceStatement> {
+        PresenceStatement::of_sentence(text).filter(|statement| {
+            statement.presence() == Presence::Away
+                || statement.is_of_everybody()
+                || statement.room().or(statement.empty_room()).is_some()
+        })
+    }
+
+    /// What each clause of a text says, in their order, where it is more than one sentence of one person: "Mia goes to her room and Tom leaves
+    /// the house." is of Mia, and that Tom is away. `is_known` says whether a name is a person's. Empty where the text says what it is.
+    #[must_use]
+    pub fn clauses(&self, mut is_known: impl FnMut(&str) -> bool) -> Vec<Self> {
+        let Self::Sentence(sentence) = self else { return Vec::new() };
+        if !several::may_be_several(sentence.as_str()) {
+            return Vec::new();
+        }
+        let (clauses, count) = several::clauses(sentence.as_str(), &mut is_known);
+        let mut said = Vec::new();
+        for clause in &clauses[..count] {
+            // Where its person is in the end.
+            let statement = several::sentences(clause).filter_map(Self::statement_of).last();
+            let whose = |statement: PresenceStatement| match statement.subject() {
+                None if !statement.is_of_everybody() => {
+                    let names = Self::Sentence(sentence_or(clause, sentence)).known_names(&mut is_known);
+                    if names.is_empty() { statement } else { statement.with_subjects(&names) }
+                }
+                _ => statement,
+            };
+            match statement.map(whose) {
+                Some(statement) => said.push(Self::Presence(statement)),
+                None if count > 1 => said.push(Self::Sentence(sentence_or(clause, sentence))),
+                None => {}
+            }
+        }
+        said
     }
 
     /// The sentence for the prompt, if it is one.
@@ -236,10 +270,19 @@ impl Said {
     pub fn may_name(&self, mut is_them: impl FnMut(&str) -> bool) -> bool {
         match self {
             Self::Sentence(sentence) => {
-                clause::with_plain(sentence.as_str(), |said| clause::possible_subjects(said).flatten().any(is_them))
+                let text = sentence.as_str();
+                let mut may_name =
+                    |part| clause::with_plain(part, |said| clause::possible_subjects(said).flatten().any(&mut is_them));
+                may_name(text) || several::parts(text).any(may_name)
             }
             Self::Presence(statement) => statement.names().any(&mut is_them),
         }
+    }
+
+    /// Whether it says of a device that something has ended, which anything may have ended: "The light is off."
+    #[must_use]
+    pub fn is_of_an_end(&self) -> bool {
+        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_of_an_end))
     }
 
     /// Whether it says what somebody may do who is not there: "Ada calls.", "Ben is on his way.", "They will be home soon."
@@ -296,6 +339,11 @@ impl fmt::Display for Said {
             Self::Presence(statement) => statement.fmt(f),
         }
     }
+}
+
+/// A clause as a sentence; the whole one where it has no letters.
+fn sentence_or(clause: &str, whole: &Sentence) -> Sentence {
+    Sentence::new(clause).unwrap_or_else(|_| whole.clone())
 }
 
 /// One observation: who, from where, when, and what it says.
@@ -384,6 +432,50 @@ mod tests {
     }
 
     #[test]
+    fn each_clause_says_something_of_its_own() {
+        let of = |text: &str| {
+            let said = Said::of(Sentence::new(text).unwrap());
+            let of_clause = |said: &Said| match said {
+                Said::Presence(statement) => format!("{}: {statement}", statement.subject().unwrap_or("-")),
+                Said::Sentence(sentence) => sentence.to_string(),
+            };
+            let clauses = said.clauses(|name| ["mia", "tom"].contains(&name));
+            clauses.iter().map(of_clause).collect::<Vec<_>>().join(" | ")
+        };
+        for (text, expected) in [
+            ("Mia goes to her room and Tom leaves the house.", "Mia goes to her room. | tom: away"),
+            ("Mia leaves the house. She takes the car.", "mia: away"),
+            ("Mia opens the door. She leaves the house.", "mia: away"),
+            ("Mia and Tom leave the house.", "mia and tom: away"),
+            ("They leave the house and lock the door.", "-: away"),
+            ("Mia is away and nobody is in the kitchen.", "mia: away | -: nobody in the kitchen"),
+            ("They open the fridge and grab the milk.", ""),
+            ("Mia opens the fridge. She grabs the milk.", ""),
+            ("They open the fridge.", ""),
+            ("They leave the house.", ""),
+        ] {
+            assert_eq!(of(text), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn what_has_ended_is_nobodys_place() {
+        let ended = |text: &str| Said::of(Sentence::new(text).unwrap()).is_of_an_end();
+        for text in [
+            "The bathroom light is off.",
+            "The dishwasher is now done.",
+            "the front door is locked",
+            "The lights are off.",
+        ] {
+            assert!(ended(text), "{text}");
+        }
+        for text in ["The oven is on.", "The fridge is open.", "The plumber is done.", "They are done.", "Ada is off."]
+        {
+            assert!(!ended(text), "{text}");
+        }
+    }
+
+    #[test]
     fn a_sentence_names_those_who_are_known() {
         let known = |text: &str| {
             let said = Said::of(Sentence::new(text).unwrap());
@@ -397,6 +489,7 @@ mod tests {
         assert_eq!(known("They give Ada the mug."), "");
         let may_name = |text: &str| Said::of(Sentence::new(text).unwrap()).may_name(|name| name == "ben");
         assert!(may_name("Ada and Ben sit down.") && may_name("Ada and Ben leave the house."));
+        assert!(may_name("Ada cooks. Then Ben eats.") && may_name("Ada cooks and Ben eats."));
         assert!(!may_name("They talk to Ben and Ada."));
     }
 

@@ -131,7 +131,7 @@ impl PresenceStatement {
         }
         let statement = Self::new(presence, room).ok()?;
         Some(match clause.subject {
-            Subject::Named(names) => statement.with_subject(&names.join(AND)),
+            Subject::Named(names) => statement.with_subjects(&names),
             _ => statement,
         })
     }
@@ -148,12 +148,21 @@ impl PresenceStatement {
         Self { subject: Some(subject.to_owned()), ..self }
     }
 
+    /// The same statement of a sentence about these names.
+    pub(super) fn with_subjects<N: AsRef<str>>(self, names: &[N]) -> Self {
+        let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
+        self.with_subject(&names.join(AND))
+    }
+
     fn of_all(presence: Presence) -> Self {
         Self { presence, room: None, subject: None, of_everybody: true }
     }
 
     /// That nobody is in a room: of everybody who is in the house, wherever else they are.
-    fn empty(room: &str) -> Result<Self, PresenceError> {
+    ///
+    /// # Errors
+    /// As [`PresenceStatement::new`].
+    pub fn empty(room: &str) -> Result<Self, PresenceError> {
         Ok(Self { of_everybody: true, ..Self::new(Presence::Present, Some(room))? })
     }
 

@@ -14,6 +14,9 @@ pub const WEIGHT_DEFAULT_S: f64 = 42.0;
 /// robot works for a quarter of an hour in each room, a minute is no price.
 pub const WEIGHT_DEFAULT_SLOTS: f64 = 0.4;
 
+/// Nor less than this share of the stay: a room that is empty with 70 % or more is done rather than left to the next round.
+pub const WEIGHT_DEFAULT_STAY: f64 = 0.3;
+
 /// A difference of less than this share of a slot counts as none: where the chance to meet the person rounds to 0 %, the robot
 /// works at no cost.
 pub(crate) const FREE_SHARE: f64 = 0.005;
@@ -38,7 +41,7 @@ pub struct CoverageAware {
 
 impl CoverageAware {
     /// `weight_s`: how many seconds of disturbance a room left undone is worth. 0 only avoids the person; infinite always
-    /// covers when it can; `None` (or no number) is [`WEIGHT_DEFAULT_S`], or [`WEIGHT_DEFAULT_SLOTS`] if that is more.
+    /// covers when it can; `None` (or no number) is the greatest of [`WEIGHT_DEFAULT_S`], [`WEIGHT_DEFAULT_SLOTS`] and [`WEIGHT_DEFAULT_STAY`].
     #[must_use]
     pub fn new(weight_s: Option<f64>) -> Self {
         let weight_s = weight_s.filter(|weight_s| !weight_s.is_nan()).map(|weight_s| weight_s.max(0.0));
@@ -54,7 +57,7 @@ impl CoverageAware {
     fn weight_s(self, state: &RobotState<'_>) -> f64 {
         self.weight_s.unwrap_or_else(|| {
             let slot_s: f64 = state.expected_shared_s.iter().take(state.covered.len()).sum();
-            WEIGHT_DEFAULT_S.max(WEIGHT_DEFAULT_SLOTS * slot_s)
+            WEIGHT_DEFAULT_S.max(WEIGHT_DEFAULT_SLOTS * slot_s).max(WEIGHT_DEFAULT_STAY * state.room_time_s)
         })
     }
 }

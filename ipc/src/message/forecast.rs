@@ -14,6 +14,8 @@ pub mod forecast_flags {
     pub const RESTORED: u32 = 1 << 1;
     /// Everybody who is known or lives here is away now.
     pub const NOBODY_HOME: u32 = 1 << 2;
+    /// Of somebody who lives here nothing was observed: they are in no probability, and may be in any room.
+    pub const RESIDENT_UNKNOWN: u32 = 1 << 3;
 }
 
 layout! {

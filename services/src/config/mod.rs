@@ -399,6 +399,7 @@ impl Config {
             within("planner.report_timeout_s", planner.report_timeout_s, 1.0..=SECONDS_MAX),
             within("planner.battery_low", low, 0.0..=1.0),
             row("planner.battery_ready", &ready, (low..=1.0).contains(&ready), "give planner.battery_low to 1"),
+            within("planner.charge_timeout_s", planner.charge_timeout_s, 1.0..=SECONDS_MAX),
             row("metrics.listen", &listen, on_loopback, "give a loopback address, 127.0.0.1:PORT or [::1]:PORT: whoever else wants to see metrics needs a proxy"),
             row("bridge.topic", &format!("{:?}", bridge.topic), is_topic(&bridge.topic), &format!("give {topics}")),
             row("bridge.discovery", &format!("{:?}", bridge.discovery), bridge.discovery.is_empty() || is_topic(&bridge.discovery), &format!("give {topics}, or \"\" for no discovery")),

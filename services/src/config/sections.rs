@@ -229,6 +229,8 @@ pub struct PlannerConfig {
     pub battery_low: f64,
     /// It is sent out again when the battery is at this or above, 0 to 1.
     pub battery_ready: f64,
+    /// Seconds after the last report of a robot that charges from which it counts as charged.
+    pub charge_timeout_s: f64,
 }
 
 impl Default for PlannerConfig {
@@ -251,6 +253,7 @@ impl Default for PlannerConfig {
             report_timeout_s: 120.0,
             battery_low: 0.15,
             battery_ready: 0.5,
+            charge_timeout_s: 14_400.0,
         }
     }
 }

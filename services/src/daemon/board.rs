@@ -11,14 +11,14 @@ use roomcast_ipc::{
 };
 
 use super::habits::{HomeHabits, Name, PlaceSet};
-use super::journal::{Expectation, Outcome};
+use super::journal::{Outcome, Recovered};
 use super::persons::{Persons, is_bed, message_ns, presence_value, sleeps};
 use crate::habits_reason::{ELSEWHERE, HorizonLine, PersonHabits, RoomReason, ThingReason};
 use crate::moment::Moment;
 use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
 use roomcast_core::grounding::{Grounding, GroundingOptions, Partition, partitions};
 use roomcast_core::habits::{Place as Whereabouts, WhenShares};
-use roomcast_core::narration::{Observation, Presence, SOMEBODY, Said, Voice};
+use roomcast_core::narration::{Observation, Presence, SOMEBODY, Said, Voice, same_name};
 use roomcast_core::pipeline::{Included, PersonScores, Pipeline, PipelineError, Prepared};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::certified::Effort;
@@ -325,7 +325,11 @@ impl<M: LanguageModel> Board<M> {
             for observation in history.observations() {
                 let Some(at_ns) = observed_at_ns(observation, now_ns, now_unix_ns) else { continue };
                 let own = own.get_or_insert_with(|| follower(grounding, self.options, at_ns));
-                let mention = self.mentions.last(observation.sentence().unwrap_or_default());
+                let words = place_words(observation.sentence().unwrap_or_default(), observation);
+                if words.is_empty() {
+                    continue;
+                }
+                let mention = self.mentions.last(words);
                 own.observe(seconds(at_ns), mention, grounding, &[]);
             }
             let mut own = own.unwrap_or_else(|| follower(grounding, self.options, known.since_ns));
@@ -416,18 +420,12 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Enters observations of a former run, oldest first, without scoring: into the histories, and with their times into the forecasts,
-    /// together with what the model said after some of them, by index. Gives how many were left out, because they cost more tokens than a
-    /// window holds.
-    pub fn restore(
-        &mut self,
-        observations: impl IntoIterator<Item = Observation>,
-        mut expectations: Vec<(usize, u32, Expectation)>,
-        now_ns: u64,
-        now_unix_ns: u64,
-    ) -> usize {
+    /// Enters observations of a former run without scoring: into the histories, and with their times into the forecasts, together with what
+    /// the model said after some of them. Gives how many were left out, because they cost more tokens than a window holds.
+    pub fn restore(&mut self, recovered: Recovered, now_ns: u64, now_unix_ns: u64) -> usize {
         let (map, mut costly) = (self.map_number(), 0);
-        let observations: Vec<Observation> = observations.into_iter().collect();
+        let Recovered { observations, mut expectations, forgotten, .. } = recovered;
+        let mut forgotten = forgotten.into_iter().peekable();
         let learned = self.home.begin_recall(&observations, now_ns, now_unix_ns);
         // What is said of several persons after one step is told in no particular order.
         expectations.sort_by_key(|(after, person, _)| (*after, *person));
@@ -440,6 +438,9 @@ impl<M: LanguageModel> Board<M> {
             if index == learned {
                 self.home.end_recall();
             }
+            while let Some((_, person)) = forgotten.next_if(|(before, _)| *before <= index) {
+                self.lose(person);
+            }
             if self.pipeline.is_costly(&observation) {
                 costly += 1;
                 self.pass_over(observation.source, observation.epoch, observation.sequence);
@@ -450,17 +451,19 @@ impl<M: LanguageModel> Board<M> {
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
             let voice = Voice::of_source(observation.source);
             self.pipeline.include(&observation, voice);
-            self.exclude(&observation, at_ns);
-            for own in self.of_persons(observation) {
-                let Some(own) = self.take(own, Voice::EARLIER, at_ns) else { continue };
-                let person = own.person;
-                self.pipeline.enter(voice, own);
-                self.follow();
-                match self.persons.get_mut(person) {
-                    // They were told of.
-                    Some(known) if known.presence == Presence::Gone => _ = self.persons.remove(person),
-                    Some(known) => known.restored = true,
-                    None => {}
+            for clause in self.clauses(observation) {
+                self.exclude(&clause, at_ns);
+                for own in self.of_persons(clause) {
+                    let Some(own) = self.take(own, Voice::EARLIER, at_ns) else { continue };
+                    let person = own.person;
+                    self.pipeline.enter(voice, own);
+                    self.follow();
+                    match self.persons.get_mut(person) {
+                        // They were told of.
+                        Some(known) if known.presence == Presence::Gone => _ = self.persons.remove(person),
+                        Some(known) => known.restored = true,
+                        None => {}
+                    }
                 }
             }
             while let Some((_, person, expectation)) = expectations.next_if(|(after, ..)| *after <= index) {
@@ -472,6 +475,7 @@ impl<M: LanguageModel> Board<M> {
                 }
             }
         }
+        forgotten.for_each(|(_, person)| self.lose(person));
         self.home.end_restore();
         self.pipeline.forget_voices();
         costly
@@ -494,6 +498,26 @@ impl<M: LanguageModel> Board<M> {
         fingerprint.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes))
     }
 
+    /// The observations that one of several clauses stands for, each of those whom it names; itself where it has one.
+    fn clauses(&self, observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
+        let said = observation.said.clauses(|name| self.persons.is_name_known(name));
+        // What is keyed, or was found by fit, is so in the clauses that name nobody.
+        let own = |said: Said| {
+            let mut names = if said.is_of_a_pronoun() { Vec::new() } else { self.persons.named(&said) };
+            let is_own = |name: &String| match &observation.name {
+                Some(own) => same_name(own, name),
+                None => self.persons.number_of(name) == observation.person,
+            };
+            if names.is_empty() || (names.len() == 1 && names.iter().all(is_own)) {
+                return Observation { said, ..observation.clone() };
+            }
+            let name = if names.len() == 1 { names.pop().map(Into::into) } else { None };
+            Observation { person: SOMEBODY, name, by_fit: false, said, ..observation.clone() }
+        };
+        let several: Vec<Observation> = said.into_iter().map(own).collect();
+        several.is_empty().then_some(observation).into_iter().chain(several)
+    }
+
     /// The observations of persons that one stands for; none where it moves nobody ("The milk is out."), or where its subject is somebody who is not known
     /// and may be anywhere ("Carl is on his way.").
     fn of_persons(&self, mut observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
@@ -506,7 +530,9 @@ impl<M: LanguageModel> Board<M> {
         let is_open = observation.person == SOMEBODY && observation.name.is_none();
         let is_unknown =
             || is_open && said.is_from_afar() && !said.is_of_a_pronoun() && self.persons.named(said).is_empty();
-        let is_of_nobody = is_of_things || is_unknown();
+        // What has ended brings nobody home.
+        let is_over = || is_open && said.is_of_an_end() && self.persons.count().1 == 0;
+        let is_of_nobody = is_of_things || is_over() || is_unknown();
         // A sentence that says where somebody else is, is of them, whoever's narrator heard it.
         if let Said::Presence(statement) = said
             && !is_open
@@ -574,7 +600,7 @@ impl<M: LanguageModel> Board<M> {
         place.name = (observation.source, observation.epoch, observation.sequence);
         place.words.clear();
         let (words, is_sentence) = match &observation.said {
-            Said::Sentence(sentence) => (sentence.as_str(), true),
+            Said::Sentence(sentence) => (place_words(sentence.as_str(), &observation), true),
             Said::Presence(statement) => (statement.room().unwrap_or_default(), false),
         };
         place.words.push_str(words);
@@ -647,10 +673,16 @@ impl<M: LanguageModel> Board<M> {
     /// Forgets a person altogether; the next step's scores are without them.
     pub(super) fn forget(&mut self, person: u32) {
         self.watch();
+        self.lose(person);
+        self.home.forget(person);
+    }
+
+    /// Knows nothing of a person any more, but for what was learned.
+    fn lose(&mut self, person: u32) {
+        self.follow();
         self.persons.remove(person);
         self.attributed.retain(|attributed| attributed.person != person);
         self.drop_person(person);
-        self.home.forget(person);
     }
 
     fn drop_person(&mut self, person: u32) {
@@ -727,6 +759,8 @@ impl<M: LanguageModel> Board<M> {
             if seen.presence == Presence::Away {
                 own.leave(at_s);
                 self.home.is_in(seen.person, seen.at_ns, Some(Whereabouts::Elsewhere), Some(own));
+            } else if seen.is_sentence && seen.words.is_empty() {
+                // What has ended by itself, or by anybody, says nothing of where they are.
             } else if seen.is_sentence {
                 // What the model says after all of them is for what comes then, not for what lies between them.
                 let mention = self.mentions.last(&seen.words);
@@ -774,6 +808,9 @@ impl<M: LanguageModel> Board<M> {
         }
         if self.persons.nobody_is_home() {
             message.flags |= forecast_flags::NOBODY_HOME;
+        }
+        if !not_known && self.persons.misses_residents() {
+            message.flags |= forecast_flags::RESIDENT_UNKNOWN;
         }
         for (id, room) in message.id.iter_mut().zip(rooms) {
             *id = room.id;
@@ -889,10 +926,12 @@ impl<M: LanguageModel> Board<M> {
             }
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns).or(i64::try_from(received_ns).ok());
             self.pipeline.include(&observation, voice);
-            self.exclude(&observation, at_ns);
-            for own in self.of_persons(observation) {
-                if let Some(own) = self.take(own, voice, at_ns) {
-                    self.pipeline.enter(voice, own);
+            for clause in self.clauses(observation) {
+                self.exclude(&clause, at_ns);
+                for own in self.of_persons(clause) {
+                    if let Some(own) = self.take(own, voice, at_ns) {
+                        self.pipeline.enter(voice, own);
+                    }
                 }
             }
         }
@@ -967,8 +1006,10 @@ impl<M: LanguageModel> Board<M> {
         }
         for person in self.rescored.drain(..) {
             let Some(known) = self.persons.get(person) else { continue };
-            let Some(own) = self.pipeline.person(person).filter(|own| own.at_home) else { continue };
-            let ((source, epoch, sequence), probability) = (known.last, &own.grounded.partition_probability[..]);
+            // Of who is out it says whose the observation is.
+            let own = self.pipeline.person(person).filter(|own| own.at_home);
+            let probability = own.map_or(&[][..], |own| &own.grounded.partition_probability[..]);
+            let (source, epoch, sequence) = known.last;
             tell(&Outcome { source, epoch, sequence, person, by_fit: false, map, probability });
         }
     }
@@ -1182,6 +1223,11 @@ fn write_learned(home: &HomeHabits, person: u32, place: &mut PersonForecastV1) {
 /// The row of a horizon.
 fn row(rows: &[f64], horizon: usize) -> Option<&[f64]> {
     rows.chunks_exact((rows.len() / HORIZONS_S.len()).max(1)).nth(horizon)
+}
+
+/// The words of a sentence that say where its person is: none where a device that was found to be theirs has ended something.
+fn place_words<'a>(sentence: &'a str, observation: &Observation) -> &'a str {
+    if observation.by_fit && observation.said.is_of_an_end() { "" } else { sentence }
 }
 
 /// The label that is turned to, and not left.
@@ -1411,7 +1457,9 @@ mod tests {
                 if later_boot { Observation { observed_ns: 0, ..whole } } else { whole }
             });
             let (now_ns, now_unix_ns) = (if later_boot { 2 * S } else { 80 * S }, 1_000_080 * S);
-            after.restore(kept, Vec::new(), now_ns, now_unix_ns);
+            let mut recovered = Recovered::default();
+            recovered.observations = kept.to_vec();
+            after.restore(recovered, now_ns, now_unix_ns);
             after.step([], now_ns, now_unix_ns).unwrap();
             let is = occupied(&mut after, 1, now_ns);
             assert!((was - is).abs() < 0.05, "{was} before, {is} after a restart");

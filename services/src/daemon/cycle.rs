@@ -65,7 +65,7 @@ impl<M: LanguageModel> Cycle<M> {
     pub fn restore(&mut self, recovered: Recovered, intake: &mut Intake, now_ns: u64, now_unix_ns: u64) -> usize {
         recovered.taken().for_each(|observation| intake.restore(observation));
         recovered.ports.iter().for_each(|(name, port)| intake.restore_port(*name, *port));
-        self.board.restore(recovered.observations, recovered.expectations, now_ns, now_unix_ns)
+        self.board.restore(recovered.join(), now_ns, now_unix_ns)
     }
 
     /// Takes note of a narration that was refused: the next scores say that it was dealt with, so that its narrator does not wait for it.

@@ -11,12 +11,15 @@
 //! | `RCJ2`, `RCJ4` | `RCJ1` and `RCJ3` carried over, see below |
 //! | `RCJ5` | what became of an observation that was written before: its source, epoch, sequence (u64 each), the person that it is of (u32), whether that was found by fit (u8), the map's fingerprint (its first 8 bytes), and per room the probability that the model then gave (f32) |
 //! | `RCJ6` | whose a start of a source is: its source and epoch (u64 each), and the port that speaks for it (16 bytes) |
+//! | `RCJ7`, `RCJ8` | `RCJ1` and `RCJ3` of what was last said of a person, before all that the halves hold of it; `RCJ5` follows |
+//! | `RCJ9` | that a person was forgotten then: the number (u32), and whether that was before all observations of the halves (u8) |
 //!
 //! Observations are kept as they came. What the daemon made of one that names nobody, and what the model said after it, is kept beside it, so
 //! that a restarted daemon believes the same.
 //!
 //! When the older half goes, the last record of every source that it alone knew is carried over: what the source said then is
-//! history no more, but what it says again is still known. So is whose port each source is.
+//! history no more, but what it says again is still known. So is whose port each source is. The last two observations of every person are
+//! carried over as history, so that nobody who says much makes the daemon forget where others are.
 //!
 //! A record is handed to the system as soon as it is written, so a daemon that is killed loses nothing; what the machine loses with
 //! its power is at most the last [`JournalOptions::sync_ms`].
@@ -42,6 +45,7 @@ use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_ipc::{MAX_ROOMS, NAME_BYTES, Sender as Port};
 
 mod forget;
+mod last_words;
 
 const MAGIC: [u8; 4] = *b"RCJ1";
 const MAGIC_CARRIED: [u8; 4] = *b"RCJ2";
@@ -49,8 +53,23 @@ const MAGIC_NAMED: [u8; 4] = *b"RCJ3";
 const MAGIC_NAMED_CARRIED: [u8; 4] = *b"RCJ4";
 const MAGIC_OUTCOME: [u8; 4] = *b"RCJ5";
 const MAGIC_PORT: [u8; 4] = *b"RCJ6";
+const MAGIC_KEPT: [u8; 4] = *b"RCJ7";
+const MAGIC_NAMED_KEPT: [u8; 4] = *b"RCJ8";
+const MAGIC_FORGOTTEN: [u8; 4] = *b"RCJ9";
 /// Letters that a record may begin with.
-const MAGICS: [[u8; 4]; 6] = [MAGIC, MAGIC_CARRIED, MAGIC_NAMED, MAGIC_NAMED_CARRIED, MAGIC_OUTCOME, MAGIC_PORT];
+const MAGICS: [[u8; 4]; 9] = [
+    MAGIC,
+    MAGIC_CARRIED,
+    MAGIC_NAMED,
+    MAGIC_NAMED_CARRIED,
+    MAGIC_OUTCOME,
+    MAGIC_PORT,
+    MAGIC_KEPT,
+    MAGIC_NAMED_KEPT,
+    MAGIC_FORGOTTEN,
+];
+/// Those of an observation as it came, or carried over so that it is not taken again.
+const MAGICS_TAKEN: [[u8; 4]; 4] = [MAGIC, MAGIC_CARRIED, MAGIC_NAMED, MAGIC_NAMED_CARRIED];
 /// Those of which a copy in each half is enough, so that they go last where there is too little room.
 const MAGICS_KEPT: [[u8; 4]; 3] = [MAGIC_CARRIED, MAGIC_NAMED_CARRIED, MAGIC_PORT];
 const HEADER_BYTES: usize = 12;
@@ -111,8 +130,20 @@ pub struct Recovered {
     pub ports: BTreeMap<(u64, u64), Port>,
     /// What the model said of a person after one of the observations, whose index comes first.
     pub expectations: Vec<(usize, u32, Expectation)>,
+    /// Who was forgotten, after the index of the observation that came next.
+    pub forgotten: Vec<(usize, u32)>,
+    /// The last observations of persons that were made before all these, until [`Recovered::join`] puts them in their place.
+    kept: KeptWords,
     /// Bytes that were no record: a torn end, or damage.
     pub damaged_bytes: u64,
+}
+
+/// What was last said of persons before all that is in the halves; places are indices of these observations.
+#[derive(Debug, Default)]
+struct KeptWords {
+    observations: Vec<Observation>,
+    expectations: Vec<(usize, u32, Expectation)>,
+    forgotten: Vec<(usize, u32)>,
 }
 
 /// What the model said of a person.
@@ -253,6 +284,7 @@ impl Journal {
             last,
             ports,
             turn,
+            kept: Vec::new(),
             half_bytes: (options.bytes_max / 2).max(4096),
             sync_every: Duration::from_millis(options.sync_ms.max(1)),
             progress: Arc::clone(&progress),
@@ -389,6 +421,8 @@ struct Writer {
     ports: BTreeMap<(u64, u64), Vec<u8>>,
     /// Records written.
     turn: u64,
+    /// What was last said of persons in a half that a rotation has dropped, until the new one has it.
+    kept: Vec<u8>,
     half_bytes: u64,
     sync_every: Duration,
     progress: Arc<Progress>,
@@ -515,7 +549,7 @@ impl Writer {
             let (record, after) = rest.split_at(record_bytes(rest));
             if record.starts_with(&MAGIC_PORT) {
                 self.ports.insert(source_of(record), record.to_vec());
-            } else if !record.starts_with(&MAGIC_OUTCOME) {
+            } else if MAGICS_TAKEN.iter().any(|magic| record.starts_with(magic)) {
                 self.turn += 1;
                 let last = Last { record: record.to_vec(), in_current: true, turn: self.turn };
                 self.last.insert(source_of(record), last);
@@ -555,6 +589,7 @@ impl Writer {
         carried.truncate(if carried.len() as u64 > self.half_bytes / 4 { 0 } else { carried.len() });
         // A rotation that got no further before has put the full half in place already: another file has its name now, or none.
         if names_file(&self.current, &self.file)? {
+            self.kept = self.last_words()?;
             fs::rename(&self.current, &self.older)?;
         }
         self.older_length = self.length;
@@ -566,6 +601,7 @@ impl Writer {
         self.unsynced.clear();
         // The new half has nothing yet. What is carried goes first into it, and is tried again like everything that the disk refuses.
         self.last.values_mut().for_each(|last| last.in_current = false);
+        carried.append(&mut self.kept);
         self.unwritten.splice(..0, carried);
         self.note(sync_folder(&self.current));
         Ok(())
@@ -670,6 +706,12 @@ pub fn encode_port(name: (u64, u64), port: Port) -> Vec<u8> {
     sealed(MAGIC_PORT, payload.concat())
 }
 
+/// That a person was forgotten, as a record; `is_before` all observations of the halves.
+pub(super) fn encode_forgotten(person: u32, is_before: bool) -> Vec<u8> {
+    let payload = [&[0; HEADER_BYTES][..], &person.to_le_bytes(), &[u8::from(is_before)]];
+    sealed(MAGIC_FORGOTTEN, payload.concat())
+}
+
 /// A record of its payload, which stands behind room for the header.
 fn sealed(magic: [u8; 4], mut record: Vec<u8>) -> Vec<u8> {
     let (length, checksum) = ((record.len() - HEADER_BYTES) as u32, crc32fast::hash(&record[HEADER_BYTES..]));
@@ -711,6 +753,13 @@ pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered)
                     Record::Port { name, port } => {
                         recovered.ports.insert(name, port);
                     }
+                    Record::Kept(observation) => recovered.kept.observations.push(observation),
+                    Record::Forgotten { person, is_before: true } => {
+                        recovered.kept.forgotten.push((recovered.kept.observations.len(), person));
+                    }
+                    Record::Forgotten { person, is_before: false } => {
+                        recovered.forgotten.push((recovered.observations.len(), person));
+                    }
                 }
                 rest = &rest[length..];
             }
@@ -738,15 +787,30 @@ impl Recovered {
 
     /// What became of an observation that was read before; of one that is gone it says nothing.
     fn note_outcome(&mut self, name: (u64, u64, u64), person: u32, by_fit: bool, expectation: Expectation) {
-        let named = |o: &Observation| (o.source, o.epoch, o.sequence) == name;
-        let Some(index) = self.observations.iter().rposition(named) else { return };
+        let find = |o: &[Observation]| o.iter().rposition(|o| (o.source, o.epoch, o.sequence) == name);
+        let Self { observations, expectations, kept, .. } = self;
+        let found = find(observations).map(|index| (index, observations, expectations));
+        let found = found.or_else(|| Some((find(&kept.observations)?, &mut kept.observations, &mut kept.expectations)));
+        let Some((index, observations, expectations)) = found else { return };
         if by_fit {
-            let observation = &mut self.observations[index];
+            let observation = &mut observations[index];
             (observation.person, observation.by_fit) = (person, true);
         }
         if !expectation.probability.is_empty() {
-            self.expectations.push((index, person, expectation));
+            expectations.push((index, person, expectation));
         }
+    }
+
+    /// The same with the last observations of persons that were made before these in their place, the first.
+    #[must_use]
+    pub fn join(mut self) -> Self {
+        let KeptWords { mut observations, mut expectations, mut forgotten } = std::mem::take(&mut self.kept);
+        let before = observations.len();
+        self.carried_before.iter_mut().for_each(|index| *index += before);
+        observations.append(&mut self.observations);
+        expectations.extend(self.expectations.drain(..).map(|(index, person, said)| (index + before, person, said)));
+        forgotten.extend(self.forgotten.drain(..).map(|(index, person)| (index + before, person)));
+        Self { observations, expectations, forgotten, ..self }
     }
 }
 
@@ -756,6 +820,8 @@ enum Record {
     Carried(Observation),
     Outcome { name: (u64, u64, u64), person: u32, by_fit: bool, expectation: Expectation },
     Port { name: (u64, u64), port: Port },
+    Kept(Observation),
+    Forgotten { person: u32, is_before: bool },
 }
 
 /// The record that some bytes begin with, and how many of them it has.
@@ -776,6 +842,8 @@ fn decode(bytes: &[u8], boot_id: &[u8; 16]) -> Option<(Record, usize)> {
     let record = match magic {
         MAGIC_OUTCOME => decode_outcome(payload)?,
         MAGIC_PORT => decode_port(payload)?,
+        MAGIC_FORGOTTEN => decode_forgotten(payload)?,
+        MAGIC_KEPT | MAGIC_NAMED_KEPT => Record::Kept(decode_observation(payload, magic == MAGIC_NAMED_KEPT, boot_id)?),
         MAGIC | MAGIC_NAMED => Record::Observation(decode_observation(payload, magic == MAGIC_NAMED, boot_id)?),
         _ => Record::Carried(decode_observation(payload, magic == MAGIC_NAMED_CARRIED, boot_id)?),
     };
@@ -824,6 +892,11 @@ fn decode_outcome(mut payload: &[u8]) -> Option<Record> {
 fn decode_port(mut payload: &[u8]) -> Option<Record> {
     let name = (take_u64(&mut payload)?, take_u64(&mut payload)?);
     Some(Record::Port { name, port: Port::from_bytes(payload.try_into().ok()?) })
+}
+
+fn decode_forgotten(mut payload: &[u8]) -> Option<Record> {
+    let person = take_u32(&mut payload)?;
+    matches!(payload, [0 | 1]).then(|| Record::Forgotten { person, is_before: payload == [1] })
 }
 
 fn take_u64(bytes: &mut &[u8]) -> Option<u64> {
@@ -947,6 +1020,7 @@ mod tests {
             last: BTreeMap::new(),
             ports: BTreeMap::new(),
             turn: 0,
+            kept: Vec::new(),
             half_bytes,
             sync_every: Duration::from_secs(1),
             progress: Arc::default(),
@@ -992,6 +1066,65 @@ mod tests {
             assert_eq!(recovered.observations.last().unwrap().sequence, sequence_of(&writer));
             assert_eq!(recovered.damaged_bytes, 0);
         }
+    }
+
+    /// One narrator that says ten times what the journal holds makes the daemon forget nobody.
+    #[test]
+    fn who_says_much_pushes_nobody_out() {
+        let directory = tempfile::tempdir().unwrap();
+        let options = options(directory.path(), 16_384);
+        let boot = boot_id();
+        let quiet = |sequence: u64, name: &str, said: &str| {
+            let said = PresenceStatement::parse(said).map(Said::Presence);
+            let said = said.unwrap_or_else(|_| Said::Sentence(Sentence::new("They lie on the bed.").unwrap()));
+            Observation { source: 99, name: Some(name.into()), said, ..observation(sequence) }
+        };
+        let told = |journal: &Journal, o: &Observation, person: u32, probability: &[f64]| {
+            let Observation { source, epoch, sequence, .. } = *o;
+            journal.handle().append(&Outcome { source, epoch, sequence, person, by_fit: false, map: 7, probability })
+        };
+        let words = [
+            quiet(1, "ada", "They walk."),
+            quiet(2, "ben", "present"),
+            quiet(3, "eve", "away"),
+            quiet(4, "ada", "They lie."),
+            quiet(5, "all", "everybody away"),
+        ];
+        let mut sequence = 0;
+        for run in 0..4 {
+            let (mut journal, recovered) = Journal::open(&options).unwrap();
+            let recovered = recovered.join();
+            if run == 0 {
+                for (word, person) in words.iter().zip([1, 2, 3, 1, 4]) {
+                    journal.append(word);
+                    told(&journal, word, person, if person == 3 { &[] } else { &[0.25, 0.75] });
+                }
+                // Eve is forgotten, and then said to be away with everybody.
+                let is_eve = |o: &Observation, _| o.name.as_deref() == Some("eve");
+                assert_eq!(journal.handle().forget(3, is_eve, Duration::from_secs(30)).unwrap(), 1);
+                journal.append(&quiet(6, "ben", "present in the kitchen"));
+                told(&journal, &quiet(6, "ben", "present"), 2, &[1.0, 0.0]);
+            } else {
+                let kept: Vec<u64> =
+                    recovered.observations.iter().filter(|o| o.source == 99).map(|o| o.sequence).collect();
+                assert_eq!(kept, [1, 2, 4, 5, 6], "{run}");
+                assert_eq!(recovered.observations[..5].iter().filter(|o| o.source == 99).count(), 5);
+                let of_ben: Vec<_> = recovered.expectations.iter().filter(|(_, person, _)| *person == 2).collect();
+                assert_eq!(of_ben.len(), 2);
+                assert_eq!((of_ben[1].0, &of_ben[1].2.probability[..]), (4, &[1.0, 0.0][..]));
+                assert_eq!(recovered.forgotten, [(4, 3)], "{run}");
+            }
+            for _ in 0..700 {
+                sequence += 1;
+                let number = journal.append(&observation(sequence));
+                let number = number.max(told(&journal, &observation(sequence), 0, &[0.5, 0.5]));
+                assert!(journal.handle().wait_for(number, Duration::from_secs(30)));
+            }
+            drop(journal);
+            let size: u64 = fs::read_dir(directory.path()).unwrap().map(|f| f.unwrap().metadata().unwrap().len()).sum();
+            assert!(size <= 16_384, "{size}");
+        }
+        assert_ne!(boot, [0; 16]);
     }
 
     fn sequence_of(writer: &Writer) -> u64 {

@@ -257,7 +257,8 @@ impl Persons {
         known > 0 && present == 0
     }
 
-    fn misses_residents(&self) -> bool {
+    /// Whether of somebody who lives here nothing was observed.
+    pub(super) fn misses_residents(&self) -> bool {
         self.residents().any(|number| !self.known.contains_key(&number))
     }
 
@@ -313,9 +314,6 @@ impl Persons {
     /// or of strangers who are said to be somewhere, unless one alone comes where nobody goes by a name.
     pub(super) fn named(&self, said: &Said) -> Vec<String> {
         let known = said.known_names(|name| self.is_name_known(name));
-        if !known.is_empty() {
-            return known;
-        }
         let of_sentence = |sentence: &Sentence| PresenceStatement::of_sentence(sentence.as_str());
         let statement = match said {
             Said::Presence(statement) => Some(statement.clone()),
@@ -330,6 +328,9 @@ impl Persons {
             may_be_new && Said::may_be_new(name) && !begins_with_known(name) && check_name(name).is_ok()
         };
         let is_whose = |name: &String| self.is_name_known(name) || is_new(name);
+        if !known.is_empty() && (names.len() <= known.len() || !names.iter().all(is_whose)) {
+            return known;
+        }
         if names.is_empty() {
             return said.person_called().into_iter().filter(is_whose).collect();
         }
@@ -491,7 +492,7 @@ mod tests {
     use roomcast_core::semantic_map::SemanticMap;
     use roomcast_ipc::{Message, PersonV1, forecast_flags, score_flags};
 
-    use super::super::journal::{Recovered, encode, encode_outcome, read_records};
+    use super::super::journal::{Recovered, encode, encode_forgotten, encode_outcome, read_records};
     use super::super::{Board, Entry};
     use super::*;
 
@@ -613,7 +614,7 @@ mod tests {
             assert_eq!(recovered.damaged_bytes, 0);
             self.board = board(&self.config);
             let unix_ns = 1_000_000 * S + self.now_ns;
-            self.board.restore(recovered.observations, recovered.expectations, self.now_ns, unix_ns);
+            self.board.restore(recovered.join(), self.now_ns, unix_ns);
             self.step(None);
         }
     }
@@ -841,6 +842,86 @@ mod tests {
         house.after(1, "somebody", "The plumber walks to the kitchen.");
         assert_eq!(house.presence("plumber"), Some(presence::PRESENT));
         assert_eq!(house.presence("ada"), Some(presence::AWAY));
+    }
+
+    /// What was said of everybody before somebody was forgotten says nothing of them after a restart.
+    #[test]
+    fn who_is_forgotten_stays_so() {
+        let mut house = House::new(&["ada", "ben"]);
+        house.after(1, "ada", "They open the fridge.");
+        house.after(1, "somebody", "Nobody is home.");
+        let ada = house.board.persons().number_of("ada");
+        house.board.forget(ada);
+        house.journal.extend(encode_forgotten(ada, false));
+        house.step(None);
+        for _ in 0..2 {
+            assert_eq!((house.presence("ada"), house.presence("ben")), (None, Some(presence::AWAY)));
+            house.restart();
+        }
+        house.after(1, "ada", "They open the fridge.");
+        house.restart();
+        assert_eq!(house.presence("ada"), Some(presence::PRESENT));
+    }
+
+    /// Each clause of a text is of its own persons, also after a restart.
+    #[test]
+    fn two_clauses_are_of_two_persons() {
+        let mut house = House::new(&["mia", "tom"]);
+        house.after(1, "mia", "They open the fridge.");
+        house.after(1, "tom", "They sit on the sofa.");
+        let newest = |house: &House, who: &str| {
+            let number = house.board.persons().number_of(who);
+            let history = house.board.pipeline().histories().get(number);
+            history.and_then(|own| own.observations().last()?.sentence().map(str::to_owned)).unwrap_or_default()
+        };
+        house.after(1, "somebody", "Mia lies on the bed and Tom goes to the kitchen.");
+        assert_eq!(
+            (newest(&house, "mia"), newest(&house, "tom")),
+            ("Mia lies on the bed.".into(), "Tom goes to the kitchen.".into())
+        );
+        house.after(1, "somebody", "Tom leaves the house. He takes the car. Mia opens the fridge.");
+        for _ in 0..2 {
+            assert_eq!((house.presence("mia"), house.presence("tom")), (Some(presence::PRESENT), Some(presence::AWAY)));
+            assert_eq!(newest(&house, "mia"), "Mia opens the fridge.");
+            house.restart();
+        }
+        house.after(1, "mia", "They leave the house and lock the door.");
+        assert_eq!(house.presence("mia"), Some(presence::AWAY));
+        house.after(1, "somebody", "Tom and the plumber come home.");
+        let presences = |house: &mut House| ["mia", "tom", "plumber"].map(|who| house.presence(who));
+        assert_eq!(presences(&mut house), [Some(presence::AWAY), Some(presence::PRESENT), Some(presence::PRESENT)]);
+        house.after(1, "somebody", "Mia is home. Nobody is in the kitchen.");
+        assert_eq!(presences(&mut house)[0], Some(presence::PRESENT));
+        assert!(house.now().0[0] < 0.9);
+    }
+
+    /// A light that goes off moves nobody, and brings nobody home.
+    #[test]
+    fn what_has_ended_moves_nobody() {
+        let mut house = House::new(&["ada", "ben"]);
+        house.after(1, "ada", "They sit on the sofa.");
+        house.after(60, "ben", "away");
+        let before = house.now().0;
+        house.after(1, "somebody", "The fridge is closed.");
+        let after = house.now().0;
+        assert!(before.iter().zip(&after).all(|(a, b)| (a - b).abs() < 0.05), "{before:?} {after:?}");
+        house.after(1, "ada", "away");
+        for sentence in ["The fridge is closed.", "The light is off."] {
+            house.after(1, "somebody", sentence);
+            assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::AWAY), Some(presence::AWAY)));
+        }
+        house.after(1, "somebody", "They open the fridge.");
+        assert_eq!(house.presence("ben"), Some(presence::PRESENT));
+    }
+
+    /// A forecast says when it lacks somebody who lives here.
+    #[test]
+    fn who_was_never_observed_is_missed() {
+        let mut house = House::new(&["ada", "ben"]);
+        house.after(1, "ada", "They sit on the sofa.");
+        assert_eq!(house.board.forecast(house.now_ns).flags, forecast_flags::RESIDENT_UNKNOWN);
+        house.after(1, "ben", "away");
+        assert_eq!(house.board.forecast(house.now_ns).flags, 0);
     }
 
     /// Who sleeps is asleep wherever they lie, until they do something else.

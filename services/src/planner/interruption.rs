@@ -37,6 +37,13 @@ impl Interruption {
         &self.held
     }
 
+    /// Leaves a room to whoever is there.
+    pub(super) fn hold(&mut self, room: usize) {
+        if let Some(held) = self.held.get_mut(room) {
+            *held = true;
+        }
+    }
+
     pub(super) fn move_rooms(&mut self, rooms: usize, before: impl Fn(usize) -> Option<usize>) {
         let held = |room: usize| before(room).and_then(|old| self.held.get(old).copied()).unwrap_or(false);
         self.held = (0..rooms).map(held).collect();
@@ -72,9 +79,7 @@ impl Interruption {
         if now_ns.saturating_sub(since_ns) < self.after_ns {
             return false;
         }
-        if let Some(held) = self.held.get_mut(room) {
-            *held = true;
-        }
+        self.hold(room);
         self.new_stay(None);
         true
     }

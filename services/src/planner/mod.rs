@@ -337,6 +337,10 @@ impl Planner {
 
     /// Ends the work whose time is over: by the clock it is done, and a robot that owes a report has given it up.
     fn look_at_work(&mut self, now_ns: u64) {
+        if self.robot.give_up_charging(now_ns) {
+            let why = "the robot has said nothing for so long that it counts as charged: ".to_owned();
+            (self.notice.why, self.pausing) = (why, None);
+        }
         let Some(work) = &self.robot.work else { return };
         if self.is_over(work, now_ns) {
             if !self.robot.is_believed() {

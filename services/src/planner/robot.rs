@@ -46,6 +46,7 @@ pub(super) struct Robot {
     timeout_ns: u64,
     battery_low: f64,
     battery_ready: f64,
+    charge_timeout_ns: u64,
     /// Reporters by their epoch, and the highest number of each; newest last.
     reporters: Vec<(u64, u64)>,
     /// It has reported its work.
@@ -70,6 +71,7 @@ impl Robot {
             timeout_ns: nanoseconds(config.report_timeout_s),
             battery_low: config.battery_low,
             battery_ready: config.battery_ready,
+            charge_timeout_ns: nanoseconds(config.charge_timeout_s),
             reporters: Vec::new(),
             reports_work: false,
             heard_ns: None,
@@ -152,6 +154,16 @@ impl Robot {
         now_ns < ends_ns.saturating_add(self.timeout_ns)
     }
 
+    /// A robot that charges and has said nothing for too long counts as charged; whether it does so now.
+    pub(super) fn give_up_charging(&mut self, now_ns: u64) -> bool {
+        let until_ns = self.heard_ns.unwrap_or_default().saturating_add(self.charge_timeout_ns);
+        let gives_up = self.charges && now_ns >= until_ns;
+        if gives_up {
+            (self.charges, self.battery, self.silent) = (false, None, true);
+        }
+        gives_up
+    }
+
     /// Why it is not sent out, if it is not.
     pub(super) fn why_it_charges(&self) -> Option<String> {
         let (battery, ready) = (100.0 * self.battery?, 100.0 * self.battery_ready);
@@ -191,6 +203,12 @@ mod tests {
         robot.charge(0.1);
         robot.leave_dock();
         assert!(robot.charges, "it works on its last reserve, and is not sent to more");
+        let mut lost = Robot::new(&PlannerConfig::default());
+        lost.hear(5);
+        lost.charge(0.1);
+        assert!(!lost.give_up_charging(14_400_000_000_004) && lost.charges);
+        assert!(lost.give_up_charging(14_400_000_000_005) && !lost.charges && lost.silent);
+        assert!(!lost.give_up_charging(u64::MAX));
         let mut unknown = Robot::new(&PlannerConfig::default());
         unknown.dock();
         assert_eq!(unknown.why_it_charges(), None);

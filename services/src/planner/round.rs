@@ -62,6 +62,12 @@ impl Round {
         }
     }
 
+    /// When the robot last could not do a room, of those that are still to do.
+    pub(super) fn failed(&self) -> impl Iterator<Item = (usize, u64)> {
+        let failed = self.failed_ns.iter().enumerate().filter_map(|(room, failed_ns)| Some((room, (*failed_ns)?)));
+        failed.filter(|(room, _)| !self.is_done(*room))
+    }
+
     /// Whether the robot could not do a room, which is still to do.
     pub(super) fn has_failed(&self, room: usize) -> bool {
         !self.is_done(room) && self.failed_ns.get(room).is_some_and(Option::is_some)

@@ -12,6 +12,9 @@ use super::Planner;
 use super::robot::Work;
 use crate::state_file;
 
+/// How often the file says that a robot which charges was heard.
+const MINUTE_NS: u64 = 60_000_000_000;
+
 /// Most bytes of the file that are read.
 const FILE_BYTES_MAX: u64 = 1 << 20;
 
@@ -25,11 +28,20 @@ pub struct KeptRound {
     map: String,
     began_ns: Option<u64>,
     done: Vec<String>,
+    /// Rooms that the robot could not do, and when.
+    #[serde(default)]
+    failed: Vec<(String, u64)>,
+    /// Rooms that were left to a person.
+    #[serde(default)]
+    held: Vec<String>,
     room: Option<String>,
     work: Option<KeptWork>,
     reports_work: bool,
     battery: Option<f64>,
     charges: bool,
+    /// The minute in which a robot that charges was heard last.
+    #[serde(default)]
+    heard_ns: Option<u64>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -50,11 +62,14 @@ impl Planner {
         let scores = self.scores.as_ref()?;
         let id = |room: usize| self.id_of(room).to_owned();
         let done = self.round.covered().iter().enumerate().filter(|(_, done)| **done);
+        let held = self.interruption.held().iter().enumerate().filter(|(_, held)| **held);
         Some(KeptRound {
             boot: boot.to_owned(),
             map: hex::encode(scores.map_fingerprint),
             began_ns: self.round.began_ns,
             done: done.map(|(room, _)| id(room)).collect(),
+            failed: self.round.failed().map(|(room, failed_ns)| (id(room), failed_ns)).collect(),
+            held: held.map(|(room, _)| id(room)).collect(),
             room: self.robot.room.map(id),
             // Of a robot that decides with every score no work outlasts the planner.
             work: self.robot.work.as_ref().filter(|_| self.round.stay_ns > 0).map(|work| KeptWork {
@@ -68,6 +83,11 @@ impl Planner {
             reports_work: self.robot.reports_work,
             battery: self.robot.battery,
             charges: self.robot.charges,
+            heard_ns: self
+                .robot
+                .heard_ns
+                .filter(|_| self.robot.charges)
+                .map(|heard_ns| heard_ns - heard_ns % MINUTE_NS),
         })
     }
 
@@ -78,6 +98,10 @@ impl Planner {
         for done in kept.done.iter().filter_map(|id| room(id)) {
             self.round.cover(done);
         }
+        for (failed, failed_ns) in &kept.failed {
+            room(failed).into_iter().for_each(|room| self.round.fail(room, *failed_ns));
+        }
+        kept.held.iter().filter_map(|id| room(id)).for_each(|room| self.interruption.hold(room));
         self.round.began_ns = kept.began_ns;
         let robot = &mut self.robot;
         robot.room = kept.room.as_deref().and_then(room);
@@ -88,6 +112,7 @@ impl Planner {
         });
         self.asks_again = robot.work.is_some();
         robot.reports_work = kept.reports_work;
+        robot.heard_ns = kept.heard_ns;
         (robot.battery, robot.charges) = (kept.battery, kept.charges && kept.battery.is_some());
     }
 
@@ -131,7 +156,8 @@ impl RoundFile {
             }
         };
         let now_ns = clock::monotonic_ns();
-        let past = kept.began_ns.is_none_or(|began_ns| began_ns <= now_ns);
+        let mut times = kept.failed.iter().map(|(_, failed_ns)| *failed_ns).chain(kept.began_ns).chain(kept.heard_ns);
+        let past = times.all(|past_ns| past_ns <= now_ns);
         // A file that says that work goes on for longer than a day would hold the robot up.
         const LONGEST_NS: u64 = 86_400_000_000_000;
         let is_sane = |work: &KeptWork| {

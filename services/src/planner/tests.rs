@@ -527,6 +527,71 @@ fn a_robot_with_a_low_battery_is_not_sent_out_before_it_is_ready() {
     assert_eq!(home.decision(270).action, action::GO);
 }
 
+/// A robot that is lost on its dock holds up nobody for good, and the restarted planner knows when it was heard.
+#[test]
+fn a_robot_that_charges_and_says_nothing_counts_as_charged() {
+    let mut home = Home::new(2, &PlannerConfig { charge_timeout_s: 1000.0, ..PlannerConfig::default() });
+    home.decision(1);
+    let battery = |report: &mut RobotReportV1| (report.flags, report.battery) = (report_flags::HAS_BATTERY, 0.1);
+    home.report(120, report_kind::DOCKED, battery);
+    assert_eq!(home.decision(120).action, action::PAUSE);
+    let kept = home.planner.kept("boot").unwrap();
+    assert_eq!(home.look(1119), None);
+    let next = home.decision(1120);
+    assert!(
+        next.has(decision_flags::ROBOT_SILENT) && next.reason().contains("it counts as charged"),
+        "{}",
+        next.reason()
+    );
+    assert_eq!(next.action, action::GO);
+    // A planner that starts again rounds to the minute.
+    let config = PlannerConfig { charge_timeout_s: 1000.0, room_time_s: 100.0, ..PlannerConfig::default() };
+    let mut again = Home { planner: Planner::new(&config, 2).with_kept(kept), ..Home::new(2, &config) };
+    assert_eq!(again.decision(200).action, action::PAUSE);
+    assert_eq!(again.look(1119), None);
+    assert_eq!(again.decision(1120).action, action::GO);
+}
+
+/// What the robot could not do, and what was left to a person, is so after a restart.
+#[test]
+fn a_restarted_planner_knows_which_rooms_failed_and_which_are_left_to_somebody() {
+    let mut home = Home::new(3, &PlannerConfig::default());
+    let first = home.decision(1);
+    home.answer(2, report_kind::STARTED, &first);
+    home.likely = vec![0.9, 0.0, 0.0];
+    home.look(3);
+    let second = home.decision(6);
+    assert!(second.has(decision_flags::INTERRUPTED) && second.to() == "room-1");
+    home.answer(7, report_kind::BLOCKED, &second);
+    assert_eq!(home.decision(8).to(), "room-2");
+    let kept = home.planner.kept("boot").unwrap();
+    let text = serde_json::to_string(&kept).unwrap();
+    assert!(text.contains(r#""failed":[["room-1",7000000000]],"held":["room-0"]"#), "{text}");
+    let config = PlannerConfig { room_time_s: 100.0, ..PlannerConfig::default() };
+    let planner = Planner::new(&config, 2).with_kept(kept.clone());
+    let mut again = Home { planner, likely: vec![0.5, 0.0, 0.0], ..Home::new(3, &config) };
+    again.look(9);
+    assert_eq!(
+        again.planner.kept("boot").map(|kept| serde_json::to_string(&kept).unwrap().contains(r#""held":["room-0"]"#)),
+        Some(true)
+    );
+    again.report(20, report_kind::FINISHED, |report| report.room = text::encode("room", "room-2").unwrap());
+    let next = again.decision(20);
+    assert_ne!(next.to(), "room-0", "somebody may still be there");
+}
+
+/// A room that is nearly free is done before the round ends, although hardly anybody is at home.
+#[test]
+fn a_nearly_free_room_is_not_left_undone() {
+    let mut home = Home::new(2, &PlannerConfig::default());
+    home.planner =
+        Planner::new(&PlannerConfig { room_time_s: 600.0, round_s: Some(1200.0), ..PlannerConfig::default() }, 1);
+    home.likely = vec![0.0, 0.1];
+    assert_eq!(home.decision(1).to(), "room-0");
+    let last = home.decision(602);
+    assert_eq!((last.action, last.to()), (action::GO, "room-1"), "{}", last.reason());
+}
+
 #[test]
 fn a_dock_alone_keeps_no_robot_in() {
     let mut home = Home::new(2, &PlannerConfig::default());

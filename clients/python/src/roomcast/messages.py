@@ -72,6 +72,8 @@ class ForecastFlags(enum.IntFlag):
     RESTORED = 2
     #: Everybody who is known or lives here is away now.
     NOBODY_HOME = 4
+    #: Of somebody who lives here nothing was observed: they are in no probability, and may be in any room.
+    RESIDENT_UNKNOWN = 8
 
 
 class Action(enum.IntEnum):

@@ -7,7 +7,7 @@ use roomcast_core::semantic_map::delta::parse_changes;
 use roomcast_ipc::Message;
 
 use super::super::board::HORIZONS_S;
-use super::super::{Board, Entry, Persons, PersonsFile};
+use super::super::{Board, Entry, Persons, PersonsFile, Recovered};
 use super::*;
 
 const S: u64 = 1_000_000_000;
@@ -111,7 +111,9 @@ impl House {
     fn restart(&mut self, memory: Memory) {
         let home = HomeHabits::new(memory, Zone::UTC);
         self.board = board(Some(home));
-        self.board.restore(self.journal.clone(), Vec::new(), self.now_ns, self.now_ns + self.unix_ns);
+        let mut recovered = Recovered::default();
+        recovered.observations.clone_from(&self.journal);
+        self.board.restore(recovered, self.now_ns, self.now_ns + self.unix_ns);
         self.board.step([], self.now_ns, self.now_ns + self.unix_ns).unwrap();
     }
 

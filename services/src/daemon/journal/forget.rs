@@ -10,7 +10,7 @@ use std::path::Path;
 use roomcast_core::narration::{Observation, SOMEBODY, Sentence};
 use rustix::fs::FlockOperation;
 
-use super::{HEADER_BYTES, MAGIC_CARRIED, Record, Writer, decode, encode, open_file};
+use super::{HEADER_BYTES, MAGIC_CARRIED, Record, Writer, decode, encode, encode_forgotten, open_file};
 use crate::state_file::sync_folder;
 
 /// Says whether an observation is of the forgotten person or names them. Of one that named nobody it is told whose it was found to be.
@@ -47,8 +47,11 @@ impl Writer {
             last.record = forgets.without(&last.record);
         }
         self.last.retain(|_, last| last.record.len() > HEADER_BYTES);
+        self.kept = forgets.without(&self.kept);
         self.progress.bytes.store(self.older_length + self.length, std::sync::atomic::Ordering::Relaxed);
         sync_folder(&self.current)?;
+        // What was said of everybody before this does not bring them back after a restart.
+        self.write(&encode_forgotten(person, false))?;
         Ok(forgets.records.get())
     }
 }
@@ -79,7 +82,8 @@ impl Forgets<'_> {
             Record::Observation(observation) | Record::Carried(observation) if self.is_theirs(&observation) => {
                 kept.extend(blank(&observation));
             }
-            Record::Outcome { person, .. } if person == self.person => {}
+            Record::Kept(observation) if self.is_theirs(&observation) => {}
+            Record::Outcome { person, .. } | Record::Forgotten { person, .. } if person == self.person => {}
             _ => kept.extend_from_slice(raw),
         });
         kept
@@ -105,7 +109,7 @@ fn attributions(bytes: &[u8], found: &mut BTreeMap<(u64, u64, u64), u32>) {
 }
 
 /// Every whole record with its bytes; what is none is stepped over.
-fn each_record(bytes: &[u8], mut take: impl FnMut(&[u8], Record)) {
+pub(super) fn each_record(bytes: &[u8], mut take: impl FnMut(&[u8], Record)) {
     let mut rest = bytes;
     while !rest.is_empty() {
         let length = match decode(rest, &[0; 16]) {

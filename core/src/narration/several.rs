@@ -1,0 +1,141 @@
+//! The clauses of a text that says things of several persons: "Mia goes to her room and Tom cooks." is two, of Mia and of Tom.
+
+use super::clause;
+
+/// A text has at most so many clauses of their own; what follows belongs to the last.
+pub(super) const CLAUSES_MAX: usize = 8;
+
+/// What stands between two clauses of one sentence.
+const JOINS: [&str; 5] = [", and ", " and ", ", while ", " while ", ", but "];
+/// What stands between two sentences of one text.
+const ENDS: [&str; 4] = [". ", "! ", "? ", "; "];
+/// A full stop behind so few letters is that of a short form: "Dr. Grey".
+const SHORT_FORM: usize = 3;
+
+/// Whether a text may have more than one clause.
+pub(super) fn may_be_several(text: &str) -> bool {
+    JOINS.iter().chain(&ENDS).any(|join| text.contains(join))
+}
+
+/// The clauses of a text, in its own words and order. Another one begins where somebody is named who `is_person`, with what they do.
+/// A sentence about a pronoun belongs to the clause before it.
+pub(super) fn clauses<'a>(text: &'a str, mut is_person: impl FnMut(&str) -> bool) -> ([&'a str; CLAUSES_MAX], usize) {
+    let (mut found, mut count) = ([""; CLAUSES_MAX], 0);
+    let (mut from, mut at) = (0, 0);
+    while let Some((end, next)) = next_join(text, at) {
+        at = next;
+        if count + 1 == CLAUSES_MAX {
+            break;
+        }
+        let (head, tail) = (&text[from..end], &text[next..]);
+        let begins = clause::with_plain(tail, |tail| clause::begins_with_persons(tail, &mut is_person));
+        let ends = || match is_end(&text[end..next]) {
+            true => !ends_with_short_form(head),
+            // What somebody thinks or sees of two others is one clause.
+            false => !head.contains(" that "),
+        };
+        if begins && ends() && clause::with_plain(head, |head| !clause::is_of_persons_alone(head, &mut is_person)) {
+            (found[count], count, from) = (head, count + 1, next);
+        }
+    }
+    found[count] = &text[from..];
+    (found, count + 1)
+}
+
+/// The sentences of a clause.
+pub(super) fn sentences(text: &str) -> impl Iterator<Item = &str> {
+    let mut rest = Some(text);
+    std::iter::from_fn(move || {
+        let text = rest?;
+        let mut at = 0;
+        while let Some((end, next)) = next_join(text, at) {
+            if is_end(&text[end..next]) && !ends_with_short_form(&text[..end]) {
+                rest = Some(&text[next..]);
+                return Some(&text[..end]);
+            }
+            at = next;
+        }
+        rest = None;
+        Some(text)
+    })
+}
+
+/// All that stands between the words that may stand between clauses.
+pub(super) fn parts(text: &str) -> impl Iterator<Item = &str> {
+    let mut rest = Some(text);
+    std::iter::from_fn(move || {
+        let text = rest?;
+        let (end, next) = next_join(text, 0).unwrap_or((text.len(), text.len()));
+        rest = Some(&text[next..]).filter(|rest| !rest.is_empty());
+        Some(&text[..end])
+    })
+}
+
+fn is_end(join: &str) -> bool {
+    ENDS.contains(&join)
+}
+
+fn ends_with_short_form(head: &str) -> bool {
+    let word = head.rsplit(' ').next().unwrap_or_default();
+    word.chars().count() <= SHORT_FORM
+        && word.chars().all(char::is_alphabetic)
+        && clause::is_title(&word.to_lowercase())
+}
+
+/// Where the next words that may stand between clauses begin and end, from `at` on; of those that begin at one place the longest.
+fn next_join(text: &str, at: usize) -> Option<(usize, usize)> {
+    let joins = JOINS.iter().chain(&ENDS);
+    let found = joins.filter_map(|join| text[at..].find(join).map(|found| (at + found, at + found + join.len())));
+    found.min_by_key(|(begin, end)| (*begin, usize::MAX - *end))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_subject_begins_another_clause() {
+        let split = |text: &str| {
+            let (found, count) = clauses(text, |name| ["ada", "ben", "tom", "aunt mary"].contains(&name));
+            found[..count].join("|")
+        };
+        for (text, expected) in [
+            ("Ada goes to her room and Tom goes to the kitchen.", "Ada goes to her room|Tom goes to the kitchen."),
+            ("Ada cooks, and Ben sets the table.", "Ada cooks|Ben sets the table."),
+            ("Ada leaves the house. Ben opens the fridge.", "Ada leaves the house|Ben opens the fridge."),
+            ("The plumber repairs the shower while Ada reads.", "The plumber repairs the shower|Ada reads."),
+            ("Ada cooks and Ben and Tom sit on the sofa.", "Ada cooks|Ben and Tom sit on the sofa."),
+            ("Ada and Ben sit down and Tom quickly leaves.", "Ada and Ben sit down|Tom quickly leaves."),
+            ("Ada cooks. She eats and Aunt Mary sleeps.", "Ada cooks. She eats|Aunt Mary sleeps."),
+            ("Ada is away and nobody is in the kitchen.", "Ada is away|nobody is in the kitchen."),
+        ] {
+            assert_eq!(split(text), expected);
+        }
+        for text in [
+            "Ada and Ben sit on the sofa.",
+            "Ada, Ben and Tom sit on the sofa.",
+            "Ada hugs Ben and Tom.",
+            "Ada plays with Ben and Tom in the kitchen.",
+            "Ada watches Ben and Tom play.",
+            "Ada says that Ben cooks and Tom sleeps.",
+            "They open the fridge and grab the milk.",
+            "Ada opens the fridge. She grabs the milk.",
+            "Ada fills the mug and Tom's bowl.",
+            "Ada greets Dr. Tom.",
+            "The dishwasher is on and the oven is off.",
+        ] {
+            assert_eq!(split(text), text);
+        }
+        let many = "Ada cooks and ".repeat(40);
+        let (found, count) = clauses(&many, |name| name == "ada");
+        assert_eq!((count, found.iter().map(|part| part.len()).sum::<usize>() + 7 * 5), (CLAUSES_MAX, many.len()));
+    }
+
+    #[test]
+    fn a_clause_may_have_sentences() {
+        let all = |text: &'static str| sentences(text).collect::<Vec<_>>();
+        assert_eq!(all("Ada cooks. She eats."), ["Ada cooks", "She eats."]);
+        assert_eq!(all("Dr. Grey cooks; she eats and sleeps"), ["Dr. Grey cooks", "she eats and sleeps"]);
+        assert_eq!(all("Ada cooks."), ["Ada cooks."]);
+    }
+}
