@@ -86,7 +86,10 @@ pub fn run(args: &Args) -> CommandResult {
     let (mut scores_known, mut persons_known, mut forecasts_known) = (None, None, None);
     let (started, mut flushed) = (Instant::now(), Instant::now());
     let mut malformed = 0;
-    while !stop.requested() && args.seconds.is_none_or(|seconds| started.elapsed() < Duration::from_secs(seconds)) {
+    loop {
+        // What came before the end is still recorded.
+        let ends =
+            stop.requested() || args.seconds.is_some_and(|seconds| started.elapsed() >= Duration::from_secs(seconds));
         // In the order of the flow: what scores contain stands before them.
         let mut news = Vec::new();
         take(&narration, &mut news, &mut malformed, |message| Recorded::Narration(Box::new(message)))?;
@@ -142,8 +145,12 @@ pub fn run(args: &Args) -> CommandResult {
             recorder.flush().map_err(output)?;
             flushed = Instant::now();
         }
+        if ends {
+            break;
+        }
         if news.is_empty() {
-            std::thread::sleep(POLL);
+            // A narrator that says one thing and leaves is gone within milliseconds.
+            narration.wait_with(&scores, POLL).map_err(ipc)?;
         }
     }
     recorder.finish().map_err(output)?;

@@ -1147,6 +1147,11 @@ mod tests {
             ("somebody", "They sit on the sofa."),
             ("ben", "present"),
             ("ben", "They grab the mug."),
+            ("somebody", "Ada opens the fridge and Ben lies on the bed."),
+            ("somebody", "The light is off."),
+            ("somebody", "They sit down. Ben leaves the house. Ada walks to the kitchen."),
+            ("plumber", "They greet Ada and Ben comes home."),
+            ("somebody", "Nobody is in the kitchen. Ada and the plumber sit on the sofa."),
         ];
         for round in 0..6 {
             for (number, (who, what)) in (0..).zip(day) {
