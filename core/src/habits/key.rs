@@ -1,4 +1,5 @@
-//! What a count is kept under: of which kind, of whom, and after what, exactly and without collisions in 64 bits.
+//! What a count is kept under: of which kind, of whom, and after what, in 64 bits. Up to three things are named exactly; longer contexts by
+//! a digest of 48 bits, of which two are the same once in 10^14.
 
 /// No label before this one.
 pub(crate) const NONE: u16 = u16::MAX;
@@ -7,11 +8,18 @@ pub(crate) const NONE: u16 = u16::MAX;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub(crate) enum Kind {
-    /// Objects after the last zero to three objects.
+    /// Other objects after the last zero to five objects; the longest contexts by a digest.
     Object0 = 1,
     Object1,
     Object2,
     Object3,
+    Object4,
+    Object5,
+    /// Whether the last object is mentioned again: by how often it was, and after the last one to three objects.
+    Again0,
+    Again1,
+    Again2,
+    Again3,
     /// Objects by part of the day and kind of day; after the last object by part of the day.
     ObjectHour,
     ObjectAfterHour,
@@ -37,11 +45,17 @@ pub(crate) enum Kind {
 }
 
 impl Kind {
-    pub(crate) const ALL: [Self; 20] = [
+    pub(crate) const ALL: [Self; 26] = [
         Self::Object0,
         Self::Object1,
         Self::Object2,
         Self::Object3,
+        Self::Object4,
+        Self::Object5,
+        Self::Again0,
+        Self::Again1,
+        Self::Again2,
+        Self::Again3,
         Self::ObjectHour,
         Self::ObjectAfterHour,
         Self::RoomOfObject,
@@ -64,7 +78,11 @@ impl Kind {
     pub(crate) fn layout(self) -> [Number; 4] {
         use Number::{Object, Place, Plain};
         match self {
-            Self::Object0 => [Plain, Plain, Plain, Object],
+            Self::Object0 | Self::Object4 | Self::Object5 => [Plain, Plain, Plain, Object],
+            Self::Again0 => [Plain; 4],
+            Self::Again1 => [Object, Plain, Plain, Plain],
+            Self::Again2 => [Object, Object, Plain, Plain],
+            Self::Again3 => [Object, Object, Object, Plain],
             Self::Object1 | Self::ObjectAfterHour => [Object, Plain, Plain, Object],
             Self::Object2 => [Object, Object, Plain, Object],
             Self::Object3 => [Object, Object, Object, Object],
@@ -106,6 +124,18 @@ pub(crate) fn key(kind: Kind, slot: u8, after: [u16; 3]) -> u64 {
     (kind as u64) << 56 | u64::from(slot) << 48 | first << 32 | second << 16 | third
 }
 
+/// Numbers of a context that is longer than three.
+pub(crate) fn digest(context: &[u16]) -> [u16; 3] {
+    // The finaliser of splitmix64 after each number. Files hold what comes out.
+    let digest = context.iter().fold(0u64, |sum, number| {
+        let mut hash = (sum ^ u64::from(*number)).wrapping_add(0x9e37_79b9_7f4a_7c15);
+        hash = (hash ^ (hash >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        hash = (hash ^ (hash >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        hash ^ (hash >> 31)
+    });
+    [(digest >> 32) as u16, (digest >> 16) as u16, digest as u16]
+}
+
 /// The parts of a key; none when its kind is unknown.
 pub(crate) fn parts(key: u64) -> Option<(Kind, u8, [u16; 3])> {
     let kind = Kind::ALL.into_iter().find(|kind| *kind as u64 == key >> 56)?;
@@ -123,5 +153,8 @@ mod tests {
         }
         assert_eq!(parts(u64::MAX), None);
         assert_eq!(parts(0), None);
+        // Files of earlier starts hold these.
+        assert_eq!(digest(&[1, 2, 3, 4, 5]), [27063, 5733, 20958]);
+        assert_ne!(digest(&[1, 2, 3, 4]), digest(&[2, 1, 3, 4]));
     }
 }

@@ -36,7 +36,6 @@ impl<const N: usize> FixedShare<N> {
     }
 
     /// The mixture's probability for an outcome to which the experts give `probabilities`.
-    #[cfg(test)]
     pub(crate) fn mix(&self, probabilities: &[f64; N]) -> f64 {
         self.weights.iter().zip(probabilities).map(|(weight, p)| weight * p).sum()
     }

@@ -29,18 +29,20 @@ mod key;
 mod mixture;
 mod moment;
 mod objects;
+mod reliance;
 mod rooms;
 mod sets;
 mod smoothing;
 mod stays;
 mod stored;
+mod together;
 mod whose;
 mod words;
 
 use counts::{Counts, Limits};
 use frame::{ELSEWHERE, Frame};
 use key::{Kind, NONE, Number, SLOT_MASK, key, parts};
-use objects::{Kept, Objects};
+use objects::{Objects, Parts};
 use rooms::Rooms;
 use stays::{ANCHORS_S, Stays};
 use stored::{Stored, StoredAnchor, StoredName, StoredPerson, StoredRow, malformed};
@@ -411,7 +413,7 @@ impl Habits {
         if learn {
             if let Some((room, place)) = room.zip(place) {
                 rooms.learn_weights(room);
-                rooms.count(counts, slot, place, (here, objects.last, objects.times, number), turn.at_s);
+                rooms.count(counts, slot, place, (here, objects.last_three(), objects.times, number), turn.at_s);
             }
             if let Some((label, number)) = turn.label.zip(number) {
                 objects.learn_weights(label);
@@ -419,8 +421,9 @@ impl Habits {
             }
             person.observations += 1.0;
         }
-        if let Some(number) = number {
-            objects.turn(number);
+        match number {
+            Some(number) => objects.turn(number),
+            None => objects.turn_away(),
         }
         if number.is_some() || place.is_some() {
             objects.forget_forecast();
@@ -492,7 +495,7 @@ impl Habits {
             whose,
             frame,
             frame.place(stays.place),
-            (objects.last, objects.times),
+            (objects.last_three(), objects.times),
             at_s,
             (model, &objects.mixed),
         );
@@ -503,29 +506,8 @@ impl Habits {
     #[must_use]
     pub fn explain(&self, person: u32, label: usize) -> Option<Shares> {
         let person = self.persons.iter().find(|other| other.number == person)?;
-        let (p, weights) = person.objects.by_expert(label)?;
-        let probability: f64 = p.iter().zip(&weights).map(|(p, weight)| p * weight).sum();
-        if probability <= 0.0 {
-            return None;
-        }
-        // Within habit the model keeps what the counts leave to it, and recency, hour and staying keep some of habit: only what they add
-        // to it is theirs.
-        let Kept { model_in_habit, model_in_short, habit_in } = person.objects.kept();
-        let of_model = |expert: usize, kept: f64| (kept * p[0] / p[expert].max(f64::MIN_POSITIVE)).min(1.0);
-        let part = |expert: usize| weights[expert] * p[expert] / probability;
-        let of_habit = |at: usize| (habit_in[at] * p[1] / p[3 + at].max(f64::MIN_POSITIVE)).min(1.0);
-        let through_habit: f64 = part(1) + (0..3).map(|at| of_habit(at) * part(3 + at)).sum::<f64>();
-        let (in_habit, in_short) = (of_model(1, model_in_habit), of_model(2, model_in_short));
-        let added = |at: usize| (1.0 - of_habit(at)) * part(3 + at);
-        Some(Shares {
-            probability,
-            model: part(0) + in_habit * through_habit + in_short * part(2),
-            habit: (1.0 - in_habit) * through_habit + (1.0 - in_short) * part(2),
-            recency: added(0),
-            hour: added(1),
-            staying: added(2),
-            observations: person.objects.observations,
-        })
+        let Parts { probability, model, habit, recency, hour, staying } = person.objects.explain(label)?;
+        Some(Shares { probability, model, habit, recency, hour, staying, observations: person.objects.observations })
     }
 
     /// Where the probability of a room comes from, in the latest forecast of the next room of a person.
@@ -654,11 +636,15 @@ impl Habits {
             observations: person.observations,
             stayed: person.rooms.stayed,
             turned: person.rooms.turned,
+            repeated: [person.objects.repeated, person.objects.turned],
             weights: (person.objects.mixtures.iter().flat_map(|mixture| mixture.weights()))
                 .chain(person.rooms.staying.iter().flat_map(|mixture| mixture.weights()))
                 .chain(person.rooms.destination.iter().flat_map(|mixture| mixture.weights()))
                 .chain(person.objects.base.weights())
                 .chain(person.rooms.base.weights())
+                .chain(person.objects.again.weights())
+                .chain(person.objects.together.iter().flat_map(|together| together.powers()))
+                .chain(person.objects.reliance.state())
                 .copied()
                 .collect(),
             anchors: (person.stays.anchors.iter())
@@ -734,6 +720,23 @@ impl Habits {
                 mixture.restore(*own);
                 weights = rest;
             }
+            let Some((again, rest)) = weights.split_first_chunk() else {
+                return Err(malformed(format!("weights of person {} are missing", from.number)));
+            };
+            let mut rest = rest;
+            for together in &mut person.objects.together {
+                let Some((own, others)) = rest.split_first_chunk() else {
+                    return Err(malformed(format!("weights of person {} are missing", from.number)));
+                };
+                together.restore(*own);
+                rest = others;
+            }
+            let Some((reliance, _)) = rest.split_first_chunk() else {
+                return Err(malformed(format!("weights of person {} are missing", from.number)));
+            };
+            person.objects.again.restore(*again);
+            person.objects.reliance.restore(reliance);
+            [person.objects.repeated, person.objects.turned] = [from.repeated[0], from.repeated[1].max(1.0)];
             if from.anchors.len() != ANCHORS_S.len() {
                 return Err(malformed(format!("horizons of person {} are missing", from.number)));
             }

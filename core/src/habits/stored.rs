@@ -8,7 +8,7 @@ use super::key::Kind;
 /// Begins every file.
 const MAGIC: &[u8; 8] = b"RCHABITS";
 /// Changes when older programs cannot read the file.
-pub(crate) const VERSION: u16 = 1;
+pub(crate) const VERSION: u16 = 2;
 const CHECKSUM_BYTES: usize = 16;
 /// Largest state that is read, in bytes.
 pub const BYTES_MAX: usize = 16 << 20;
@@ -75,7 +75,10 @@ pub(crate) struct StoredPerson {
     pub(crate) observations: f64,
     pub(crate) stayed: f64,
     pub(crate) turned: f64,
-    /// Weights of the mixtures of objects, of staying, of destinations, row by row.
+    /// How often an object was mentioned again, of how many times.
+    pub(crate) repeated: [f64; 2],
+    /// Weights of the mixtures of objects, of staying, of destinations, of both bases, of mentioning again, and how far contexts are
+    /// relied on.
     pub(crate) weights: Vec<f64>,
     pub(crate) anchors: Vec<StoredAnchor>,
 }
@@ -120,6 +123,7 @@ impl Stored {
             out.0.extend_from_slice(&person.number.to_le_bytes());
             out.0.push(person.slot);
             [person.observations, person.stayed, person.turned].into_iter().for_each(|value| out.double(value));
+            person.repeated.into_iter().for_each(|value| out.double(value));
             out.doubles(&person.weights);
             out.length(person.anchors.len());
             for anchor in &person.anchors {
@@ -179,12 +183,14 @@ impl Stored {
         }
         let positive = |value: f64| value.is_finite() && value >= 0.0;
         for person in &self.persons {
-            let own = [person.observations, person.stayed, person.turned];
+            let [repeated, turned] = person.repeated;
+            let own = [person.observations, person.stayed, person.turned, repeated, turned];
             let of_anchors = person.anchors.iter().flat_map(|anchor| [anchor.stayed, anchor.sampled]);
             if !own.into_iter().chain(of_anchors).all(positive) {
                 return Err(malformed(format!("a count of person {} is no count", person.number)));
             }
             if !(person.stayed <= person.turned
+                && repeated <= turned
                 && person.anchors.iter().all(|a| a.stayed <= a.sampled && a.sampled > 0.0))
             {
                 return Err(malformed(format!("person {} stayed more often than there were times", person.number)));
@@ -276,6 +282,7 @@ impl Reader<'_> {
             observations: self.double()?,
             stayed: self.double()?,
             turned: self.double()?,
+            repeated: [self.double()?, self.double()?],
             weights: self.list(Self::double)?,
             anchors: self.list(Self::anchor)?,
         })

@@ -43,11 +43,29 @@ impl<'a> Whose<'a> {
         index: impl Fn(u16) -> Option<usize>,
         p: &mut [f64],
     ) -> (f64, f64) {
-        let mut kept = 1.0;
-        for seen in self.of_others(kind, after) {
-            kept *= smooth(Some(seen), discount, OTHERS_STRENGTH * concentration, &index, p).0;
-        }
+        let kept = self.prior(kind, after, discount, concentration, &index, p).unwrap_or(1.0);
         let (own, total) = smooth(self.own(kind, after), discount, concentration, &index, p);
         (kept * own, total)
+    }
+
+    /// Mixes what the others have seen in a context over the forecast of a shorter one. Gives the weight that the shorter one keeps, if
+    /// they have seen anything.
+    pub(crate) fn prior(
+        &self,
+        kind: Kind,
+        after: [u16; 3],
+        discount: f64,
+        concentration: f64,
+        index: impl Fn(u16) -> Option<usize>,
+        p: &mut [f64],
+    ) -> Option<f64> {
+        let mut kept = None;
+        for seen in self.of_others(kind, after) {
+            let (left, total) = smooth(Some(seen), discount, OTHERS_STRENGTH * concentration, &index, p);
+            if total > 0.0 {
+                kept = Some(kept.unwrap_or(1.0) * left);
+            }
+        }
+        kept
     }
 }
