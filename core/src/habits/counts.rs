@@ -11,6 +11,8 @@ const END: u32 = u32::MAX;
 const FREE: u64 = u64::MAX;
 /// Entries with less than this left are dropped when their row is touched.
 const FORGOTTEN: f32 = 0.02;
+/// A row is brought up to date when its counts are worth less than this; before, what is added counts for more in their place.
+const WORTH: f32 = 0.7;
 /// Rows that the hand compares before the least useful gives way.
 const COMPARED: usize = 16;
 /// Rows per bucket of the hash table, at most, on average.
@@ -153,8 +155,12 @@ impl Counts {
             Some(row) => row,
             None => self.insert(key, now_min),
         };
-        let known = self.decay(row, now_min, symbol);
-        let weight = weight as f32;
+        let Row { touched_min, .. } = self.rows[row as usize];
+        let factor = self.factor(touched_min, now_min);
+        let (known, weight) = match factor >= WORTH {
+            true => (self.to_the_front(row, symbol), weight as f32 / factor),
+            false => (self.decay(row, factor, now_min, symbol), weight as f32),
+        };
         self.rows[row as usize].total += weight;
         if let Some(known) = known {
             self.entries[known as usize].count += weight;
@@ -167,23 +173,31 @@ impl Counts {
         true
     }
 
+    /// The entry of a symbol, which is the row's first then: what comes often is found soon.
+    fn to_the_front(&mut self, row: u32, symbol: u16) -> Option<u32> {
+        let first = self.rows[row as usize].first;
+        let (mut at, mut before) = (first, END);
+        while at != END {
+            let Entry { next, symbol: own, .. } = self.entries[at as usize];
+            if own == symbol {
+                if before != END {
+                    self.entries[before as usize].next = next;
+                    self.entries[at as usize].next = first;
+                    self.rows[row as usize].first = at;
+                }
+                return Some(at);
+            }
+            (before, at) = (at, next);
+        }
+        None
+    }
+
     /// Brings a row up to date, and drops what is forgotten; gives the entry of a symbol.
-    fn decay(&mut self, row: u32, now_min: u32, symbol: u16) -> Option<u32> {
+    fn decay(&mut self, row: u32, factor: f32, now_min: u32, symbol: u16) -> Option<u32> {
         let Row { touched_min, first, .. } = self.rows[row as usize];
-        let factor = self.factor(touched_min, now_min);
         self.rows[row as usize].touched_min = touched_min.max(now_min);
         let mut known = None;
         let (mut at, mut before, mut total) = (first, END, 0.0);
-        if factor >= 1.0 {
-            while at != END {
-                let entry = self.entries[at as usize];
-                if entry.symbol == symbol {
-                    return Some(at);
-                }
-                at = entry.next;
-            }
-            return None;
-        }
         while at != END {
             let entry = &mut self.entries[at as usize];
             entry.count *= factor;

@@ -22,6 +22,16 @@ impl<const N: usize> FixedShare<N> {
         Self { weights: prior }
     }
 
+    /// As [`FixedShare::new`], with the first expert's weight set, and the others' as the prior divides the rest. The bound is then
+    /// that of this weight; shares go to the prior all the same.
+    pub(crate) fn beginning_with(first: f64, prior: [f64; N]) -> Self {
+        let mut weights = prior;
+        let rest: f64 = prior.iter().skip(1).sum();
+        weights.iter_mut().skip(1).for_each(|weight| *weight *= (1.0 - first) / rest);
+        weights.iter_mut().take(1).for_each(|weight| *weight = first);
+        Self { weights }
+    }
+
     /// What each expert counts for; sums to one.
     pub(crate) fn weights(&self) -> &[f64; N] {
         &self.weights

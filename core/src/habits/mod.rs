@@ -644,6 +644,8 @@ impl Habits {
                 .chain(person.rooms.base.weights())
                 .chain(person.objects.again.weights())
                 .chain(person.objects.together.iter().flat_map(|together| together.powers()))
+                .chain(person.rooms.staying_together.iter().flat_map(|together| together.powers()))
+                .chain(person.rooms.destination_together.iter().flat_map(|together| together.powers()))
                 .chain(person.objects.reliance.state())
                 .copied()
                 .collect(),
@@ -704,38 +706,25 @@ impl Habits {
             person.observations = from.observations;
             (person.rooms.stayed, person.rooms.turned) = (from.stayed, from.turned.max(1.0));
             let mut weights = from.weights.as_slice();
-            let mixtures = person.objects.mixtures.iter_mut();
-            let mixtures = mixtures.chain(&mut person.rooms.staying).chain(&mut person.rooms.destination);
-            for mixture in mixtures {
-                let Some((own, rest)) = weights.split_first_chunk() else {
-                    return Err(malformed(format!("weights of person {} are missing", from.number)));
-                };
-                mixture.restore(*own);
-                weights = rest;
+            // In the order in which they are stored.
+            let weights = &mut weights;
+            let Person { objects, rooms, .. } = &mut person;
+            for mixture in &mut objects.mixtures {
+                mixture.restore(taken(weights, from.number)?);
             }
-            for mixture in [&mut person.objects.base, &mut person.rooms.base] {
-                let Some((own, rest)) = weights.split_first_chunk() else {
-                    return Err(malformed(format!("weights of person {} are missing", from.number)));
-                };
-                mixture.restore(*own);
-                weights = rest;
+            for mixture in rooms.staying.iter_mut().chain(&mut rooms.destination) {
+                mixture.restore(taken(weights, from.number)?);
             }
-            let Some((again, rest)) = weights.split_first_chunk() else {
-                return Err(malformed(format!("weights of person {} are missing", from.number)));
-            };
-            let mut rest = rest;
-            for together in &mut person.objects.together {
-                let Some((own, others)) = rest.split_first_chunk() else {
-                    return Err(malformed(format!("weights of person {} are missing", from.number)));
-                };
-                together.restore(*own);
-                rest = others;
+            objects.base.restore(taken(weights, from.number)?);
+            rooms.base.restore(taken(weights, from.number)?);
+            objects.again.restore(taken(weights, from.number)?);
+            for together in &mut objects.together {
+                together.restore(taken(weights, from.number)?);
             }
-            let Some((reliance, _)) = rest.split_first_chunk() else {
-                return Err(malformed(format!("weights of person {} are missing", from.number)));
-            };
-            person.objects.again.restore(*again);
-            person.objects.reliance.restore(reliance);
+            for together in rooms.staying_together.iter_mut().chain(&mut rooms.destination_together) {
+                together.restore(taken(weights, from.number)?);
+            }
+            objects.reliance.restore(&taken(weights, from.number)?);
             [person.objects.repeated, person.objects.turned] = [from.repeated[0], from.repeated[1].max(1.0)];
             if from.anchors.len() != ANCHORS_S.len() {
                 return Err(malformed(format!("horizons of person {} are missing", from.number)));
@@ -803,6 +792,15 @@ impl Habits {
         let stored: Stored = serde_json::from_str(json).map_err(|error| malformed(error.to_string()))?;
         Self::restore(options, &stored.checked()?)
     }
+}
+
+/// The next of a person's stored weights.
+fn taken<const N: usize>(weights: &mut &[f64], person: u32) -> Result<[f64; N], StoredError> {
+    let Some((own, rest)) = weights.split_first_chunk() else {
+        return Err(malformed(format!("weights of person {person} are missing")));
+    };
+    *weights = rest;
+    Ok(*own)
 }
 
 /// Elsewhere among the names of places; no room has an empty word for a name, and none has this one.

@@ -33,22 +33,26 @@ use super::together::Together;
 use super::whose::Whose;
 
 pub(crate) const EXPERTS: usize = 6;
-/// How well the last objects are known to habit: each has weights of its own.
-pub(crate) const GATES: usize = 4;
-/// The weights that the mixture begins with, and that its share goes to.
+/// How well the last objects are known to habit, and last, that the map lacks what came last: each has weights of its own.
+pub(crate) const GATES: usize = 5;
+const LACKING: usize = GATES - 1;
+/// The weights that the mixture's share goes to.
 pub(crate) const PRIOR: [[f64; EXPERTS]; GATES] = [
-    [0.42, 0.08, 0.05, 0.05, 0.05, 0.35],
-    [0.35, 0.12, 0.05, 0.05, 0.05, 0.38],
-    [0.30, 0.15, 0.05, 0.05, 0.05, 0.40],
-    [0.25, 0.20, 0.05, 0.05, 0.05, 0.40],
+    [0.20, 0.05, 0.03, 0.03, 0.03, 0.66],
+    [0.15, 0.06, 0.03, 0.03, 0.03, 0.70],
+    [0.12, 0.09, 0.03, 0.03, 0.03, 0.70],
+    [0.10, 0.11, 0.03, 0.03, 0.03, 0.70],
+    [0.20, 0.05, 0.03, 0.03, 0.03, 0.66],
 ];
+/// The model's weight before anything was seen: a first day of few things is no worse than the model alone.
+pub(crate) const FIRST: f64 = 0.95;
 /// The powers that the product of forecasts begins with: of model, habit, hour and recency.
 const POWERS: [f64; FACTORS] = [0.65, 0.3, 0.1, 0.05];
 pub(crate) const FACTORS: usize = 4;
 /// The same of those who say whether the last object is mentioned again.
 pub(crate) const AGAIN_EXPERTS: usize = 3;
 pub(crate) const AGAIN_PRIOR: [f64; AGAIN_EXPERTS] = [0.5, 0.3, 0.2];
-pub(crate) const SHARE: f64 = 0.01;
+pub(crate) const SHARE: f64 = 0.005;
 /// Of the model and of even chances in the base.
 const BASE: [f64; 2] = [0.9, 0.1];
 
@@ -166,7 +170,7 @@ impl Objects {
             last: [NONE; LAST],
             times: 0,
             recent: Vec::with_capacity(RECENT_MAX),
-            mixtures: PRIOR.map(FixedShare::new),
+            mixtures: PRIOR.map(|prior| FixedShare::beginning_with(FIRST, prior)),
             together: std::array::from_fn(|_| Together::new(POWERS)),
             again: FixedShare::new(AGAIN_PRIOR),
             base: FixedShare::new(BASE),
@@ -274,6 +278,7 @@ impl Objects {
         }
         forecast.model_in_habit = of_model * kept;
         forecast.gate = match kept {
+            _ if first == NONE => LACKING,
             kept if kept > 0.5 => 0,
             kept if kept > 0.2 => 1,
             kept if kept > 0.05 => 2,
@@ -438,7 +443,8 @@ impl Objects {
         self.base.learn(&[p(MODEL_ROW), even], &BASE, SHARE, 1.0);
         self.mixtures[*gate].learn(&EXPERT_ROWS.map(p), &PRIOR[*gate], SHARE, 1.0);
         self.together[*gate].learn(FACTOR_ROWS.map(p));
-        for (order, used) in orders.iter().enumerate() {
+        // After what the map lacks anything may come: of what it has that says nothing.
+        for (order, used) in orders.iter().enumerate().filter(|_| *gate != LACKING) {
             if let Some((cell, left, below)) = *used {
                 let of_shorter = left * p(below) / p(BASE_ROW + order + 1).max(f64::MIN_POSITIVE);
                 self.reliance.learn(cell, of_shorter.min(1.0));

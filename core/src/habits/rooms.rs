@@ -1,4 +1,4 @@
-//! The next room: whether the person leaves this one, and where to if so, by six forecasts each.
+//! The next room: whether the person leaves this one, and where to if so, by seven forecasts each.
 //!
 //! | expert | what it knows |
 //! | --- | --- |
@@ -8,6 +8,7 @@
 //! | objects | the mixture's next object, and in which room it was found before |
 //! | hour | which rooms followed this one at this part of the day, over short |
 //! | staying | the share of times that the person stayed, and else the model |
+//! | together | the others multiplied ([`super::together`]): what is sure of too much is believed less |
 //!
 //! The base is the model mixed with even chances, as for objects. Staying and destination are mixed apart from one another: who knows best that somebody leaves need not know best where to.
 
@@ -16,18 +17,30 @@ use super::frame::Frame;
 use super::key::{Kind, NONE, key, with_times};
 use super::mixture::FixedShare;
 use super::moment;
+use super::together::Together;
 use super::whose::Whose;
 
-pub(crate) const EXPERTS: usize = 6;
+pub(crate) const EXPERTS: usize = 7;
 pub(crate) const GATES: usize = 2;
-pub(crate) const PRIOR: [f64; EXPERTS] = [0.5, 0.15, 0.15, 0.1, 0.05, 0.05];
-pub(crate) const SHARE: f64 = 0.01;
+pub(crate) const PRIOR: [f64; EXPERTS] = [0.1, 0.06, 0.06, 0.06, 0.06, 0.06, 0.6];
+/// The model's weight before anything was seen, of staying and leaving and of where to.
+const FIRST: [f64; 2] = [0.4, 0.8];
+/// The powers that the products begin with: of staying and leaving those of habit, short, objects, hour and staying; of where to those of
+/// model, habit, short, objects and hour.
+pub(crate) const FACTORS: usize = 5;
+const STAYING_POWERS: [f64; FACTORS] = [0.3, 0.2, 0.1, 0.2, 0.2];
+const DESTINATION_POWERS: [f64; FACTORS] = [0.15, 0.3, 0.15, 0.1, 0.15];
+/// The first of the rows that are multiplied.
+const STAYING_FACTOR: usize = 1;
+const DESTINATION_FACTOR: usize = 0;
+const TOGETHER: usize = 6;
+pub(crate) const SHARE: f64 = 0.005;
 const DISCOUNT: f64 = 0.5;
 const CONCENTRATIONS: [f64; 4] = [2.0, 2.0, 1.0, 1.0];
 /// Of the model and of even chances in the base.
 const BASE: [f64; 2] = [0.9, 0.1];
-/// Of things that are less likely next, the map says where they are: all 150 of a home together could move 3 %.
-const UNLIKELY: f64 = 2e-4;
+/// Of things that are less likely next, the map says where they are: looking one up takes longer than it could change anything.
+const UNLIKELY: f64 = 1e-3;
 /// How many observations what the map says of a thing's room is worth.
 const MAP_STRENGTH: f64 = 1.0;
 
@@ -37,6 +50,9 @@ pub(crate) struct Rooms {
     pub(crate) staying: [FixedShare<EXPERTS>; GATES],
     pub(crate) destination: [FixedShare<EXPERTS>; GATES],
     pub(crate) base: FixedShare<2>,
+    pub(crate) staying_together: [Together<FACTORS>; GATES],
+    pub(crate) destination_together: [Together<FACTORS>; GATES],
+    logs: Vec<f32>,
     /// How often the person stayed, of how many times.
     pub(crate) stayed: f64,
     pub(crate) turned: f64,
@@ -55,9 +71,12 @@ pub(crate) struct Rooms {
 impl Rooms {
     pub(crate) fn new() -> Self {
         Self {
-            staying: [FixedShare::new(PRIOR); GATES],
-            destination: [FixedShare::new(PRIOR); GATES],
+            staying: [FixedShare::beginning_with(FIRST[0], PRIOR); GATES],
+            destination: [FixedShare::beginning_with(FIRST[1], PRIOR); GATES],
             base: FixedShare::new(BASE),
+            staying_together: std::array::from_fn(|_| Together::new(STAYING_POWERS)),
+            destination_together: std::array::from_fn(|_| Together::new(DESTINATION_POWERS)),
+            logs: Vec::new(),
             stayed: 1.0,
             turned: 2.0,
             experts: Vec::new(),
@@ -94,7 +113,8 @@ impl Rooms {
         let (habit, rest) = rest.split_at_mut(rooms);
         let (short, rest) = rest.split_at_mut(rooms);
         let (by_object, rest) = rest.split_at_mut(rooms);
-        let (hour, staying) = rest.split_at_mut(rooms);
+        let (hour, rest) = rest.split_at_mut(rooms);
+        let (staying, together) = rest.split_at_mut(rooms);
 
         const FLOOR: f64 = 1e-4;
         let total: f64 = model.iter().map(|p| p.max(FLOOR)).sum();
@@ -152,6 +172,24 @@ impl Rooms {
             staying[here] = if rooms > 1 { stay } else { 1.0 };
         }
 
+        let rows: [&[f64]; EXPERTS - 1] = [own, habit, short, by_object, hour, staying];
+        let factors = std::array::from_fn(|factor| rows[DESTINATION_FACTOR + factor]);
+        self.destination_together[self.gate].forecast(factors, self.here, &mut self.logs, together);
+        if let Some(here) = self.here {
+            let stay = rooms <= 1 || together.iter().all(|p| *p <= 0.0);
+            let factors: [[f64; 2]; FACTORS] = std::array::from_fn(|factor| {
+                let stay = rows[STAYING_FACTOR + factor][here];
+                [stay, 1.0 - stay]
+            });
+            let mut either = [1.0, 0.0];
+            if !stay {
+                let factors = factors.each_ref().map(|factor| factor.as_slice());
+                self.staying_together[self.gate].forecast(factors, None, &mut self.logs, &mut either);
+            }
+            together.iter_mut().for_each(|p| *p *= either[1]);
+            together[here] = either[0];
+        }
+
         self.mixed.clear();
         self.mixed.resize(rooms, 0.0);
         for expert in 0..EXPERTS {
@@ -175,7 +213,7 @@ impl Rooms {
 
     /// What each expert adds to the probability of a room in the latest forecast, and how much of what habit and short give to it is
     /// the model's.
-    pub(crate) fn by_expert(&self, room: usize) -> Option<([f64; EXPERTS], [f64; 2])> {
+    pub(crate) fn by_expert(&self, room: usize) -> Option<([f64; TOGETHER], [f64; 2])> {
         let mixed = *self.mixed.get(room).filter(|_| room < self.rooms)?;
         let p = |expert: usize, room: usize| self.experts[expert * self.rooms + room];
         let part = |expert: usize| match self.here {
@@ -185,7 +223,18 @@ impl Rooms {
                 self.destination[self.gate].weights()[expert] * p(expert, room) / leaves.max(f64::MIN_POSITIVE)
             }
         };
-        let parts: [f64; EXPERTS] = std::array::from_fn(part);
+        let mut parts: [f64; TOGETHER] = std::array::from_fn(part);
+        let of_product = part(TOGETHER);
+        // Of a product each factor has as much as its power.
+        let (powers, first) = match self.here {
+            Some(here) if here == room => (self.staying_together[self.gate].powers(), STAYING_FACTOR),
+            _ => (self.destination_together[self.gate].powers(), DESTINATION_FACTOR),
+        };
+        let powers = powers.map(|power| power.max(0.0));
+        let of_all = powers.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        for (part, power) in parts[first..].iter_mut().zip(powers) {
+            *part += of_product * power / of_all;
+        }
         let total: f64 = parts.iter().sum();
         let of_model = |expert: usize, kept: f64| (kept * p(0, room) / p(expert, room).max(f64::MIN_POSITIVE)).min(1.0);
         let scale = if total > 0.0 { mixed / total } else { 0.0 };
@@ -201,9 +250,15 @@ impl Rooms {
         let p = |expert: usize, room: usize| self.experts[expert * self.rooms + room];
         let Some(here) = self.here else {
             self.destination[self.gate].learn(&std::array::from_fn(|expert| p(expert, room)), &PRIOR, SHARE, 1.0);
+            self.learn_where(room);
             return;
         };
         self.turned += 1.0;
+        let stays = |factor: usize| p(STAYING_FACTOR + factor, here);
+        let given = |stay: f64| if room == here { stay } else { 1.0 - stay };
+        let given = std::array::from_fn(|factor| given(stays(factor)));
+        self.staying_together[self.gate].learn(given);
+        let p = |expert: usize, room: usize| self.experts[expert * self.rooms + room];
         if room == here {
             self.stayed += 1.0;
             self.staying[self.gate].learn(&std::array::from_fn(|expert| p(expert, here)), &PRIOR, SHARE, 1.0);
@@ -211,7 +266,14 @@ impl Rooms {
             self.staying[self.gate].learn(&std::array::from_fn(|expert| 1.0 - p(expert, here)), &PRIOR, SHARE, 1.0);
             let given = |expert| p(expert, room) / (1.0 - p(expert, here)).max(1e-9);
             self.destination[self.gate].learn(&std::array::from_fn(given), &PRIOR, SHARE, 1.0);
+            self.learn_where(room);
         }
+    }
+
+    /// The person went to `room`: the powers of the forecasts of where to learn from it.
+    fn learn_where(&mut self, room: usize) {
+        let p = |factor: usize| self.experts[(DESTINATION_FACTOR + factor) * self.rooms + room];
+        self.destination_together[self.gate].learn(std::array::from_fn(p));
     }
 
     /// Counts that the next object, `object`, was in the place `number`; the person was at `here` and had turned to `last`.

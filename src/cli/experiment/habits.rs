@@ -143,10 +143,10 @@ fn sensors(
         return Err(fault(log, fault_text.to_owned()));
     }
     // Where each edge of an interval was. Times of sentences are sums of differences, and so not quite those of the log.
-    let mut edges: Vec<(f64, usize)> = (intervals.iter())
-        .filter_map(|interval| Some((interval, interval.room?)))
-        .flat_map(|(interval, room)| [(interval.from_s, room), (interval.to_s, room)])
-        .collect();
+    // Of several at one time what begins is rather meant than what ends.
+    let rooms = || intervals.iter().filter_map(|interval| Some((interval, interval.room?)));
+    let begins = rooms().map(|(interval, room)| (interval.from_s, room));
+    let mut edges: Vec<(f64, usize)> = begins.chain(rooms().map(|(interval, room)| (interval.to_s, room))).collect();
     edges.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut mentions = Mentions::new(map, grounding);
     let weights = grounding.weights();

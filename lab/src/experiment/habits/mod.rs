@@ -339,6 +339,10 @@ impl Watch<'_> {
         let turn = Turn { person: PERSON, label: step.label, room: step.room, at_s: step.at_s, mark: 0 };
         self.mixture.observe(&turn);
         self.counts.observe(&turn);
+        // A thing's room is told by its words, a place by the whole trace.
+        if let Some((from_s, place)) = self.trace.place_at(step.at_s) {
+            self.tell_place(place, from_s.max(step.at_s));
+        }
         if let Some(label) = step.label {
             self.context.insert(0, label as u32);
             self.context.truncate(ORDER_MAX);
@@ -441,13 +445,17 @@ impl Watch<'_> {
             self.trace.places.get(self.told).copied().filter(|(from_s, _)| *from_s <= now_s)
         {
             self.told += 1;
-            let known = if place < self.rooms { Place::Room(place) } else { Place::Elsewhere };
-            self.mixture.be(PERSON, known, from_s);
-            self.counts.be(PERSON, known, from_s);
+            self.tell_place(place, from_s);
             self.out_since_s = (place == self.rooms).then_some(from_s);
             self.places.insert(0, place as u32);
             self.places.truncate(ORDER_MAX);
         }
+    }
+
+    fn tell_place(&mut self, place: usize, from_s: f64) {
+        let known = if place < self.rooms { Place::Room(place) } else { Place::Elsewhere };
+        self.mixture.be(PERSON, known, from_s);
+        self.counts.be(PERSON, known, from_s);
     }
 
     /// A moment: what was forecast for it is scored and learned, then later places are forecast.
