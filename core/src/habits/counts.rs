@@ -158,7 +158,7 @@ impl Counts {
         let Row { touched_min, .. } = self.rows[row as usize];
         let factor = self.factor(touched_min, now_min);
         let (known, weight) = match factor >= WORTH {
-            true => (self.to_the_front(row, symbol), weight as f32 / factor),
+            true => (self.bring_forward(row, symbol), weight as f32 / factor),
             false => (self.decay(row, factor, now_min, symbol), weight as f32),
         };
         self.rows[row as usize].total += weight;
@@ -174,7 +174,7 @@ impl Counts {
     }
 
     /// The entry of a symbol, which is the row's first then: what comes often is found soon.
-    fn to_the_front(&mut self, row: u32, symbol: u16) -> Option<u32> {
+    fn bring_forward(&mut self, row: u32, symbol: u16) -> Option<u32> {
         let first = self.rows[row as usize].first;
         let (mut at, mut before) = (first, END);
         while at != END {
