@@ -14,6 +14,8 @@ mod cli;
 mod exit_code;
 #[cfg(any(feature = "bridge", feature = "top", feature = "view"))]
 mod flags;
+#[cfg(feature = "home")]
+mod home_assistant;
 #[cfg(any(feature = "metrics", feature = "view"))]
 mod http;
 #[cfg(feature = "pull")]

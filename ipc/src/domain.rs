@@ -597,6 +597,29 @@ impl Node {
         })
     }
 
+    /// The names of the participants that are alive, this one's too.
+    ///
+    /// # Errors
+    ///
+    /// [`IpcError::Join`] when they cannot be listed.
+    pub fn participants(&self) -> Result<Vec<String>, IpcError> {
+        let mut names = Vec::new();
+        let listed = iceoryx2::node::Node::<Flavour>::list(&self.config, |state| {
+            if let NodeState::Alive(other) = state
+                && let Some(details) = other.details()
+            {
+                names.push(details.name().to_string());
+            }
+            CallbackProgression::Continue
+        });
+        listed.map_err(|error| IpcError::Join {
+            root: self.domain.root.clone(),
+            cause: format!("the participants cannot be listed: {error:?}"),
+        })?;
+        names.sort();
+        Ok(names)
+    }
+
     /// Removes what participants that died left behind; iceoryx2 does it when something is opened, a long-running process also
     /// by itself now and then.
     pub fn clean_up_dead(&self) {

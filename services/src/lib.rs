@@ -48,7 +48,13 @@ pub mod narrator;
 pub mod sensor_log;
 
 #[cfg(feature = "mqtt")]
+pub mod mqtt_tally;
+
+#[cfg(feature = "mqtt")]
 pub mod mqtt;
+
+#[cfg(feature = "mqtt")]
+pub mod mqtt_look;
 
 #[cfg(feature = "mqtt")]
 pub mod mqtt_link;

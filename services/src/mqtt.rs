@@ -61,6 +61,7 @@ use sha2::{Digest, Sha256};
 use tokio::time::{timeout, timeout_at};
 
 use crate::line::Who;
+use crate::mqtt_tally::Tally;
 use crate::rule::{Keys, Saying};
 use crate::stop::Stop;
 use roomcast_core::narration::Presence;
@@ -185,6 +186,23 @@ struct RuleKeys {
     quiet_s: Option<f64>,
 }
 
+/// What a rule is about.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RuleAbout<'a> {
+    /// Its number, from 1.
+    pub number: usize,
+    /// Its filter.
+    pub topic: &'a str,
+    /// The value that it speaks of.
+    pub when: Option<&'a str>,
+    /// The room that it names; it may have placeholders.
+    pub room: Option<String>,
+    /// The person that it names; it may have placeholders.
+    pub person: Option<String>,
+    /// The sentence that it says; it may have placeholders.
+    pub sentence: Option<String>,
+}
+
 #[derive(Debug, Clone, PartialEq)]
 struct Rule {
     topic: String,
@@ -263,8 +281,46 @@ impl Rules {
         rules.collect::<Result<_, _>>().map(Self)
     }
 
+    /// What `doctor` asks of each rule, in their order.
+    pub fn about(&self) -> impl Iterator<Item = RuleAbout<'_>> {
+        let text = |rule: &'_ Rule, key: &str| rule.saying.text(key).map(str::to_owned);
+        (1..).zip(&self.0).map(move |(number, rule)| RuleAbout {
+            number,
+            topic: &rule.topic,
+            when: rule.when.as_deref(),
+            room: text(rule, "room"),
+            person: text(rule, "person"),
+            sentence: text(rule, "text"),
+        })
+    }
+
+    /// By what each rule is known while its file is edited, in their order.
+    #[must_use]
+    pub fn keys(&self) -> Vec<String> {
+        let keys = self.0.iter().map(|rule| {
+            let says = rule.saying.line(|name| format!("{{{name}}}"));
+            let (field, when) = (rule.field.as_deref().unwrap_or_default(), rule.when.as_deref().unwrap_or_default());
+            let text = format!("{}\n{field}\n{when}\n{says}", rule.topic);
+            hex::encode(&fingerprint(text.as_bytes())[..8])
+        });
+        keys.collect()
+    }
+
+    /// The numbers of the rules that can read a message, and whether they speak of its value.
+    #[must_use]
+    pub fn reads(&self, topic: &str, payload: &[u8]) -> Vec<(usize, bool)> {
+        self.readings(topic, payload).iter().map(|said| (said.number, said.line.is_some())).collect()
+    }
+
+    /// Whether a topic is one that this rule, by its number, listens to.
+    #[must_use]
+    pub fn fits(&self, number: usize, topic: &str) -> bool {
+        number.checked_sub(1).and_then(|at| self.0.get(at)).is_some_and(|rule| matches(&rule.topic, topic).is_some())
+    }
+
     /// Filters to subscribe to, each once.
-    fn filters(&self) -> Vec<String> {
+    #[must_use]
+    pub fn filters(&self) -> Vec<String> {
         let mut filters: Vec<_> = self.0.iter().map(|rule| rule.topic.clone()).collect();
         filters.sort();
         filters.dedup();
@@ -399,13 +455,17 @@ pub struct Listener {
     /// Whether what is retained now was retained before this process first listened.
     first_connection: bool,
     heard: Heard,
+    /// How often each rule fitted a message.
+    fitted: Vec<u64>,
 }
 
 impl Listener {
     /// One that has heard nothing yet.
     #[must_use]
     pub fn new(rules: Rules) -> Self {
-        Self { rules, last: HashMap::new(), waiting: Vec::new(), first_connection: true, heard: Heard::default() }
+        let fitted = vec![0; rules.0.len()];
+        let (last, waiting, heard) = (HashMap::new(), Vec::new(), Heard::default());
+        Self { rules, last, waiting, first_connection: true, heard, fitted }
     }
 
     /// The narration of a message that is to be said at once, as lines of JSON; `retained` is what the broker calls it.
@@ -477,6 +537,11 @@ impl Listener {
         for outcome in &outcomes {
             if let What::Waits(line, quiet) = &outcome.what {
                 self.wait(Waiting { line: line.clone(), since: now, quiet: *quiet });
+            }
+        }
+        for outcome in outcomes.iter().filter(|outcome| outcome.what != What::OtherValue) {
+            if let Some(count) = self.fitted.get_mut(outcome.number.wrapping_sub(1)) {
+                *count = count.saturating_add(1);
             }
         }
         let acts = |outcome: &Outcome| matches!(outcome.what, What::Said(_) | What::Waits(..));
@@ -591,8 +656,25 @@ impl Broker {
 ///
 /// [`MqttError::Refused`] when the broker grants nothing, [`MqttError::Client`] when the client cannot go on.
 pub fn listen(options: MqttOptions, rules: Rules, out: impl Write, stop: &Stop) -> Result<Heard, MqttError> {
+    listen_and_count(options, rules, None, out, stop)
+}
+
+/// Listens as [`listen`] does, and counts how often each rule fits a message.
+///
+/// # Errors
+///
+/// As [`listen`].
+pub fn listen_and_count(
+    options: MqttOptions,
+    rules: Rules,
+    tally: Option<Tally>,
+    out: impl Write,
+    stop: &Stop,
+) -> Result<Heard, MqttError> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().map_err(failed)?;
-    runtime.block_on(Connection::new(options, rules, out).listen(stop))
+    let mut connection = Connection::new(options, rules, out);
+    connection.tally = tally;
+    runtime.block_on(connection.listen(stop))
 }
 
 /// Listens as [`listen`] does, and writes what becomes of each message, for people: the rule, and what it would say. Nothing is narrated,
@@ -698,6 +780,8 @@ struct Connection<W> {
     connected: bool,
     /// Reports what would be said, in place of saying it.
     rehearses: bool,
+    /// Keeps how often each rule fits.
+    tally: Option<Tally>,
     out: W,
 }
 
@@ -729,6 +813,7 @@ impl<W: Write> Connection<W> {
             recent,
             connected: false,
             rehearses: false,
+            tally: None,
             out,
         }
     }
@@ -742,11 +827,14 @@ impl<W: Write> Connection<W> {
                 Ok(None) => break,
                 Err(_) => Turn::Unread,
             };
+            self.keep_tally(false);
             if matches!(turn, Turn::Unread) {
+                self.keep_tally(true);
                 return Ok(self.listener.heard);
             }
         }
         self.leave(&mut connections).await?;
+        self.keep_tally(true);
         Ok(self.listener.heard)
     }
 
@@ -765,6 +853,12 @@ impl<W: Write> Connection<W> {
             }
         }
         Ok(None)
+    }
+
+    fn keep_tally(&mut self, at_end: bool) {
+        if let Some(tally) = &mut self.tally {
+            tally.keep(&self.listener.fitted, at_end);
+        }
     }
 
     fn take(&mut self, event: &Event, connections: &mut u64) -> Result<Turn, MqttError> {

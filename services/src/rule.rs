@@ -75,6 +75,11 @@ impl Saying {
         self.quiet
     }
 
+    /// A key's text as it was given, placeholders and all.
+    pub(crate) fn text(&self, key: &str) -> Option<&str> {
+        self.keys.get(key).and_then(Value::as_str)
+    }
+
     /// The line of JSON that says it, with the value of each name in braces.
     pub(crate) fn line(&self, value_of: impl Fn(&str) -> String) -> String {
         let filled =

@@ -23,6 +23,11 @@ pub struct Args {
 }
 
 impl Args {
+    /// What a command line says that spells these options in its own way.
+    pub fn of(mqtt: Option<String>, mqtt_credentials: Option<PathBuf>, mqtt_ca: Option<PathBuf>) -> Self {
+        Self { mqtt, mqtt_credentials, mqtt_ca }
+    }
+
     /// The broker, for a client of this name.
     ///
     /// # Errors

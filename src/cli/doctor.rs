@@ -1,14 +1,22 @@
-//! `roomcast doctor`: can this machine run Roomcast, and how well. Every finding that is not good comes with its remedy.
+//! `roomcast doctor`: can this machine run Roomcast, and how well; and with a configuration, what is wrong with the home that it
+//! describes. Every finding that is not good comes with its remedy.
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use comfy_table::Table;
 use roomcast_ipc::{Domain, NarrationV1};
 use rustix::process::{Resource, getrlimit};
-use serde::Serialize;
 
-use super::{CommandResult, Failure, service};
+mod finding;
+mod home;
+#[cfg(feature = "mqtt")]
+mod home_mqtt;
+
+use finding::{Finding, Verdict};
+use home::Place;
+
+use super::{CommandResult, Failure, ranges, service};
 use crate::exit_code;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::{Observation, Program, Sentence};
@@ -31,43 +39,12 @@ pub struct Args {
     /// A scene to check in place of the configured one.
     #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
+    /// Seconds to listen to the topics of the configuration's broker.
+    #[arg(long, value_name = "SECONDS", default_value_t = 5.0, value_parser = ranges::time_s)]
+    wait: f64,
     /// Print JSON, for a report to the developers.
     #[arg(long)]
     json: bool,
-}
-
-/// How good a finding is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-enum Verdict {
-    Good,
-    /// Works, with a limit that the remedy lifts.
-    Limited,
-    /// Does not work, or many times worse than it could.
-    Wrong,
-}
-
-#[derive(Debug, Serialize)]
-struct Finding {
-    check: &'static str,
-    verdict: Verdict,
-    found: String,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    remedy: Option<String>,
-}
-
-impl Finding {
-    fn good(check: &'static str, found: impl Into<String>) -> Self {
-        Self { check, verdict: Verdict::Good, found: found.into(), remedy: None }
-    }
-
-    fn limited(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self { check, verdict: Verdict::Limited, found: found.into(), remedy: Some(remedy.into()) }
-    }
-
-    fn wrong(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self { check, verdict: Verdict::Wrong, found: found.into(), remedy: Some(remedy.into()) }
-    }
 }
 
 /// Vector units that llama.cpp has kernels for: ggml's name, whether this processor has it, and whether its absence from the build
@@ -219,21 +196,21 @@ fn locked_memory(wanted: bool, model_bytes: u64) -> Finding {
 }
 
 /// Loads scene and model as the daemon would, each judged by itself, and times events of a shipped program where both are good.
-fn model_and_scene(config: &Config) -> Vec<Finding> {
+fn model_and_scene(config: &Config) -> (Vec<Finding>, Option<(SemanticMap, Grounding)>) {
     let (scene, map) = scene(config);
     let (model, loaded) = model(config);
     let mut findings = vec![scene, model];
-    if let (Some(map), Some(loaded)) = (map, loaded) {
-        findings.push(speed(config, &map, loaded));
+    if let (Some((map, _)), Some(loaded)) = (&map, loaded) {
+        findings.push(speed(config, map, loaded));
     }
-    findings
+    (findings, map)
 }
 
 fn shown(path: Option<&Path>, embedded: &str) -> String {
     path.map_or(embedded.to_owned(), |path| path.display().to_string())
 }
 
-fn scene(config: &Config) -> (Finding, Option<SemanticMap>) {
+fn scene(config: &Config) -> (Finding, Option<(SemanticMap, Grounding)>) {
     let path = config.scene.path.as_deref();
     let read = setup::load_map(path).and_then(|map| {
         let grounding = Grounding::new(&map, &config.grounding)?;
@@ -261,7 +238,7 @@ fn scene(config: &Config) -> (Finding, Option<SemanticMap>) {
             "roomcast scene check FILE lists them",
         ),
     };
-    (finding, Some(map))
+    (finding, Some((map, grounding)))
 }
 
 fn model(config: &Config) -> (Finding, Option<LlamaModel>) {
@@ -321,7 +298,15 @@ fn speed(config: &Config, map: &SemanticMap, model: LlamaModel) -> Finding {
 ///
 /// With [`exit_code::CHECK`] when something is wrong, with [`exit_code::CONFIG`] when the configuration cannot be read.
 pub fn run(args: &Args) -> CommandResult {
-    let (mut config, domain) = args.service.load()?;
+    let (mut config, domain) = match args.service.load() {
+        Ok(loaded) => loaded,
+        Err(failure) => {
+            let remedy =
+                "correct the line that it names; roomcast config prints every key; roomcast init writes a new one";
+            report(args, &[Finding::wrong("configuration", failure.to_string(), remedy)])?;
+            return Err(Failure::new(failure.code, "the configuration cannot be used; nothing else was checked"));
+        }
+    };
     if args.model.is_some() {
         config.model.path.clone_from(&args.model);
     }
@@ -340,17 +325,14 @@ pub fn run(args: &Args) -> CommandResult {
         open_files(),
         locked_memory(config.model.lock_memory, model_bytes),
     ];
-    findings.extend(model_and_scene(&config));
-    let wrong = findings.iter().filter(|finding| finding.verdict == Verdict::Wrong).count();
-    if args.json {
-        super::print_json(&serde_json::json!({
-            "version": env!("CARGO_PKG_VERSION"),
-            "ok": wrong == 0,
-            "findings": findings,
-        }))?;
-    } else {
-        super::print(&format!("{}\n", table(&findings)))?;
+    let (found, map) = model_and_scene(&config);
+    findings.extend(found);
+    if let Some(path) = args.service.config_file() {
+        let place = Place { config: path, wait: Duration::from_secs_f64(args.wait) };
+        findings.extend(home::checks(&config, map.as_ref().map(|(map, grounding)| (map, grounding)), &domain, &place));
     }
+    report(args, &findings)?;
+    let wrong = findings.iter().filter(|finding| finding.verdict == Verdict::Wrong).count();
     match wrong {
         0 => Ok(()),
         1 => Err(Failure::new(exit_code::CHECK, "one check failed; its remedy stands beside it")),
@@ -358,6 +340,15 @@ pub fn run(args: &Args) -> CommandResult {
             Err(Failure::new(exit_code::CHECK, format!("{wrong} checks failed; their remedies stand beside them")))
         }
     }
+}
+
+/// Prints the findings.
+fn report(args: &Args, findings: &[Finding]) -> CommandResult {
+    if !args.json {
+        return super::print(&format!("{}\n", table(findings)));
+    }
+    let ok = findings.iter().all(|finding| finding.verdict != Verdict::Wrong);
+    super::print_json(&serde_json::json!({ "version": env!("CARGO_PKG_VERSION"), "ok": ok, "findings": findings }))
 }
 
 fn table(findings: &[Finding]) -> Table {

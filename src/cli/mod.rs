@@ -37,6 +37,9 @@ mod experiment;
 #[cfg(all(feature = "lab", feature = "recordings"))]
 mod explain;
 mod habits;
+mod home_source;
+#[cfg(feature = "home")]
+mod init;
 #[cfg(feature = "latency")]
 mod latency;
 #[cfg(feature = "manuals")]
@@ -192,7 +195,7 @@ enum Command {
     /// Show the whole system at work on this machine.
     #[cfg(feature = "demo")]
     Demo(demo::Args),
-    /// Say whether this machine can run Roomcast, and how well.
+    /// Say whether this machine can run Roomcast, and how well; with --config, what is wrong with a home's set-up.
     Doctor(doctor::Args),
     /// Reproduce the paper's tables and figures, and ours.
     #[cfg(feature = "lab")]
@@ -200,6 +203,9 @@ enum Command {
     /// Explain the scores of one moment: rooms, labels, tokens, items and the narration behind them.
     #[cfg(all(feature = "lab", feature = "recordings"))]
     Explain(explain::Args),
+    /// Set up a home: its map, rules and configuration from Home Assistant and a robot vacuum; asks for what is not given.
+    #[cfg(feature = "home")]
+    Init(init::Args),
     /// Measure how long events take to become scores and decisions, between real processes.
     #[cfg(feature = "latency")]
     Latency(latency::Args),
@@ -299,6 +305,8 @@ pub fn main() -> ExitCode {
         Command::Experiment(args) => experiment::run(&args),
         #[cfg(all(feature = "lab", feature = "recordings"))]
         Command::Explain(args) => explain::run(&args),
+        #[cfg(feature = "home")]
+        Command::Init(args) => init::run(&args),
         #[cfg(feature = "latency")]
         Command::Latency(args) => latency::run(&args),
         #[cfg(feature = "latency")]

@@ -2,14 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-#[cfg(feature = "mqtt")]
-use super::narrate_mqtt;
 use super::{CommandResult, Failure, print_json, ranges, service};
+#[cfg(feature = "mqtt")]
+use super::{broker, narrate_mqtt};
 use roomcast_ipc::Domain;
 use roomcast_services::config::Config;
 use roomcast_services::logging;
-#[cfg(feature = "mqtt")]
-use roomcast_services::mqtt::Broker;
 use roomcast_services::narrator::{self, Input, Outcome, Pace, Who};
 use roomcast_services::sensor_log::SensorRules;
 use roomcast_services::stop::Stop;
@@ -27,14 +25,16 @@ pub struct Args {
     /// Make a FIFO there and publish the lines written into it, for ever.
     #[arg(long, value_name = "PATH", conflicts_with = "speed")]
     fifo: Option<PathBuf>,
-    /// Publish what an MQTT broker's devices say: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca.
+    /// Publish what an MQTT broker's devices say: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca; without a value, the
+    /// broker of the configuration's section [mqtt].
     #[cfg(feature = "mqtt")]
-    #[arg(long, value_name = "URL", conflicts_with_all = ["input", "fifo", "sensors", "speed"], requires = "rules")]
-    mqtt: Option<String>,
+    #[arg(long, value_name = "URL", conflicts_with_all = ["input", "fifo", "sensors", "speed"], num_args = 0..=1)]
+    mqtt: Option<Option<String>>,
     /// Publish a sensor log: intervals with sensor, kind and place, as public smart-home data sets have them.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["input", "fifo"], requires = "rules")]
     sensors: Option<PathBuf>,
-    /// The rules by which MQTT messages or sensors' intervals become narration; see docs/mqtt.md and docs/sensors.md.
+    /// The rules by which MQTT messages or sensors' intervals become narration (docs/mqtt.md, docs/sensors.md); for MQTT in place of the
+    /// configuration's mqtt.rules.
     #[arg(long, value_name = "FILE")]
     rules: Option<PathBuf>,
     /// A file with the broker's user name and password, a line each.
@@ -92,17 +92,16 @@ pub fn run(args: &Args) -> CommandResult {
     }
     #[cfg(feature = "mqtt")]
     if let Some(address) = &args.mqtt {
-        let broker = Broker {
-            address: address.clone(),
-            client: format!("roomcast-{}", config.narrator.name),
-            credentials: args.mqtt_credentials.clone(),
-            authority: args.mqtt_ca.clone(),
+        let given = broker::Args::of(address.clone(), args.mqtt_credentials.clone(), args.mqtt_ca.clone());
+        let broker = given.broker(&config.mqtt, format!("roomcast-{}", config.narrator.name))?;
+        let Some(rules) = args.rules.as_ref().or(config.mqtt.rules.as_ref()) else {
+            let text = "no rules are named: give --rules FILE, or set rules in the section [mqtt] of the configuration";
+            return Err(Failure::new(exit_code::USAGE, text));
         };
-        let rules = args.rules.as_deref().unwrap_or(Path::new("rules.toml"));
         if args.dry_run {
             return narrate_mqtt::rehearse(&broker, rules, &stop);
         }
-        let (lines, listener) = narrate_mqtt::listen(&broker, rules, person, &stop)?;
+        let (lines, listener) = narrate_mqtt::listen(&broker, rules, person, &config, &stop)?;
         // First the broker is left, then what it is told to be done with is published.
         let patience = narrate_mqtt::patience(&stop)?;
         let outcome = publish(&config, &domain, lines, pace, &patience)?;

@@ -4,7 +4,9 @@ use std::path::Path;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use roomcast_services::config::Config;
 use roomcast_services::mqtt::{self, Broker, Heard, MqttError, Rules};
+use roomcast_services::mqtt_tally::Tally;
 use roomcast_services::narrator::{Input, Who};
 use roomcast_services::stop::Stop;
 
@@ -17,16 +19,24 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Listens to the broker in a thread of its own; its lines come through a pipe, whose small buffer holds it back while the daemon is
 /// behind: what is in it is acknowledged, and goes with this process if that is killed.
-pub(super) fn listen(broker: &Broker, rules: &Path, person: Who, stop: &Stop) -> Result<(Input, Listener), Failure> {
+pub(super) fn listen(
+    broker: &Broker,
+    rules: &Path,
+    person: Who,
+    config: &Config,
+    stop: &Stop,
+) -> Result<(Input, Listener), Failure> {
     let rules = Rules::load(rules).map_err(broker::failure)?;
     let options = broker.options().map_err(broker::failure)?;
+    let state = config.daemon.state_directory();
+    let tally = state.map(|folder| Tally::new(&folder, &config.narrator.name, rules.keys()));
     let (reader, writer) = std::io::pipe().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
     // The least there is, a page; a system that refuses leaves it larger.
     let _resized = rustix::pipe::fcntl_setpipe_size(&writer, 4096);
     let stop = stop.clone();
     let listener = std::thread::Builder::new().name("mqtt".to_owned());
     let listener = listener
-        .spawn(move || mqtt::listen(options, rules, writer, &stop))
+        .spawn(move || mqtt::listen_and_count(options, rules, tally, writer, &stop))
         .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot start the mqtt thread: {error}")))?;
     Ok((Input::Lines { name: broker.address.clone(), stream: Box::new(reader), person }, listener))
 }

@@ -12,12 +12,13 @@ use serde_json::{Value, json};
 use super::choice::choice;
 #[cfg(feature = "lab")]
 use super::draw;
+use super::home_source::{home_assistant, write_rules};
 use super::scene_files::{in_file, input, load, read, write};
 use super::{CommandResult, Failure, count, print, ranges, service};
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use roomcast_core::semantic_map::delta;
-use roomcast_core::semantic_map::import::{self, Home, Imported, Registries, Up};
+use roomcast_core::semantic_map::import::{self, Imported, Up};
 use roomcast_core::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap};
 use roomcast_services::daemon::{MapAnswer, MapQuestion, Outcome};
 
@@ -53,7 +54,7 @@ enum Format {
     OpenVocabulary,
     /// A vacuum robot's map, as Valetudo exports it: segments become rooms.
     Valetudo,
-    /// The configuration folder of a Home Assistant: areas become rooms, entities things; a rules file comes with the map.
+    /// A Home Assistant, by its configuration folder or its address: areas become rooms, entities things; a rules file comes with the map.
     HomeAssistant,
 }
 
@@ -65,7 +66,8 @@ enum Furnish {
 
 #[derive(Debug, clap::Args)]
 struct Import {
-    /// The map to read; of open-vocabulary maps several files that belong together, or a folder of them.
+    /// The map to read; of open-vocabulary maps several files that belong together, or a folder of them; of a Home Assistant its
+    /// configuration folder, or its address (http://HOST:8123) with --token-file.
     #[arg(required = true)]
     graph: Vec<PathBuf>,
     /// The scene to write.
@@ -92,6 +94,12 @@ struct Import {
     /// Where the rules that come with a Home Assistant's map go; by default beside it, as `NAME.rules.toml`. A file that is there stays.
     #[arg(long, value_name = "FILE")]
     rules: Option<PathBuf>,
+    /// A file with a long-lived access token of the Home Assistant at an address; only its owner may be able to read it.
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// A PEM file with the certificates that the Home Assistant's is signed by, for an https address.
+    #[arg(long, value_name = "FILE", requires = "token_file")]
+    ca: Option<PathBuf>,
     /// Put furniture into rooms without things; ids of such things begin with "assumed".
     #[arg(long, value_enum)]
     furnish: Option<Furnish>,
@@ -206,10 +214,11 @@ fn import(args: &Import) -> CommandResult {
             let [folder] = &args.graph[..] else {
                 return Err(Failure::new(
                     exit_code::USAGE,
-                    "a Home Assistant is one configuration folder; give exactly one",
+                    "a Home Assistant is one configuration folder or one address; give exactly one",
                 ));
             };
-            let home = home_assistant(folder, args.name.as_deref().unwrap_or("home"))?;
+            let name = args.name.as_deref().unwrap_or("home");
+            let home = home_assistant(folder, name, args.token_file.as_deref(), args.ca.as_deref())?;
             rules = home
                 .rules
                 .map(|text| (args.rules.clone().unwrap_or_else(|| args.out.with_extension("rules.toml")), text));
@@ -220,6 +229,12 @@ fn import(args: &Import) -> CommandResult {
         return Err(Failure::new(
             exit_code::USAGE,
             "--rules come with a Home Assistant's map; give --format home-assistant",
+        ));
+    }
+    if args.token_file.is_some() && !matches!(args.format, Format::HomeAssistant) {
+        return Err(Failure::new(
+            exit_code::USAGE,
+            "--token-file is for a Home Assistant's address; give --format home-assistant",
         ));
     }
     if args.names.is_some() && !matches!(args.format, Format::Valetudo) {
@@ -257,50 +272,6 @@ fn import(args: &Import) -> CommandResult {
         let _ = writeln!(text, "{}", write_rules(&path, &rules)?);
     }
     print(&text)
-}
-
-/// Reads the registries of a configuration folder, or of its `.storage`.
-fn home_assistant(folder: &Path, name: &str) -> Result<Home, Failure> {
-    let inner = folder.join(".storage");
-    let storage = if inner.is_dir() { &inner } else { folder };
-    let (areas, registry) = (storage.join("core.area_registry"), "registry");
-    if !areas.is_file() {
-        let folder = folder.display();
-        let problem =
-            format!("{folder} has no .storage/core.area_registry; give the folder that configuration.yaml is in");
-        return Err(input(problem));
-    }
-    let optional = |name: &str| {
-        let path = storage.join(name);
-        path.is_file().then(|| read(registry, &path)).transpose()
-    };
-    let (floors, devices) = (optional("core.floor_registry")?, optional("core.device_registry")?);
-    let (entities, persons) = (optional("core.entity_registry")?, optional("person")?);
-    let texts = Registries {
-        areas: &read(registry, &areas)?,
-        floors: floors.as_deref(),
-        devices: devices.as_deref(),
-        entities: entities.as_deref(),
-        persons: persons.as_deref(),
-    };
-    import::home_assistant(&texts, name).map_err(|error| in_file("Home Assistant", storage, &error))
-}
-
-/// Writes rules where none are: somebody may have edited those that are there.
-fn write_rules(path: &Path, rules: &str) -> Result<String, Failure> {
-    if path.exists() {
-        let path = path.display();
-        return Ok(format!("{path}: is there and stays as it is; remove it, or give --rules, for new rules"));
-    }
-    #[cfg(feature = "mqtt")]
-    roomcast_services::mqtt::Rules::parse(rules)
-        .map_err(|fault| input(format!("the rules for {} cannot be used: {fault}", path.display())))?;
-    write(path, rules.as_bytes())?;
-    Ok(format!(
-        "{path}: {}; edit them, then look at what they say: roomcast narrate --mqtt URL --rules {path} --dry-run",
-        count(rules.matches("[[rule]]").count(), "rule"),
-        path = path.display(),
-    ))
 }
 
 /// "3 doors", and whether the map says so.

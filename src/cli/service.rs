@@ -1,7 +1,7 @@
 //! What the commands of the services have in common: configuration and domain.
 
 use std::ffi::OsStr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use roomcast_ipc::{Domain, QuestionPort, sequence};
@@ -34,6 +34,11 @@ impl Args {
         given(self.config.as_ref().map(|path| path.as_os_str()), "ROOMCAST_CONFIG")
             || given(self.root.as_ref().map(|path| path.as_os_str()), "ROOMCAST_ROOT")
             || given(self.domain.as_ref().map(OsStr::new), "ROOMCAST_DOMAIN")
+    }
+
+    /// The configuration file, if one is named.
+    pub fn config_file(&self) -> Option<&Path> {
+        self.config.as_deref()
     }
 
     /// Reads the configuration and names the domain.

@@ -45,7 +45,7 @@ impl Default for DaemonConfig {
 impl DaemonConfig {
     /// The state directory: the one that is configured, else systemd's.
     #[must_use]
-    pub(crate) fn state_directory(&self) -> Option<PathBuf> {
+    pub fn state_directory(&self) -> Option<PathBuf> {
         let given = || std::env::var_os("STATE_DIRECTORY").filter(|directory| !directory.is_empty());
         self.state.clone().or_else(|| given().map(PathBuf::from))
     }
@@ -380,6 +380,8 @@ pub struct MqttConfig {
     pub credentials: Option<PathBuf>,
     /// A PEM file with the certificates that the broker's is signed by.
     pub ca: Option<PathBuf>,
+    /// The rules by which `roomcast narrate --mqtt` makes narration of messages.
+    pub rules: Option<PathBuf>,
 }
 
 /// The section `[bridge]`: what `roomcast bridge mqtt` publishes.

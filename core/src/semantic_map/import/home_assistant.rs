@@ -127,6 +127,8 @@ struct Areas {
 
 #[derive(Deserialize)]
 struct Area {
+    /// The API has it under another name than the file.
+    #[serde(alias = "area_id")]
     id: String,
     name: String,
     #[serde(default)]

@@ -1,0 +1,321 @@
+//! A look at a broker: whether it can be reached, whether it takes the login, and which topics are there or come within a time.
+//!
+//! For commands that look once and end. The broker keeps no session of it, and what it takes is bounded in time, topics and bytes.
+
+use std::collections::BTreeMap;
+use std::io::ErrorKind;
+use std::time::Duration;
+
+use rumqttc::v5::mqttbytes::QoS;
+use rumqttc::v5::mqttbytes::v5::{ConnectReturnCode, Packet, SubscribeReasonCode};
+use rumqttc::v5::{AsyncClient, ConnectionError, Event, MqttOptions};
+use tokio::time::{Instant, timeout_at};
+
+use crate::mqtt::{Broker, MqttError};
+
+/// Topics that are remembered at most.
+pub const TOPICS_MAX: usize = 10_000;
+/// Bytes of payloads that are remembered at most, all together.
+pub const BYTES_MAX: usize = 32 << 20;
+/// How long a broker may take until it has accepted the connection.
+const CONNECT_MAX: Duration = Duration::from_secs(5);
+
+/// Why a broker cannot be looked at.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum LookError {
+    /// The set-up cannot be used.
+    #[error(transparent)]
+    Setup(#[from] MqttError),
+    /// Nobody answers there.
+    #[error("no broker answers at {broker} ({fault})")]
+    Unreachable {
+        /// Host and port.
+        broker: String,
+        /// The system's word.
+        fault: String,
+    },
+    /// The login is refused.
+    #[error("the broker {broker} refuses the login ({reason})")]
+    Login {
+        /// Host and port.
+        broker: String,
+        /// The broker's word.
+        reason: String,
+    },
+    /// What answers speaks something else, or an older MQTT.
+    #[error("what answers at {broker} is no MQTT 5 broker ({fault})")]
+    Foreign {
+        /// Host and port.
+        broker: String,
+        /// What it does.
+        fault: String,
+    },
+    /// TLS fails.
+    #[error("no secure connection to {broker} ({fault})")]
+    Tls {
+        /// Host and port.
+        broker: String,
+        /// Why.
+        fault: String,
+    },
+}
+
+impl LookError {
+    /// What to do.
+    #[must_use]
+    pub fn remedy(&self) -> &'static str {
+        match self {
+            Self::Setup(_) => "correct mqtt.broker, mqtt.credentials and mqtt.ca in the configuration",
+            Self::Unreachable { .. } => {
+                "start the broker (systemctl start mosquitto), or correct host and port in mqtt.broker"
+            }
+            Self::Login { .. } => {
+                "write the broker's user name and password, a line each, into the file that mqtt.credentials names"
+            }
+            Self::Foreign { .. } => "give the port of an MQTT 5 broker (mosquitto 1.6 or newer: 1883, with TLS 8883)",
+            Self::Tls { .. } => {
+                "give the certificates that the broker's is signed by in mqtt.ca, and the name that its certificate has as host"
+            }
+        }
+    }
+}
+
+/// What was last said under a topic.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Said {
+    /// The message; empty where there was no room for it.
+    pub payload: Vec<u8>,
+    /// Whether the broker had kept it.
+    pub retained: bool,
+}
+
+/// What was seen.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Seen {
+    /// Topics, and what was last said there.
+    pub topics: BTreeMap<String, Said>,
+    /// Filters that the broker refuses, with its reason.
+    pub refused: Vec<(String, String)>,
+    bytes: usize,
+}
+
+impl Seen {
+    fn take(&mut self, topic: String, payload: &[u8], retained: bool) {
+        let before = self.topics.get(&topic).map_or(0, |said| said.payload.len());
+        if !self.topics.contains_key(&topic) && self.topics.len() >= TOPICS_MAX {
+            return;
+        }
+        let fits = self.bytes - before + payload.len() <= BYTES_MAX;
+        let payload = if fits { payload.to_vec() } else { Vec::new() };
+        self.bytes = self.bytes - before + payload.len();
+        self.topics.insert(topic, Said { payload, retained });
+    }
+}
+
+/// Looks at a broker for this long, or until `enough` has been seen.
+///
+/// # Errors
+///
+/// [`LookError`] when the broker cannot be reached or refuses; a connection that breaks later gives what was seen until then.
+pub fn look(
+    broker: &Broker,
+    filters: &[String],
+    time: Duration,
+    enough: impl Fn(&Seen) -> bool,
+) -> Result<Seen, LookError> {
+    let mut options = broker.options()?;
+    options.set_clean_start(true).set_session_expiry_interval(Some(0));
+    options.set_connection_timeout(CONNECT_MAX.as_secs());
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build();
+    let runtime = runtime.map_err(|error| MqttError::Client { reason: error.to_string() })?;
+    runtime.block_on(turn(options, filters, time, enough))
+}
+
+async fn turn(
+    options: MqttOptions,
+    filters: &[String],
+    time: Duration,
+    enough: impl Fn(&Seen) -> bool,
+) -> Result<Seen, LookError> {
+    let (host, port) = options.broker_address();
+    let name = format!("{host}:{port}");
+    let (client, mut events) = AsyncClient::new(options, 4);
+    let mut seen = Seen::default();
+    let mut asked = 0;
+    let mut until = Instant::now() + CONNECT_MAX;
+    let mut connected = false;
+    while !enough(&seen) {
+        let Ok(event) = timeout_at(until, events.poll()).await else {
+            if connected {
+                break;
+            }
+            let fault = format!("no answer within {} s", CONNECT_MAX.as_secs());
+            return Err(LookError::Unreachable { broker: name, fault });
+        };
+        match event {
+            Ok(Event::Incoming(Packet::ConnAck(_))) => {
+                (connected, until) = (true, Instant::now() + time);
+                subscribe(&client, filters.get(asked))?;
+            }
+            Ok(Event::Incoming(Packet::SubAck(answer))) => {
+                let reason = answer.return_codes.first().copied().unwrap_or(SubscribeReasonCode::Unspecified);
+                if !matches!(reason, SubscribeReasonCode::Success(_)) {
+                    seen.refused.push((filters.get(asked).cloned().unwrap_or_default(), format!("{reason:?}")));
+                }
+                asked += 1;
+                subscribe(&client, filters.get(asked))?;
+            }
+            Ok(Event::Incoming(Packet::Publish(message))) => {
+                if let Ok(topic) = String::from_utf8(message.topic.to_vec()) {
+                    seen.take(topic, &message.payload, message.retain);
+                }
+            }
+            Ok(_) => {}
+            Err(_) if connected => break,
+            Err(error) => return Err(fault(name, error)),
+        }
+    }
+    if connected && client.try_disconnect().is_ok() {
+        let _left = timeout_at(Instant::now() + Duration::from_millis(200), events.poll()).await;
+    }
+    Ok(seen)
+}
+
+fn subscribe(client: &AsyncClient, filter: Option<&String>) -> Result<(), LookError> {
+    let Some(filter) = filter else { return Ok(()) };
+    let asked = client.try_subscribe(filter, QoS::AtMostOnce);
+    asked.map_err(|error| MqttError::Client { reason: error.to_string() }.into())
+}
+
+fn fault(broker: String, error: ConnectionError) -> LookError {
+    use ConnectReturnCode::{
+        BadAuthenticationMethod, BadUserNamePassword, Banned, NotAuthorized, RefusedProtocolVersion,
+        UnsupportedProtocolVersion,
+    };
+    match error {
+        ConnectionError::ConnectionRefused(code) => match code {
+            BadUserNamePassword | NotAuthorized | BadAuthenticationMethod | Banned => {
+                LookError::Login { broker, reason: format!("{code:?}") }
+            }
+            RefusedProtocolVersion | UnsupportedProtocolVersion => {
+                LookError::Foreign { broker, fault: format!("{code:?}") }
+            }
+            _ => LookError::Unreachable { broker, fault: format!("it refuses the connection: {code:?}") },
+        },
+        // The end of the connection in place of an answer is how another protocol ends, too.
+        ConnectionError::Io(error) | ConnectionError::Tls(rumqttc::TlsError::Io(error))
+            if is_of_network(error.kind()) =>
+        {
+            LookError::Unreachable { broker, fault: error.to_string() }
+        }
+        ConnectionError::Tls(error) => LookError::Tls { broker, fault: error.to_string() },
+        ConnectionError::Timeout(_) => {
+            let fault = format!("it accepts the connection and says nothing within {} s", CONNECT_MAX.as_secs());
+            LookError::Foreign { broker, fault }
+        }
+        ConnectionError::Io(error) if error.kind() == ErrorKind::InvalidData => {
+            LookError::Tls { broker, fault: error.to_string() }
+        }
+        error => LookError::Foreign { broker, fault: error.to_string() },
+    }
+}
+
+/// Whether it is the network that fails, or the name of the host, and not what answers.
+fn is_of_network(kind: ErrorKind) -> bool {
+    !matches!(
+        kind,
+        ErrorKind::InvalidData | ErrorKind::UnexpectedEof | ErrorKind::ConnectionReset | ErrorKind::ConnectionAborted
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+    use crate::skipped::skipped;
+    use std::io::{Read, Write};
+    use std::net::TcpListener;
+
+    const SHORT: Duration = Duration::from_millis(500);
+
+    fn broker(port: u16) -> Broker {
+        Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "look".to_owned(), ..Broker::default() }
+    }
+
+    fn free_port() -> u16 {
+        TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+    }
+
+    /// Answers the first bytes of a connection with these, and ends it.
+    fn foreign(answer: &'static [u8]) -> u16 {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        std::thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            let _read = stream.read(&mut [0; 1024]);
+            let _written = stream.write_all(answer);
+        });
+        port
+    }
+
+    #[test]
+    fn what_is_no_broker_is_told_from_one_that_is_away() {
+        let nobody = look(&broker(free_port()), &[], SHORT, |_| false).unwrap_err();
+        assert!(matches!(nobody, LookError::Unreachable { .. }), "{nobody}");
+        assert!(nobody.remedy().contains("start the broker"));
+        for answer in [&b"HTTP/1.1 400 Bad Request\r\n\r\n"[..], b""] {
+            let web = look(&broker(foreign(answer)), &[], SHORT, |_| false).unwrap_err();
+            assert!(matches!(web, LookError::Foreign { .. }), "{web:?}");
+        }
+        let unknown = Broker { address: "mqtt://no-such-host.invalid".to_owned(), ..broker(1) };
+        let unknown = look(&unknown, &[], SHORT, |_| false).unwrap_err();
+        assert!(matches!(unknown, LookError::Unreachable { .. }), "{unknown}");
+        let wrong = Broker { address: "http://x".to_owned(), ..broker(1) };
+        assert!(matches!(look(&wrong, &[], SHORT, |_| false), Err(LookError::Setup(_))));
+    }
+
+    #[test]
+    fn topics_that_are_kept_and_topics_that_come_are_seen() {
+        let port = free_port();
+        let Some(_broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+            skipped(NO_BROKER);
+            return;
+        };
+        let link =
+            crate::mqtt_link::Link::start(&Broker { client: "speaker".to_owned(), ..broker(port) }, vec![], None)
+                .unwrap();
+        while link.connection() == 0 {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        assert!(link.say("home/kept", "one", true, None));
+        while link.unconfirmed() > 0 {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        let looking = std::thread::spawn(move || {
+            let filters = ["home/#".to_owned(), "other/+".to_owned()];
+            look(&broker(port), &filters, Duration::from_secs(30), |seen| seen.topics.len() == 2)
+        });
+        while !looking.is_finished() {
+            link.say("other/new", "two", false, None);
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        let seen = looking.join().unwrap().unwrap();
+        let kept = Said { payload: b"one".to_vec(), retained: true };
+        assert_eq!(seen.topics["home/kept"], kept);
+        assert_eq!((seen.topics["other/new"].retained, seen.refused.len()), (false, 0));
+        link.leave();
+    }
+
+    #[test]
+    fn what_is_remembered_is_bounded() {
+        let mut seen = Seen::default();
+        (0..TOPICS_MAX + 5).for_each(|number| seen.take(number.to_string(), b"x", false));
+        assert_eq!((seen.topics.len(), seen.bytes), (TOPICS_MAX, TOPICS_MAX));
+        let large = vec![0; BYTES_MAX - TOPICS_MAX + 1];
+        seen.take("1".to_owned(), &large, false);
+        assert_eq!(seen.bytes, BYTES_MAX);
+        seen.take("2".to_owned(), b"xx", false);
+        assert_eq!((seen.topics["2"].payload.len(), seen.bytes), (0, BYTES_MAX - 1));
+    }
+}

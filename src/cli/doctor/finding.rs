@@ -1,0 +1,88 @@
+//! What a check has found.
+
+use serde::Serialize;
+
+/// How good a finding is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Verdict {
+    Good,
+    /// Works, with a limit that the remedy lifts.
+    Limited,
+    /// Does not work, or many times worse than it could.
+    Wrong,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Finding {
+    pub(super) check: &'static str,
+    pub(super) verdict: Verdict,
+    pub(super) found: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) remedy: Option<String>,
+}
+
+impl Finding {
+    pub(super) fn good(check: &'static str, found: impl Into<String>) -> Self {
+        Self { check, verdict: Verdict::Good, found: found.into(), remedy: None }
+    }
+
+    pub(super) fn limited(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self { check, verdict: Verdict::Limited, found: found.into(), remedy: Some(remedy.into()) }
+    }
+
+    pub(super) fn wrong(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self { check, verdict: Verdict::Wrong, found: found.into(), remedy: Some(remedy.into()) }
+    }
+}
+
+/// A few names, and how many more there are.
+pub(super) fn some_of<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
+    const SHOWN: usize = 6;
+    let names: Vec<&str> = names.into_iter().collect();
+    let shown = names.iter().take(SHOWN).copied().collect::<Vec<_>>().join(", ");
+    match names.len().saturating_sub(SHOWN) {
+        0 => shown,
+        more => format!("{shown} and {more} more"),
+    }
+}
+
+/// Which of these a text was probably meant to be: the nearest by letters that differ, where those are few.
+pub(super) fn nearest<'a>(text: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let most = (text.chars().count() / 4).clamp(1, 4);
+    let far = known.into_iter().map(|known| (letters_apart(text, known), known));
+    far.filter(|(apart, known)| *apart <= most && *known != text)
+        .min_by_key(|(apart, _)| *apart)
+        .map(|(_, known)| known)
+}
+
+/// Letters to be put in, taken out or changed to make one text of another.
+fn letters_apart(one: &str, other: &str) -> usize {
+    let other: Vec<char> = other.chars().collect();
+    let mut row: Vec<usize> = (0..=other.len()).collect();
+    for (i, a) in one.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, b) in other.iter().enumerate() {
+            let above = row[j + 1];
+            row[j + 1] = (diagonal + usize::from(a != *b)).min(above + 1).min(row[j] + 1);
+            diagonal = above;
+        }
+    }
+    row[other.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_typo_is_told_from_another_word() {
+        let rooms = ["kitchen", "living-room", "bathroom", "bedroom"];
+        assert_eq!(nearest("kichen", rooms), Some("kitchen"));
+        assert_eq!(nearest("living room", rooms), Some("living-room"));
+        assert_eq!(nearest("garage", rooms), None);
+        assert_eq!(nearest("home/fridge/stat", ["home/fridge/state", "home/oven/state"]), Some("home/fridge/state"));
+        assert_eq!(letters_apart("", "abc"), 3);
+        assert_eq!(some_of(["a"; 8]), "a, a, a, a, a, a and 2 more");
+    }
+}

@@ -1,0 +1,238 @@
+//! What is wrong with a home's set-up: its map, rules, persons, broker, topics, robot, and what runs of it.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::time::{Duration, SystemTime};
+
+use roomcast_core::grounding::Grounding;
+use roomcast_core::narration::same_name;
+use roomcast_core::semantic_map::{PartitionId, SemanticMap};
+use roomcast_ipc::Domain;
+use roomcast_services::config::Config;
+use roomcast_services::logging::chain;
+use roomcast_services::planner;
+
+use super::finding::{Finding, some_of};
+#[cfg(feature = "mqtt")]
+use super::home_mqtt;
+use crate::cli::count;
+
+/// How long a daemon has to say how it is.
+const STATUS_MAX: Duration = Duration::from_secs(2);
+/// How far behind a file's time the clock may be, in seconds.
+const CLOCK_S: u64 = 3600;
+
+/// Where the configuration lies, for remedies that name it.
+pub(super) struct Place<'a> {
+    pub(super) config: &'a Path,
+    /// How long topics are listened to.
+    #[cfg_attr(not(feature = "mqtt"), expect(dead_code, reason = "nothing is listened to"))]
+    pub(super) wait: Duration,
+}
+
+impl Place<'_> {
+    pub(super) fn shown(&self) -> String {
+        self.config.display().to_string()
+    }
+}
+
+/// All checks of a home that a configuration file describes.
+pub(super) fn checks(
+    config: &Config,
+    map: Option<(&SemanticMap, &Grounding)>,
+    domain: &Domain,
+    place: &Place<'_>,
+) -> Vec<Finding> {
+    let mut findings = vec![clock(config, place)];
+    if let Some((map, grounding)) = map {
+        findings.push(things(config, map, grounding, place));
+    }
+    #[cfg(feature = "mqtt")]
+    findings.extend(home_mqtt::checks(config, map.map(|(map, _)| map), place));
+    findings.push(persons(config, place));
+    findings.extend(services(config, map.map(|(map, _)| map), domain, place));
+    findings
+}
+
+/// Whether the clock can be right: habits go by the time of day.
+fn clock(config: &Config, place: &Place<'_>) -> Finding {
+    let check = "clock";
+    let written = |path: &Path| std::fs::metadata(path).and_then(|about| about.modified()).ok();
+    let files = [Some(place.config), config.scene.path.as_deref(), config.mqtt.rules.as_deref()];
+    let newest = files.into_iter().flatten().filter_map(|path| Some((written(path)?, path))).max();
+    let ahead = newest.and_then(|(at, path)| Some((at.duration_since(SystemTime::now()).ok()?.as_secs(), path)));
+    if let Some((seconds, path)) = ahead.filter(|(seconds, _)| *seconds > CLOCK_S) {
+        let found =
+            format!("the clock is {seconds} s before {} was written, and habits go by the time of day", path.display());
+        return Finding::wrong(check, found, "set the clock: timedatectl set-ntp true");
+    }
+    if std::env::var_os("TZ").is_none() && !Path::new("/etc/localtime").exists() {
+        return Finding::limited(
+            check,
+            "no time zone is set, so hours of the day are those of UTC",
+            "timedatectl set-timezone Europe/Berlin, or your own",
+        );
+    }
+    Finding::good(check, "plausible, and a time zone is set")
+}
+
+/// Whether there is anything in the rooms that a person can turn to.
+fn things(config: &Config, map: &SemanticMap, grounding: &Grounding, place: &Place<'_>) -> Finding {
+    let check = "things";
+    let file = config.scene.path.as_ref().map(|path| path.display().to_string());
+    let Some(file) = file else {
+        let found = format!("{} names no map, so the shipped studio stands for this home", place.shown());
+        return Finding::limited(check, found, "roomcast init makes a map of your home; or set scene.path");
+    };
+    let remedy = "import it again with --furnish typical, or add items (scenes/README.md)";
+    let bare: Vec<&str> = (0u32..)
+        .zip(grounding.partitions())
+        .filter(|(index, _)| !grounding.item_partition().contains(&Some(PartitionId(*index))))
+        .map(|(_, partition)| partition.id.as_str())
+        .collect();
+    match (map.items().len(), bare.len()) {
+        (0, _) => Finding::wrong(
+            check,
+            format!("{file}: nothing stands in any room, so nothing tells the rooms apart"),
+            remedy,
+        ),
+        (_, 0) => Finding::good(check, format!("{file}: every room has things")),
+        (_, bare_rooms) => {
+            let found = format!("{file}: {} without things: {}", count(bare_rooms, "room"), some_of(bare));
+            Finding::limited(check, found, remedy)
+        }
+    }
+}
+
+/// Whether the home's persons are who the rules speak of.
+fn persons(config: &Config, place: &Place<'_>) -> Finding {
+    let check = "persons";
+    let residents = &config.persons.residents;
+    #[cfg(feature = "mqtt")]
+    let named = home_mqtt::persons_of_rules(config);
+    #[cfg(not(feature = "mqtt"))]
+    let named: Vec<String> = Vec::new();
+    let is_resident = |name: &str| residents.iter().any(|resident| same_name(resident, name));
+    let visitors: Vec<&str> = named.iter().map(String::as_str).filter(|name| !is_resident(name)).collect();
+    let shown = place.shown();
+    match (residents.is_empty(), named.is_empty()) {
+        (true, true) => Finding::good(check, format!("{shown} names nobody: whoever is observed lives here")),
+        (true, false) => Finding::good(
+            check,
+            format!("the rules name {}; nobody counts as a visitor", some_of(named.iter().map(String::as_str))),
+        ),
+        (false, _) if !visitors.is_empty() => Finding::limited(
+            check,
+            format!(
+                "the rules name {}, who is not among persons.residents in {shown} and counts as a visitor",
+                some_of(visitors)
+            ),
+            "add the name to persons.residents, or correct it in the rules",
+        ),
+        (false, _) => Finding::good(check, format!("{} in {shown}", count(residents.len(), "resident"))),
+    }
+}
+
+/// What runs of the home.
+fn services(config: &Config, map: Option<&SemanticMap>, domain: &Domain, place: &Place<'_>) -> Vec<Finding> {
+    let check = "services";
+    let file = place.shown();
+    let node = match domain.open("roomcast-doctor") {
+        Ok(node) => node,
+        Err(error) => {
+            let remedy = "run this as the user that the services run as, with their ipc.root and ipc.domain";
+            return vec![Finding::wrong(check, chain(&error), remedy)];
+        }
+    };
+    let alive: BTreeSet<String> = match node.participants() {
+        Ok(alive) => alive.into_iter().collect(),
+        Err(error) => return vec![Finding::wrong(check, chain(&error), "try again; roomcast top shows what runs")],
+    };
+    let runs = |name: &str| alive.iter().any(|other| other.starts_with(name));
+    let robot = &config.planner.robot;
+    let has_robot = config.robot != Default::default();
+    let narrates = config.mqtt.rules.is_some();
+    let bridges = config.mqtt.broker.is_some();
+    let all = [
+        ("daemon", true, runs("roomcast-daemon"), format!("roomcast daemon --config {file}")),
+        ("narrator", narrates, runs("roomcast-narrator-"), format!("roomcast narrate --mqtt --config {file}")),
+        (
+            "planner",
+            has_robot,
+            alive.contains(&planner::participant(robot)),
+            format!("roomcast planner --config {file}"),
+        ),
+        ("robot", has_robot, runs(&format!("roomcast-robot {robot} ")), format!("roomcast robot --config {file}")),
+        ("bridge", bridges, runs("roomcast-bridge"), format!("roomcast bridge mqtt --config {file}")),
+    ];
+    let missing: Vec<_> = all.iter().filter(|(_, wanted, runs, _)| *wanted && !runs).collect();
+    let running: Vec<&str> = all.iter().filter(|(_, _, runs, _)| *runs).map(|(name, ..)| *name).collect();
+    if running.is_empty() {
+        let names = some_of(missing.iter().map(|(name, ..)| *name));
+        let first = format!("start them, each in a terminal of its own or as a unit; first: {}", all[0].3);
+        return vec![Finding::limited(check, format!("nothing runs yet: {names}"), first)];
+    }
+    let mut findings = vec![Finding::good(check, format!("running: {}", some_of(running.iter().copied())))];
+    for (name, _, _, start) in missing {
+        // Without the daemon nobody forecasts, and a robot without its planner, or a home without narration, does nothing.
+        let found = format!(
+            "{} runs, and no {name} does, in the domain {} at {}",
+            running[0],
+            domain.name(),
+            domain.root().display()
+        );
+        findings.push(match *name {
+            "bridge" | "robot" => Finding::limited(name_of(name), found, start.clone()),
+            _ => Finding::wrong(name_of(name), found, start.clone()),
+        });
+    }
+    if running.contains(&"daemon") {
+        findings.push(daemon(map, &node, &file));
+    }
+    findings
+}
+
+/// A check's name lives as long as the program.
+fn name_of(service: &str) -> &'static str {
+    match service {
+        "daemon" => "daemon",
+        "narrator" => "narrator",
+        "planner" => "planner",
+        "robot" => "robot service",
+        _ => "bridge",
+    }
+}
+
+/// What the running daemon says of itself.
+fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> Finding {
+    let check = "daemon";
+    let status = match node.status_client().and_then(|client| client.ask(STATUS_MAX)) {
+        Ok(status) => status,
+        Err(error) => return Finding::wrong(check, chain(&error), "see the daemon's log; start it again"),
+    };
+    if map.is_some_and(|map| map.fingerprint() != status.map_fingerprint) {
+        let found = format!("the daemon uses another map ({}) than {file} names", status.map());
+        return Finding::limited(
+            check,
+            found,
+            "start the daemon again, unless the map was changed while it runs (scene apply)",
+        );
+    }
+    if status.version() != env!("CARGO_PKG_VERSION") {
+        let found = format!("the daemon is version {}, this is {}", status.version(), env!("CARGO_PKG_VERSION"));
+        return Finding::wrong(check, found, "start it again with this version");
+    }
+    if status.failed_steps > 0 {
+        let found = format!("{} of {} steps failed", status.failed_steps, status.steps);
+        return Finding::wrong(check, found, "its log says why; roomcast model check");
+    }
+    let found = format!("{} narrations accepted, {}", status.accepted, count(status.persons as usize, "person"));
+    match status.accepted {
+        0 => Finding::limited(
+            check,
+            "nothing was narrated since it started",
+            "do something that a sensor sees, or look at the narrator's log",
+        ),
+        _ => Finding::good(check, found),
+    }
+}

@@ -1,0 +1,384 @@
+//! The broker of a home: whether it can be reached, what is said there, and whether rules and robot go by it.
+
+use std::collections::BTreeMap;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_services::config::{Config, RobotKind};
+use roomcast_services::logging::chain;
+use roomcast_services::mqtt::{Broker, Rules};
+use roomcast_services::mqtt_look::{self, LookError, Seen};
+use roomcast_services::mqtt_tally::Counted;
+use roomcast_services::vacuum::{Dialect, Sensed, Status, segment_of};
+
+use super::finding::{Finding, nearest, some_of};
+use super::home::Place;
+use crate::cli::count;
+
+/// Domains of Home Assistant whose states say something of people.
+const OF_PEOPLE: [&str; 8] = ["binary_sensor", "light", "switch", "media_player", "lock", "cover", "fan", "person"];
+
+/// Broker, rules, topics and robot.
+pub(super) fn checks(config: &Config, map: Option<&SemanticMap>, place: &Place<'_>) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    let rules = match config.mqtt.rules.as_deref() {
+        None if config.mqtt.broker.is_some() => {
+            let found =
+                format!("{} names a broker and no rules, so nothing is narrated of its messages", place.shown());
+            findings.push(Finding::limited(
+                "rules",
+                found,
+                "set mqtt.rules; roomcast init writes rules from Home Assistant",
+            ));
+            None
+        }
+        None => None,
+        Some(path) => {
+            let (checked, rules) = rules(path, map);
+            findings.push(checked);
+            rules
+        }
+    };
+    let Some(address) = config.mqtt.broker.clone() else {
+        if rules.is_some() || has_robot(config) {
+            let found = format!("{} names rules or a robot, and no broker", place.shown());
+            findings.push(Finding::wrong("broker", found, "set broker = \"mqtt://127.0.0.1\" in the section [mqtt]"));
+        }
+        return findings;
+    };
+    let broker = Broker {
+        address,
+        client: format!("roomcast-doctor-{}", std::process::id()),
+        credentials: config.mqtt.credentials.clone(),
+        authority: config.mqtt.ca.clone(),
+    };
+    let seen = match mqtt_look::look(&broker, &filters(config, rules.as_ref()), place.wait, |_| false) {
+        Ok(seen) => {
+            findings.push(reached(&broker, &seen));
+            seen
+        }
+        Err(error) => {
+            findings.push(unreached(&error, place));
+            return findings;
+        }
+    };
+    if let (Some(rules), Some(path)) = (&rules, config.mqtt.rules.as_deref()) {
+        findings.extend(topics(rules, path, &seen, config, place));
+    }
+    if has_robot(config) {
+        findings.extend(robot(config, map, &seen, place));
+    }
+    findings
+}
+
+fn has_robot(config: &Config) -> bool {
+    config.robot != Default::default()
+}
+
+/// Names of persons that rules have, without placeholders.
+pub(super) fn persons_of_rules(config: &Config) -> Vec<String> {
+    let rules = config.mqtt.rules.as_deref().and_then(|path| Rules::load(path).ok());
+    let mut names: Vec<String> =
+        rules.iter().flat_map(Rules::about).filter_map(|rule| rule.person).filter(|name| !name.contains('{')).collect();
+    names.sort();
+    names.dedup();
+    names
+}
+
+/// Whether the rules can be read, and name rooms that there are.
+fn rules(path: &Path, map: Option<&SemanticMap>) -> (Finding, Option<Rules>) {
+    let check = "rules";
+    let rules = match Rules::load(path) {
+        Ok(rules) => rules,
+        Err(error) => {
+            let remedy = "correct the line that it names; docs/mqtt.md shows every key; roomcast init --replace writes new rules";
+            return (Finding::wrong(check, chain(&error), remedy), None);
+        }
+    };
+    let shown = path.display();
+    if let Some(map) = map {
+        let known: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
+        let named = rules.about().filter_map(|rule| Some((rule.number, rule.room?)));
+        let unknown: Vec<_> = named.filter(|(_, room)| !room.contains('{') && map.find_room(room).is_none()).collect();
+        if let Some((number, room)) = unknown.first() {
+            let more = if unknown.len() > 1 {
+                format!(", and {} more rules do alike", unknown.len() - 1)
+            } else {
+                String::new()
+            };
+            let found = format!("{shown}: rule {number} names the room {room:?}, which the map does not have{more}");
+            let remedy = match nearest(room, known.iter().copied()) {
+                Some(meant) => format!("write room = {meant:?}"),
+                None => format!("write one of the map's rooms: {}", known.join(", ")),
+            };
+            return (Finding::wrong(check, found, remedy), Some(rules));
+        }
+    }
+    (Finding::good(check, format!("{shown}: {}", count(rules.about().count(), "rule"))), Some(rules))
+}
+
+/// What is listened to: everything beside what rules name, and robots.
+fn filters(config: &Config, rules: Option<&Rules>) -> Vec<String> {
+    let first = |topic: &str| topic.split('/').next().unwrap_or_default().to_owned();
+    let mut roots: Vec<String> = rules.iter().flat_map(|rules| rules.filters()).map(|filter| first(&filter)).collect();
+    if has_robot(config) {
+        roots.push(first(&config.robot.topic));
+    }
+    roots.sort();
+    roots.dedup();
+    let wide = |root: &String| if root == "#" { root.clone() } else { format!("{root}/#") };
+    let mut filters: Vec<String> = roots.iter().map(wide).collect();
+    // Topics of one level, which the wide ones have not.
+    filters.extend(roots.iter().filter(|root| !root.contains(['#', '+'])).cloned());
+    if has_robot(config) {
+        // Robots under another prefix than the configured one.
+        filters.extend(["+/+/$state".to_owned(), "+/+/StatusStateAttribute/status".to_owned()]);
+    }
+    filters
+}
+
+fn reached(broker: &Broker, seen: &Seen) -> Finding {
+    let check = "broker";
+    if let Some((filter, reason)) = seen.refused.first() {
+        let found = format!("{} refuses the subscription to {filter} ({reason})", broker.address);
+        return Finding::wrong(check, found, "give this user the right to read it, in the broker's access list");
+    }
+    let open = broker
+        .credentials
+        .as_deref()
+        .filter(|path| std::fs::metadata(path).is_ok_and(|about| about.permissions().mode() & 0o007 != 0));
+    if let Some(path) = open {
+        let found = format!(
+            "{} is reached, and everybody on this machine can read its password in {}",
+            broker.address,
+            path.display()
+        );
+        return Finding::limited(check, found, format!("chmod 600 {}", path.display()));
+    }
+    let login = if broker.credentials.is_some() { ", with a password" } else { "" };
+    Finding::good(check, format!("{} is reached{login}", broker.address))
+}
+
+fn unreached(error: &LookError, place: &Place<'_>) -> Finding {
+    Finding::wrong("broker", chain(error), format!("{} ({})", error.remedy(), place.shown()))
+}
+
+/// Whether what rules listen to is there, and what is there that no rule listens to.
+fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Place<'_>) -> Vec<Finding> {
+    let shown = path.display();
+    let own = |topic: &str| {
+        topic.starts_with(&format!("{}/", config.bridge.topic))
+            || topic.ends_with("/config")
+            || topic.contains("roomcast")
+    };
+    let topics: Vec<(&str, &[u8])> = (seen.topics.iter())
+        .map(|(topic, said)| (topic.as_str(), said.payload.as_slice()))
+        .filter(|(topic, _)| !own(topic))
+        .collect();
+    let state = config.daemon.state_directory();
+    let counted = state.and_then(|folder| Counted::of(&folder, &config.narrator.name));
+    let fitted = counted.as_ref().map(|counted| counted.fitted(&rules.keys())).unwrap_or_default();
+    let has_fitted = |number: usize| fitted.get(number - 1).copied().flatten().unwrap_or_default() > 0;
+    let silent: Vec<_> = (rules.about())
+        .filter(|rule| !has_fitted(rule.number) && !topics.iter().any(|(topic, _)| rules.fits(rule.number, topic)))
+        .collect();
+    let all = rules.about().count();
+    let wait_s = place.wait.as_secs_f64();
+    let mut findings = Vec::new();
+    // A topic that is there under nearly the same name is a typo; one that is not may just not have spoken yet.
+    let misspelt = silent.iter().find_map(|rule| {
+        if rule.topic.contains(['+', '#']) {
+            return None;
+        }
+        let unread = topics.iter().filter(|(topic, _)| rules.reads(topic, b"").is_empty()).map(|(topic, _)| *topic);
+        Some((rule, nearest(rule.topic, unread)?))
+    });
+    if let Some((rule, meant)) = misspelt {
+        let found = format!(
+            "{shown}: rule {} listens to {}, where nothing is said, and {meant} is there",
+            rule.number, rule.topic
+        );
+        findings.push(Finding::wrong("topics", found, format!("write topic = {meant:?}")));
+    } else if silent.len() == all {
+        let found =
+            format!("{shown}: nothing was said within {wait_s:.0} s under any topic of its {}", count(all, "rule"));
+        let remedy = "let Home Assistant publish its states: mqtt_statestream: with base_topic: homeassistant in its configuration.yaml, and \
+                      restart it; roomcast narrate --mqtt --dry-run shows what comes";
+        findings.push(Finding::wrong("topics", found, remedy));
+    } else if !silent.is_empty() {
+        let names = some_of(silent.iter().map(|rule| rule.topic));
+        let found = format!("{shown}: of {}, {} heard nothing yet: {names}", count(all, "rule"), silent.len());
+        let remedy =
+            "make the devices speak (open the door, switch the lamp); leave out the rules of devices that are gone";
+        findings.push(Finding::limited("topics", found, remedy));
+    } else {
+        findings
+            .push(Finding::good("topics", format!("{} seen, and every rule hears one", count(topics.len(), "topic"))));
+    }
+    if let Some(counted) = &counted {
+        findings.push(never(rules, counted, &fitted, &shown.to_string()));
+    }
+    let unnamed: Vec<&str> = topics
+        .iter()
+        .filter(|(topic, payload)| is_of_people(topic) && rules.reads(topic, payload).is_empty())
+        .map(|(topic, _)| *topic)
+        .collect();
+    if !unnamed.is_empty() {
+        let found = format!("{shown}: no rule reads {}: {}", count(unnamed.len(), "topic"), some_of(unnamed));
+        findings.push(Finding::limited(
+            "unnamed topics",
+            found,
+            "write rules for those that say what people do; leave the others",
+        ));
+    }
+    findings
+}
+
+/// Rules that no message ever fitted.
+fn never(rules: &Rules, counted: &Counted, fitted: &[Option<u64>], shown: &str) -> Finding {
+    let check = "rules that fit";
+    let never: Vec<_> =
+        rules.about().zip(fitted).filter(|(_, fitted)| **fitted == Some(0)).map(|(rule, _)| rule).collect();
+    let hours = roomcast_ipc::clock::unix_ns() / 1_000_000_000;
+    let hours = hours.saturating_sub(counted.since_unix_s) as f64 / 3600.0;
+    if never.is_empty() {
+        return Finding::good(check, format!("every rule that was counted fitted a message, in {hours:.1} h"));
+    }
+    let names: Vec<String> = never
+        .iter()
+        .map(|rule| match rule.when {
+            Some(when) => format!("rule {} ({} is {when:?})", rule.number, rule.topic),
+            None => format!("rule {} ({})", rule.number, rule.topic),
+        })
+        .collect();
+    let found =
+        format!("{shown}: in {hours:.1} h no message ever fitted {}", some_of(names.iter().map(String::as_str)));
+    Finding::limited(
+        check,
+        found,
+        "use the device once and look at roomcast narrate --mqtt --dry-run; correct `topic` or `when`, or leave the rule out",
+    )
+}
+
+/// Whether a topic may say what people do: of Home Assistant's states only some domains, of other programs all.
+fn is_of_people(topic: &str) -> bool {
+    let levels: Vec<&str> = topic.split('/').collect();
+    match levels[..] {
+        ["homeassistant", domain, _, "state"] => OF_PEOPLE.contains(&domain),
+        ["homeassistant", ..] => false,
+        _ => {
+            !topic.contains("StateAttribute")
+                && !topic.contains('$')
+                && !topic.contains("Capability")
+                && !topic.contains("MapData")
+        }
+    }
+}
+
+/// What is heard of the robot.
+#[derive(Default)]
+struct Heard {
+    online: Option<bool>,
+    status: Option<Status>,
+    fault: String,
+    segments: BTreeMap<String, String>,
+    any: bool,
+}
+
+fn robot(config: &Config, map: Option<&SemanticMap>, seen: &Seen, place: &Place<'_>) -> Vec<Finding> {
+    let check = "robot";
+    let topic = &config.robot.topic;
+    let dialect = Dialect::new(&config.robot, &config.bridge.topic, &config.planner.robot);
+    let mut heard = Heard::default();
+    for (topic, said) in &seen.topics {
+        match dialect.hear(topic, &said.payload) {
+            Some(Sensed::Online(online)) => (heard.online, heard.any) = (Some(online), true),
+            Some(Sensed::Status(status)) => (heard.status, heard.any) = (Some(status), true),
+            Some(Sensed::Fault(fault)) => (heard.fault, heard.any) = (fault, true),
+            Some(Sensed::Segments(segments)) => (heard.segments, heard.any) = (segments, true),
+            Some(_) => heard.any = true,
+            None => {}
+        }
+    }
+    if !heard.any {
+        let others: Vec<&str> = (seen.topics.keys())
+            .filter_map(|topic| {
+                topic.strip_suffix("/$state").or_else(|| topic.strip_suffix("/StatusStateAttribute/status"))
+            })
+            .collect();
+        let found = format!("no robot speaks under {topic} ({})", place.shown());
+        let remedy = match others.first() {
+            Some(other) => format!("set robot.topic = {other:?}, which is there"),
+            None => "switch the robot on; in Valetudo connect it to this broker (Settings, Connectivity, MQTT); then set robot.topic to its \
+                     prefix and identifier"
+                .to_owned(),
+        };
+        return vec![Finding::wrong(check, found, remedy)];
+    }
+    let mut findings = Vec::new();
+    if heard.online == Some(false) {
+        findings.push(Finding::wrong(
+            check,
+            format!("the robot under {topic} is not connected"),
+            "switch it on, and see whether its Wi-Fi reaches it",
+        ));
+    } else if heard.status == Some(Status::Error) {
+        let fault = if heard.fault.is_empty() { "it does not say which" } else { &heard.fault };
+        findings.push(Finding::wrong(
+            check,
+            format!("the robot under {topic} has an error: {fault}"),
+            "go and free it",
+        ));
+    } else if !config.robot.obey {
+        let found = format!("the robot speaks under {topic}, and is told nothing yet");
+        findings.push(Finding::limited(
+            check,
+            found,
+            format!("when what `roomcast robot` prints is right: obey = true in [robot] of {}", place.shown()),
+        ));
+    } else {
+        findings.push(Finding::good(check, format!("speaks under {topic}, and obeys")));
+    }
+    if config.robot.obey && config.planner.reports != roomcast_services::config::Reports::Always {
+        let found = "the robot obeys, and by planner.reports the clock may say that a room is done";
+        findings.push(Finding::limited(
+            "planner",
+            found,
+            format!("set reports = \"always\" in [planner] of {}", place.shown()),
+        ));
+    }
+    if let (RobotKind::Valetudo, Some(map)) = (config.robot.kind, map) {
+        findings.push(segments(config, map, &heard.segments, place));
+    }
+    findings
+}
+
+/// Whether each room is a segment of the robot's own map.
+fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, String>, place: &Place<'_>) -> Finding {
+    let check = "segments";
+    let rooms = map.rooms().iter().map(|room| room.id.as_str());
+    let wrong: Vec<(&str, String)> =
+        rooms.filter_map(|room| Some((room, segment_of(room, &config.robot.segments, segments).err()?))).collect();
+    let known: Vec<String> = segments.iter().map(|(number, name)| format!("{number} {name:?}")).collect();
+    let Some((room, why)) = wrong.first() else {
+        return Finding::good(
+            check,
+            format!("each of {} is a segment of the robot's map", count(map.rooms().len(), "room")),
+        );
+    };
+    let names = some_of(wrong.iter().map(|(room, _)| *room));
+    let found = format!(
+        "the robot cannot do {names}: {room}: {why}; its segments are {}",
+        some_of(known.iter().map(String::as_str))
+    );
+    let number = segments.keys().next().map_or("1", String::as_str);
+    let remedy = format!(
+        "write each room's number into [robot.segments] of {}, such as {room:?} = {number:?}; or import the robot's own map",
+        place.shown()
+    );
+    match wrong.len() == map.rooms().len() {
+        true => Finding::wrong(check, found, remedy),
+        false => Finding::limited(check, found, remedy),
+    }
+}

@@ -1,0 +1,108 @@
+//! Where a home's rooms and rules come from: a Home Assistant's configuration folder, or its WebSocket API.
+
+use std::path::{Path, PathBuf};
+
+use super::Failure;
+use super::scene_files::{in_file, input, read, write};
+#[cfg(feature = "home")]
+use crate::home_assistant;
+use roomcast_core::semantic_map::import::{self, Home, Registries};
+
+/// Whether a source is an address, and no folder.
+pub(super) fn is_url(source: &Path) -> bool {
+    let schemes = ["http://", "https://", "ws://", "wss://"];
+    source.to_str().is_some_and(|source| schemes.iter().any(|scheme| source.starts_with(scheme)))
+}
+
+/// Reads a Home Assistant: the registries of a configuration folder, or those that its API tells.
+pub(super) fn home_assistant(
+    source: &Path,
+    name: &str,
+    token_file: Option<&Path>,
+    authority: Option<&Path>,
+) -> Result<Home, Failure> {
+    if is_url(source) {
+        return over_network(source, name, token_file, authority);
+    }
+    if token_file.is_some() || authority.is_some() {
+        let source = source.display();
+        let text = format!(
+            "a token is for an address, and {source} is a folder; give http://HOST:8123, or leave --token-file out"
+        );
+        return Err(Failure::new(crate::exit_code::USAGE, text));
+    }
+    from_folder(source, name)
+}
+
+#[cfg(feature = "home")]
+fn over_network(source: &Path, name: &str, token: Option<&Path>, authority: Option<&Path>) -> Result<Home, Failure> {
+    let url = source.to_string_lossy();
+    let Some(token) = token else {
+        let text =
+            "give --token-file FILE with a long-lived access token (Home Assistant, your profile's page, Security)";
+        return Err(Failure::new(crate::exit_code::USAGE, text));
+    };
+    let fetched = home_assistant::fetch(&url, token, authority).map_err(input)?;
+    import::home_assistant(&fetched.registries(), name)
+        .map_err(|error| in_file(&format!("Home Assistant {} at", fetched.version), source, &error))
+}
+
+#[cfg(not(feature = "home"))]
+fn over_network(source: &Path, _: &str, _: Option<&Path>, _: Option<&Path>) -> Result<Home, Failure> {
+    let source = source.display();
+    Err(input(format!(
+        "{source}: this build has no network; give the configuration folder, or build with --features home"
+    )))
+}
+
+/// Reads the registries of a configuration folder, or of its `.storage`.
+fn from_folder(folder: &Path, name: &str) -> Result<Home, Failure> {
+    let inner = folder.join(".storage");
+    let storage = if inner.is_dir() { &inner } else { folder };
+    let (areas, registry) = (storage.join("core.area_registry"), "registry");
+    if !areas.is_file() {
+        let folder = folder.display();
+        let problem =
+            format!("{folder} has no .storage/core.area_registry; give the folder that configuration.yaml is in");
+        return Err(input(problem));
+    }
+    let optional = |name: &str| {
+        let path = storage.join(name);
+        path.is_file().then(|| read(registry, &path)).transpose()
+    };
+    let (floors, devices) = (optional("core.floor_registry")?, optional("core.device_registry")?);
+    let (entities, persons) = (optional("core.entity_registry")?, optional("person")?);
+    let texts = Registries {
+        areas: &read(registry, &areas)?,
+        floors: floors.as_deref(),
+        devices: devices.as_deref(),
+        entities: entities.as_deref(),
+        persons: persons.as_deref(),
+    };
+    import::home_assistant(&texts, name).map_err(|error| in_file("Home Assistant", storage, &error))
+}
+
+/// Whether rules can be used by `narrate --mqtt`.
+pub(super) fn check_rules(path: &Path, rules: &str) -> Result<(), Failure> {
+    #[cfg(feature = "mqtt")]
+    roomcast_services::mqtt::Rules::parse(rules)
+        .map_err(|fault| input(format!("the rules for {} cannot be used: {fault}", path.display())))?;
+    #[cfg(not(feature = "mqtt"))]
+    let _unread = (path, rules);
+    Ok(())
+}
+
+/// Writes rules where none are: somebody may have edited those that are there.
+pub(super) fn write_rules(path: &PathBuf, rules: &str) -> Result<String, Failure> {
+    if path.exists() {
+        let path = path.display();
+        return Ok(format!("{path}: is there and stays as it is; remove it, or give --rules, for new rules"));
+    }
+    check_rules(path, rules)?;
+    write(path, rules.as_bytes())?;
+    Ok(format!(
+        "{path}: {}; edit them, then look at what they say: roomcast narrate --mqtt URL --rules {path} --dry-run",
+        super::count(rules.matches("[[rule]]").count(), "rule"),
+        path = path.display(),
+    ))
+}

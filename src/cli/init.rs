@@ -1,0 +1,556 @@
+//! `roomcast init`: a home's map, rules and configuration, from what the home already knows of itself.
+//!
+//! What is not given is found (a broker on this machine, a Home Assistant's folder, a robot at the broker), and on a terminal it is asked.
+//! All is read and checked before the first file is written, and no file that is there is overwritten unasked.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use roomcast_core::grounding::Grounding;
+use roomcast_core::semantic_map::import::{self, Imported};
+use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap, delta};
+use roomcast_services::config::Config;
+use roomcast_services::mqtt::Broker;
+use roomcast_services::mqtt_look::{self, LookError, Seen};
+use serde_json::json;
+
+mod ask;
+
+use ask::Asker;
+
+use super::home_source::{check_rules, home_assistant, is_url};
+use super::scene_files::{in_file, input, read, write};
+use super::{CommandResult, Failure, count, print};
+use crate::exit_code;
+
+/// How long robots at the broker are listened to.
+const LOOK: Duration = Duration::from_secs(3);
+/// The broker that is tried where none is given.
+const LOCAL_BROKER: &str = "mqtt://127.0.0.1";
+/// Where the configuration of a Home Assistant usually lies; under the user's own folder, too.
+const FOLDERS: [&str; 4] =
+    ["/config", "/var/lib/homeassistant", "/usr/share/hassio/homeassistant", "/home/homeassistant/.homeassistant"];
+const OWN_FOLDER: &str = ".homeassistant";
+/// Where Valetudo tells of its state and its map, behind its prefix and identifier.
+const STATUS: &str = "/StatusStateAttribute/status";
+const MAP: &str = "/MapData/map-data";
+/// Size of a thing that Home Assistant knows in a room and the robot's map does not have, in metres.
+const THING_M: f64 = 0.3;
+
+/// Arguments of `roomcast init`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The folder to write home.json, home.rules.toml and roomcast.toml into; it is made where it is missing.
+    #[arg(value_name = "FOLDER", default_value = ".")]
+    folder: PathBuf,
+    /// Home Assistant: its configuration folder, or its address (http://HOST:8123) with --token-file; `none` for a home without.
+    #[arg(long, value_name = "FOLDER|URL|none")]
+    home_assistant: Option<PathBuf>,
+    /// A file with a long-lived access token of the Home Assistant at an address; only its owner may be able to read it.
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// A PEM file with the certificates that the Home Assistant's is signed by, for an https address.
+    #[arg(long, value_name = "FILE", requires = "token_file")]
+    ca: Option<PathBuf>,
+    /// The broker: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca; `none` for a home without.
+    #[arg(long, value_name = "URL|none")]
+    mqtt: Option<String>,
+    /// A file with the broker's user name and password, a line each.
+    #[arg(long, value_name = "FILE")]
+    mqtt_credentials: Option<PathBuf>,
+    /// A PEM file with the certificates that the broker's is signed by.
+    #[arg(long, value_name = "FILE")]
+    mqtt_ca: Option<PathBuf>,
+    /// A robot's map: the file that Valetudo exports, or `mqtt` for the map that it tells the broker.
+    #[arg(long, value_name = "FILE|mqtt")]
+    valetudo: Option<PathBuf>,
+    /// Names for the segments of the robot's map: a TOML file with a line such as `11 = "kitchen"` each.
+    #[arg(long, value_name = "FILE")]
+    names: Option<PathBuf>,
+    /// The robot: where it speaks at the broker, Valetudo's prefix and identifier; `none` for a home without.
+    #[arg(long, value_name = "TOPIC|none")]
+    robot: Option<String>,
+    /// Who lives here; once for each. Without it nobody counts as a visitor.
+    #[arg(long, value_name = "NAME")]
+    resident: Vec<String>,
+    /// Leave rooms without things bare, in place of putting the usual furniture of their kind there.
+    #[arg(long)]
+    bare: bool,
+    /// Overwrite files that are there.
+    #[arg(long)]
+    replace: bool,
+    /// Ask nothing, also on a terminal.
+    #[arg(long)]
+    yes: bool,
+}
+
+/// What was found out.
+struct Found {
+    broker: Option<Broker>,
+    seen: Seen,
+    home_assistant: Option<PathBuf>,
+    robot: Option<String>,
+    notes: Vec<String>,
+}
+
+/// Sets up a home.
+///
+/// # Errors
+///
+/// [`exit_code::USAGE`] when nothing tells of rooms, [`exit_code::INPUT`] when a source cannot be used, [`exit_code::FAILURE`] when a file
+/// is there already or cannot be written.
+pub fn run(args: &Args) -> CommandResult {
+    let mut asker = Asker::new(args.yes);
+    let folder = std::path::absolute(&args.folder)
+        .map_err(|error| input(format!("the folder {}: {error}", args.folder.display())))?;
+    let files = ["home.json", "home.rules.toml", "roomcast.toml"].map(|name| folder.join(name));
+    permit(&files, args.replace, &mut asker)?;
+    let found = find(args, &mut asker)?;
+    let made = make(args, &folder, &files, &found)?;
+    std::fs::create_dir_all(&folder).map_err(|error| cannot_make(&folder, &error))?;
+    let [scene, rules, config] = &files;
+    write(scene, made.map.to_json().as_bytes())?;
+    if let Some(text) = &made.rules {
+        write(rules, text.as_bytes())?;
+    }
+    write(config, made.config.as_bytes())?;
+    print(&made.report(&files, &found))
+}
+
+fn cannot_make(folder: &Path, error: &std::io::Error) -> Failure {
+    let text =
+        format!("cannot make the folder {}: {error}; check its permissions, or give another one", folder.display());
+    Failure::new(exit_code::FAILURE, text)
+}
+
+/// Whether these files may be written.
+fn permit(files: &[PathBuf], replace: bool, asker: &mut Asker) -> CommandResult {
+    let there: Vec<String> = files.iter().filter(|path| path.exists()).map(|path| path.display().to_string()).collect();
+    if let Some(path) = files.iter().find(|path| path.exists() && !path.is_file()) {
+        let text = format!("{} is there and is no file; give another folder", path.display());
+        return Err(Failure::new(exit_code::FAILURE, text));
+    }
+    if there.is_empty() || replace {
+        return Ok(());
+    }
+    let names = there.join(", ");
+    if asker.yes_or_no(&format!("Overwrite {names}?"), false)? == Some(true) {
+        return Ok(());
+    }
+    let text = format!("{names} stay as they are: give --replace to overwrite them, or another folder");
+    Err(Failure::new(exit_code::FAILURE, text))
+}
+
+/// Takes what is given, finds what is not, and asks.
+fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
+    let mut notes = Vec::new();
+    let is_none = |path: &Path| path == Path::new("none");
+    let home = match &args.home_assistant {
+        Some(given) => Some(given.clone()).filter(|given| !is_none(given)),
+        None => {
+            let found = home_folder();
+            if let Some(found) = found.as_ref().filter(|_| !asker.asks()) {
+                notes.push(format!("found Home Assistant's configuration in {}", found.display()));
+            }
+            let shown = found.as_ref().map_or("none".to_owned(), |found| found.display().to_string());
+            let asked =
+                asker.text("Home Assistant: its configuration folder or address (none: there is none)", &shown)?;
+            asked.map(PathBuf::from).or(found).filter(|given| !is_none(given))
+        }
+    };
+    let (broker, seen) = find_broker(args, asker, &mut notes)?;
+    let robot = match args.robot.as_deref() {
+        Some("none") => None,
+        Some(given) => Some(given.trim_end_matches('/').to_owned()),
+        None => find_robot(&seen, asker, &mut notes)?,
+    };
+    Ok(Found { broker, seen, home_assistant: home, robot, notes })
+}
+
+/// The folder of a Home Assistant on this machine.
+fn home_folder() -> Option<PathBuf> {
+    let own = std::env::var_os("HOME").map(|home| Path::new(&home).join(OWN_FOLDER));
+    let all = FOLDERS.iter().map(PathBuf::from).chain(own);
+    all.into_iter().find(|folder| folder.join(".storage/core.area_registry").is_file())
+}
+
+/// The broker, and what is said there of robots.
+fn find_broker(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Result<(Option<Broker>, Seen), Failure> {
+    let asked = match args.mqtt.clone() {
+        Some(given) => Some(given),
+        None => asker.text("MQTT broker (none: there is none)", LOCAL_BROKER)?,
+    };
+    if asked.as_deref() == Some("none") {
+        return Ok((None, Seen::default()));
+    }
+    let given = asked.is_some();
+    let mut broker = Broker {
+        address: asked.unwrap_or_else(|| LOCAL_BROKER.to_owned()),
+        client: format!("roomcast-init-{}", std::process::id()),
+        credentials: args.mqtt_credentials.clone().map(|path| absolute(&path)),
+        authority: args.mqtt_ca.clone().map(|path| absolute(&path)),
+    };
+    let filters = [format!("+/+{STATUS}"), "+/+/$state".to_owned(), format!("+/+{MAP}")];
+    loop {
+        match mqtt_look::look(&broker, &filters, LOOK, |_| false) {
+            Ok(seen) => return Ok((Some(broker), seen)),
+            // A login can be given; what cannot be read or is no address is to be corrected.
+            Err(LookError::Login { .. }) if asker.asks() => {
+                let file =
+                    asker.text("The broker wants a login: a file with user name and password, a line each", "")?;
+                match file.filter(|file| !file.is_empty()) {
+                    Some(file) => broker.credentials = Some(absolute(Path::new(&file))),
+                    None => return Ok((Some(broker), Seen::default())),
+                }
+            }
+            Err(error @ LookError::Setup(_)) => return Err(Failure::new(exit_code::USAGE, error)),
+            Err(_) if !given => return Ok((None, Seen::default())),
+            Err(error) => {
+                notes.push(format!("{error}: {}", error.remedy()));
+                return Ok((Some(broker), Seen::default()));
+            }
+        }
+    }
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
+/// The robot that speaks Valetudo at the broker.
+fn find_robot(seen: &Seen, asker: &mut Asker, notes: &mut Vec<String>) -> Result<Option<String>, Failure> {
+    let mut robots: Vec<&str> = (seen.topics.keys())
+        .filter_map(|topic| topic.strip_suffix(STATUS).or_else(|| topic.strip_suffix(MAP)))
+        .collect();
+    robots.sort_unstable();
+    robots.dedup();
+    let shown = robots.join(", ");
+    let robot = match robots[..] {
+        [] => return Ok(None),
+        [one] => {
+            if !asker.asks() {
+                notes.push(format!("found a robot under {one}"));
+            }
+            asker
+                .text(&format!("Robot found at the broker: {shown} (none: drive no robot)"), one)?
+                .unwrap_or(one.to_owned())
+        }
+        [first, ..] => match asker
+            .text(&format!("Robots found at the broker: {shown}; which one is to be driven (or none)"), first)?
+        {
+            Some(chosen) => chosen,
+            None => {
+                let text =
+                    format!("there are several robots at the broker: {shown}; give one with --robot, or --robot none");
+                return Err(Failure::new(exit_code::USAGE, text));
+            }
+        },
+    };
+    Ok(Some(robot).filter(|robot| robot != "none"))
+}
+
+/// What is to be written, and what to say of it.
+struct Made {
+    map: SemanticMap,
+    rules: Option<String>,
+    config: String,
+    notes: Vec<String>,
+}
+
+fn make(args: &Args, folder: &Path, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failure> {
+    let [scene, rules_file, config_file] = files;
+    let home = found.home_assistant.as_deref();
+    let home =
+        home.map(|home| home_assistant(home, "home", args.token_file.as_deref(), args.ca.as_deref())).transpose()?;
+    let plan = robot_map(args, found)?;
+    let (home_map, rules) = match home {
+        Some(home) => (Some(home.imported), home.rules),
+        None => (None, None),
+    };
+    let furnish = |imported: Imported| if args.bare { Ok(imported) } else { imported.furnished() };
+    let (imported, areas) = match (plan, home_map) {
+        (Some(plan), areas) => (plan, areas),
+        (None, Some(areas)) => (areas, None),
+        (None, None) => {
+            return Err(Failure::new(
+                exit_code::USAGE,
+                "nothing tells of the home's rooms: give --home-assistant FOLDER or URL, or --valetudo FILE or mqtt (docs/home.md)",
+            ));
+        }
+    };
+    let mut notes = imported.notes.clone();
+    let imported = furnish(imported).map_err(|error| in_file("the map", scene, &error))?;
+    let (mut map, mut rules) = (imported.map, rules);
+    if let Some(Imported { map: areas, .. }) = &areas {
+        map = with_things(&map, areas, &mut notes)?;
+        rules = rules.map(|text| in_rooms_of(&map, areas, &text, &mut notes));
+    }
+    if let Some(text) = &rules {
+        check_rules(rules_file, text)?;
+    }
+    let config = configuration(args, folder, scene, rules.as_ref().map(|_| rules_file.as_path()), found);
+    let checked: Config =
+        toml::from_str(&config).map_err(|error| input(format!("{}: {error}", config_file.display())))?;
+    checked.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+    // What the services will read is what was made.
+    Grounding::new(&map, &checked.grounding).map_err(input)?;
+    Ok(Made { map, rules, config, notes })
+}
+
+/// The robot's own map: of a file, or of what it tells the broker.
+fn robot_map(args: &Args, found: &Found) -> Result<Option<Imported>, Failure> {
+    let over_broker = args.valetudo.as_deref() == Some(Path::new("mqtt"));
+    let told = || {
+        let robot = found.robot.as_ref()?;
+        found.seen.topics.get(&format!("{robot}{MAP}"))
+    };
+    let (json, from) = match &args.valetudo {
+        Some(path) if !over_broker => (read("map", path)?, path.clone()),
+        _ => match told() {
+            Some(said) => {
+                let robot = PathBuf::from(format!("{}{MAP}", found.robot.as_deref().unwrap_or_default()));
+                (unpacked(&said.payload).map_err(|fault| input(format!("map {}: {fault}", robot.display())))?, robot)
+            }
+            None if over_broker => {
+                let robot = found.robot.as_deref().unwrap_or("any robot");
+                let text = format!(
+                    "no map of {robot} is at the broker: switch on \"map data\" in Valetudo (Settings, Connectivity, MQTT, Customizations), \
+                     or save http://ROBOT/api/v2/robot/state/map and give --valetudo FILE"
+                );
+                return Err(input(text));
+            }
+            None => return Ok(None),
+        },
+    };
+    let names = match &args.names {
+        Some(path) => import::segment_names(&read("names", path)?).map_err(|error| in_file("names", path, &error))?,
+        None => Default::default(),
+    };
+    import::valetudo(&json, "home", &names).map(Some).map_err(|error| in_file("map", &from, &error))
+}
+
+/// A map as the robot tells it: zlib, or plain.
+fn unpacked(payload: &[u8]) -> Result<String, String> {
+    let text = if payload.first() == Some(&b'{') {
+        String::from_utf8(payload.to_vec()).map_err(|_| "it is not UTF-8".to_owned())?
+    } else {
+        let mut text = String::new();
+        let packed = flate2::read::ZlibDecoder::new(payload);
+        packed
+            .take(MAX_FILE_BYTES + 1)
+            .read_to_string(&mut text)
+            .map_err(|error| format!("it cannot be unpacked: {error}"))?;
+        text
+    };
+    if text.len() as u64 > MAX_FILE_BYTES {
+        return Err(format!("it has more than {MAX_FILE_BYTES} bytes"));
+    }
+    Ok(text)
+}
+
+/// The robot's map with the things that Home Assistant knows in its areas, each in the middle of its room.
+fn with_things(map: &SemanticMap, areas: &SemanticMap, notes: &mut Vec<String>) -> Result<SemanticMap, Failure> {
+    let (mut changes, mut homeless) = (Vec::new(), 0);
+    for item in areas.items() {
+        let area = areas.rooms_at(item.position_m).next().map(|room| &areas.rooms()[room.0 as usize]);
+        let room = area.and_then(|area| map.find_room(&area.id).or_else(|| map.find_room(&area.label)));
+        let Some(room) = room else {
+            homeless += 1;
+            continue;
+        };
+        let label = &areas.labels()[item.label.0 as usize];
+        let space = &map.rooms()[room.0 as usize].space;
+        let has = |other: &roomcast_core::semantic_map::Item| {
+            map.labels()[other.label.0 as usize] == *label && space.contains(&other.position_m)
+        };
+        if map.items().iter().any(has) {
+            continue;
+        }
+        let at = inside(map, room.0 as usize);
+        let half = 0.5 * THING_M;
+        let (min_m, max_m) = (at.map(|metres| metres - half), at.map(|metres| metres + half));
+        let id = format!("home-{}", item.id);
+        changes.push(json!({"change": "add-item", "item": {
+            "id": id, "label": label, "position_m": at, "box": {"min_m": min_m, "max_m": max_m}}}));
+    }
+    if homeless > 0 {
+        notes.push(format!(
+            "{} of Home Assistant in areas that the robot's map does not have: left out.",
+            count(homeless, "thing")
+        ));
+    }
+    if changes.is_empty() {
+        return Ok(map.clone());
+    }
+    notes.push(format!(
+        "{} of Home Assistant stand in the middle of their rooms: their ids begin with \"home\".",
+        count(changes.len(), "thing")
+    ));
+    let changed =
+        delta::parse_changes(&serde_json::Value::from(changes).to_string()).and_then(|changes| map.changed(changes));
+    changed.map_err(|error| input(format!("Home Assistant's things do not fit into the robot's map: {error}")))
+}
+
+/// A point well inside a room, near its middle.
+fn inside(map: &SemanticMap, room: usize) -> [f64; 3] {
+    const STEPS: i32 = 20;
+    let space = &map.rooms()[room].space;
+    let (middle, size) = (space.bounds.centre_m(), space.bounds.size_m());
+    let z = space.bounds.min_m[2] + 0.5 * THING_M;
+    let grid = (-STEPS..=STEPS).flat_map(|right| (-STEPS..=STEPS).map(move |down| (right, down)));
+    let mut places: Vec<_> = grid.collect();
+    places.sort_by_key(|(right, down)| right * right + down * down);
+    let point = |(right, down): (i32, i32)| {
+        let part = |steps: i32, metres: f64| f64::from(steps) / f64::from(2 * STEPS) * metres;
+        let tidy = |metres: f64| (metres * 1e3).round() / 1e3;
+        [tidy(middle[0] + part(right, size[0])), tidy(middle[1] + part(down, size[1])), z]
+    };
+    let near = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]].map(|way| way.map(|step: f64| step * THING_M));
+    let is_inside = |at: &[f64; 3]| near.iter().all(|[x, y]| space.contains(&[at[0] + x, at[1] + y, z]));
+    places.into_iter().map(point).find(is_inside).unwrap_or(middle)
+}
+
+/// Rules whose rooms are named as the robot's map has them.
+fn in_rooms_of(map: &SemanticMap, areas: &SemanticMap, rules: &str, notes: &mut Vec<String>) -> String {
+    let mut unknown = BTreeMap::new();
+    let mut text = String::with_capacity(rules.len());
+    for line in rules.lines() {
+        let named = line.starts_with("room = ").then(|| line.parse::<toml::Table>().ok()).flatten();
+        let area = named.as_ref().and_then(|table| table.get("room")).and_then(toml::Value::as_str);
+        let room = area.map(|area| {
+            let label = areas.find_room(area).map(|room| areas.rooms()[room.0 as usize].label.as_str());
+            map.find_room(area).or_else(|| map.find_room(label?)).ok_or(area)
+        });
+        match room {
+            Some(Ok(room)) => {
+                let id = toml::Value::from(map.rooms()[room.0 as usize].id.as_str());
+                let _ = writeln!(text, "room = {id}");
+                continue;
+            }
+            Some(Err(area)) => *unknown.entry(area.to_owned()).or_insert(0) += 1,
+            None => {}
+        }
+        text.push_str(line);
+        text.push('\n');
+    }
+    let rooms: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
+    for (area, rules) in unknown {
+        notes.push(format!(
+            "{} name the area {area:?}, which the robot's map does not have: write one of {} in its place.",
+            count(rules, "rule"),
+            rooms.join(", ")
+        ));
+    }
+    text
+}
+
+/// The configuration, with a word to each part.
+fn configuration(args: &Args, folder: &Path, scene: &Path, rules: Option<&Path>, found: &Found) -> String {
+    let quoted = |text: &str| toml::Value::from(text).to_string();
+    let path = |path: &Path| quoted(&path.to_string_lossy());
+    let mut text = format!(
+        "# A home, as `roomcast init` has set it up. `roomcast config` prints every key with its default; `roomcast doctor --config` says what\n\
+         # is wrong. Every service reads this file.\n\n[scene]\npath = {}\n\n[daemon]\n# What was narrated and learned is kept here over restarts.\nstate = {}\n",
+        path(scene),
+        path(&folder.join("state"))
+    );
+    text.push_str("\n[narrator]\nname = \"home\"\n");
+    if !args.resident.is_empty() {
+        let names: Vec<String> = args.resident.iter().map(|name| quoted(name)).collect();
+        let _ = write!(text, "\n[persons]\n# Everybody else is a visitor.\nresidents = [{}]\n", names.join(", "));
+    }
+    if let Some(broker) = &found.broker {
+        let _ = write!(text, "\n[mqtt]\nbroker = {}\n", quoted(&broker.address));
+        for (key, file) in
+            [("credentials", broker.credentials.as_deref()), ("ca", broker.authority.as_deref()), ("rules", rules)]
+        {
+            if let Some(file) = file {
+                let _ = writeln!(text, "{key} = {}", path(file));
+            }
+        }
+    }
+    if let Some(robot) = &found.robot {
+        let _ = write!(
+            text,
+            "\n[planner]\n# A room is done when the robot says so, and never by the clock.\nreports = \"always\"\n\n[robot]\ntopic = {}\n\
+             # Only what it would be told is printed, until this is true.\nobey = false\n",
+            quoted(robot)
+        );
+    }
+    text
+}
+
+impl Made {
+    /// What was written, what is assumed, and how to go on.
+    fn report(&self, [scene, rules, config]: &[PathBuf; 3], found: &Found) -> String {
+        let mut text = String::new();
+        for note in &found.notes {
+            let _ = writeln!(text, "{note}");
+        }
+        let (rooms, things) = (count(self.map.rooms().len(), "room"), count(self.map.items().len(), "thing"));
+        let _ = writeln!(text, "{}: {rooms}, {things}", scene.display());
+        for note in &self.notes {
+            let _ = writeln!(text, "  {note}");
+        }
+        if let Some(written) = &self.rules {
+            let number = count(written.matches("[[rule]]").count(), "rule");
+            let _ = writeln!(text, "{}: {number}; take out what says nothing of people", rules.display());
+        }
+        let file = config.display();
+        let _ = writeln!(text, "{file}\n\nNow look at it, and see what is missing:\n");
+        let _ = writeln!(text, "  roomcast scene draw {} --out home.svg", scene.display());
+        let _ = writeln!(text, "  roomcast doctor --config {file}");
+        let narrates = found.broker.is_some() && self.rules.is_some();
+        if narrates {
+            let _ = writeln!(text, "  roomcast narrate --mqtt --config {file} --dry-run");
+        }
+        let _ = writeln!(
+            text,
+            "\nThen start it, each in a terminal of its own, or as a unit:\n\n  roomcast daemon --config {file}"
+        );
+        if narrates {
+            let _ = writeln!(text, "  roomcast narrate --mqtt --config {file}");
+        }
+        let _ = writeln!(text, "  roomcast planner --config {file}");
+        if found.broker.is_some() {
+            let _ = writeln!(text, "  roomcast bridge mqtt --config {file}");
+        }
+        if found.robot.is_some() {
+            let _ =
+                writeln!(text, "  roomcast robot --config {file}          # add --obey when what it prints is right");
+        }
+        let _ = writeln!(text, "  roomcast view --config {file}");
+        if let Some(url) = found.home_assistant.as_deref().filter(|home| is_url(home)) {
+            let _ = writeln!(
+                text,
+                "\nThe token for {} is not needed any more; revoke it there if you like.",
+                url.display()
+            );
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write as _;
+
+    #[test]
+    fn a_robots_map_is_unpacked_with_a_limit() {
+        let mut packed = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
+        packed.write_all(br#"{"layers": []}"#).unwrap();
+        let packed = packed.finish().unwrap();
+        assert_eq!(unpacked(&packed).unwrap(), r#"{"layers": []}"#);
+        assert_eq!(unpacked(br#"{"a": 1}"#).unwrap(), r#"{"a": 1}"#);
+        assert!(unpacked(b"PNG").unwrap_err().contains("cannot be unpacked"));
+        let mut bomb = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
+        for _ in 0..70 {
+            bomb.write_all(&vec![b' '; 1 << 20]).unwrap();
+        }
+        assert!(unpacked(&bomb.finish().unwrap()).unwrap_err().contains("more than"));
+    }
+}
