@@ -56,6 +56,8 @@ class Box:
         return x * y * z
 
     def meets(self, other):
+        if isinstance(other, Prism):
+            return other.meets(self)
         return all(edge > TOUCH_M for edge in self.overlap(other))
 
     def holds(self, other):
@@ -65,6 +67,47 @@ class Box:
 
     def as_json(self):
         return {"min_m": metres(self.low), "max_m": metres(self.high)}
+
+
+@dataclass(frozen=True)
+class Prism(Box):
+    """A room whose floor is no rectangle: an outline with right angles, and the box around it."""
+
+    corners: tuple = ()
+
+    @classmethod
+    def over(cls, corners, height_m):
+        low, high = (tuple(choose(corner[a] for corner in corners) for a in (0, 1)) for choose in (min, max))
+        return cls((*low, 0.0), (*high, height_m), tuple(tuple(corner) for corner in corners))
+
+    def edges(self):
+        return list(zip(self.corners, self.corners[1:] + self.corners[:1]))
+
+    def pieces(self):
+        """The boxes that it consists of: the cells of the grid through its corners that lie inside."""
+        xs, ys = (sorted({corner[a] for corner in self.corners}) for a in (0, 1))
+        for west, east in zip(xs, xs[1:]):
+            for south, north in zip(ys, ys[1:]):
+                x, y = (west + east) / 2, (south + north) / 2
+                crossed = sum(a[0] < x < b[0] or b[0] < x < a[0] for a, b in self.edges() if a[1] == b[1] and a[1] > y)
+                if crossed % 2:
+                    yield Box((west, south, self.low[2]), (east, north, self.high[2]))
+
+    def volume_shared(self, other):
+        return sum(piece.volume_shared(other) for piece in self.pieces())
+
+    def meets(self, other):
+        if isinstance(other, Prism):
+            return any(other.meets(piece) for piece in self.pieces())
+        return any(piece.meets(other) for piece in self.pieces())
+
+    def holds(self, other):
+        """Whether a box lies inside: of its floor nothing is left when what the pieces hold is taken away."""
+        area = other.size(0) * other.size(1)
+        held = sum(
+            max(0.0, x) * max(0.0, y) for piece in self.pieces() for x, y, _ in [piece.overlap(other)]
+        )
+        return super().holds(other) and held >= area - 1e-9
 
 
 @dataclass
@@ -90,9 +133,7 @@ class Scene:
         self.plan = plan
         self.items = []
         height_m = self.plan["height_m"]
-        self.rooms = {
-            room["id"]: Box((*room["min_m"], 0.0), (*room["max_m"], height_m)) for room in self.plan["room"]
-        }
+        self.rooms = {room["id"]: self.space(room, height_m) for room in self.plan["room"]}
         self.doors = [self.door(door) for door in self.plan["door"]]
         for room, pieces in self.plan["place"].items():
             if room not in self.rooms:
@@ -110,6 +151,15 @@ class Scene:
             self.fail(f"'{label}' is not in plans/catalogue.toml: add it with its size")
         return self.catalogue[label]
 
+    def space(self, room, height_m):
+        corners = room.get("corners_m")
+        if corners is None:
+            return Box((*room["min_m"], 0.0), (*room["max_m"], height_m))
+        prism = Prism.over(corners, height_m)
+        if len(corners) < 4 or any((a[0] == b[0]) == (a[1] == b[1]) for a, b in prism.edges()):
+            self.fail(f"{room['id']}: the corners of corners_m go around, each straight north, south, east or west of the last")
+        return prism
+
     # Placing
 
     def door(self, door):
@@ -117,8 +167,8 @@ class Scene:
         first, second = (self.rooms[room] for room in door["rooms"])
         point = door["at_m"]
         for axis in (0, 1):
-            for plane, inwards in ((first.high[axis], -1), (first.low[axis], 1)):
-                shared = plane in (second.low[axis], second.high[axis])
+            for plane, inwards in self.walls(first, axis, point):
+                shared = plane in [wall for wall, _ in self.walls(second, axis, point)]
                 if shared and abs(point[axis] - plane) < 1e-9:
                     along, through, height = DOOR_M
                     low, high = [0.0] * 3, [0.0, 0.0, height]
@@ -129,6 +179,14 @@ class Scene:
                     clear = Box(tuple(low), tuple(high))
                     return {"rooms": door["rooms"], "position_m": [*point, 1.0], "clear": clear}
         self.fail(f"door {door['rooms']}: {point} is not on a wall that both rooms share")
+
+    def walls(self, room, axis, point):
+        """Where a room's walls across an axis are at a point, and which way leads into the room."""
+        pieces = list(room.pieces()) if isinstance(room, Prism) else [room]
+        beside = [piece for piece in pieces if piece.low[1 - axis] <= point[1 - axis] <= piece.high[1 - axis]]
+        planes = [(piece.high[axis], -1) for piece in beside] + [(piece.low[axis], 1) for piece in beside]
+        # Where two pieces of a room meet is no wall.
+        return [(plane, way) for plane, way in planes if (plane, -way) not in planes]
 
     def place(self, room, piece):
         """Puts one piece of furniture or one fixture, then what lies on, in, under and around it."""
@@ -295,7 +353,7 @@ class Scene:
             where = f"{item.id} in {item.room}"
             if not self.rooms[item.room].holds(item.box):
                 yield f"{where} sticks out of its room: {item.box.as_json()}"
-            shares = {room: item.box.volume_shared(box) for room, box in self.rooms.items()}
+            shares = {room: space.volume_shared(item.box) for room, space in self.rooms.items()}
             if any(share >= shares[item.room] for room, share in shares.items() if room != item.room):
                 yield f"{where} overlaps most with another room: {shares}"
         for a, b in combinations(self.items, 2):
@@ -343,10 +401,16 @@ class Scene:
     def part_box(self, part):
         return Box((*part["min_m"], 0.0), (*part["max_m"], self.plan["height_m"]))
 
+    def space_json(self, space):
+        if isinstance(space, Prism):
+            footprint = [[metres(corner) for corner in space.corners]]
+            return {"footprint": footprint, "floor": 0.0, "height": space.size(2), "box": space.as_json()}
+        return {"box": space.as_json()}
+
     def text(self):
         """The scene as JSON, one element per line, so that a change of the plan shows as a small difference."""
         rooms = [
-            {"id": room["id"], "label": room["label"], "box": self.rooms[room["id"]].as_json()}
+            {"id": room["id"], "label": room["label"], **self.space_json(self.rooms[room["id"]])}
             for room in self.plan["room"]
         ]
         parts = [
@@ -374,7 +438,8 @@ class Scene:
         ]
         fields = {
             "format": "roomcast-scene",
-            "version": 1,
+            # A map of boxes stays what it was.
+            "version": 2 if any(isinstance(space, Prism) for space in self.rooms.values()) else 1,
             "name": self.name,
             "description": self.plan["description"],
             "source": f"made by scenes/furnish.py from scenes/plans/{self.name}.toml",

@@ -73,6 +73,59 @@ class Building(unittest.TestCase):
         self.assertEqual(scene.aliases, {"mug": ["cup"], "plate": ["dish"]})
 
 
+class Angles(unittest.TestCase):
+    """Rooms with right angles that are no boxes: an L around the corner that room b takes up."""
+
+    L = [[0.0, 0.0], [8.0, 0.0], [8.0, 2.0], [4.0, 2.0], [4.0, 4.0], [0.0, 4.0]]
+
+    @staticmethod
+    def plan(plan):
+        plan["room"][0] = {"id": "a", "label": "kitchen", "corners_m": Angles.L}
+        plan["room"][1].update(min_m=[4.0, 2.0])
+        plan["place"]["b"][0]["at_m"] = 0.3
+        plan["door"][0]["at_m"] = [4.0, 3.0]
+
+    def test_an_outline_is_written_and_the_box_around_it_counts_for_nothing(self):
+        scene = build(Angles.plan)
+        self.assertEqual(list(scene.problems()), [])
+        text = json.loads(scene.text())
+        self.assertEqual(text["version"], 2)
+        self.assertEqual(text["rooms"][0]["footprint"], [Angles.L])
+        self.assertEqual(text["rooms"][0]["box"], {"min_m": [0.0, 0.0, 0.0], "max_m": [8.0, 4.0, 2.5]})
+        self.assertEqual(json.loads(build().text())["version"], 1)
+
+    def test_a_piece_in_the_corner_that_is_left_out_sticks_out(self):
+        def change(plan):
+            Angles.plan(plan)
+            plan["place"]["a"].append({"put": "mug", "centre_m": [6.0, 3.0]})
+
+        found = list(build(change).problems())
+        self.assertTrue(any("sticks out of its room" in problem for problem in found), found)
+        self.assertTrue(any("overlaps most with another room" in problem for problem in found), found)
+
+    def test_an_inner_wall_has_doors_and_the_middle_of_a_room_has_none(self):
+        def inner(plan):
+            Angles.plan(plan)
+            plan["door"][0]["at_m"] = [6.0, 2.0]
+
+        self.assertEqual(build(inner).doors[0]["position_m"], [6.0, 2.0, 1.0])
+
+        def middle(plan):
+            Angles.plan(plan)
+            plan["door"][0]["at_m"] = [4.0, 1.0]
+
+        with self.assertRaisesRegex(furnish.PlanError, "not on a wall"):
+            build(middle)
+
+    def test_corners_that_go_askew_are_refused(self):
+        def change(plan):
+            Angles.plan(plan)
+            plan["room"][0]["corners_m"] = [[0.0, 0.0], [8.0, 0.0], [4.0, 4.0], [0.0, 4.0]]
+
+        with self.assertRaisesRegex(furnish.PlanError, "each straight north, south, east or west"):
+            build(change)
+
+
 class Refusing(unittest.TestCase):
     def found(self, change, words):
         self.assertTrue(any(words in problem for problem in build(change).problems()), list(build(change).problems()))

@@ -1,0 +1,724 @@
+//! `roomcast init` and `roomcast doctor` over a home that is set up well, and with one mistake at a time: each is found, with what it is,
+//! where, and what to do. Real brokers, real processes.
+
+#![cfg(feature = "home")]
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
+
+use std::io::{Read, Write};
+use std::net::TcpListener;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant, SystemTime};
+
+use roomcast_ipc::Domain;
+use serde_json::Value;
+use tungstenite::Message;
+
+#[expect(dead_code, reason = "a test needs some of them")]
+#[path = "../src/exit_code.rs"]
+mod exit_code;
+#[expect(dead_code, reason = "a test needs some of it")]
+#[path = "support/mosquitto.rs"]
+mod mosquitto;
+#[path = "support/skipped.rs"]
+mod skipped;
+
+use mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+use skipped::skipped;
+
+const ROBOT: &str = "valetudo/rocky";
+const AREAS: &str = r#"{"data": {"areas": [{"id": "kuche", "name": "Küche", "aliases": []},
+    {"id": "wohnzimmer", "name": "Wohnzimmer", "aliases": []}]}}"#;
+const ENTITIES: &str = r#"{"data": {"entities": [
+    {"entity_id": "binary_sensor.fridge_door", "area_id": "kuche", "original_device_class": "door", "unique_id": "1"},
+    {"entity_id": "switch.toaster", "area_id": "kuche", "unique_id": "2"},
+    {"entity_id": "binary_sensor.living_room_motion", "area_id": "wohnzimmer", "original_device_class": "motion", "unique_id": "3"},
+    {"entity_id": "light.ceiling", "area_id": "wohnzimmer", "unique_id": "4"},
+    {"entity_id": "person.ada", "unique_id": "p-1"}]}}"#;
+const PERSONS: &str = r#"{"data": {"items": [{"id": "p-1", "name": "Ada"}]}}"#;
+
+/// What Home Assistant and the robot keep at the broker.
+fn kept() -> Vec<(String, String, bool)> {
+    let states = [
+        ("binary_sensor/fridge_door", "off"),
+        ("switch/toaster", "off"),
+        ("binary_sensor/living_room_motion", "on"),
+        ("light/ceiling", "off"),
+        ("person/ada", "home"),
+    ];
+    let states = states.map(|(object, state)| (format!("homeassistant/{object}/state"), state.to_owned(), true));
+    let robot = [
+        ("$state", "ready"),
+        ("StatusStateAttribute/status", "docked"),
+        ("StatusStateAttribute/error_description", "No error"),
+        ("BatteryStateAttribute/level", "90"),
+        ("MapData/segments", r#"{"16": "Küche", "17": "Wohnzimmer", "18": "Flur"}"#),
+    ];
+    let robot = robot.map(|(part, said)| (format!("{ROBOT}/{part}"), said.to_owned(), true));
+    states.into_iter().chain(robot).collect()
+}
+
+/// A robot's map: kitchen, living room and hall, side by side along a corridor.
+fn robot_map() -> String {
+    let block = |number: &str, name: &str, x: i32, y: i32, wide: i32, high: i32| {
+        let runs: Vec<i32> = (y..y + high).flat_map(|row| [x, row, wide]).collect();
+        serde_json::json!({"__class": "MapLayer", "type": "segment", "metaData": {"segmentId": number, "name": name, "active": false},
+            "compressedPixels": runs})
+    };
+    serde_json::json!({"__class": "ValetudoMap", "metaData": {"version": 2}, "size": {"x": 5120, "y": 5120}, "pixelSize": 5,
+        "layers": [block("16", "Küche", 100, 100, 80, 80), block("17", "Wohnzimmer", 184, 100, 100, 80), block("18", "Flur", 100, 184, 184, 30)],
+        "entities": []})
+    .to_string()
+}
+
+/// A home: a folder, a broker, and a domain of its own.
+struct Home {
+    directory: tempfile::TempDir,
+    domain: Domain,
+    port: u16,
+    broker: Option<Mosquitto>,
+    children: Vec<Child>,
+}
+
+fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+impl Home {
+    /// Home Assistant's folder, the robot's map, and a broker with what both keep there.
+    fn new(name: &str) -> Option<Self> {
+        let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let storage = directory.path().join("config/.storage");
+        std::fs::create_dir_all(&storage).unwrap();
+        for (file, text) in [("core.area_registry", AREAS), ("core.entity_registry", ENTITIES), ("person", PERSONS)] {
+            std::fs::write(storage.join(file), text).unwrap();
+        }
+        std::fs::write(directory.path().join("map.json"), robot_map()).unwrap();
+        let port = free_port();
+        let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+            skipped(NO_BROKER);
+            return None;
+        };
+        let domain =
+            Domain::new(directory.path().join("d"), &format!("{name}-{}", std::process::id() % 100_000)).unwrap();
+        let home = Self { directory, domain, port, broker: Some(broker), children: Vec::new() };
+        home.say(&kept());
+        Some(home)
+    }
+
+    fn say(&self, messages: &[(String, String, bool)]) {
+        let messages: Vec<_> =
+            messages.iter().map(|(topic, said, keep)| (topic.as_str(), said.clone(), *keep)).collect();
+        self.broker.as_ref().unwrap().publish(&messages);
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.directory.path().join(name)
+    }
+
+    fn at(&self, name: &str) -> String {
+        self.path(name).display().to_string()
+    }
+
+    fn url(&self) -> String {
+        format!("mqtt://127.0.0.1:{}", self.port)
+    }
+
+    fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
+        command.args(arguments).env_remove("ROOMCAST_CONFIG").env("HOME", self.directory.path()).stdin(Stdio::null());
+        command.env("ROOMCAST_ROOT", self.domain.root()).env("ROOMCAST_DOMAIN", self.domain.name());
+        command
+    }
+
+    /// Sets the home up as a good one, with these options in place of its own.
+    fn init(&self, more: &[&str]) -> Output {
+        let has = |option: &str| more.contains(&option);
+        let (config, url, map) = (self.at("config"), self.url(), self.at("map.json"));
+        let mut all = vec!["init", "--yes"];
+        for (option, value) in
+            [("--home-assistant", &*config), ("--mqtt", &url), ("--valetudo", &map), ("--robot", ROBOT)]
+        {
+            if !has(option) {
+                all.extend([option, value]);
+            }
+        }
+        all.extend(more);
+        let home = self.at("home");
+        all.push(&home);
+        self.command(&all).output().unwrap()
+    }
+
+    fn good(&self) {
+        let output = self.init(&[]);
+        assert!(output.status.success(), "{output:?}");
+    }
+
+    fn edit(&self, file: &str, from: &str, to: &str) {
+        let path = self.path("home").join(file);
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains(from), "{file} has no {from}: {text}");
+        std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
+    }
+
+    /// What the doctor says: its exit code and its findings.
+    fn doctor(&self) -> (i32, Vec<Value>) {
+        let config = self.at("home/roomcast.toml");
+        let output = self.command(&["doctor", "--json", "--wait", "1", "--config", &config]).output().unwrap();
+        let report: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{output:?}"));
+        let code = output.status.code().unwrap();
+        assert_eq!(report["ok"] == true, code == 0, "{report:#}");
+        (code, report["findings"].as_array().unwrap().clone())
+    }
+
+    fn start(&mut self, arguments: &[&str]) {
+        let mut command = self.command(arguments);
+        self.children.push(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
+    }
+}
+
+impl Drop for Home {
+    fn drop(&mut self) {
+        for child in &mut self.children {
+            let _gone = child.kill();
+            let _reaped = child.wait();
+        }
+        let _left = self.domain.clean_up();
+    }
+}
+
+fn finding<'a>(findings: &'a [Value], check: &str) -> &'a Value {
+    findings.iter().find(|finding| finding["check"] == check).unwrap_or_else(|| panic!("no {check} in {findings:#?}"))
+}
+
+fn text<'a>(finding: &'a Value, key: &str) -> &'a str {
+    finding[key].as_str().unwrap_or_default()
+}
+
+#[test]
+fn a_home_that_is_set_up_well_has_no_fault() {
+    let Some(mut home) = Home::new("good") else { return };
+    let output = home.init(&["--resident", "Ada"]);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    for part in
+        ["home.json: 3 rooms", "home.rules.toml: 9 rules", "roomcast doctor --config", "roomcast robot --config"]
+    {
+        assert!(said.contains(part), "{part} in {said}");
+    }
+    // The robot's rooms, with what Home Assistant knows of them, and rules that name them.
+    let map: Value = serde_json::from_str(&std::fs::read_to_string(home.path("home/home.json")).unwrap()).unwrap();
+    let rooms: Vec<_> = map["rooms"].as_array().unwrap().iter().map(|room| text(room, "id")).collect();
+    assert_eq!(rooms, ["kitchen-16", "living-room-17", "hallway-18"], "{map:#}");
+    let things: Vec<_> = map["items"].as_array().unwrap().iter().map(|item| text(item, "id")).collect();
+    assert!(things.contains(&"home-toaster") && things.contains(&"assumed-fridge"), "{things:?}");
+    let rules = std::fs::read_to_string(home.path("home/home.rules.toml")).unwrap();
+    assert!(rules.contains("room = \"living-room-17\"") && rules.contains("They open the fridge."), "{rules}");
+    let (code, findings) = home.doctor();
+    assert_eq!(code, 0, "{findings:#?}");
+    for check in ["clock", "things", "rules", "broker", "topics", "segments", "persons"] {
+        assert_eq!(finding(&findings, check)["verdict"], "good", "{check}: {findings:#?}");
+    }
+    assert!(text(finding(&findings, "services"), "found").contains("nothing runs yet"));
+    // It runs as it was set up: the narrator says what a sensor does, and counts which rules fit.
+    let config = home.at("home/roomcast.toml");
+    home.start(&["daemon", "--config", &config]);
+    home.start(&["narrate", "--mqtt", "--config", &config]);
+    home.start(&["planner", "--config", &config]);
+    let start = Instant::now();
+    let (mut open, mut findings) = (false, Vec::new());
+    while start.elapsed() < Duration::from_secs(100) {
+        open = !open;
+        let state = if open { "on" } else { "off" };
+        home.say(&[("homeassistant/binary_sensor/fridge_door/state".to_owned(), state.to_owned(), true)]);
+        (_, findings) = home.doctor();
+        if finding(&findings, "daemon")["verdict"] == "good"
+            && findings.iter().any(|finding| finding["check"] == "rules that fit")
+        {
+            break;
+        }
+    }
+    assert!(text(finding(&findings, "daemon"), "found").contains("narrations accepted"), "{findings:#?}");
+    let services = text(finding(&findings, "services"), "found");
+    assert!(["daemon", "narrator", "planner"].iter().all(|name| services.contains(name)), "{services}");
+    assert_eq!(finding(&findings, "bridge")["verdict"], "limited");
+    let never = finding(&findings, "rules that fit");
+    assert!(text(never, "found").contains("homeassistant/switch/toaster/state is \"on\""), "{never}");
+    assert!(!text(never, "found").contains("fridge_door/state is \"on\""), "{never}");
+}
+
+/// A mistake that the doctor is to find.
+struct Mistake {
+    name: &'static str,
+    make: fn(&mut Home),
+    check: &'static str,
+    verdict: &'static str,
+    found: &'static str,
+    remedy: &'static str,
+    code: u8,
+}
+
+/// A server that is no broker.
+fn web_server() -> u16 {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    std::thread::spawn(move || {
+        for stream in listener.incoming() {
+            let mut stream = stream.unwrap();
+            let _read = stream.read(&mut [0; 1024]);
+            let _written = stream.write_all(b"HTTP/1.1 400 Bad Request\r\n\r\n");
+        }
+    });
+    port
+}
+
+fn password(home: &mut Home, wrong: bool) -> bool {
+    drop(home.broker.take());
+    let folder = tempfile::tempdir().unwrap();
+    let passwords = folder.path().join("passwords");
+    let made = Command::new("mosquitto_passwd").args(["-b", "-c"]).arg(&passwords).args(["home", "secret"]).output();
+    if !made.is_ok_and(|made| made.status.success()) {
+        return false;
+    }
+    let access = format!("allow_anonymous false\npassword_file {}", passwords.display());
+    // It tells what is kept to nobody who has no password, so nothing is put there.
+    home.broker = Mosquitto::start(home.port, folder, &access);
+    let file = home.path("credentials");
+    std::fs::write(&file, if wrong { "home\nsecrets\n" } else { "home\nsecret\n" }).unwrap();
+    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o644)).unwrap();
+    home.edit("roomcast.toml", "[mqtt]\n", &format!("[mqtt]\ncredentials = {:?}\n", file.display().to_string()));
+    true
+}
+
+const MISTAKES: [Mistake; 21] = [
+    Mistake {
+        name: "the broker's port",
+        make: |home| home.edit("roomcast.toml", &home.port.to_string(), &free_port().to_string()),
+        check: "broker",
+        verdict: "wrong",
+        found: "no broker answers at 127.0.0.1:",
+        remedy: "systemctl start mosquitto), or correct host and port in mqtt.broker",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "the broker's host",
+        make: |home| home.edit("roomcast.toml", "127.0.0.1", "no-such-host.invalid"),
+        check: "broker",
+        verdict: "wrong",
+        found: "no broker answers at no-such-host.invalid:",
+        remedy: "correct host and port in mqtt.broker",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a web server for a broker",
+        make: |home| home.edit("roomcast.toml", &home.port.to_string(), &web_server().to_string()),
+        check: "broker",
+        verdict: "wrong",
+        found: "is no MQTT 5 broker",
+        remedy: "give the port of an MQTT 5 broker",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "the password",
+        make: |home| assert!(password(home, true), "mosquitto_passwd is not there"),
+        check: "broker",
+        verdict: "wrong",
+        found: "refuses the login",
+        remedy: "user name and password, a line each, into the file that mqtt.credentials names",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a password that everybody can read",
+        make: |home| assert!(password(home, false), "mosquitto_passwd is not there"),
+        check: "broker",
+        verdict: "limited",
+        found: "everybody on this machine can read its password",
+        remedy: "chmod 600",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a topic",
+        make: |home| {
+            home.edit("home.rules.toml", "binary_sensor/living_room_motion/", "binary_sensor/livingroom_motion/")
+        },
+        check: "topics",
+        verdict: "wrong",
+        found: "listens to homeassistant/binary_sensor/livingroom_motion/state, where nothing is said",
+        remedy: "write topic = \"homeassistant/binary_sensor/living_room_motion/state\"",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "no state at the broker",
+        make: |home| {
+            drop(home.broker.take());
+            home.broker = Mosquitto::start(home.port, tempfile::tempdir().unwrap(), ANYBODY);
+            home.say(&kept()[5..]);
+        },
+        check: "topics",
+        verdict: "wrong",
+        found: "nothing was said within 1 s under any topic of its 9 rules",
+        remedy: "mqtt_statestream",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a device that no rule names",
+        make: |home| home.say(&[("homeassistant/light/desk/state".to_owned(), "on".to_owned(), true)]),
+        check: "unnamed topics",
+        verdict: "limited",
+        found: "no rule reads 1 topic: homeassistant/light/desk/state",
+        remedy: "write rules for those that say what people do",
+        code: exit_code::OK,
+    },
+    Mistake {
+        name: "a room in a rule",
+        make: |home| home.edit("home.rules.toml", "\"living-room-17\"", "\"lving-rom-17\""),
+        check: "rules",
+        verdict: "wrong",
+        found: "names the room \"lving-rom-17\", which the map does not have",
+        remedy: "write room = \"living-room-17\"",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "rules that are no TOML",
+        make: |home| home.edit("home.rules.toml", "[[rule]]", "[[rule]"),
+        check: "rules",
+        verdict: "wrong",
+        found: "home.rules.toml are malformed",
+        remedy: "docs/mqtt.md shows every key",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a map without things",
+        make: |home| {
+            let path = home.path("home/home.json");
+            let mut map: Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+            map["items"] = Value::Array(Vec::new());
+            std::fs::write(path, map.to_string()).unwrap();
+        },
+        check: "things",
+        verdict: "wrong",
+        found: "nothing stands in any room",
+        remedy: "--furnish typical",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a map that is no JSON",
+        make: |home| home.edit("home.json", "\"rooms\"", "rooms"),
+        check: "scene",
+        verdict: "wrong",
+        found: "home.json",
+        remedy: "roomcast scene check FILE names every fault",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a configuration that is no TOML",
+        make: |home| home.edit("roomcast.toml", "[mqtt]", "[mqtt"),
+        check: "configuration",
+        verdict: "wrong",
+        found: "roomcast.toml is malformed",
+        remedy: "roomcast config prints every key",
+        code: exit_code::CONFIG,
+    },
+    Mistake {
+        name: "a key that there is not",
+        make: |home| home.edit("roomcast.toml", "obey =", "obeys ="),
+        check: "configuration",
+        verdict: "wrong",
+        found: "unknown field `obeys`",
+        remedy: "roomcast config prints every key",
+        code: exit_code::CONFIG,
+    },
+    Mistake {
+        name: "a model that is not there",
+        make: |home| home.edit("roomcast.toml", "[scene]", "[model]\npath = \"/nowhere/model.gguf\"\n\n[scene]"),
+        check: "model",
+        verdict: "wrong",
+        found: "/nowhere/model.gguf",
+        remedy: "without model.path the embedded household model is used",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "no daemon",
+        make: |home| {
+            let config = home.at("home/roomcast.toml");
+            home.start(&["planner", "--config", &config]);
+            let node = home.domain.open("test").unwrap();
+            let start = Instant::now();
+            while !node.participants().unwrap().iter().any(|name| name.starts_with("roomcast-planner")) {
+                assert!(start.elapsed() < Duration::from_secs(60), "the planner does not come");
+                std::thread::sleep(Duration::from_millis(50));
+            }
+        },
+        check: "daemon",
+        verdict: "wrong",
+        found: "planner runs, and no daemon does",
+        remedy: "roomcast daemon --config",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "rooms that are no segments",
+        make: |home| {
+            let segments = r#"{"1": "Room 1", "2": "Room 2", "3": "Room 3"}"#;
+            home.say(&[(format!("{ROBOT}/MapData/segments"), segments.to_owned(), true)]);
+        },
+        check: "segments",
+        verdict: "wrong",
+        found: "the robot cannot do kitchen-16, living-room-17, hallway-18",
+        remedy: "[robot.segments]",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "another robot's topic",
+        make: |home| home.edit("roomcast.toml", "valetudo/rocky", "valetudo/robot-1"),
+        check: "robot",
+        verdict: "wrong",
+        found: "no robot speaks under valetudo/robot-1",
+        remedy: "set robot.topic = \"valetudo/rocky\", which is there",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a robot that is stuck",
+        make: |home| {
+            let stuck = [
+                ("StatusStateAttribute/status", "error"),
+                ("StatusStateAttribute/error_description", "Wheel lost floor contact"),
+            ];
+            home.say(&stuck.map(|(part, said)| (format!("{ROBOT}/{part}"), said.to_owned(), true)));
+        },
+        check: "robot",
+        verdict: "wrong",
+        found: "has an error: Wheel lost floor contact",
+        remedy: "go and free it",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a resident by another name",
+        make: |home| home.edit("roomcast.toml", "[mqtt]\n", "[persons]\nresidents = [\"Adah\"]\n\n[mqtt]\n"),
+        check: "persons",
+        verdict: "limited",
+        found: "the rules name Ada, who is not among persons.residents",
+        remedy: "add the name to persons.residents",
+        code: exit_code::OK,
+    },
+    Mistake {
+        name: "the clock",
+        make: |home| {
+            let file = std::fs::File::options().append(true).open(home.path("home/home.json")).unwrap();
+            file.set_modified(SystemTime::now() + Duration::from_secs(86_400)).unwrap();
+        },
+        check: "clock",
+        verdict: "wrong",
+        found: "home.json was written",
+        remedy: "timedatectl set-ntp true",
+        code: exit_code::CHECK,
+    },
+];
+
+#[test]
+fn the_doctor_finds_each_mistake() {
+    let mut faults = Vec::new();
+    for Mistake { name, make, check, verdict, found, remedy, code } in MISTAKES {
+        let Some(mut home) = Home::new("doctor") else { return };
+        home.good();
+        make(&mut home);
+        let (ended, findings) = home.doctor();
+        let finding = finding(&findings, check);
+        let as_expected = finding["verdict"] == verdict
+            && text(finding, "found").contains(found)
+            && text(finding, "remedy").contains(remedy)
+            && ended == i32::from(code);
+        if !as_expected {
+            faults.push(format!("{name}: code {ended}, {finding:#}"));
+        }
+    }
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+/// Answers as Home Assistant does to a token that it does not know.
+fn refusing_home_assistant() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}", listener.local_addr().unwrap());
+    std::thread::spawn(move || {
+        let (stream, _) = listener.accept().unwrap();
+        let mut socket = tungstenite::accept(stream).unwrap();
+        socket.send(Message::text(r#"{"type": "auth_required", "ha_version": "2024.3.3"}"#)).unwrap();
+        let _token = socket.read();
+        let invalid = r#"{"type": "auth_invalid", "message": "Invalid access token or password"}"#;
+        socket.send(Message::text(invalid)).unwrap();
+        let _bye = socket.read();
+    });
+    url
+}
+
+fn token(home: &Home, mode: u32) -> String {
+    let path = home.path("token");
+    std::fs::write(&path, "eyJ.token\n").unwrap();
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+    path.display().to_string()
+}
+
+#[test]
+fn init_says_what_is_wrong_and_writes_nothing() {
+    type Case = (&'static str, fn(&Home) -> Vec<String>, u8, &'static [&'static str]);
+    let cases: [Case; 13] = [
+        (
+            "a token that is refused",
+            |home| {
+                vec!["--home-assistant".into(), refusing_home_assistant(), "--token-file".into(), token(home, 0o600)]
+            },
+            exit_code::INPUT,
+            &["refuses the token (Invalid access token or password)", "make a long-lived access token"],
+        ),
+        (
+            "a token that others can read",
+            |home| {
+                vec!["--home-assistant".into(), "http://127.0.0.1:1".into(), "--token-file".into(), token(home, 0o644)]
+            },
+            exit_code::INPUT,
+            &["others may read it", "chmod 600"],
+        ),
+        (
+            "an address without a token",
+            |_| vec!["--home-assistant".into(), "http://127.0.0.1:1".into()],
+            exit_code::USAGE,
+            &["give --token-file FILE with a long-lived access token"],
+        ),
+        (
+            "nobody at the address",
+            |home| {
+                vec![
+                    "--home-assistant".into(),
+                    format!("http://127.0.0.1:{}", free_port()),
+                    "--token-file".into(),
+                    token(home, 0o600),
+                ]
+            },
+            exit_code::INPUT,
+            &["cannot be reached", "check that Home Assistant runs and the port (8123 by default)"],
+        ),
+        (
+            "a folder without registries",
+            |home| vec!["--home-assistant".into(), home.directory.path().display().to_string()],
+            exit_code::INPUT,
+            &["has no .storage/core.area_registry", "give the folder that configuration.yaml is in"],
+        ),
+        (
+            "a registry that is cut off",
+            |home| {
+                std::fs::write(home.path("config/.storage/core.entity_registry"), &ENTITIES[..80]).unwrap();
+                Vec::new()
+            },
+            exit_code::INPUT,
+            &["config/.storage", "expected a registry of Home Assistant"],
+        ),
+        (
+            "a map that is no map",
+            |home| {
+                std::fs::write(home.path("map.json"), "[]").unwrap();
+                Vec::new()
+            },
+            exit_code::INPUT,
+            &["map.json", "expected a map as Valetudo exports it"],
+        ),
+        (
+            "a map that is not there",
+            |home| vec!["--valetudo".into(), home.at("nowhere.json")],
+            exit_code::INPUT,
+            &["nowhere.json", "No such file"],
+        ),
+        (
+            "no map at the broker",
+            |_| vec!["--valetudo".into(), "mqtt".into()],
+            exit_code::INPUT,
+            &["no map of valetudo/rocky is at the broker", "save http://ROBOT/api/v2/robot/state/map"],
+        ),
+        (
+            "a name for no segment",
+            |home| {
+                std::fs::write(home.path("segments.toml"), "99 = \"kitchen\"\n").unwrap();
+                vec!["--names".into(), home.at("segments.toml")]
+            },
+            exit_code::INPUT,
+            &["the names name segment \"99\", but the map has 16, 17, 18"],
+        ),
+        (
+            "an address that is no broker's",
+            |_| vec!["--mqtt".into(), "tcp://127.0.0.1".into()],
+            exit_code::USAGE,
+            &["is no broker: give mqtt://HOST[:PORT]"],
+        ),
+        (
+            "files that are there",
+            |home| {
+                std::fs::create_dir_all(home.path("home")).unwrap();
+                std::fs::write(home.path("home/home.rules.toml"), "# mine\n").unwrap();
+                Vec::new()
+            },
+            exit_code::FAILURE,
+            &["home.rules.toml stay as they are: give --replace to overwrite them"],
+        ),
+        (
+            "a folder that is a file",
+            |home| {
+                std::fs::write(home.path("home"), "").unwrap();
+                Vec::new()
+            },
+            exit_code::FAILURE,
+            &["cannot make the folder", "or give another one"],
+        ),
+    ];
+    for (name, make, code, parts) in cases {
+        let Some(home) = Home::new("init") else { return };
+        let more = make(&home);
+        let output = home.init(&more.iter().map(String::as_str).collect::<Vec<_>>());
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(i32::from(code)), "{name}: {said}");
+        parts.iter().for_each(|part| assert!(said.contains(part), "{name}: {part} in {said}"));
+        for file in ["home.json", "roomcast.toml"] {
+            assert!(!home.path("home").join(file).exists(), "{name}: {file} was written");
+        }
+        let rules = std::fs::read_to_string(home.path("home/home.rules.toml"));
+        assert!(rules.is_err() || rules.unwrap() == "# mine\n", "{name}: the rules were written");
+    }
+}
+
+#[test]
+fn init_finds_what_is_not_given() {
+    let Some(home) = Home::new("found") else { return };
+    // Home Assistant in its user's folder, and the robot's map at the broker, packed as the robot packs it.
+    std::fs::rename(home.path("config"), home.path(".homeassistant")).unwrap();
+    let mut packed = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::default());
+    packed.write_all(robot_map().as_bytes()).unwrap();
+    publish_bytes(home.port, &format!("{ROBOT}/MapData/map-data"), packed.finish().unwrap());
+    let (url, folder) = (home.url(), home.at("home"));
+    let output = home.command(&["init", "--mqtt", &url, &folder]).output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    for part in ["found Home Assistant's configuration in", "found a robot under valetudo/rocky", "3 rooms"] {
+        assert!(said.contains(part), "{part} in {said}");
+    }
+    let config = std::fs::read_to_string(home.path("home/roomcast.toml")).unwrap();
+    assert!(config.contains("topic = \"valetudo/rocky\"") && config.contains("obey = false"), "{config}");
+    // A second robot is a question, and a second time is an overwriting.
+    let again = home.command(&["init", "--mqtt", &url, &folder]).output().unwrap();
+    assert_eq!(again.status.code(), Some(i32::from(exit_code::FAILURE)));
+    home.say(&[("valetudo/other/StatusStateAttribute/status".to_owned(), "idle".to_owned(), true)]);
+    let several = home.command(&["init", "--replace", "--mqtt", &url, &folder]).output().unwrap();
+    let said = String::from_utf8(several.stderr).unwrap();
+    assert_eq!(several.status.code(), Some(i32::from(exit_code::USAGE)), "{said}");
+    assert!(said.contains("several robots") && said.contains("valetudo/other, valetudo/rocky"), "{said}");
+    let none =
+        home.command(&["init", "--home-assistant", "none", "--mqtt", "none", &home.at("empty")]).output().unwrap();
+    let said = String::from_utf8(none.stderr).unwrap();
+    assert!(said.contains("nothing tells of the home's rooms: give --home-assistant"), "{said}");
+    assert!(!Path::new(&home.at("empty")).exists());
+}
+
+fn publish_bytes(port: u16, topic: &str, payload: Vec<u8>) {
+    use rumqttc::v5::mqttbytes::{QoS, v5::Packet};
+    let (client, mut connection) =
+        rumqttc::v5::Client::new(rumqttc::v5::MqttOptions::new("packer", "127.0.0.1", port), 4);
+    client.publish(topic, QoS::AtLeastOnce, true, payload).unwrap();
+    while !matches!(connection.recv().unwrap().unwrap(), rumqttc::v5::Event::Incoming(Packet::PubAck(_))) {}
+}
