@@ -12,6 +12,7 @@ SHELL := /usr/bin/env bash
 export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 TARGET := $(or $(CARGO_TARGET_DIR),target)
 VENV := $(TARGET)/python
+HOME_ASSISTANT := $(TARGET)/home-assistant
 
 .PHONY: help
 help: ## Lists the commands.
@@ -56,6 +57,20 @@ unit:
 .PHONY: nightly
 nightly: ## About an hour of faults by seed: simulation, killed processes and strangers, failing system calls, mutated input.
 	ROOMCAST_SEEDS=30000 ROOMCAST_CHAOS_CYCLES=700 ROOMCAST_CHAOS_SEED=$$(date +%j) ROOMCAST_SYSCALLS=300 ROOMCAST_SYSCALLS_SEED=$$(date +%j) ROOMCAST_FUZZ_RUNS=2000000 ROOMCAST_RESTARTS=100 cargo test --release --locked --workspace --features full --test simulated --test chaos --test killed --test syscalls --test systemd --test fuzzed -- --nocapture
+
+# Home Assistant 2024.3.3 is the last for Python 3.11; at its first start it installs what its parts need.
+.PHONY: test-home
+test-home: setup ## The test with a real Home Assistant, which it installs first: some minutes, 700 MB, Python 3.11.
+	@if ! command -v python3.11 >/dev/null; then \
+	    echo "SKIPPED a_real_home_assistant_is_imported_narrated_told_and_left_clean: Python 3.11 is not installed"; \
+	    exit 0; \
+	fi; \
+	if [ ! -x $(HOME_ASSISTANT)/bin/hass ] && ! { python3.11 -m venv $(HOME_ASSISTANT) && \
+	    $(HOME_ASSISTANT)/bin/python -m pip install --quiet --disable-pip-version-check 'homeassistant==2024.3.3' 'paho-mqtt==1.6.1' 'josepy<2'; }; then \
+	    echo "SKIPPED a_real_home_assistant_is_imported_narrated_told_and_left_clean: Home Assistant cannot be installed from PyPI (no network?)"; \
+	    exit 0; \
+	fi; \
+	ROOMCAST_HOME_ASSISTANT=$(abspath $(HOME_ASSISTANT))/bin/hass cargo test --release --locked --workspace --features full --test home_assistant -- --nocapture
 
 .PHONY: docs
 docs:

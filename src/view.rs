@@ -358,7 +358,7 @@ impl Plan {
         let point = |[x, y]: [f64; 2]| json!([metres(x), metres(y)]);
         let partitions = roomcast_core::grounding::partitions(map, moment.grounding.level);
         let room = |partition: &roomcast_core::grounding::Partition| {
-            let rings = partition.boxes.iter().flat_map(|space| space.rings());
+            let rings = partition.spaces.iter().flat_map(|space| space.rings());
             let rings: Vec<Vec<Value>> = rings.map(|ring| ring.into_iter().map(point).collect()).collect();
             json!({"id": partition.id, "name": partition.label, "rings": rings})
         };
@@ -435,7 +435,7 @@ impl Picture {
     }
 
     fn forecasts(&mut self, forecasts: &PersonForecastsV1, taken_ns: u64) {
-        self.quality.take(forecasts, taken_ns);
+        self.quality.take(forecasts, self.persons.as_deref(), taken_ns);
         self.forecasts = Some(Box::new(*forecasts));
     }
 
@@ -559,7 +559,8 @@ fn likeliest(told: &PersonForecastsV1, own: &PersonForecastV1) -> Option<(usize,
     now.max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
-/// How good forecasts were: what the one of 15 minutes before gave the room where a person then was, where that is known well enough.
+/// How good forecasts were: what the one of 15 minutes before gave the room where a person was then observed. What nobody observed is
+/// not compared: the forecast would be its own judge.
 #[derive(Debug, Default)]
 struct Quality {
     /// Forecasts a minute apart, the newest last.
@@ -578,7 +579,7 @@ impl Quality {
     /// How sure a room must be to count as where the person is.
     const KNOWN: f32 = 0.9;
 
-    fn take(&mut self, now: &PersonForecastsV1, taken_ns: u64) {
+    fn take(&mut self, now: &PersonForecastsV1, persons: Option<&PersonScoresV1>, taken_ns: u64) {
         if self.samples.back().is_some_and(|(then_ns, _)| taken_ns.saturating_sub(*then_ns) < Self::MINUTE_NS) {
             return;
         }
@@ -590,7 +591,12 @@ impl Quality {
         if let Some((_, before)) =
             before.filter(|(_, before)| before.room_count == now.room_count && before.id == now.id)
         {
-            let given = now.persons().iter().filter_map(|person| Self::given(before, now, person));
+            let observed = |person: &&PersonForecastV1| {
+                let told = persons.filter(|told| told.epoch == now.epoch).map_or(&[][..], PersonScoresV1::persons);
+                let own = told.iter().find(|own| own.person == person.person).filter(|own| own.observed_ns > 0);
+                own.is_some_and(|own| now.computed_ns.saturating_sub(own.observed_ns) <= Self::MINUTE_NS)
+            };
+            let given = now.persons().iter().filter(observed).filter_map(|person| Self::given(before, now, person));
             let (sum, count) = given.fold((0.0, 0), |(sum, count), p| (sum + f64::from(p), count + 1));
             let hour = taken_ns / Self::HOUR_NS;
             match self.hours.back_mut() {
@@ -740,21 +746,29 @@ mod tests {
         told.horizon_s[1] = 900.0;
         told.person[0].probability[0][..2].copy_from_slice(&[0.95, 0.25]);
         told.person[0].probability[1][..2].copy_from_slice(&[0.05, 0.5]);
+        let mut persons = PersonScoresV1 { epoch: 1, person_count: 1, ..Default::default() };
         for minute in 0..15 {
-            quality.take(&told, minute * Quality::MINUTE_NS);
+            quality.take(&told, Some(&persons), minute * Quality::MINUTE_NS);
             assert!(quality.curve().is_empty(), "{minute}");
         }
-        quality.take(&told, 15 * Quality::MINUTE_NS);
-        // Where nobody knows, nothing is compared.
+        let mut at = |quality: &mut Quality, minute: u64, told: &PersonForecastsV1, observed: u64| {
+            persons.person[0].observed_ns = observed * Quality::MINUTE_NS;
+            let mut told = *told;
+            told.computed_ns = minute * Quality::MINUTE_NS;
+            quality.take(&told, Some(&persons), minute * Quality::MINUTE_NS);
+        };
+        at(&mut quality, 15, &told, 15);
+        // What was believed and not observed, and what was observed and is not known, is not compared.
+        at(&mut quality, 16, &told, 14);
+        at(&mut quality, 17, &told, 0);
         told.person[0].probability[0][0] = 0.5;
-        quality.take(&told, 16 * Quality::MINUTE_NS);
+        at(&mut quality, 18, &told, 18);
         told.person[0].elsewhere[0] = 1.0;
-        quality.take(&told, 17 * Quality::MINUTE_NS);
+        at(&mut quality, 19, &told, 19);
         assert_eq!(quality.curve(), [json!({"p": 0.125, "n": 2})]);
-        (0..200).for_each(|hour| {
-            quality.take(&told, (20 + 60 * hour) * Quality::MINUTE_NS);
-            quality.take(&told, (35 + 60 * hour) * Quality::MINUTE_NS);
-        });
+        for minute in (0..200).flat_map(|hour| [20 + 60 * hour, 35 + 60 * hour]) {
+            at(&mut quality, minute, &told, minute);
+        }
         assert_eq!(quality.curve().len(), Quality::HOURS);
         assert!(quality.samples.len() <= 17);
     }

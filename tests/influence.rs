@@ -89,7 +89,9 @@ fn number(variable: &str) -> Option<u64> {
 #[test]
 fn one_narrator_alone_keeps_to_its_places() {
     let seeds = number("ROOMCAST_INFLUENCE_SEEDS").unwrap_or(SEEDS);
-    let scenes: Vec<&str> = embedded::SCENES.iter().map(|scene| scene.name).collect();
+    // The figures in SECURITY.md are of the six maps of boxes.
+    let boxes = embedded::SCENES.iter().map(|scene| scene.name).filter(|name| *name != "flat");
+    let scenes: Vec<&str> = boxes.collect();
     let mut homes: Vec<Home> = scenes.iter().map(|scene| Home::new(scene)).collect();
     let sentences: Vec<Vec<String>> = (embedded::PROGRAMS.iter().chain(&embedded::WORK_PROGRAMS))
         .map(|program| Program::parse(program.text).unwrap().steps.iter().map(|step| step.sentence()).collect())

@@ -35,9 +35,10 @@ fn landed(scene: &Value) -> BTreeMap<String, String> {
 /// Whether a point lies within a ring: how often a ray to the east crosses it.
 fn within(ring: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
     let next = ring.iter().cycle().skip(1);
-    let crossed = ring.iter().zip(next).filter(|([ax, ay], [bx, by])| {
-        (ay > &y) != (by > &y) && x < ax + (y - ay) / (by - ay) * (bx - ax)
-    });
+    let crossed = ring
+        .iter()
+        .zip(next)
+        .filter(|([ax, ay], [bx, by])| (ay > &y) != (by > &y) && x < ax + (y - ay) / (by - ay) * (bx - ax));
     crossed.count() % 2 == 1
 }
 
@@ -47,7 +48,8 @@ fn stands_in(scene: &Value, item: &Value) -> String {
     let at = [0, 1].map(|axis| number(&item["position_m"][axis]));
     let under = |room: &&Value| match room["footprint"].as_array() {
         Some(rings) => {
-            let ring: Vec<_> = rings[0].as_array().unwrap().iter().map(|corner| [number(&corner[0]), number(&corner[1])]).collect();
+            let ring: Vec<_> =
+                rings[0].as_array().unwrap().iter().map(|corner| [number(&corner[0]), number(&corner[1])]).collect();
             within(&ring, at)
         }
         None => [0, 1].iter().all(|&axis| {

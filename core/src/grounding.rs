@@ -129,22 +129,22 @@ pub struct Partition {
     /// The rooms it lies in or consists of.
     pub rooms: Vec<RoomId>,
     /// The spaces it consists of: one, or one per room of a group that has no footprint of its own.
-    pub boxes: Vec<Space>,
+    pub spaces: Vec<Space>,
 }
 
 impl Partition {
     /// V_o with the box, in cubic metres.
     #[must_use]
     pub(crate) fn overlap_m3(&self, bounds: &Box3) -> f64 {
-        self.boxes.iter().map(|own| own.overlap_m3(bounds)).sum()
+        self.spaces.iter().map(|own| own.overlap_m3(bounds)).sum()
     }
 
     fn contains(&self, point_m: &[f64; 3]) -> bool {
-        self.boxes.iter().any(|own| own.contains(point_m))
+        self.spaces.iter().any(|own| own.contains(point_m))
     }
 
     fn distance_m(&self, point_m: &[f64; 3]) -> f64 {
-        self.boxes.iter().map(|own| own.distance_m(point_m)).fold(f64::INFINITY, f64::min)
+        self.spaces.iter().map(|own| own.distance_m(point_m)).fold(f64::INFINITY, f64::min)
     }
 }
 
@@ -548,7 +548,7 @@ fn rooms_as_partitions(map: &SemanticMap) -> Vec<Partition> {
             id: room.id.clone(),
             label: room.label.clone(),
             rooms: vec![RoomId(index)],
-            boxes: vec![room.space.clone()],
+            spaces: vec![room.space.clone()],
         })
         .collect()
 }
@@ -568,7 +568,7 @@ pub fn partitions(map: &SemanticMap, level: PartitionLevel) -> Vec<Partition> {
                         id: part.id.clone(),
                         label: part.label.clone(),
                         rooms: vec![id],
-                        boxes: vec![part.space.clone()],
+                        spaces: vec![part.space.clone()],
                     })
                     .collect();
                 if within.is_empty() {
@@ -584,7 +584,7 @@ pub fn partitions(map: &SemanticMap, level: PartitionLevel) -> Vec<Partition> {
                 id: group.id.clone(),
                 label: group.label.clone(),
                 rooms: group.rooms.clone(),
-                boxes: group.space.as_ref().map_or_else(
+                spaces: group.space.as_ref().map_or_else(
                     || group.rooms.iter().map(|room| map.rooms[room.0 as usize].space.clone()).collect(),
                     |space| vec![space.clone()],
                 ),

@@ -359,7 +359,7 @@ impl<'a> Plan<'a> {
             floors = floors.add(self.outline(&room.space).set("fill", FLOOR));
         }
         for (index, partition) in self.grounding.partitions().iter().enumerate() {
-            for space in &partition.boxes {
+            for space in &partition.spaces {
                 let floor = self.outline(space);
                 floors = floors.add(match self.heat {
                     Some(heat) => floor.set("fill", colour(heat.partition_probability[index])).set("fill-opacity", 0.8),
@@ -494,7 +494,7 @@ impl<'a> Plan<'a> {
         let mut names = Group::new();
         for (index, partition) in self.grounding.partitions().iter().enumerate() {
             let largest = |a: &&Space, b: &&Space| floor_m2(a).total_cmp(&floor_m2(b));
-            let Some(space) = partition.boxes.iter().max_by(largest) else { continue };
+            let Some(space) = partition.spaces.iter().max_by(largest) else { continue };
             let area = self.area(&space.bounds);
             let probability = self.heat.map(|heat| percent(heat.partition_probability[index]));
             let size_px = if self.grounding.partitions().len() <= 8 { 17.0 } else { 12.0 };

@@ -25,11 +25,12 @@ pub struct EmbeddedText {
 }
 
 /// The scenes of `scenes/`; the first is the one for a first look.
-pub const SCENES: [EmbeddedText; 6] = [
+pub const SCENES: [EmbeddedText; 7] = [
     EmbeddedText { name: "studio", text: include_str!("../scenes/studio.json") },
     EmbeddedText { name: "apartment-e0", text: include_str!("../scenes/apartment-e0.json") },
     EmbeddedText { name: "apartment-e1", text: include_str!("../scenes/apartment-e1.json") },
     EmbeddedText { name: "apartment-e2", text: include_str!("../scenes/apartment-e2.json") },
+    EmbeddedText { name: "flat", text: include_str!("../scenes/flat.json") },
     EmbeddedText { name: "ward", text: include_str!("../scenes/ward.json") },
     EmbeddedText { name: "warehouse", text: include_str!("../scenes/warehouse.json") },
 ];

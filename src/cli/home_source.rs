@@ -1,6 +1,6 @@
 //! Where a home's rooms and rules come from: a Home Assistant's configuration folder, or its WebSocket API.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::Failure;
 use super::scene_files::{in_file, input, read, write};
@@ -93,7 +93,7 @@ pub(super) fn check_rules(path: &Path, rules: &str) -> Result<(), Failure> {
 }
 
 /// Writes rules where none are: somebody may have edited those that are there.
-pub(super) fn write_rules(path: &PathBuf, rules: &str) -> Result<String, Failure> {
+pub(super) fn write_rules(path: &Path, rules: &str) -> Result<String, Failure> {
     if path.exists() {
         let path = path.display();
         return Ok(format!("{path}: is there and stays as it is; remove it, or give --rules, for new rules"));

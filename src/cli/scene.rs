@@ -552,7 +552,7 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
         items().for_each(|(_, item)| *counts.entry(item.label.0 as usize).or_default() += 1);
         let mut frequent: Vec<(usize, usize)> = counts.into_iter().collect();
         frequent.sort_by_key(|&(label, count)| (usize::MAX - count, label));
-        let sizes: Vec<String> = (partition.boxes.iter())
+        let sizes: Vec<String> = (partition.spaces.iter())
             .map(|bounds| bounds.size_m().map(|size_m| format!("{size_m:.1}")).join(" x "))
             .collect();
         let named: Vec<String> =

@@ -3,6 +3,8 @@
 const SVG = "http://www.w3.org/2000/svg";
 const POLL_MS = 500;
 const RETRY_MS = 2000;
+// Names on the plan are at least so high, also where the plan is small.
+const NAME_PX = 11;
 const element = (id) => document.getElementById(id);
 const made = (name, attributes, text) => {
   const node = document.createElementNS(SVG, name);
@@ -64,6 +66,9 @@ const drawPlan = () => {
   const least = [Math.min(...xs), Math.min(...ys)], most = [Math.max(...xs), Math.max(...ys)];
   const size = Math.max(most[0] - least[0], most[1] - least[1], 0.1);
   const unit = size / 100, margin = 2 * unit;
+  const pixel = (most[0] - least[0] + 2 * margin) / (svg.clientWidth || 800);
+  const letter = Math.max(2.6 * unit, NAME_PX * pixel);
+  plan.width = svg.clientWidth;
   // North is up: y is turned round.
   const at = ([x, y]) => [x - least[0], most[1] - y];
   svg.setAttribute("viewBox", `${-margin} ${-margin} ${most[0] - least[0] + 2 * margin} ${most[1] - least[1] + 2 * margin}`);
@@ -80,11 +85,11 @@ const drawPlan = () => {
     heats.append(heat);
     walls.append(made("path", { d, class: "wall", "stroke-width": 0.5 * unit }));
     const [x, y] = at(centre(room.rings[0]));
-    const style = { x, y, "font-size": 2.6 * unit, "stroke-width": 0.8 * unit };
+    const style = { x, y, "font-size": letter, "stroke-width": 0.3 * letter };
     const name = made("text", style, room.name);
-    const value = made("text", { ...style, y: y + 3.2 * unit, "font-weight": "bold" });
-    const who = made("text", { ...style, y: y + 6.2 * unit, "font-size": 2.2 * unit, class: "person" });
-    const robot = made("circle", { cx: x, cy: y - 4.6 * unit, r: 1.4 * unit, class: "robot", "stroke-width": 0.4 * unit, visibility: "hidden" });
+    const value = made("text", { ...style, y: y + 1.2 * letter, "font-weight": "bold" });
+    const who = made("text", { ...style, y: y + 2.3 * letter, "font-size": 0.85 * letter, class: "person" });
+    const robot = made("circle", { cx: x, cy: y - 1.3 * letter, r: 0.5 * letter, class: "robot", "stroke-width": 0.4 * unit, visibility: "hidden" });
     robot.append(made("title", {}, "The robot is or goes here"));
     names.append(name, value, who, robot);
     plan.shapes[room.id] = { heat, title, value, who, robot };
@@ -194,7 +199,7 @@ const showQuality = () => {
   const box = element("quality");
   const curve = state.quality;
   if (!curve.length) {
-    box.textContent = "Known once a forecast is 15 minutes old.";
+    box.textContent = "Known once somebody is observed 15 minutes after a forecast.";
     return;
   }
   const last = curve[curve.length - 1];
@@ -203,7 +208,7 @@ const showQuality = () => {
   const points = curve.map((hour, i) => `${(i * step).toFixed(2)},${(100 - 100 * hour.p).toFixed(2)}`);
   if (points.length === 1) points.push(`100,${points[0].split(",")[1]}`);
   svg.append(made("polyline", { points: points.join(" ") }));
-  const text = `On average the forecast of 15 minutes before gave ${percent(last.p)} to the room where somebody then was, in the last of ${curve.length} hours (${last.n} comparisons). Compared only where the room is known to 90 %.`;
+  const text = `On average the forecast of 15 minutes before gave ${percent(last.p)} to the room where somebody was then observed, in the last of ${curve.length} hours (${last.n} comparisons).`;
   box.replaceChildren(svg, html("span", text, "dim"));
 };
 
@@ -272,6 +277,13 @@ element("play").addEventListener("click", (event) => {
   event.target.setAttribute("aria-pressed", playing);
   event.target.textContent = playing ? "Stop" : "Play";
   ask();
+});
+// Letters keep their size when the window changes.
+addEventListener("resize", () => {
+  if (plan && plan.rooms.length && plan.width !== element("plan").clientWidth) {
+    drawPlan();
+    show();
+  }
 });
 document.addEventListener("visibilitychange", () => { if (!document.hidden) { playedAt = performance.now(); ask(); } });
 ask();

@@ -79,7 +79,7 @@ impl Cost {
         let centre_m: Vec<[f64; 3]> = grounding
             .partitions()
             .iter()
-            .map(|p| p.boxes.first().map_or([0.0; 3], |bounds| bounds.centre_m()))
+            .map(|p| p.spaces.first().map_or([0.0; 3], |bounds| bounds.centre_m()))
             .collect();
         let mut cost = vec![0.0; rooms * steps];
         for person in persons {

@@ -102,6 +102,8 @@ enum Pause {
     Battery,
     /// Somebody has come into its room, and somebody is in the others.
     Persons,
+    /// It fails whatever it is asked.
+    Trouble,
     /// No room is open to it.
     NoRoom,
 }
@@ -272,6 +274,9 @@ impl Planner {
         if let Some(reason) = self.robot.why_it_charges() {
             return Ok(self.pause(Pause::Battery, &reason, now_ns, now_unix_ns));
         }
+        if let Some(reason) = self.robot.why_it_rests(now_ns) {
+            return Ok(self.pause(Pause::Trouble, &reason, now_ns, now_unix_ns));
+        }
         let waiting = self.robot.work.clone();
         if waiting.is_some() && self.round.slots_left(now_ns) == Some(0) {
             return Ok(None);
@@ -389,7 +394,9 @@ impl Planner {
             None if self.is_finished() => !self.notice.why.is_empty(),
             // A robot that is always free decides once per score, not as often as it looks.
             None if self.round.stay_ns == 0 => news,
-            None if self.robot.charges => self.pausing.is_none(),
+            None if self.robot.charges || self.robot.rests(now_ns) => {
+                self.pausing.is_none() || !self.notice.why.is_empty()
+            }
             None => self.pausing.is_none() || again,
         }
     }

@@ -35,7 +35,7 @@ impl Places {
     pub(super) fn at(&self, position_m: [f64; 3], scores: &RoomScoresV1) -> Option<usize> {
         let holds = |room: &RoomV1| {
             let own = self.partitions.iter().find(|partition| partition.id == room.id());
-            own.is_some_and(|partition| partition.boxes.iter().any(|bounds| bounds.contains(&position_m)))
+            own.is_some_and(|partition| partition.spaces.iter().any(|bounds| bounds.contains(&position_m)))
         };
         scores.rooms().iter().position(holds)
     }

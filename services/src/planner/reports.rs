@@ -83,12 +83,14 @@ impl Planner {
             }
             report_kind::STARTED => {
                 self.robot.reports_work = true;
+                self.robot.is_well();
                 self.robot.leave_dock();
                 self.robot.be(placed.unwrap_or(room), at_ns);
                 self.start(room, answered, of_work, at_ns, now_ns);
             }
             report_kind::FINISHED => {
                 self.robot.reports_work = true;
+                self.robot.is_well();
                 self.robot.leave_dock();
                 self.robot.be(placed.unwrap_or(room), at_ns);
                 if let Some(room) = room.filter(|_| self.round.began_ns.is_some_and(|began_ns| at_ns >= began_ns)) {
@@ -107,11 +109,15 @@ impl Planner {
                     self.round.fail(room, at_ns);
                 }
                 if of_work && let Some(work) = self.robot.work.take() {
+                    if report.kind == report_kind::FAILED && !work.started {
+                        self.robot.refuse(at_ns);
+                    }
                     self.complain(work.room, report.note());
                 }
             }
             report_kind::DOCKED => {
                 self.robot.dock();
+                self.robot.is_well();
                 self.robot.be(placed.unwrap_or(named), at_ns);
                 // A robot says that it is docked also before it leaves.
                 let gives_up = |work: &Work| at_ns >= work.began_ns && (work.started || answered.is_some() && of_work);

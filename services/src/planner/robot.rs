@@ -4,6 +4,10 @@ use crate::config::{PlannerConfig, Reports};
 
 use super::round::nanoseconds;
 
+/// A robot that fails so often in a row without beginning its work has a fault of its own, and not of a room.
+const REFUSALS: u32 = 2;
+/// It is asked again after this, and each time after twice as long, up to the second.
+const REST_NS: (u64, u64) = (60_000_000_000, 600_000_000_000);
 /// Reporters whose numbers stay known.
 const REPORTERS: usize = 16;
 /// Decisions of former planners that still mean the work in hand.
@@ -62,6 +66,9 @@ pub(super) struct Robot {
     pub(super) work: Option<Work>,
     /// It has missed its time, and has not been heard since.
     pub(super) silent: bool,
+    /// How often in a row it failed without beginning its work, and until when it is not asked again.
+    refusals: u32,
+    rests_until_ns: u64,
 }
 
 impl Robot {
@@ -81,7 +88,38 @@ impl Robot {
             charges: false,
             work: None,
             silent: false,
+            refusals: 0,
+            rests_until_ns: 0,
         }
+    }
+
+    /// It failed without beginning its work.
+    pub(super) fn refuse(&mut self, at_ns: u64) {
+        self.refusals = self.refusals.saturating_add(1);
+        if let Some(more) = self.refusals.checked_sub(REFUSALS) {
+            let (first_ns, most_ns) = REST_NS;
+            let rest_ns = first_ns.saturating_mul(1 << more.min(16)).min(most_ns);
+            self.rests_until_ns = at_ns.saturating_add(rest_ns);
+        }
+    }
+
+    /// It works, or stands at its dock: whatever was wrong with it is over.
+    pub(super) fn is_well(&mut self) {
+        (self.refusals, self.rests_until_ns) = (0, 0);
+    }
+
+    /// Whether it is left alone after failing again and again.
+    pub(super) fn rests(&self, now_ns: u64) -> bool {
+        now_ns < self.rests_until_ns
+    }
+
+    /// Why it is left alone, if it is.
+    pub(super) fn why_it_rests(&self, now_ns: u64) -> Option<String> {
+        let minutes = (self.rests_until_ns.saturating_sub(now_ns)).div_ceil(60_000_000_000);
+        let often = self.refusals;
+        self.rests(now_ns).then(|| {
+            format!("the robot failed {often} times in a row before it began: it is asked again in {minutes} min, or when it is at its dock")
+        })
     }
 
     /// Whether reports are looked at.

@@ -465,6 +465,53 @@ fn a_robot_that_gets_nowhere_pauses_between_its_tries() {
 }
 
 #[test]
+fn a_robot_in_trouble_is_asked_ever_less_often_until_it_is_well() {
+    let mut home = Home::new(3, &PlannerConfig::default());
+    let asked_in = |home: &mut Home, from_s: u64, to_s: u64| -> Vec<u64> {
+        let mut asked = Vec::new();
+        for at_s in from_s..to_s {
+            if let Some(decision) = home.look(at_s).filter(|decision| decision.action == action::GO) {
+                asked.push(at_s);
+                home.report(at_s, report_kind::FAILED, |report| {
+                    (report.decision_epoch, report.decision_sequence) = (decision.epoch, decision.sequence);
+                    report.note = text::encode("note", "the robot has an error: stuck").unwrap();
+                });
+            }
+        }
+        asked
+    };
+    let asked = asked_in(&mut home, 1, 3600);
+    assert!((8..=12).contains(&asked.len()), "asked at {asked:?}");
+    let gaps: Vec<u64> = asked.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    assert!(gaps[1] >= 60 && gaps[2] >= 120 && gaps.iter().all(|gap| *gap <= 620), "{gaps:?}");
+    // Somebody has freed it and put it on its dock: it is asked at once.
+    assert_eq!(home.look(3601).map(|decision| decision.action), None);
+    home.report(3602, report_kind::DOCKED, |_| ());
+    let well = home.decision(3670);
+    assert_eq!(well.action, action::GO, "{}", well.reason());
+    home.answer(3671, report_kind::STARTED, &well);
+    home.answer(3700, report_kind::FAILED, &well);
+    assert_eq!(home.decision(3770).action, action::GO, "one room that fails after it began is no trouble of the robot");
+}
+
+#[test]
+fn a_robot_in_trouble_pauses_and_says_why() {
+    let mut home = Home::new(3, &PlannerConfig::default());
+    for at_s in [1, 2] {
+        let decision = home.decision(at_s);
+        home.answer(at_s, report_kind::FAILED, &decision);
+    }
+    let pause = home.decision(3);
+    assert_eq!(pause.action, action::PAUSE);
+    assert!(
+        pause.reason().contains("the robot failed 2 times in a row before it began: it is asked again in 1 min"),
+        "{}",
+        pause.reason()
+    );
+    assert_eq!(home.look(30), None, "said once");
+}
+
+#[test]
 fn a_report_without_a_decision_means_the_work_in_hand_if_it_is_of_its_room_and_time() {
     let mut home = Home::new(3, &PlannerConfig::default());
     let first = home.decision(10);
