@@ -19,7 +19,7 @@ use roomcast_ipc::{
 use roomcast_llama::{SEQUENCES_MAX, THREADS_MAX};
 use roomcast_services::config::{self, Config};
 use roomcast_services::daemon::{self, SOURCES_OF_A_PORT};
-use roomcast_services::{mqtt, mqtt_link, recording, sensor_log};
+use roomcast_services::{mqtt, mqtt_link, mqtt_look, recording, sensor_log};
 
 const HEAD: &str = "# Limits
 
@@ -118,6 +118,8 @@ fn page() -> String {
             ("bytes of a recording, unpacked", &recording::FILE_BYTES_MAX, "is refused"),
             ("bytes of a record or chunk of a recording", &recording::RECORD_BYTES_MAX, "is refused"),
             ("rules for MQTT", &mqtt::RULES_MAX, "is refused"),
+            ("topics that init and doctor look at", &mqtt_look::TOPICS_MAX, "is passed over"),
+            ("bytes that init and doctor keep of them", &mqtt_look::BYTES_MAX, "the topic is noted without them"),
             ("topics that are remembered", &mqtt::TOPICS_MAX, "is not remembered"),
             ("bytes of a packet", &mqtt::PACKET_BYTES_MAX, "the broker does not send it"),
             ("bytes of a payload", &mqtt::PAYLOAD_BYTES_MAX, "is passed over, with its topic in the log"),
