@@ -424,6 +424,8 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
     let output = services.command(&init).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let config = services.config();
+    // Home Assistant says a state when it changes.
+    [true, false].into_iter().for_each(|on| talk.turn("fridge_door", on));
     let checked = services.command(&["doctor", "--json", "--wait", "2", "--config", &config]).output().unwrap();
     assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stdout));
     services.start("daemon", &["daemon"]);

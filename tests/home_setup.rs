@@ -291,7 +291,7 @@ fn password(home: &mut Home, wrong: bool) -> bool {
     true
 }
 
-const MISTAKES: [Mistake; 21] = [
+const MISTAKES: [Mistake; 22] = [
     Mistake {
         name: "the broker's port",
         make: |home| home.edit("roomcast.toml", &home.port.to_string(), &free_port().to_string()),
@@ -466,6 +466,15 @@ const MISTAKES: [Mistake; 21] = [
         verdict: "wrong",
         found: "the robot cannot do kitchen-16, living-room-17, hallway-18",
         remedy: "[robot.segments]",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a robot without segments",
+        make: |home| home.say(&[(format!("{ROBOT}/MapData/segments"), "{}".to_owned(), true)]),
+        check: "segments",
+        verdict: "wrong",
+        found: "has told of no segments",
+        remedy: "let the robot divide its map into rooms",
         code: exit_code::CHECK,
     },
     Mistake {

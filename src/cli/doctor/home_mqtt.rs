@@ -203,8 +203,8 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
     } else if silent.len() == all {
         let found =
             format!("{shown}: nothing was said within {wait_s:.0} s under any topic of its {}", count(all, "rule"));
-        let remedy = "let Home Assistant publish its states: mqtt_statestream: with base_topic: homeassistant in its configuration.yaml, and \
-                      restart it; roomcast narrate --mqtt --dry-run shows what comes";
+        let remedy = "switch something: Home Assistant says a state when it changes; if nothing comes then, give its configuration.yaml \
+                      mqtt_statestream: with base_topic: homeassistant, and restart it; roomcast narrate --mqtt --dry-run shows what comes";
         findings.push(Finding::wrong("topics", found, remedy));
     } else if !silent.is_empty() {
         let names = some_of(silent.iter().map(|rule| rule.topic));
@@ -360,6 +360,13 @@ fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, Stri
     let rooms = map.rooms().iter().map(|room| room.id.as_str());
     let wrong: Vec<(&str, String)> =
         rooms.filter_map(|room| Some((room, segment_of(room, &config.robot.segments, segments).err()?))).collect();
+    if segments.is_empty() && config.robot.segments.is_empty() {
+        let found =
+            format!("the robot under {} has told of no segments, so it can be sent to no room", config.robot.topic);
+        let remedy =
+            "let the robot divide its map into rooms (Valetudo, Map, Segments), and switch on map data for MQTT there";
+        return Finding::wrong(check, found, remedy);
+    }
     let known: Vec<String> = segments.iter().map(|(number, name)| format!("{number} {name:?}")).collect();
     let Some((room, why)) = wrong.first() else {
         return Finding::good(
