@@ -84,6 +84,8 @@ impl Tally {
             let sum = counted.fitted.entry(key.clone()).or_default();
             *sum = sum.saturating_add(*count);
         }
+        // The narrator may be there before the daemon has made the directory.
+        let _made = self.path.parent().map(std::fs::create_dir_all);
         let written = serde_json::to_vec(&counted).map_err(std::io::Error::other);
         if let Err(error) = written.and_then(|bytes| state_file::replace(&self.path, &bytes)) {
             tracing::warn!(path = %self.path.display(), %error, "how often rules fit cannot be kept");
@@ -101,26 +103,28 @@ mod tests {
 
     #[test]
     fn counts_go_on_over_restarts_and_follow_their_rules() {
-        let folder = tempfile::tempdir().unwrap();
-        let of = |rules: &[String]| Counted::of(folder.path(), "home").unwrap().fitted(rules);
-        assert_eq!(Counted::of(folder.path(), "home"), None);
+        let outer = tempfile::tempdir().unwrap();
+        // A directory that is not there yet.
+        let folder = outer.path().join("state");
+        let of = |rules: &[String]| Counted::of(&folder, "home").unwrap().fitted(rules);
+        assert_eq!(Counted::of(&folder, "home"), None);
         let first = keys(&["sit", "use"]);
-        let mut tally = Tally::new(folder.path(), "home", first.clone());
+        let mut tally = Tally::new(&folder, "home", first.clone());
         tally.keep(&[0, 2], true);
         assert_eq!(of(&first), [Some(0), Some(2)]);
         tally.due = Instant::now() + SAVE_EVERY;
         tally.keep(&[1, 2], false);
         assert_eq!(of(&first), [Some(0), Some(2)], "not yet");
         tally.keep(&[1, 2], true);
-        let mut tally = Tally::new(folder.path(), "home", first.clone());
+        let mut tally = Tally::new(&folder, "home", first.clone());
         tally.keep(&[0, 1], true);
         assert_eq!(of(&first), [Some(1), Some(3)]);
         // One is edited: it begins again, and the other goes on.
         let edited = keys(&["stand", "use"]);
         assert_eq!(of(&edited), [None, Some(3)]);
-        Tally::new(folder.path(), "home", edited.clone()).keep(&[0, 1], true);
+        Tally::new(&folder, "home", edited.clone()).keep(&[0, 1], true);
         assert_eq!(of(&edited), [Some(0), Some(4)]);
-        std::fs::write(path(folder.path(), "home"), "{").unwrap();
-        assert_eq!(Counted::of(folder.path(), "home"), None);
+        std::fs::write(path(&folder, "home"), "{").unwrap();
+        assert_eq!(Counted::of(&folder, "home"), None);
     }
 }
