@@ -13,8 +13,7 @@ mod home;
 #[cfg(feature = "mqtt")]
 mod home_mqtt;
 
-use finding::{Finding, Verdict};
-use home::Place;
+use finding::{Finding, Place, Verdict};
 
 use super::{CommandResult, Failure, ranges, service};
 use crate::exit_code;

@@ -1,5 +1,8 @@
 //! What a check has found.
 
+use std::path::Path;
+use std::time::Duration;
+
 use serde::Serialize;
 
 /// How good a finding is.
@@ -33,6 +36,20 @@ impl Finding {
 
     pub(super) fn wrong(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self { check, verdict: Verdict::Wrong, found: found.into(), remedy: Some(remedy.into()) }
+    }
+}
+
+/// Where the configuration lies, for remedies that name it.
+pub(super) struct Place<'a> {
+    pub(super) config: &'a Path,
+    /// How long topics are listened to.
+    #[cfg_attr(not(feature = "mqtt"), expect(dead_code, reason = "nothing is listened to"))]
+    pub(super) wait: Duration,
+}
+
+impl Place<'_> {
+    pub(super) fn shown(&self) -> String {
+        self.config.display().to_string()
     }
 }
 

@@ -12,7 +12,7 @@ use roomcast_services::config::Config;
 use roomcast_services::logging::chain;
 use roomcast_services::planner;
 
-use super::finding::{Finding, some_of};
+use super::finding::{Finding, Place, some_of};
 #[cfg(feature = "mqtt")]
 use super::home_mqtt;
 use crate::cli::count;
@@ -21,20 +21,6 @@ use crate::cli::count;
 const STATUS_MAX: Duration = Duration::from_secs(2);
 /// How far behind a file's time the clock may be, in seconds.
 const CLOCK_S: u64 = 3600;
-
-/// Where the configuration lies, for remedies that name it.
-pub(super) struct Place<'a> {
-    pub(super) config: &'a Path,
-    /// How long topics are listened to.
-    #[cfg_attr(not(feature = "mqtt"), expect(dead_code, reason = "nothing is listened to"))]
-    pub(super) wait: Duration,
-}
-
-impl Place<'_> {
-    pub(super) fn shown(&self) -> String {
-        self.config.display().to_string()
-    }
-}
 
 /// All checks of a home that a configuration file describes.
 pub(super) fn checks(

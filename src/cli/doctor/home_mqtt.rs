@@ -12,8 +12,7 @@ use roomcast_services::mqtt_look::{self, LookError, Seen};
 use roomcast_services::mqtt_tally::Counted;
 use roomcast_services::vacuum::{Dialect, Sensed, Status, segment_of};
 
-use super::finding::{Finding, nearest, some_of};
-use super::home::Place;
+use super::finding::{Finding, Place, nearest, some_of};
 use crate::cli::count;
 
 /// Domains of Home Assistant whose states say something of people.
