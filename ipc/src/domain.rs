@@ -1,7 +1,7 @@
 //! Where participants meet: a root path, a name, and the nodes that join.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError, mpsc};
 use std::thread::JoinHandle;
@@ -11,7 +11,8 @@ use std::{env, fs, io};
 use iceoryx2::config::Config;
 use iceoryx2::node::{NodeDetails, NodeView};
 use iceoryx2::prelude::{
-    CallbackProgression, FileName, LogLevel, NodeBuilder, NodeName, NodeState, SemanticString, SignalHandlingMode,
+    CallbackProgression, FileName, LogLevel, NodeBuilder, NodeName, NodeState, SemanticString, Service,
+    SignalHandlingMode,
 };
 use iceoryx2::service::ipc_threadsafe;
 use rustix::process::geteuid;
@@ -27,6 +28,8 @@ const PREFIX_LIMIT: usize = 25;
 const ROOT_LIMIT: usize = 40;
 /// How long opening a service is retried: a peer that starts, stops or has just died is in the way for moments only.
 const OPEN_FOR: Duration = Duration::from_secs(5);
+/// What keeps somebody out for longer is looked for.
+const LIKELY_WITHIN: Duration = Duration::from_millis(200);
 /// Where iceoryx2 keeps its shared memory on Linux.
 const SHARED_MEMORY: &str = "/dev/shm";
 /// Shared memory that must be free before a participant joins or opens a port: more than the largest port takes. iceoryx2
@@ -48,6 +51,9 @@ const JOINED_WITHIN: Duration = Duration::from_secs(10);
 const MADE_WITHIN: Duration = Duration::from_secs(2);
 /// How often a participant looks for shared memory that nobody will finish.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
+
+/// Services without memory: which file each has (its number, and when it was made), and since when that is known.
+type Halves = BTreeMap<PathBuf, ((u64, i64), Instant)>;
 
 /// The user's number in hexadecimal digits.
 fn user() -> String {
@@ -245,6 +251,28 @@ impl Domain {
         }
     }
 
+    /// Removes services that have had no memory for [`MADE_WITHIN`], as far as `halves` has seen them: their maker failed or was killed
+    /// between file and memory, or the last one that left could remove the memory only. iceoryx2 takes such a service for one that is being made, and lets nobody in.
+    fn remove_services_without_memory(&self, config: &Config, halves: &mut Halves) {
+        let (folder, prefix) = (self.root.join("services"), self.prefix());
+        let mut found = BTreeMap::new();
+        // A list that fails has named some, and the next one goes on.
+        let _listed = Flavour::list(config, |details| {
+            if details.dynamic_details.is_none() {
+                let path = folder.join(format!("{prefix}{}.service", details.static_details.service_hash().as_str()));
+                found.extend(fs::metadata(&path).ok().map(|about| (path, (about.ino(), about.ctime_nsec()))));
+            }
+            CallbackProgression::Continue
+        });
+        halves.retain(|path, (file, _)| found.get(path) == Some(file));
+        for (path, file) in found {
+            let (_, since) = halves.entry(path.clone()).or_insert((file, Instant::now()));
+            if since.elapsed() >= MADE_WITHIN {
+                let _removed = fs::remove_file(path);
+            }
+        }
+    }
+
     /// Whether nobody has an entry in the domain, dead or alive. Where that cannot be seen, somebody has.
     fn is_deserted(&self) -> bool {
         let (nodes, prefix) = (self.root.join("nodes"), self.prefix());
@@ -260,11 +288,13 @@ impl Domain {
         }
     }
 
-    /// Removes shared memory that has had no size for [`MADE_WITHIN`].
+    /// Removes shared memory that has had no size for [`MADE_WITHIN`], or that its maker has not opened for reading, which is the last
+    /// that it does.
     fn remove_unmade_memory(&self) {
         for file in self.shared_memory().unwrap_or_default() {
             let Ok(about) = fs::symlink_metadata(&file) else { continue };
-            if about.is_file() && about.len() == 0 && age(&file).is_some_and(|age| age >= MADE_WITHIN) {
+            let is_unmade = about.len() == 0 || about.permissions().mode() & 0o400 == 0;
+            if about.is_file() && is_unmade && age(&file).is_some_and(|age| age >= MADE_WITHIN) {
                 let _removed = fs::remove_file(file);
             }
         }
@@ -354,7 +384,6 @@ impl Domain {
 
     /// Anybody may make files in `/dev/shm`. One of this domain's name that is somebody else's could be read and written by them.
     fn refuse_foreign_shared_memory(&self) -> Result<(), IpcError> {
-        use std::os::unix::fs::MetadataExt;
         // A list that fails is iceoryx2's to report.
         for file in self.shared_memory().unwrap_or_default() {
             let owner = fs::symlink_metadata(&file).map(|about| about.uid());
@@ -402,7 +431,7 @@ impl Domain {
 
     /// Makes the root, or refuses one that others could put files into.
     fn prepare_root(&self) -> Result<(), IpcError> {
-        use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+        use std::os::unix::fs::DirBuilderExt;
 
         let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(&self.root);
         made.map_err(|error| self.bad_root(format!("cannot make it: {error}")))?;
@@ -657,7 +686,7 @@ impl Node {
     pub(crate) fn retry<T>(&self, mut open: impl FnMut() -> Result<T, OpenFailure>) -> Result<T, IpcError> {
         refuse_full_shared_memory()?;
         let start = Instant::now();
-        let mut pause = Duration::from_millis(2);
+        let (mut pause, mut halves) = (Duration::from_millis(2), Halves::new());
         loop {
             match open() {
                 Ok(port) => {
@@ -675,6 +704,9 @@ impl Node {
                 }
                 Err(OpenFailure::Passing(_)) => {
                     self.clean_up_dead();
+                    if start.elapsed() >= LIKELY_WITHIN {
+                        self.domain.remove_services_without_memory(&self.config, &mut halves);
+                    }
                     std::thread::sleep(pause);
                     pause = (pause * 2).min(Duration::from_millis(100));
                 }

@@ -312,6 +312,36 @@ fn a_counter_without_a_size_keeps_nobody_out() {
     private.domain.open("second").unwrap();
 }
 
+/// The maker of a service failed, or was killed, between the service's file and its memory; or between the memory and opening it to others.
+/// iceoryx2 waits for such a service and then refuses it, for ever.
+#[test]
+fn a_service_without_memory_keeps_nobody_out() {
+    let private = Private::new("half-service");
+    let node = private.domain.open("maker").unwrap();
+    let publisher = node.publisher::<RoomScoresV1>().unwrap();
+    let prefix = private.domain.prefix();
+    let services = private.domain.root().join("services");
+    let files: Vec<_> = std::fs::read_dir(&services).unwrap().map(|file| file.unwrap().path()).collect();
+    let contents: Vec<_> = files.iter().map(|file| std::fs::read(file).unwrap()).collect();
+    drop((publisher, node));
+    for (file, content) in files.iter().zip(contents) {
+        assert!(!file.exists(), "{file:?} outlives its service");
+        std::fs::write(file, content).unwrap();
+        std::fs::set_permissions(file, std::fs::Permissions::from_mode(0o400)).unwrap();
+    }
+    let unread = std::path::PathBuf::from(format!("/dev/shm/{prefix}1234.dynamic"));
+    std::fs::write(&unread, [0; 64]).unwrap();
+    std::fs::set_permissions(&unread, std::fs::Permissions::from_mode(0o200)).unwrap();
+
+    let node = private.domain.open("next").unwrap();
+    let publisher = node.publisher::<RoomScoresV1>().unwrap();
+    let subscriber = node.subscriber::<RoomScoresV1>().unwrap();
+    publisher.send(&scores(1)).unwrap();
+    assert_eq!(eventually(|| subscriber.newest().unwrap()).sequence, 1);
+    eventually(|| (!unread.exists()).then_some(()));
+    drop((publisher, subscriber, node));
+}
+
 #[test]
 fn cleaning_up_spares_what_is_not_the_domains() {
     let private = Private::new("spares");
