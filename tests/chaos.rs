@@ -144,10 +144,12 @@ struct Hostile {
     persons: QuestionPort,
     /// Scores once more, from what a moment names.
     pipeline: Pipeline<LlamaModel>,
-    /// Lines that were claimed since the daemon of this moment started; for what was said before it keeps no place.
+    /// Lines that were claimed since the daemon and the narrator of this moment started; for what was said before the daemon it keeps no place.
     fresh: Vec<usize>,
     /// A number that nothing else has.
     counter: u64,
+    /// Epochs of the narrator that were forged, the newest last.
+    epochs: Vec<u64>,
     /// The first resident's name, as the home gave it last.
     name: String,
     /// Both residents were heard of.
@@ -251,6 +253,7 @@ impl World {
                 pipeline: setup::open(&Config::load(&config).unwrap()).unwrap().0,
                 fresh: Vec::new(),
                 counter: 0,
+                epochs: Vec::new(),
                 name: RESIDENTS[0].to_owned(),
                 met: false,
                 status: BTreeMap::new(),
@@ -312,6 +315,10 @@ impl World {
             let again = self.given.split_off(confirmed.min(self.given.len()));
             self.given.clear();
             (self.narrator_started_ns, self.narrator_epoch, self.claimed) = (started_ns, None, 0);
+            // What its predecessor was given and nobody has claimed may have been heard all the same, and be the newest of a window.
+            if let Some(hostile) = &mut self.hostile {
+                hostile.fresh.clear();
+            }
             for number in again {
                 self.give(number);
             }
@@ -501,9 +508,14 @@ impl World {
         };
         match what {
             0 | 1 => {
-                // In the name of the living narrator: what is remembered of ended ones gives way to others.
+                // In the name of the living narrator, or of one that has ended.
                 let Some(epoch) = epoch else { return };
-                let number = [claimed + 1, given + 1, given + 1000, u64::MAX][place];
+                if hostile.epochs.last() != Some(&epoch) {
+                    hostile.epochs.push(epoch);
+                }
+                let ended = place == 3 && many > 10;
+                let epoch = if ended { hostile.epochs[many as usize % hostile.epochs.len()] } else { epoch };
+                let number = if ended { given + 1000 } else { [claimed + 1, given + 1, given + 1000, u64::MAX][place] };
                 let said = sentence(&format!("They hide in the {FORGED} {counter}."));
                 let source = sequence::source_of_name(NARRATOR);
                 hostile
@@ -803,7 +815,6 @@ fn nothing_is_lost_wrong_or_stale_whoever_is_killed() {
 }
 
 #[test]
-#[ignore = "seed 6 finds a window with fewer of the narrator's places than it should have; run it with --ignored until that is understood"]
 fn strangers_take_nothing_from_a_household_whoever_is_killed() {
     survives(true);
 }

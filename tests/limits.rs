@@ -18,7 +18,7 @@ use roomcast_ipc::{
 };
 use roomcast_llama::{SEQUENCES_MAX, THREADS_MAX};
 use roomcast_services::config::{self, Config};
-use roomcast_services::daemon::{self, SOURCES_OF_A_PORT};
+use roomcast_services::daemon::{self, FORMER_SOURCES_MAX, SOURCES_OF_A_PORT};
 use roomcast_services::{mqtt, mqtt_link, mqtt_look, recording, sensor_log};
 
 const HEAD: &str = "# Limits
@@ -62,6 +62,11 @@ fn page() -> String {
             ("narrations at once of a narrator, by default", &intake.burst, "is dropped and counted"),
             ("starts of sources of a narrator", &SOURCES_OF_A_PORT, "its longest silent one gives way"),
             ("starts of sources", &SOURCES_MAX, "one of an ended process gives way"),
+            (
+                "starts of sources that gave way and whose owner is known",
+                &FORMER_SOURCES_MAX,
+                "the oldest of whoever has most are forgotten",
+            ),
             (
                 "persons",
                 &PERSONS_MAX,

@@ -279,8 +279,9 @@ struct World {
     /// Whether habits are learned, and the file that holds them.
     learns: bool,
     habits_disk: Option<Vec<u8>>,
-    /// Sentences that were ever accepted.
+    /// Sentences that were ever accepted, and those of them that a killed daemon took with it and that nobody has said again.
     lessons: BTreeSet<(u64, u64, u64)>,
+    unheard: BTreeSet<(u64, u64, u64)>,
     /// What must be in the history, in order, as it came.
     accepted: Vec<Observation>,
     /// Whose the daemon said that is which named nobody, and of these what the journal has.
@@ -391,6 +392,7 @@ impl World {
             learns: false,
             habits_disk: None,
             lessons: BTreeSet::new(),
+            unheard: BTreeSet::new(),
             accepted: Vec::new(),
             attributed: BTreeMap::new(),
             taken: BTreeSet::new(),
@@ -598,6 +600,7 @@ impl World {
                 ensure(self.taken.insert(name), || format!("taken twice: {name:?}"))?;
                 if observation.sentence().is_some() {
                     self.lessons.insert(name);
+                    self.unheard.remove(&name);
                 }
                 // Damage to the journal may have taken a narration that nobody sends again.
                 let lost = self.faithful && missed > self.damaged.len() as u64;
@@ -676,6 +679,7 @@ impl World {
         // Who is no resident is a visitor, of whom nothing is learned; and what comes too late is passed over.
         let late = self.accepted.windows(2).any(|pair| pair[1].observed_ns < pair[0].observed_ns);
         let all = whole && !late && self.residents.is_empty() && self.tally.outdated == 0 && self.damaged.is_empty();
+        let all = all && self.unheard.is_empty();
         self.tally.habits_whole += u64::from(all);
         ensure(!all || learned == said, || format!("{learned} sentences were learned, and {said} were said"))
     }
@@ -1058,6 +1062,8 @@ impl World {
                 format!("{name:?} was accepted and claimed, and did not survive the daemon")
             })?;
             self.taken.remove(&name);
+            // Its narrator may have ended, too.
+            self.unheard.extend(lost.sentence().map(|_| name));
         }
         // What the strangers' service keeps reaches the next daemon, as a narrator's does.
         let known: Vec<bool> =

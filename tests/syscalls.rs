@@ -109,6 +109,9 @@ enum Ended {
 
 /// What these say then.
 const OUT_OF_MEMORY: [&str; 2] = ["memory allocation of", "failed to allocate an alternative stack"];
+/// What tokio says when the counter by which it wakes itself cannot be written. The kernel never refuses that; strace does not tell such a
+/// counter from a file.
+const NO_FAULT_OF_A_KERNEL: &str = "failed to wake I/O driver";
 
 /// A private domain with what the process under test needs, over all its faults: so what one fault leaves is what the next one finds.
 struct World {
@@ -118,6 +121,8 @@ struct World {
     helpers: Vec<Child>,
     broker: Option<u16>,
     said: usize,
+    /// Runs in which the process ended by itself.
+    ended: usize,
     /// What was confirmed, or accepted by the broker.
     confirmed: Vec<String>,
 }
@@ -135,8 +140,16 @@ impl World {
         fs::write(directory.path().join("roomcast.toml"), text).unwrap();
         fs::write(directory.path().join("rules.toml"), "[[rule]]\ntopic = \"home/+\"\nsay = \"They {value}.\"\n")
             .unwrap();
-        let mut world =
-            Self { role, directory, domain, helpers: Vec::new(), broker: None, said: 0, confirmed: Vec::new() };
+        let mut world = Self {
+            role,
+            directory,
+            domain,
+            helpers: Vec::new(),
+            broker: None,
+            said: 0,
+            ended: 0,
+            confirmed: Vec::new(),
+        };
         if role != Role::Daemon {
             let daemon = world.command(&[], &["daemon"]);
             world.start_helper(daemon, "daemon");
@@ -399,7 +412,7 @@ impl World {
         if let Some(signal) = status.signal() {
             return Err(format!("it ended by signal {signal}"));
         }
-        if said.contains("panicked") {
+        if said.contains("panicked") && !said.contains(NO_FAULT_OF_A_KERNEL) {
             return Err(format!("it panicked, {status}"));
         }
         let code = u8::try_from(status.code().unwrap()).unwrap();
@@ -431,7 +444,9 @@ impl World {
         let kept = self.kept();
         let lost: Vec<_> = self.confirmed.iter().filter(|line| !kept.contains_key(*line)).collect();
         assert!(lost.is_empty(), "{:?}: {} of {} are lost: {lost:?}", self.role, lost.len(), self.confirmed.len());
-        let twice: Vec<_> = kept.iter().filter(|(_, count)| **count > 1).collect();
+        // A broker sends again what it has not seen acknowledged when its narrator ended: what was confirmed a moment before.
+        let most = if self.role == Role::Mqtt { 1 + self.ended } else { 1 };
+        let twice: Vec<_> = kept.iter().filter(|(_, count)| **count > most).collect();
         assert!(twice.is_empty(), "{:?}: {twice:?}", self.role);
     }
 }
@@ -558,8 +573,8 @@ fn whatever_fails(role: Role) {
         let start = Instant::now();
         match world.trial(&prefix, fault.lasting) {
             Ok(Ended::WentOn) => {}
-            Ok(Ended::InWords) => in_words += 1,
-            Ok(Ended::OutOfMemory) => out_of_memory += 1,
+            Ok(Ended::InWords) => (in_words, world.ended) = (in_words + 1, world.ended + 1),
+            Ok(Ended::OutOfMemory) => (out_of_memory, world.ended) = (out_of_memory + 1, world.ended + 1),
             Err(error) => {
                 println!("--- {role:?} {fault:?} after {:?}: {error}\n{}", start.elapsed(), world.log("tested"));
                 wrong.push((fault, error));
@@ -594,22 +609,10 @@ fn whatever_fails_the_narrator_goes_on_or_says_why() {
 
 #[test]
 fn whatever_fails_the_narrator_of_a_broker_goes_on_or_says_why() {
-    if std::env::var_os("ROOMCAST_SYSCALLS").is_none() {
-        skipped(
-            "some of what a broker holds may be lost when calls of its narrator fail, which is not understood: an open fault; ROOMCAST_SYSCALLS=44 runs it",
-        );
-        return;
-    }
     whatever_fails(Role::Mqtt);
 }
 
 #[test]
 fn whatever_fails_the_metrics_go_on_or_say_why() {
-    if std::env::var_os("ROOMCAST_SYSCALLS").is_none() {
-        skipped(
-            "failing calls may leave a half-made service behind, which is waited for: an open fault; ROOMCAST_SYSCALLS=44 runs it",
-        );
-        return;
-    }
     whatever_fails(Role::Metrics);
 }

@@ -163,6 +163,8 @@ pub struct PersonScores<'a> {
     pub at_home: bool,
     /// Narrations that the scores were computed from; the history may have been cut since.
     pub window: usize,
+    /// Nothing that they rest on has changed since: they are of what the person did last.
+    pub is_current: bool,
     /// Per label `ln s_c` in nats, corrected.
     pub label_log_prob_nats: &'a [f64],
     /// Per partition.
@@ -294,6 +296,7 @@ impl Person {
             person: self.id,
             at_home: self.at_home,
             window: self.window,
+            is_current: self.due == Due::Nothing,
             label_log_prob_nats: &self.scores.log_prob_nats,
             grounded: &self.grounded,
             reached: self.reached(),
@@ -1065,6 +1068,7 @@ mod tests {
                     person: *person,
                     at_home: true,
                     window: 0,
+                    is_current: true,
                     label_log_prob_nats,
                     grounded,
                     reached: *reached,

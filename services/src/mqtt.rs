@@ -39,12 +39,12 @@
 //! said if it differs from what was heard before.
 //!
 //! The session is persistent, so that the broker keeps what arrives while this process or the connection is away; order is the broker's.
-//! A message is acknowledged with the few that were read with it, and each that was acknowledged is handed on before this process ends,
-//! unless it is killed. (Acknowledging each one by hand goes through the client's queue of requests, from which one is sent for ten
-//! messages that are read: a backlog left thousands waiting there, which a broken connection then lost.) MQTT 5 tells the broker how many messages it may send ahead and how large
+//! A message is acknowledged when what it says is settled: confirmed by the daemon, or refused for good ([`listen_until_settled`]). So the
+//! broker holds whatever this process could lose, however it ends. What was confirmed and not yet acknowledged when it was killed is said
+//! again by the next one. MQTT 5 tells the broker how many messages it may send ahead, which bounds what is not acknowledged, and how large
 //! one may be; [`MESSAGES_AHEAD_MAX`] and its neighbours are all limits.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{HashMap, HashSet, VecDeque};
 use std::fmt::Display;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -54,14 +54,16 @@ use std::time::{Duration, Instant};
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{Packet, Publish, SubAck, SubscribeReasonCode};
 use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions};
-use rumqttc::{Outgoing, TlsConfiguration, Transport};
+use rumqttc::{TlsConfiguration, Transport};
 use rustls::pki_types::CertificateDer;
 use rustls::pki_types::pem::PemObject;
 use sha2::{Digest, Sha256};
-use tokio::time::{timeout, timeout_at};
+use tokio::sync::watch;
+use tokio::time::{sleep, timeout_at};
 
 use crate::line::Who;
 use crate::mqtt_tally::Tally;
+use crate::narrator::Settled;
 use crate::rule::{Keys, Saying};
 use crate::stop::Stop;
 use roomcast_core::narration::Presence;
@@ -82,6 +84,8 @@ const WAITING_MAX: usize = 4_096;
 const POLL: Duration = Duration::from_millis(200);
 /// Pause before a lost connection is tried again.
 const RECONNECT: Duration = Duration::from_secs(1);
+/// How long, at the end, what was read may take to be settled. A narrator has a little longer to publish it.
+const SETTLING: Duration = Duration::from_secs(4);
 /// How long the broker has at the end to take the last acknowledgements.
 const FAREWELL: Duration = Duration::from_secs(2);
 /// How long the broker keeps what arrives while this process is away: for ever, as far as the broker agrees.
@@ -575,21 +579,93 @@ impl Listener {
 /// What a broker may send again after a connection broke: messages that it may not have seen acknowledged. There are no more than packet
 /// identifiers, however far ahead a broker sends.
 #[derive(Debug, Default)]
-struct Recent(HashMap<u16, (u64, Fingerprint)>);
+struct Recent(HashMap<u16, Remembered>);
+
+#[derive(Debug, Clone, Copy)]
+struct Remembered {
+    connection: u64,
+    text: Fingerprint,
+    /// The last line that it said, or that was said before it.
+    line: u64,
+}
 
 impl Recent {
-    /// Takes note of a message; whether it is one that an earlier connection brought.
-    fn again(&mut self, connection: u64, message: &Publish) -> bool {
-        if message.qos == QoS::AtMostOnce {
-            return false;
+    /// For a message that an earlier connection brought, the line that it waits for.
+    fn again(&mut self, connection: u64, message: &Publish) -> Option<u64> {
+        let before = self.0.get_mut(&message.pkid).filter(|_| message.dup && message.qos != QoS::AtMostOnce)?;
+        if before.connection >= connection || before.text != Self::text(message) {
+            return None;
         }
+        before.connection = connection;
+        Some(before.line)
+    }
+
+    /// Takes note of a message that waits for a line.
+    fn take(&mut self, connection: u64, message: &Publish, line: u64) {
+        if message.qos != QoS::AtMostOnce {
+            self.0.insert(message.pkid, Remembered { connection, text: Self::text(message), line });
+        }
+    }
+
+    fn text(message: &Publish) -> Fingerprint {
         let mut text = Sha256::new();
         text.update((message.topic.len() as u64).to_le_bytes());
         text.update(&message.topic);
         text.update(&message.payload);
-        let text: Fingerprint = text.finalize().into();
-        let before = self.0.insert(message.pkid, (connection, text));
-        message.dup && before.is_some_and(|(at, of)| at < connection && of == text)
+        text.finalize().into()
+    }
+}
+
+/// A number of lines that are settled, as somebody else counts them: who tells, and who listens.
+#[must_use]
+pub fn settled() -> (Settled, SettledNews) {
+    let (told, news) = watch::channel(0);
+    (Box::new(move |lines| _ = told.send_replace(lines)), SettledNews(news))
+}
+
+/// Hears how many lines are settled; see [`settled`].
+#[derive(Debug, Clone)]
+pub struct SettledNews(watch::Receiver<u64>);
+
+/// Messages of this connection that the broker has not seen acknowledged, oldest first, each with the line that has to be settled before.
+#[derive(Debug, Default)]
+struct Acknowledgements {
+    waiting: VecDeque<(u64, u16)>,
+    /// Lines that were written.
+    written: u64,
+    /// None where a line is settled when it is written.
+    news: Option<SettledNews>,
+}
+
+impl Acknowledgements {
+    /// Adds a message. A broker that sends further ahead than it may waits in vain for the oldest, and sends them again.
+    fn put(&mut self, message: &Publish, line: u64) {
+        if message.qos == QoS::AtMostOnce {
+            return;
+        }
+        if self.waiting.len() > usize::from(u16::MAX) {
+            self.waiting.pop_front();
+        }
+        self.waiting.push_back((line, message.pkid));
+    }
+
+    /// Acknowledges what may be, in its order, as far as the client has room.
+    fn send(&mut self, client: &AsyncClient) {
+        let settled = self.news.as_mut().map_or(self.written, |news| *news.0.borrow_and_update());
+        while let Some((_, pkid)) = self.waiting.front().filter(|(line, _)| *line <= settled) {
+            if client.try_ack(&Publish { qos: QoS::AtLeastOnce, pkid: *pkid, ..Publish::default() }).is_err() {
+                return;
+            }
+            self.waiting.pop_front();
+        }
+    }
+
+    /// Waits until more is settled; an error when nobody will tell any more.
+    async fn news(&mut self) -> std::io::Result<()> {
+        match &mut self.news {
+            Some(news) => news.0.changed().await.map_err(|_| std::io::ErrorKind::BrokenPipe.into()),
+            None => std::future::pending().await,
+        }
     }
 }
 
@@ -620,6 +696,7 @@ impl Broker {
         options.set_receive_maximum(Some(MESSAGES_AHEAD_MAX)).set_max_packet_size(Some(PACKET_BYTES_MAX));
         // Nothing is published; the client would set aside room for so many.
         options.set_outgoing_inflight_upper_limit(MESSAGES_AHEAD_MAX);
+        options.set_manual_acks(true);
         if let Some(path) = &self.credentials {
             let text =
                 std::fs::read_to_string(path).map_err(|source| MqttError::Read { path: path.clone(), source })?;
@@ -656,23 +733,27 @@ impl Broker {
 ///
 /// [`MqttError::Refused`] when the broker grants nothing, [`MqttError::Client`] when the client cannot go on.
 pub fn listen(options: MqttOptions, rules: Rules, out: impl Write, stop: &Stop) -> Result<Heard, MqttError> {
-    listen_and_count(options, rules, None, out, stop)
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().map_err(failed)?;
+    runtime.block_on(Connection::new(options, rules, out).listen(stop))
 }
 
-/// Listens as [`listen`] does, and counts how often each rule fits a message.
+/// As [`listen`], but the broker is told to be done with a message only when the lines that it became are settled, so that it says again
+/// what this process has lost. Counts how often each rule fits a message, where there is a tally.
 ///
 /// # Errors
 ///
 /// As [`listen`].
-pub fn listen_and_count(
+pub fn listen_until_settled(
     options: MqttOptions,
     rules: Rules,
     tally: Option<Tally>,
     out: impl Write,
+    news: SettledNews,
     stop: &Stop,
 ) -> Result<Heard, MqttError> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().map_err(failed)?;
     let mut connection = Connection::new(options, rules, out);
+    connection.acknowledgements.news = Some(news);
     connection.tally = tally;
     runtime.block_on(connection.listen(stop))
 }
@@ -777,7 +858,10 @@ struct Connection<W> {
     listener: Listener,
     subscriptions: Subscriptions,
     recent: Recent,
+    acknowledgements: Acknowledgements,
     connected: bool,
+    /// What comes is left to the next session.
+    leaves: bool,
     /// Reports what would be said, in place of saying it.
     rehearses: bool,
     /// Keeps how often each rule fits.
@@ -801,8 +885,8 @@ impl<W: Write> Connection<W> {
     fn new(options: MqttOptions, rules: Rules, out: W) -> Self {
         let (host, port) = options.broker_address();
         let subscriptions = Subscriptions { filters: rules.filters(), answered: 0, granted: 0 };
-        // One subscription, one farewell.
-        let (client, events) = AsyncClient::new(options, 2);
+        // One subscription, one farewell, and every acknowledgement.
+        let (client, events) = AsyncClient::new(options, 2 + usize::from(MESSAGES_AHEAD_MAX));
         let (listener, recent) = (Listener::new(rules), Recent::default());
         Self {
             broker: format!("{host}:{port}"),
@@ -811,7 +895,9 @@ impl<W: Write> Connection<W> {
             listener,
             subscriptions,
             recent,
+            acknowledgements: Acknowledgements::default(),
             connected: false,
+            leaves: false,
             rehearses: false,
             tally: None,
             out,
@@ -821,7 +907,7 @@ impl<W: Write> Connection<W> {
     async fn listen(mut self, stop: &Stop) -> Result<Heard, MqttError> {
         let mut connections = 0_u64;
         loop {
-            let turn = match self.next(stop).await {
+            let turn = match self.next(|_| stop.requested()).await {
                 Ok(Some(Ok(event))) => self.take(&event, &mut connections)?,
                 Ok(Some(Err(error))) => self.lost(&error, &mut connections, stop).await?,
                 Ok(None) => break,
@@ -838,21 +924,30 @@ impl<W: Write> Connection<W> {
         Ok(self.listener.heard)
     }
 
-    /// The next event; none when it is time to stop, an error when nobody reads any more. Looking at the wish to stop, and saying what it was quiet for long enough to say, breaks off nothing that is under
-    /// way: a slow broker has the client's own limit to answer in.
-    async fn next(&mut self, stop: &Stop) -> std::io::Result<Option<Result<Event, ConnectionError>>> {
-        let Self { events, listener, out, connected, rehearses, .. } = self;
+    /// The next event; none when `is_over`, an error when nobody reads any more. Looking at that, acknowledging what is settled, and saying what
+    /// it was quiet for long enough to say, breaks off nothing that is under way: a slow broker has the client's own limit to answer in.
+    async fn next(
+        &mut self,
+        is_over: impl Fn(&Acknowledgements) -> bool,
+    ) -> std::io::Result<Option<Result<Event, ConnectionError>>> {
+        let Self { client, events, listener, acknowledgements, out, connected, leaves, rehearses, .. } = self;
         let mut poll = pin!(events.poll());
-        while !stop.requested() {
+        loop {
+            acknowledgements.send(client);
+            if is_over(acknowledgements) {
+                return Ok(None);
+            }
             // Without a connection nothing can be heard, which is no silence.
-            let due = if *connected { listener.due(Instant::now()) } else { Vec::new() };
+            let due = if *connected && !*leaves { listener.due(Instant::now()) } else { Vec::new() };
             let shown = |line: &String| if *rehearses { format!("after silence\n  says {line}") } else { line.clone() };
             due.iter().try_for_each(|line| write_line(out, &shown(line)))?;
-            if let Ok(event) = timeout(POLL, poll.as_mut()).await {
-                return Ok(Some(event));
+            acknowledgements.written += due.len() as u64;
+            tokio::select! {
+                event = poll.as_mut() => return Ok(Some(event)),
+                news = acknowledgements.news() => news?,
+                () = sleep(POLL) => {}
             }
         }
-        Ok(None)
     }
 
     fn keep_tally(&mut self, at_end: bool) {
@@ -873,10 +968,19 @@ impl<W: Write> Connection<W> {
                 self.subscriptions.start(&self.client)?;
             }
             Event::Incoming(Packet::SubAck(answer)) => self.subscriptions.take(answer, &self.client, &self.broker)?,
+            Event::Incoming(Packet::Publish(_)) if self.leaves => {}
             Event::Incoming(Packet::Publish(message)) => {
-                let is_new = !self.recent.again(*connections, message);
-                let heard = if is_new { self.hear(message) } else { Ok(()) };
-                return Ok(heard.map_or(Turn::Unread, |()| Turn::On));
+                let line = match self.recent.again(*connections, message) {
+                    Some(line) => line,
+                    None => {
+                        if self.hear(message).is_err() {
+                            return Ok(Turn::Unread);
+                        }
+                        self.recent.take(*connections, message, self.acknowledgements.written);
+                        self.acknowledgements.written
+                    }
+                };
+                self.acknowledgements.put(message, line);
             }
             _ => {}
         }
@@ -891,20 +995,22 @@ impl<W: Write> Connection<W> {
             return write_line(&mut self.out, &report(topic, payload, retained, &outcomes));
         }
         let lines = self.listener.hear(topic, payload, retained, now);
+        self.acknowledgements.written += lines.len() as u64;
         lines.iter().try_for_each(|line| write_line(&mut self.out, line))
     }
 
-    /// Takes what was read before the connection broke: its acknowledgements may be on their way. Then a pause.
+    /// Takes what was read before the connection broke: the broker sends it again and it is recognised. Then a pause.
     async fn lost(&mut self, error: &ConnectionError, connections: &mut u64, stop: &Stop) -> Result<Turn, MqttError> {
         tracing::warn!(broker = self.broker, %error, "no connection, trying again");
         let turn = self.drain(connections)?;
         // Subscriptions that were not sent are made again at the next connection.
         self.events.clean();
         self.events.pending.clear();
+        self.acknowledgements.waiting.clear();
         self.connected = false;
         let pause = Instant::now();
         while !stop.requested() && pause.elapsed() < RECONNECT {
-            tokio::time::sleep(POLL).await;
+            sleep(POLL).await;
         }
         Ok(turn)
     }
@@ -918,24 +1024,30 @@ impl<W: Write> Connection<W> {
         Ok(Turn::On)
     }
 
-    /// Sends a farewell behind the acknowledgements, and stays until the broker has closed the connection: it has read all then. What
-    /// it sends after the farewell is not acknowledged, and comes again in the next session.
+    /// Waits until what was said is settled and acknowledged, and sends a farewell behind that; then stays until the broker has closed the
+    /// connection: it has read all then. What it sends meanwhile, and what nobody settles, is not acknowledged and comes again in the next session.
     async fn leave(&mut self, connections: &mut u64) -> Result<(), MqttError> {
         if !self.connected {
             return Ok(());
         }
-        self.client.try_disconnect().map_err(failed)?;
-        let end = tokio::time::Instant::now() + FAREWELL;
-        while let Ok(Ok(event)) = timeout_at(end, self.events.poll()).await {
-            if event == Event::Outgoing(Outgoing::Disconnect) {
-                while let Ok(Ok(_)) = timeout_at(end, self.events.poll()).await {}
-                return Ok(());
-            }
-            if matches!(self.take(&event, connections)?, Turn::Unread) {
-                return Ok(());
-            }
+        // What was read with an event before is said still: nobody has seen it yet.
+        if matches!(self.drain(connections)?, Turn::Unread) {
+            return Ok(());
         }
-        self.drain(connections).map(|_| ())
+        self.leaves = true;
+        let end = Instant::now() + SETTLING;
+        let is_settled = |open: &Acknowledgements| open.waiting.is_empty() || Instant::now() >= end;
+        while let Ok(Some(event)) = self.next(is_settled).await {
+            let Ok(event) = event else { return Ok(()) };
+            self.take(&event, connections)?;
+        }
+        let end = tokio::time::Instant::now() + FAREWELL;
+        // It finds no room while too many acknowledgements are on their way.
+        let mut said = false;
+        loop {
+            said = said || self.client.try_disconnect().is_ok();
+            let Ok(Ok(_)) = timeout_at(end, self.events.poll()).await else { return Ok(()) };
+        }
     }
 }
 

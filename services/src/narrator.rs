@@ -4,6 +4,7 @@
 //! (32), so a daemon that restarts gets all that it has not confirmed yet. Room scores confirm: they name the newest
 //! narration of each source that they contain.
 
+use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::os::unix::fs::FileTypeExt;
@@ -56,8 +57,14 @@ pub enum Input {
         stream: Box<dyn Read + Send>,
         /// The person when a line names none.
         person: Who,
+        /// Is told of the lines from the first on that are settled; none where nobody asks.
+        settled: Option<Settled>,
     },
 }
+
+/// Takes the number of lines, from the first on, that are settled: the daemon has confirmed or dropped them, or they are no narration. What is
+/// settled need not be kept any more by whoever gave the line.
+pub type Settled = Box<dyn FnMut(u64) + Send>;
 
 impl Input {
     /// `-` is standard input, line by line; a FIFO is read for ever; a file that begins with a title and holds actions is a
@@ -69,7 +76,7 @@ impl Input {
     pub fn open(path: &Path, person: Who) -> Result<Self, InputError> {
         let name = path.display().to_string();
         if name == "-" {
-            return Ok(Self::Lines { name: "standard input".to_owned(), stream: Box::new(io::stdin()), person });
+            return Ok(Self::lines("standard input".to_owned(), io::stdin(), person));
         }
         if let Some(shipped) = setup::shipped_program(path) {
             return Ok(Self::Items(program_items(&shipped?, &person)));
@@ -78,14 +85,18 @@ impl Input {
         if std::fs::metadata(path).map_err(read)?.file_type().is_fifo() {
             // With a writer of its own the stream does not end when the last other writer leaves.
             let stream = File::options().read(true).write(true).open(path).map_err(read)?;
-            return Ok(Self::Lines { name: name.clone(), stream: Box::new(stream), person });
+            return Ok(Self::lines(name, stream, person));
         }
         let mut stream = File::open(path).map_err(read)?;
         if Self::is_program(&mut stream).map_err(read)? {
             return Ok(Self::Items(program_items(&Program::load(path)?, &person)));
         }
         let stream = File::open(path).map_err(read)?;
-        Ok(Self::Lines { name: name.clone(), stream: Box::new(stream), person })
+        Ok(Self::lines(name, stream, person))
+    }
+
+    fn lines(name: String, stream: impl Read + Send + 'static, person: Who) -> Self {
+        Self::Lines { name, stream: Box::new(stream), person, settled: None }
     }
 
     /// A program has a title: its first line is no action, no JSON and no sentence, and some later line is an action.
@@ -246,20 +257,63 @@ impl Throttle {
     }
 }
 
+/// Which lines are settled. Pure: what the account says comes in as numbers.
+#[derive(Debug, Default)]
+struct Lines {
+    /// For each line that is not: so many narrations are settled when it is, those before it included.
+    open: VecDeque<u64>,
+    settled: u64,
+}
+
+impl Lines {
+    /// Takes note of the next line: it is settled when `narrations` are, its own included if it is one.
+    fn take(&mut self, narrations: u64) {
+        self.open.push_back(narrations);
+    }
+
+    /// How many lines from the first on are settled, if they have become more: `narrations` are.
+    fn settle(&mut self, narrations: u64) -> Option<u64> {
+        let before = self.settled;
+        while self.open.front().is_some_and(|needs| *needs <= narrations) {
+            self.open.pop_front();
+            self.settled += 1;
+        }
+        (self.settled > before).then_some(self.settled)
+    }
+}
+
 /// The narrator's ports.
-#[derive(Debug)]
 struct Narrator {
     narration: Publisher<NarrationV1>,
     scores: Subscriber<RoomScoresV1>,
     account: Account,
     throttle: Throttle,
+    lines: Lines,
+    settled: Option<Settled>,
 }
 
 impl Narrator {
     fn new(node: &Node, config: &NarratorConfig, limits: IntakeLimits) -> Result<Self, IpcError> {
         let account = Account::new(&config.name, sequence::random_epoch());
         let throttle = Throttle::new(limits, clock::monotonic_ns());
-        Ok(Self { narration: node.publisher()?, scores: node.subscriber()?, account, throttle })
+        let (narration, scores) = (node.publisher()?, node.subscriber()?);
+        Ok(Self { narration, scores, account, throttle, lines: Lines::default(), settled: None })
+    }
+
+    /// Takes note of a line that was sent, or that is no narration, and says what is settled.
+    fn take_line(&mut self) {
+        if self.settled.is_some() {
+            self.lines.take(self.account.outcome.sent);
+            self.settle();
+        }
+    }
+
+    fn settle(&mut self) {
+        if let Some(settled) = &mut self.settled
+            && let Some(lines) = self.lines.settle(self.account.outcome.sent - self.account.under_way())
+        {
+            settled(lines);
+        }
     }
 
     fn send(&mut self, item: &Item) -> Result<(), IpcError> {
@@ -279,6 +333,7 @@ impl Narrator {
                 self.account.confirm(&scores);
             }
         }
+        self.settle();
         Ok(())
     }
 }
@@ -299,11 +354,15 @@ pub fn run(
     let node = domain.open(&format!("roomcast-narrator-{}", config.name))?;
     let mut sender = Narrator::new(&node, config, limits)?;
     let (items_in, items) = bounded(1);
+    let mut input = input;
+    if let Input::Lines { settled, .. } = &mut input {
+        sender.settled = settled.take();
+    }
     // Reading may block for ever; the thread ends with its stream, or with the process.
     let reader = move || match input {
         Input::Items(list) => list.into_iter().map(Ok).try_for_each(|item| items_in.send(item)).is_ok(),
         Input::Log(list) => list.into_iter().try_for_each(|item| items_in.send(item)).is_ok(),
-        Input::Lines { name, stream, person } => read_lines(&name, stream, &person, &items_in),
+        Input::Lines { name, stream, person, .. } => read_lines(&name, stream, &person, &items_in),
     };
     let reader = std::thread::Builder::new().name("reader".to_owned()).spawn(reader);
     if let Err(error) = reader {
@@ -316,6 +375,7 @@ pub fn run(
             Ok(item) => item,
             Err(error) => {
                 sender.account.outcome.refused += 1;
+                sender.take_line();
                 tracing::warn!(%error, "skipped");
                 continue;
             }
@@ -346,6 +406,7 @@ pub fn run(
             break;
         }
         sender.send(&item)?;
+        sender.take_line();
     }
     let linger = Instant::now() + Duration::try_from_secs_f64(config.linger_s).unwrap_or(Duration::ZERO);
     while !stop.requested() && sender.account.under_way() > 0 && Instant::now() < linger {

@@ -14,11 +14,11 @@ use super::{CommandResult, Failure, broker, print};
 use crate::exit_code;
 
 const TICK: Duration = Duration::from_millis(100);
-/// How long, after a wish to stop, what the broker was told to be done with may take to be published.
+/// How long, after a wish to stop, what was read may take to be published and confirmed.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Listens to the broker in a thread of its own; its lines come through a pipe, whose small buffer holds it back while the daemon is
-/// behind: what is in it is acknowledged, and goes with this process if that is killed.
+/// behind. The broker keeps what is in it until the daemon has confirmed it.
 pub(super) fn listen(
     broker: &Broker,
     rules: &Path,
@@ -33,12 +33,13 @@ pub(super) fn listen(
     let (reader, writer) = std::io::pipe().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
     // The least there is, a page; a system that refuses leaves it larger.
     let _resized = rustix::pipe::fcntl_setpipe_size(&writer, 4096);
-    let stop = stop.clone();
+    let (stop, (settled, news)) = (stop.clone(), mqtt::settled());
     let listener = std::thread::Builder::new().name("mqtt".to_owned());
     let listener = listener
-        .spawn(move || mqtt::listen_and_count(options, rules, tally, writer, &stop))
+        .spawn(move || mqtt::listen_until_settled(options, rules, tally, writer, news, &stop))
         .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot start the mqtt thread: {error}")))?;
-    Ok((Input::Lines { name: broker.address.clone(), stream: Box::new(reader), person }, listener))
+    let (name, stream) = (broker.address.clone(), Box::new(reader));
+    Ok((Input::Lines { name, stream, person, settled: Some(settled) }, listener))
 }
 
 /// Prints what the broker's messages would say, until it is asked to stop. No daemon is needed.

@@ -730,7 +730,8 @@ impl<M: LanguageModel> Board<M> {
             return;
         }
         self.follow();
-        for own in self.pipeline.persons().filter(|own| own.at_home) {
+        // What the model said before something that it has not scored yet says nothing of what comes after that.
+        for own in self.pipeline.persons().filter(|own| own.at_home && own.is_current) {
             if let Some(followed) = self.followed.get_mut(&own.person) {
                 followed.expect(&own.grounded.partition_probability);
             }

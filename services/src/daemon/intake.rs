@@ -24,6 +24,9 @@ use crate::token_bucket::TokenBucket;
 pub const SOURCES_OF_A_PORT: usize = SOURCES_MAX / NarrationV1::SERVICE.publishers;
 /// Most ports that are remembered, those of ended processes included.
 const PORTS_MAX: usize = 64;
+/// Most starts of sources that have given way and of which is remembered whose they are and what they said last. Beyond that the older half
+/// goes of the port that has most of them.
+pub const FORMER_SOURCES_MAX: usize = 4096;
 /// The number of the voice of all narrators that the configuration does not name, where it names any.
 const OTHERS: u64 = 1;
 /// Ports and named narrators have the voices from here on.
@@ -145,7 +148,11 @@ pub struct Intake {
     narrators: BTreeMap<u64, KnownNarrator>,
     cost: Option<SentenceCost>,
     sources: BTreeMap<(u64, u64), Source>,
+    /// Those that have given way to others: nobody else may go on with them.
+    former: BTreeMap<(u64, u64), Source>,
     ports: BTreeMap<Sender, Port>,
+    /// Which port speaks for a narrator that the configuration names.
+    holders: BTreeMap<u64, Sender>,
     alive: BTreeSet<Sender>,
     voices: u64,
     turns: u64,
@@ -180,15 +187,14 @@ impl Intake {
         self.make_room_for_source(name);
         self.turns += 1;
         let (trust, turn) = (self.trust(observation.source), self.turns);
-        let fresh = || Source { follower: Follower::default(), port: None, bound: false, trust, turn, costly: false };
-        let source = self.sources.entry(name).or_insert_with(fresh);
+        let source = self.source(name, trust, turn);
         source.follower.take(observation.epoch, observation.sequence);
         source.turn = turn;
     }
 
-    /// Takes note of whose a start of a source is, by its number and epoch, where it is still followed.
+    /// Takes note of whose a start of a source is, by its number and epoch, where it is still remembered.
     pub fn restore_port(&mut self, name: (u64, u64), port: Sender) {
-        if let Some(source) = self.sources.get_mut(&name) {
+        if let Some(source) = self.sources.get_mut(&name).or_else(|| self.former.get_mut(&name)) {
             (source.port, source.bound) = (Some(port), true);
         }
     }
@@ -248,10 +254,13 @@ impl Intake {
             return Taken::Limited;
         }
         let start = (message.source, message.epoch);
-        let known = self.sources.get(&start);
+        let known = self.sources.get(&start).or_else(|| self.former.get(&start));
         // What was taken may be said again by anybody, a replay for instance.
         if known.is_some_and(|known| message.sequence <= known.follower.sequence()) {
-            self.claim(start, sender, turn);
+            // Of what gave way long ago that takes no place from others.
+            if self.sources.contains_key(&start) {
+                self.claim(start, sender, turn);
+            }
             return Taken::Duplicate;
         }
         if known.and_then(|known| known.port).is_some_and(|port| port != sender) {
@@ -279,10 +288,13 @@ impl Intake {
             let first = !std::mem::replace(&mut source.costly, true);
             return Taken::Costly { tokens, most, first };
         }
-        let voice = match self.narrators.get(&message.source) {
-            Some(known) => Voice { number: message.source.max(FIRST_VOICE), share: known.share },
-            None if self.narrators.is_empty() => Voice { number: port.voice, share: 1 },
-            None => Voice { number: OTHERS, share: 1 },
+        let port_voice = port.voice;
+        let voice = match self.narrators.get(&message.source).map(|known| known.share) {
+            Some(share) if self.holds(message.source, sender) => {
+                Voice { number: message.source.max(FIRST_VOICE), share }
+            }
+            None if self.narrators.is_empty() => Voice { number: port_voice, share: 1 },
+            _ => Voice { number: OTHERS, share: 1 },
         };
         let name = Some(message.person_name().trim()).filter(|name| !name.is_empty());
         let observation = Observation {
@@ -313,6 +325,47 @@ impl Intake {
     #[must_use]
     pub fn sources(&self) -> usize {
         self.sources.len()
+    }
+
+    /// Whether a port speaks for a narrator that the configuration names: the first that does, for as long as it is open. Whoever else uses the
+    /// name meanwhile is one of the others, and takes none of its places.
+    fn holds(&mut self, source: u64, sender: Sender) -> bool {
+        let holder = self.holders.entry(source).or_insert(sender);
+        if *holder != sender && !self.alive.contains(holder) {
+            *holder = sender;
+        }
+        *holder == sender
+    }
+
+    /// A start of a source that is followed from now on: what is remembered of it, or nothing yet.
+    fn source(&mut self, name: (u64, u64), trust: u32, turn: u64) -> &mut Source {
+        let Self { sources, former, .. } = self;
+        sources.entry(name).or_insert_with(|| {
+            let fresh =
+                || Source { follower: Follower::default(), port: None, bound: false, trust, turn, costly: false };
+            former.remove(&name).unwrap_or_else(fresh)
+        })
+    }
+
+    /// Follows a start of a source no more, and remembers whose it is.
+    fn retire(&mut self, name: (u64, u64)) {
+        let Some(source) = self.sources.remove(&name) else { return };
+        self.former.insert(name, source);
+        if self.former.len() <= FORMER_SOURCES_MAX {
+            return;
+        }
+        let mut of_ports: BTreeMap<Option<Sender>, Vec<(u64, (u64, u64))>> = BTreeMap::new();
+        for (name, source) in &self.former {
+            of_ports.entry(source.port).or_default().push((source.turn, *name));
+        }
+        // Of as many, those of the port that was silent for longest.
+        let newest = |own: &[(u64, (u64, u64))]| own.iter().map(|(turn, _)| *turn).max();
+        let most = of_ports.into_values().max_by_key(|own| (own.len(), std::cmp::Reverse(newest(own))));
+        let Some(mut own) = most else { return };
+        own.sort_unstable();
+        for (_, name) in own.iter().take(own.len().div_ceil(2)) {
+            self.former.remove(name);
+        }
     }
 
     fn trust(&self, source: u64) -> u32 {
@@ -359,13 +412,12 @@ impl Intake {
             let own = self.sources.iter().filter(|(_, known)| known.port == Some(sender));
             if own.clone().count() >= SOURCES_OF_A_PORT {
                 left = own.min_by_key(|(_, known)| known.turn).map(|(name, _)| *name);
-                left.and_then(|left| self.sources.remove(&left));
+                left.into_iter().for_each(|left| self.retire(left));
             }
             left = left.or(self.make_room_for_source(name));
         }
         let trust = self.trust(name.0);
-        let fresh = || Source { follower: Follower::default(), port: None, bound: false, trust, turn, costly: false };
-        let source = self.sources.entry(name).or_insert_with(fresh);
+        let source = self.source(name, trust, turn);
         source.port = source.port.or(Some(sender));
         source.turn = turn;
         left
@@ -379,7 +431,7 @@ impl Intake {
         let alive = |known: &Source| known.port.is_some_and(|port| self.alive.contains(&port));
         let left = self.sources.iter().min_by_key(|(_, known)| (alive(known), known.trust, known.turn));
         let left = left.map(|(name, _)| *name)?;
-        self.sources.remove(&left);
+        self.retire(left);
         Some(left)
     }
 }
@@ -486,6 +538,56 @@ mod tests {
         older.restore(&said);
         assert_eq!(older.take(&message(7, 1, 1, "They sit."), PORT, 3), Taken::Duplicate);
         assert!(binds(older.take(&message(7, 1, 2, "They sit."), PORT, 4)).0);
+    }
+
+    /// The strangers' chaos test found this: starts of ended narrators gave way to invented ones, and whoever went on with them was heard.
+    #[test]
+    fn what_gave_way_is_still_whose_it_was() {
+        let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
+        let (said, ..) = accepted(intake.take(&message(7, 1, 5, "They sit."), PORT, 1));
+        // The narrator has ended, and others invent sources, each from a port of its own, too.
+        let invent = |intake: &mut Intake| {
+            intake.note_alive([OTHER]);
+            for n in 0..10_000 {
+                let port = if n % 2 == 0 { OTHER } else { Sender::simulated(3 + n % 40) };
+                accepted(intake.take(&message(1000 + n, 1, 1, "B."), port, 2));
+            }
+        };
+        invent(&mut intake);
+        for sequence in [6, 7, u64::MAX] {
+            assert_eq!(intake.take(&message(7, 1, sequence, "They hide."), OTHER, 3), Taken::Forged, "{sequence}");
+        }
+        assert_eq!(intake.take(&message(7, 1, 5, "They sit."), OTHER, 3), Taken::Duplicate);
+        assert!(intake.former.len() <= FORMER_SOURCES_MAX);
+        // And after a restart, in whose journal the invented ones come last.
+        let mut restarted = Intake::new(IntakeLimits::default());
+        restarted.restore(&said);
+        for source in 1000..1100 {
+            restarted.restore(&Observation { source, ..said.clone() });
+        }
+        restarted.restore_port((7, 1), PORT);
+        assert_eq!(restarted.take(&message(7, 1, 6, "They hide."), OTHER, 3), Taken::Forged);
+        assert!(matches!(restarted.take(&message(7, 1, 7, "They sit."), PORT, 3), Taken::Accepted { missed: 1, .. }));
+    }
+
+    /// A name is no password, but who uses one that is in use has none of its places.
+    #[test]
+    fn the_name_of_a_living_narrator_gives_nobody_its_voice() {
+        let named = KnownNarrator { name: "hall".into(), trust: 3, share: 4, rate_per_s: None };
+        let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[named]);
+        let hall = source_of_name("hall");
+        let mut voice = |epoch, port, alive: &[Sender]| {
+            intake.note_alive(alive.iter().copied());
+            accepted(intake.take(&message(hall, epoch, 1, "A."), port, epoch)).1
+        };
+        let own = voice(1, PORT, &[PORT]);
+        let stranger = voice(2, OTHER, &[PORT, OTHER]);
+        assert_eq!((own.share, stranger), (4, Voice { number: OTHERS, share: 1 }));
+        assert_eq!(voice(3, PORT, &[PORT, OTHER]), own);
+        // Its successor has it when it is gone.
+        let next = Sender::simulated(3);
+        assert_eq!(voice(4, next, &[OTHER, next]), own);
+        assert_eq!(voice(5, OTHER, &[OTHER, next]), stranger);
     }
 
     /// Row "two narrators of one name" of the attacks.
