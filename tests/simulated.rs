@@ -15,6 +15,9 @@
 //! - the coverage-aware planner never waits while a room that it has to do is free;
 //! - of a robot that reports, a room counts as done only when it has said so, and no room whose work it ended otherwise;
 //! - a robot at work is left alone until it says that it is done, falls silent, or somebody comes; one that charges is not sent out;
+//! - the wall clock may be set at any time, and the machine suspended: neither changes what is believed of where anybody is, but for the time
+//!   that has passed;
+//! - power that fails takes what no sync has reached, and nothing else;
 //! - where the transport is faithful, all that living narrators say is confirmed in the end.
 //!
 //! The processes are the product's own: [`Account`], [`Intake`], [`Cycle`] with [`Board`], the journal's records, [`Planner`].
@@ -263,6 +266,8 @@ struct World {
     options: PipelineOptions,
     failures: Rc<Cell<u32>>,
     now_ns: u64,
+    /// The wall clock.
+    unix_ns: u64,
     epochs: u64,
     said: u64,
     daemon: Option<Daemon>,
@@ -276,6 +281,8 @@ struct World {
     /// Nobody is killed any more.
     calm: bool,
     disk: Vec<u8>,
+    /// So much of it is safe from a loss of power.
+    synced: usize,
     /// Whether habits are learned, and the file that holds them.
     learns: bool,
     habits_disk: Option<Vec<u8>>,
@@ -334,6 +341,10 @@ struct Tally {
     habits_read: u64,
     habits_lost: u64,
     habits_whole: u64,
+    clocks_set: u64,
+    suspended: u64,
+    power_lost: u64,
+    lost_with_power: u64,
 }
 
 type Check = Result<(), String>;
@@ -360,6 +371,7 @@ impl World {
             options: PipelineOptions { history, ..Default::default() },
             failures: Rc::default(),
             now_ns: 1_000 * MS,
+            unix_ns: 1_700_000_000_000 * MS,
             epochs: 0,
             said: 0,
             daemon: None,
@@ -389,6 +401,7 @@ impl World {
             strangers: VecDeque::new(),
             calm: false,
             disk: Vec::new(),
+            synced: 0,
             learns: false,
             habits_disk: None,
             lessons: BTreeSet::new(),
@@ -435,7 +448,8 @@ impl World {
 
     /// One step of whoever the seed chooses.
     fn step(&mut self) -> Check {
-        self.now_ns += self.rng.random_range(0..8 * MS);
+        let ns = self.rng.random_range(0..8 * MS);
+        self.pass(ns);
         match self.rng.random_range(0..1000) {
             0..190 => self.narrate(),
             190..200 => self.intrude(),
@@ -445,17 +459,46 @@ impl World {
             680..780 => self.confirm(),
             780..900 => return self.plan(),
             900..957 => self.act(),
-            957..960 => self.keep_habits(),
-            960..970 => self.now_ns += self.rng.random_range(0..600) * MS,
+            957..959 => self.keep_habits(),
+            959 => self.disturb_clocks(),
+            960..970 => {
+                let ms = self.rng.random_range(0..600);
+                self.pass(ms * MS);
+            }
             970..976 => self.hang(),
             976..979 => self.failures.set(self.rng.random_range(1..4)),
             979..981 => self.change_map(),
-            981..988 => return self.kill_daemon(),
+            981..987 => return self.kill_daemon(),
+            987 => return self.lose_power(),
             988..992 => self.kill_narrator(),
             992..995 => self.start_planner(),
             _ => return self.start_daemon(),
         }
         Ok(())
+    }
+
+    fn pass(&mut self, ns: u64) {
+        self.now_ns += ns;
+        self.unix_ns += ns;
+    }
+
+    /// The wall clock is set, forwards or back, or the machine sleeps, which both clocks count.
+    fn disturb_clocks(&mut self) {
+        let hours = self.rng.random_range(1..48) * 3_600_000 * MS;
+        // Far longer than anything here waits; what is told a minute late is no narration any more.
+        let asleep_ns = self.rng.random_range(1_000..20_000) * MS;
+        match self.rng.random_range(0..3) {
+            0 => self.unix_ns += hours,
+            1 => self.unix_ns -= hours,
+            _ => {
+                self.pass(asleep_ns);
+                self.tally.suspended += 1;
+                self.note(|| "the machine was suspended".to_owned());
+                return;
+            }
+        }
+        self.tally.clocks_set += 1;
+        self.note(|| "the wall clock is set".to_owned());
     }
 
     fn narrate(&mut self) {
@@ -484,9 +527,9 @@ impl World {
             _ => Who::Somebody,
         };
         let item = Item::new(kind, text, who_did);
-        let now_ns = self.now_ns;
+        let (now_ns, unix_ns) = (self.now_ns, self.unix_ns);
         let narrator = &mut self.narrators[who];
-        let message = narrator.account.next(&item, now_ns, now_ns).unwrap();
+        let message = narrator.account.next(&item, now_ns, unix_ns).unwrap();
         if narrator.history.len() == HISTORY {
             narrator.history.pop_front();
         }
@@ -695,6 +738,46 @@ impl World {
             self.disk.extend_from_slice(&record);
             daemon.written += 1;
         }
+        if self.rng.random_bool(0.2) {
+            self.synced = self.disk.len();
+        }
+    }
+
+    /// The power fails: all processes end, and what no sync has reached is gone.
+    fn lose_power(&mut self) -> Check {
+        if self.tally.damaged > 0 || self.planted != Planted::Nothing {
+            // What is whole is told by what was said.
+            return Ok(());
+        }
+        self.kill_daemon()?;
+        if self.tally.damaged > 0 {
+            return Ok(());
+        }
+        for who in 0..self.narrators.len() {
+            self.restart_narrator(who, 0);
+        }
+        self.strangers.clear();
+        self.ghost = None;
+        self.disk.truncate(self.synced);
+        let mut left = Recovered::default();
+        journal::read_records(&self.disk, &BOOT, &mut left);
+        let is_begin = self.accepted.iter().zip(&left.observations).all(|(said, left)| *said == as_it_came(left));
+        ensure(is_begin && left.observations.len() <= self.accepted.len(), || {
+            "the power took more than what came last".to_owned()
+        })?;
+        for lost in self.accepted.split_off(left.observations.len()) {
+            let name = name_of(&lost);
+            self.taken.remove(&name);
+            self.claimed.remove(&name);
+            self.unheard.extend(lost.sentence().map(|_| name));
+            self.tally.lost_with_power += 1;
+        }
+        for unsaid in left.observations.iter().filter(|left| !left.by_fit) {
+            self.attributed.remove(&name_of(unsaid));
+        }
+        self.tally.power_lost += 1;
+        self.note(|| "the power fails".to_owned());
+        Ok(())
     }
 
     /// The map in use is changed, and the steps after it may fail.
@@ -717,7 +800,7 @@ impl World {
         if !self.awake() {
             return Ok(());
         }
-        let (now_ns, failing) = (self.now_ns, self.failures.get() > 0);
+        let (now_ns, unix_ns, failing) = (self.now_ns, self.unix_ns, self.failures.get() > 0);
         let Some(daemon) = &mut self.daemon else { return Ok(()) };
         let contained = daemon.entered + daemon.queue.len();
         for (entry, record) in daemon.queue.drain(..) {
@@ -725,7 +808,7 @@ impl World {
         }
         daemon.entered = contained;
         if daemon.cycle.step_due(now_ns) {
-            match daemon.cycle.step(now_ns, now_ns) {
+            match daemon.cycle.step(now_ns, unix_ns) {
                 Ok(()) => {
                     daemon.scored = contained;
                     let read = daemon.cycle.board().pipeline().read_sentences();
@@ -972,7 +1055,7 @@ impl World {
 
     /// A restarted daemon's first forecast is that of the one before it, had it lived on.
     fn check_restored(&mut self) -> Check {
-        let (now_ns, failing) = (self.now_ns, self.failures.get() > 0);
+        let (now_ns, unix_ns, failing) = (self.now_ns, self.unix_ns, self.failures.get() > 0);
         let Some(daemon) = &mut self.daemon else { return Ok(()) };
         if !std::mem::take(&mut daemon.restarted) {
             return Ok(());
@@ -991,7 +1074,7 @@ impl World {
         if ghost.accepted != daemon.scored || daemon.scored_map != 0 || failing {
             return Ok(());
         }
-        ghost.board.step([], now_ns, now_ns).unwrap();
+        ghost.board.step([], now_ns, unix_ns).unwrap();
         let before = *ghost.board.person_forecasts(now_ns);
         let after = *daemon.cycle.board_mut().person_forecasts(now_ns);
         // Where a window was cut while there was nothing else to do, it may hold less than what the journal gives back; and whose voice
@@ -1142,7 +1225,7 @@ impl World {
         if self.planted == Planted::NoPortsAfterRestart {
             recovered.ports.clear();
         }
-        let costly = cycle.restore(recovered, known, self.now_ns, self.now_ns);
+        let costly = cycle.restore(recovered, known, self.now_ns, self.unix_ns);
         ensure(costly == 0, || format!("{costly} sentences of the journal cannot be scored"))?;
         let learned = cycle.board().habits().learned().observations as usize;
         let said = self.lessons.len();
@@ -1200,8 +1283,13 @@ impl World {
 
     fn kill_narrator(&mut self) {
         let who = self.rng.random_range(0..self.narrators.len());
-        let epoch = self.epoch();
         let reached = self.rng.random_range(0..=self.narrators[who].wire.len());
+        self.restart_narrator(who, reached);
+    }
+
+    /// Of what it has said the first `reached` are on their way still.
+    fn restart_narrator(&mut self, who: usize, reached: usize) {
+        let epoch = self.epoch();
         let narrator = &mut self.narrators[who];
         narrator.account = Account::new(&narrator.name, epoch);
         narrator.port = Sender::simulated(epoch);
@@ -1436,7 +1524,7 @@ impl World {
         self.failures.set(0);
         self.start_daemon()?;
         for _ in 0..600 {
-            self.now_ns += 5 * MS;
+            self.pass(5 * MS);
             self.ingest()?;
             self.write();
             self.score()?;
@@ -1578,6 +1666,10 @@ fn no_seed_violates_an_invariant() {
                 total.habits_read += tally.habits_read;
                 total.habits_lost += tally.habits_lost;
                 total.habits_whole += tally.habits_whole;
+                total.clocks_set += tally.clocks_set;
+                total.suspended += tally.suspended;
+                total.power_lost += tally.power_lost;
+                total.lost_with_power += tally.lost_with_power;
             }
             Err(what) => {
                 println!("{}", what.lines().next().unwrap_or_default());
@@ -1608,6 +1700,10 @@ fn no_seed_violates_an_invariant() {
             total.habits_written,
             total.habits_read,
             total.habits_lost,
+            total.clocks_set,
+            total.suspended,
+            total.power_lost,
+            total.lost_with_power,
         ] {
             assert!(reached > 0, "{total:?}");
         }

@@ -26,6 +26,7 @@ use iceoryx2::service::builder::request_response::{RequestResponseOpenError, Req
 use iceoryx2::service::port_factory::publish_subscribe;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
+use rustix::process::{Pid, test_kill_process};
 
 use crate::domain::{Flavour, Node, OpenFailure, shown};
 use crate::message::{
@@ -230,6 +231,14 @@ impl Sender {
     #[must_use]
     pub const fn to_bytes(self) -> [u8; 16] {
         self.0.to_le_bytes()
+    }
+
+    /// Whether its process runs; a port of a killed one is listed until somebody cleans up after it. iceoryx2 writes the process into the
+    /// numbers of ports, above 64 bits of time. Where that cannot be known it counts as one that runs.
+    #[must_use]
+    pub fn is_running(self) -> bool {
+        let process = Pid::from_raw(((self.0 >> 64) as u32).cast_signed());
+        process.is_none_or(|process| test_kill_process(process) != Err(Errno::SRCH))
     }
 
     /// From what [`Sender::to_bytes`] gave.
@@ -614,7 +623,10 @@ impl StatusServer {
 /// Asks the daemon how it is.
 #[derive(Debug)]
 pub struct StatusClient {
-    client: Client<Flavour, StatusRequestV1, (), StatusResponseV1, ()>,
+    client: RefCell<Client<Flavour, StatusRequestV1, (), StatusResponseV1, ()>>,
+    factory: StatusFactory,
+    /// Nobody answered the last question: perhaps its connection could not be made, which iceoryx2 does not try again.
+    unanswered: Cell<bool>,
     waker: Option<Notifier<Flavour>>,
 }
 
@@ -622,7 +634,8 @@ impl StatusClient {
     pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
         let factory = open_status(node)?;
         let client = factory.client_builder().create().map_err(|error| passing(STATUS, &error))?;
-        Ok(Self { client, waker: waker(node, STATUS) })
+        let (client, unanswered) = (RefCell::new(client), Cell::new(false));
+        Ok(Self { client, factory, unanswered, waker: waker(node, STATUS) })
     }
 
     /// Asks, and waits for the answer.
@@ -631,10 +644,15 @@ impl StatusClient {
     ///
     /// [`IpcError::NoAnswer`] after `timeout`; [`IpcError::Port`].
     pub fn ask(&self, timeout: Duration) -> Result<StatusResponseV1, IpcError> {
+        if self.unanswered.replace(false)
+            && let Ok(client) = self.factory.client_builder().create()
+        {
+            self.client.replace(client);
+        }
         let start = Instant::now();
         // A daemon that starts after the question was sent never gets it: ask again now and then.
         while start.elapsed() < timeout {
-            let pending = self.client.send_copy(StatusRequestV1::default());
+            let pending = self.client.borrow().send_copy(StatusRequestV1::default());
             let pending = pending.map_err(|error| port(STATUS, "send", &error))?;
             wake(self.waker.as_ref());
             let sent = Instant::now();
@@ -645,6 +663,7 @@ impl StatusClient {
                 std::thread::sleep(Duration::from_millis(2));
             }
         }
+        self.unanswered.set(true);
         Err(IpcError::NoAnswer { service: STATUS, waited_ms: timeout.as_millis() })
     }
 }

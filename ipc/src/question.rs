@@ -13,6 +13,7 @@
 //! Shared memory is set aside for every answer that may be under way, each as long as the longest. So an answer of more than
 //! [`ANSWER_BYTES_MAX`] bytes lies in a file of the domain's root path, and what comes by the service is [`ANSWER_IN_FILE`].
 
+use std::cell::{Cell, RefCell};
 use std::fs;
 use std::io::{self, Write};
 use std::os::unix::fs::OpenOptionsExt;
@@ -23,6 +24,7 @@ use iceoryx2::port::client::Client;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::server::Server;
 use iceoryx2::prelude::{AllocationStrategy, CallbackProgression, PortFactory};
+use iceoryx2::service::port_factory::client::ClientCreateError;
 use iceoryx2::service::port_factory::request_response;
 
 use crate::domain::{Flavour, Node, OpenFailure};
@@ -132,7 +134,10 @@ impl AnswerPort {
 /// Asks questions in words.
 #[derive(Debug)]
 pub struct QuestionPort {
-    client: Client<Flavour, [u8], (), [u8], ()>,
+    client: RefCell<Client<Flavour, [u8], (), [u8], ()>>,
+    factory: Factory,
+    /// Nobody answered the last question: perhaps its connection could not be made, which iceoryx2 does not try again.
+    unanswered: Cell<bool>,
     service: &'static str,
     file: PathBuf,
     waker: Option<Notifier<Flavour>>,
@@ -140,13 +145,10 @@ pub struct QuestionPort {
 
 impl QuestionPort {
     pub(crate) fn open(node: &Node, service: &'static str) -> Result<Self, OpenFailure> {
-        let client = open(node, service)?
-            .client_builder()
-            .initial_max_slice_len(4096)
-            .allocation_strategy(AllocationStrategy::PowerOfTwo)
-            .create()
-            .map_err(|error| passing(service, &error))?;
-        Ok(Self { client, service, file: node.answer_file(service), waker: waker(node, service) })
+        let factory = open(node, service)?;
+        let client = RefCell::new(client_of(&factory).map_err(|error| passing(service, &error))?);
+        let (unanswered, file, waker) = (Cell::new(false), node.answer_file(service), waker(node, service));
+        Ok(Self { client, factory, unanswered, service, file, waker })
     }
 
     /// Asks, and waits for the answer; asks again now and then while none comes.
@@ -162,9 +164,15 @@ impl QuestionPort {
             let (bytes, limit) = (question.len(), QUESTION_BYTES_MAX);
             return Err(refused(MessageError::TextTooLong { field: "question", bytes, limit }));
         }
+        if self.unanswered.replace(false)
+            && let Ok(client) = client_of(&self.factory)
+        {
+            self.client.replace(client);
+        }
         let start = Instant::now();
         while start.elapsed() < timeout {
-            let request = self.client.loan_slice_uninit(question.len());
+            let client = self.client.borrow();
+            let request = client.loan_slice_uninit(question.len());
             let request = request.map_err(|error| port(service, "send", &error))?;
             let pending = request.write_from_slice(question.as_bytes()).send();
             let pending = pending.map_err(|error| port(service, "send", &error))?;
@@ -183,8 +191,14 @@ impl QuestionPort {
                 std::thread::sleep(POLL);
             }
         }
+        self.unanswered.set(true);
         Err(IpcError::NoAnswer { service, waited_ms: timeout.as_millis() })
     }
+}
+
+fn client_of(factory: &Factory) -> Result<Client<Flavour, [u8], (), [u8], ()>, ClientCreateError> {
+    let client = factory.client_builder().initial_max_slice_len(4096);
+    client.allocation_strategy(AllocationStrategy::PowerOfTwo).create()
 }
 
 /// Replaces a file at once, so that nobody reads half of it.

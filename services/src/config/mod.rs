@@ -378,6 +378,8 @@ impl Config {
             row("persons.residents", &residents, persons.residents.iter().all(|name| is_name(name)) && each_name_once, &format!("give each name or number once, {plain}")),
             within("persons.visitor_s", persons.visitor_s, 1.0..=SECONDS_MAX),
             within("persons.asleep_s", persons.asleep_s, seconds.clone()),
+            within("persons.guard_s", persons.guard_s, 0.0..=86_400.0),
+            row("persons.guard_s", &persons.guard_s, persons.guard_s == 0.0 || !known.is_empty(), "name with [[daemon.narrator]] who is heard, or give 0"),
             within("forecast.object_s", forecast.object_s, means.clone()),
             within("forecast.stay_s", forecast.stay_s, means.clone()),
             within("forecast.away_s", forecast.away_s, means.clone()),

@@ -11,6 +11,7 @@ use roomcast_ipc::{
 };
 
 use super::habits::{HomeHabits, Name, PlaceSet};
+use super::intake::OTHERS;
 use super::journal::{Outcome, Recovered};
 use super::persons::{Persons, is_bed, message_ns, presence_value, sleeps};
 use crate::habits_reason::{ELSEWHERE, HorizonLine, PersonHabits, RoomReason, ThingReason};
@@ -149,6 +150,8 @@ pub struct Board<M> {
     person_forecasts: Box<PersonForecastsV1>,
     /// Who is who, and who is in the house.
     persons: Persons,
+    /// Narrators that the configuration names, by the number of their source; where there are any, the others are strangers.
+    named: BTreeSet<u64>,
     /// Working memory of a step: when each person was observed last, and their number.
     newest_persons: Vec<(i64, u32)>,
     /// What the journal does not know yet: whose an observation that named nobody is, and whose scores are new.
@@ -220,6 +223,7 @@ impl<M: LanguageModel> Board<M> {
             person_scores: Box::default(),
             person_forecasts: Box::default(),
             persons: Persons::default(),
+            named: BTreeSet::new(),
             newest_persons: Vec::new(),
             attributed: Vec::new(),
             rescored: Vec::new(),
@@ -239,6 +243,14 @@ impl<M: LanguageModel> Board<M> {
     #[must_use]
     pub fn with_persons(self, persons: Persons) -> Self {
         Self { persons, ..self }
+    }
+
+    /// The same with narrators that the configuration names, by the numbers of their sources ([`PersonsConfig::guard_s`]).
+    ///
+    /// [`PersonsConfig::guard_s`]: crate::config::PersonsConfig::guard_s
+    #[must_use]
+    pub fn with_named(self, named: impl IntoIterator<Item = u64>) -> Self {
+        Self { named: named.into_iter().collect(), ..self }
     }
 
     /// The same with other assumptions about how long people stay.
@@ -450,11 +462,12 @@ impl<M: LanguageModel> Board<M> {
             }
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
             let voice = Voice::of_source(observation.source);
+            let is_strange = !self.named.is_empty() && !self.named.contains(&observation.source);
             self.pipeline.include(&observation, voice);
             for clause in self.clauses(observation) {
-                self.exclude(&clause, at_ns);
+                self.exclude(&clause, is_strange, at_ns);
                 for own in self.of_persons(clause) {
-                    let Some(own) = self.take(own, Voice::EARLIER, at_ns) else { continue };
+                    let Some(own) = self.take(own, Voice::EARLIER, is_strange, at_ns) else { continue };
                     let person = own.person;
                     self.pipeline.enter(voice, own);
                     self.follow();
@@ -545,7 +558,14 @@ impl<M: LanguageModel> Board<M> {
 
     /// Decides whom an observation is of, and takes note of it: also for the forecasts, where its time is known. Gives it back for the
     /// history, unless something later has said otherwise of whether its person is in the house.
-    fn take(&mut self, mut observation: Observation, voice: Voice, at_ns: Option<i64>) -> Option<Observation> {
+    /// What a stranger says of somebody who is guarded is passed over, too.
+    fn take(
+        &mut self,
+        mut observation: Observation,
+        voice: Voice,
+        is_strange: bool,
+        at_ns: Option<i64>,
+    ) -> Option<Observation> {
         let noted_ns = at_ns.unwrap_or_default();
         match &observation.name {
             Some(name) => observation.person = self.persons.number_of(name),
@@ -568,6 +588,9 @@ impl<M: LanguageModel> Board<M> {
             }
             None => {}
         }
+        if is_strange && self.persons.is_guarded(observation.person, noted_ns) {
+            return None;
+        }
         // After such a silence a visitor was gone, whether or not anybody looked meanwhile.
         if self.persons.has_expired(observation.person, noted_ns) {
             self.watch();
@@ -580,6 +603,9 @@ impl<M: LanguageModel> Board<M> {
         }
         if let Some(dropped) = self.persons.note(&observation, voice, noted_ns) {
             self.drop_person(dropped);
+        }
+        if !is_strange {
+            self.persons.guard(observation.person, noted_ns);
         }
         if !self.rescored.contains(&observation.person) {
             self.rescored.push(observation.person);
@@ -609,9 +635,12 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Takes a statement that a room is empty into the forecasts.
-    fn exclude(&mut self, observation: &Observation, at_ns: Option<i64>) {
+    fn exclude(&mut self, observation: &Observation, is_strange: bool, at_ns: Option<i64>) {
         let Said::Presence(statement) = &observation.said else { return };
         let Some(empty) = statement.empty_room() else { return };
+        if is_strange && self.persons.is_anybody_guarded(at_ns.unwrap_or_default()) {
+            return;
+        }
         self.note_room(empty);
         // Of a changed map nobody knows yet where they are.
         let (Some(at_ns), None) = (at_ns, &self.next_rooms) else { return };
@@ -926,11 +955,12 @@ impl<M: LanguageModel> Board<M> {
                 continue;
             }
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns).or(i64::try_from(received_ns).ok());
+            let is_strange = !self.named.is_empty() && voice.number == OTHERS;
             self.pipeline.include(&observation, voice);
             for clause in self.clauses(observation) {
-                self.exclude(&clause, at_ns);
+                self.exclude(&clause, is_strange, at_ns);
                 for own in self.of_persons(clause) {
-                    if let Some(own) = self.take(own, voice, at_ns) {
+                    if let Some(own) = self.take(own, voice, is_strange, at_ns) {
                         self.pipeline.enter(voice, own);
                     }
                 }
@@ -1285,6 +1315,7 @@ mod tests {
     use std::cell::Cell;
     use std::rc::Rc;
 
+    use proptest::prelude::*;
     use roomcast_core::grounding::Grounding;
     use roomcast_core::label_trie::TokenTree;
     use roomcast_core::narration::Sentence;
@@ -1292,9 +1323,12 @@ mod tests {
     use roomcast_core::scorer::table::TableModel;
     use roomcast_core::scorer::{DecodeStats, ModelError, ModelInfo, TextStart, Token};
     use roomcast_core::semantic_map::delta::parse_changes;
-    use roomcast_ipc::Message;
+    use roomcast_ipc::{Message, narration_kind};
 
     use super::*;
+    use crate::config::PersonsConfig;
+    use crate::daemon::PersonsFile;
+    use crate::message_text::said_of;
 
     const S: u64 = 1_000_000_000;
     const TWO_ROOMS: &str = include_str!("../../../tests/data/two_rooms.json");
@@ -1313,6 +1347,89 @@ mod tests {
             observed_ns: at_ns,
             observed_unix_ns: 1_000_000 * S + at_ns,
             ..Observation::of(at_ns, Sentence::new(sentence).unwrap())
+        }
+    }
+
+    proptest! {
+        /// The bound on what one narrator alone does: with a guard, whatever a stranger says moves nothing of a person of whom a named one tells, to
+        /// the last bit, and no room falls below what those persons give it; nor after a restart.
+        #[test]
+        fn a_stranger_moves_nothing_of_a_guarded_person(
+            said in prop::collection::vec((0..12_usize, 0..4_u32, 0..50_u64), 1..40),
+        ) {
+            const NAMED: u64 = 7;
+            let config = || PersonsConfig { residents: vec!["0".to_owned(), "1".to_owned()], guard_s: 600.0, ..PersonsConfig::default() };
+            let home = || board().with_persons(Persons::new(config(), PersonsFile::default())).with_named([NAMED]);
+            let own = Voice { number: NAMED, share: 1 };
+            let strange = Voice { number: OTHERS, share: 1 };
+            let entry = |source: u64, voice: Voice, person: u32, at_ns: u64, text: &str| {
+                let kind = if text.starts_with("They") { narration_kind::SENTENCE } else { narration_kind::PRESENCE };
+                let said = said_of(kind, text).unwrap();
+                let observation = Observation { source, person, said, ..observation(person, at_ns, "They sit.") };
+                Entry { voice, ..Entry::new(observation, at_ns) }
+            };
+            let (mut with, mut without) = (home(), home());
+            let (mut heard, mut heard_alone) = (Vec::new(), Vec::new());
+            let mut at_ns = 1000 * S;
+            for person in 0..2 {
+                at_ns += S;
+                let first = entry(NAMED, own, person, at_ns, ["They open the fridge.", "They sit on the sofa."][person as usize]);
+                heard.push(first.observation.clone());
+                heard_alone.push(first.observation.clone());
+                with.step([first.clone()], at_ns, 1_000_000 * S + at_ns).unwrap();
+                without.step([first], at_ns, 1_000_000 * S + at_ns).unwrap();
+            }
+            for (what, person, later_s) in said {
+                at_ns += S / 4;
+                let who = [0, 1, 2, SOMEBODY][person as usize];
+                let text = [
+                    "They open the fridge.", "They sit on the sofa.", "They leave the house.", "They go to bed.", "away", "gone", "present in the kitchen",
+                    "present in the living room", "They walk to the sofa.", "They come home.", "present", "They watch television.",
+                ][what];
+                // It dates what it says as it likes.
+                let strange = entry(9, strange, who, at_ns - later_s * S, text);
+                heard.push(strange.observation.clone());
+                with.step([strange], at_ns, 1_000_000 * S + at_ns).unwrap();
+                without.step([], at_ns, 1_000_000 * S + at_ns).unwrap();
+                let rooms = |board: &Board<TableModel>| board.snapshot().rooms().iter().map(|room| room.probability).collect::<Vec<_>>();
+                for (with, without) in rooms(&with).iter().zip(rooms(&without)) {
+                    prop_assert!(*with >= without - 1e-12, "{with} is less than {without}");
+                }
+            }
+            let (mut again, mut again_alone) = (home(), home());
+            again.restore(heard, Vec::new(), at_ns, 1_000_000 * S + at_ns);
+            again_alone.restore(heard_alone, Vec::new(), at_ns, 1_000_000 * S + at_ns);
+            again.step([], at_ns, 1_000_000 * S + at_ns).unwrap();
+            again_alone.step([], at_ns, 1_000_000 * S + at_ns).unwrap();
+            for (with, without) in [(&mut with, &mut without), (&mut again, &mut again_alone)] {
+                let (scores, alone) = (*with.person_scores(at_ns), *without.person_scores(at_ns));
+                let (ahead, ahead_alone) = (*with.person_forecasts(at_ns), *without.person_forecasts(at_ns));
+                for person in 0..2 {
+                    let of = |scores: &PersonScoresV1| *scores.persons().iter().find(|own| own.person == person).unwrap();
+                    prop_assert_eq!(of(&scores).probability, of(&alone).probability);
+                    prop_assert_eq!(of(&scores).presence, of(&alone).presence);
+                    let of = |ahead: &PersonForecastsV1| *ahead.persons().iter().find(|own| own.person == person).unwrap();
+                    prop_assert_eq!(of(&ahead).probability, of(&ahead_alone).probability);
+                    prop_assert_eq!(of(&ahead).elsewhere, of(&ahead_alone).elsewhere);
+                }
+            }
+        }
+    }
+
+    /// Without a guard, and when it is over, a stranger is heard.
+    #[test]
+    fn a_guard_ends() {
+        let config = |guard_s| PersonsConfig { guard_s, ..PersonsConfig::default() };
+        for (guard_s, later_s, is_heard) in [(0.0, 1, true), (600.0, 599, false), (600.0, 602, true)] {
+            let mut board = board().with_persons(Persons::new(config(guard_s), PersonsFile::default())).with_named([1]);
+            let at_ns = 1000 * S;
+            let later_ns = at_ns + later_s * S;
+            let own = Entry::new(observation(0, at_ns, "They open the fridge."), at_ns);
+            let strange = Observation { source: 9, ..observation(0, later_ns, "They sit on the sofa.") };
+            let strange = Entry { voice: Voice { number: OTHERS, share: 1 }, ..Entry::new(strange, later_ns) };
+            board.step([own, strange], later_ns, 1_000_000 * S + later_ns).unwrap();
+            let read: Vec<_> = board.pipeline().read_sentences().map(|(_, said)| said.to_owned()).collect();
+            assert_eq!(read.contains(&"They sit on the sofa.".to_owned()), is_heard, "{guard_s} {later_s}: {read:?}");
         }
     }
 

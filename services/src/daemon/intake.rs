@@ -28,7 +28,7 @@ const PORTS_MAX: usize = 64;
 /// goes of the port that has most of them.
 pub const FORMER_SOURCES_MAX: usize = 4096;
 /// The number of the voice of all narrators that the configuration does not name, where it names any.
-const OTHERS: u64 = 1;
+pub(super) const OTHERS: u64 = 1;
 /// Ports and named narrators have the voices from here on.
 const FIRST_VOICE: u64 = 2;
 
@@ -208,6 +208,13 @@ impl Intake {
     /// Takes note of the ports that are open: what they hold no other can take.
     pub fn note_alive(&mut self, alive: impl IntoIterator<Item = Sender>) {
         self.alive = alive.into_iter().collect();
+    }
+
+    /// Whether a port uses the name of a configured narrator for which another one speaks, as far as is known. Then
+    /// [`Intake::note_alive`] is to say whether that one is still there.
+    #[must_use]
+    pub fn is_contested(&self, source: u64, sender: Sender) -> bool {
+        self.holders.get(&source).is_some_and(|holder| *holder != sender && self.alive.contains(holder))
     }
 
     /// Judges what a port gave: a message that has passed [`roomcast_ipc::Message::check`], or why it has not.
@@ -588,6 +595,7 @@ mod tests {
         let next = Sender::simulated(3);
         assert_eq!(voice(4, next, &[OTHER, next]), own);
         assert_eq!(voice(5, OTHER, &[OTHER, next]), stranger);
+        assert!(intake.is_contested(hall, OTHER) && !intake.is_contested(hall, next));
     }
 
     /// Row "two narrators of one name" of the attacks.

@@ -165,6 +165,7 @@ pub fn run<M: LanguageModel + Send + 'static>(
     let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?;
     let names = config.daemon.state_directory().map(|directory| PersonsFile::load(&directory)).unwrap_or_default();
     let board = board.with_persons(Persons::new(config.persons.clone(), names)).with_forecast(config.forecast);
+    let board = board.with_named(config.daemon.narrator.iter().map(|known| sequence::source_of_name(&known.name)));
     let (keeper, memory) = match config.daemon.state_directory() {
         Some(directory) => {
             let (file, memory) = HabitsFile::load(&directory, config.habits.options());
@@ -441,6 +442,10 @@ impl Inbox {
             let source = received.as_ref().map_or(0, |received| received.source);
             if !self.intake.knows_port(sender) {
                 self.intake.note_alive(self.narration.senders());
+            }
+            // A killed narrator's successor has its voice at once.
+            if self.intake.is_contested(source, sender) {
+                self.intake.note_alive(self.narration.senders().into_iter().filter(|sender| sender.is_running()));
             }
             let name = self.message.source_name();
             let refused = match self.intake.receive(received, sender, now_ns) {

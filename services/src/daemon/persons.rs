@@ -54,6 +54,8 @@ pub(super) struct Known {
     pub(super) last: (u64, u64, u64),
     /// The number of the voice that told of them first.
     voice: u64,
+    /// When one told of them whose word is guarded; the least number where none did.
+    guarded_ns: i64,
     /// It named nobody.
     by_fit: bool,
     /// The last thing mentioned is one to sleep on, or they were said to sleep.
@@ -167,6 +169,24 @@ impl Persons {
             .is_some_and(|known| (at_ns < known.heard_ns && differs(known)) || is_old(known))
     }
 
+    /// Whether what a stranger says of a person at `at_ns` is passed over: somebody who is guarded has told of them a moment before, or since.
+    pub(super) fn is_guarded(&self, number: u32, at_ns: i64) -> bool {
+        let guard_ns = (self.config.guard_s * 1e9) as i64;
+        guard_ns > 0 && self.known.get(&number).is_some_and(|known| at_ns <= known.guarded_ns.saturating_add(guard_ns))
+    }
+
+    /// The same of anybody.
+    pub(super) fn is_anybody_guarded(&self, at_ns: i64) -> bool {
+        self.known.keys().any(|number| self.is_guarded(*number, at_ns))
+    }
+
+    /// Takes note that one has told of a person whose word is guarded.
+    pub(super) fn guard(&mut self, number: u32, at_ns: i64) {
+        if let Some(known) = self.known.get_mut(&number) {
+            known.guarded_ns = known.guarded_ns.max(at_ns);
+        }
+    }
+
     /// Takes in an observation of a person that was made at `at_ns`; gives who has to make room for them, if they are one too many.
     pub(super) fn note(&mut self, observation: &Observation, voice: Voice, at_ns: i64) -> Option<u32> {
         let number = observation.person;
@@ -183,6 +203,7 @@ impl Persons {
             did_ns: i64::MIN,
             last: (0, 0, 0),
             voice: voice.number,
+            guarded_ns: i64::MIN,
             by_fit: false,
             on_bed: false,
             restored: false,
