@@ -696,7 +696,6 @@ impl Broker {
         options.set_receive_maximum(Some(MESSAGES_AHEAD_MAX)).set_max_packet_size(Some(PACKET_BYTES_MAX));
         // Nothing is published; the client would set aside room for so many.
         options.set_outgoing_inflight_upper_limit(MESSAGES_AHEAD_MAX);
-        options.set_manual_acks(true);
         if let Some(path) = &self.credentials {
             let text =
                 std::fs::read_to_string(path).map_err(|source| MqttError::Read { path: path.clone(), source })?;
@@ -882,7 +881,8 @@ fn write_line(out: &mut impl Write, line: &str) -> std::io::Result<()> {
 }
 
 impl<W: Write> Connection<W> {
-    fn new(options: MqttOptions, rules: Rules, out: W) -> Self {
+    fn new(mut options: MqttOptions, rules: Rules, out: W) -> Self {
+        options.set_manual_acks(true);
         let (host, port) = options.broker_address();
         let subscriptions = Subscriptions { filters: rules.filters(), answered: 0, granted: 0 };
         // One subscription, one farewell, and every acknowledgement.

@@ -19,19 +19,29 @@ pub(crate) fn read(path: &Path, bytes_max: u64) -> io::Result<Option<String>> {
 /// # Errors
 /// When it cannot be read or is no plain file; [`io::ErrorKind::FileTooLarge`] when it has more than `bytes_max` bytes.
 pub(crate) fn read_bytes(path: &Path, bytes_max: u64) -> io::Result<Option<Vec<u8>>> {
-    // A named pipe would wait for whoever writes to it, so it is not opened.
-    match std::fs::metadata(path) {
-        Ok(found) if !found.is_file() => return Err(io::Error::other("it is no plain file; remove it")),
-        Ok(_) => {}
+    require_plain(path)?;
+    let mut bytes = Vec::new();
+    match File::open(path) {
+        Ok(file) => _ = file.take(bytes_max + 1).read_to_end(&mut bytes)?,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(error),
     }
-    let mut bytes = Vec::new();
-    File::open(path)?.take(bytes_max + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > bytes_max {
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, format!("it has more than {bytes_max} bytes")));
     }
     Ok(Some(bytes))
+}
+
+/// Refuses what is there and is no plain file: a named pipe would wait for whoever writes to it, and a device may have no end.
+///
+/// # Errors
+/// When it is none, or cannot be looked at.
+pub(crate) fn require_plain(path: &Path) -> io::Result<()> {
+    match std::fs::metadata(path) {
+        Ok(found) if !found.is_file() => Err(io::Error::other("it is no plain file; remove it")),
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
 }
 
 /// Puts a new file, which its owner alone may read, in place of the old one, which stays whole until then. A link stays one: the file that it leads to is replaced. It
@@ -53,6 +63,8 @@ pub(crate) fn replace_for_good(path: &Path, bytes: &[u8]) -> io::Result<()> {
 
 fn write(path: &Path, bytes: &[u8], for_good: bool) -> io::Result<()> {
     let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    // Nobody's device or named pipe is replaced by a file.
+    require_plain(&path)?;
     let mut file = tempfile::NamedTempFile::new_in(folder(&path))?;
     file.write_all(bytes)?;
     if for_good {
@@ -99,6 +111,11 @@ mod tests {
         let path = directory.path().join("pipe");
         rustix::fs::mknodat(rustix::fs::CWD, &path, rustix::fs::FileType::Fifo, rustix::fs::Mode::RUSR, 0).unwrap();
         assert!(read(&path, 3).unwrap_err().to_string().contains("no plain file"));
+        // Nor is it replaced by one, also behind a link: a service that root runs could replace a device.
+        let link = directory.path().join("link");
+        std::os::unix::fs::symlink(&path, &link).unwrap();
+        assert!(replace(&link, b"new").unwrap_err().to_string().contains("no plain file"));
+        assert!(!std::fs::metadata(&path).unwrap().is_file());
     }
 
     #[test]

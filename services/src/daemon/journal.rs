@@ -39,7 +39,7 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use rustix::fs::FlockOperation;
 
 use self::forget::IsTheirs;
-use crate::state_file::sync_folder;
+use crate::state_file::{self, sync_folder};
 use roomcast_core::narration::{Observation, PresenceStatement, Said, Sentence};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_ipc::{MAX_ROOMS, NAME_BYTES, Sender as Port};
@@ -243,7 +243,7 @@ impl Journal {
         let boot_id = boot_id();
         let mut recovered = Recovered::default();
         let mut older_length = 0;
-        match fs::read(&older) {
+        match state_file::require_plain(&older).and_then(|()| fs::read(&older)) {
             Ok(bytes) => {
                 older_length = bytes.len() as u64;
                 read_records(&bytes, &boot_id, &mut recovered);
@@ -632,6 +632,7 @@ fn names_file(path: &Path, file: &File) -> io::Result<bool> {
 
 fn open_file(path: &Path) -> io::Result<File> {
     use std::os::unix::fs::OpenOptionsExt;
+    state_file::require_plain(path)?;
     OpenOptions::new().read(true).append(true).create(true).mode(0o600).open(path)
 }
 
@@ -1287,6 +1288,18 @@ mod tests {
         writer.write(&next()).unwrap();
         assert_eq!(fs::read(&older).unwrap(), full);
         assert_eq!(writer.last.len(), before);
+    }
+
+    /// A named pipe would be waited for, and a device read without end.
+    #[test]
+    fn a_journal_that_is_no_plain_file_is_refused() {
+        for name in ["narration.journal", "narration.journal.old"] {
+            let folder = tempfile::tempdir().unwrap();
+            std::os::unix::fs::symlink("/dev/null", folder.path().join(name)).unwrap();
+            let options = JournalOptions { directory: folder.path().to_owned(), bytes_max: 8192, sync_ms: 1000 };
+            let error = Journal::open(&options).unwrap_err().to_string();
+            assert!(error.contains("no plain file"), "{name}: {error}");
+        }
     }
 
     /// Row "fsync that fails once" of the attacks: what was written before it is lost with the power, if it is not written again.
