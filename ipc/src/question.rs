@@ -131,10 +131,12 @@ impl AnswerPort {
     }
 }
 
+type Asker = Client<Flavour, [u8], (), [u8], ()>;
+
 /// Asks questions in words.
 #[derive(Debug)]
 pub struct QuestionPort {
-    client: RefCell<Client<Flavour, [u8], (), [u8], ()>>,
+    client: RefCell<Asker>,
     factory: Factory,
     /// Nobody answered the last question: perhaps its connection could not be made, which iceoryx2 does not try again.
     unanswered: Cell<bool>,
@@ -196,7 +198,7 @@ impl QuestionPort {
     }
 }
 
-fn client_of(factory: &Factory) -> Result<Client<Flavour, [u8], (), [u8], ()>, ClientCreateError> {
+fn client_of(factory: &Factory) -> Result<Asker, ClientCreateError> {
     let client = factory.client_builder().initial_max_slice_len(4096);
     client.allocation_strategy(AllocationStrategy::PowerOfTwo).create()
 }

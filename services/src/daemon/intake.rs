@@ -361,7 +361,7 @@ impl Intake {
         if self.former.len() <= FORMER_SOURCES_MAX {
             return;
         }
-        let mut of_ports: BTreeMap<Option<Sender>, Vec<(u64, (u64, u64))>> = BTreeMap::new();
+        let mut of_ports = BTreeMap::<_, Vec<_>>::new();
         for (name, source) in &self.former {
             of_ports.entry(source.port).or_default().push((source.turn, *name));
         }
