@@ -8,6 +8,7 @@ use std::fmt;
 
 use clause::{Clause, Subject};
 
+mod about;
 pub mod action;
 mod clause;
 pub mod history;
@@ -16,6 +17,7 @@ mod presence;
 pub mod program;
 mod several;
 
+pub use about::About;
 pub use action::{
     Action, ActionEntry, ActionError, LINE_BYTES_MAX, NAME_BYTES_MAX, OBJECTS_MAX, ObjectRef, table as action_table,
 };
@@ -209,11 +211,15 @@ impl Said {
 
     /// The statement that a sentence is, if it is one.
     fn statement_of(text: &str) -> Option<PresenceStatement> {
-        PresenceStatement::of_sentence(text).filter(|statement| {
-            statement.presence() == Presence::Away
-                || statement.is_of_everybody()
-                || statement.room().or(statement.empty_room()).is_some()
-        })
+        PresenceStatement::of_sentence(text).and_then(Self::stated)
+    }
+
+    /// A statement, where it is not that somebody comes home.
+    fn stated(statement: PresenceStatement) -> Option<PresenceStatement> {
+        let is_stated = statement.presence() == Presence::Away
+            || statement.is_of_everybody()
+            || statement.room().or(statement.empty_room()).is_some();
+        is_stated.then_some(statement)
     }
 
     /// What each clause of a text says, in their order, where it is more than one sentence of one person: "Mia goes to her room and Tom leaves
@@ -227,8 +233,9 @@ impl Said {
         let (clauses, count) = several::clauses(sentence.as_str(), &mut is_known);
         let mut said = Vec::new();
         for clause in &clauses[..count] {
-            // Where its person is in the end.
-            let statement = several::sentences(clause).filter_map(Self::statement_of).last();
+            // Where its person is in the end: who comes back does something.
+            let all = several::sentences(clause).filter_map(PresenceStatement::of_sentence);
+            let statement = all.last().and_then(Self::stated);
             let whose = |statement: PresenceStatement| match statement.subject() {
                 None if !statement.is_of_everybody() => {
                     let names = Self::Sentence(sentence_or(clause, sentence)).known_names(&mut is_known);
@@ -297,23 +304,34 @@ impl Said {
         self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_of_a_pronoun))
     }
 
+    /// Whether it is about one person by a pronoun: "She opens the fridge."
+    #[must_use]
+    pub fn is_of_one_pronoun(&self) -> bool {
+        let of_one = |said: &str| ["he ", "she "].iter().any(|pronoun| said.starts_with(pronoun));
+        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), of_one))
+    }
+
     /// Whether it says where something is that is no person, or does not tell whose place it says: "The robot is in the kitchen.", "Somebody else
     /// is in the kitchen.", "Tom is not in the study."
     #[must_use]
     pub fn moves_nobody(&self) -> bool {
         let is_other = |sentence: &Sentence| {
-            clause::with_plain(sentence.as_str(), |said| {
-                Clause::read(said).is_some_and(|clause| clause.subject == Subject::Other)
-            })
+            let first = several::sentences(sentence.as_str()).next().unwrap_or_default();
+            clause::with_plain(first, |said| Clause::read(said).is_some_and(|clause| clause.subject == Subject::Other))
         };
         self.sentence().is_some_and(is_other)
     }
 
-    /// Whom it is about, where it begins with what persons are called: "plumber" of "The plumber repairs the shower."
+    /// Whom a sentence is about; `is_known` says whether a name is a person's. A statement has names of its own.
     #[must_use]
-    pub fn person_called(&self) -> Option<String> {
-        let sentence = self.sentence()?;
-        clause::with_plain(sentence.as_str(), |said| clause::person_called(said).map(str::to_owned))
+    pub fn about(&self, mut is_known: impl FnMut(&str) -> bool) -> About {
+        match self {
+            Self::Sentence(sentence) => clause::with_plain(sentence.as_str(), |said| about::about(said, &mut is_known)),
+            Self::Presence(statement) => match statement.names().map(str::to_owned).collect::<Vec<_>>() {
+                names if names.is_empty() => About::Somebody,
+                names => About::Named(names),
+            },
+        }
     }
 
     /// Whether somebody of whom nobody has told yet may go by a name in a sentence.

@@ -6,7 +6,7 @@ use super::clause;
 pub(super) const CLAUSES_MAX: usize = 8;
 
 /// What stands between two clauses of one sentence.
-const JOINS: [&str; 5] = [", and ", " and ", ", while ", " while ", ", but "];
+const JOINS: [&str; 7] = [", and ", " and ", ", while ", " while ", ", but ", " but ", ", "];
 /// What stands between two sentences of one text.
 const ENDS: [&str; 4] = [". ", "! ", "? ", "; "];
 /// A full stop behind so few letters is that of a short form: "Dr. Grey".
@@ -14,7 +14,7 @@ const SHORT_FORM: usize = 3;
 
 /// Whether a text may have more than one clause.
 pub(super) fn may_be_several(text: &str) -> bool {
-    JOINS.iter().chain(&ENDS).any(|join| text.contains(join))
+    next_join(text, 0).is_some()
 }
 
 /// The clauses of a text, in its own words and order. Another one begins where somebody is named who `is_person`, with what they do.
@@ -28,11 +28,17 @@ pub(super) fn clauses<'a>(text: &'a str, mut is_person: impl FnMut(&str) -> bool
             break;
         }
         let (head, tail) = (&text[from..end], &text[next..]);
-        let begins = clause::with_plain(tail, |tail| clause::begins_with_persons(tail, &mut is_person));
+        let begins = clause::with_plain(tail, |tail| {
+            clause::begins_with_persons(tail, &mut is_person) || clause::is_of_a_stranger(tail)
+        });
+        // A comma alone joins what two persons do, and parts of much else.
+        let begins = begins
+            && (&text[end..next] != ", "
+                || clause::with_plain(head, |head| clause::begins_with_persons(head, &mut is_person)));
         let ends = || match is_end(&text[end..next]) {
-            true => !ends_with_short_form(head),
-            // What somebody thinks or sees of two others is one clause.
-            false => !head.contains(" that "),
+            true => !ends_with_short_form(head) && !clause::is_quoted(head),
+            // What somebody says or sees of two others is one clause.
+            false => !clause::with_plain(head, clause::is_reported),
         };
         if begins && ends() && clause::with_plain(head, |head| !clause::is_of_persons_alone(head, &mut is_person)) {
             (found[count], count, from) = (head, count + 1, next);
@@ -85,7 +91,13 @@ fn ends_with_short_form(head: &str) -> bool {
 /// Where the next words that may stand between clauses begin and end, from `at` on; of those that begin at one place the longest.
 fn next_join(text: &str, at: usize) -> Option<(usize, usize)> {
     let joins = JOINS.iter().chain(&ENDS);
-    let found = joins.filter_map(|join| text[at..].find(join).map(|found| (at + found, at + found + join.len())));
+    let found = joins.filter_map(|join| {
+        let begins = |(place, _): &(usize, u8)| {
+            text.as_bytes()[*place..].get(..join.len()).is_some_and(|part| part.eq_ignore_ascii_case(join.as_bytes()))
+        };
+        let (place, _) = text.bytes().enumerate().skip(at).find(begins)?;
+        Some((place, place + join.len()))
+    });
     found.min_by_key(|(begin, end)| (*begin, usize::MAX - *end))
 }
 
@@ -108,6 +120,12 @@ mod tests {
             ("Ada and Ben sit down and Tom quickly leaves.", "Ada and Ben sit down|Tom quickly leaves."),
             ("Ada cooks. She eats and Aunt Mary sleeps.", "Ada cooks. She eats|Aunt Mary sleeps."),
             ("Ada is away and nobody is in the kitchen.", "Ada is away|nobody is in the kitchen."),
+            ("Ada cooks and Cleo leaves the house.", "Ada cooks|Cleo leaves the house."),
+            ("Ada cooks and the children leave the house.", "Ada cooks|the children leave the house."),
+            ("Ada opens the door that squeaks and Ben leaves.", "Ada opens the door that squeaks|Ben leaves."),
+            ("Ada sits on the sofa, Ben opens the fridge.", "Ada sits on the sofa|Ben opens the fridge."),
+            ("ADA LEAVES THE HOUSE AND BEN OPENS THE FRIDGE.", "ADA LEAVES THE HOUSE|BEN OPENS THE FRIDGE."),
+            ("Ada cooks. But Ben leaves the house.", "Ada cooks|But Ben leaves the house."),
         ] {
             assert_eq!(split(text), expected);
         }
@@ -118,6 +136,10 @@ mod tests {
             "Ada plays with Ben and Tom in the kitchen.",
             "Ada watches Ben and Tom play.",
             "Ada says that Ben cooks and Tom sleeps.",
+            "If Ada cooks and Ben leaves the house, lock the door.",
+            "Ada asks whether Tom cooks and Ben leaves the house.",
+            "The radio says: \"Ada cooks. Ben leaves the house.\"",
+            "In the bathroom, Ada brushes her teeth.",
             "They open the fridge and grab the milk.",
             "Ada opens the fridge. She grabs the milk.",
             "Ada fills the mug and Tom's bowl.",

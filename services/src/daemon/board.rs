@@ -19,7 +19,7 @@ use crate::moment::Moment;
 use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
 use roomcast_core::grounding::{Grounding, GroundingOptions, Partition, partitions};
 use roomcast_core::habits::{Place as Whereabouts, WhenShares};
-use roomcast_core::narration::{Observation, Presence, SOMEBODY, Said, Voice, same_name};
+use roomcast_core::narration::{Observation, Presence, PresenceStatement, SOMEBODY, Said, Voice, same_name};
 use roomcast_core::pipeline::{Included, PersonScores, Pipeline, PipelineError, Prepared};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::certified::Effort;
@@ -174,6 +174,8 @@ pub struct Board<M> {
     followed: std::collections::BTreeMap<u32, Forecaster>,
     /// What is learned of the home.
     home: HomeHabits,
+    /// Nothing was told to the journal since it was read: what it says of those who were not heard since needs no repetition.
+    recalled: bool,
 }
 
 /// Names of rooms that the map does not have which are logged, until the map changes.
@@ -236,6 +238,7 @@ impl<M: LanguageModel> Board<M> {
             named_turn: 0,
             followed: std::collections::BTreeMap::new(),
             home: HomeHabits::default(),
+            recalled: false,
         })
     }
 
@@ -489,6 +492,7 @@ impl<M: LanguageModel> Board<M> {
             }
         }
         forgotten.for_each(|(_, person)| self.lose(person));
+        self.recalled = true;
         self.home.end_restore();
         self.pipeline.forget_voices();
         costly
@@ -535,24 +539,27 @@ impl<M: LanguageModel> Board<M> {
     /// and may be anywhere ("Carl is on his way.").
     fn of_persons(&self, mut observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
         let said = &observation.said;
+        // A sentence that says where somebody else is, or that they come, is of them, whoever's narrator heard it.
+        let statement = match said {
+            Said::Presence(statement) => Some(statement.clone()),
+            Said::Sentence(sentence) => PresenceStatement::of_sentence(sentence.as_str()),
+        };
+        if statement.is_some_and(|statement| self.persons.is_of_others(&observation, &statement)) {
+            (observation.person, observation.name) = (SOMEBODY, None);
+        }
+        let said = &observation.said;
+        let is_open = observation.person == SOMEBODY && observation.name.is_none();
         let is_thing = |name: &str| self.mentions.knows(name) && !self.persons.is_name_known(name);
         let is_of_things = match said {
             Said::Presence(statement) => statement.names().any(is_thing),
             Said::Sentence(_) => said.moves_nobody(),
         };
-        let is_open = observation.person == SOMEBODY && observation.name.is_none();
         let is_unknown =
             || is_open && said.is_from_afar() && !said.is_of_a_pronoun() && self.persons.named(said).is_empty();
         // What has ended brings nobody home.
         let is_over = || is_open && said.is_of_an_end() && self.persons.count().1 == 0;
-        let is_of_nobody = is_of_things || is_over() || is_unknown();
-        // A sentence that says where somebody else is, is of them, whoever's narrator heard it.
-        if let Said::Presence(statement) = said
-            && !is_open
-            && self.persons.is_of_others(&observation, statement)
-        {
-            (observation.person, observation.name) = (SOMEBODY, None);
-        }
+        let is_of_none = || is_open && self.persons.is_of_nobody(said);
+        let is_of_nobody = is_of_things || is_over() || is_of_none() || is_unknown();
         (!is_of_nobody).then(|| self.persons.each(observation)).into_iter().flatten()
     }
 
@@ -568,13 +575,21 @@ impl<M: LanguageModel> Board<M> {
     ) -> Option<Observation> {
         let noted_ns = at_ns.unwrap_or_default();
         match &observation.name {
-            Some(name) => observation.person = self.persons.number_of(name),
+            Some(name) => {
+                observation.person = self.persons.number_of(name);
+                self.persons.remember(observation.source, observation.person, noted_ns);
+            }
             None if observation.person == SOMEBODY => {
                 observation.name = self.persons.named(&observation.said).pop().map(Into::into);
+                let is_meant = || observation.said.is_of_one_pronoun();
+                let meant = || self.persons.antecedent(observation.source, noted_ns).filter(|_| is_meant());
                 let person = match &observation.name {
                     Some(name) => self.persons.number_of(name),
-                    None => self.fitting(&observation.said, noted_ns),
+                    None => meant().unwrap_or_else(|| self.fitting(&observation.said, noted_ns)),
                 };
+                if observation.name.is_some() {
+                    self.persons.remember(observation.source, person, noted_ns);
+                }
                 (observation.person, observation.by_fit) = (person, observation.name.is_none());
                 let Observation { source, epoch, sequence, .. } = observation;
                 self.attributed.push(Attributed { source, epoch, sequence, person });
@@ -1035,8 +1050,9 @@ impl<M: LanguageModel> Board<M> {
         for Attributed { source, epoch, sequence, person } in self.attributed.drain(..) {
             tell(&Outcome { source, epoch, sequence, person, by_fit: true, map, probability: &[] });
         }
+        let recalled = std::mem::take(&mut self.recalled);
         for person in self.rescored.drain(..) {
-            let Some(known) = self.persons.get(person) else { continue };
+            let Some(known) = self.persons.get(person).filter(|known| !(recalled && known.restored)) else { continue };
             // Of who is out it says whose the observation is.
             let own = self.pipeline.person(person).filter(|own| own.at_home);
             let probability = own.map_or(&[][..], |own| &own.grounded.partition_probability[..]);

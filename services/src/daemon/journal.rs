@@ -18,13 +18,14 @@
 //! that a restarted daemon believes the same.
 //!
 //! When the older half goes, the last record of every source that it alone knew is carried over: what the source said then is
-//! history no more, but what it says again is still known. So is whose port each source is. The last two observations of every person are
-//! carried over as history, so that nobody who says much makes the daemon forget where others are.
+//! history no more, but what it says again is still known. So is whose port each source is. The last observations of every person are
+//! carried over as history, so that nobody who says much makes the daemon forget where others are: up to twelve of each, as far as a quarter of
+//! a half holds them.
 //!
 //! A record is handed to the system as soon as it is written, so a daemon that is killed loses nothing; what the machine loses with
 //! its power is at most the last [`JournalOptions::sync_ms`].
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::fd::AsRawFd;
@@ -71,7 +72,8 @@ const MAGICS: [[u8; 4]; 9] = [
 /// Those of an observation as it came, or carried over so that it is not taken again.
 const MAGICS_TAKEN: [[u8; 4]; 4] = [MAGIC, MAGIC_CARRIED, MAGIC_NAMED, MAGIC_NAMED_CARRIED];
 /// Those of which a copy in each half is enough, so that they go last where there is too little room.
-const MAGICS_KEPT: [[u8; 4]; 3] = [MAGIC_CARRIED, MAGIC_NAMED_CARRIED, MAGIC_PORT];
+const MAGICS_KEPT: [[u8; 4]; 6] =
+    [MAGIC_CARRIED, MAGIC_NAMED_CARRIED, MAGIC_PORT, MAGIC_KEPT, MAGIC_NAMED_KEPT, MAGIC_FORGOTTEN];
 const HEADER_BYTES: usize = 12;
 const FIXED_BYTES: usize = 5 * 8 + 4 + 16;
 /// No payload is longer: a sentence has at most 1024 bytes, and a name comes with two more.
@@ -134,6 +136,8 @@ pub struct Recovered {
     pub forgotten: Vec<(usize, u32)>,
     /// The last observations of persons that were made before all these, until [`Recovered::join`] puts them in their place.
     kept: KeptWords,
+    /// Where the observations are, by source, epoch and sequence.
+    places: HashMap<(u64, u64, u64), usize>,
     /// Bytes that were no record: a torn end, or damage.
     pub damaged_bytes: u64,
 }
@@ -144,6 +148,7 @@ struct KeptWords {
     observations: Vec<Observation>,
     expectations: Vec<(usize, u32, Expectation)>,
     forgotten: Vec<(usize, u32)>,
+    places: HashMap<(u64, u64, u64), usize>,
 }
 
 /// What the model said of a person.
@@ -231,7 +236,10 @@ impl Journal {
             let path = path.to_owned();
             move |source| JournalError::File { path, operation, source }
         };
-        fs::create_dir_all(directory).map_err(failed(directory, "make"))?;
+        // What is kept here tells who lives here.
+        let mut folder = fs::DirBuilder::new();
+        std::os::unix::fs::DirBuilderExt::mode(&mut folder, 0o700);
+        folder.recursive(true).create(directory).map_err(failed(directory, "make"))?;
         let (current, older) = (directory.join("narration.journal"), directory.join("narration.journal.old"));
         let mut file = open_file(&current).map_err(failed(&current, "open"))?;
         match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
@@ -739,11 +747,20 @@ fn record_bytes(records: &[u8]) -> usize {
 /// another boot than `boot_id` become 0.
 pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered) {
     let mut rest = bytes;
+    let mut begins = true;
     while !rest.is_empty() {
         match decode(rest, boot_id) {
             Some((record, length)) => {
+                if begins && matches!(record, Record::Kept(_) | Record::Forgotten { is_before: true, .. }) {
+                    // What a newer half begins with has all of what the older one began with.
+                    recovered.kept = KeptWords::default();
+                    begins = false;
+                }
                 match record {
-                    Record::Observation(observation) => recovered.observations.push(observation),
+                    Record::Observation(observation) => {
+                        recovered.places.insert(name_of(&observation), recovered.observations.len());
+                        recovered.observations.push(observation);
+                    }
                     Record::Carried(observation) => {
                         recovered.carried.push(observation);
                         recovered.carried_before.push(recovered.observations.len());
@@ -754,7 +771,11 @@ pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered)
                     Record::Port { name, port } => {
                         recovered.ports.insert(name, port);
                     }
-                    Record::Kept(observation) => recovered.kept.observations.push(observation),
+                    Record::Kept(observation) => {
+                        let kept = &mut recovered.kept;
+                        kept.places.insert(name_of(&observation), kept.observations.len());
+                        kept.observations.push(observation);
+                    }
                     Record::Forgotten { person, is_before: true } => {
                         recovered.kept.forgotten.push((recovered.kept.observations.len(), person));
                     }
@@ -774,6 +795,11 @@ pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered)
     }
 }
 
+/// An observation by its source, epoch and sequence.
+fn name_of(observation: &Observation) -> (u64, u64, u64) {
+    (observation.source, observation.epoch, observation.sequence)
+}
+
 impl Recovered {
     /// All that was taken, in its order.
     pub fn taken(&self) -> impl Iterator<Item = &Observation> {
@@ -788,10 +814,11 @@ impl Recovered {
 
     /// What became of an observation that was read before; of one that is gone it says nothing.
     fn note_outcome(&mut self, name: (u64, u64, u64), person: u32, by_fit: bool, expectation: Expectation) {
-        let find = |o: &[Observation]| o.iter().rposition(|o| (o.source, o.epoch, o.sequence) == name);
-        let Self { observations, expectations, kept, .. } = self;
-        let found = find(observations).map(|index| (index, observations, expectations));
-        let found = found.or_else(|| Some((find(&kept.observations)?, &mut kept.observations, &mut kept.expectations)));
+        let Self { observations, expectations, kept, places, .. } = self;
+        let found = match places.get(&name) {
+            Some(index) => Some((*index, observations, expectations)),
+            None => kept.places.get(&name).map(|index| (*index, &mut kept.observations, &mut kept.expectations)),
+        };
         let Some((index, observations, expectations)) = found else { return };
         if by_fit {
             let observation = &mut observations[index];
@@ -805,7 +832,7 @@ impl Recovered {
     /// The same with the last observations of persons that were made before these in their place, the first.
     #[must_use]
     pub fn join(mut self) -> Self {
-        let KeptWords { mut observations, mut expectations, mut forgotten } = std::mem::take(&mut self.kept);
+        let KeptWords { mut observations, mut expectations, mut forgotten, .. } = std::mem::take(&mut self.kept);
         let before = observations.len();
         self.carried_before.iter_mut().for_each(|index| *index += before);
         observations.append(&mut self.observations);
@@ -1126,6 +1153,47 @@ mod tests {
             assert!(size <= 16_384, "{size}");
         }
         assert_ne!(boot, [0; 16]);
+    }
+
+    /// Words of one person that lie in different halves come back in their order, and so do those of one who was forgotten before.
+    #[test]
+    fn last_words_keep_their_order_over_rotations() {
+        let directory = tempfile::tempdir().unwrap();
+        let options = options(directory.path(), 8192);
+        let of_ada = |sequence: u64| Observation { source: 99, name: Some("ada".into()), ..observation(sequence) };
+        let say = |journal: &mut Journal, o: &Observation, person: u32, by_fit: bool| {
+            journal.append(o);
+            let Observation { source, epoch, sequence, .. } = *o;
+            let outcome = Outcome { source, epoch, sequence, person, by_fit, map: 7, probability: &[] };
+            let number = journal.handle().append(&outcome);
+            assert!(journal.handle().wait_for(number, Duration::from_secs(30)));
+        };
+        let (mut noise, mut expected) = (0, Vec::new());
+        for round in 0..12 {
+            let (mut journal, recovered) = Journal::open(&options).unwrap();
+            let recovered = recovered.join();
+            let of_source = recovered.observations.iter().filter(|o| o.source == 99 && o.sequence < 1000);
+            assert_eq!(of_source.map(|o| o.sequence).collect::<Vec<_>>(), expected, "{round}");
+            match round {
+                0 | 1 | 2 | 6 => {
+                    say(&mut journal, &of_ada(round), 1, false);
+                    expected.push(round);
+                }
+                4 => {
+                    journal.handle().forget(1, |o, _| o.source == 99, Duration::from_secs(30)).unwrap();
+                    expected.clear();
+                }
+                // What names somebody and changes nothing does not count.
+                7 => (0..20).for_each(|number| say(&mut journal, &of_ada(1000 + number), 1, true)),
+                _ => {}
+            }
+            // About one rotation and a half.
+            for _ in 0..35 {
+                noise += 1;
+                say(&mut journal, &observation(noise), 0, false);
+            }
+        }
+        assert_eq!(expected, [6]);
     }
 
     fn sequence_of(writer: &Writer) -> u64 {

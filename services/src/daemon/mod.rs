@@ -34,7 +34,7 @@ use crate::setup::{self, SetupError};
 use crate::stop::Stop;
 use habits_file::Keeper;
 use habits_question::{After, Importing};
-use roomcast_core::narration::{Observation, SOMEBODY};
+use roomcast_core::narration::{Observation, SOMEBODY, Said};
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::text::has_words;
@@ -991,9 +991,18 @@ fn forget<M: LanguageModel>(
             }
             (None, None) => observation.person == person,
         };
-        // What others did to them tells of them, too.
-        let text = || observation.sentence().unwrap_or_default().to_lowercase();
-        own || names.iter().any(|name| has_words(&text(), name))
+        let text = || match &observation.said {
+            Said::Sentence(sentence) => sentence.as_str().to_lowercase(),
+            Said::Presence(statement) => {
+                format!("{statement}, {}", statement.subject().unwrap_or_default()).to_lowercase()
+            }
+        };
+        let names_them = || match &observation.said {
+            Said::Presence(statement) => statement.names().any(|name| file.number_of(name) == person),
+            Said::Sentence(_) => false,
+        };
+        // What others did to them, and rooms that are called after them, tell of them, too.
+        own || names_them() || names.iter().any(|name| has_words(&text(), name))
     };
     board.forget(person);
     let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, FORGET_PATIENCE));

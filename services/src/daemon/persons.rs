@@ -2,10 +2,10 @@
 //! the monotonic clock, negative before the machine's start.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use roomcast_core::narration::{
-    Observation, PERSONS_MAX, Presence, PresenceStatement, SOMEBODY, Said, Sentence, Voice, same_name,
+    About, Observation, PERSONS_MAX, Presence, PresenceStatement, SOMEBODY, Said, Voice, same_name,
 };
 use roomcast_core::text::has_words;
 use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
@@ -20,6 +20,11 @@ const NIGHT_NS: i64 = 12 * 3_600_000_000_000;
 
 /// What was observed so long before the newest observation of its person says nothing of where they are, nor of what they do next.
 const LATE_NS: i64 = 60_000_000_000;
+
+/// So long "he" and "she" mean whom their source told of last by name.
+const PRONOUN_NS: i64 = 60_000_000_000;
+/// Of so many sources it is known whom they told of last.
+const TOLD_OF_MAX: usize = 64;
 
 /// Words of things that people sleep on.
 const BEDS: [&str; 8] = ["bed", "beds", "mattress", "crib", "cot", "bunk", "futon", "bassinet"];
@@ -78,13 +83,15 @@ pub struct Persons {
     config: PersonsConfig,
     file: PersonsFile,
     known: BTreeMap<u32, Known>,
+    /// Whom sources told of by name last, and when; newest last.
+    told_of: VecDeque<(u64, u32, i64)>,
 }
 
 impl Persons {
     /// Nobody yet; `file` says which names are whose.
     #[must_use]
     pub fn new(config: PersonsConfig, file: PersonsFile) -> Self {
-        Self { config, file, known: BTreeMap::new() }
+        Self { config, file, known: BTreeMap::new(), told_of: VecDeque::new() }
     }
 
     /// Persons by number, who are gone too, until they were told.
@@ -245,6 +252,7 @@ impl Persons {
 
     /// Forgets a person; gives whether they were known.
     pub(super) fn remove(&mut self, number: u32) -> bool {
+        self.told_of.retain(|told| told.1 != number);
         self.known.remove(&number).is_some()
     }
 
@@ -331,16 +339,14 @@ impl Persons {
         back.or(awake).or_else(longest_away).or(sleeper).or_else(|| self.residents().next()).unwrap_or_default()
     }
 
-    /// The names of those whom an observation is about that was given no name: of persons who are known by them, have them here, or live here;
-    /// or of strangers who are said to be somewhere, unless one alone comes where nobody goes by a name.
+    /// The names of those whom an observation is about that was given no name: of persons who are known by them, have them here, or live here; of
+    /// who is called by what they are ("the plumber"); or of strangers, unless one alone comes where nobody goes by a name.
     pub(super) fn named(&self, said: &Said) -> Vec<String> {
-        let known = said.known_names(|name| self.is_name_known(name));
-        let of_sentence = |sentence: &Sentence| PresenceStatement::of_sentence(sentence.as_str());
-        let statement = match said {
-            Said::Presence(statement) => Some(statement.clone()),
-            Said::Sentence(sentence) => of_sentence(sentence),
+        let names = match said.about(|name| self.is_name_known(name)) {
+            About::Named(names) => names,
+            About::Stranger(name) => vec![name],
+            About::Somebody | About::Nobody => return Vec::new(),
         };
-        let names: Vec<String> = statement.iter().flat_map(PresenceStatement::names).map(str::to_owned).collect();
         // One person whom nobody has given a name may be meant by any.
         let is_alone = self.known.len() == 1 && !self.has_names();
         let may_be_new = !is_alone || names.len() > 1;
@@ -349,20 +355,42 @@ impl Persons {
             may_be_new && Said::may_be_new(name) && !begins_with_known(name) && check_name(name).is_ok()
         };
         let is_whose = |name: &String| self.is_name_known(name) || is_new(name);
-        if !known.is_empty() && (names.len() <= known.len() || !names.iter().all(is_whose)) {
-            return known;
-        }
-        if names.is_empty() {
-            return said.person_called().into_iter().filter(is_whose).collect();
-        }
         if names.iter().all(is_whose) { names } else { Vec::new() }
     }
 
-    /// Whether a statement of a person names others who are known, and not that person.
+    /// Whether an observation that was given no name moves nobody: it is about things, or about others than one person whom it names.
+    pub(super) fn is_of_nobody(&self, said: &Said) -> bool {
+        match said.about(|name| self.is_name_known(name)) {
+            About::Nobody => true,
+            About::Named(_) => self.named(said).is_empty() && self.has_names(),
+            About::Stranger(_) | About::Somebody => false,
+        }
+    }
+
+    /// Whether a statement of a person names others, and not that person.
     pub(super) fn is_of_others(&self, observation: &Observation, statement: &PresenceStatement) -> bool {
         let number = observation.name.as_deref().map_or(observation.person, |name| self.number_of(name));
+        // A person by number alone may go by any name.
+        let has_name = observation.name.is_some() || self.name_of(number).is_some();
         let mut names = statement.names().peekable();
-        names.peek().is_some() && names.all(|name| self.is_name_known(name) && self.number_of(name) != number)
+        names.peek().is_some()
+            && names.all(|name| (has_name || self.is_name_known(name)) && self.number_of(name) != number)
+    }
+
+    /// Takes note of whom a source told of by name.
+    pub(super) fn remember(&mut self, source: u64, person: u32, at_ns: i64) {
+        self.told_of.retain(|told| told.0 != source);
+        if self.told_of.len() == TOLD_OF_MAX {
+            self.told_of.pop_front();
+        }
+        self.told_of.push_back((source, person, at_ns));
+    }
+
+    /// Whom a source means by "he" or "she" that has told of somebody by name shortly before: none where they are not in the house.
+    pub(super) fn antecedent(&self, source: u64, at_ns: i64) -> Option<u32> {
+        let (_, person, told_ns) = self.told_of.iter().find(|told| told.0 == source)?;
+        let is_here = self.known.get(person).is_some_and(|known| known.presence == Presence::Present);
+        (is_here && (0..=PRONOUN_NS).contains(&(at_ns - told_ns))).then_some(*person)
     }
 
     /// Whether somebody who is known goes by a name, has it here, or lives here.
@@ -914,6 +942,96 @@ mod tests {
         house.after(1, "somebody", "Mia is home. Nobody is in the kitchen.");
         assert_eq!(presences(&mut house)[0], Some(presence::PRESENT));
         assert!(house.now().0[0] < 0.9);
+    }
+
+    /// A family, and what is narrated of it by people and by machines: one wrong answer is one too many.
+    #[test]
+    fn what_is_said_moves_whom_it_is_about() {
+        let mut house = House::new(&["sophie", "david", "lily"]);
+        let begin = |house: &mut House| {
+            for (who, what) in [
+                ("sophie", "They open the fridge."),
+                ("david", "They sit on the sofa."),
+                ("lily", "They lie on the bed."),
+            ] {
+                house.after(2, who, what);
+            }
+        };
+        let newest = |house: &House, who: &str| {
+            let number = house.board.persons().number_of(who);
+            let history = house.board.pipeline().histories().get(number);
+            history.and_then(|own| own.observations().last()?.sentence().map(str::to_owned)).unwrap_or_default()
+        };
+        for (said, who) in [
+            ("In the bathroom, Sophie brushes her teeth.", "sophie"),
+            ("At eight David opens the door.", "david"),
+            ("While Sophie cooks, David sets the table.", "david"),
+            ("But Lily opens the fridge.", "lily"),
+        ] {
+            begin(&mut house);
+            house.after(2, "somebody", said);
+            let moved: Vec<&str> =
+                ["sophie", "david", "lily"].into_iter().filter(|who| newest(&house, who) == said).collect();
+            assert_eq!(moved, [who], "{said}");
+        }
+        for said in [
+            "The robot vacuum drives into the bathroom.",
+            "The washing machine beeps.",
+            "Music is playing in the bathroom.",
+            "The cat jumps onto the table.",
+            "It is raining.",
+            "The kids are in the bathroom.",
+            "The parents leave the house.",
+            "Sophie's guitar is in the bathroom.",
+            "Sophie was in the bathroom.",
+            "If Sophie cooks and David leaves the house, lock the door.",
+        ] {
+            begin(&mut house);
+            let (known, before) = (house.known(), house.now().0);
+            house.after(0, "somebody", said);
+            assert_eq!((house.known(), house.now().0), (known, before), "{said}");
+        }
+        // Who is not there is brought home by nobody's doing.
+        house.after(1, "somebody", "Everybody leaves the house.");
+        for said in [
+            "The cat jumps onto the table.",
+            "It is raining.",
+            "David waits for the bus.",
+            "Sophie eats at a restaurant.",
+        ] {
+            house.after(1, "somebody", said);
+            assert!(house.board.snapshot().has(score_flags::NOBODY_HOME), "{said}");
+        }
+        begin(&mut house);
+        for (said, who, expected) in [
+            ("Sophie grabs her keys and leaves.", "sophie", presence::AWAY),
+            ("Sophie leaves the house. Then she comes home.", "sophie", presence::PRESENT),
+            ("The cleaner says goodbye and leaves.", "cleaner", presence::AWAY),
+            ("David cooks and Cleo leaves the house.", "david", presence::PRESENT),
+            ("David cooks and Cleo leaves the house.", "cleo", presence::AWAY),
+            ("David cooks and the children leave the house.", "david", presence::PRESENT),
+        ] {
+            house.after(2, "somebody", said);
+            assert_eq!(house.presence(who), Some(expected), "{said}");
+        }
+        // Of whom it is where somebody is named and meant on by a pronoun.
+        begin(&mut house);
+        house.after(2, "somebody", "David goes to the kitchen.");
+        house.after(2, "somebody", "He lies on the bed.");
+        assert_eq!(newest(&house, "david"), "He lies on the bed.");
+        let known = house.known();
+        house.after(2, "somebody", "A woman sits on the sofa.");
+        assert_eq!(house.known(), known, "she is one of those who are here");
+        house.after(2, "somebody", "Igor sits on the sofa.");
+        assert_eq!((house.known(), newest(&house, "igor")), (known + 1, "Igor sits on the sofa.".to_owned()));
+        // A sentence about somebody else than its key.
+        house.after(2, "david", "away");
+        house.after(2, "sophie", "David comes home.");
+        house.after(2, "sophie", "Wilhelmina leaves the house.");
+        let of = |house: &mut House| ["david", "sophie", "wilhelmina"].map(|who| house.presence(who));
+        assert_eq!(of(&mut house), [Some(presence::PRESENT), Some(presence::PRESENT), Some(presence::AWAY)]);
+        house.restart();
+        assert_eq!(of(&mut house), [Some(presence::PRESENT), Some(presence::PRESENT), Some(presence::AWAY)]);
     }
 
     /// A light that goes off moves nobody, and brings nobody home.

@@ -1,15 +1,16 @@
 //! What was last said of each person outlives the half that held it, however much others say: a restarted daemon knows where everybody is.
+//!
+//! At a rotation the new half begins with all of it: with what the half that stays began with, and with what only the half that goes
+//! still says. So of two halves the newer one's beginning counts.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 
-use roomcast_core::narration::PERSONS_MAX;
-
 use super::forget::each_record;
-use super::{MAGIC, MAGIC_FORGOTTEN, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Record, Writer, encode_forgotten};
+use super::{MAGIC, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Record, Writer, encode_forgotten};
 
-/// So many observations of each person are kept.
-const WORDS: usize = 2;
+/// At most so many observations of each person are kept, fewer where they do not fit.
+const WORDS: [usize; 5] = [12, 6, 3, 2, 1];
 
 /// An observation by its source, epoch and sequence.
 type Name = (u64, u64, u64);
@@ -25,65 +26,110 @@ impl Writer {
     }
 }
 
-/// The same of the bytes of two halves; of more than `bytes_max` the newest.
+/// The same of the bytes of two halves, in at most so many bytes.
 fn last_words(older: &[u8], current: &[u8], bytes_max: u64) -> Vec<u8> {
-    let mut newest = BTreeMap::<u32, Vec<Name>>::new();
-    let mut forgotten = BTreeSet::new();
-    for half in [older, current] {
-        each_record(half, |_, record| match record {
-            Record::Outcome { name, person, .. } => {
-                let words = newest.entry(person).or_default();
-                words.retain(|known| *known != name);
-                words.push(name);
-                words.drain(..words.len().saturating_sub(WORDS));
-            }
-            Record::Forgotten { person, .. } => _ = newest.remove(&person),
-            _ => {}
-        });
-    }
-    each_record(current, |_, record| {
-        if let Record::Forgotten { person, .. } = record {
-            forgotten.insert(person);
+    let goes = in_order(older, current);
+    let mut stays = Vec::new();
+    each_record(current, |raw, record| {
+        if !matches!(record, Record::Kept(_) | Record::Forgotten { is_before: true, .. }) {
+            stays.push((raw.to_vec(), record));
         }
     });
-    // Of each observation that is kept, what became of it.
-    let mut outcomes = BTreeMap::<Name, Vec<u8>>::new();
-    for half in [older, current] {
-        each_record(half, |raw, record| {
-            if let Record::Outcome { name, person, .. } = record
-                && newest.get(&person).is_some_and(|words| words.contains(&name))
-            {
-                outcomes.entry(name).or_default().extend_from_slice(raw);
-            }
-        });
-    }
-    let mut kept = Vec::new();
-    each_record(older, |raw, record| match record {
-        Record::Observation(observation) | Record::Kept(observation) => {
-            let name = (observation.source, observation.epoch, observation.sequence);
-            let Some(outcomes) = outcomes.remove(&name) else { return };
-            let is_named = raw.starts_with(&MAGIC_NAMED) || raw.starts_with(&MAGIC_NAMED_KEPT);
-            let mut words = if is_named { MAGIC_NAMED_KEPT.to_vec() } else { MAGIC_KEPT.to_vec() };
-            words.extend_from_slice(&raw[MAGIC.len()..]);
-            words.extend(outcomes);
-            kept.push(words);
+    let all = || goes.iter().map(|(_, record)| record).chain(stays.iter().map(|(_, record)| record));
+    for words in WORDS {
+        let needed = newest(all(), words);
+        let kept = chosen(&goes, &stays, &needed);
+        if kept.iter().map(Vec::len).sum::<usize>() as u64 <= bytes_max || words == 1 {
+            let mut surplus = kept.iter().map(Vec::len).sum::<usize>() as u64;
+            let fits = kept.into_iter().skip_while(|words| {
+                let goes = surplus > bytes_max;
+                surplus -= words.len() as u64;
+                goes
+            });
+            return fits.flatten().collect();
         }
-        // Forgotten again later, that one counts.
-        Record::Forgotten { person, .. } if forgotten.insert(person) => kept.push(encode_forgotten(person, true)),
+    }
+    Vec::new()
+}
+
+/// What goes with the older half, in the order in which it was said: first what the current half begins with.
+fn in_order(older: &[u8], current: &[u8]) -> Vec<(Vec<u8>, Record)> {
+    let (mut before, mut names) = (Vec::new(), BTreeSet::new());
+    each_record(current, |raw, record| match record {
+        Record::Kept(ref observation) => {
+            names.insert((observation.source, observation.epoch, observation.sequence));
+            before.push((raw.to_vec(), record));
+        }
+        Record::Outcome { name, .. } if names.contains(&name) => before.push((raw.to_vec(), record)),
+        Record::Forgotten { is_before: true, .. } => before.push((raw.to_vec(), record)),
         _ => {}
     });
-    let are_forgotten = kept.iter().filter(|words| words.starts_with(&MAGIC_FORGOTTEN)).count();
-    let mut surplus = are_forgotten.saturating_sub(PERSONS_MAX);
-    kept.retain(|words| {
-        let goes = surplus > 0 && words.starts_with(&MAGIC_FORGOTTEN);
-        surplus -= usize::from(goes);
-        !goes
+    let is_first = before.is_empty();
+    each_record(older, |raw, record| {
+        // What this half began with is among what the next one begins with, if that begins with anything.
+        let is_old = matches!(record, Record::Kept(_) | Record::Forgotten { is_before: true, .. });
+        if is_first || !is_old {
+            before.push((raw.to_vec(), record));
+        }
     });
-    let mut bytes = kept.iter().map(Vec::len).sum::<usize>() as u64;
-    let newest = kept.into_iter().skip_while(|words| {
-        let goes = bytes > bytes_max;
-        bytes -= words.len() as u64;
-        goes
-    });
-    newest.flatten().collect()
+    before
+}
+
+/// Of each person the newest observations that changed something.
+fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeMap<u32, Vec<Name>> {
+    let mut newest = BTreeMap::<u32, Vec<Name>>::new();
+    for record in records {
+        match record {
+            Record::Outcome { name, person, by_fit: false, .. } => {
+                let own = newest.entry(*person).or_default();
+                own.retain(|known| known != name);
+                own.push(*name);
+                own.drain(..own.len().saturating_sub(words));
+            }
+            Record::Forgotten { person, .. } => _ = newest.remove(person),
+            _ => {}
+        }
+    }
+    newest
+}
+
+/// The records to keep: each observation with what became of it, and who was forgotten.
+fn chosen(goes: &[(Vec<u8>, Record)], stays: &[(Vec<u8>, Record)], needed: &BTreeMap<u32, Vec<Name>>) -> Vec<Vec<u8>> {
+    let needed: BTreeSet<Name> = needed.values().flatten().copied().collect();
+    // Of each kind the newest.
+    let mut outcomes = BTreeMap::<Name, BTreeMap<(u32, bool), &[u8]>>::new();
+    for (raw, record) in goes.iter().chain(stays) {
+        if let Record::Outcome { name, person, by_fit, .. } = record
+            && needed.contains(name)
+        {
+            outcomes.entry(*name).or_default().insert((*person, *by_fit), raw);
+        }
+    }
+    let forgotten = |record: &Record| match record {
+        Record::Forgotten { person, .. } => Some(*person),
+        _ => None,
+    };
+    let mut kept = Vec::new();
+    for (at, (raw, record)) in goes.iter().enumerate() {
+        match record {
+            Record::Observation(observation) | Record::Kept(observation) => {
+                let name = (observation.source, observation.epoch, observation.sequence);
+                let Some(outcomes) = outcomes.remove(&name) else { continue };
+                let is_named = raw.starts_with(&MAGIC_NAMED) || raw.starts_with(&MAGIC_NAMED_KEPT);
+                let mut words = if is_named { MAGIC_NAMED_KEPT.to_vec() } else { MAGIC_KEPT.to_vec() };
+                words.extend_from_slice(&raw[MAGIC.len()..]);
+                words.extend(outcomes.into_values().flatten());
+                kept.push(words);
+            }
+            Record::Forgotten { person, .. } => {
+                // Of one who was forgotten again later, that one counts.
+                let again = |(_, record): &(Vec<u8>, Record)| forgotten(record) == Some(*person);
+                if !goes[at + 1..].iter().any(again) && !stays.iter().any(again) {
+                    kept.push(encode_forgotten(*person, true));
+                }
+            }
+            _ => {}
+        }
+    }
+    kept
 }

@@ -1,0 +1,178 @@
+//! Whom a plain sentence is about. What is not understood is about nobody: nobody is moved by it.
+
+use super::clause::{self, Word};
+
+/// Whom a plain sentence is about.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum About {
+    /// Persons who are known, or are called by what they are ("plumber"), in lower case.
+    Named(Vec<String>),
+    /// Somebody by a name that nobody here has.
+    Stranger(String),
+    /// Somebody of whom it says no name: "They open the fridge.", "A woman sits down.", "Opens the fridge.", "The oven is on."
+    Somebody,
+    /// A thing, an animal, several persons without names, or what nobody does now: "The robot drives off.", "Ada was in the kitchen."
+    Nobody,
+}
+
+/// Words of a name have at most so many parts.
+const NAME_WORDS_MAX: usize = 4;
+
+/// Reads a sentence in plain form; `is_known` says whether a name is a person's.
+pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool) -> About {
+    let said = clause::without_first(said);
+    let words: Vec<&str> = said.split(' ').map(|word| word.trim_matches([',', ':', ';'])).collect();
+    let Some((&first, rest)) = words.split_first() else { return About::Somebody };
+    if clause::is(Word::Condition, first) {
+        return About::Nobody;
+    }
+    if clause::is(Word::Begin, first) {
+        return later_subject(said, &words, is_known);
+    }
+    let found = clause::longest_subject(said, |name| is_known(name) || clause::is(Word::People, name));
+    // "Aunt Rosa" is not "aunt".
+    let is_called = |names: &[String]| {
+        let verb = rest.first().copied().unwrap_or_default();
+        !(clause::is(Word::Title, first) && names.len() == 1 && names[0] == first && !clause::is_verb(verb))
+    };
+    if let Some((names, rest)) = found.filter(|(names, _)| is_called(names)) {
+        return if clause::is_past_state(rest) { About::Nobody } else { About::Named(names) };
+    }
+    let second = rest.first().copied().unwrap_or_default();
+    if clause::is(Word::Pronoun, first) {
+        let rest = said.split_once(' ').map_or("", |(_, rest)| rest);
+        return if clause::is_past_state(rest) { About::Nobody } else { About::Somebody };
+    }
+    if clause::is(Word::Determiner, first) {
+        return of_a_noun(said, first, rest);
+    }
+    if clause::is(Word::Nothing, first) || first.ends_with("'s") || clause::is(Word::Group, first) {
+        return About::Nobody;
+    }
+    // A word that ends like a verb begins what somebody does: "Opens the fridge."
+    let is_name = |word: &str| word.chars().all(|c| c.is_alphabetic() || c == '-') && !word.ends_with('s');
+    let (name, verb) = match clause::is(Word::Title, first) {
+        true => (format!("{first} {second}"), rest.get(1).copied().unwrap_or_default()),
+        false => (first.to_owned(), second),
+    };
+    if is_name(first) && clause::is_verb(verb) && clause::may_be_a_person(&name) {
+        return About::Stranger(clause::without_title(&name).to_owned());
+    }
+    // The dishwasher by its name alone is no person.
+    if clause::is_verb(second) && !clause::may_be_a_person(first) { About::Nobody } else { About::Somebody }
+}
+
+/// A sentence about what stands behind an article: a person without a name, a device and its state, or a thing.
+fn of_a_noun(said: &str, article: &str, rest: &[&str]) -> About {
+    let noun = rest.first().copied().unwrap_or_default();
+    // "An old man", "the young woman".
+    let next = rest.get(1).copied().unwrap_or_default();
+    let is_several = rest.get(1) == Some(&"and");
+    if (clause::is(Word::Anybody, noun) || clause::is(Word::Anybody, next)) && !is_several {
+        return About::Somebody;
+    }
+    let is_device = matches!(article, "the" | "a" | "an") && clause::is_of_a_state(said);
+    if is_device { About::Somebody } else { About::Nobody }
+}
+
+/// "In the bathroom, Ada brushes her teeth.": whom it names behind what it begins with.
+fn later_subject(said: &str, words: &[&str], is_known: &mut dyn FnMut(&str) -> bool) -> About {
+    if let Some((_, rest)) = said.split_once(", ") {
+        return about(rest, is_known);
+    }
+    for at in 1..words.len() {
+        for length in (1..=NAME_WORDS_MAX.min(words.len() - at)).rev() {
+            let verb = words.get(at + length).copied().unwrap_or_default();
+            let name = words[at..at + length].join(" ");
+            if clause::is_verb(verb) && (is_known(&name) || clause::is(Word::People, &name)) {
+                return About::Named(vec![name]);
+            }
+        }
+    }
+    About::Somebody
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(sentence: &str) -> String {
+        let mut known = |name: &str| ["ada", "ben", "tom", "klein", "lucas"].contains(&name);
+        match clause::with_plain(sentence, |plain| about(plain, &mut known)) {
+            About::Named(names) => names.join("+"),
+            About::Stranger(name) => format!("new {name}"),
+            About::Somebody => "somebody".to_owned(),
+            About::Nobody => "nobody".to_owned(),
+        }
+    }
+
+    #[test]
+    fn sentences_are_about_whom_they_name() {
+        for (sentence, expected) in [
+            ("Ada opens the fridge.", "ada"),
+            ("Ada and Ben sit on the sofa.", "ada+ben"),
+            ("Ada and the plumber go to the kitchen.", "ada+plumber"),
+            ("In the bathroom, Ada brushes her teeth.", "ada"),
+            ("After dinner, Ben goes to the laundry room.", "ben"),
+            ("At 7 am Ben walks into the bathroom.", "ben"),
+            ("At eight Ben leaves the house.", "ben"),
+            ("While Ada cooks, Ben sets the table.", "ben"),
+            ("But Ben opens the door.", "ben"),
+            ("Mr. Klein opens the door.", "klein"),
+            ("Lucas sits on the sofa.", "lucas"),
+            ("Igor sits down on the sofa.", "new igor"),
+            ("Aunt Rosa goes to the bathroom.", "new aunt rosa"),
+            ("The cleaner says goodbye.", "cleaner"),
+            ("My husband sits on the bed.", "husband"),
+        ] {
+            assert_eq!(of(sentence), expected, "{sentence}");
+        }
+    }
+
+    #[test]
+    fn somebody_has_no_name() {
+        for sentence in [
+            "They open the fridge.",
+            "She goes to the bathroom.",
+            "A woman sits down on the sofa.",
+            "The person goes to the bathroom.",
+            "An old man walks into the hall.",
+            "Opens the fridge.",
+            "Washes dishes at the sink.",
+            "Somebody sings.",
+            "The oven is on.",
+            "The fridge is open.",
+            "The door opens.",
+            "In the bathroom, she brushes her teeth.",
+            "The light is off.",
+            "walking to the sofa",
+        ] {
+            assert_eq!(of(sentence), "somebody", "{sentence}");
+        }
+    }
+
+    #[test]
+    fn things_animals_and_the_past_are_nobody() {
+        for sentence in [
+            "The robot vacuum drives into the bedroom.",
+            "The vacuum is stuck in the laundry room.",
+            "The washing machine beeps.",
+            "The cat jumps onto the table.",
+            "The heating turns on in the bedroom.",
+            "Music is playing in the bedroom.",
+            "It is raining.",
+            "Igor's guitar is in the living room.",
+            "Ada's phone rings on the table.",
+            "The kids sit down at the table.",
+            "The parents watch television in the living room.",
+            "A man and a woman are cooking.",
+            "Ada was in the bedroom.",
+            "She had been in the bedroom all morning.",
+            "If Ada cooks, the light goes on.",
+            "Yesterday Ben sat on the sofa.",
+            "Dishwasher beeps.",
+        ] {
+            assert_eq!(of(sentence), "nobody", "{sentence}");
+        }
+    }
+}
