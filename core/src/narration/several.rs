@@ -19,7 +19,7 @@ pub(super) fn may_be_several(text: &str) -> bool {
 
 /// The clauses of a text, in its own words and order. Another one begins where somebody is named who `is_person`, with what they do.
 /// A sentence about a pronoun belongs to the clause before it.
-pub(super) fn clauses<'a>(text: &'a str, mut is_person: impl FnMut(&str) -> bool) -> ([&'a str; CLAUSES_MAX], usize) {
+pub(super) fn clauses(text: &str, mut is_person: impl FnMut(&str) -> bool) -> ([&str; CLAUSES_MAX], usize) {
     let (mut found, mut count) = ([""; CLAUSES_MAX], 0);
     let (mut from, mut at) = (0, 0);
     while let Some((end, next)) = next_join(text, at) {
