@@ -67,6 +67,10 @@ impl Default for ForecastOptions {
     }
 }
 
+/// Nobody takes so long for one action, in seconds: a longer interval is a rest, as a night is, and says nothing of how long the intervals
+/// between two rests are.
+const REST_S: f64 = 1800.0;
+
 /// A mean that is learned over a prior.
 #[derive(Debug, Clone, Copy)]
 struct Learned {
@@ -79,6 +83,13 @@ impl Learned {
         (self.total_s / self.count).max(1e-3)
     }
 
+    /// Takes in an interval between two observations, unless the person rested.
+    fn add_pace(&mut self, interval_s: f64) {
+        if interval_s <= REST_S {
+            self.add(interval_s);
+        }
+    }
+
     fn add(&mut self, interval_s: f64) {
         self.total_s += interval_s;
         self.count += 1.0;
@@ -88,6 +99,11 @@ impl Learned {
         let scale_s = self.mean_s() + age_s;
         (scale_s / (scale_s + horizon_s)).powi(2)
     }
+}
+
+/// A mean of which no interval was watched yet.
+fn prior(mean_s: f64, strength: f64) -> Learned {
+    Learned { total_s: mean_s * strength, count: strength }
 }
 
 /// The forecast of one person. Keep one per person and sum their probabilities for the expected number of people.
@@ -119,7 +135,7 @@ impl Forecaster {
     #[must_use]
     pub fn new(rooms: usize, options: ForecastOptions, now_s: f64) -> Self {
         let even = vec![1.0 / rooms.max(1) as f64; rooms];
-        let prior = |mean_s: f64| Learned { total_s: mean_s * options.strength, count: options.strength };
+        let prior = |mean_s: f64| prior(mean_s, options.strength);
         Self {
             options,
             spent_s: even.iter().map(|p| p * options.stay_s).collect(),
@@ -159,13 +175,16 @@ impl Forecaster {
             let fits = if mention.is_left { 1.0 - share } else { share };
             p * (misplaced / rooms as f64 + (1.0 - misplaced) * fits)
         };
-        self.update(at_s, mentioned.map(|mention| move |room: usize, p: f64| weigh(mention, room, p)));
+        // Who turns to another thing, or leaves a room, has ended what they did before.
+        let turns = mentioned.is_some_and(|mention| mention.is_left || self.object != Some(mention.label));
+        let same_at_most = if turns { self.newcomer(at_s) } else { 1.0 };
+        self.update(at_s, same_at_most, mentioned.map(|mention| move |room: usize, p: f64| weigh(mention, room, p)));
         // What is left is not turned to.
         self.expects = true;
         if let Some(label) = mentioned.filter(|mention| !mention.is_left).map(|mention| mention.label)
             && self.object != Some(label)
         {
-            self.to_object.add((at_s - self.object_since_s).max(self.options.action_s));
+            self.to_object.add_pace((at_s - self.object_since_s).max(self.options.action_s));
             self.object_since_s = at_s;
             self.object = Some(label);
         }
@@ -185,7 +204,7 @@ impl Forecaster {
         let before = likeliest(&self.belief);
         let mistaken = self.options.mistaken;
         let seen = |room: usize, p: f64| mistaken * p + (1.0 - mistaken) * f64::from(u8::from(room == entered));
-        self.update(at_s, Some(seen));
+        self.update(at_s, 1.0, Some(seen));
         if likeliest(&self.belief) != before {
             self.begin_elsewhere(at_s);
         }
@@ -210,7 +229,7 @@ impl Forecaster {
         let left = |p: f64| mistaken * p * (1.0 - p) / (1.0 - mistaken * p).max(f64::MIN_POSITIVE);
         let empty = |other: usize, p: f64| if other == room { left(p) } else { p };
         let before = likeliest(&self.belief);
-        self.update(at_s, Some(empty));
+        self.update(at_s, 1.0, Some(empty));
         if likeliest(&self.belief) != before {
             self.begin_elsewhere(at_s);
         }
@@ -248,16 +267,27 @@ impl Forecaster {
         }
     }
 
+    /// A time, or that of the shortest action after the last observation.
+    fn one_action_on(&self, at_s: f64) -> f64 {
+        at_s.max(self.updated_s + self.options.action_s)
+    }
+
+    /// How probably somebody of whom nothing was known before the last observation has not turned to the next object at `at_s`.
+    fn newcomer(&self, at_s: f64) -> f64 {
+        let object_s = self.options.object_s;
+        prior(object_s, self.options.strength).survival(0.0, (self.one_action_on(at_s) - self.updated_s).min(object_s))
+    }
+
     /// Moves the belief on to `at_s`, and makes of it there what was observed, if that says anything: per room and its probability before,
-    /// in proportion to the one after.
-    fn update(&mut self, at_s: f64, observed: Option<impl Fn(usize, f64) -> f64>) {
+    /// in proportion to the one after. The object in hand is still the same with at most `same_at_most`.
+    fn update(&mut self, at_s: f64, same_at_most: f64, observed: Option<impl Fn(usize, f64) -> f64>) {
         let before = likeliest(&self.belief);
         self.spend(at_s);
         if let Some(observed) = observed {
             let mut predicted = std::mem::take(&mut self.predicted);
             predicted.clear();
             // At one instant nobody would have moved, and what was told last would count for little.
-            predicted.extend(self.at(at_s.max(self.updated_s + self.options.action_s), 0.0));
+            predicted.extend(self.ahead(self.one_action_on(at_s), 0.0, same_at_most));
             for (room, p) in predicted.iter_mut().enumerate() {
                 *p = observed(room, *p);
             }
@@ -269,7 +299,7 @@ impl Forecaster {
             self.predicted = predicted;
         }
         if likeliest(&self.belief) != before {
-            self.stay.add((at_s - self.room_since_s).max(self.options.action_s));
+            self.stay.add_pace((at_s - self.room_since_s).max(self.options.action_s));
             self.room_since_s = at_s;
         }
         self.updated_s = at_s;
@@ -285,6 +315,11 @@ impl Forecaster {
 
     /// Per room the probability that the person is in it at `now_s + horizon_s`; with [`Forecaster::elsewhere`] they sum to one.
     pub fn at(&self, now_s: f64, horizon_s: f64) -> impl ExactSizeIterator<Item = f64> {
+        self.ahead(now_s, horizon_s, 1.0)
+    }
+
+    /// As [`Self::at`], where the object in hand is still the same with at most `same_at_most`.
+    fn ahead(&self, now_s: f64, horizon_s: f64, same_at_most: f64) -> impl ExactSizeIterator<Item = f64> {
         let back = 1.0 - self.elsewhere(now_s, horizon_s);
         // Silence is evidence that nothing else was done, except for its last part, which an action still in progress may
         // fill: that part belongs to the horizon of what was known before it.
@@ -292,7 +327,7 @@ impl Forecaster {
         let hidden_s = silence_s.min(self.to_object.mean_s());
         let horizon_s = horizon_s.max(0.0) + hidden_s;
         let object_age_s = self.updated_s + silence_s - hidden_s - self.object_since_s;
-        let same_object = self.to_object.survival(object_age_s, horizon_s);
+        let same_object = self.to_object.survival(object_age_s, horizon_s).min(same_at_most);
         let same_stay = self.stay.survival(0.0, horizon_s);
         let spent_s: f64 = self.spent_s.iter().sum();
         let is_away = self.away_since_s.is_some();
@@ -509,6 +544,58 @@ mod tests {
         long.observe(3000.0, bed, &grounding, &[1.0 / 3.0; 3]);
         let here = likeliest(short.belief()).unwrap();
         assert!(long.at(3000.0, 60.0).nth(here) > short.at(5.0, 60.0).nth(here));
+    }
+
+    /// A night is no pace: who is told to be at a thing after it is there, as without it, and goes on as quickly.
+    #[test]
+    fn after_a_night_the_forecast_follows_as_without_it() {
+        let map = SemanticMap::from_json(include_str!("../../scenes/ward.json")).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let rooms = grounding.partitions.len();
+        // The things that stand in one room alone, of one room each.
+        let mut things: Vec<(usize, usize)> = Vec::new();
+        for label in 0..grounding.scored_labels.len() {
+            let room = (0..rooms).find(|room| grounding.weights[(label, *room)] > 0.99);
+            if let Some(room) = room.filter(|room| things.iter().all(|(_, other)| other != room)) {
+                things.push((label, room));
+            }
+        }
+        assert!(rooms >= 6 && things.len() >= 5, "{rooms} rooms, {} things", things.len());
+        let even = vec![1.0 / rooms as f64; rooms];
+        let told = |night_s: f64, apart_s: f64| {
+            let mut forecaster = Forecaster::new(rooms, ForecastOptions::default(), 0.0);
+            let mut at_s = 10.0;
+            forecaster.observe(at_s, Some(things[0].0.into()), &grounding, &even);
+            at_s += night_s;
+            let mut believed = Vec::new();
+            for (label, room) in &things[1..] {
+                at_s += apart_s;
+                forecaster.observe(at_s, Some((*label).into()), &grounding, &even);
+                believed.push(forecaster.at(at_s, 0.0).nth(*room).unwrap());
+            }
+            let last = things.last().unwrap().1;
+            (believed, forecaster.at(at_s, 60.0).nth(last).unwrap())
+        };
+        for apart_s in [3.0, 20.0, 60.0] {
+            let (awake, awake_later) = told(0.0, apart_s);
+            for night_s in [1200.0, 2.0 * 3600.0, 8.0 * 3600.0] {
+                let (slept, slept_later) = told(night_s, apart_s);
+                for (slept, awake) in slept.iter().zip(&awake) {
+                    assert!(*slept > 0.9 * awake, "{night_s} s, {apart_s} s apart: {slept} without the night {awake}");
+                }
+                if night_s > REST_S {
+                    assert!((slept_later - awake_later).abs() < 0.15, "{night_s}: {slept_later}, {awake_later}");
+                }
+            }
+        }
+        // Who leaves the room where they slept is in another.
+        let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
+        let (map, grounding) = studio();
+        let mut studio = Mentions::new(&map, &grounding);
+        forecaster.observe(10.0, studio.last("They walk to the kitchen."), &grounding, &[1.0 / 3.0; 3]);
+        forecaster.observe(28_800.0, studio.last("They leave the kitchen."), &grounding, &[1.0 / 3.0; 3]);
+        let kitchen = grounding.partitions.iter().position(|p| p.id == "kitchen").unwrap();
+        assert!(forecaster.belief()[kitchen] < 0.1, "{:?}", forecaster.belief());
     }
 
     /// Who is out of the house is in no room, comes back within hours, and sooner where absences were short.
