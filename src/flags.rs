@@ -1,6 +1,6 @@
 //! Names for the bits of messages, as people and programs read them.
 
-use roomcast_ipc::{decision_flags, forecast_flags, score_flags};
+use roomcast_ipc::{action, decision_flags, forecast_flags, score_flags};
 
 /// The names of the bits that are set, of those that a message has.
 fn set(flags: u32, names: &[(u32, &'static str)]) -> Vec<&'static str> {
@@ -59,6 +59,16 @@ pub fn decision_flag_names(flags: u32) -> Vec<&'static str> {
     )
 }
 
+/// The name of an action of a decision.
+#[must_use]
+pub fn action_word(action: u32) -> &'static str {
+    match action {
+        action::GO => "go",
+        action::PAUSE => "pause",
+        _ => "stay",
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -66,7 +76,7 @@ mod tests {
     #[test]
     fn flags_have_names() {
         assert_eq!(score_flag_names(score_flags::GAP | score_flags::NOBODY_HOME), ["gap", "nobody-home"]);
-        assert_eq!(forecast_flag_names(u32::MAX).len(), 3);
+        assert_eq!(forecast_flag_names(u32::MAX).len(), 4);
         assert_eq!(decision_flag_names(u32::MAX).len(), 11);
     }
 }

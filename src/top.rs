@@ -10,11 +10,11 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph};
 use roomcast_ipc::{
     DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, RoomScoresV1,
-    StatusResponseV1, presence, reached, score_flags,
+    StatusResponseV1, forecast_flags, presence, reached, score_flags,
 };
 
 use crate::bar::bar;
-use crate::flags::{decision_flag_names, score_flag_names};
+use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
 use roomcast_services::daemon::{flag_words, presence_word};
 use roomcast_services::habits_reason::ELSEWHERE;
 use roomcast_services::message_text::said_of;
@@ -60,6 +60,7 @@ pub struct View {
     /// Each person's line, where it says more than the rooms do.
     persons: Vec<String>,
     forecasts: Option<Box<PersonForecastsV1>>,
+    forecast_flags: u32,
     narration: VecDeque<(String, String)>,
     labels: Vec<(String, f64)>,
     decision: Option<DecisionV1>,
@@ -160,6 +161,11 @@ impl View {
     /// Takes in each person's forecast, which the next scores are shown with.
     pub fn forecasts(&mut self, forecasts: &PersonForecastsV1) {
         self.forecasts = Some(Box::new(*forecasts));
+    }
+
+    /// Takes in what the forecast of all persons says of itself: bits of [`roomcast_ipc::forecast_flags`].
+    pub fn forecast_flags(&mut self, flags: u32) {
+        self.forecast_flags = flags;
     }
 
     /// Takes in a decision.
@@ -309,7 +315,9 @@ impl View {
                 step_ns as f64 / 1e6,
                 100.0 * scores.label_mass
             )));
-            for name in score_flag_names(scores.flags & !score_flags::HEARTBEAT) {
+            // Rooms say nothing of whoever is missing in them.
+            let of_forecast = forecast_flag_names(self.forecast_flags & forecast_flags::RESIDENT_UNKNOWN);
+            for name in score_flag_names(scores.flags & !score_flags::HEARTBEAT).into_iter().chain(of_forecast) {
                 first.push(Span::from(format!("  {}", name.replace('-', " "))).yellow());
             }
         }

@@ -502,6 +502,9 @@ impl Picture {
             let text = match decision.action {
                 action::GO => format!("The robot goes to {}.", decision.to()),
                 action::PAUSE => "The robot pauses where it disturbs nobody.".to_owned(),
+                _ if !decision.to().is_empty() && decision.to() != decision.from() => {
+                    format!("The robot waits in {}, where nothing is to be done.", decision.to())
+                }
                 _ => "The robot stays where it is.".to_owned(),
             };
             json!({

@@ -3,15 +3,15 @@
 use std::collections::BTreeMap;
 
 use roomcast_ipc::{
-    DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, action,
-    forecast_flags, person_flags, presence, sequence,
+    DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, forecast_flags,
+    person_flags, presence, sequence,
 };
 use serde_json::{Value, json};
 
 use super::discovery::Discovery;
 use super::names::slug;
 use super::outbox::Picture;
-use crate::flags::decision_flag_names;
+use crate::flags::{action_word, decision_flag_names, forecast_flag_names};
 use roomcast_services::config::BridgeConfig;
 
 /// Robots that are told of; of more, the one that decided longest ago gives way.
@@ -126,7 +126,8 @@ impl Known {
             let before_ns = scores.computed_ns.saturating_sub(scores.observed_ns);
             scores.computed_unix_ns.saturating_sub(before_ns) / 1_000_000_000
         });
-        let mut health = json!({ "daemon": alive, "narrated_unix_s": narrated });
+        let flags = self.forecast.as_ref().map(|forecast| forecast_flag_names(forecast.flags));
+        let mut health = json!({ "daemon": alive, "narrated_unix_s": narrated, "forecast": flags });
         if let (Some(status), Some(health)) = (&self.status, health.as_object_mut()) {
             let more = json!({
                 "version": status.version(),
@@ -251,11 +252,7 @@ fn person_message(all: &PersonForecastsV1, person: &PersonForecastV1, config: &B
 }
 
 fn decision_message(decision: &DecisionV1, robot: &str) -> Value {
-    let action = match decision.action {
-        action::GO => "go",
-        action::PAUSE => "pause",
-        _ => "stay",
-    };
+    let action = action_word(decision.action);
     let flags = decision_flag_names(decision.flags);
     let place = |id: &str| (!id.is_empty()).then(|| id.to_owned());
     json!({

@@ -87,6 +87,16 @@ fn what_is_not_known_is_null_and_nobody_home_is_false() {
 }
 
 #[test]
+fn health_says_what_the_forecast_lacks() {
+    let scores = scores(&["kitchen"]);
+    let mut known = Known::default();
+    known.take_scores(&scores);
+    assert_eq!(message(&draw(&mut known), "roomcast/health")["forecast"], Value::Null);
+    known.take_forecast(&ForecastV1 { flags: forecast_flags::RESIDENT_UNKNOWN, ..forecast(&scores, &[[0.5; 3]]) });
+    assert_eq!(message(&draw(&mut known), "roomcast/health")["forecast"], json!(["resident-unknown"]));
+}
+
+#[test]
 fn somebody_soon_has_hysteresis() {
     let scores = scores(&["kitchen"]);
     let mut known = known(&["kitchen"], &[[0.0; 3]], &[]);

@@ -1,19 +1,21 @@
 //! `roomcast report`: what a robot says of itself, to its planner.
 
 use std::io::{self, BufRead, Read};
-use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::{Duration, Instant};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use roomcast_core::grounding::{Partition, PartitionLevel, partitions};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::{IpcError, Node, Publisher, RobotReportV1, RoomScoresV1, RoomV1, Subscriber, clock, sequence};
 use strum::{EnumMessage, VariantArray};
 
 use super::{CommandResult, Failure, count, ranges, service};
 use crate::exit_code;
+use roomcast_services::config::Config;
 use roomcast_services::planner;
 use roomcast_services::reporter::{Kind, LINE_BYTES_MAX, Report, Reporter};
+use roomcast_services::setup;
 use roomcast_services::stop::Stop;
 
 /// A planner looks at its ports every 100 ms; after so long a running one has what was sent.
@@ -123,7 +125,7 @@ pub fn run(args: &Args) -> CommandResult {
     };
     let node = domain.open(&format!("roomcast-report {robot}")).map_err(ipc)?;
     let publisher = node.publisher::<RobotReportV1>().map_err(ipc)?;
-    let mut rooms = Rooms::open(&node, config.scene.path.as_deref()).map_err(ipc)?;
+    let mut rooms = Rooms::open(&node, &config).map_err(ipc)?;
     let (mut sent, mut refused) = (0, 0);
     match one {
         Some(message) => {
@@ -186,43 +188,101 @@ fn send_lines(
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
             }
         };
-        let said = line.and_then(|line| match line.trim() {
+        let mut complain = |error: String| {
+            eprintln!("roomcast: line {number}: {error}");
+            *refused += 1;
+        };
+        let mut message = |report: &Report| {
+            reporter.message(report, clock::monotonic_ns(), clock::unix_ns()).map_err(|e| e.to_string())
+        };
+        let report = line.and_then(|line| match line.trim() {
             "" => Ok(None),
-            line => {
-                let message = Report::parse(line)
-                    .and_then(|report| reporter.message(&report, clock::monotonic_ns(), clock::unix_ns()));
-                let message = message.map_err(|error| error.to_string());
-                message.and_then(|message| rooms.check(message.room()).map(|()| Some(message)))
-            }
+            line => Report::parse(line).map_err(|error| error.to_string()).map(Some),
         });
+        // What is malformed is said of the whole line, whatever room it names.
+        let said = report.and_then(|report| report.map(|report| Ok((message(&report)?, report))).transpose());
         match said {
             Ok(None) => {}
-            Ok(Some(message)) => {
-                publisher.send(&message).map_err(ipc)?;
-                *sent += 1;
+            Ok(Some((whole, report))) => {
+                let mut messages = vec![whole];
+                if let Err(error) = rooms.check(whole.room()) {
+                    messages.clear();
+                    // Where the robot is, and its battery, do not hang on the room's name.
+                    for report in without_room(&report) {
+                        messages.extend(message(&report).map_err(&mut complain));
+                    }
+                    if is_work(report.kind) || messages.is_empty() {
+                        complain(error);
+                    }
+                }
+                for message in messages {
+                    publisher.send(&message).map_err(ipc)?;
+                    *sent += 1;
+                }
             }
-            Err(error) => {
-                eprintln!("roomcast: line {number}: {error}");
-                *refused += 1;
-            }
+            Err(error) => complain(error),
         }
     }
     Ok(())
+}
+
+/// Whether a report says what became of work in a room.
+fn is_work(kind: Kind) -> bool {
+    match kind {
+        Kind::Started | Kind::Finished | Kind::Failed | Kind::Blocked | Kind::Cancelled => true,
+        Kind::Position | Kind::Docked | Kind::Battery => false,
+    }
+}
+
+/// What is left of a report that names a room which is none: that the robot is docked, its position, its battery.
+fn without_room(report: &Report) -> Vec<Report> {
+    let Report { kind, battery, position, .. } = *report;
+    let placed = |kind| Report { battery, position, note: report.note.clone(), ..Report::new(kind) };
+    if kind == Kind::Docked {
+        vec![placed(kind)]
+    } else if position.is_some() {
+        vec![placed(Kind::Position)]
+    } else if battery.is_some() {
+        vec![placed(Kind::Battery)]
+    } else {
+        Vec::new()
+    }
 }
 
 /// The rooms that a planner can know, where a daemon says which there are.
 struct Rooms {
     scores: Subscriber<RoomScoresV1>,
     newest: Option<RoomScoresV1>,
-    /// The scene, whose names of rooms mean ids.
-    map: Option<SemanticMap>,
+    /// The scene, as the planner has it, whose names mean rooms.
+    names: Option<Names>,
+}
+
+/// A scene and the rooms that are scored in it.
+struct Names {
+    map: SemanticMap,
+    partitions: Vec<Partition>,
+}
+
+impl Names {
+    fn new(map: SemanticMap, level: PartitionLevel) -> Self {
+        let partitions = partitions(&map, level);
+        Self { map, partitions }
+    }
+
+    /// The id of the room that a name means: of several in one room, none.
+    fn id(&self, name: &str) -> Option<&str> {
+        let room = self.map.find_room(name)?;
+        let mut within = self.partitions.iter().filter(|partition| partition.rooms.contains(&room));
+        within.next().filter(|_| within.next().is_none()).map(|only| only.id.as_str())
+    }
 }
 
 impl Rooms {
-    fn open(node: &Node, scene: Option<&Path>) -> Result<Self, IpcError> {
+    fn open(node: &Node, config: &Config) -> Result<Self, IpcError> {
         // What is wrong with the scene is for the planner and the daemon to say.
-        let map = scene.and_then(|path| SemanticMap::load(path).ok());
-        Ok(Self { scores: node.subscriber()?, newest: None, map })
+        let map = setup::load_map(config.scene.path.as_deref()).ok();
+        let names = map.map(|map| Names::new(map, config.grounding.level));
+        Ok(Self { scores: node.subscriber()?, newest: None, names })
     }
 
     /// Refuses a room that neither the daemon nor the scene has. Without a daemon nobody can tell.
@@ -235,8 +295,9 @@ impl Rooms {
         }
         self.newest = self.scores.newest().map_err(|error| error.to_string())?.or(self.newest);
         let Some(scores) = &self.newest else { return Ok(()) };
-        let is_named = || self.map.as_ref().is_some_and(|map| map.find_room(room).is_some());
-        if scores.rooms().iter().any(|own| own.id() == room) || is_named() {
+        let has = |id: &str| scores.rooms().iter().any(|own| own.id() == id);
+        let is_named = || self.names.as_ref().and_then(|names| names.id(room)).is_some_and(has);
+        if has(room) || is_named() {
             return Ok(());
         }
         let known = scores.rooms().iter().map(RoomV1::id).collect::<Vec<_>>().join(", ");
@@ -318,6 +379,29 @@ fn wait(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rooms_are_named_as_in_the_planners_map() {
+        for scene in [None, Some("studio")] {
+            let map = setup::load_map(scene.map(std::path::Path::new)).unwrap();
+            let (id, label) = (map.rooms()[0].id.clone(), map.rooms()[0].label.to_uppercase());
+            let names = Names::new(map, PartitionLevel::default());
+            assert_eq!((names.id(&label), names.id("nowhere")), (Some(id.as_str()), None), "{scene:?}");
+        }
+    }
+
+    #[test]
+    fn a_report_of_a_room_that_is_none_keeps_where_the_robot_is_and_its_battery() {
+        let kept = |line: &str| {
+            let left = without_room(&Report::parse(line).unwrap());
+            left.iter().map(|report| (report.kind, report.battery, report.position.is_some())).collect::<Vec<_>>()
+        };
+        assert_eq!(kept(r#"{"report": "finished", "room": "x"}"#), []);
+        assert_eq!(kept(r#"{"report": "finished", "room": "x", "battery": 0.5}"#), [(Kind::Battery, Some(0.5), false)]);
+        let both = r#"{"report": "started", "room": "x", "battery": 0.5, "position": [1, 2, 0]}"#;
+        assert_eq!(kept(both), [(Kind::Position, Some(0.5), true)]);
+        assert_eq!(kept(r#"{"report": "docked", "room": "x"}"#), [(Kind::Docked, None, false)]);
+    }
 
     #[test]
     fn a_position_is_three_numbers() {

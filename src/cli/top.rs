@@ -6,13 +6,13 @@ use std::time::{Duration, Instant};
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
-    PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, clock,
+    PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, clock, sequence,
 };
 use serde_json::{Value, json};
 
 use super::{CommandResult, Failure, ranges, service};
 use crate::exit_code;
-use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
+use crate::flags::{action_word, decision_flag_names, forecast_flag_names, score_flag_names};
 use crate::top::{POINT_NS, View, set_places};
 use roomcast_services::daemon::{flag_words, presence_word};
 use roomcast_services::stop::Stop;
@@ -47,9 +47,9 @@ const FRAME: Duration = Duration::from_millis(100);
 /// When a service cannot be opened, or the terminal fails.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
-    let (_, domain) = args.service.load()?;
+    let (config, domain) = args.service.load()?;
     if args.json || !std::io::stdout().is_terminal() {
-        return lines(&domain, &stop, args.snapshots);
+        return lines(&domain, &stop, args.snapshots, config.planner.robot);
     }
     let mut terminal = ratatui::try_init().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
     let shown = screen(&domain, &stop, args.snapshots, &mut terminal);
@@ -68,6 +68,7 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
     let narration = node.subscriber::<NarrationV1>().map_err(ipc)?;
     let persons = node.subscriber::<PersonScoresV1>().map_err(ipc)?;
     let forecasts = node.subscriber::<PersonForecastsV1>().map_err(ipc)?;
+    let forecast = node.subscriber::<ForecastV1>().map_err(ipc)?;
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
     let items = node.item_scores_subscriber().map_err(ipc)?;
     let status = node.status_client().map_err(ipc)?;
@@ -97,6 +98,9 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
             }
             if let Some(message) = forecasts.newest().map_err(ipc)? {
                 view.forecasts(&message);
+            }
+            if let Some(message) = forecast.newest().map_err(ipc)? {
+                view.forecast_flags(message.flags);
             }
             if let Some(message) = persons.newest().map_err(ipc)? {
                 view.persons(&message);
@@ -147,10 +151,10 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
 /// One line of JSON per snapshot, heartbeats left out.
 ///
 /// Whoever wants some snapshots gets an error where there is no daemon; whoever follows it for good is told, and waits.
-fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>) -> CommandResult {
+fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>, robot: String) -> CommandResult {
     let node = domain.open("roomcast-top").map_err(ipc)?;
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
-    let mut others = Others::open(&node).map_err(ipc)?;
+    let mut others = Others::open(&node, robot).map_err(ipc)?;
     let mut taken = None::<RoomScoresV1>;
     let mut count = 0;
     let mut silent_from = Some(Instant::now());
@@ -196,7 +200,7 @@ fn print_line(snapshot: &RoomScoresV1, others: &mut Others) -> CommandResult {
         "timing_ns": {"wait": snapshot.wait_ns, "tokenise": snapshot.tokenise_ns, "prefix": snapshot.prefix_ns,
             "trie": snapshot.trie_ns, "ground": snapshot.ground_ns},
     });
-    for (key, value) in others.since_the_last_line((snapshot.epoch, snapshot.sequence)) {
+    for (key, value) in others.since_the_last_line(snapshot) {
         line[key] = value;
     }
     super::print(&format!("{line}\n"))
@@ -215,11 +219,13 @@ struct Others {
     forecast: Option<ForecastV1>,
     forecasts: Option<PersonForecastsV1>,
     narration: Vec<Value>,
-    decisions: Vec<Value>,
+    decisions: Vec<DecisionV1>,
+    /// The configured robot, whose number decisions bear.
+    robot: String,
 }
 
 impl Others {
-    fn open(node: &Node) -> Result<Self, roomcast_ipc::IpcError> {
+    fn open(node: &Node, robot: String) -> Result<Self, roomcast_ipc::IpcError> {
         Ok(Self {
             ports: (node.subscriber()?, node.subscriber()?, node.subscriber()?, node.subscriber()?, node.subscriber()?),
             persons: None,
@@ -227,6 +233,7 @@ impl Others {
             forecasts: None,
             narration: Vec::new(),
             decisions: Vec::new(),
+            robot,
         })
     }
 
@@ -239,14 +246,17 @@ impl Others {
             self.narration.extend(received.iter().map(narration_json));
         }
         while let Some(received) = decisions.receive()? {
-            self.decisions.extend(received.iter().map(decision_json));
+            self.decisions.extend(received.iter());
         }
         Ok(())
     }
 
     /// Persons and forecasts that go with the scores of this epoch and sequence (they come before them; whoever has just joined may lack the
     /// first ones), and the narration and the decisions that came since the last line.
-    fn since_the_last_line(&mut self, of: (u64, u64)) -> [(&'static str, Value); 5] {
+    fn since_the_last_line(&mut self, scores: &RoomScoresV1) -> [(&'static str, Value); 5] {
+        let of = (scores.epoch, scores.sequence);
+        let decisions = std::mem::take(&mut self.decisions);
+        let decisions: Vec<_> = decisions.iter().map(|told| decision_json(told, scores, &self.robot)).collect();
         let persons = self.persons.as_ref().filter(|told| (told.epoch, told.sequence) == of);
         let forecast = self.forecast.as_ref().filter(|told| (told.epoch, told.sequence) == of);
         let forecasts = self.forecasts.as_ref().filter(|told| (told.epoch, told.sequence) == of);
@@ -255,7 +265,7 @@ impl Others {
             ("forecast", forecast.map_or(Value::Null, forecast_json)),
             ("person_forecasts", forecasts.map_or(Value::Null, forecasts_json)),
             ("narration", std::mem::take(&mut self.narration).into()),
-            ("decisions", std::mem::take(&mut self.decisions).into()),
+            ("decisions", decisions.into()),
         ]
     }
 }
@@ -314,10 +324,41 @@ fn narration_json(told: &NarrationV1) -> Value {
     })
 }
 
-fn decision_json(told: &DecisionV1) -> Value {
+/// A decision beside the scores of its daemon: `robot` is the name of the configured robot, the only one that is known by name.
+fn decision_json(told: &DecisionV1, scores: &RoomScoresV1, robot: &str) -> Value {
+    let name = (sequence::source_of_name(robot) == told.robot).then_some(robot);
+    let rooms = (told.scores_epoch == scores.epoch).then(|| scores.rooms().iter().take(64).enumerate());
+    let covered = rooms.map(|rooms| {
+        rooms.filter(|(room, _)| told.covered >> room & 1 == 1).map(|(_, room)| room.id()).collect::<Vec<_>>()
+    });
     json!({
+        "robot_name": name, "action_name": action_word(told.action), "covered": covered,
         "robot": format!("{:016x}", told.robot), "sequence": told.sequence, "action": told.action, "from": told.from(),
         "to": told.to(), "probability": told.probability, "policy": told.policy(), "reason": told.reason(),
         "cancels": told.cancels, "flags": decision_flag_names(told.flags), "decided_ns": told.decided_ns,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_ipc::{action, text};
+
+    use super::*;
+
+    #[test]
+    fn a_decision_is_told_by_names_beside_its_numbers() {
+        let mut scores = RoomScoresV1 { epoch: 5, room_count: 3, ..Default::default() };
+        for (room, id) in scores.room.iter_mut().zip(["hall", "kitchen", "office"]) {
+            room.id = text::encode("id", id).unwrap();
+        }
+        let robot = sequence::source_of_name("dusty");
+        let told = DecisionV1 { robot, action: action::PAUSE, covered: 0b101, scores_epoch: 5, ..Default::default() };
+        let line = decision_json(&told, &scores, "dusty");
+        assert_eq!((&line["robot_name"], &line["action_name"]), (&json!("dusty"), &json!("pause")));
+        assert_eq!((&line["covered"], &line["action"]), (&json!(["hall", "office"]), &json!(action::PAUSE)));
+        assert_eq!(line["robot"], json!(format!("{robot:016x}")));
+        // Of another robot, and of another daemon's rooms, the names are not known.
+        let other = decision_json(&DecisionV1 { scores_epoch: 6, ..told }, &scores, "rusty");
+        assert_eq!((&other["robot_name"], &other["covered"]), (&Value::Null, &Value::Null));
+    }
 }

@@ -21,6 +21,10 @@ pub const WEIGHT_DEFAULT_STAY: f64 = 0.3;
 /// works at no cost.
 pub(crate) const FREE_SHARE: f64 = 0.005;
 
+/// A room in which somebody is during a slot with at most this probability counts as empty: no forecast of a home with people in it says 0 of
+/// any room, and time makes it less certain.
+pub const EMPTY_SHARE: f64 = 0.05;
+
 /// Differences of less than this many seconds are rounding.
 const TIE_S: f64 = 1e-6;
 
@@ -31,8 +35,8 @@ const WEIGHT_MAX_S: f64 = 1e9;
 /// every decision.
 ///
 /// The plan minimises the expected time shared with the person plus `weight_s` for each room that stays undone. Work is never
-/// put off for a gain of less than half a percent of a slot, so while a room to do is free, the robot works. Without a forecast
-/// or a horizon it does as [`UncoveredFirst`].
+/// put off for a gain of less than half a percent of a slot, nor, with the default weight, while a room to do counts as empty
+/// ([`EMPTY_SHARE`]). Without a forecast or a horizon it does as [`UncoveredFirst`].
 #[derive(Debug, Clone, Copy)]
 pub struct CoverageAware {
     weight_s: Option<f64>,
@@ -52,6 +56,11 @@ impl CoverageAware {
     #[must_use]
     pub fn clairvoyant() -> Self {
         Self { weight_s: Some(WEIGHT_MAX_S), free_share: 0.0 }
+    }
+
+    /// Up to how many seconds of a stay shared a room counts as empty. Whoever gives a weight has it weighed.
+    fn empty_s(self, state: &RobotState<'_>) -> f64 {
+        if self.weight_s.is_none() { EMPTY_SHARE * state.room_time_s } else { 0.0 }
     }
 
     fn weight_s(self, state: &RobotState<'_>) -> f64 {
@@ -75,7 +84,8 @@ impl Policy for CoverageAware {
         let slots = state.expected_shared_s.chunks(scores.len());
         let shared_s: Vec<f64> = slots.flat_map(|slot| open.iter().map(|p| slot[*p])).collect();
         let covered: Vec<bool> = open.iter().map(|p| state.covered[*p]).collect();
-        let Some(plan) = plan(&shared_s, &covered, weight_s, self.free_share * state.room_time_s) else {
+        let free = Free { tie_s: self.free_share * state.room_time_s, empty_s: self.empty_s(state) };
+        let Some(plan) = plan_free(&shared_s, &covered, weight_s, free) else {
             return UncoveredFirst.choose(state, scores, rng);
         };
         let first = plan.partitions.first().copied().ok_or(PolicyError::NoPartitions)?;
@@ -125,6 +135,20 @@ pub struct Plan {
 /// over staying in the slot's cheapest room is placed first. `None` when there is no slot or no partition.
 #[must_use]
 pub fn plan(shared_s: &[f64], covered: &[bool], weight_s: f64, tie_s: f64) -> Option<Plan> {
+    plan_free(shared_s, covered, weight_s, Free { tie_s, empty_s: 0.0 })
+}
+
+/// What work in the first slot counts as free.
+#[derive(Debug, Clone, Copy)]
+struct Free {
+    /// Where the plan costs at most so much more.
+    tie_s: f64,
+    /// Where it costs at most so much itself, and the robot would wait.
+    empty_s: f64,
+}
+
+/// As [`plan`], where a room to do that counts as empty in the first slot is done rather than waited for.
+fn plan_free(shared_s: &[f64], covered: &[bool], weight_s: f64, free: Free) -> Option<Plan> {
     let partitions = covered.len();
     let slots = shared_s.len().checked_div(partitions)?;
     if slots == 0 {
@@ -143,7 +167,8 @@ pub fn plan(shared_s: &[f64], covered: &[bool], weight_s: f64, tie_s: f64) -> Op
         cheapest: &cheapest,
         to_do: &to_do,
         weight_s: weight_s.min(WEIGHT_MAX_S),
-        tie_s: tie_s.max(TIE_S),
+        tie_s: free.tie_s.max(TIE_S),
+        empty_s: free.empty_s,
     };
     let rooms = if to_do.len() <= DP_PARTITIONS_MAX { task.dynamic_program() } else { task.by_regret() };
     let total = rooms.iter().enumerate().map(|(slot, p)| task.cost(slot, *p)).sum();
@@ -160,6 +185,7 @@ struct Task<'a> {
     to_do: &'a [usize],
     weight_s: f64,
     tie_s: f64,
+    empty_s: f64,
 }
 
 impl Task<'_> {
@@ -170,6 +196,11 @@ impl Task<'_> {
     /// What a room costs over the slot's cheapest.
     fn extra(&self, slot: usize, partition: usize) -> f64 {
         self.cost(slot, partition) - self.cost(slot, self.cheapest[slot])
+    }
+
+    /// Whether a room counts as empty in the first slot.
+    fn is_empty(&self, partition: usize) -> bool {
+        self.empty_s > 0.0 && self.cost(0, partition) <= self.empty_s
     }
 
     fn dynamic_program(&self) -> Vec<usize> {
@@ -193,7 +224,10 @@ impl Task<'_> {
         let equal =
             self.works(0, set, &after).filter(|(value, _)| *value <= least + TIE_S).map(|(_, partition)| partition);
         let now = equal.min_by(|a, b| self.cost(0, *a).total_cmp(&self.cost(0, *b)));
-        choices[set] = now.unwrap_or(choice) as u32;
+        let empty = self.works(0, set, &after).filter(|(_, partition)| self.is_empty(*partition));
+        let empty = empty.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, partition)| partition);
+        let waits = !self.to_do.contains(&choice);
+        choices[set] = now.or(empty.filter(|_| waits)).unwrap_or(choice) as u32;
         (0..slots)
             .map(|slot| {
                 let partition = choices[slot * sets + set] as usize;
@@ -239,7 +273,7 @@ impl Task<'_> {
         }
         if free.first() == Some(&true) {
             let more = |p: usize| self.extra(0, p) - slot_of[p].map_or(self.weight_s, |slot| self.extra(slot, p));
-            let as_good = self.to_do.iter().copied().filter(|p| more(*p) <= self.tie_s);
+            let as_good = self.to_do.iter().copied().filter(|p| more(*p) <= self.tie_s || self.is_empty(*p));
             if let Some(now) = as_good.min_by(|a, b| self.cost(0, *a).total_cmp(&self.cost(0, *b))) {
                 slot_of[now] = Some(0);
             }
@@ -351,6 +385,7 @@ mod tests {
                 .map(|c| (0..6).min_by(|a, b| c[*a].total_cmp(&c[*b])).unwrap()).collect();
             let task = Task {
                 shared_s: &shared_s, partitions: 6, cheapest: &cheapest, to_do: &[0, 1, 2, 3, 4, 5], weight_s: 1e9, tie_s: TIE_S,
+                empty_s: 0.0,
             };
             let rooms = task.by_regret();
             prop_assert!((0..6).all(|p| rooms.contains(&p)));
@@ -364,8 +399,15 @@ mod tests {
         assert_eq!(plan(&[1.0; 6], &[true, false], 100.0, 0.0).unwrap().partitions[0], 1);
         // A little is gained by waiting: a chance to meet the person that rounds to 0 %.
         let later = [0.0, 2.0, 0.0, 0.0, 0.0, 0.0];
-        assert_eq!(choose(&[true, false], &later, 600.0, None).partition.0, 1);
-        assert_eq!(choose(&[true, false], &later, 60.0, None).partition.0, 0);
+        let dear = Some(WEIGHT_DEFAULT_S);
+        assert_eq!(choose(&[true, false], &later, 600.0, dear).partition.0, 1);
+        assert_eq!(choose(&[true, false], &later, 60.0, dear).partition.0, 0);
+        // By default a room that is likely empty is done now: 3 % of a minute, not 6 %.
+        assert_eq!(choose(&[true, false], &later, 60.0, None).partition.0, 1);
+        assert_eq!(choose(&[true, false], &later, 33.0, None).partition.0, 0);
+        let large: Vec<f64> = (0..20 * 30).map(|index| if index == 19 { 2.0 } else { 0.0 }).collect();
+        let covered: Vec<bool> = (0..20).map(|room| room < 19).collect();
+        assert_eq!([60.0, 33.0].map(|stay_s| choose(&covered, &large, stay_s, None).partition.0), [19, 0]);
     }
 
     #[test]

@@ -8,7 +8,7 @@ pub const REASON_TEXT_BYTES: usize = 256;
 
 /// Values of [`DecisionV1::action`].
 pub mod action {
-    /// The robot stays where it is.
+    /// Nothing is to be done: the robot waits in `to`, which may be another room than its own, or where it is if `to` is empty.
     pub const STAY: u32 = 0;
     /// The robot goes to `to` and works there.
     pub const GO: u32 = 1;

@@ -326,13 +326,13 @@ impl Planner {
                 let room = self.better_stay(idle, room, &outlook).unwrap_or(room);
                 let likely = outlook.over_stay(room, self.stay_s()).filter(|_| self.plans());
                 let likely = likely.or_else(|| outlook.likely.get(room).copied());
-                let stays = idle && self.robot.room == Some(room);
                 let decision = self.go(room, self.round.stay_ns, &format!("{ended}{reason}"), now_ns, now_unix_ns);
                 let likely_now = here.as_ref().and_then(|here| here.get(room).copied());
                 self.send_to(room, idle, likely_now, now_ns, decision.sequence);
                 Ok(Some(DecisionV1 {
                     probability: likely.unwrap_or_default().clamp(0.0, 1.0),
-                    action: if stays { action::STAY } else { action::GO },
+                    // Where nothing is to be done, only the place is said.
+                    action: if idle { action::STAY } else { action::GO },
                     flags: decision.flags | flags | forced | outlook.flags,
                     ..decision
                 }))
@@ -437,6 +437,7 @@ impl Planner {
             let known = match outlook.flags {
                 decision_flags::NOT_KNOWN => "nothing is known of anybody, so every room counts alike: ",
                 decision_flags::NOBODY_HOME => "nobody is home: ",
+                _ if outlook.misses_resident => "somebody who lives here was not observed yet: ",
                 _ => "",
             };
             let left = self.why_left(&left);

@@ -81,6 +81,8 @@ pub(super) struct Outlook {
     pub(super) shared_s: Vec<f64>,
     /// Those of [`decision_flags`] that say what is known of persons.
     pub(super) flags: u32,
+    /// Somebody who lives here is in none of the probabilities.
+    pub(super) misses_resident: bool,
 }
 
 impl Outlook {
@@ -95,7 +97,8 @@ impl Outlook {
             // What the model says about an unknown past is about no person of this home: every room counts alike.
             let alike = 1.0 / rooms.max(1) as f64;
             let shared_s = vec![alike * stay_s; if forecast.is_some() { slots * rooms } else { 0 }];
-            return Self { likely: vec![alike; rooms], shared_s, flags: decision_flags::NOT_KNOWN };
+            let flags = decision_flags::NOT_KNOWN;
+            return Self { likely: vec![alike; rooms], shared_s, flags, misses_resident: false };
         }
         let likely = scores.rooms().iter().map(|room| room.probability).collect();
         let shared_s = forecast.map(|forecast| {
@@ -103,7 +106,8 @@ impl Outlook {
             places.map(|(slot, room)| stay_s * forecast.likely(room, (slot as f64 + 0.5) * stay_s)).collect()
         });
         let flags = if nobody_home { decision_flags::NOBODY_HOME } else { 0 };
-        Self { likely, shared_s: shared_s.unwrap_or_default(), flags }
+        let misses_resident = forecast.is_some_and(|forecast| forecast.message.has(forecast_flags::RESIDENT_UNKNOWN));
+        Self { likely, shared_s: shared_s.unwrap_or_default(), flags, misses_resident }
     }
 
     /// How likely somebody is in a room during a stay that begins now, as far as a forecast says.

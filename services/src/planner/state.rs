@@ -112,7 +112,8 @@ impl Planner {
         });
         self.asks_again = robot.work.is_some();
         robot.reports_work = kept.reports_work;
-        robot.heard_ns = kept.heard_ns;
+        // An older version kept no time: a robot that charges counts as heard when its round was taken up.
+        robot.heard_ns = kept.heard_ns.or(kept.charges.then_some(scores.published_ns));
         (robot.battery, robot.charges) = (kept.battery, kept.charges && kept.battery.is_some());
     }
 
@@ -166,7 +167,8 @@ impl RoundFile {
                 && work.ends_ns <= now_ns.saturating_add(LONGEST_NS)
         };
         let in_order = kept.work.as_ref().is_none_or(is_sane);
-        (kept.boot == self.boot && past && in_order).then_some(kept)
+        let is_share = kept.battery.is_none_or(|battery| (0.0..=1.0).contains(&battery));
+        (kept.boot == self.boot && past && in_order && is_share).then_some(kept)
     }
 
     /// Keeps a round if it has changed; the old file stays whole until the new one is. A directory that cannot be written costs the
@@ -214,6 +216,10 @@ mod tests {
         for damaged in ["", "{", "[]", r#"{"boot": 1}"#] {
             std::fs::write(&file.path, damaged).unwrap();
             assert_eq!(file.load(), None, "{damaged}");
+        }
+        for battery in [-0.1, 1.1, 1e300] {
+            file.write(&KeptRound { battery: Some(battery), ..planner.kept(&file.boot).unwrap() }).unwrap();
+            assert_eq!(file.load(), None, "{battery}");
         }
         let left = std::fs::read_dir(directory.path()).unwrap().count();
         assert_eq!(left, 1, "no half-written files");

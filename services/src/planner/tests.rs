@@ -932,6 +932,90 @@ fn work_after_the_last_round_is_interrupted_too() {
     assert_eq!(home.look(121), None);
 }
 
+/// A file of an older version says that the robot charges, and not when it was heard: its time to charge begins with the restart.
+#[test]
+fn a_robot_that_charges_is_kept_in_by_an_older_round_too() {
+    let config = PlannerConfig::default();
+    let mut home = Home::new(2, &config);
+    let first = home.decision(50_000);
+    home.answer(50_001, report_kind::BLOCKED, &first);
+    home.report(50_002, report_kind::BATTERY, |report| {
+        (report.battery, report.flags) = (0.05, report.flags | report_flags::HAS_BATTERY);
+    });
+    home.report(50_003, report_kind::DOCKED, |_| ());
+    assert_eq!(home.decision(50_003).action, action::PAUSE);
+    let mut kept = serde_json::to_value(home.planner.kept("boot").unwrap()).unwrap();
+    kept.as_object_mut().unwrap().remove("heard_ns").unwrap();
+    home.planner = Planner::new(&config, 2).with_kept(serde_json::from_value(kept).unwrap());
+    assert_eq!(home.decision(50_100).action, action::PAUSE);
+    assert_eq!(home.look(50_100 + 14_399), None);
+    let out = home.decision(50_100 + 14_400);
+    assert!(out.action == action::GO && out.has(decision_flags::ROBOT_SILENT), "{}", out.reason());
+}
+
+/// Where nothing is to be done no robot is sent to work, also when it is to wait in another room.
+#[test]
+fn a_room_to_wait_in_is_no_room_to_work_in() {
+    let mut home = Home::new(3, &PlannerConfig::default());
+    let (first, second) = (home.decision(1), home.decision(101));
+    assert_eq!((first.to(), second.to()), ("room-0", "room-1"));
+    // Somebody comes into the robot's room and is likely in the other that is to do: it waits where it was before.
+    home.likely = vec![0.0, 0.9, 0.9];
+    home.look(110);
+    let waits = home.decision(112);
+    assert_eq!((waits.from(), waits.to(), waits.covered), ("room-1", "room-0", 0b001));
+    assert_eq!((waits.action, waits.cancels), (action::STAY, second.sequence), "{}", waits.reason());
+    assert!(waits.reason().contains("waits in a room that is done"), "{}", waits.reason());
+    // Work follows where it can be done.
+    home.likely = vec![0.0, 0.9, 0.0];
+    assert_eq!((home.decision(120).action, home.planner.room()), (action::GO, Some(2)));
+}
+
+/// One person is on the sofa; no other room is ever quite empty by the forecast. What is likely empty is done, one room after the other.
+#[test]
+fn rooms_that_are_likely_empty_are_done_without_waiting() {
+    for (likely_later, works) in [(0.002, true), (0.06, true)] {
+        let mut planner = Planner::new(&PlannerConfig { reports: Reports::Always, ..Default::default() }, 1);
+        // The living room, and seven others of which the last becomes emptier by and by.
+        let now = [0.92, 0.004, 0.006, 0.008, 0.01, 0.012, 0.015, 0.025];
+        let mut reports = 0;
+        for stay in 0..7 {
+            let now_ns = (1 + 300 * stay) * S;
+            let scores = scores(stay + 1, now_ns, &now.map(f64::from));
+            planner.take(&scores);
+            let mut curves = now.map(|p: f32| [p, p]);
+            curves[7][1] = likely_later;
+            let mut told = forecast(&scores, &curves);
+            told.horizon_s[1] = 3600.0;
+            planner.take_forecast(&told);
+            let decision = planner.decide(now_ns, 0).unwrap().unwrap();
+            assert_eq!(decision.action == action::GO, works, "stay {stay}: {}", decision.reason());
+            assert!(decision.to() != "room-0" && decision.covered.count_ones() as u64 == stay, "{}", decision.reason());
+            reports += 1;
+            let report = RobotReportV1 {
+                robot: sequence::source_of_name("robot"),
+                epoch: 77,
+                sequence: reports,
+                reported_ns: now_ns + 290 * S,
+                kind: report_kind::FINISHED,
+                decision_epoch: decision.epoch,
+                decision_sequence: decision.sequence,
+                ..Default::default()
+            };
+            planner.take_report(&report, now_ns + 290 * S).unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_resident_who_was_never_observed_is_in_the_reason() {
+    let mut home = Home::new(2, &PlannerConfig::default());
+    home.flags = forecast_flags::RESIDENT_UNKNOWN;
+    let decision = home.decision(1);
+    let said = "somebody who lives here was not observed yet: ";
+    assert!(decision.reason().starts_with(said) && decision.action == action::GO, "{}", decision.reason());
+}
+
 /// A report that came while no planner listened is asked for, not waited for.
 #[test]
 fn a_restarted_planner_asks_for_the_report_that_is_owed() {

@@ -151,6 +151,8 @@ impl Driver {
             action::GO if !self.is_covered(decision) => self.go(decision, now_ns, &mut acts),
             // A room that is done, to wait in: this robot waits at its dock.
             action::GO | action::PAUSE => self.stop_work(now_ns, &mut acts),
+            // To wait in another room: its work is over.
+            _ if !decision.to().is_empty() && decision.to() != decision.from() => self.stop_work(now_ns, &mut acts),
             // To stay where it is, with nothing to do.
             _ => {}
         }

@@ -79,7 +79,7 @@ class ForecastFlags(enum.IntFlag):
 class Action(enum.IntEnum):
     """What a robot does."""
 
-    #: It stays where it is.
+    #: Nothing is to be done: it waits in `to_room`, which may be another room than its own, or where it is if that is empty.
     STAY = 0
     #: It goes to `to_room` and works there.
     GO = 1

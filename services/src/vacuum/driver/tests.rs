@@ -269,6 +269,25 @@ fn rooms_without_a_segment_are_blocked_and_rooms_that_are_done_are_not_cleaned_a
 }
 
 #[test]
+fn a_room_to_wait_in_is_not_cleaned_and_ends_work_elsewhere() {
+    let mut pair = Pair::new(&config(), 100.0);
+    pair.decide(&decision(1, action::STAY, "kitchen-3"));
+    pair.pass(10);
+    assert!(pair.robot.orders.is_empty() && pair.of_work().is_empty(), "{:?}", pair.robot.orders);
+    pair.decide(&decision(2, action::GO, "hall-2"));
+    pair.pass(10);
+    assert_eq!(pair.of_work(), [(Kind::Started, Some(2))]);
+    pair.decide(&decision(3, action::STAY, "kitchen-3"));
+    pair.pass(10);
+    assert!(pair.driver.wish.is_none());
+    assert!(
+        !pair.robot.orders.contains(&"clean 3".to_owned()) && pair.robot.orders.len() > 1,
+        "{:?}",
+        pair.robot.orders
+    );
+}
+
+#[test]
 fn a_dry_run_gives_orders_to_nobody_and_reports_nothing() {
     let mut driver = Driver::new(&RobotConfig { obey: false, ..config() }, 7);
     let segments = BTreeMap::from([("3".to_owned(), "Küche".to_owned())]);
