@@ -121,7 +121,7 @@
 // Most bytes of a decision's reason.
 #define ROOMCAST_REASON_TEXT_BYTES 256
 
-// Nothing is to be done: the robot waits in `to`, which may be another room than its own, or where it is if `to` is empty.
+// Nothing is to be done: the robot waits in to, which may be another room than its own, or where it is if to is empty.
 #define ROOMCAST_ACTION_STAY 0
 
 // The robot goes to to and works there.
