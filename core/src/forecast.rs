@@ -17,6 +17,8 @@
 //! probably go on sitting. Both are Lomax, `((m + age) / (m + age + t))^2` with mean `m` at age 0, the shape of an
 //! exponential whose rate is uncertain; `m` is learned from the intervals watched so far, over a prior worth a few of them. Silence ages what
 //! is known as much as narration does, but for the length of one action, which is observed only when complete.
+//! What is observed after a rest, of more than ten minutes with one thing, ends it: whoever turns to another thing then has turned to it at least
+//! as probably as somebody of whom nothing was known before. A rest is no interval to learn from.
 //!
 //! Beside the rooms there is one more place, elsewhere: the person is out of the house. Whoever has left is elsewhere for sure, and comes
 //! back by a survival function of the same shape, with the mean of the absences watched so far over a prior of hours; who has come back is
@@ -69,7 +71,7 @@ impl Default for ForecastOptions {
 
 /// Nobody takes so long for one action, in seconds: a longer interval is a rest, as a night is, and says nothing of how long the intervals
 /// between two rests are.
-const REST_S: f64 = 1800.0;
+const REST_S: f64 = 600.0;
 
 /// A mean that is learned over a prior.
 #[derive(Debug, Clone, Copy)]
@@ -175,8 +177,9 @@ impl Forecaster {
             let fits = if mention.is_left { 1.0 - share } else { share };
             p * (misplaced / rooms as f64 + (1.0 - misplaced) * fits)
         };
-        // Who turns to another thing, or leaves a room, has ended what they did before.
-        let turns = mentioned.is_some_and(|mention| mention.is_left || self.object != Some(mention.label));
+        // Who turns to another thing after a rest, or leaves a room, has ended what they did before.
+        let rested = at_s - self.object_since_s > REST_S;
+        let turns = rested && mentioned.is_some_and(|mention| mention.is_left || self.object != Some(mention.label));
         let same_at_most = if turns { self.newcomer(at_s) } else { 1.0 };
         self.update(at_s, same_at_most, mentioned.map(|mention| move |room: usize, p: f64| weigh(mention, room, p)));
         // What is left is not turned to.
