@@ -206,15 +206,18 @@ fn print_line(snapshot: &RoomScoresV1, others: &mut Others) -> CommandResult {
     super::print(&format!("{line}\n"))
 }
 
+/// The services that a line tells of beside the room scores.
+struct Ports {
+    persons: Subscriber<PersonScoresV1>,
+    forecast: Subscriber<ForecastV1>,
+    forecasts: Subscriber<PersonForecastsV1>,
+    narration: Subscriber<NarrationV1>,
+    decisions: Subscriber<DecisionV1>,
+}
+
 /// What a line tells beside the room scores: the newest of persons and forecasts, and what was narrated and decided since the last line.
 struct Others {
-    ports: (
-        Subscriber<PersonScoresV1>,
-        Subscriber<ForecastV1>,
-        Subscriber<PersonForecastsV1>,
-        Subscriber<NarrationV1>,
-        Subscriber<DecisionV1>,
-    ),
+    ports: Ports,
     persons: Option<PersonScoresV1>,
     forecast: Option<ForecastV1>,
     forecasts: Option<PersonForecastsV1>,
@@ -227,7 +230,13 @@ struct Others {
 impl Others {
     fn open(node: &Node, robot: String) -> Result<Self, roomcast_ipc::IpcError> {
         Ok(Self {
-            ports: (node.subscriber()?, node.subscriber()?, node.subscriber()?, node.subscriber()?, node.subscriber()?),
+            ports: Ports {
+                persons: node.subscriber()?,
+                forecast: node.subscriber()?,
+                forecasts: node.subscriber()?,
+                narration: node.subscriber()?,
+                decisions: node.subscriber()?,
+            },
             persons: None,
             forecast: None,
             forecasts: None,
@@ -238,7 +247,7 @@ impl Others {
     }
 
     fn receive(&mut self) -> Result<(), roomcast_ipc::IpcError> {
-        let (persons, forecast, forecasts, narration, decisions) = &self.ports;
+        let Ports { persons, forecast, forecasts, narration, decisions } = &self.ports;
         self.persons = persons.newest()?.or(self.persons);
         self.forecast = forecast.newest()?.or(self.forecast);
         self.forecasts = forecasts.newest()?.or(self.forecasts);

@@ -1413,8 +1413,8 @@ mod tests {
                 }
             }
             let (mut again, mut again_alone) = (home(), home());
-            again.restore(heard, Vec::new(), at_ns, 1_000_000 * S + at_ns);
-            again_alone.restore(heard_alone, Vec::new(), at_ns, 1_000_000 * S + at_ns);
+            again.restore(recovered(heard), at_ns, 1_000_000 * S + at_ns);
+            again_alone.restore(recovered(heard_alone), at_ns, 1_000_000 * S + at_ns);
             again.step([], at_ns, 1_000_000 * S + at_ns).unwrap();
             again_alone.step([], at_ns, 1_000_000 * S + at_ns).unwrap();
             for (with, without) in [(&mut with, &mut without), (&mut again, &mut again_alone)] {
@@ -1447,6 +1447,12 @@ mod tests {
             let read: Vec<_> = board.pipeline().read_sentences().map(|(_, said)| said.to_owned()).collect();
             assert_eq!(read.contains(&"They sit on the sofa.".to_owned()), is_heard, "{guard_s} {later_s}: {read:?}");
         }
+    }
+
+    fn recovered(observations: impl IntoIterator<Item = Observation>) -> Recovered {
+        let mut recovered = Recovered::default();
+        recovered.observations = observations.into_iter().collect();
+        recovered
     }
 
     /// Fails as often as it is told to.
@@ -1591,9 +1597,7 @@ mod tests {
                 if later_boot { Observation { observed_ns: 0, ..whole } } else { whole }
             });
             let (now_ns, now_unix_ns) = (if later_boot { 2 * S } else { 80 * S }, 1_000_080 * S);
-            let mut recovered = Recovered::default();
-            recovered.observations = kept.to_vec();
-            after.restore(recovered, now_ns, now_unix_ns);
+            after.restore(recovered(kept), now_ns, now_unix_ns);
             after.step([], now_ns, now_unix_ns).unwrap();
             let is = occupied(&mut after, 1, now_ns);
             assert!((was - is).abs() < 0.05, "{was} before, {is} after a restart");

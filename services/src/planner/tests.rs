@@ -978,7 +978,6 @@ fn rooms_that_are_likely_empty_are_done_without_waiting() {
         let mut planner = Planner::new(&PlannerConfig { reports: Reports::Always, ..Default::default() }, 1);
         // The living room, and seven others of which the last becomes emptier by and by.
         let now = [0.92, 0.004, 0.006, 0.008, 0.01, 0.012, 0.015, 0.025];
-        let mut reports = 0;
         for stay in 0..7 {
             let now_ns = (1 + 300 * stay) * S;
             let scores = scores(stay + 1, now_ns, &now.map(f64::from));
@@ -991,11 +990,10 @@ fn rooms_that_are_likely_empty_are_done_without_waiting() {
             let decision = planner.decide(now_ns, 0).unwrap().unwrap();
             assert_eq!(decision.action == action::GO, works, "stay {stay}: {}", decision.reason());
             assert!(decision.to() != "room-0" && decision.covered.count_ones() as u64 == stay, "{}", decision.reason());
-            reports += 1;
             let report = RobotReportV1 {
                 robot: sequence::source_of_name("robot"),
                 epoch: 77,
-                sequence: reports,
+                sequence: stay + 1,
                 reported_ns: now_ns + 290 * S,
                 kind: report_kind::FINISHED,
                 decision_epoch: decision.epoch,
