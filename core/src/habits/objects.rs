@@ -28,7 +28,7 @@ use super::frame::Frame;
 use super::key::{self, Kind, NONE, key, with_times};
 use super::mixture::FixedShare;
 use super::moment;
-use super::reliance::Reliance;
+use super::reliance::{ORDERS, Reliance};
 use super::together::Together;
 use super::whose::Whose;
 
@@ -57,9 +57,7 @@ pub(crate) const SHARE: f64 = 0.005;
 const BASE: [f64; 2] = [0.9, 0.1];
 
 /// Objects of the longest context.
-pub(crate) const LAST: usize = 5;
-/// Contexts of zero to [`LAST`] objects.
-pub(crate) const ORDERS: usize = LAST + 1;
+pub(crate) const LAST: usize = ORDERS - 1;
 const KINDS: [Kind; ORDERS] =
     [Kind::Object0, Kind::Object1, Kind::Object2, Kind::Object3, Kind::Object4, Kind::Object5];
 const DISCOUNT: f64 = 0.5;

@@ -10,8 +10,9 @@
 //! average, the step of expectation maximisation, one outcome at a time.
 
 use super::counts::Seen;
-use super::objects::ORDERS;
 
+/// Contexts have 0 to 5 things.
+pub(crate) const ORDERS: usize = 6;
 /// Numbers of observations below which they are told apart.
 const SEEN: [f64; 5] = [0.6, 1.5, 2.5, 5.0, 10.0];
 /// What an observation of each range counts for at the beginning.
