@@ -233,9 +233,11 @@ fn a_home_that_is_set_up_well_has_no_fault() {
         let state = if open { "on" } else { "off" };
         home.say(&[("homeassistant/binary_sensor/fridge_door/state".to_owned(), state.to_owned(), true)]);
         (_, findings) = home.doctor();
-        if finding(&findings, "daemon")["verdict"] == "good"
-            && findings.iter().any(|finding| finding["check"] == "rules that fit")
-        {
+        // The narrator writes its counts now and then.
+        let is_counted = |finding: &Value| {
+            finding["check"] == "rules that fit" && !text(finding, "found").contains("fridge_door/state is \"on\"")
+        };
+        if finding(&findings, "daemon")["verdict"] == "good" && findings.iter().any(is_counted) {
             break;
         }
     }
