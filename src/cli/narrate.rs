@@ -26,7 +26,7 @@ pub struct Args {
     #[arg(long, value_name = "PATH", conflicts_with = "speed")]
     fifo: Option<PathBuf>,
     /// Publish what an MQTT broker's devices say: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca; without a value, the
-    /// broker of the configuration's section [mqtt].
+    /// broker of the configuration's section `[mqtt]`.
     #[cfg(feature = "mqtt")]
     #[arg(long, value_name = "URL", conflicts_with_all = ["input", "fifo", "sensors", "speed"], num_args = 0..=1)]
     mqtt: Option<Option<String>>,

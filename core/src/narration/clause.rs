@@ -48,6 +48,7 @@ struct Words {
     addresses: Vec<String>,
     begun: Vec<String>,
     reports: Vec<String>,
+    greetings: Vec<String>,
     past: Vec<String>,
     no_verbs: Vec<String>,
     ended: Vec<String>,
@@ -311,7 +312,17 @@ pub(super) fn is_quoted(text: &str) -> bool {
 
 /// Whether words tell what somebody says, thinks or asks, or under which condition something holds.
 pub(super) fn is_reported(text: &str) -> bool {
-    text.contains(['"', '“', ':']) || text.split([' ', ',']).any(|word| has(&WORDS.reports, word))
+    let mut words = text.split([' ', ',']).peekable();
+    let mut is_report = || {
+        while let Some(word) = words.next() {
+            // Who says goodbye tells of nothing.
+            if has(&WORDS.reports, word) && !words.peek().is_some_and(|next| has(&WORDS.greetings, next)) {
+                return true;
+            }
+        }
+        false
+    };
+    text.contains(['"', '“', ':']) || is_report()
 }
 
 /// Whether a subject is somebody without a name: "a woman", "the old man".
