@@ -938,10 +938,10 @@ fn survives(household: bool) {
         println!("strangers: {strange:?}; known of as forged {dropped}, costly {costly}, limited {limited}");
         assert_eq!((forged, too_long), (0, 0), "in the journal: what was forged, what no window holds");
         let reached = [strange.sources, strange.persons, strange.floods, strange.renamed, strange.shared_windows];
-        assert!(
-            tally.cycles < 20 || (reached.iter().all(|count| *count > 0) && dropped > 0 && costly > 0),
-            "nothing happened"
-        );
+        // In a few seconds chance may leave out a kind, or kill the daemon that knows of it; in a long run none.
+        let is_all = reached.iter().all(|count| *count > 0) && dropped > 0 && costly > 0;
+        let is_some = reached.iter().any(|count| *count > 0) && dropped + costly > 0;
+        assert!(is_some && (is_all || tally.cycles < 200), "nothing happened");
         compared += strange.scores_again;
     }
     assert_eq!((lost, twice), (0, 0), "narrations lost, narrations taken twice");
