@@ -85,7 +85,7 @@ impl Tally {
             *sum = sum.saturating_add(*count);
         }
         // The narrator may be there before the daemon has made the directory.
-        let _made = self.path.parent().map(std::fs::create_dir_all);
+        let _made = self.path.parent().map(state_file::make_folder);
         let written = serde_json::to_vec(&counted).map_err(std::io::Error::other);
         if let Err(error) = written.and_then(|bytes| state_file::replace(&self.path, &bytes)) {
             tracing::warn!(path = %self.path.display(), %error, "how often rules fit cannot be kept");

@@ -1,8 +1,17 @@
 //! Small files in the state directory: read with a limit, replaced whole or not at all.
 
-use std::fs::File;
+use std::fs::{DirBuilder, File};
 use std::io::{self, Read, Write};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
+
+/// Makes a folder for what is kept, and those above it, where they are not there yet: nobody else reads who lives here.
+///
+/// # Errors
+/// When it cannot be made.
+pub(crate) fn make_folder(path: &Path) -> io::Result<()> {
+    DirBuilder::new().recursive(true).mode(0o700).create(path)
+}
 
 /// What a file of text holds; none where there is none.
 ///

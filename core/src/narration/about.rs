@@ -1,6 +1,6 @@
 //! Whom a plain sentence is about. What is not understood is about nobody: nobody is moved by it.
 
-use super::clause::{self, Word};
+use super::clause::{self, NAME_WORDS_MAX, Word};
 
 /// Whom a plain sentence is about.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -14,9 +14,6 @@ pub enum About {
     /// A thing, an animal, several persons without names, or what nobody does now: "The robot drives off.", "Ada was in the kitchen."
     Nobody,
 }
-
-/// Words of a name have at most so many parts.
-const NAME_WORDS_MAX: usize = 4;
 
 /// Reads a sentence in plain form; `is_known` says whether a name is a person's.
 pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool) -> About {
@@ -82,9 +79,11 @@ fn later_subject(said: &str, words: &[&str], is_known: &mut dyn FnMut(&str) -> b
     }
     for at in 1..words.len() {
         for length in (1..=NAME_WORDS_MAX.min(words.len() - at)).rev() {
-            let verb = words.get(at + length).copied().unwrap_or_default();
+            if !words.get(at + length).is_some_and(|verb| clause::is_verb(verb)) {
+                continue;
+            }
             let name = words[at..at + length].join(" ");
-            if clause::is_verb(verb) && (is_known(&name) || clause::is(Word::People, &name)) {
+            if is_known(&name) || clause::is(Word::People, &name) {
                 return About::Named(vec![name]);
             }
         }

@@ -172,7 +172,7 @@ pub(super) struct Clause<'a> {
 /// A subject has at most so many words, all its persons together.
 const SUBJECT_WORDS_MAX: usize = 24;
 /// The name of somebody who is known has at most so many words.
-const NAME_WORDS_MAX: usize = 4;
+pub(super) const NAME_WORDS_MAX: usize = 4;
 /// The name of somebody of whom nobody has told yet has at most so many words.
 const NEW_NAME_WORDS_MAX: usize = 2;
 

@@ -267,8 +267,7 @@ impl Said {
     pub fn known_names(&self, mut is_known: impl FnMut(&str) -> bool) -> Vec<String> {
         let Self::Sentence(sentence) = self else { return Vec::new() };
         clause::with_plain(sentence.as_str(), |said| {
-            let known = clause::possible_subjects(said).filter(|names| names.iter().all(|name| is_known(name))).last();
-            known.into_iter().flatten().map(str::to_owned).collect()
+            clause::longest_subject(said, &mut is_known).map_or_else(Vec::new, |(names, _)| names)
         })
     }
 

@@ -540,7 +540,9 @@ impl<M: LanguageModel> Board<M> {
     fn of_persons(&self, mut observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
         let said = &observation.said;
         // A sentence that says where somebody else is, or that they come, is of them, whoever's narrator heard it.
+        let is_keyed = observation.person != SOMEBODY || observation.name.is_some();
         let statement = match said {
+            _ if !is_keyed => None,
             Said::Presence(statement) => Some(statement.clone()),
             Said::Sentence(sentence) => PresenceStatement::of_sentence(sentence.as_str()),
         };

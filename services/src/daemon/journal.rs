@@ -236,10 +236,7 @@ impl Journal {
             let path = path.to_owned();
             move |source| JournalError::File { path, operation, source }
         };
-        // What is kept here tells who lives here.
-        let mut folder = fs::DirBuilder::new();
-        std::os::unix::fs::DirBuilderExt::mode(&mut folder, 0o700);
-        folder.recursive(true).create(directory).map_err(failed(directory, "make"))?;
+        state_file::make_folder(directory).map_err(failed(directory, "make"))?;
         let (current, older) = (directory.join("narration.journal"), directory.join("narration.journal.old"));
         let mut file = open_file(&current).map_err(failed(&current, "open"))?;
         match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
@@ -597,7 +594,11 @@ impl Writer {
         carried.truncate(if carried.len() as u64 > self.half_bytes / 4 { 0 } else { carried.len() });
         // A rotation that got no further before has put the full half in place already: another file has its name now, or none.
         if names_file(&self.current, &self.file)? {
-            self.kept = self.last_words()?;
+            // Nobody's last words are worth those of everybody from now on.
+            self.kept = self.last_words().unwrap_or_else(|error| {
+                self.note(Err(error));
+                Vec::new()
+            });
             fs::rename(&self.current, &self.older)?;
         }
         self.older_length = self.length;

@@ -342,7 +342,11 @@ impl Persons {
     /// The names of those whom an observation is about that was given no name: of persons who are known by them, have them here, or live here; of
     /// who is called by what they are ("the plumber"); or of strangers, unless one alone comes where nobody goes by a name.
     pub(super) fn named(&self, said: &Said) -> Vec<String> {
-        let names = match said.about(|name| self.is_name_known(name)) {
+        self.names_in(said.about(|name| self.is_name_known(name)))
+    }
+
+    fn names_in(&self, about: About) -> Vec<String> {
+        let names = match about {
             About::Named(names) => names,
             About::Stranger(name) => vec![name],
             About::Somebody | About::Nobody => return Vec::new(),
@@ -362,7 +366,7 @@ impl Persons {
     pub(super) fn is_of_nobody(&self, said: &Said) -> bool {
         match said.about(|name| self.is_name_known(name)) {
             About::Nobody => true,
-            About::Named(_) => self.named(said).is_empty() && self.has_names(),
+            named @ About::Named(_) => self.has_names() && self.names_in(named).is_empty(),
             About::Stranger(_) | About::Somebody => false,
         }
     }

@@ -109,7 +109,7 @@ fn attributions(bytes: &[u8], found: &mut BTreeMap<(u64, u64, u64), u32>) {
 }
 
 /// Every whole record with its bytes; what is none is stepped over.
-pub(super) fn each_record(bytes: &[u8], mut take: impl FnMut(&[u8], Record)) {
+pub(super) fn each_record<'a>(bytes: &'a [u8], mut take: impl FnMut(&'a [u8], Record)) {
     let mut rest = bytes;
     while !rest.is_empty() {
         let length = match decode(rest, &[0; 16]) {

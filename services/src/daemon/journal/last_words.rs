@@ -15,6 +15,9 @@ const WORDS: [usize; 5] = [12, 6, 3, 2, 1];
 /// An observation by its source, epoch and sequence.
 type Name = (u64, u64, u64);
 
+/// A record with its bytes.
+type Raw<'a> = (&'a [u8], Record);
+
 impl Writer {
     /// Records of what only the older half still says: the newest observations of persons, with what became of them, and who was forgotten.
     pub(super) fn last_words(&self) -> io::Result<Vec<u8>> {
@@ -32,7 +35,7 @@ fn last_words(older: &[u8], current: &[u8], bytes_max: u64) -> Vec<u8> {
     let mut stays = Vec::new();
     each_record(current, |raw, record| {
         if !matches!(record, Record::Kept(_) | Record::Forgotten { is_before: true, .. }) {
-            stays.push((raw.to_vec(), record));
+            stays.push((raw, record));
         }
     });
     let all = || goes.iter().map(|(_, record)| record).chain(stays.iter().map(|(_, record)| record));
@@ -53,15 +56,15 @@ fn last_words(older: &[u8], current: &[u8], bytes_max: u64) -> Vec<u8> {
 }
 
 /// What goes with the older half, in the order in which it was said: first what the current half begins with.
-fn in_order(older: &[u8], current: &[u8]) -> Vec<(Vec<u8>, Record)> {
+fn in_order<'a>(older: &'a [u8], current: &'a [u8]) -> Vec<Raw<'a>> {
     let (mut before, mut names) = (Vec::new(), BTreeSet::new());
     each_record(current, |raw, record| match record {
         Record::Kept(ref observation) => {
             names.insert((observation.source, observation.epoch, observation.sequence));
-            before.push((raw.to_vec(), record));
+            before.push((raw, record));
         }
-        Record::Outcome { name, .. } if names.contains(&name) => before.push((raw.to_vec(), record)),
-        Record::Forgotten { is_before: true, .. } => before.push((raw.to_vec(), record)),
+        Record::Outcome { name, .. } if names.contains(&name) => before.push((raw, record)),
+        Record::Forgotten { is_before: true, .. } => before.push((raw, record)),
         _ => {}
     });
     let is_first = before.is_empty();
@@ -69,7 +72,7 @@ fn in_order(older: &[u8], current: &[u8]) -> Vec<(Vec<u8>, Record)> {
         // What this half began with is among what the next one begins with, if that begins with anything.
         let is_old = matches!(record, Record::Kept(_) | Record::Forgotten { is_before: true, .. });
         if is_first || !is_old {
-            before.push((raw.to_vec(), record));
+            before.push((raw, record));
         }
     });
     before
@@ -94,7 +97,7 @@ fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeM
 }
 
 /// The records to keep: each observation with what became of it, and who was forgotten.
-fn chosen(goes: &[(Vec<u8>, Record)], stays: &[(Vec<u8>, Record)], needed: &BTreeMap<u32, Vec<Name>>) -> Vec<Vec<u8>> {
+fn chosen(goes: &[Raw<'_>], stays: &[Raw<'_>], needed: &BTreeMap<u32, Vec<Name>>) -> Vec<Vec<u8>> {
     let needed: BTreeSet<Name> = needed.values().flatten().copied().collect();
     // Of each kind the newest.
     let mut outcomes = BTreeMap::<Name, BTreeMap<(u32, bool), &[u8]>>::new();
@@ -123,7 +126,7 @@ fn chosen(goes: &[(Vec<u8>, Record)], stays: &[(Vec<u8>, Record)], needed: &BTre
             }
             Record::Forgotten { person, .. } => {
                 // Of one who was forgotten again later, that one counts.
-                let again = |(_, record): &(Vec<u8>, Record)| forgotten(record) == Some(*person);
+                let again = |(_, record): &Raw<'_>| forgotten(record) == Some(*person);
                 if !goes[at + 1..].iter().any(again) && !stays.iter().any(again) {
                     kept.push(encode_forgotten(*person, true));
                 }
