@@ -1,5 +1,6 @@
 //! A household for a day and a night with real processes and the real model: two residents, one of whom works outside, a visitor, a
-//! night's sleep, and a daemon and a planner that are killed twice each. A simulated robot does what the planner says and reports.
+//! night's sleep, two narrators, one of which names persons in its sentences alone, a journal that is rotated, and a daemon and a planner that are
+//! killed twice each. A simulated robot does what the planner says and reports.
 //!
 //! The day is played `SPEED` times faster, and every time of the configuration is as many times shorter. At every minute the
 //! forecast's rooms per person stand beside the truth in a table, `household.csv` in the test's temporary folder:
@@ -39,12 +40,16 @@ enum Said {
     Sentence(&'static str),
     /// A sentence that names nobody.
     Unnamed(&'static str),
+    /// A sentence of the camera, which says by itself whom it is about: one person, several in turn, or all.
+    Camera(&'static str),
+    /// The sentence before is about this person, too.
+    Too,
     /// What a sensor says of a person's presence: `present`, `away` or `gone`, and a room.
     Presence(&'static str, Option<&'static str>),
     /// The person does something that nobody narrates.
     Nothing,
 }
-use Said::{Nothing, Presence, Sentence, Unnamed};
+use Said::{Camera, Nothing, Presence, Sentence, Too, Unnamed};
 
 fn at(hour: u32, minute: u32) -> u32 {
     hour * 60 + minute
@@ -62,7 +67,8 @@ fn script() -> Vec<Event> {
         (at(7, 1), "ada", Sentence("They open the fridge."), "kitchen"),
         (at(7, 2), "ada", Sentence("They grab the milk."), "kitchen"),
         (at(7, 5), "ben", Sentence("They get up from the bed."), "bedroom"),
-        (at(7, 8), "ben", Sentence("They walk to the bathroom."), "bathroom"),
+        (at(7, 8), "ben", Camera("Ben goes to the bathroom and Ada grabs the mug."), "bathroom"),
+        (at(7, 8), "ada", Too, "kitchen"),
         (at(7, 10), "ben", Sentence("They turn on the shower."), "bathroom"),
         (at(7, 12), "ada", Sentence("They switch on the coffee maker."), "kitchen"),
         (at(7, 25), "ben", Sentence("They walk to the kitchen."), "kitchen"),
@@ -73,7 +79,7 @@ fn script() -> Vec<Event> {
         (at(9, 30), "ben", Unnamed("They sit down on the chair."), "living-room"),
         (at(11, 0), "ben", Presence("present", Some("kitchen")), "kitchen"),
         (at(11, 5), "ben", Unnamed("They open the fridge."), "kitchen"),
-        (at(12, 0), "ben", Presence("away", None), ELSEWHERE),
+        (at(12, 0), "ben", Camera("Everybody leaves the house."), ELSEWHERE),
         (at(15, 0), "ben", Sentence("They come home."), "living-room"),
         (at(15, 1), "ben", Sentence("They sit down on the sofa."), "living-room"),
         (at(17, 30), "ada", Presence("present", Some("kitchen")), "kitchen"),
@@ -81,10 +87,18 @@ fn script() -> Vec<Event> {
         (at(17, 40), "ada", Sentence("They switch on the stove."), "kitchen"),
         (at(18, 0), "cara", Presence("present", Some("living-room")), "living-room"),
         (at(18, 2), "cara", Sentence("They sit down on the sofa."), "living-room"),
-        (at(18, 30), "ada", Sentence("They walk to the living room."), "living-room"),
+        (at(18, 20), "ada", Camera("Everybody except Ada is in the living room."), "kitchen"),
+        (at(18, 20), "ben", Too, "living-room"),
+        (at(18, 20), "cara", Too, "living-room"),
+        (at(18, 30), "ada", Camera("Ada walks to the living room."), "living-room"),
         (at(18, 32), "ada", Sentence("They sit down at the table."), "living-room"),
         (at(20, 0), "ben", Sentence("They turn on the television."), "living-room"),
-        (at(20, 45), "cara", Sentence("They walk to the bathroom."), "bathroom"),
+        (at(19, 0), "ben", Camera("Ben leaves the house with Ada."), ELSEWHERE),
+        (at(19, 0), "ada", Too, ELSEWHERE),
+        (at(19, 30), "ben", Camera("Ben comes home with Ada. He sits down on the sofa."), "living-room"),
+        (at(19, 30), "ada", Presence("present", Some("living-room")), "living-room"),
+        (at(20, 45), "cara", Camera("Cara walks to the bathroom, and Ada sits down on the sofa."), "bathroom"),
+        (at(20, 45), "ada", Too, "living-room"),
         (at(21, 0), "cara", Nothing, ELSEWHERE),
         (at(22, 0), "ada", Sentence("They walk to the bathroom."), "bathroom"),
         (at(22, 2), "ada", Sentence("They grab the toothbrush."), "bathroom"),
@@ -119,7 +133,7 @@ impl House {
         let domain = Domain::new(directory.path().join("d"), &format!("house-{}", std::process::id())).unwrap();
         let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/household.json");
         let config = format!(
-            "[scene]\npath = {scene:?}\n[daemon]\nstate = {:?}\n[history]\ngap_s = {}\n\
+            "[scene]\npath = {scene:?}\n[daemon]\nstate = {:?}\njournal_bytes = 8192\n[history]\ngap_s = {}\n\
              [persons]\nresidents = [\"ada\", \"ben\"]\nvisitor_s = {}\nasleep_s = {}\n\
              [forecast]\nobject_s = {}\nstay_s = {}\naction_s = {}\naway_s = {}\n\
              [planner]\nrobot = {ROBOT:?}\nroom_time_s = {}\nround_s = {}\nreport_timeout_s = {}\ninterrupt_after_s = {}\n",
@@ -168,9 +182,11 @@ impl House {
             Unnamed(text) => serde_json::json!({ "text": text }),
             Presence(presence, None) => serde_json::json!({ "person": person, "presence": presence }),
             Presence(presence, room) => serde_json::json!({ "person": person, "presence": presence, "room": room }),
-            Nothing => return,
+            Camera(text) => serde_json::json!({ "text": text }),
+            Nothing | Too => return,
         };
-        let narrator = self.processes.get_mut("narrate").unwrap();
+        let role = if matches!(said, Camera(_)) { "camera" } else { "sensors" };
+        let narrator = self.processes.get_mut(role).unwrap();
         writeln!(narrator.stdin.as_mut().unwrap(), "{line}").unwrap();
     }
 }
@@ -280,7 +296,8 @@ fn nobody_is_lost_over_a_day_a_night_and_two_restarts() {
     house.start("daemon", &["daemon"]);
     scores.wait(Duration::from_secs(60)).unwrap();
     house.start("planner", &["planner"]);
-    house.start("narrate", &["narrate", "-", "--name", "sensors"]);
+    house.start("sensors", &["narrate", "-", "--name", "sensors"]);
+    house.start("camera", &["narrate", "-", "--name", "camera"]);
 
     let (script, mut next, mut kills) = (script(), 0, KILLS_MIN.to_vec());
     let mut persons = BTreeMap::<&str, Person>::new();
@@ -364,6 +381,8 @@ fn nobody_is_lost_over_a_day_a_night_and_two_restarts() {
         let person = &persons[resident];
         assert!(person.right_minutes * 10 >= person.minutes * 9, "{resident}: {person:?}");
     }
+    let state = house.directory.path().join("state");
+    assert!(state.join("narration.journal.old").exists(), "the journal was never rotated: {:?}", fs::read_dir(&state));
     // The visitor left without a word, and is forgotten.
     assert!(newest.persons().iter().all(|known| known.name() != "cara"), "the visitor is still there");
     assert!(

@@ -534,7 +534,13 @@ impl Recording {
                 match said {
                     Said::Sentence(sentence) => narration.push((person, sentence)),
                     Said::Presence(statement) if statement.empty_room().is_some() => {}
-                    Said::Presence(statement) if statement.is_of_everybody() => narration.clear(),
+                    Said::Presence(statement) if statement.is_of_everybody() => {
+                        let named = statement.names().chain(statement.excepted());
+                        let stay: Vec<u32> = named.filter_map(|name| self.named(name, scores.epoch)).collect();
+                        if statement.of_others().is_some_and(|others| others.presence() != Presence::Present) {
+                            narration.retain(|(of, _)| stay.contains(of));
+                        }
+                    }
                     // Who leaves begins a new window.
                     said if said.presence() != Presence::Present => narration.retain(|(of, _)| *of != person),
                     Said::Presence(_) => {}

@@ -23,6 +23,8 @@ struct Words {
     pronouns: Vec<String>,
     nobody: Vec<String>,
     everybody: Vec<String>,
+    except: Vec<String>,
+    takes: Vec<String>,
     determiners: Vec<String>,
     titles: Vec<String>,
     people: Vec<String>,
@@ -152,6 +154,10 @@ pub(super) enum Subject<'a> {
     /// Persons by what they are called.
     Named(Vec<&'a str>),
     Everybody,
+    /// Everybody but these.
+    Others(Vec<&'a str>),
+    /// These and nobody else.
+    Only(Vec<&'a str>),
     Nobody,
     /// No person, or it is not told that it is so.
     Other,
@@ -267,6 +273,9 @@ fn predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     {
         return Some((Presence::Away, None));
     }
+    if takes(rest).is_some() {
+        return Some((Presence::Away, None));
+    }
     if arrives(rest) {
         return Some((Presence::Present, None));
     }
@@ -303,6 +312,39 @@ fn last_of_all(subject: &str, rest: &str) -> Option<(Presence, Option<&'static s
         .map(|(presence, _)| presence)
         .filter(|presence| *presence == Presence::Away)
         .map(|away| (away, None))
+}
+
+/// What words say of all, that would not tell which place one person leaves: "everybody leaves".
+fn all_leave(subject: &str, rest: &str) -> Option<(Presence, Option<&'static str>)> {
+    let is_of_all = has(&WORDS.everybody, subject) || matches!(of_some(subject), Some(Subject::Others(_)));
+    let leave = || ["leaves", "leave", "left"].iter().any(|verb| rest.strip_prefix(verb).is_some_and(ends));
+    (is_of_all && leave()).then_some((Presence::Away, None))
+}
+
+/// A subject that is all but a few, or a few alone: "everybody except igor", "nobody but lily", "only lily".
+fn of_some(subject: &str) -> Option<Subject<'_>> {
+    if let Some(only) = subject.strip_prefix("only ") {
+        return names(only).map(Subject::Only);
+    }
+    let (all, but) = excepted(subject)?;
+    match but? {
+        but if has(&WORDS.everybody, all) => Some(Subject::Others(but)),
+        but if has(&WORDS.nobody, all) => Some(Subject::Only(but)),
+        _ => None,
+    }
+}
+
+/// What stands before "except", and the persons that stand behind it; none where they are no persons.
+fn excepted(words: &str) -> Option<(&str, Option<Vec<&str>>)> {
+    let cuts = WORDS.except.iter().filter_map(|except| {
+        let (at, _) = words
+            .match_indices(except.as_str())
+            .find(|(at, _)| words[..*at].ends_with([' ', ',']) && words[at + except.len()..].starts_with(' '))?;
+        Some((at, at + except.len()))
+    });
+    // "Except for", not "except".
+    let (begin, end) = cuts.min_by_key(|(begin, end)| (*begin, usize::MAX - *end))?;
+    Some((words[..begin].trim_end_matches([' ', ',']), names(words[end..].trim_start())))
 }
 
 /// Whether a text ends within quotation marks.
@@ -361,9 +403,45 @@ fn goes_out(rest: &str) -> bool {
     follows(rest, &WORDS.goes, &WORDS.errands)
 }
 
+/// What somebody takes along who goes out of the house: "lily" of "takes lily to school".
+fn takes(rest: &str) -> Option<&str> {
+    let mut taken = WORDS.takes.iter().filter_map(|verb| rest.strip_prefix(verb.as_str())?.strip_prefix(' '));
+    let errands = || WORDS.errands.iter().filter(|errand| errand.contains(' '));
+    taken.find_map(|said| {
+        let spaces = said.match_indices(' ').take(SUBJECT_WORDS_MAX);
+        let mut cuts = spaces.map(|(at, _)| (&said[..at], &said[at + 1..]));
+        cuts.find(|(_, place)| errands().any(|errand| place.strip_prefix(errand.as_str()).is_some_and(ends)))
+            .map(|(taken, _)| taken)
+    })
+}
+
+/// Whether a text may say who is taken along.
+pub(super) fn may_have_companions(text: &str) -> bool {
+    text.contains(" with ") || WORDS.takes.iter().any(|verb| crate::text::has_words(text, verb))
+}
+
+/// Who is where the persons of a plain sentence are, as it says of where they are: "ben" of "ada leaves the house with ben", "lily" of "ada takes
+/// lily to school". Those alone who are known.
+pub(super) fn companions(said: &str, mut is_known: impl FnMut(&str) -> bool) -> Vec<&str> {
+    let mut cuts = cuts(said);
+    let Some((_, rest)) = cuts.find(|(_, rest)| predicate(rest).is_some()) else { return Vec::new() };
+    let mut known = |words| -> Option<Vec<&str>> {
+        let names = names(words)?;
+        names.iter().all(|name| is_known(name)).then_some(names)
+    };
+    let with = rest.split_once(" with ").map(|(_, with)| with);
+    // The longest words behind "with" that are persons.
+    let with = with.and_then(|with| {
+        let ends_at = with.match_indices([' ', ',']).map(|(at, _)| at).take(SUBJECT_WORDS_MAX).chain([with.len()]);
+        ends_at.filter_map(|at| known(&with[..at])).last()
+    });
+    with.or_else(|| known(takes(rest)?)).unwrap_or_default()
+}
+
 /// What somebody is, in a sentence that says it: "is still away" is "away".
 fn state(rest: &str) -> Option<&str> {
-    let mut state = ["is ", "are ", "am "].iter().find_map(|verb| rest.strip_prefix(verb))?;
+    let verbs = ["is ", "are ", "am ", "stays ", "stay ", "stayed ", "remains ", "remain "];
+    let mut state = verbs.iter().find_map(|verb| rest.strip_prefix(verb))?;
     while let Some(rest) =
         ["still ", "now ", "already ", "currently ", "just "].iter().find_map(|word| state.strip_prefix(word))
     {
@@ -392,11 +470,16 @@ impl<'a> Clause<'a> {
             let room = state(rest).and_then(in_the).map(room_of);
             let presence = predicate(rest).map(|(presence, _)| presence);
             let presence = if room.is_some() { Presence::Present } else { presence? };
-            return Some(of(Subject::Nobody, presence, room));
+            let subject = match excepted(rest) {
+                Some((_, names)) => names.map_or(Subject::Other, Subject::Only),
+                None => Subject::Nobody,
+            };
+            return Some(of(subject, presence, room));
         }
-        let Some((subject, rest, (presence, room))) = cuts(said)
-            .find_map(|(subject, rest)| Some((subject, rest, predicate(rest).or_else(|| last_of_all(subject, rest))?)))
-        else {
+        let Some((subject, rest, (presence, room))) = cuts(said).find_map(|(subject, rest)| {
+            let where_to = predicate(rest).or_else(|| last_of_all(subject, rest));
+            Some((subject, rest, where_to.or_else(|| all_leave(subject, rest))?))
+        }) else {
             // What somebody is not, in other words, moves nobody.
             let is_denied = cuts(said)
                 .any(|(_, rest)| state(rest).and_then(|state| state.strip_prefix("not ")).and_then(in_the).is_some());
@@ -404,9 +487,12 @@ impl<'a> Clause<'a> {
         };
         let subject = match subject {
             _ if has(&WORDS.nobody, subject) => Subject::Nobody,
-            _ if has(&WORDS.everybody, subject) => Subject::Everybody,
+            _ if has(&WORDS.everybody, subject) => match excepted(rest) {
+                Some((_, names)) => names.map_or(Subject::Other, Subject::Others),
+                None => Subject::Everybody,
+            },
             _ if has(&WORDS.pronouns, subject) || is_anybody(subject) => Subject::Unnamed,
-            _ => names(subject).map_or(Subject::Other, Subject::Named),
+            _ => of_some(subject).or_else(|| names(subject).map(Subject::Named)).unwrap_or(Subject::Other),
         };
         if is_past_state(rest) {
             return None;
@@ -463,6 +549,11 @@ pub(super) fn is_of_persons_alone(subject: &str, mut is_known: impl FnMut(&str) 
     let mut is_person = |part: &str| {
         let is_all = has(&WORDS.everybody, part) || has(&WORDS.nobody, part);
         is_all || bare(part).is_some_and(|name| is_known(name) || has(&WORDS.people, name))
+    };
+    // "Nobody but ada" goes on with "and ben".
+    let subject = match excepted(subject) {
+        Some((all, Some(_))) if has(&WORDS.everybody, all) || has(&WORDS.nobody, all) => return true,
+        _ => subject.strip_prefix("only ").unwrap_or(subject),
     };
     parts(subject).next().is_some() && parts(subject).all(&mut is_person)
 }
@@ -561,6 +652,8 @@ mod tests {
             Subject::Unnamed => "they".to_owned(),
             Subject::Named(names) => names.join("+"),
             Subject::Everybody => "all".to_owned(),
+            Subject::Others(names) => format!("all but {}", names.join("+")),
+            Subject::Only(names) => format!("only {}", names.join("+")),
             Subject::Nobody => "nobody".to_owned(),
             Subject::Other => "other".to_owned(),
         };

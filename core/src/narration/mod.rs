@@ -203,10 +203,15 @@ impl Said {
     /// [`Said::clauses`], which is told who they are.
     #[must_use]
     pub fn of(sentence: Sentence) -> Self {
-        if several::may_be_several(sentence.as_str()) {
+        if Self::may_be_several(&sentence) {
             return Self::Sentence(sentence);
         }
         Self::statement_of(sentence.as_str()).map_or(Self::Sentence(sentence), Self::Presence)
+    }
+
+    /// Whether a sentence may say things of several persons who are not all in its subject.
+    fn may_be_several(sentence: &Sentence) -> bool {
+        several::may_be_several(sentence.as_str()) || clause::may_have_companions(sentence.as_str())
     }
 
     /// The statement that a sentence is, if it is one.
@@ -227,15 +232,22 @@ impl Said {
     #[must_use]
     pub fn clauses(&self, mut is_known: impl FnMut(&str) -> bool) -> Vec<Self> {
         let Self::Sentence(sentence) = self else { return Vec::new() };
-        if !several::may_be_several(sentence.as_str()) {
+        if !Self::may_be_several(sentence) {
             return Vec::new();
         }
         let (clauses, count) = several::clauses(sentence.as_str(), &mut is_known);
         let mut said = Vec::new();
         for clause in &clauses[..count] {
             // Where its person is in the end: who comes back does something.
-            let all = several::sentences(clause).filter_map(PresenceStatement::of_sentence);
-            let statement = all.last().and_then(Self::stated);
+            let last =
+                several::sentences(clause).filter_map(|one| Some((one, PresenceStatement::of_sentence(one)?))).last();
+            let with =
+                last.as_ref().filter(|(_, statement)| !statement.is_of_everybody()).and_then(|(one, statement)| {
+                    let of = |names: Vec<&str>| {
+                        (!names.is_empty()).then(|| statement.of_one(statement.presence()).with_subjects(&names))
+                    };
+                    clause::with_plain(one, |one| of(clause::companions(one, &mut is_known)))
+                });
             let whose = |statement: PresenceStatement| match statement.subject() {
                 None if !statement.is_of_everybody() => {
                     let names = Self::Sentence(sentence_or(clause, sentence)).known_names(&mut is_known);
@@ -243,11 +255,12 @@ impl Said {
                 }
                 _ => statement,
             };
-            match statement.map(whose) {
+            match last.and_then(|(_, statement)| Self::stated(statement)).map(whose) {
                 Some(statement) => said.push(Self::Presence(statement)),
-                None if count > 1 => said.push(Self::Sentence(sentence_or(clause, sentence))),
+                None if count > 1 || with.is_some() => said.push(Self::Sentence(sentence_or(clause, sentence))),
                 None => {}
             }
+            said.extend(with.map(Self::Presence));
         }
         said
     }
@@ -281,7 +294,7 @@ impl Said {
                     |part| clause::with_plain(part, |said| clause::possible_subjects(said).flatten().any(&mut is_them));
                 may_name(text) || several::parts(text).any(may_name)
             }
-            Self::Presence(statement) => statement.names().any(&mut is_them),
+            Self::Presence(statement) => statement.all_names().any(&mut is_them),
         }
     }
 
@@ -466,6 +479,18 @@ mod tests {
             ("Mia and Tom leave the house.", "mia and tom: away"),
             ("They leave the house and lock the door.", "-: away"),
             ("Mia is away and nobody is in the kitchen.", "mia: away | -: nobody in the kitchen"),
+            ("Mia leaves the house with Tom.", "mia: away | tom: away"),
+            ("She leaves the house with Tom today.", "-: away | tom: away"),
+            ("Mia takes Tom to school.", "mia: away | tom: away"),
+            ("Mia is in the kitchen with Tom.", "mia: present in the kitchen | tom: present in the kitchen"),
+            ("Mia comes home with Tom.", "Mia comes home with Tom. | tom: present"),
+            ("Mia leaves the house with a suitcase.", "mia: away"),
+            ("Mia leaves the house with Tom's suitcase.", "mia: away"),
+            ("Mia comes home with the milk.", ""),
+            ("Mia takes the dog for a walk.", "mia: away"),
+            ("Mia takes the milk out of the fridge.", ""),
+            ("Mia takes the cake out.", ""),
+            ("Mia plays with Tom in the kitchen.", ""),
             ("They open the fridge and grab the milk.", ""),
             ("Mia opens the fridge. She grabs the milk.", ""),
             ("They open the fridge.", ""),

@@ -47,11 +47,27 @@ pub struct PresenceStatement {
     presence: Presence,
     room: Option<String>,
     subject: Option<String>,
-    of_everybody: bool,
+    whose: Whose,
+}
+
+/// Whose presence a statement is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+enum Whose {
+    /// The subject's, or that of whom the narrator names.
+    Subject,
+    Everybody,
+    /// That of everybody but the subject.
+    Others,
+    /// The subject's; everybody else is away.
+    SubjectAlone,
+    /// Nobody is in the room.
+    Nobody,
 }
 
 /// What stands before the presence of everybody, and before a room that nobody is in.
 const EVERYBODY: &str = "everybody ";
+const OTHERS: &str = "everybody else ";
+const ALONE: &str = "alone ";
 const NOBODY: &str = "nobody in the ";
 /// What stands between the names in a subject.
 const AND: &str = " and ";
@@ -66,7 +82,7 @@ impl PresenceStatement {
         let named = room.is_none_or(|room| {
             room.contains(char::is_alphanumeric) && !room.contains(is_hidden) && room.len() <= SENTENCE_BYTES_MAX / 2
         });
-        let statement = Self { presence, room: room.map(str::to_owned), subject: None, of_everybody: false };
+        let statement = Self { presence, room: room.map(str::to_owned), subject: None, whose: Whose::Subject };
         if presence == Presence::Unknown || !named {
             return Err(PresenceError { text: statement.to_string() });
         }
@@ -74,7 +90,7 @@ impl PresenceStatement {
     }
 
     /// Reads what [`fmt::Display`] writes: `present`, `present in the kitchen`, `nobody in the kitchen`, `away`, `everybody away`,
-    /// `everybody present`, `gone`.
+    /// `everybody present`, `everybody present in the kitchen`, `gone`.
     ///
     /// # Errors
     /// Anything else.
@@ -93,8 +109,13 @@ impl PresenceStatement {
             "present in the" | "nobody in the" => (Presence::Unknown, None),
             "present" => (Presence::Present, None),
             "away" => (Presence::Away, None),
-            "everybody away" => return Ok(Self::of_all(Presence::Away)),
-            "everybody present" => return Ok(Self::of_all(Presence::Present)),
+            _ if text.starts_with(EVERYBODY) => {
+                let all = Self::parse(&text[EVERYBODY.len()..])?;
+                // Nobody but a visitor is gone.
+                let is_of_all = all.whose == Whose::Subject && all.presence != Presence::Gone;
+                let error = || PresenceError { text: text.chars().take(80).collect() };
+                return is_of_all.then_some(Self { whose: Whose::Everybody, ..all }).ok_or_else(error);
+            }
             _ if text.starts_with(NOBODY) => return Self::empty(&text[NOBODY.len()..]),
             "gone" => (Presence::Gone, None),
             _ => {
@@ -113,27 +134,24 @@ impl PresenceStatement {
     }
 
     fn of_plain(said: &str) -> Option<Self> {
-        let clause = Clause::read(said)?;
-        let Clause { presence, room, .. } = clause;
-        let of_everybody = match &clause.subject {
+        let Clause { subject, presence, room, is_state, .. } = Clause::read(said)?;
+        let of = |whose| Some(Self { whose, ..Self::new(presence, room).ok()? });
+        let of_names = |whose, names: &[&str]| Some(of(whose)?.with_subjects(names));
+        match subject {
+            Subject::Other => None,
             // That nobody leaves says of nobody where they are.
-            Subject::Nobody => {
-                let statement = room.map_or_else(|| Some(Self::of_all(Presence::Away)), |room| Self::empty(room).ok());
-                return statement.filter(|_| presence == Presence::Present && clause.is_state);
+            Subject::Nobody if presence != Presence::Present || !is_state => None,
+            Subject::Nobody if room.is_some() => of(Whose::Nobody),
+            Subject::Nobody => Some(Self { presence: Presence::Away, ..of(Whose::Everybody)? }),
+            Subject::Everybody => of(Whose::Everybody),
+            Subject::Others(names) => of_names(Whose::Others, &names),
+            // Where only one is, others may be elsewhere in the house.
+            Subject::Only(names) if presence == Presence::Present && is_state && room.is_none() => {
+                of_names(Whose::SubjectAlone, &names)
             }
-            Subject::Other => return None,
-            Subject::Everybody => true,
-            Subject::Unnamed | Subject::Named(_) => false,
-        };
-        // Where each of them is, no sentence about all of them says.
-        if of_everybody {
-            return room.is_none().then_some(Self::of_all(presence));
+            Subject::Only(names) | Subject::Named(names) => of_names(Whose::Subject, &names),
+            Subject::Unnamed => of(Whose::Subject),
         }
-        let statement = Self::new(presence, room).ok()?;
-        Some(match clause.subject {
-            Subject::Named(names) => statement.with_subjects(&names),
-            _ => statement,
-        })
     }
 
     /// Whether a plain sentence says that its person comes home: who is there already is not meant.
@@ -142,9 +160,7 @@ impl PresenceStatement {
         clause::with_plain(sentence, |said| Clause::read(said).is_some_and(|clause| clause.is_arrival))
     }
 
-    /// The same statement of a sentence with this subject.
-    #[must_use]
-    pub fn with_subject(self, subject: &str) -> Self {
+    fn with_subject(self, subject: &str) -> Self {
         Self { subject: Some(subject.to_owned()), ..self }
     }
 
@@ -154,8 +170,40 @@ impl PresenceStatement {
         self.with_subject(&names.join(AND))
     }
 
-    fn of_all(presence: Presence) -> Self {
-        Self { presence, room: None, subject: None, of_everybody: true }
+    /// Reads what [`fmt::Display`] wrote of a statement with a subject.
+    ///
+    /// # Errors
+    /// As [`PresenceStatement::parse`].
+    pub fn parse_of(text: &str, subject: &str) -> Result<Self, PresenceError> {
+        let (rest, whose) = match (text.strip_prefix(OTHERS), text.strip_prefix(ALONE)) {
+            (Some(rest), _) => (rest, Some(Whose::Others)),
+            (_, Some(rest)) => (rest, Some(Whose::SubjectAlone)),
+            _ => (text, None),
+        };
+        let statement = Self::parse(rest)?;
+        Ok(Self { whose: whose.unwrap_or(statement.whose), ..statement }.with_subject(subject))
+    }
+
+    /// The same of one person, who may be said to be elsewhere.
+    pub(super) fn of_one(&self, presence: Presence) -> Self {
+        let room = self.room.clone().filter(|_| presence == Presence::Present);
+        Self { presence, room, subject: None, whose: Whose::Subject }
+    }
+
+    /// What it says of each of those whom it names; none where it says nothing of them.
+    #[must_use]
+    pub fn of_named(&self) -> Option<Self> {
+        matches!(self.whose, Whose::Subject | Whose::SubjectAlone).then(|| self.of_one(self.presence))
+    }
+
+    /// What it says of each of those whom it does not name; none where it says nothing of them.
+    #[must_use]
+    pub fn of_others(&self) -> Option<Self> {
+        match self.whose {
+            Whose::Everybody | Whose::Others => Some(self.of_one(self.presence)),
+            Whose::SubjectAlone => Some(self.of_one(Presence::Away)),
+            Whose::Subject | Whose::Nobody => None,
+        }
     }
 
     /// That nobody is in a room: of everybody who is in the house, wherever else they are.
@@ -163,19 +211,19 @@ impl PresenceStatement {
     /// # Errors
     /// As [`PresenceStatement::new`].
     pub fn empty(room: &str) -> Result<Self, PresenceError> {
-        Ok(Self { of_everybody: true, ..Self::new(Presence::Present, Some(room))? })
+        Ok(Self { whose: Whose::Nobody, ..Self::new(Presence::Present, Some(room))? })
     }
 
     /// The room that nobody is in, where that is said.
     #[must_use]
     pub fn empty_room(&self) -> Option<&str> {
-        self.room.as_deref().filter(|_| self.of_everybody)
+        self.room.as_deref().filter(|_| self.whose == Whose::Nobody)
     }
 
-    /// Whether it is said of everybody who lives here or is in the house.
+    /// Whether it is said of others than the narration's own person, or than those whom it names.
     #[must_use]
     pub fn is_of_everybody(&self) -> bool {
-        self.of_everybody
+        self.whose != Whose::Subject
     }
 
     /// What is said.
@@ -190,15 +238,25 @@ impl PresenceStatement {
         self.subject.as_deref()
     }
 
-    /// The names in the subject.
+    /// The names of those whom it is about.
     pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.all_names().filter(|_| self.whose != Whose::Others)
+    }
+
+    /// The names of those whom it is not about: everybody else is meant.
+    pub fn excepted(&self) -> impl Iterator<Item = &str> {
+        self.all_names().filter(|_| self.whose == Whose::Others)
+    }
+
+    /// All names in it.
+    pub(super) fn all_names(&self) -> impl Iterator<Item = &str> {
         self.subject.iter().flat_map(|subject| subject.split(AND))
     }
 
     /// The room that the person is in, in the narrator's words.
     #[must_use]
     pub fn room(&self) -> Option<&str> {
-        self.room.as_deref().filter(|_| !self.of_everybody)
+        self.room.as_deref().filter(|_| self.whose != Whose::Nobody)
     }
 }
 
@@ -207,9 +265,12 @@ impl fmt::Display for PresenceStatement {
         if let Some(room) = self.empty_room() {
             return write!(f, "{NOBODY}{room}");
         }
-        if self.of_everybody {
-            f.write_str(EVERYBODY)?;
-        }
+        f.write_str(match self.whose {
+            Whose::Everybody => EVERYBODY,
+            Whose::Others => OTHERS,
+            Whose::SubjectAlone => ALONE,
+            Whose::Subject | Whose::Nobody => "",
+        })?;
         f.write_str(self.presence.as_str())?;
         self.room.iter().try_for_each(|room| write!(f, " in the {room}"))
     }
@@ -228,6 +289,7 @@ mod tests {
             "away",
             "everybody away",
             "everybody present",
+            "everybody present in the kitchen",
             "gone",
         ] {
             assert_eq!(PresenceStatement::parse(text).unwrap().to_string(), text);
@@ -244,6 +306,11 @@ mod tests {
             "nobody in",
             "asleep",
             "away in the kitchen",
+            "everybody gone",
+            "everybody else away",
+            "everybody everybody away",
+            "everybody nobody in the kitchen",
+            "alone present",
             "present in \u{202e}",
         ] {
             PresenceStatement::parse(text).unwrap_err();
@@ -273,7 +340,6 @@ mod tests {
             "They go out of the kitchen.",
             "They leave.",
             "Nobody leaves the house.",
-            "Everybody is in the kitchen.",
             "They are in the bath.",
             "They are tired.",
             "The dishwasher is out.",
@@ -316,8 +382,36 @@ mod tests {
             ("Ada and Ben leave the house.", "away", Some("ada and ben"), false),
             ("Ada, Ben, and the plumber are away.", "away", Some("ada and ben and plumber"), false),
             ("They all come home.", "everybody present", None, true),
+            ("Everybody is in the kitchen.", "everybody present in the kitchen", None, true),
+            ("Everybody leaves.", "everybody away", None, true),
+            ("Everybody except Igor leaves.", "everybody else away", Some("igor"), true),
+            (
+                "Everybody but Ada and the plumber leaves the house.",
+                "everybody else away",
+                Some("ada and plumber"),
+                true,
+            ),
+            ("Everybody leaves the house, except for Igor.", "everybody else away", Some("igor"), true),
+            (
+                "All of us are in the garden room apart from Ben.",
+                "everybody else present in the garden room",
+                Some("ben"),
+                true,
+            ),
+            ("Only Lily is home.", "alone present", Some("lily"), true),
+            ("Nobody but Lily is at home.", "alone present", Some("lily"), true),
+            ("Nobody is home except Lily.", "alone present", Some("lily"), true),
+            ("Only Ada and Ben are home.", "alone present", Some("ada and ben"), true),
+            ("Only Lily leaves the house.", "away", Some("lily"), false),
+            ("Only Lily is in the kitchen.", "present in the kitchen", Some("lily"), false),
+            ("Lily stays home.", "present", Some("lily"), false),
+            ("Sophie takes Lily to school.", "away", Some("sophie"), false),
+            ("Ben drives to work and Ada stays at home.", "away", Some("ben"), false),
         ] {
             let statement = of(sentence);
+            if let Some(subject) = subject {
+                assert_eq!(PresenceStatement::parse_of(said, subject).unwrap(), statement, "{sentence}");
+            }
             assert_eq!((statement.to_string().as_str(), statement.subject()), (said, subject), "{sentence}");
             assert_eq!(statement.is_of_everybody(), of_everybody, "{sentence}");
         }

@@ -895,7 +895,7 @@ fn decode_observation(mut payload: &[u8], named: bool, boot_id: &[u8; 16]) -> Op
     let said = match kind & IS_PRESENCE {
         0 => Said::Sentence(Sentence::new(text).ok()?),
         _ => Said::Presence(match text.split_once('\n') {
-            Some((text, subject)) => PresenceStatement::parse(text).ok()?.with_subject(subject),
+            Some((text, subject)) => PresenceStatement::parse_of(text, subject).ok()?,
             None => PresenceStatement::parse(text).ok()?,
         }),
     };

@@ -1,0 +1,359 @@
+//! What the board tells: scores, forecasts and items as messages.
+
+use std::cmp::Reverse;
+
+use roomcast_core::grounding::Partition;
+use roomcast_core::narration::Presence;
+use roomcast_core::pipeline::Included;
+use roomcast_core::scorer::LanguageModel;
+use roomcast_core::scorer::certified::Effort;
+use roomcast_ipc::{
+    ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, LEARNED_SHARE_S, MAX_HORIZONS, MAX_ITEMS,
+    MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, NO_PARTITION, PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1,
+    RoomScoresV1, RoomV1, forecast_flags, reached, score_flags, text,
+};
+
+use super::{Board, BoardError, HORIZONS_S, HomeHabits};
+use crate::daemon::persons::{message_ns, presence_value};
+
+impl<M: LanguageModel> Board<M> {
+    /// Where persons will be from `now_ns` on, for the horizons of `HORIZONS_S`: of several persons, the probability that any of them is in
+    /// a room. Without an observation every room is as likely, and a flag says so.
+    pub fn forecast(&mut self, now_ns: u64) -> &ForecastV1 {
+        self.watch();
+        let (message, rooms) = (&mut *self.forecast, self.snapshot.rooms());
+        (message.epoch, message.sequence) = (self.snapshot.epoch, self.snapshot.sequence);
+        (message.computed_ns, message.published_ns) = (now_ns, now_ns);
+        (message.room_count, message.person) = (self.snapshot.room_count, self.snapshot.person);
+        (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
+        (message.minor, message.flags) = (2, 0);
+        let persons = || self.persons.iter().filter(|(_, known)| known.presence != Presence::Gone);
+        // Somebody who lives here may be anywhere, also out, as long as nothing was observed of them.
+        let not_known = self.followed.is_empty() || self.persons.is_anybodys_guess();
+        if not_known {
+            message.flags |= forecast_flags::NOT_KNOWN;
+        }
+        if persons().any(|(_, known)| known.restored) {
+            message.flags |= forecast_flags::RESTORED;
+        }
+        if self.persons.nobody_is_home() {
+            message.flags |= forecast_flags::NOBODY_HOME;
+        }
+        if !not_known && self.persons.misses_residents() {
+            message.flags |= forecast_flags::RESIDENT_UNKNOWN;
+        }
+        for (id, room) in message.id.iter_mut().zip(rooms) {
+            *id = room.id;
+        }
+        let now_s = now_ns as f64 / 1e9;
+        let mut free = [[1.0; MAX_ROOMS]; MAX_HORIZONS];
+        let mut elsewhere = [1.0; MAX_HORIZONS];
+        for (person, own) in &self.followed {
+            let by_habit = self.home.forecast(*person, own, now_ns, &HORIZONS_S);
+            for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
+                let free = free[place].iter_mut();
+                if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, place)?.split_last()) {
+                    free.zip(known).for_each(|(free, p)| *free *= 1.0 - p);
+                    elsewhere[place] *= gone;
+                } else {
+                    free.zip(own.at(now_s, f64::from(*horizon_s))).for_each(|(free, p)| *free *= 1.0 - p);
+                    elsewhere[place] *= own.elsewhere(now_s, f64::from(*horizon_s));
+                }
+            }
+        }
+        for place in 0..MAX_HORIZONS {
+            for (row, free) in message.probability.iter_mut().zip(free[place]).take(rooms.len()) {
+                let occupied = if not_known { 1.0 / rooms.len() as f64 } else { 1.0 - free };
+                row[place] = occupied.clamp(0.0, 1.0) as f32;
+            }
+            message.elsewhere[place] = if not_known { 0.0 } else { elsewhere[place] as f32 };
+        }
+        message
+    }
+
+    /// Where each person will be, as [`Board::forecast`]; of at most [`MAX_PERSONS`], those that [`Board::persons`] names.
+    pub fn person_forecasts(&mut self, now_ns: u64) -> &PersonForecastsV1 {
+        self.watch();
+        let signed_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
+        let (message, scores) = (&mut *self.person_forecasts, &self.person_scores);
+        (message.epoch, message.sequence) = (self.snapshot.epoch, self.snapshot.sequence);
+        (message.computed_ns, message.published_ns, message.minor) = (now_ns, now_ns, 1);
+        (message.room_count, message.id) = (scores.room_count, scores.id);
+        (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
+        (message.persons, message.person_count) = (scores.persons, scores.person_count);
+        let (rooms, now_s) = (scores.room_count as usize, now_ns as f64 / 1e9);
+        let mut places = message.person.iter_mut();
+        for (person, place) in scores.persons().iter().map(|scores| scores.person).zip(&mut places) {
+            *place = PersonForecastV1 { person, name: self.persons.name_bytes(person), ..PersonForecastV1::default() };
+            let presence = self.persons.get(person).map_or(Presence::Gone, |known| known.presence);
+            (place.presence, place.flags) = (presence_value(presence), self.persons.flags(person, signed_ns));
+            let own = self.followed.get(&person);
+            let rows = own.and_then(|own| self.home.forecast(person, own, now_ns, &HORIZONS_S));
+            let by_habit = rows.is_some();
+            for (horizon, horizon_s) in HORIZONS_S.iter().enumerate() {
+                if let Some((gone, known)) = rows.and_then(|rows| row(rows, horizon)?.split_last()) {
+                    place.elsewhere[horizon] = *gone as f32;
+                    for (row, probability) in place.probability.iter_mut().zip(known).take(rooms) {
+                        row[horizon] = probability.clamp(0.0, 1.0) as f32;
+                    }
+                    continue;
+                }
+                let Some(own) = own else {
+                    // Who is gone is followed no more; of somebody present no clock told when anything was observed.
+                    let is_here = presence == Presence::Present;
+                    let even = if is_here { 1.0 / rooms.max(1) as f32 } else { 0.0 };
+                    place.probability.iter_mut().take(rooms).for_each(|row| row[horizon] = even);
+                    place.elsewhere[horizon] = f32::from(u8::from(!is_here));
+                    continue;
+                };
+                place.elsewhere[horizon] = own.elsewhere(now_s, f64::from(*horizon_s)) as f32;
+                let probability = own.at(now_s, f64::from(*horizon_s));
+                for (row, probability) in place.probability.iter_mut().zip(probability).take(rooms) {
+                    row[horizon] = probability.clamp(0.0, 1.0) as f32;
+                }
+            }
+            place.observations = self.home.observations_of(person) as f32;
+            if by_habit {
+                write_learned(&self.home, person, place);
+            }
+        }
+        places.for_each(|place| *place = PersonForecastV1::default());
+        message
+    }
+
+    /// The scores of the last good step as a message, to be sent at `now_ns`: again unchanged when `heartbeat`.
+    pub fn message(&mut self, now_ns: u64, heartbeat: bool, behind: bool) -> &RoomScoresV1 {
+        let message = &mut self.snapshot;
+        message.published_ns = now_ns;
+        message.flags &= !(score_flags::HEARTBEAT | score_flags::BEHIND);
+        message.flags |= if heartbeat { score_flags::HEARTBEAT } else { 0 };
+        message.flags |= if behind { score_flags::BEHIND } else { 0 };
+        message
+    }
+
+    /// Each person's scores of the last good step as a message, to be sent at `now_ns`: of at most [`MAX_PERSONS`], those who were observed
+    /// last.
+    pub fn person_scores(&mut self, now_ns: u64) -> &PersonScoresV1 {
+        self.watch();
+        let message = &mut *self.person_scores;
+        message.published_ns = now_ns;
+        let now_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
+        for person in message.person.iter_mut().take(message.person_count as usize) {
+            person.flags = self.persons.flags(person.person, now_ns);
+            person.name = self.persons.name_bytes(person.person);
+        }
+        message
+    }
+
+    /// The items' scores of the last step, of at most [`MAX_ITEMS`] the best, with the header that ties them to the snapshot; none while a
+    /// changed map waits for its first scores.
+    pub fn items(&self) -> Option<(ItemScoresHeaderV1, impl ExactSizeIterator<Item = ItemScoreV1> + '_)> {
+        if self.next_rooms.is_some() {
+            return None;
+        }
+        let RoomScoresV1 { epoch, sequence, computed_ns, .. } = self.snapshot;
+        let items = self.map.items().len() as u32;
+        let header = ItemScoresHeaderV1 { epoch, sequence, computed_ns, minor: 1, items, ..Default::default() };
+        let mut counts = vec![0_u32; self.map.labels().len()];
+        for item in self.map.items() {
+            counts[item.label.0 as usize] += 1;
+        }
+        let grounding = self.pipeline.grounding();
+        let scores: Vec<f64> = grounding.item_log_score_nats(&self.pipeline.scores().label_log_prob_nats).collect();
+        let mut chosen: Vec<usize> = (0..scores.len()).collect();
+        if chosen.len() > MAX_ITEMS {
+            chosen.select_nth_unstable_by(MAX_ITEMS, |a, b| scores[*b].total_cmp(&scores[*a]).then(a.cmp(b)));
+            chosen.truncate(MAX_ITEMS);
+            chosen.sort_unstable();
+        }
+        let items = chosen.into_iter().map(move |place| {
+            let item = &self.map.items()[place];
+            ItemScoreV1 {
+                id: text::encode_cut(&item.id),
+                label: text::encode_cut(&self.map.labels()[item.label.0 as usize]),
+                log_score_nats: scores[place],
+                partition: grounding.item_partition()[place].map_or(NO_PARTITION, |partition| partition.0),
+                label_items: counts[item.label.0 as usize],
+            }
+        });
+        Some((header, items))
+    }
+
+    /// Copies the pipeline's scores into the snapshot.
+    pub(super) fn fill(&mut self) {
+        let scores = self.pipeline.scores();
+        let snapshot = &mut self.snapshot;
+        let grounded = &scores.grounded;
+        let values = grounded.partition_log_score_nats.iter().zip(&grounded.partition_probability);
+        let bounds = scores.lower_log_score_nats.iter().zip(&scores.upper_log_score_nats);
+        for ((room, (score, probability)), (lower, upper)) in snapshot.room.iter_mut().zip(values).zip(bounds) {
+            *room = RoomV1 {
+                log_score_nats: *score,
+                lower_log_score_nats: *lower,
+                upper_log_score_nats: *upper,
+                probability: *probability,
+                ..*room
+            };
+        }
+        snapshot.reached = reached_value(scores.reached);
+        snapshot.label_mass = grounded.label_mass;
+        snapshot.observed_ns = scores.newest_observed_ns;
+        snapshot.tokenise_ns = scores.timing.tokenise_ns;
+        snapshot.prefix_ns = scores.timing.prefix_ns;
+        snapshot.trie_ns = scores.timing.trie_ns;
+        snapshot.ground_ns = scores.timing.ground_ns;
+
+        let (persons, present) = self.persons.count();
+        let shown = || self.pipeline.persons().filter(|own| own.at_home || present == 0).map(|own| own.person);
+        snapshot.person = if shown().count() == 1 { shown().next().unwrap_or(ALL_PERSONS) } else { ALL_PERSONS };
+        snapshot.persons = persons as u32;
+        snapshot.window = self.pipeline.persons().map(|own| own.window as u64).sum();
+        snapshot.flags |= if self.persons.nobody_is_home() { score_flags::NOBODY_HOME } else { 0 };
+        snapshot.flags |= if persons == 0 { score_flags::NO_NARRATION } else { 0 };
+
+        self.newest_sources.clear();
+        for own in &scores.included {
+            let newer =
+                scores.included.iter().filter(|other| other.voice == own.voice && other.turn > own.turn).count();
+            self.newest_sources.push((newer, *own));
+        }
+        // Each voice's newest first, so that nobody's confirmation is pushed out by another's sources; by source where all is equal, so
+        // that the same step gives the same message.
+        self.newest_sources.sort_unstable_by_key(|(newer, own)| (*newer, Reverse(own.turn), own.source, own.epoch));
+        // A source that was named before, and has said nothing since, waits for no confirmation.
+        let is_new = |own: &Included| own.turn > self.named_turn;
+        let cut = self.newest_sources.iter().skip(MAX_SOURCES).any(|(_, own)| is_new(own));
+        self.named_turn = self.newest_sources.iter().map(|(_, own)| own.turn).max().unwrap_or_default();
+        self.newest_sources.truncate(MAX_SOURCES);
+        snapshot.source_count = self.newest_sources.len() as u32;
+        snapshot.included = Default::default();
+        for (place, (_, included)) in snapshot.included.iter_mut().zip(&self.newest_sources) {
+            *place = IncludedV1 {
+                source: included.source,
+                epoch: included.epoch,
+                sequence: included.sequence,
+                observed_ns: included.observed_ns,
+                accepted: included.accepted,
+            };
+        }
+        snapshot.flags |= if cut { score_flags::SOURCES_CUT } else { 0 };
+        self.fill_persons();
+    }
+
+    /// Copies each person's scores into their message.
+    fn fill_persons(&mut self) {
+        self.newest_persons.clear();
+        self.newest_persons.extend(self.persons.iter().map(|(person, known)| (known.heard_ns, person)));
+        // Residents before visitors, and of both those who were observed last.
+        let persons = &self.persons;
+        let rank = |(heard_ns, person): &(i64, u32)| (persons.is_visitor(*person), Reverse(*heard_ns), *person);
+        self.newest_persons.sort_unstable_by_key(rank);
+        // Who finds no place among them is not told of, and waits for nothing.
+        for (_, person) in self.newest_persons.drain(MAX_PERSONS.min(self.newest_persons.len())..) {
+            if let Some(known) = self.persons.get_mut(person) {
+                known.told = true;
+            }
+        }
+        self.newest_persons.sort_unstable_by_key(|(_, person)| *person);
+
+        let (message, snapshot) = (&mut *self.person_scores, &self.snapshot);
+        (message.epoch, message.sequence) = (snapshot.epoch, snapshot.sequence);
+        (message.computed_ns, message.map_fingerprint) = (snapshot.computed_ns, snapshot.map_fingerprint);
+        message.persons = snapshot.persons;
+        message.room_count = snapshot.room_count;
+        // Those beyond the rooms are zero in the snapshot, too.
+        for (id, room) in message.id.iter_mut().zip(&snapshot.room) {
+            *id = room.id;
+        }
+        let mut places = message.person.iter_mut();
+        let mut count = 0;
+        for &(heard_ns, person) in &self.newest_persons {
+            let Some(known) = self.persons.get_mut(person) else { continue };
+            let own = self.pipeline.person(person);
+            // Who is gone has no scores, and is told of all the same.
+            if own.is_none() && known.presence != Presence::Gone {
+                continue;
+            }
+            let Some(place) = places.next() else { break };
+            count += 1;
+            known.told = true;
+            *place = PersonV1 {
+                person,
+                presence: presence_value(known.presence),
+                observed_ns: message_ns(heard_ns),
+                since_ns: message_ns(known.since_ns),
+                elsewhere: if known.presence == Presence::Present { 0.0 } else { 1.0 },
+                ..PersonV1::default()
+            };
+            let Some(own) = own else {
+                let rooms = snapshot.room_count as usize;
+                for row in [&mut place.log_score_nats, &mut place.lower_log_score_nats, &mut place.upper_log_score_nats]
+                {
+                    row.iter_mut().take(rooms).for_each(|score| *score = f64::NEG_INFINITY);
+                }
+                continue;
+            };
+            (place.reached, place.window) = (reached_value(own.reached), own.window as u64);
+            place.label_mass = own.grounded.label_mass;
+            for (row, values) in [
+                (&mut place.log_score_nats, &own.grounded.partition_log_score_nats[..]),
+                (&mut place.lower_log_score_nats, own.lower_log_score_nats),
+                (&mut place.upper_log_score_nats, own.upper_log_score_nats),
+                (&mut place.probability, &own.grounded.partition_probability),
+            ] {
+                let used = values.len().min(MAX_ROOMS);
+                row[..used].copy_from_slice(&values[..used]);
+            }
+        }
+        places.for_each(|place| *place = PersonV1::default());
+        message.person_count = count;
+    }
+}
+
+/// The sets of a person's latest forecast, and how much of it was learned.
+fn write_learned(home: &HomeHabits, person: u32, place: &mut PersonForecastV1) {
+    if let Some((coverage, sets)) = home.sets(person) {
+        place.set_coverage = coverage as f32;
+        for (horizon, (bits, set)) in place.room_set.iter_mut().zip(sets).enumerate() {
+            *bits = set.rooms;
+            place.set_elsewhere |= u32::from(set.elsewhere) << horizon;
+        }
+    }
+    let Some(learned) = home.learned_shares(person) else { return };
+    for (horizon_s, learned) in HORIZONS_S.iter().zip(learned) {
+        if let Some(at) = LEARNED_SHARE_S.iter().position(|told_s| told_s == horizon_s) {
+            place.learned_share[at] = learned as f32;
+        }
+    }
+}
+
+/// The row of a horizon.
+fn row(rows: &[f64], horizon: usize) -> Option<&[f64]> {
+    rows.chunks_exact((rows.len() / HORIZONS_S.len()).max(1)).nth(horizon)
+}
+
+/// How a message says how scores were reached.
+fn reached_value(effort: Effort) -> u32 {
+    match effort {
+        Effort::Exact => reached::EXACT,
+        Effort::Ranking => reached::RANKING,
+        Effort::Top => reached::TOP,
+        Effort::Deadline => reached::DEADLINE,
+    }
+}
+
+/// The rooms of a message, and how many they are.
+pub(super) type NamedRooms = ([RoomV1; MAX_ROOMS], u32);
+
+/// The rooms of a message for these partitions, without scores.
+pub(super) fn named_rooms(partitions: &[Partition]) -> Result<NamedRooms, BoardError> {
+    if partitions.len() > MAX_ROOMS {
+        return Err(BoardError::TooManyPartitions { partitions: partitions.len() });
+    }
+    let mut rooms = [RoomV1::default(); MAX_ROOMS];
+    for (room, partition) in rooms.iter_mut().zip(partitions) {
+        let name = |source| BoardError::Name { id: partition.id.clone(), source };
+        room.id = text::encode("room id", &partition.id).map_err(name)?;
+    }
+    Ok((rooms, partitions.len() as u32))
+}

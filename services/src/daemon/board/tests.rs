@@ -1,0 +1,356 @@
+use std::cell::Cell;
+use std::rc::Rc;
+
+use proptest::prelude::*;
+use roomcast_core::grounding::Grounding;
+use roomcast_core::label_trie::TokenTree;
+use roomcast_core::narration::{SOMEBODY, Sentence};
+use roomcast_core::pipeline::PipelineOptions;
+use roomcast_core::scorer::table::TableModel;
+use roomcast_core::scorer::{DecodeStats, ModelError, ModelInfo, TextStart, Token};
+use roomcast_core::semantic_map::delta::parse_changes;
+use roomcast_ipc::{MAX_SOURCES, Message, forecast_flags, narration_kind};
+
+use super::*;
+use crate::config::PersonsConfig;
+use crate::daemon::PersonsFile;
+use crate::message_text::said_of;
+
+const S: u64 = 1_000_000_000;
+const TWO_ROOMS: &str = include_str!("../../../../tests/data/two_rooms.json");
+
+fn board() -> Board<TableModel> {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let options = GroundingOptions::default();
+    let grounding = Grounding::new(&map, &options).unwrap();
+    let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+    Board::new(pipeline, map, options, 1).unwrap()
+}
+
+fn observation(person: u32, at_ns: u64, sentence: &str) -> Observation {
+    Observation {
+        person,
+        observed_ns: at_ns,
+        observed_unix_ns: 1_000_000 * S + at_ns,
+        ..Observation::of(at_ns, Sentence::new(sentence).unwrap())
+    }
+}
+
+proptest! {
+    /// The bound on what one narrator alone does: with a guard, whatever a stranger says moves nothing of a person of whom a named one tells, to
+    /// the last bit, and no room falls below what those persons give it; nor after a restart.
+    #[test]
+    fn a_stranger_moves_nothing_of_a_guarded_person(
+        said in prop::collection::vec((0..12_usize, 0..4_u32, 0..50_u64), 1..40),
+    ) {
+        const NAMED: u64 = 7;
+        let config = || PersonsConfig { residents: vec!["0".to_owned(), "1".to_owned()], guard_s: 600.0, ..PersonsConfig::default() };
+        let home = || board().with_persons(Persons::new(config(), PersonsFile::default())).with_named([NAMED]);
+        let own = Voice { number: NAMED, share: 1 };
+        let strange = Voice { number: OTHERS, share: 1 };
+        let entry = |source: u64, voice: Voice, person: u32, at_ns: u64, text: &str| {
+            let kind = if text.starts_with("They") { narration_kind::SENTENCE } else { narration_kind::PRESENCE };
+            let said = said_of(kind, text).unwrap();
+            let observation = Observation { source, person, said, ..observation(person, at_ns, "They sit.") };
+            Entry { voice, ..Entry::new(observation, at_ns) }
+        };
+        let (mut with, mut without) = (home(), home());
+        let (mut heard, mut heard_alone) = (Vec::new(), Vec::new());
+        let mut at_ns = 1000 * S;
+        for person in 0..2 {
+            at_ns += S;
+            let first = entry(NAMED, own, person, at_ns, ["They open the fridge.", "They sit on the sofa."][person as usize]);
+            heard.push(first.observation.clone());
+            heard_alone.push(first.observation.clone());
+            with.step([first.clone()], at_ns, 1_000_000 * S + at_ns).unwrap();
+            without.step([first], at_ns, 1_000_000 * S + at_ns).unwrap();
+        }
+        for (what, person, later_s) in said {
+            at_ns += S / 4;
+            let who = [0, 1, 2, SOMEBODY][person as usize];
+            let text = [
+                "They open the fridge.", "They sit on the sofa.", "They leave the house.", "They go to bed.", "away", "gone", "present in the kitchen",
+                "present in the living room", "They walk to the sofa.", "They come home.", "present", "They watch television.",
+            ][what];
+            // It dates what it says as it likes.
+            let strange = entry(9, strange, who, at_ns - later_s * S, text);
+            heard.push(strange.observation.clone());
+            with.step([strange], at_ns, 1_000_000 * S + at_ns).unwrap();
+            without.step([], at_ns, 1_000_000 * S + at_ns).unwrap();
+            let rooms = |board: &Board<TableModel>| board.snapshot().rooms().iter().map(|room| room.probability).collect::<Vec<_>>();
+            for (with, without) in rooms(&with).iter().zip(rooms(&without)) {
+                prop_assert!(*with >= without - 1e-12, "{with} is less than {without}");
+            }
+        }
+        let (mut again, mut again_alone) = (home(), home());
+        again.restore(recovered(heard), at_ns, 1_000_000 * S + at_ns);
+        again_alone.restore(recovered(heard_alone), at_ns, 1_000_000 * S + at_ns);
+        again.step([], at_ns, 1_000_000 * S + at_ns).unwrap();
+        again_alone.step([], at_ns, 1_000_000 * S + at_ns).unwrap();
+        for (with, without) in [(&mut with, &mut without), (&mut again, &mut again_alone)] {
+            let (scores, alone) = (*with.person_scores(at_ns), *without.person_scores(at_ns));
+            let (ahead, ahead_alone) = (*with.person_forecasts(at_ns), *without.person_forecasts(at_ns));
+            for person in 0..2 {
+                let of = |scores: &PersonScoresV1| *scores.persons().iter().find(|own| own.person == person).unwrap();
+                prop_assert_eq!(of(&scores).probability, of(&alone).probability);
+                prop_assert_eq!(of(&scores).presence, of(&alone).presence);
+                let of = |ahead: &PersonForecastsV1| *ahead.persons().iter().find(|own| own.person == person).unwrap();
+                prop_assert_eq!(of(&ahead).probability, of(&ahead_alone).probability);
+                prop_assert_eq!(of(&ahead).elsewhere, of(&ahead_alone).elsewhere);
+            }
+        }
+    }
+}
+
+/// Without a guard, and when it is over, a stranger is heard.
+#[test]
+fn a_guard_ends() {
+    let config = |guard_s| PersonsConfig { guard_s, ..PersonsConfig::default() };
+    for (guard_s, later_s, is_heard) in [(0.0, 1, true), (600.0, 599, false), (600.0, 602, true)] {
+        let mut board = board().with_persons(Persons::new(config(guard_s), PersonsFile::default())).with_named([1]);
+        let at_ns = 1000 * S;
+        let later_ns = at_ns + later_s * S;
+        let own = Entry::new(observation(0, at_ns, "They open the fridge."), at_ns);
+        let strange = Observation { source: 9, ..observation(0, later_ns, "They sit on the sofa.") };
+        let strange = Entry { voice: Voice { number: OTHERS, share: 1 }, ..Entry::new(strange, later_ns) };
+        board.step([own, strange], later_ns, 1_000_000 * S + later_ns).unwrap();
+        let read: Vec<_> = board.pipeline().read_sentences().map(|(_, said)| said.to_owned()).collect();
+        assert_eq!(read.contains(&"They sit on the sofa.".to_owned()), is_heard, "{guard_s} {later_s}: {read:?}");
+    }
+}
+
+fn recovered(observations: impl IntoIterator<Item = Observation>) -> Recovered {
+    let mut recovered = Recovered::default();
+    recovered.observations = observations.into_iter().collect();
+    recovered
+}
+
+/// Fails as often as it is told to.
+#[derive(Debug)]
+struct Failing {
+    table: TableModel,
+    failures: Rc<Cell<u32>>,
+}
+
+impl LanguageModel for Failing {
+    fn info(&self) -> &ModelInfo {
+        self.table.info()
+    }
+
+    fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
+        self.table.tokenise(text, start, out)
+    }
+
+    fn token_text(&self, token: Token) -> String {
+        self.table.token_text(token)
+    }
+
+    fn forget(&mut self) {}
+
+    fn decode(
+        &mut self,
+        prompt: &[Token],
+        tree: &TokenTree,
+        want_prompt_row: bool,
+        visit: &mut dyn FnMut(usize, &[f32]),
+    ) -> Result<DecodeStats, ModelError> {
+        if let Some(left) = self.failures.get().checked_sub(1) {
+            self.failures.set(left);
+            return Err(ModelError::Decode { tokens: prompt.len(), reason: "told to fail".to_owned() });
+        }
+        self.table.decode(prompt, tree, want_prompt_row, visit)
+    }
+
+    fn tidy(&mut self, _keep: usize) {}
+}
+
+fn failing_board(failures: &Rc<Cell<u32>>) -> Board<Failing> {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let options = GroundingOptions::default();
+    let grounding = Grounding::new(&map, &options).unwrap();
+    let model = Failing { table: TableModel::new(7), failures: Rc::clone(failures) };
+    let pipeline = Pipeline::new(model, grounding, PipelineOptions::default()).unwrap();
+    Board::new(pipeline, map, options, 1).unwrap()
+}
+
+#[test]
+fn a_changed_map_is_published_with_its_first_scores() {
+    let failures = Rc::<Cell<u32>>::default();
+    let mut board = failing_board(&failures);
+    for (at_s, sentence) in DAY {
+        board.step([entry(0, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+    }
+    let before = *board.message(75 * S, false, false);
+    let sofa = board.forecast(75 * S).probability[1][0];
+    assert!(sofa > 0.8, "{sofa}");
+
+    let room = r#"[{"change": "add-room", "room": {"id": "hall", "label": "hall", "box": {"min_m": [9, 0, 0], "max_m": [12, 3, 2.5]}}}]"#;
+    let map = board.map().changed(parse_changes(room).unwrap()).unwrap();
+    board.change_map(map).unwrap();
+    for step in 0..3 {
+        failures.set(1);
+        let at_ns = (76 + step) * S;
+        board.step([entry(0, at_ns, "They walk to the hall.")], at_ns, at_ns).unwrap_err();
+        board.tidy();
+        let message = *board.message(at_ns, true, false);
+        let as_before = RoomScoresV1 { published_ns: message.published_ns, flags: message.flags, ..before };
+        assert_eq!(message, as_before);
+        assert_eq!(message.flags, score_flags::SCORER_FAILED | score_flags::HEARTBEAT);
+        let forecast = board.forecast(at_ns);
+        assert_eq!((forecast.room_count, forecast.flags), (2, 0));
+        assert!(forecast.probability[1][0] > 0.8, "{:?}", forecast.probability[1]);
+        assert!(board.items().is_none());
+    }
+    board.step([], 80 * S, 80 * S).unwrap();
+    let after = *board.message(80 * S, false, false);
+    assert_eq!((after.room_count, after.flags), (3, 0));
+    assert_ne!(after.map_fingerprint, before.map_fingerprint);
+    assert!((after.rooms().iter().map(|room| room.probability).sum::<f64>() - 1.0).abs() < 1e-9);
+    let forecast = board.forecast(80 * S);
+    assert_eq!((forecast.room_count, forecast.flags), (3, 0));
+    assert!(forecast.probability[2][0] > 0.5, "what was observed meanwhile is known: {:?}", forecast.probability);
+    assert!(board.items().is_some());
+}
+
+fn entry(person: u32, at_ns: u64, sentence: &str) -> Entry {
+    Entry::new(observation(person, at_ns, sentence), at_ns)
+}
+
+fn occupied(board: &mut Board<TableModel>, room: usize, now_ns: u64) -> f32 {
+    board.forecast(now_ns).probability[room][0]
+}
+
+/// Narrators that said one thing each, one after the other, wait for nothing; those that say it at once wait for their places.
+#[test]
+fn only_what_waits_is_cut() {
+    let mut board = board();
+    let told = |source: u64, at_ns: u64| {
+        let observation = Observation { source, epoch: 1, ..observation(0, at_ns, "They walk to the hall.") };
+        Entry::new(observation, at_ns)
+    };
+    let mut cut = |sources: std::ops::Range<u64>, at_ns: u64| {
+        board.step(sources.map(|source| told(source, at_ns)), at_ns, at_ns).unwrap();
+        board.snapshot().has(score_flags::SOURCES_CUT)
+    };
+    let most = MAX_SOURCES as u64;
+    for source in 0..2 * most {
+        assert!(!cut(source..source + 1, (10 + source) * S), "{source}");
+    }
+    assert!(!cut(100..100 + most, 100 * S));
+    assert!(cut(200..201 + most, 101 * S));
+    assert!(!cut(0..0, 102 * S));
+}
+
+const DAY: [(u64, &str); 4] = [
+    (10, "They walk to the kitchen."),
+    (25, "They grab the coffee maker."),
+    (60, "They walk to the sofa."),
+    (70, "They sit on the sofa."),
+];
+
+#[test]
+fn a_restart_remembers_where_everybody_is() {
+    let mut before = board();
+    for (at_s, sentence) in DAY {
+        before.step([entry(3, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+    }
+    let now_ns = 80 * S;
+    let was = occupied(&mut before, 1, now_ns);
+    assert!(was > 0.7, "{was}");
+    assert_eq!(before.forecast(now_ns).flags, 0);
+
+    // The same boot, and a later one, whose clock begins again and whose journal's monotonic times are dropped.
+    for later_boot in [false, true] {
+        let mut after = board();
+        let kept = DAY.map(|(at_s, sentence)| {
+            let whole = observation(3, at_s * S, sentence);
+            if later_boot { Observation { observed_ns: 0, ..whole } } else { whole }
+        });
+        let (now_ns, now_unix_ns) = (if later_boot { 2 * S } else { 80 * S }, 1_000_080 * S);
+        after.restore(recovered(kept), now_ns, now_unix_ns);
+        after.step([], now_ns, now_unix_ns).unwrap();
+        let is = occupied(&mut after, 1, now_ns);
+        assert!((was - is).abs() < 0.05, "{was} before, {is} after a restart");
+        assert_eq!(after.forecast(now_ns).flags, forecast_flags::RESTORED);
+        after.step([entry(3, now_ns + S, "They sit on the sofa.")], now_ns + S, now_unix_ns + S).unwrap();
+        assert_eq!(after.forecast(now_ns + S).flags, 0);
+    }
+}
+
+/// What a failed step took in is told by the step that scores it: its wait is the longest there is.
+#[test]
+fn a_failed_step_loses_neither_gap_nor_latency() {
+    let failures = Rc::<Cell<u32>>::default();
+    let mut board = failing_board(&failures);
+    board.step([], S, S).unwrap();
+    failures.set(2);
+    let lost = Entry { after_gap: true, ..entry(0, 2 * S, "They grab the mug.") };
+    board.step([lost], 2 * S, 2 * S).unwrap_err();
+    board.step([entry(0, 3 * S, "They sit on the sofa.")], 3 * S, 3 * S).unwrap_err();
+    assert_eq!(board.step([], 5 * S, 5 * S).unwrap(), Some(2 * S));
+    let snapshot = board.snapshot();
+    assert_eq!((snapshot.received_ns, snapshot.wait_ns), (2 * S, 3 * S));
+    assert_eq!(snapshot.flags, score_flags::GAP);
+    // Once.
+    assert_eq!(board.step([], 6 * S, 6 * S).unwrap(), None);
+    assert_eq!((board.snapshot().received_ns, board.snapshot().wait_ns, board.snapshot().flags), (2 * S, 0, 0));
+}
+
+#[test]
+fn what_is_not_known_is_flagged() {
+    let mut board = board();
+    board.step([], S, S).unwrap();
+    assert_eq!(board.forecast(S).flags, forecast_flags::NOT_KNOWN);
+    assert_eq!(board.forecast(S).probability[0][0], 0.5);
+    board.step([entry(0, 2 * S, "They stand up.")], 2 * S, 2 * S).unwrap();
+    assert_eq!(board.forecast(2 * S).flags, 0);
+}
+
+#[test]
+fn of_too_many_persons_those_are_told_who_were_observed_last() {
+    let mut board = board();
+    for person in 0..12 {
+        let at_ns = u64::from(20 - person) * S;
+        board.step([entry(person, at_ns, "They grab the mug.")], 30 * S, 30 * S).unwrap();
+    }
+    let told = board.person_scores(30 * S);
+    told.check().unwrap();
+    assert_eq!(told.persons().iter().map(|person| person.person).collect::<Vec<_>>(), (0..8).collect::<Vec<_>>());
+    assert_eq!(told.persons, 12);
+}
+
+/// Each person's forecast rests on what the model says of them, and not on what it says of another.
+#[test]
+fn a_persons_forecast_is_that_of_the_person_alone() {
+    let mut alone = [0, 1].map(|_| board());
+    let mut both = board();
+    for (number, (at_s, sentence)) in (0..).zip(DAY.into_iter().chain([(90, "They grab the mug.")])) {
+        let person = number % 2;
+        both.step([entry(person, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+        alone[person as usize].step([entry(person, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+    }
+    let told = *both.person_scores(100 * S);
+    told.check().unwrap();
+    assert_eq!((told.persons().len(), told.rooms().collect::<Vec<_>>()), (2, vec!["kitchen", "living-room"]));
+    for (own, person) in alone.iter_mut().zip(told.persons()) {
+        // To the bit, and alone also to the bit what the snapshot says.
+        let of_own = *own.person_scores(100 * S);
+        assert_eq!(of_own.persons(), [*person]);
+        for (room, scores) in own.snapshot().rooms().iter().enumerate() {
+            assert_eq!(scores.probability.to_bits(), person.probability[room].to_bits());
+            assert_eq!(scores.log_score_nats.to_bits(), person.log_score_nats[room].to_bits());
+        }
+    }
+    for (room, scores) in both.snapshot().rooms().iter().enumerate() {
+        let nobody: f64 = told.persons().iter().map(|person| 1.0 - person.probability[room]).product();
+        assert_eq!(scores.probability, 1.0 - nobody);
+    }
+    let of = |board: &mut Board<TableModel>| board.forecast(100 * S).probability;
+    let [first, second] = &mut alone;
+    let (first, second, both) = (of(first), of(second), of(&mut both));
+    for (room, horizon) in (0..2).flat_map(|room| (0..MAX_HORIZONS).map(move |horizon| (room, horizon))) {
+        let [p, q] = [first, second].map(|of| f64::from(of[room][horizon]));
+        let expected = 1.0 - (1.0 - p) * (1.0 - q);
+        assert!((f64::from(both[room][horizon]) - expected).abs() < 1e-6, "{room} {horizon}: {p} {q}");
+    }
+}

@@ -1,0 +1,248 @@
+//! Whose an observation is, and what of it is taken in.
+
+use roomcast_core::forecast::Mentions;
+use roomcast_core::narration::{Observation, Presence, PresenceStatement, SOMEBODY, Said, Voice, same_name};
+use roomcast_core::pipeline::PersonScores;
+use roomcast_core::scorer::LanguageModel;
+use roomcast_ipc::RoomV1;
+
+use super::{Attributed, Board, STRANGE_ROOMS_LOGGED, Seen, room_named, seconds};
+
+/// What says where somebody is.
+#[derive(Debug, Clone, Copy)]
+enum Place {
+    /// A label that was mentioned.
+    Label(usize),
+    /// A room.
+    Room(usize),
+}
+
+impl<M: LanguageModel> Board<M> {
+    /// The observations that one of several clauses stands for, each of those whom it names; itself where it has one.
+    pub(super) fn clauses(&self, observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
+        let said = observation.said.clauses(|name| self.persons.is_name_known(name));
+        // What is keyed, or was found by fit, is so in the clauses that name nobody.
+        let own = |said: Said| {
+            let mut names = if said.is_of_a_pronoun() { Vec::new() } else { self.persons.named(&said) };
+            let is_own = |name: &String| match &observation.name {
+                Some(own) => same_name(own, name),
+                None => self.persons.number_of(name) == observation.person,
+            };
+            if names.is_empty() || (names.len() == 1 && names.iter().all(is_own)) {
+                return Observation { said, ..observation.clone() };
+            }
+            let name = if names.len() == 1 { names.pop().map(Into::into) } else { None };
+            Observation { person: SOMEBODY, name, by_fit: false, said, ..observation.clone() }
+        };
+        let several: Vec<Observation> = said.into_iter().map(own).collect();
+        several.is_empty().then_some(observation).into_iter().chain(several)
+    }
+
+    /// The observations of persons that one stands for; none where it moves nobody ("The milk is out."), or where its subject is somebody who is not known
+    /// and may be anywhere ("Carl is on his way.").
+    pub(super) fn of_persons(&self, mut observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
+        let said = &observation.said;
+        // A sentence that says where somebody else is, or that they come, is of them, whoever's narrator heard it.
+        let is_keyed = observation.person != SOMEBODY || observation.name.is_some();
+        let statement = match said {
+            _ if !is_keyed => None,
+            Said::Presence(statement) => Some(statement.clone()),
+            Said::Sentence(sentence) => PresenceStatement::of_sentence(sentence.as_str()),
+        };
+        if statement
+            .is_some_and(|statement| statement.is_of_everybody() || self.persons.is_of_others(&observation, &statement))
+        {
+            (observation.person, observation.name) = (SOMEBODY, None);
+        }
+        let said = &observation.said;
+        let is_open = observation.person == SOMEBODY && observation.name.is_none();
+        let is_thing = |name: &str| self.mentions.knows(name) && !self.persons.is_name_known(name);
+        let is_of_things = match said {
+            Said::Presence(statement) => statement.names().any(is_thing),
+            Said::Sentence(_) => said.moves_nobody(),
+        };
+        let is_unknown =
+            || is_open && said.is_from_afar() && !said.is_of_a_pronoun() && self.persons.named(said).is_empty();
+        // What has ended brings nobody home.
+        let is_over = || is_open && said.is_of_an_end() && self.persons.count().1 == 0;
+        let is_of_none = || is_open && self.persons.is_of_nobody(said);
+        let is_of_nobody = is_of_things || is_over() || is_of_none() || is_unknown();
+        (!is_of_nobody).then(|| self.persons.each(observation)).into_iter().flatten()
+    }
+
+    /// Decides whom an observation is of, and takes note of it: also for the forecasts, where its time is known. Gives it back for the
+    /// history, unless something later has said otherwise of whether its person is in the house.
+    /// What a stranger says of somebody who is guarded is passed over, too.
+    pub(super) fn take(
+        &mut self,
+        mut observation: Observation,
+        voice: Voice,
+        is_strange: bool,
+        at_ns: Option<i64>,
+    ) -> Option<Observation> {
+        let noted_ns = at_ns.unwrap_or_default();
+        match &observation.name {
+            Some(name) => {
+                observation.person = self.persons.number_of(name);
+                self.persons.remember(observation.source, observation.person, noted_ns);
+            }
+            None if observation.person == SOMEBODY => {
+                observation.name = self.persons.named(&observation.said).pop().map(Into::into);
+                let is_meant = || observation.said.is_of_one_pronoun();
+                let meant = || self.persons.antecedent(observation.source, noted_ns).filter(|_| is_meant());
+                let person = match &observation.name {
+                    Some(name) => self.persons.number_of(name),
+                    None => meant().unwrap_or_else(|| self.fitting(&observation.said, noted_ns)),
+                };
+                if observation.name.is_some() {
+                    self.persons.remember(observation.source, person, noted_ns);
+                }
+                (observation.person, observation.by_fit) = (person, observation.name.is_none());
+                let Observation { source, epoch, sequence, .. } = observation;
+                self.attributed.push(Attributed { source, epoch, sequence, person });
+            }
+            None if observation.by_fit => {
+                // Who was told apart by a sentence's subject before a restart goes by it again.
+                let mut names = self.persons.named(&observation.said).into_iter();
+                let own = names.find(|name| self.persons.number_of(name) == observation.person);
+                observation.name = own.map(Into::into);
+                observation.by_fit = observation.name.is_none();
+            }
+            None => {}
+        }
+        if is_strange && self.persons.is_guarded(observation.person, noted_ns) {
+            return None;
+        }
+        // After such a silence a visitor was gone, whether or not anybody looked meanwhile.
+        if self.persons.has_expired(observation.person, noted_ns) {
+            self.watch();
+            self.persons.remove(observation.person);
+            self.drop_person(observation.person);
+        }
+        let is_outdated = at_ns.is_some_and(|at_ns| self.persons.is_outdated(&observation, at_ns));
+        if is_outdated || self.persons.is_heard_from_afar(&observation) {
+            return None;
+        }
+        if let Some(dropped) = self.persons.note(&observation, voice, noted_ns) {
+            self.drop_person(dropped);
+        }
+        if !is_strange {
+            self.persons.guard(observation.person, noted_ns);
+        }
+        if !self.rescored.contains(&observation.person) {
+            self.rescored.push(observation.person);
+        }
+        let Some(at_ns) = at_ns else { return Some(observation) };
+        if self.unwatched == self.seen.len() {
+            let (words, presence) = (String::new(), Presence::Unknown);
+            self.seen.push(Seen { name: (0, 0, 0), person: 0, at_ns: 0, presence, words, is_sentence: false });
+        }
+        if let Said::Presence(statement) = &observation.said
+            && let Some(room) = statement.room()
+        {
+            self.note_room(room);
+        }
+        let place = &mut self.seen[self.unwatched];
+        self.unwatched += 1;
+        (place.person, place.at_ns, place.presence) = (observation.person, at_ns, observation.said.presence());
+        place.name = (observation.source, observation.epoch, observation.sequence);
+        place.words.clear();
+        place.is_sentence = observation.sentence().is_some();
+        match &observation.said {
+            Said::Sentence(sentence) => {
+                let words = place_words(sentence.as_str(), &observation);
+                place.words.push_str(words);
+                let name = observation.name.as_deref().or_else(|| self.persons.name_of(observation.person));
+                if let Some(name) = name {
+                    name_owners(&mut place.words, name, &self.mentions);
+                }
+            }
+            Said::Presence(statement) => place.words.push_str(statement.room().unwrap_or_default()),
+        }
+        Some(observation)
+    }
+
+    /// Takes a statement that a room is empty into the forecasts.
+    pub(super) fn exclude(&mut self, observation: &Observation, is_strange: bool, at_ns: Option<i64>) {
+        let Said::Presence(statement) = &observation.said else { return };
+        let Some(empty) = statement.empty_room() else { return };
+        if is_strange && self.persons.is_anybody_guarded(at_ns.unwrap_or_default()) {
+            return;
+        }
+        self.note_room(empty);
+        // Of a changed map nobody knows yet where they are.
+        let (Some(at_ns), None) = (at_ns, &self.next_rooms) else { return };
+        // What was observed before it comes first.
+        self.follow();
+        if let Some(room) = room_named(empty, &self.map, self.pipeline.grounding()) {
+            self.followed.values_mut().for_each(|own| own.exclude(seconds(at_ns), room));
+        }
+    }
+
+    /// Says once of each name that no room of the map has it: whoever is said to be there is present, and nothing is known of where.
+    fn note_room(&mut self, room: &str) {
+        let is_strange = self.next_rooms.is_none() && room_named(room, &self.map, self.pipeline.grounding()).is_none();
+        if is_strange && self.strange_rooms.len() < STRANGE_ROOMS_LOGGED && self.strange_rooms.insert(room.to_owned()) {
+            let rooms = self.snapshot.rooms().iter().map(RoomV1::id).collect::<Vec<_>>().join(", ");
+            tracing::warn!(
+                room,
+                rooms,
+                "somebody is said to be in a room that the map does not have: they count as present, in no room in particular; correct the narrator or the scene"
+            );
+        }
+    }
+
+    /// Whom an observation that names nobody fits best: where each person is believed to be, and what the model expects of them next.
+    fn fitting(&mut self, said: &Said, at_ns: i64) -> u32 {
+        /// What an expected object counts beside being where it is.
+        const NEXT: f64 = 0.5;
+        // As far as everything before it is known.
+        self.watch();
+        let Self { persons, pipeline, followed, mentions, map, next_rooms, .. } = self;
+        let grounding = pipeline.grounding();
+        let place = match said {
+            Said::Sentence(sentence) => mentions.last(sentence.as_str()).map(|found| Place::Label(found.label)),
+            Said::Presence(statement) => {
+                statement.room().and_then(|room| room_named(room, map, grounding)).map(Place::Room)
+            }
+        };
+        // Of a map that has not been scored yet nobody knows where they are.
+        let place = place.filter(|_| next_rooms.is_none());
+        persons.fitting(said, at_ns, |person| {
+            let (Some(own), Some(place)) = (followed.get(&person), place) else { return 0.0 };
+            let mut belief = own.at(seconds(at_ns), 0.0);
+            match place {
+                Place::Label(label) => {
+                    let here: f64 = belief.zip(grounding.weights().row(label).iter()).map(|(p, share)| p * share).sum();
+                    let next = pipeline.person(person).filter(|own| own.at_home && own.grounded.label_mass > 0.0);
+                    let share = |own: PersonScores<'_>| {
+                        Some(own.label_log_prob_nats.get(label)?.exp() / own.grounded.label_mass)
+                    };
+                    // Whoever has just been heard of has no scores yet.
+                    let next = next.and_then(share).unwrap_or_default();
+                    here + NEXT * next
+                }
+                Place::Room(room) => belief.nth(room).unwrap_or_default(),
+            }
+        })
+    }
+}
+
+/// The words of a sentence that say where its person is: none where a device that was found to be theirs has ended something.
+pub(super) fn place_words<'a>(sentence: &'a str, observation: &Observation) -> &'a str {
+    if observation.by_fit && observation.said.is_of_an_end() { "" } else { sentence }
+}
+
+/// Gives what somebody has their name, where the map has it by that: "tom goes to his room" is to "tom's room".
+fn name_owners(words: &mut String, name: &str, mentions: &Mentions) {
+    for had in [" his ", " her ", " their "] {
+        while let Some((at, next)) = words.match_indices(had).find_map(|(at, _)| {
+            let rest = &words[at + had.len()..];
+            let thing = rest.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default();
+            let owned = format!(" {}'s ", name.to_lowercase());
+            mentions.knows(&format!("{}{thing}", owned.trim_start()).to_lowercase()).then_some((at, owned))
+        }) {
+            words.replace_range(at..at + had.len(), &next);
+        }
+    }
+}

@@ -1,0 +1,826 @@
+use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::narration::{PresenceStatement, SOMEBODY, Sentence, person_number};
+use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::scorer::table::TableModel;
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_ipc::{Message, PersonV1, forecast_flags, score_flags};
+
+use super::super::journal::{Recovered, encode, encode_forgotten, encode_outcome, read_records};
+use super::super::{Board, Entry};
+use super::*;
+
+const S: u64 = 1_000_000_000;
+const BOOT: [u8; 16] = [5; 16];
+const STUDIO: &str = include_str!("../../../../scenes/studio.json");
+
+/// A daemon without threads, and its journal.
+struct House {
+    board: Board<TableModel>,
+    config: PersonsConfig,
+    journal: Vec<u8>,
+    said: u64,
+    now_ns: u64,
+}
+
+fn board(config: &PersonsConfig) -> Board<TableModel> {
+    let map = SemanticMap::from_json(STUDIO).unwrap();
+    let options = GroundingOptions::default();
+    let grounding = Grounding::new(&map, &options).unwrap();
+    let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+    let persons = Persons::new(config.clone(), PersonsFile::default());
+    Board::new(pipeline, map, options, 1).unwrap().with_persons(persons)
+}
+
+impl House {
+    fn new(residents: &[&str]) -> Self {
+        let residents = residents.iter().map(|name| (*name).to_owned()).collect();
+        let config = PersonsConfig { residents, ..PersonsConfig::default() };
+        Self { board: board(&config), config, journal: Vec::new(), said: 0, now_ns: 100_000 * S }
+    }
+
+    fn observation(&mut self, who: &str, text: &str) -> Observation {
+        let statement = PresenceStatement::parse(text).map(Said::Presence);
+        let said = statement.unwrap_or_else(|_| Said::of(Sentence::new(text).unwrap()));
+        self.said += 1;
+        Observation {
+            person: who.parse().unwrap_or(SOMEBODY),
+            name: Some(who).filter(|name| name.parse::<u32>().is_err() && *name != "somebody").map(Into::into),
+            source: 7,
+            epoch: 1,
+            observed_ns: self.now_ns,
+            observed_unix_ns: 1_000_000 * S + self.now_ns,
+            said,
+            ..Observation::of(self.said, Sentence::new("They wait.").unwrap())
+        }
+    }
+
+    fn enter(&mut self, observation: Observation) {
+        self.journal.extend(encode(&observation, &BOOT));
+        let entry = Entry::new(observation, self.now_ns);
+        self.step(Some(entry));
+    }
+
+    fn step(&mut self, entry: Option<Entry>) {
+        self.board.step(entry, self.now_ns, 1_000_000 * S + self.now_ns).unwrap();
+        let journal = &mut self.journal;
+        self.board.tell_outcomes(|outcome| journal.extend(encode_outcome(outcome)));
+    }
+
+    /// Another narrator says something at once.
+    fn after_by(&mut self, source: u64, who: &str, text: &str) {
+        self.said += 1;
+        self.now_ns += S;
+        let observation = Observation {
+            name: Some(who.into()),
+            source,
+            epoch: 1,
+            observed_ns: self.now_ns,
+            ..Observation::of(self.said, Sentence::new(text).unwrap())
+        };
+        self.step(Some(Entry::new(observation, self.now_ns)));
+    }
+
+    /// Time passes, and then somebody says or does something.
+    fn after(&mut self, seconds: u64, who: &str, text: &str) {
+        self.wait(seconds);
+        let observation = self.observation(who, text);
+        self.enter(observation);
+    }
+
+    /// Time passes; the loop looks once at its end whether that changes something.
+    fn wait(&mut self, seconds: u64) -> bool {
+        self.now_ns += seconds * S;
+        let overdue = self.board.is_overdue(self.now_ns);
+        if overdue {
+            self.step(None);
+            assert!(!self.board.is_overdue(self.now_ns), "once");
+        }
+        overdue
+    }
+
+    fn person(&mut self, who: &str) -> Option<PersonV1> {
+        let told = *self.board.person_scores(self.now_ns);
+        told.check().unwrap();
+        let number = who.parse().unwrap_or_else(|_| self.board.persons().number_of(who));
+        told.persons().iter().find(|person| person.person == number).copied()
+    }
+
+    fn presence(&mut self, who: &str) -> Option<u32> {
+        self.person(who).map(|person| person.presence)
+    }
+
+    /// How likely somebody is in each room now, and elsewhere.
+    fn now(&mut self) -> (Vec<f32>, f32) {
+        let forecast = self.board.forecast(self.now_ns);
+        forecast.check().unwrap();
+        (forecast.probability.iter().take(3).map(|row| row[0]).collect(), forecast.elsewhere[0])
+    }
+
+    fn known(&mut self) -> u32 {
+        self.board.snapshot().persons
+    }
+
+    /// The daemon is killed and starts again.
+    fn restart(&mut self) {
+        let mut recovered = Recovered::default();
+        read_records(&self.journal, &BOOT, &mut recovered);
+        assert_eq!(recovered.damaged_bytes, 0);
+        self.board = board(&self.config);
+        let unix_ns = 1_000_000 * S + self.now_ns;
+        self.board.restore(recovered.join(), self.now_ns, unix_ns);
+        self.step(None);
+    }
+}
+
+#[test]
+fn everybody_may_leave_and_come_back() {
+    let mut house = House::new(&[]);
+    house.after(1, "ada", "They sit on the sofa.");
+    house.after(1, "ben", "They lie on the bed.");
+    assert_eq!((house.presence("ada"), house.known()), (Some(presence::PRESENT), 2));
+    house.after(10, "ada", "Ada leaves the house.");
+    let ada = house.person("ada").unwrap();
+    assert_eq!((ada.presence, ada.elsewhere, ada.window), (presence::AWAY, 1.0, 0));
+    assert_eq!((ada.since_ns, ada.observed_ns, ada.name()), (house.now_ns, house.now_ns, "ada"));
+    assert!(ada.probability.iter().all(|p| *p == 0.0) && ada.log_score_nats[0] == f64::NEG_INFINITY);
+    assert!(!house.board.snapshot().has(score_flags::NOBODY_HOME));
+    assert_eq!(house.board.snapshot().person, house.board.persons().number_of("ben"));
+    house.after(10, "ben", "away");
+    let snapshot = *house.board.snapshot();
+    snapshot.check().unwrap();
+    assert!(snapshot.has(score_flags::NOBODY_HOME) && !snapshot.has(score_flags::NO_NARRATION));
+    assert!(snapshot.rooms().iter().all(|room| room.probability == 0.0));
+    let forecast = *house.board.forecast(house.now_ns);
+    assert_eq!((forecast.flags, forecast.elsewhere[0]), (forecast_flags::NOBODY_HOME, 1.0));
+    assert!(forecast.elsewhere[15] < 1.0, "somebody comes back some time");
+    let persons = *house.board.person_forecasts(house.now_ns);
+    persons.check().unwrap();
+    for person in persons.persons() {
+        for horizon in 0..16 {
+            let rooms: f32 = person.probability.iter().map(|row| row[horizon]).sum();
+            assert!((rooms + person.elsewhere[horizon] - 1.0).abs() < 1e-5);
+        }
+    }
+    house.after(600, "ada", "They come home.");
+    assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::PRESENT), Some(presence::AWAY)));
+    assert!((house.now().0.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+    house.after(1, "ada", "present in the kitchen");
+    let forecast = house.now().0;
+    assert!(forecast.iter().any(|p| *p > 0.9), "{forecast:?}");
+}
+
+/// Gone is told once, and then forgotten.
+#[test]
+fn who_is_gone_is_forgotten() {
+    let mut house = House::new(&["Ada"]);
+    house.after(1, "ada", "They sit on the sofa.");
+    house.after(1, "plumber", "They walk to the kitchen.");
+    assert_eq!(house.person("plumber").unwrap().flags, person_flags::VISITOR);
+    assert_eq!(house.person("ada").unwrap().flags, 0);
+    house.after(60, "plumber", "gone");
+    let gone = house.person("plumber").unwrap();
+    assert_eq!((gone.presence, gone.elsewhere, house.known()), (presence::GONE, 1.0, 1));
+    let told = *house.board.person_forecasts(house.now_ns);
+    told.check().unwrap();
+    assert_eq!(told.persons().iter().filter(|person| person.elsewhere[3] == 1.0).count(), 1);
+    house.after(1, "ada", "They stand up.");
+    assert!(house.person("plumber").is_none());
+    // A visitor who falls silent is gone, too; a resident is not, and a restart does not bring the visitor back.
+    house.after(1, "3", "They walk to the kitchen.");
+    assert!(!house.wait(3 * 3600) || house.presence("3") == Some(presence::PRESENT));
+    assert!(house.wait(2));
+    assert_eq!((house.presence("3"), house.presence("ada")), (Some(presence::GONE), Some(presence::PRESENT)));
+    house.restart();
+    house.after(1, "ada", "They sit on the sofa.");
+    assert_eq!((house.presence("3"), house.known()), (None, 1));
+}
+
+/// What names nobody goes to whom it fits, says so, and makes nobody new.
+#[test]
+fn what_names_nobody_goes_to_whom_it_fits() {
+    let mut house = House::new(&[]);
+    house.after(1, "somebody", "They sit on the sofa.");
+    assert_eq!((house.known(), house.person("0").unwrap().flags), (1, person_flags::BY_FIT));
+    let mut house = House::new(&[]);
+    house.after(1, "ada", "They open the fridge.");
+    house.after(1, "ben", "They lie on the bed.");
+    for (sentence, who, other) in [
+        ("They close the fridge.", "ada", "ben"),
+        ("They sit on the bed.", "ben", "ada"),
+        ("They walk to the kitchen.", "ada", "ben"),
+        // Nothing says where: whoever did something last.
+        ("They stretch.", "ada", "ben"),
+        ("present in the kitchen", "ada", "ben"),
+    ] {
+        let before = house.person(other).unwrap().observed_ns;
+        house.after(3, "somebody", sentence);
+        let fits = house.person(who).unwrap();
+        assert_eq!((fits.flags, fits.observed_ns), (person_flags::BY_FIT, house.now_ns), "{sentence}");
+        assert_eq!((house.person(other).unwrap().observed_ns, house.known()), (before, 2), "{sentence}");
+    }
+    house.after(3, "ada", "They grab the mug.");
+    assert_eq!(house.person("ada").unwrap().flags, 0);
+    // Somebody leaves: not the one who has just done something. With nobody there, the one who is away is back.
+    house.after(3, "somebody", "away");
+    assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::PRESENT), Some(presence::AWAY)));
+    house.after(3, "ada", "away");
+    house.after(3, "somebody", "They open the fridge.");
+    assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::AWAY), Some(presence::PRESENT)));
+    assert_eq!(house.known(), 2);
+}
+
+/// A sleeper is not the one who leaves.
+#[test]
+fn who_lies_in_bed_in_silence_is_possibly_asleep() {
+    let mut house = House::new(&[]);
+    house.after(1, "ada", "They lie on the bed.");
+    house.after(1, "ada", "They fall asleep.");
+    assert_eq!(house.person("ada").unwrap().flags, 0);
+    house.wait(1201);
+    assert_eq!(house.person("ada").unwrap().flags, person_flags::ASLEEP);
+    house.after(1, "ben", "They sit on the sofa.");
+    house.after(5, "somebody", "away");
+    assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::PRESENT), Some(presence::AWAY)));
+    house.after(1, "ada", "They walk to the fridge.");
+    house.wait(1300);
+    assert_eq!(house.person("ada").unwrap().flags, 0);
+}
+
+/// What lies hours back does not say what comes next, also when nothing new is said; where they are, is still believed.
+#[test]
+fn silence_ends_a_window_once() {
+    let mut house = House::new(&[]);
+    house.after(1, "ada", "They lie on the bed.");
+    let (before, sequence) = (house.now().0, house.board.snapshot().sequence);
+    assert!(!house.wait(3600) && house.wait(1) && !house.wait(100_000));
+    assert_eq!((house.person("ada").unwrap().window, house.board.snapshot().sequence), (0, sequence + 1));
+    let likeliest = |rooms: &[f32]| (0..rooms.len()).max_by(|a, b| rooms[*a].total_cmp(&rooms[*b])).unwrap();
+    assert_eq!(likeliest(&house.now().0), likeliest(&before));
+    // A sensor that only says that they are there ends no silence.
+    house.after(1, "ada", "They sit on the bed.");
+    house.after(3000, "ada", "present");
+    assert_eq!(house.person("ada").unwrap().window, 1);
+    house.after(601, "ada", "present");
+    assert_eq!(house.person("ada").unwrap().window, 0);
+}
+
+#[test]
+fn a_resident_with_another_name_is_still_one() {
+    let config = PersonsConfig { residents: vec!["ben".to_owned()], ..PersonsConfig::default() };
+    let mut persons = Persons::new(config, PersonsFile::default());
+    persons.rename(person_number("ben"), "Benjamin").unwrap();
+    assert_eq!(persons.name_of(person_number("ben")), Some("Benjamin"));
+    assert!(!persons.is_visitor(person_number("ben")) && persons.is_visitor(person_number("eve")));
+}
+
+#[test]
+fn visitors_make_room_for_residents() {
+    let mut house = House::new(&["0", "ada"]);
+    house.after(1, "0", "They sit on the sofa.");
+    for visitor in 1..=PERSONS_MAX {
+        house.after(1, &visitor.to_string(), "They walk to the kitchen.");
+    }
+    house.after(1, "ada", "They lie on the bed.");
+    let known = house.board.persons();
+    assert_eq!(known.iter().count(), PERSONS_MAX);
+    assert!([0, known.number_of("ada"), 3, PERSONS_MAX as u32].iter().all(|person| known.get(*person).is_some()));
+    assert!(known.get(1).is_none() && known.get(2).is_none());
+    assert_eq!(house.known(), PERSONS_MAX as u32);
+}
+
+/// Two doors that tell of one leaving, or a switch that bounces, send no sleeper away.
+#[test]
+fn who_sleeps_does_not_leave() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ada", "They lie on the bed.");
+    house.after(1_500, "ben", "They sit on the sofa.");
+    house.after(5, "somebody", "away");
+    house.after(5, "somebody", "away");
+    let known = house.board.persons();
+    let presence = |who: &str| known.get(known.number_of(who)).unwrap().presence;
+    assert_eq!((presence("ada"), presence("ben")), (Presence::Present, Presence::Away));
+}
+
+/// A narrator of plain sentences gives no names, but the sentences do.
+#[test]
+fn a_sentences_subject_is_its_person() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ada", "They open the fridge.");
+    house.after(1, "ben", "They sit on the sofa.");
+    house.after(1, "somebody", "Ben leaves the house.");
+    let known = |house: &House, who: &str| {
+        let persons = house.board.persons();
+        persons.get(persons.number_of(who)).map(|known| known.presence)
+    };
+    assert_eq!((known(&house, "ada"), known(&house, "ben")), (Some(Presence::Present), Some(Presence::Away)));
+    // Somebody of whom nothing is known is not one of those who are.
+    house.after(1, "somebody", "Cleo leaves the house.");
+    assert_eq!((known(&house, "ada"), known(&house, "cleo")), (Some(Presence::Present), Some(Presence::Away)));
+    for nobody in ["Nobody leaves the house.", "12 leaves the house."] {
+        let before = house.board.persons().iter().count();
+        house.after(1, "somebody", nobody);
+        assert_eq!(house.board.persons().iter().count(), before, "{nobody}");
+    }
+    house.after(1, "ada", "present");
+    assert_eq!(known(&house, "ada"), Some(Presence::Present));
+    house.after(1, "somebody", "Ben opens the fridge.");
+    assert_eq!(known(&house, "ben"), Some(Presence::Present));
+    house.restart();
+    assert_eq!((known(&house, "ben"), known(&house, "cleo")), (Some(Presence::Present), Some(Presence::Away)));
+}
+
+/// A sentence is of all whom it names, also after a restart; who is named is not guessed.
+#[test]
+fn a_sentence_of_several_is_of_each() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ada", "They open the fridge.");
+    house.after(1, "ben", "They lie on the bed.");
+    house.after(1, "somebody", "Ada and Ben sit on the sofa.");
+    let newest = |house: &House, who: &str| {
+        let number = house.board.persons().number_of(who);
+        let history = house.board.pipeline().histories().get(number).unwrap();
+        history.observations().last().and_then(|last| last.sentence().map(str::to_owned))
+    };
+    for who in ["ada", "ben"] {
+        assert_eq!(newest(&house, who).as_deref(), Some("Ada and Ben sit on the sofa."), "{who}");
+    }
+    house.after(1, "somebody", "Ada and the plumber leave the house.");
+    let presences = |house: &mut House| ["ada", "ben", "plumber"].map(|who| house.presence(who));
+    let expected = [Some(presence::AWAY), Some(presence::PRESENT), Some(presence::AWAY)];
+    assert_eq!(presences(&mut house), expected);
+    let flags = house.person("plumber").unwrap().flags;
+    assert_eq!(flags, person_flags::VISITOR, "a name is no guess");
+    house.restart();
+    assert_eq!(presences(&mut house), expected);
+    house.after(1, "somebody", "The plumber walks to the kitchen.");
+    assert_eq!(house.presence("plumber"), Some(presence::PRESENT));
+    assert_eq!(house.presence("ada"), Some(presence::AWAY));
+}
+
+/// What was said of everybody before somebody was forgotten says nothing of them after a restart.
+#[test]
+fn who_is_forgotten_stays_so() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ada", "They open the fridge.");
+    house.after(1, "somebody", "Nobody is home.");
+    let ada = house.board.persons().number_of("ada");
+    house.board.forget(ada);
+    house.journal.extend(encode_forgotten(ada, false));
+    house.step(None);
+    for _ in 0..2 {
+        assert_eq!((house.presence("ada"), house.presence("ben")), (None, Some(presence::AWAY)));
+        house.restart();
+    }
+    house.after(1, "ada", "They open the fridge.");
+    house.restart();
+    assert_eq!(house.presence("ada"), Some(presence::PRESENT));
+}
+
+/// Each clause of a text is of its own persons, also after a restart.
+#[test]
+fn two_clauses_are_of_two_persons() {
+    let mut house = House::new(&["mia", "tom"]);
+    house.after(1, "mia", "They open the fridge.");
+    house.after(1, "tom", "They sit on the sofa.");
+    let newest = |house: &House, who: &str| {
+        let number = house.board.persons().number_of(who);
+        let history = house.board.pipeline().histories().get(number);
+        history.and_then(|own| own.observations().last()?.sentence().map(str::to_owned)).unwrap_or_default()
+    };
+    house.after(1, "somebody", "Mia lies on the bed and Tom goes to the kitchen.");
+    assert_eq!(
+        (newest(&house, "mia"), newest(&house, "tom")),
+        ("Mia lies on the bed.".into(), "Tom goes to the kitchen.".into())
+    );
+    house.after(1, "somebody", "Tom leaves the house. He takes the car. Mia opens the fridge.");
+    for _ in 0..2 {
+        assert_eq!((house.presence("mia"), house.presence("tom")), (Some(presence::PRESENT), Some(presence::AWAY)));
+        assert_eq!(newest(&house, "mia"), "Mia opens the fridge.");
+        house.restart();
+    }
+    house.after(1, "mia", "They leave the house and lock the door.");
+    assert_eq!(house.presence("mia"), Some(presence::AWAY));
+    house.after(1, "somebody", "Tom and the plumber come home.");
+    let presences = |house: &mut House| ["mia", "tom", "plumber"].map(|who| house.presence(who));
+    assert_eq!(presences(&mut house), [Some(presence::AWAY), Some(presence::PRESENT), Some(presence::PRESENT)]);
+    house.after(1, "somebody", "Mia is home. Nobody is in the kitchen.");
+    assert_eq!(presences(&mut house)[0], Some(presence::PRESENT));
+    assert!(house.now().0[0] < 0.9);
+}
+
+/// A family, and what is narrated of it by people and by machines: one wrong answer is one too many.
+#[test]
+fn what_is_said_moves_whom_it_is_about() {
+    let mut house = House::new(&["sophie", "david", "lily"]);
+    let begin = |house: &mut House| {
+        for (who, what) in
+            [("sophie", "They open the fridge."), ("david", "They sit on the sofa."), ("lily", "They lie on the bed.")]
+        {
+            house.after(2, who, what);
+        }
+    };
+    let newest = |house: &House, who: &str| {
+        let number = house.board.persons().number_of(who);
+        let history = house.board.pipeline().histories().get(number);
+        history.and_then(|own| own.observations().last()?.sentence().map(str::to_owned)).unwrap_or_default()
+    };
+    for (said, who) in [
+        ("In the bathroom, Sophie brushes her teeth.", "sophie"),
+        ("At eight David opens the door.", "david"),
+        ("While Sophie cooks, David sets the table.", "david"),
+        ("But Lily opens the fridge.", "lily"),
+    ] {
+        begin(&mut house);
+        house.after(2, "somebody", said);
+        let moved: Vec<&str> =
+            ["sophie", "david", "lily"].into_iter().filter(|who| newest(&house, who) == said).collect();
+        assert_eq!(moved, [who], "{said}");
+    }
+    for said in [
+        "The robot vacuum drives into the bathroom.",
+        "The washing machine beeps.",
+        "Music is playing in the bathroom.",
+        "The cat jumps onto the table.",
+        "It is raining.",
+        "The kids are in the bathroom.",
+        "The parents leave the house.",
+        "Sophie's guitar is in the bathroom.",
+        "Sophie was in the bathroom.",
+        "If Sophie cooks and David leaves the house, lock the door.",
+    ] {
+        begin(&mut house);
+        let (known, before) = (house.known(), house.now().0);
+        house.after(0, "somebody", said);
+        assert_eq!((house.known(), house.now().0), (known, before), "{said}");
+    }
+    // Who is not there is brought home by nobody's doing.
+    house.after(1, "somebody", "Everybody leaves the house.");
+    for said in
+        ["The cat jumps onto the table.", "It is raining.", "David waits for the bus.", "Sophie eats at a restaurant."]
+    {
+        house.after(1, "somebody", said);
+        assert!(house.board.snapshot().has(score_flags::NOBODY_HOME), "{said}");
+    }
+    begin(&mut house);
+    for (said, who, expected) in [
+        ("Sophie grabs her keys and leaves.", "sophie", presence::AWAY),
+        ("Sophie leaves the house. Then she comes home.", "sophie", presence::PRESENT),
+        ("The cleaner says goodbye and leaves.", "cleaner", presence::AWAY),
+        ("David cooks and Cleo leaves the house.", "david", presence::PRESENT),
+        ("David cooks and Cleo leaves the house.", "cleo", presence::AWAY),
+        ("David cooks and the children leave the house.", "david", presence::PRESENT),
+    ] {
+        house.after(2, "somebody", said);
+        assert_eq!(house.presence(who), Some(expected), "{said}");
+    }
+    // Of whom it is where somebody is named and meant on by a pronoun.
+    begin(&mut house);
+    house.after(2, "somebody", "David goes to the kitchen.");
+    house.after(2, "somebody", "He lies on the bed.");
+    assert_eq!(newest(&house, "david"), "He lies on the bed.");
+    let known = house.known();
+    house.after(2, "somebody", "A woman sits on the sofa.");
+    assert_eq!(house.known(), known, "she is one of those who are here");
+    house.after(2, "somebody", "Igor sits on the sofa.");
+    assert_eq!((house.known(), newest(&house, "igor")), (known + 1, "Igor sits on the sofa.".to_owned()));
+    // A sentence about somebody else than its key.
+    house.after(2, "david", "away");
+    house.after(2, "sophie", "David comes home.");
+    house.after(2, "sophie", "Wilhelmina leaves the house.");
+    let of = |house: &mut House| ["david", "sophie", "wilhelmina"].map(|who| house.presence(who));
+    assert_eq!(of(&mut house), [Some(presence::PRESENT), Some(presence::PRESENT), Some(presence::AWAY)]);
+    house.restart();
+    assert_eq!(of(&mut house), [Some(presence::PRESENT), Some(presence::PRESENT), Some(presence::AWAY)]);
+}
+
+/// What is said of all, of all but a few, of a few alone, and of who goes along, holds after a restart, too.
+#[test]
+fn a_sentence_about_a_group_moves_the_group() {
+    let mut house = House::new(&["sophie", "david", "lily"]);
+    let family = ["sophie", "david", "lily"];
+    let [here, away] = [presence::PRESENT, presence::AWAY].map(Some);
+    for (said, expected) in [
+        ("Everybody except David leaves.", [away, here, away]),
+        ("Everybody leaves the house, but Lily.", [away, away, here]),
+        ("Only Lily is home.", [away, away, here]),
+        ("Nobody but Sophie and David is at home.", [here, here, away]),
+        ("Only Lily leaves the house.", [here, here, away]),
+        ("Everybody but Lily is in the kitchen.", [here, here, here]),
+        ("Sophie takes Lily to school.", [away, here, away]),
+        ("David goes shopping with Lily.", [here, away, away]),
+        ("David leaves the house with a suitcase.", [here, away, here]),
+        ("Everybody except the plumber leaves the house.", [away, away, away]),
+        ("Sophie is away with David.", [away, away, here]),
+    ] {
+        for keyed in ["somebody", "lily"] {
+            for who in family {
+                house.after(2, who, "They open the fridge.");
+            }
+            house.after(2, keyed, said);
+            let found = family.map(|who| house.presence(who));
+            assert_eq!(found, expected, "{said} by {keyed}");
+            house.restart();
+            assert_eq!(family.map(|who| house.presence(who)), expected, "{said} by {keyed}, restarted");
+        }
+    }
+    house.after(2, "somebody", "Everybody leaves.");
+    house.after(2, "somebody", "Sophie comes home with Lily.");
+    assert_eq!(family.map(|who| house.presence(who)), [here, away, here]);
+    let room = house.board.snapshot().rooms().iter().position(|room| room.id() == "bathroom").unwrap();
+    house.after(2, "somebody", "Everybody is in the bathroom.");
+    assert_eq!(house.presence("david"), away, "who is away is not in the house");
+    for who in ["sophie", "lily"] {
+        let number = house.board.persons().number_of(who);
+        let told = *house.board.person_forecasts(house.now_ns);
+        let own = told.persons().iter().find(|own| own.person == number).unwrap();
+        assert!(own.probability[room][0] > 0.9, "{who} {:?}", own.probability[room][0]);
+    }
+}
+
+/// A light that goes off moves nobody, and brings nobody home.
+#[test]
+fn what_has_ended_moves_nobody() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ada", "They sit on the sofa.");
+    house.after(60, "ben", "away");
+    let before = house.now().0;
+    house.after(1, "somebody", "The fridge is closed.");
+    let after = house.now().0;
+    assert!(before.iter().zip(&after).all(|(a, b)| (a - b).abs() < 0.05), "{before:?} {after:?}");
+    house.after(1, "ada", "away");
+    for sentence in ["The fridge is closed.", "The light is off."] {
+        house.after(1, "somebody", sentence);
+        assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::AWAY), Some(presence::AWAY)));
+    }
+    house.after(1, "somebody", "They open the fridge.");
+    assert_eq!(house.presence("ben"), Some(presence::PRESENT));
+}
+
+/// A forecast says when it lacks somebody who lives here.
+#[test]
+fn who_was_never_observed_is_missed() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ada", "They sit on the sofa.");
+    assert_eq!(house.board.forecast(house.now_ns).flags, forecast_flags::RESIDENT_UNKNOWN);
+    house.after(1, "ben", "away");
+    assert_eq!(house.board.forecast(house.now_ns).flags, 0);
+}
+
+/// Who sleeps is asleep wherever they lie, until they do something else.
+#[test]
+fn who_says_that_they_sleep_is_asleep() {
+    let mut house = House::new(&[]);
+    let asleep = |house: &mut House| {
+        house.now_ns += 3 * 3600 * S;
+        house.person("ada").unwrap().flags & person_flags::ASLEEP != 0
+    };
+    for (sentence, expected) in [
+        ("They sit on the sofa.", false),
+        ("They fall asleep on the sofa.", true),
+        ("They wake up.", false),
+        ("They go to sleep.", true),
+        ("They snore.", true),
+        ("They open the fridge.", false),
+    ] {
+        house.after(1, "ada", sentence);
+        assert_eq!(asleep(&mut house), expected, "{sentence}");
+    }
+}
+
+/// Who calls, or will come, is not home for that; things are nobody.
+#[test]
+fn who_calls_is_not_home() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ben", "They open the fridge.");
+    house.after(1, "ada", "away");
+    for sentence in ["Ada calls.", "Ada will be home soon.", "Ada is on her way."] {
+        house.after(1, "somebody", sentence);
+        assert_eq!(house.presence("ada"), Some(presence::AWAY), "{sentence}");
+    }
+    house.after(1, "ada", "They call a friend.");
+    assert_eq!(house.presence("ada"), Some(presence::PRESENT), "a sentence of theirs about a call is an action");
+    let before = house.known();
+    for sentence in ["The coffee maker is out.", "Sofa is away.", "The dishwasher is out."] {
+        house.after(1, "somebody", sentence);
+        assert_eq!((house.known(), house.presence("ben")), (before, Some(presence::PRESENT)), "{sentence}");
+    }
+    house.after(1, "somebody", "Ada comes home.");
+    assert_eq!(house.presence("ada"), Some(presence::PRESENT));
+}
+
+/// What is said of everybody is said of each who lives here, and holds after a restart.
+#[test]
+fn nobody_is_home() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ada", "They open the fridge.");
+    house.after(1, "plumber", "They sit on the sofa.");
+    house.after(5, "somebody", "Nobody is home.");
+    let presences = |house: &mut House| ["ada", "ben", "plumber"].map(|who| house.presence(who));
+    assert_eq!(presences(&mut house), [Some(presence::AWAY); 3]);
+    assert!(house.board.snapshot().has(score_flags::NOBODY_HOME));
+    assert_eq!(house.person("ben").unwrap().name(), "ben");
+    house.restart();
+    assert_eq!(presences(&mut house), [Some(presence::AWAY); 3]);
+    house.after(5, "somebody", "Ben is home.");
+    assert_eq!(house.presence("ben"), Some(presence::PRESENT));
+}
+
+/// A sensor that sees nobody tells where nobody is, and of nobody that they are here.
+#[test]
+fn a_room_may_be_empty() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "somebody", "Nobody is in the kitchen.");
+    assert_eq!((house.known(), house.presence("ada")), (0, None));
+    house.after(1, "ada", "present in the kitchen");
+    let kitchen = house.now().0.iter().position(|p| *p > 0.9).unwrap();
+    house.after(1, "somebody", "nobody in the kitchen");
+    let empty = house.now().0;
+    assert!(empty[kitchen] < 0.02, "{empty:?}");
+    assert_eq!((house.known(), house.presence("ben")), (1, None));
+    let before = house.person("ada").unwrap().observed_ns;
+    house.restart();
+    assert!(house.now().0.iter().zip(&empty).all(|(a, b)| (a - b).abs() < 1e-5));
+    assert_eq!(house.person("ada").unwrap().observed_ns, before);
+    // What was seen before the last word on somebody is past.
+    house.after(5, "ada", "present in the kitchen");
+    let late = Observation { observed_ns: house.now_ns - S, ..house.observation("somebody", "nobody in the kitchen") };
+    house.enter(late);
+    assert!(house.now().0[kitchen] > 0.9);
+}
+
+/// Whoever comes home was not there.
+#[test]
+fn who_comes_home_is_one_who_was_away() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ada", "away");
+    house.after(1, "ben", "They sit on the sofa.");
+    house.after(60, "somebody", "They come home.");
+    assert_eq!((house.presence("ada"), house.known()), (Some(presence::PRESENT), 2));
+    house.after(1, "somebody", "Carla comes home.");
+    assert_eq!((house.presence("carla"), house.known()), (Some(presence::PRESENT), 3));
+}
+
+/// A name that a sentence gave is there after a restart, and means the same person.
+#[test]
+fn a_restart_keeps_the_names_of_plain_sentences() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ben", "They sit on the sofa.");
+    house.after(1, "somebody", "Eve is in the kitchen.");
+    assert_eq!(house.person("eve").unwrap().name(), "eve");
+    house.restart();
+    assert_eq!(house.person("eve").unwrap().name(), "eve");
+    house.after(1, "somebody", "Eve opens the fridge.");
+    assert_eq!((house.person("eve").unwrap().window, house.person("ben").unwrap().window), (1, 1));
+}
+
+/// What was told of hours later is of a visitor who sleeps, too.
+#[test]
+fn a_visitor_who_is_told_of_late_may_sleep_here() {
+    let mut house = House::new(&["ada"]);
+    let lies = house.observation("guest", "They lie on the bed.");
+    house.now_ns += 8 * 3600 * S;
+    house.enter(lies);
+    assert_eq!(house.presence("guest"), Some(presence::PRESENT));
+}
+
+/// Of who lives here and was never observed nobody knows whether they are out.
+#[test]
+fn a_home_is_not_empty_as_long_as_somebody_may_be_there() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ada", "They open the fridge.");
+    house.after(1, "ada", "Ada is still at work.");
+    assert!(!house.board.snapshot().has(score_flags::NOBODY_HOME));
+    let forecast = *house.board.forecast(house.now_ns);
+    assert_eq!((forecast.flags, forecast.elsewhere[0]), (forecast_flags::NOT_KNOWN, 0.0));
+    let even = 1.0 / forecast.room_count as f32;
+    assert!(forecast.probability.iter().take(forecast.room_count as usize).all(|row| row[0] == even));
+    house.after(1, "ben", "away");
+    assert!(house.board.snapshot().has(score_flags::NOBODY_HOME));
+    assert_eq!(house.board.forecast(house.now_ns).flags, forecast_flags::NOBODY_HOME);
+}
+
+/// A home with one resident has nobody else.
+#[test]
+fn what_names_nobody_is_of_a_resident_first() {
+    let mut house = House::new(&["ada"]);
+    house.after(1, "somebody", "They open the fridge.");
+    assert_eq!((house.presence("ada"), house.known()), (Some(presence::PRESENT), 1));
+    assert_eq!(house.person("ada").unwrap().flags, person_flags::BY_FIT);
+}
+
+/// A phone that tells late that its person was out does not send them out of the room that they are in.
+#[test]
+fn what_arrives_late_does_not_turn_back_presence() {
+    let mut house = House::new(&[]);
+    house.after(1, "ada", "They open the fridge.");
+    let before = house.now().0;
+    let late = Observation { observed_ns: house.now_ns - S, ..house.observation("ada", "away") };
+    let likeliest = |rooms: &[f32]| (0..rooms.len()).max_by(|a, b| rooms[*a].total_cmp(&rooms[*b])).unwrap();
+    house.now_ns += 5 * S;
+    house.enter(late);
+    assert_eq!(house.presence("ada"), Some(presence::PRESENT));
+    assert_eq!(likeliest(&house.now().0), likeliest(&before));
+    house.restart();
+    assert_eq!(house.presence("ada"), Some(presence::PRESENT));
+}
+
+#[test]
+fn a_visitor_may_sleep_here() {
+    let mut house = House::new(&["ada"]);
+    house.after(1, "ada", "They open the fridge.");
+    house.after(1, "guest", "They lie on the bed.");
+    house.wait(9 * 3600);
+    assert_eq!(house.person("guest").unwrap().flags, person_flags::ASLEEP | person_flags::VISITOR);
+    house.wait(4 * 3600);
+    assert_eq!(house.presence("guest"), Some(presence::GONE));
+}
+
+/// A room that is said is believed at once, however sure the belief was before.
+#[test]
+fn a_presence_in_a_room_is_believed_at_once() {
+    let mut house = House::new(&[]);
+    house.after(1, "ada", "They lie on the bed.");
+    house.after(4, "ada", "present in the kitchen");
+    let rooms = house.now().0;
+    assert!(rooms.iter().any(|p| *p > 0.95), "{rooms:?}");
+    house.after(4, "ada", "Ada is in the bedroom.");
+    let again = house.now().0;
+    assert_ne!(rooms.iter().position(|p| *p > 0.95), again.iter().position(|p| *p > 0.95));
+    assert!(again.iter().any(|p| *p > 0.95), "{again:?}");
+}
+
+/// Row "10 000 persons" of the attacks, in a home that names nobody who lives there.
+#[test]
+fn who_invents_persons_pushes_out_their_own() {
+    let mut house = House::new(&[]);
+    for who in ["0", "ada", "ben"] {
+        house.after(1, who, "They sit on the sofa.");
+    }
+    for invented in 0..1_000 {
+        house.after_by(666, &format!("person {invented}"), "They walk to the kitchen.");
+    }
+    let known = house.board.persons();
+    let here = |who: &str| known.get(who.parse().unwrap_or_else(|_| known.number_of(who))).is_some();
+    assert!(["0", "ada", "ben", "person 999"].iter().all(|who| here(who)));
+    assert!(!here("person 900"));
+    // A voice that knows few is heard with its next one too.
+    house.after(1, "carl", "They sit on the sofa.");
+    let known = house.board.persons();
+    assert!(["ada", "ben", "carl"].iter().all(|who| known.get(known.number_of(who)).is_some()));
+    assert_eq!(known.iter().count(), PERSONS_MAX);
+}
+
+/// Presence, attributions, windows and forecasts are after a restart what they were before it: nobody is surer of a silent person.
+#[test]
+fn a_restart_changes_nothing() {
+    let mut house = House::new(&["ada", "ben"]);
+    let day = [
+        ("ada", "They open the fridge."),
+        ("ben", "They lie on the bed."),
+        ("somebody", "They close the fridge."),
+        ("ada", "They stand up."),
+        ("somebody", "They sit on the bed."),
+        ("plumber", "They walk to the bathroom."),
+        ("ben", "away"),
+        ("somebody", "present in the kitchen"),
+        ("ada", "They walk to the sofa."),
+        ("plumber", "gone"),
+        ("somebody", "They sit on the sofa."),
+        ("ben", "present"),
+        ("ben", "They grab the mug."),
+        ("somebody", "Ada opens the fridge and Ben lies on the bed."),
+        ("somebody", "The light is off."),
+        ("somebody", "They sit down. Ben leaves the house. Ada walks to the kitchen."),
+        ("plumber", "They greet Ada and Ben comes home."),
+        ("somebody", "Nobody is in the kitchen. Ada and the plumber sit on the sofa."),
+    ];
+    for round in 0..6 {
+        for (number, (who, what)) in (0..).zip(day) {
+            house.after([2, 45, 700, 4000][(number + round) % 4], who, what);
+            let of = |house: &mut House| {
+                let told = *house.board.person_scores(house.now_ns);
+                let persons: Vec<_> = told.persons().iter().filter(|p| p.presence != presence::GONE).copied().collect();
+                (persons, house.board.person_forecasts(house.now_ns).person)
+            };
+            for silence_s in [0, 20, 3000] {
+                house.wait(silence_s);
+                let before = of(&mut house);
+                house.restart();
+                let after = of(&mut house);
+                assert_eq!(before.0.len(), after.0.len());
+                for (before, after) in before.0.iter().zip(&after.0) {
+                    let flags = before.flags | person_flags::RESTORED;
+                    assert_eq!(*after, PersonV1 { flags, ..*before }, "{round} {who} {what}");
+                }
+                // Who fell silent before the start is gone again.
+                let here = |forecast: &&roomcast_ipc::PersonForecastV1| forecast.presence != presence::GONE;
+                for (before, after) in before.1.iter().filter(here).zip(after.1.iter().filter(here)) {
+                    assert_eq!(before.elsewhere, after.elsewhere);
+                    for (before, after) in before.probability.iter().zip(&after.probability) {
+                        assert!(before.iter().zip(after).all(|(a, b)| (a - b).abs() < 1e-5), "{before:?} {after:?}");
+                    }
+                }
+            }
+        }
+    }
+}
