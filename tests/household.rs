@@ -92,11 +92,11 @@ fn script() -> Vec<Event> {
         (at(18, 20), "cara", Too, "living-room"),
         (at(18, 30), "ada", Camera("Ada walks to the living room."), "living-room"),
         (at(18, 32), "ada", Sentence("They sit down at the table."), "living-room"),
-        (at(20, 0), "ben", Sentence("They turn on the television."), "living-room"),
         (at(19, 0), "ben", Camera("Ben leaves the house with Ada."), ELSEWHERE),
         (at(19, 0), "ada", Too, ELSEWHERE),
         (at(19, 30), "ben", Camera("Ben comes home with Ada. He sits down on the sofa."), "living-room"),
         (at(19, 30), "ada", Presence("present", Some("living-room")), "living-room"),
+        (at(20, 0), "ben", Sentence("They turn on the television."), "living-room"),
         (at(20, 45), "cara", Camera("Cara walks to the bathroom, and Ada sits down on the sofa."), "bathroom"),
         (at(20, 45), "ada", Too, "living-room"),
         (at(21, 0), "cara", Nothing, ELSEWHERE),
@@ -300,6 +300,7 @@ fn nobody_is_lost_over_a_day_a_night_and_two_restarts() {
     house.start("camera", &["narrate", "-", "--name", "camera"]);
 
     let (script, mut next, mut kills) = (script(), 0, KILLS_MIN.to_vec());
+    assert!(script.is_sorted_by_key(|event| event.0), "the day is out of order");
     let mut persons = BTreeMap::<&str, Person>::new();
     let mut table = String::from("minute,person,truth,likeliest,p_likeliest,p_truth,presence,flags\n");
     let (mut newest, mut nobody_home, mut nobody_home_minutes) = (PersonForecastsV1::default(), 0, 0);
