@@ -23,6 +23,11 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool) -> About
     if clause::is(Word::Condition, first) {
         return About::Nobody;
     }
+    // What stands before it was speech: "says Ada".
+    if clause::is(Word::Report, first) {
+        let name = rest.join(" ");
+        return if is_known(&name) { About::Named(vec![name]) } else { About::Nobody };
+    }
     if clause::is(Word::Begin, first) {
         return later_subject(said, &words, is_known);
     }
@@ -123,6 +128,8 @@ mod tests {
             ("Aunt Rosa goes to the bathroom.", "new aunt rosa"),
             ("The cleaner says goodbye.", "cleaner"),
             ("My husband sits on the bed.", "husband"),
+            ("\"I will leave the house soon\", says Ada.", "ada"),
+            ("Ada says: \"Ben, leave the house!\"", "ada"),
         ] {
             assert_eq!(of(sentence), expected, "{sentence}");
         }
@@ -170,6 +177,7 @@ mod tests {
             "If Ada cooks, the light goes on.",
             "Yesterday Ben sat on the sofa.",
             "Dishwasher beeps.",
+            "\"Everybody leaves the house\", says the radio.",
         ] {
             assert_eq!(of(sentence), "nobody", "{sentence}");
         }

@@ -25,6 +25,7 @@ struct Words {
     everybody: Vec<String>,
     except: Vec<String>,
     takes: Vec<String>,
+    from: Vec<String>,
     determiners: Vec<String>,
     titles: Vec<String>,
     people: Vec<String>,
@@ -71,6 +72,7 @@ pub(super) enum Word {
     Nothing,
     People,
     Pronoun,
+    Report,
     Title,
 }
 
@@ -85,6 +87,7 @@ pub(super) fn is(kind: Word, word: &str) -> bool {
         Word::Nothing => &WORDS.nothing,
         Word::People => &WORDS.people,
         Word::Pronoun => &WORDS.pronouns,
+        Word::Report => &WORDS.reports,
         Word::Title => &WORDS.titles,
     };
     has(words, word)
@@ -191,9 +194,12 @@ thread_local! {
 pub(super) fn with_plain<T>(sentence: &str, read: impl FnOnce(&str) -> T) -> T {
     let mut text = PLAIN.take();
     text.clear();
-    let letters = sentence.trim().chars().filter(|c| !matches!(c, '“' | '”' | '"'));
-    text.extend(letters.flat_map(char::to_lowercase).map(|c| if c == '’' { '\'' } else { c }));
+    for part in unquoted(sentence.trim()) {
+        text.extend(part.chars().flat_map(char::to_lowercase).map(|c| if c == '’' { '\'' } else { c }));
+    }
     text.truncate(text.trim_end_matches(['.', '!']).len());
+    // Behind speech: ", says ada".
+    text.drain(..text.len() - text.trim_start_matches([' ', ',']).len());
     if text.contains(['\'', ':']) {
         write_out(&mut text);
     }
@@ -210,6 +216,15 @@ pub(super) fn with_plain<T>(sentence: &str, read: impl FnOnce(&str) -> T) -> T {
     let said = read(&text);
     PLAIN.set(text);
     said
+}
+
+/// The parts of a sentence without quotation marks, and without what somebody says between them: a name alone is no speech.
+fn unquoted(sentence: &str) -> impl Iterator<Item = &str> {
+    /// More words than these between quotation marks are speech.
+    const NAME_WORDS: usize = 2;
+    let is_mark = |c: char| matches!(c, '“' | '”' | '"');
+    let parts = sentence.split(is_mark).enumerate();
+    parts.filter(|(at, part)| at % 2 == 0 || part.split_whitespace().count() <= NAME_WORDS).map(|(_, part)| part)
 }
 
 /// Writes short forms out.
@@ -273,8 +288,8 @@ fn predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     {
         return Some((Presence::Away, None));
     }
-    if takes(rest).is_some() {
-        return Some((Presence::Away, None));
+    if let Some((_, presence)) = takes(rest) {
+        return Some((presence, None));
     }
     if arrives(rest) {
         return Some((Presence::Present, None));
@@ -332,6 +347,21 @@ fn of_some(subject: &str) -> Option<Subject<'_>> {
         but if has(&WORDS.nobody, all) => Some(Subject::Only(but)),
         _ => None,
     }
+}
+
+/// Whether words after a subject say that it is alone in the house: "is home alone", "is alone at home".
+fn is_alone(rest: &str) -> bool {
+    let is_home = |place: &String| {
+        let verbs = ["is ", "are ", "stays ", "stay ", "remains ", "remain "];
+        let Some(said) = verbs.iter().find_map(|verb| rest.strip_prefix(verb)) else { return false };
+        let said = said.strip_prefix("still ").or_else(|| said.strip_prefix("now ")).unwrap_or(said);
+        let said = said.strip_prefix("all ").unwrap_or(said);
+        let after = said.strip_prefix(place.as_str()).and_then(|rest| rest.strip_prefix(" alone")).is_some_and(ends);
+        let before =
+            || said.strip_prefix("alone ").and_then(|rest| rest.strip_prefix(place.as_str())).is_some_and(ends);
+        after || before()
+    };
+    WORDS.r#in.iter().filter(|place| *place != "in").any(is_home)
 }
 
 /// What stands before "except", and the persons that stand behind it; none where they are no persons.
@@ -395,7 +425,9 @@ fn follows(rest: &str, verbs: &[String], places: &[String]) -> bool {
 /// Whether a sentence's words after its subject say that somebody comes home.
 fn arrives(rest: &str) -> bool {
     let is_back = |state: &str| ["back home", "back"].iter().any(|back| state.strip_prefix(back).is_some_and(ends));
-    follows(rest, &WORDS.comes, &WORDS.at_house) || state(rest).is_some_and(is_back)
+    follows(rest, &WORDS.comes, &WORDS.at_house)
+        || state(rest).is_some_and(is_back)
+        || matches!(takes(rest), Some((_, Presence::Present)))
 }
 
 /// Whether a sentence's words after its subject say that somebody goes where they are out of the house: "has gone to work".
@@ -403,15 +435,24 @@ fn goes_out(rest: &str) -> bool {
     follows(rest, &WORDS.goes, &WORDS.errands)
 }
 
-/// What somebody takes along who goes out of the house: "lily" of "takes lily to school".
-fn takes(rest: &str) -> Option<&str> {
+/// Whom somebody takes along who goes out of the house or comes home, and which: "lily" and away of "takes lily to school", "drops lily off at
+/// school" and "picks lily up from school"; "lily" and present of "brings lily home".
+fn takes(rest: &str) -> Option<(&str, Presence)> {
     let mut taken = WORDS.takes.iter().filter_map(|verb| rest.strip_prefix(verb.as_str())?.strip_prefix(' '));
-    let errands = || WORDS.errands.iter().filter(|errand| errand.contains(' '));
+    let is = |place: &str, places: &[String]| {
+        places.iter().any(|own| own.contains(' ') && place.strip_prefix(own.as_str()).is_some_and(ends))
+    };
+    let where_to = |place: &str| {
+        let place = ["off ", "up "].iter().find_map(|word| place.strip_prefix(word)).unwrap_or(place);
+        let is_home = ["home", "back home", "back"].iter().any(|home| place.strip_prefix(home).is_some_and(ends));
+        let is_out = || [&WORDS.errands, &WORDS.elsewhere, &WORDS.from].iter().any(|places| is(place, places));
+        if is_home { Some(Presence::Present) } else { is_out().then_some(Presence::Away) }
+    };
     taken.find_map(|said| {
+        let said = ["off ", "up "].iter().find_map(|word| said.strip_prefix(word)).unwrap_or(said);
         let spaces = said.match_indices(' ').take(SUBJECT_WORDS_MAX);
         let mut cuts = spaces.map(|(at, _)| (&said[..at], &said[at + 1..]));
-        cuts.find(|(_, place)| errands().any(|errand| place.strip_prefix(errand.as_str()).is_some_and(ends)))
-            .map(|(taken, _)| taken)
+        cuts.find_map(|(taken, place)| Some((taken, where_to(place)?)))
     })
 }
 
@@ -435,15 +476,16 @@ pub(super) fn companions(said: &str, mut is_known: impl FnMut(&str) -> bool) -> 
         let ends_at = with.match_indices([' ', ',']).map(|(at, _)| at).take(SUBJECT_WORDS_MAX).chain([with.len()]);
         ends_at.filter_map(|at| known(&with[..at])).last()
     });
-    with.or_else(|| known(takes(rest)?)).unwrap_or_default()
+    with.or_else(|| known(takes(rest)?.0)).unwrap_or_default()
 }
 
 /// What somebody is, in a sentence that says it: "is still away" is "away".
 fn state(rest: &str) -> Option<&str> {
     let verbs = ["is ", "are ", "am ", "stays ", "stay ", "stayed ", "remains ", "remain "];
     let mut state = verbs.iter().find_map(|verb| rest.strip_prefix(verb))?;
-    while let Some(rest) =
-        ["still ", "now ", "already ", "currently ", "just "].iter().find_map(|word| state.strip_prefix(word))
+    while let Some(rest) = ["still ", "now ", "already ", "currently ", "just ", "alone ", "all alone "]
+        .iter()
+        .find_map(|word| state.strip_prefix(word))
     {
         state = rest;
     }
@@ -492,7 +534,12 @@ impl<'a> Clause<'a> {
                 None => Subject::Everybody,
             },
             _ if has(&WORDS.pronouns, subject) || is_anybody(subject) => Subject::Unnamed,
-            _ => of_some(subject).or_else(|| names(subject).map(Subject::Named)).unwrap_or(Subject::Other),
+            _ => of_some(subject)
+                .or_else(|| {
+                    names(subject)
+                        .map(|names| if is_alone(rest) { Subject::Only(names) } else { Subject::Named(names) })
+                })
+                .unwrap_or(Subject::Other),
         };
         if is_past_state(rest) {
             return None;
@@ -534,14 +581,25 @@ pub(super) fn begins_with_persons(said: &str, mut is_known: impl FnMut(&str) -> 
 
 /// Whether a plain text says by itself that somebody is away, in a room or comes home, of whom nobody may have told yet.
 pub(super) fn is_of_a_stranger(said: &str) -> bool {
+    // Of one person alone no verb has the form of several: "ben and tom leave" is one clause.
+    let is_of_one = |name: &str| {
+        let rest =
+            cuts(said).find_map(|(subject, rest)| (bare(subject) == Some(name)).then_some(rest)).unwrap_or_default();
+        rest.split([' ', ',']).next().is_some_and(is_verb)
+    };
     let is_of = |clause: Clause<'_>| match clause.subject {
-        Subject::Named(names) => names.iter().all(|name| may_be_new(name)),
+        Subject::Named(names) => names.iter().all(|name| may_be_new(name)) && (names.len() > 1 || is_of_one(names[0])),
         // Of the children nobody knows how many they are.
         Subject::Other => cuts(said)
             .any(|(subject, rest)| predicate(rest).is_some() && is(Word::Group, subject.trim_start_matches("the "))),
         _ => false,
     };
     Clause::read(said).is_some_and(is_of)
+}
+
+/// Whether all that a plain text has are persons, as the begin of a list has: "ada, ben".
+pub(super) fn is_begin_of_a_list(text: &str, mut is_known: impl FnMut(&str) -> bool) -> bool {
+    text.split(", ").all(|part| is_of_persons_alone(part, &mut is_known))
 }
 
 /// Whether all that a plain text has are persons: "ada and the plumber".
@@ -607,7 +665,8 @@ fn person_of(part: &str) -> Option<&str> {
     let first = name.split(' ').next().unwrap_or_default();
     // What somebody has is nobody, unless it is a person: "ada's mother".
     let is_had = first.ends_with("'s") && !has(&WORDS.people, name.rsplit(' ').next().unwrap_or_default());
-    let is_nothing = has(&WORDS.nothing, first) || is_had;
+    let is_group = || has(&WORDS.groups, name.rsplit(' ').next().unwrap_or_default());
+    let is_nothing = has(&WORDS.nothing, first) || is_had || is_group();
     let is_person = is_possible(name) && !is_nothing && (!has_determiner || has(&WORDS.people, name));
     is_person.then_some(name)
 }

@@ -348,6 +348,12 @@ mod tests {
             "Everybody else leaves the house.",
             "Ada and the dishwasher are out.",
             "Is Ada at home?",
+            "\"Everybody leaves the house\", says the radio.",
+            "Ben shouts: “Ada leaves the house!”",
+            "Both parents go to work.",
+            "Grandparents leave the house.",
+            "Sophie takes the mug from the table.",
+            "Sophie picks up the bag from the chair.",
             "",
         ] {
             assert_eq!(of(sentence), None, "{sentence}");
@@ -405,6 +411,15 @@ mod tests {
             ("Only Lily leaves the house.", "away", Some("lily"), false),
             ("Only Lily is in the kitchen.", "present in the kitchen", Some("lily"), false),
             ("Lily stays home.", "present", Some("lily"), false),
+            ("Lily is home alone.", "alone present", Some("lily"), true),
+            ("Lily and Ada are alone at home now.", "alone present", Some("lily and ada"), true),
+            ("Lily is alone in the kitchen.", "present in the kitchen", Some("lily"), false),
+            ("Everybody leaves the house without Lily.", "everybody else away", Some("lily"), true),
+            ("Ada leaves the house without Lily.", "away", Some("ada"), false),
+            ("Ada, Ben and Lily leave the house.", "away", Some("ada and ben and lily"), false),
+            ("Sophie drops Lily off at school.", "away", Some("sophie"), false),
+            ("Sophie picks up Lily from school.", "away", Some("sophie"), false),
+            ("Sophie brings Lily home.", "present", Some("sophie"), false),
             ("Sophie takes Lily to school.", "away", Some("sophie"), false),
             ("Ben drives to work and Ada stays at home.", "away", Some("ben"), false),
         ] {

@@ -40,7 +40,7 @@ pub(super) fn clauses(text: &str, mut is_person: impl FnMut(&str) -> bool) -> ([
             // What somebody says or sees of two others is one clause.
             false => !clause::with_plain(head, clause::is_reported),
         };
-        if begins && ends() && clause::with_plain(head, |head| !clause::is_of_persons_alone(head, &mut is_person)) {
+        if begins && ends() && clause::with_plain(head, |head| !clause::is_begin_of_a_list(head, &mut is_person)) {
             (found[count], count, from) = (head, count + 1, next);
         }
     }
@@ -132,6 +132,9 @@ mod tests {
         for text in [
             "Ada and Ben sit on the sofa.",
             "Ada, Ben and Tom sit on the sofa.",
+            "Ada, Ben and Tom leave the house.",
+            "Ada, Ben, Tom and Aunt Mary left the house.",
+            "Xaver, Ada and Ben leave the house.",
             "Ada hugs Ben and Tom.",
             "Ada plays with Ben and Tom in the kitchen.",
             "Ada watches Ben and Tom play.",
