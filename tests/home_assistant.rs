@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{Domain, NarrationV1, Subscriber};
+use roomcast_ipc::{DecisionV1, Domain, NarrationV1, Subscriber, action};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket};
@@ -484,6 +484,19 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
         }
     }
 
+    // A robot that pauses is told of no room, which is unknown there and not a text.
+    let planner = node.publisher::<DecisionV1>().unwrap();
+    let told = DecisionV1 { robot: 7, sequence: 1, action: action::PAUSE, ..Default::default() };
+    eventually("no room is unknown", || {
+        planner.send(&told).unwrap();
+        let robots = talk.ask(json!({"type": "get_states"}));
+        let is_room =
+            |id: &str| id.starts_with("sensor.roomcast_robot_robot_0000000000000007") && id.ends_with("_room");
+        let mut all = robots.as_array().unwrap().iter();
+        (all.find(|state| is_room(state["entity_id"].as_str().unwrap()))?["state"] == "unknown").then_some(())
+    });
+    drop(planner);
+
     // Each of the three is restarted.
     broker = broker.restart();
     works("after the broker's restart", &home, &token, &heard);
@@ -514,5 +527,9 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
         .filter(|entity| entity["platform"] == "mqtt" && entity["entity_id"].to_string().contains("roomcast"))
         .collect();
     assert!(left.is_empty(), "{left:?}");
+    // Nothing that it was told was wrong.
+    let log = std::fs::read_to_string(home.folder.join("log")).unwrap();
+    let complaints: Vec<&str> = log.lines().filter(|line| line.contains("components.mqtt")).collect();
+    assert!(complaints.is_empty(), "{complaints:#?}");
     drop(broker);
 }

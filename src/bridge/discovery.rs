@@ -40,8 +40,9 @@ fn on_off(at: &str) -> String {
     format!("{{{{ 'None' if value_json.{at} is none else ('ON' if value_json.{at} else 'OFF') }}}}")
 }
 
-fn time(at: &str) -> String {
-    format!("{{{{ 'None' if value_json.{at} is none else (value_json.{at} | as_datetime) }}}}")
+/// A text, or unknown: Home Assistant 2024.3 shows `None` as a text.
+fn text(at: &str) -> String {
+    format!("{{{{ {at} or 'unknown' }}}}")
 }
 
 /// An entity.
@@ -102,8 +103,8 @@ impl<'a> Discovery<'a> {
         self.messages.push((topic, message.to_string()));
     }
 
-    /// The home, and how the daemon is.
-    pub(super) fn home(&mut self) {
+    /// The home, how the daemon is, and when something was last narrated, where anything was.
+    pub(super) fn home(&mut self, narrated: bool) {
         let entity = |component, object: &str, name: &str, topic: &str, template, more| Entity {
             component,
             object: object.to_owned(),
@@ -119,9 +120,11 @@ impl<'a> Discovery<'a> {
             "device_class": "connectivity", "entity_category": "diagnostic", "json_attributes_topic": attributes,
         });
         self.add(entity("binary_sensor", "daemon", "daemon", "health", on_off("daemon"), connectivity), false);
-        let timestamp = json!({ "device_class": "timestamp", "entity_category": "diagnostic" });
-        let narrated = time("narrated_unix_s");
-        self.add(entity("sensor", "narrated", "last narration", "health", narrated, timestamp), false);
+        if narrated {
+            let timestamp = json!({ "device_class": "timestamp", "entity_category": "diagnostic" });
+            let time = "{{ value | int | as_datetime }}".to_owned();
+            self.add(entity("sensor", "narrated", "last narration", "narrated", time, timestamp), false);
+        }
     }
 
     /// A room: how likely somebody is there now and later, and whether somebody is expected soon.
@@ -167,11 +170,11 @@ impl<'a> Discovery<'a> {
         };
         let attributes = format!("{}/{topic}", self.config.topic);
         let now = json!({ "icon": "mdi:account", "json_attributes_topic": attributes });
-        let template = "{{ value_json.likely }}".to_owned();
+        let template = text("value_json.likely");
         self.add(entity("sensor", format!("person_{person}"), name.to_owned(), template, now), true);
         for seconds in self.config.horizons_s.clone() {
             let object = format!("person_{person}_in_{}_s", slug(&seconds.to_string()));
-            let template = format!("{{{{ (value_json.at['{seconds}'] or {{}}).likely }}}}");
+            let template = text(&format!("(value_json.at['{seconds}'] or {{}}).likely"));
             let (name, later) = (format!("{name} in {}", ahead(seconds)), json!({ "icon": "mdi:account-clock" }));
             self.add(entity("sensor", object, name, template, later), true);
         }
@@ -202,7 +205,7 @@ impl<'a> Discovery<'a> {
         let reason = format!("{{{{ value_json.reason[:{STATE_BYTES_MAX}] }}}}");
         let all = [
             entity("decision", "{{ value_json.action }}".to_owned(), options),
-            entity("room", "{{ value_json.room }}".to_owned(), plain("mdi:floor-plan")),
+            entity("room", text("value_json.room"), plain("mdi:floor-plan")),
             entity("reason", reason, plain("mdi:comment-question")),
         ];
         // What the robot was told holds on while the daemon is away.

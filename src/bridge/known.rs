@@ -29,12 +29,18 @@ pub(super) struct Known {
     persons: Option<Box<PersonForecastsV1>>,
     decisions: BTreeMap<u64, DecisionV1>,
     status: Option<StatusResponseV1>,
+    /// When something was last narrated, in seconds of the wall clock, as far as anybody said.
+    narrated_unix_s: Option<u64>,
     /// Rooms in which somebody is expected soon, with hysteresis.
     soon: BTreeMap<String, bool>,
 }
 
 impl Known {
     pub(super) fn take_scores(&mut self, scores: &RoomScoresV1) {
+        if scores.observed_ns > 0 {
+            let before_ns = scores.computed_ns.saturating_sub(scores.observed_ns);
+            self.narrated_unix_s = Some(scores.computed_unix_ns.saturating_sub(before_ns) / 1_000_000_000);
+        }
         self.scores = Some(Box::new(*scores));
     }
 
@@ -75,6 +81,10 @@ impl Known {
         let mut picture = Picture::new();
         let mut put = |topic: String, value: &Value| picture.insert(format!("{base}/{topic}"), value.to_string());
         put("health".to_owned(), &self.health(alive));
+        // Home Assistant warns of a time that is none, so there is nothing where nothing is known.
+        if let Some(seconds) = self.narrated_unix_s {
+            put("narrated".to_owned(), &seconds.into());
+        }
         let rooms: Vec<String> =
             self.scores.iter().flat_map(|scores| scores.rooms()).map(|room| room.id().to_owned()).collect();
         self.soon.retain(|room, _| rooms.contains(room));
@@ -104,7 +114,7 @@ impl Known {
         picture.insert(format!("{base}/daemon"), if alive { ONLINE } else { OFFLINE }.to_owned());
         if !config.discovery.is_empty() {
             let mut discovery = Discovery::new(config, self.map());
-            discovery.home();
+            discovery.home(self.narrated_unix_s.is_some());
             rooms.iter().for_each(|room| discovery.room(room));
             persons.iter().for_each(|person| discovery.person(person));
             robots.iter().for_each(|robot| discovery.robot(robot));
@@ -122,12 +132,8 @@ impl Known {
     }
 
     fn health(&self, alive: bool) -> Value {
-        let narrated = self.scores.as_ref().filter(|scores| scores.observed_ns > 0).map(|scores| {
-            let before_ns = scores.computed_ns.saturating_sub(scores.observed_ns);
-            scores.computed_unix_ns.saturating_sub(before_ns) / 1_000_000_000
-        });
         let flags = self.forecast.as_ref().map(|forecast| forecast_flag_names(forecast.flags));
-        let mut health = json!({ "daemon": alive, "narrated_unix_s": narrated, "forecast": flags });
+        let mut health = json!({ "daemon": alive, "narrated_unix_s": self.narrated_unix_s, "forecast": flags });
         if let (Some(status), Some(health)) = (&self.status, health.as_object_mut()) {
             let more = json!({
                 "version": status.version(),

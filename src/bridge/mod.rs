@@ -102,7 +102,7 @@ impl Ears {
 
     fn filters(&self) -> Vec<String> {
         let own = ["rooms", "persons", "robots"].map(|kind| format!("{}/{kind}/+", self.base));
-        let single = ["status", "daemon", "health", "home"].map(|topic| format!("{}/{topic}", self.base));
+        let single = ["status", "daemon", "health", "home", "narrated"].map(|topic| format!("{}/{topic}", self.base));
         let config = (!self.discovery.is_empty()).then(|| format!("{}/+/{}/+/config", self.discovery, self.node));
         own.into_iter().chain(single).chain(config).chain([self.marker.clone()]).collect()
     }

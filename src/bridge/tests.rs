@@ -96,6 +96,38 @@ fn health_says_what_the_forecast_lacks() {
     assert_eq!(message(&draw(&mut known), "roomcast/health")["forecast"], json!(["resident-unknown"]));
 }
 
+/// Home Assistant warns of a time that is none, and shows a text that is none as the word `None`.
+#[test]
+fn no_entity_is_told_of_a_time_or_a_text_that_is_none() {
+    let (topic, entity) = ("roomcast/narrated", "homeassistant/sensor/roomcast/narrated/config");
+    let mut known = known(&["kitchen"], &[[0.0; 3]], &["ada"]);
+    let picture = draw(&mut known);
+    assert_eq!((picture.get(topic), picture.get(entity)), (None, None));
+    assert_eq!(message(&picture, "roomcast/health")["narrated_unix_s"], Value::Null);
+    let heard = RoomScoresV1 {
+        observed_ns: 3_000_000_000,
+        computed_ns: 5_000_000_000,
+        computed_unix_ns: 1_790_000_000_000_000_000,
+        ..scores(&["kitchen"])
+    };
+    known.take_scores(&heard);
+    assert_eq!(message(&draw(&mut known), topic), 1_789_999_998);
+    // A daemon that has forgotten everything takes nothing back.
+    known.take_scores(&scores(&["kitchen"]));
+    let picture = draw(&mut known);
+    assert_eq!(message(&picture, topic), 1_789_999_998);
+    assert_eq!(message(&picture, entity)["state_topic"], topic);
+    for (topic, payload) in picture.iter().filter(|(topic, _)| topic.ends_with("/config")) {
+        let config: Value = serde_json::from_str(payload).unwrap();
+        let template = config["value_template"].as_str().unwrap();
+        // Numbers and binary sensors take `None` for unknown.
+        let takes_none = topic.contains("/binary_sensor/") || config.get("unit_of_measurement").is_some();
+        assert_eq!(template.contains("None"), takes_none, "{topic}: {template}");
+        let is_never_none = ["narrated", "_decision", "_reason"].iter().any(|part| topic.contains(part));
+        assert!(takes_none || is_never_none || template.contains("or 'unknown'"), "{topic}: {template}");
+    }
+}
+
 #[test]
 fn somebody_soon_has_hysteresis() {
     let scores = scores(&["kitchen"]);
@@ -163,8 +195,8 @@ fn discovery_is_one_device_with_unique_safe_ids_whatever_names_are_like() {
     let mut known = known(&ids, &[[0.1; 3]; 6], &[ODD, "Ada Lovelace"]);
     let picture = draw(&mut known);
     let configs: Vec<_> = picture.iter().filter(|(topic, _)| topic.ends_with("/config")).collect();
-    // Three of the home, four of each room, four of each person, three of the robot.
-    assert_eq!(configs.len(), 3 + 6 * 4 + 2 * 4 + 3);
+    // Two of the home, four of each room, four of each person, three of the robot.
+    assert_eq!(configs.len(), 2 + 6 * 4 + 2 * 4 + 3);
     let mut unique = std::collections::HashSet::new();
     for (topic, payload) in configs {
         let levels: Vec<_> = topic.split('/').collect();
