@@ -477,16 +477,10 @@ impl Grounding {
         })
     }
 
-    /// What to call the partitions in front of people, in their order: by their labels, or by their ids where several bear one label, as
-    /// the rooms of a ward do.
+    /// What to call the partitions in front of people, in their order, as [`partition_names`] has it.
     #[must_use]
     pub fn partition_names(&self) -> Vec<String> {
-        let mut bearers = HashMap::<&str, usize>::new();
-        self.partitions.iter().for_each(|partition| *bearers.entry(&partition.label).or_default() += 1);
-        let name = |partition: &Partition| {
-            if bearers[partition.label.as_str()] > 1 { partition.id.clone() } else { partition.label.clone() }
-        };
-        self.partitions.iter().map(name).collect()
+        partition_names(&self.partitions)
     }
 
     /// The labels that contribute most to a partition's score, at most `count`: index in [`Grounding::scored_labels`] and
@@ -551,6 +545,18 @@ fn rooms_as_partitions(map: &SemanticMap) -> Vec<Partition> {
             spaces: vec![room.space.clone()],
         })
         .collect()
+}
+
+/// What to call partitions in front of people, in their order: by their labels, or by their ids where several bear one label, as the rooms
+/// of a ward do.
+#[must_use]
+pub fn partition_names(partitions: &[Partition]) -> Vec<String> {
+    let mut bearers = HashMap::<&str, usize>::new();
+    partitions.iter().for_each(|partition| *bearers.entry(&partition.label).or_default() += 1);
+    let name = |partition: &Partition| {
+        if bearers[partition.label.as_str()] > 1 { partition.id.clone() } else { partition.label.clone() }
+    };
+    partitions.iter().map(name).collect()
 }
 
 /// The partitions of a map at a level, in their order in a [`Grounding`].

@@ -12,6 +12,10 @@ use roomcast_core::semantic_map::{Box3, Footprint, PartitionId, SemanticMap, Spa
 
 /// The font of all drawings; `png.rs` has it compiled in.
 pub(crate) const FONT: &str = "DejaVu Sans";
+/// Sizes that a room's name may have, in pixels: the first that its room is wide enough for; where there are many rooms, from the third on.
+const NAME_PX: [f64; 5] = [17.0, 14.0, 12.0, 10.5, 9.0];
+/// What a room must be wider than the name in it, in pixels.
+const NAME_MARGIN_PX: f64 = 24.0;
 /// How much wider bold letters are.
 const BOLDER: f64 = 1.17;
 /// Largest size of the plan itself, in pixels.
@@ -46,6 +50,8 @@ const STRUCTURE: [&str; 6] = ["wall", "floor", "ceiling", "door jamb", "doorjamb
 const FURNITURE_FROM_M: f64 = 0.42;
 /// Width of a door; metres.
 const DOOR_M: f64 = 0.84;
+/// How far from a door a wall may be that the door is a gap in; metres. Between two rooms of a robot's map lies what it could not see.
+const WALL_M: f64 = 0.4;
 /// What begins above this height hangs from the ceiling; drawn as a dot, so that no lamp or cupboard hides the floor; metres.
 const OVERHEAD_M: f64 = 1.85;
 
@@ -214,6 +220,10 @@ impl<'a> Label<'a> {
     }
 }
 
+fn count(number: usize, noun: &str) -> String {
+    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
+}
+
 fn rounded(pixels: f64) -> f64 {
     (pixels * 10.0).round() / 10.0
 }
@@ -337,10 +347,10 @@ impl<'a> Plan<'a> {
     fn title(&self, width: f64) -> Group {
         let map = self.map;
         let facts = format!(
-            "{} items, {} labels, {} rooms \u{b7} map {}",
-            map.items().len(),
-            map.labels().len(),
-            map.rooms().len(),
+            "{}, {}, {} \u{b7} map {}",
+            count(map.items().len(), "item"),
+            count(map.labels().len(), "label"),
+            count(map.rooms().len(), "room"),
             map.short_fingerprint()
         );
         let caption = self.heat.map(|heat| heat.caption.as_str()).filter(|caption| !caption.is_empty());
@@ -389,30 +399,42 @@ impl<'a> Plan<'a> {
         walls
     }
 
-    /// A gap in the nearest wall of the rooms, with the leaf and its swing.
+    /// A gap in the nearest wall of each of the rooms, with the leaf and its swing.
     fn door(&self, position_m: &[f64; 3], rooms: [&Space; 2]) -> Group {
-        let (x, y) = (self.x(position_m[0]), self.y(position_m[1]));
-        let half = 0.5 * DOOR_M * self.scale;
-        let across = rooms.iter().map(|room| wall(room, position_m)).min_by(|a, b| a.0.total_cmp(&b.0));
-        let across = across.is_some_and(|(_, across)| across);
-        let (dx, dy) = if across { (0.0, half) } else { (half, 0.0) };
-        let gap = Line::new().set("x1", rounded(x - dx)).set("y1", rounded(y - dy));
-        let gap = gap.set("x2", rounded(x + dx)).set("y2", rounded(y + dy));
-        let (tip_x, tip_y) = if across { (x + 2.0 * half, y - half) } else { (x - half, y - 2.0 * half) };
+        let walls = rooms.map(|room| wall(room, position_m));
+        let nearest = if walls[1].distance_m < walls[0].distance_m { &walls[1] } else { &walls[0] };
+        let mut door = Group::new();
+        for wall in walls.iter().filter(|wall| wall.distance_m <= WALL_M || std::ptr::eq(*wall, nearest)) {
+            let [[x1, y1], [x2, y2]] = self.gap(wall);
+            let line = Line::new().set("x1", rounded(x1)).set("y1", rounded(y1));
+            let line = line.set("x2", rounded(x2)).set("y2", rounded(y2));
+            door = door.add(line.set("stroke", PAPER).set("stroke-width", 7));
+        }
+        let [hinge, end] = self.gap(nearest);
+        let (across, down) = (end[0] - hinge[0], end[1] - hinge[1]);
         let swing = format!(
-            "M {} {} L {} {} A {r} {r} 0 0 {} {} {}",
-            rounded(x - dx),
-            rounded(y - dy),
-            rounded(tip_x),
-            rounded(tip_y),
-            1,
-            rounded(x + dx),
-            rounded(y + dy),
-            r = rounded(2.0 * half),
+            "M {} {} L {} {} A {r} {r} 0 0 1 {} {}",
+            rounded(hinge[0]),
+            rounded(hinge[1]),
+            rounded(hinge[0] + down),
+            rounded(hinge[1] - across),
+            rounded(end[0]),
+            rounded(end[1]),
+            r = rounded(across.hypot(down)),
         );
-        Group::new()
-            .add(gap.set("stroke", PAPER).set("stroke-width", 7))
-            .add(Path::new().set("d", swing).set("fill", "none").set("stroke", WALL).set("stroke-width", 1.2))
+        door.add(Path::new().set("d", swing).set("fill", "none").set("stroke", WALL).set("stroke-width", 1.2))
+    }
+
+    /// The two ends of a door's gap in a wall, in pixels, from the left or from the top.
+    fn gap(&self, wall: &Wall) -> [[f64; 2]; 2] {
+        let half_m = 0.5 * DOOR_M.min(wall.length_m);
+        let middle_m = wall.along_m.clamp(half_m, wall.length_m - half_m);
+        let end = |along_m: f64| {
+            let [east_m, north_m] = [0, 1].map(|axis| wall.from_m[axis] + along_m * wall.way[axis]);
+            [self.x(east_m), self.y(north_m)]
+        };
+        let [from, to] = [end(middle_m - half_m), end(middle_m + half_m)];
+        if from[0] + from[1] <= to[0] + to[1] { [from, to] } else { [to, from] }
     }
 
     fn is_structure(&self, index: usize) -> bool {
@@ -492,15 +514,25 @@ impl<'a> Plan<'a> {
     /// Names of rooms or other partitions, each where it covers least, with its probability.
     fn partition_names(&mut self) -> Group {
         let mut names = Group::new();
+        let called = self.grounding.partition_names();
         for (index, partition) in self.grounding.partitions().iter().enumerate() {
             let largest = |a: &&Space, b: &&Space| floor_m2(a).total_cmp(&floor_m2(b));
             let Some(space) = partition.spaces.iter().max_by(largest) else { continue };
             let area = self.area(&space.bounds);
             let probability = self.heat.map(|heat| percent(heat.partition_probability[index]));
-            let size_px = if self.grounding.partitions().len() <= 8 { 17.0 } else { 12.0 };
-            let name = shortened(&partition.label, size_px, (area.right - area.left - 24.0).max(40.0));
-            let width = width_px(&name, size_px) * BOLDER
-                + probability.as_ref().map_or(0.0, |text| width_px(text, size_px) + 12.0);
+            let beside_px = |size_px: f64| probability.as_ref().map_or(0.0, |text| width_px(text, size_px) + 12.0);
+            // A name is written small before it is cut off.
+            let sizes = if self.grounding.partitions().len() <= 8 { &NAME_PX[..] } else { &NAME_PX[2..] };
+            let most_px = area.right - area.left - NAME_MARGIN_PX;
+            let whole = |size_px: &&f64| width_px(&called[index], **size_px) * BOLDER + beside_px(**size_px) <= most_px;
+            let (size_px, name) = match sizes.iter().find(whole) {
+                Some(size_px) => (*size_px, called[index].clone()),
+                None => {
+                    let size_px = NAME_PX[NAME_PX.len() - 1];
+                    (size_px, shortened(&called[index], size_px * BOLDER, (most_px - beside_px(size_px)).max(40.0)))
+                }
+            };
+            let width = width_px(&name, size_px) * BOLDER + beside_px(size_px);
             let (width, height) = (width + 20.0, size_px + 13.0);
             let place = self.quietest(space, &area, width, height);
             self.taken.push(place);
@@ -660,13 +692,13 @@ impl<'a> Plan<'a> {
 
         panel = panel.add(heading(if self.heat.is_some() { "Where next" } else { "What is where" }).at(left, y));
         y += 26.0;
-        let partitions = self.grounding.partitions();
+        let (partitions, called) = (self.grounding.partitions(), self.grounding.partition_names());
         let order = match self.heat {
             Some(heat) => warmest(&heat.partition_probability, ROWS),
             None => (0..partitions.len().min(ROWS)).collect(),
         };
         for &index in &order {
-            let name = shortened(&partitions[index].label, 13.0, PANEL_PX - BAR_PX - 70.0);
+            let name = shortened(&called[index], 13.0, PANEL_PX - BAR_PX - 70.0);
             panel = panel.add(Label::new(&name, 13.0).at(left, y));
             let value = if let Some(heat) = self.heat {
                 let probability = heat.partition_probability[index];
@@ -681,7 +713,7 @@ impl<'a> Plan<'a> {
             } else {
                 let own = PartitionId(u32::try_from(index).unwrap_or(u32::MAX));
                 let items = self.grounding.item_partition().iter().filter(|partition| **partition == Some(own)).count();
-                format!("{items} items")
+                count(items, "item")
             };
             panel =
                 panel.add(Label { anchor: "end", colour: QUIET, ..Label::new(&value, 13.0) }.at(left + PANEL_PX, y));
@@ -761,16 +793,34 @@ fn floor_m2(space: &Space) -> f64 {
     space.footprint.as_ref().map_or(size_m[0] * size_m[1], Footprint::area_m2)
 }
 
-/// How far the nearest wall of a room is, in metres, and whether it runs from north to south.
-fn wall(space: &Space, position_m: &[f64; 3]) -> (f64, bool) {
-    let mut nearest = (f64::INFINITY, false);
+/// A straight piece of a room's wall, seen from a door.
+struct Wall {
+    /// How far it is from the door.
+    distance_m: f64,
+    from_m: [f64; 2],
+    /// Its direction, of length 1.
+    way: [f64; 2],
+    length_m: f64,
+    /// How far along it is nearest to the door.
+    along_m: f64,
+}
+
+/// The wall of a room that is nearest to a place.
+fn wall(space: &Space, position_m: &[f64; 3]) -> Wall {
+    let mut nearest =
+        Wall { distance_m: f64::INFINITY, from_m: [0.0; 2], way: [1.0, 0.0], length_m: 0.0, along_m: 0.0 };
     for ring in space.rings() {
         for (a, b) in ring.iter().zip(ring.iter().cycle().skip(1)) {
-            let ([ux, uy], [px, py]) = ([b[0] - a[0], b[1] - a[1]], [position_m[0] - a[0], position_m[1] - a[1]]);
-            let along = ((ux * px + uy * py) / (ux * ux + uy * uy)).clamp(0.0, 1.0);
-            let distance_m = (px - along * ux).hypot(py - along * uy);
-            if distance_m < nearest.0 {
-                nearest = (distance_m, uy.abs() > ux.abs());
+            let (to_m, door_m) = ([b[0] - a[0], b[1] - a[1]], [position_m[0] - a[0], position_m[1] - a[1]]);
+            let length_m = to_m[0].hypot(to_m[1]);
+            if length_m == 0.0 {
+                continue;
+            }
+            let way = to_m.map(|metres| metres / length_m);
+            let along_m = (way[0] * door_m[0] + way[1] * door_m[1]).clamp(0.0, length_m);
+            let distance_m = (door_m[0] - along_m * way[0]).hypot(door_m[1] - along_m * way[1]);
+            if distance_m < nearest.distance_m {
+                nearest = Wall { distance_m, from_m: *a, way, length_m, along_m };
             }
         }
     }
@@ -918,6 +968,80 @@ mod tests {
         let heat = Heat::new(&[1.0], &[-1_000.0, -1_001.0, f64::NEG_INFINITY], "");
         assert!((heat.item_share.iter().sum::<f64>() - 1.0).abs() < 1e-12);
         assert_eq!(Heat::new(&[1.0], &[f64::NEG_INFINITY], "").item_share, [0.0]);
+    }
+
+    /// A map of boxes with these labels, side by side from west to east, so many metres wide each.
+    fn row_of_rooms(rooms: &[(&str, &str, f64)]) -> SemanticMap {
+        let mut west = 0.0;
+        let mut json = Vec::new();
+        for (id, label, width) in rooms {
+            json.push(serde_json::json!({"id": id, "label": label, "box": {"min_m": [west, 0.0, 0.0], "max_m": [west + width, 4.0, 2.5]}}));
+            west += width;
+        }
+        let text = serde_json::json!({"format": "roomcast-scene", "version": 1, "name": "row", "rooms": json, "doors": [], "items": [
+            {"id": "lamp", "label": "lamp", "position_m": [0.5, 0.5, 0.5], "box": {"min_m": [0.4, 0.4, 0.4], "max_m": [0.6, 0.6, 0.6]}}]});
+        SemanticMap::from_json(&text.to_string()).unwrap()
+    }
+
+    #[test]
+    fn a_small_rooms_name_is_written_small_before_it_is_cut_off() {
+        let map = row_of_rooms(&[
+            ("wide", "dining room", 9.0),
+            ("small", "laundry room", 1.2),
+            ("tiny", "guest bathroom", 0.3),
+        ]);
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        for heat in [None, Some(Heat::new(&[0.2, 0.2, 0.6], &[0.0], ""))] {
+            let text = svg(&map, &grounding, heat.as_ref()).unwrap();
+            let drawing = roxmltree::Document::parse(&text).unwrap();
+            let bold = drawing.descendants().filter(|node| node.attribute("font-weight") == Some("bold"));
+            let size = |start: &str| {
+                let mut all =
+                    bold.clone().filter(|node| node.text().is_some_and(|text| text.trim().starts_with(start)));
+                let found = all.next().unwrap_or_else(|| panic!("{start} in {text}"));
+                (found.text().unwrap().trim().to_owned(), found.attribute("font-size").unwrap().parse::<f64>().unwrap())
+            };
+            assert_eq!(size("dining"), ("dining room".to_owned(), 17.0));
+            let (name, size_px) = size("laundry");
+            assert_eq!(name, "laundry room");
+            assert!(size_px < 17.0, "{size_px}");
+            assert!(size("guest").0.ends_with('\u{2026}'), "nothing else is left");
+        }
+    }
+
+    #[test]
+    fn rooms_of_one_name_are_told_apart_and_one_room_is_no_rooms() {
+        let drawn = |rooms: &[(&str, &str, f64)]| {
+            let map = row_of_rooms(rooms);
+            svg(&map, &Grounding::new(&map, &GroundingOptions::default()).unwrap(), None).unwrap()
+        };
+        let text = drawn(&[("hallway-12", "hallway", 3.0), ("hallway-13", "hallway", 3.0)]);
+        // On the plan and beside it.
+        assert_eq!(["hallway-12", "hallway-13"].map(|name| text.matches(name).count()), [2, 2]);
+        assert!(drawn(&[("home", "home", 3.0)]).contains("1 item, 1 label, 1 room "), "{text}");
+    }
+
+    /// Robots' maps have walls at any angle, and a gap between rooms.
+    #[test]
+    fn a_door_is_a_gap_along_its_walls() {
+        let scene = serde_json::json!({"format": "roomcast-scene", "version": 2, "name": "slanted", "rooms": [
+            {"id": "west", "label": "west", "footprint": [[[0.0, 0.0], [4.0, 0.0], [0.0, 4.0]]], "floor": 0.0, "height": 2.5},
+            {"id": "east", "label": "east", "footprint": [[[4.0, 0.2], [4.0, 4.2], [0.0, 4.2]]], "floor": 0.0, "height": 2.5}],
+            "doors": [{"rooms": ["west", "east"], "position_m": [2.0, 2.1, 1.0]}], "items": [
+            {"id": "lamp", "label": "lamp", "position_m": [0.5, 0.5, 0.5], "box": {"min_m": [0.4, 0.4, 0.4], "max_m": [0.6, 0.6, 0.6]}}]});
+        let map = SemanticMap::from_json(&scene.to_string()).unwrap();
+        let text = svg(&map, &Grounding::new(&map, &GroundingOptions::default()).unwrap(), None).unwrap();
+        let drawing = roxmltree::Document::parse(&text).unwrap();
+        let gaps = drawing
+            .descendants()
+            .filter(|node| node.has_tag_name("line") && node.attribute("stroke-width") == Some("7"));
+        let place = |node: roxmltree::Node<'_, '_>, name| node.attribute(name).unwrap().parse::<f64>().unwrap();
+        let ways: Vec<f64> = (gaps
+            .map(|node| (place(node, "y2") - place(node, "y1")) / (place(node, "x2") - place(node, "x1"))))
+        .collect();
+        // One in each wall, and the one of the legend, which is level.
+        assert_eq!(ways.len(), 3, "{text}");
+        assert!(ways[..2].iter().all(|way| (way - 1.0).abs() < 0.05), "{ways:?}");
     }
 
     #[test]
