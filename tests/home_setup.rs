@@ -202,9 +202,13 @@ fn a_home_that_is_set_up_well_has_no_fault() {
     let output = home.init(&["--resident", "Ada"]);
     let said = String::from_utf8(output.stdout).unwrap();
     assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
-    for part in
-        ["home.json: 3 rooms", "home.rules.toml: 9 rules", "roomcast doctor --config", "roomcast robot --config"]
-    {
+    for part in [
+        "home.json: 3 rooms",
+        "Rooms without things: 3; assumed in them",
+        "home.rules.toml: 9 rules",
+        "roomcast doctor --config",
+        "roomcast robot --config",
+    ] {
         assert!(said.contains(part), "{part} in {said}");
     }
     // The robot's rooms, with what Home Assistant knows of them, and rules that name them.
@@ -724,6 +728,74 @@ fn init_finds_what_is_not_given() {
     let said = String::from_utf8(none.stderr).unwrap();
     assert!(said.contains("nothing tells of the home's rooms: give --home-assistant"), "{said}");
     assert!(!Path::new(&home.at("empty")).exists());
+}
+
+/// On a terminal it asks, says at once what is wrong with an answer, and asks again.
+#[test]
+fn init_asks_again_where_an_answer_leads_to_nothing() {
+    if !Path::new("/usr/bin/script").exists() {
+        skipped("script is not installed (apt-get install bsdutils)");
+        return;
+    }
+    let Some(home) = Home::new("asked") else { return };
+    let program = env!("CARGO_BIN_EXE_roomcast");
+    let on_terminal = |answers: &[&str]| {
+        let command = format!("stty -echo; {program} init {}", home.at("home"));
+        let mut script = Command::new("/usr/bin/script");
+        script.args(["--quiet", "--return", "--command", &command, "/dev/null"]).env("HOME", home.directory.path());
+        script.env("ROOMCAST_ROOT", home.domain.root()).env("ROOMCAST_DOMAIN", home.domain.name());
+        let mut child = script.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut input = child.stdin.take().unwrap();
+        for answer in answers {
+            writeln!(input, "{answer}").unwrap();
+        }
+        // The end of the answers ends the terminal's input.
+        input.write_all(b"\x04").unwrap();
+        drop(input);
+        let output = child.wait_with_output().unwrap();
+        (output.status.code().unwrap(), String::from_utf8(output.stdout).unwrap().replace("\r\n", "\n"))
+    };
+    let (url, config, map) = (home.url(), home.at("config"), home.at("map.json"));
+    let nobody = format!("mqtt://127.0.0.1:{}", free_port());
+    let wrong = [
+        "/nowhere",
+        &config,
+        "broker",
+        &nobody,
+        &url,
+        "valetudo/other",
+        ROBOT,
+        "/nowhere.json",
+        &map,
+        "Ada, ada",
+        "Ada",
+    ];
+    let (code, said) = on_terminal(&wrong);
+    assert_eq!(code, 0, "{said}");
+    // In lines that fit, so that a text may be broken anywhere.
+    let words = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    for part in [
+        "/nowhere has no .storage/core.area_registry",
+        "\"broker\" is no broker",
+        "no broker answers at 127.0.0.1",
+        "nothing was heard of a robot under valetudo/other",
+        "map /nowhere.json:",
+        "give each name or number once",
+        "home.json: 3 rooms",
+    ] {
+        assert!(words.contains(part), "{part} in {said}");
+    }
+    let config = std::fs::read_to_string(home.path("home/roomcast.toml")).unwrap();
+    for part in [format!("broker = {url:?}"), format!("topic = {ROBOT:?}"), "residents = [\"Ada\"]".to_owned()] {
+        assert!(config.contains(&part), "{part} in {config}");
+    }
+    // What is no answer overwrites nothing, nor does the end of all answers.
+    let (code, said) = on_terminal(&["maybe"]);
+    assert!(said.contains("answer yes or no") && said.contains("nothing was written"), "{said}");
+    assert_eq!(code, i32::from(exit_code::INTERRUPTED), "{said}");
+    let (code, said) = on_terminal(&["maybe", "no"]);
+    assert!(said.contains("stay as they are"), "{said}");
+    assert_eq!(code, i32::from(exit_code::FAILURE), "{said}");
 }
 
 fn publish_bytes(port: u16, topic: &str, payload: Vec<u8>) {

@@ -62,8 +62,9 @@ fn from_folder(folder: &Path, name: &str) -> Result<Home, Failure> {
     let (areas, registry) = (storage.join("core.area_registry"), "registry");
     if !areas.is_file() {
         let folder = folder.display();
-        let problem =
-            format!("{folder} has no .storage/core.area_registry; give the folder that configuration.yaml is in");
+        let problem = format!(
+            "{folder} has no .storage/core.area_registry; give the folder that configuration.yaml is in, or the address, such as http://HOST:8123"
+        );
         return Err(input(problem));
     }
     let optional = |name: &str| {

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use roomcast_core::grounding::Grounding;
-use roomcast_core::semantic_map::import::{self, Imported};
+use roomcast_core::semantic_map::import::{self, Home, Imported};
 use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap, delta};
 use roomcast_services::config::Config;
 use roomcast_services::mqtt::Broker;
@@ -37,6 +37,8 @@ const OWN_FOLDER: &str = ".homeassistant";
 /// Where Valetudo tells of its state and its map, behind its prefix and identifier.
 const STATUS: &str = "/StatusStateAttribute/status";
 const MAP: &str = "/MapData/map-data";
+/// The name that docs/home.md gives the file with the token.
+const TOKEN_FILE: &str = "token";
 /// Size of a thing that Home Assistant knows in a room and the robot's map does not have, in metres.
 const THING_M: f64 = 0.3;
 
@@ -91,8 +93,11 @@ pub struct Args {
 struct Found {
     broker: Option<Broker>,
     seen: Seen,
-    home_assistant: Option<PathBuf>,
+    home_assistant: Option<(PathBuf, Home)>,
     robot: Option<String>,
+    /// The file with the robot's map, or `mqtt`.
+    valetudo: Option<PathBuf>,
+    residents: Vec<String>,
     notes: Vec<String>,
 }
 
@@ -147,27 +152,61 @@ fn permit(files: &[PathBuf], replace: bool, asker: &mut Asker) -> CommandResult 
 /// Takes what is given, finds what is not, and asks.
 fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
     let mut notes = Vec::new();
-    let is_none = |path: &Path| path == Path::new("none");
-    let home = match &args.home_assistant {
-        Some(given) => Some(given.clone()).filter(|given| !is_none(given)),
-        None => {
-            let found = home_folder();
-            if let Some(found) = found.as_ref().filter(|_| !asker.asks()) {
-                notes.push(format!("found Home Assistant's configuration in {}", found.display()));
-            }
-            let shown = found.as_ref().map_or("none".to_owned(), |found| found.display().to_string());
-            let asked =
-                asker.text("Home Assistant: its configuration folder or address (none: there is none)", &shown)?;
-            asked.map(PathBuf::from).or(found).filter(|given| !is_none(given))
-        }
-    };
+    let home_assistant = find_home_assistant(args, asker, &mut notes)?;
     let (broker, seen) = find_broker(args, asker, &mut notes)?;
     let robot = match args.robot.as_deref() {
         Some("none") => None,
         Some(given) => Some(given.trim_end_matches('/').to_owned()),
-        None => find_robot(&seen, asker, &mut notes)?,
+        None => find_robot(&seen, broker.is_some(), asker, &mut notes)?,
     };
-    Ok(Found { broker, seen, home_assistant: home, robot, notes })
+    let valetudo = find_map(args, robot.as_deref(), &seen, asker, &mut notes)?;
+    let residents = find_residents(args, asker)?;
+    Ok(Found { broker, seen, home_assistant, robot, valetudo, residents, notes })
+}
+
+fn is_none(path: &Path) -> bool {
+    path == Path::new("none")
+}
+
+/// The Home Assistant, read, and where it is.
+fn find_home_assistant(
+    args: &Args,
+    asker: &mut Asker,
+    notes: &mut Vec<String>,
+) -> Result<Option<(PathBuf, Home)>, Failure> {
+    let read = |source: &Path, token: Option<&Path>| {
+        if is_none(source) {
+            return Ok(None);
+        }
+        let home = home_assistant(source, "home", token, args.ca.as_deref())?;
+        Ok(Some((source.to_owned(), home)))
+    };
+    if let Some(given) = &args.home_assistant {
+        return read(given, args.token_file.as_deref());
+    }
+    let found = home_folder();
+    let shown = found.as_ref().map_or("none".to_owned(), |found| found.display().to_string());
+    let question = "Home Assistant: its address (http://HOST:8123) or its configuration folder, or none.";
+    let asked = asker.until(question, &shown, |asker, answer| {
+        let source = Path::new(answer);
+        let token = match &args.token_file {
+            Some(given) => Some(given.clone()),
+            None if is_url(source) => {
+                let question = "A file with a long-lived access token (in Home Assistant: your profile, Security).";
+                asker.text(question, TOKEN_FILE)?.map(PathBuf::from)
+            }
+            None => None,
+        };
+        read(source, token.as_deref())
+    })?;
+    match (asked, found) {
+        (Some(asked), _) => Ok(asked),
+        (None, None) => Ok(None),
+        (None, Some(found)) => {
+            notes.push(format!("found Home Assistant's configuration in {}", found.display()));
+            read(&found, args.token_file.as_deref())
+        }
+    }
 }
 
 /// The folder of a Home Assistant on this machine.
@@ -179,39 +218,57 @@ fn home_folder() -> Option<PathBuf> {
 
 /// The broker, and what is said there of robots.
 fn find_broker(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Result<(Option<Broker>, Seen), Failure> {
-    let asked = match args.mqtt.clone() {
-        Some(given) => Some(given),
-        None => asker.text("MQTT broker (none: there is none)", LOCAL_BROKER)?,
-    };
-    if asked.as_deref() == Some("none") {
-        return Ok((None, Seen::default()));
-    }
-    let given = asked.is_some();
-    let mut broker = Broker {
-        address: asked.unwrap_or_else(|| LOCAL_BROKER.to_owned()),
+    let at = |address: &str| Broker {
+        address: address.to_owned(),
         client: format!("roomcast-init-{}", std::process::id()),
         credentials: args.mqtt_credentials.clone().map(|path| absolute(&path)),
         authority: args.mqtt_ca.clone().map(|path| absolute(&path)),
     };
-    let filters = [format!("+/+{STATUS}"), "+/+/$state".to_owned(), format!("+/+{MAP}")];
-    loop {
-        match mqtt_look::look(&broker, &filters, LOOK, |_| false) {
-            Ok(seen) => return Ok((Some(broker), seen)),
-            // A login can be given; what cannot be read or is no address is to be corrected.
-            Err(LookError::Login { .. }) if asker.asks() => {
-                let file =
-                    asker.text("The broker wants a login: a file with user name and password, a line each", "")?;
-                match file.filter(|file| !file.is_empty()) {
-                    Some(file) => broker.credentials = Some(absolute(Path::new(&file))),
-                    None => return Ok((Some(broker), Seen::default())),
+    let look = |broker: &Broker| {
+        let filters = [format!("+/+{STATUS}"), "+/+/$state".to_owned(), format!("+/+{MAP}")];
+        mqtt_look::look(broker, &filters, LOOK, |_| false)
+    };
+    let told = |error: LookError| format!("{error}: {}", error.remedy());
+    if args.mqtt.is_none() {
+        let asked = asker.until("MQTT broker: its address, or none.", LOCAL_BROKER, |asker, answer| {
+            if answer == "none" {
+                return Ok((None, Seen::default()));
+            }
+            let mut broker = at(answer);
+            asker.say(&format!("Listening there for {} s ...", LOOK.as_secs()))?;
+            loop {
+                match look(&broker) {
+                    Ok(seen) => return Ok((Some(broker), seen)),
+                    // A login can be given.
+                    Err(LookError::Login { .. }) => {
+                        let question =
+                            "The broker wants a login: a file with user name and password, a line each, or none.";
+                        let file = asker.text(question, "none")?.unwrap_or_default();
+                        if file == "none" {
+                            return Ok((Some(broker), Seen::default()));
+                        }
+                        broker.credentials = Some(absolute(Path::new(&file)));
+                    }
+                    Err(error @ LookError::Setup(_)) => return Err(Failure::new(exit_code::USAGE, error)),
+                    Err(error) => return Err(input(told(error))),
                 }
             }
-            Err(error @ LookError::Setup(_)) => return Err(Failure::new(exit_code::USAGE, error)),
-            Err(_) if !given => return Ok((None, Seen::default())),
-            Err(error) => {
-                notes.push(format!("{error}: {}", error.remedy()));
-                return Ok((Some(broker), Seen::default()));
-            }
+        })?;
+        if let Some(asked) = asked {
+            return Ok(asked);
+        }
+    }
+    if args.mqtt.as_deref() == Some("none") {
+        return Ok((None, Seen::default()));
+    }
+    let broker = at(args.mqtt.as_deref().unwrap_or(LOCAL_BROKER));
+    match look(&broker) {
+        Ok(seen) => Ok((Some(broker), seen)),
+        Err(error @ LookError::Setup(_)) => Err(Failure::new(exit_code::USAGE, error)),
+        Err(_) if args.mqtt.is_none() => Ok((None, Seen::default())),
+        Err(error) => {
+            notes.push(told(error));
+            Ok((Some(broker), Seen::default()))
         }
     }
 }
@@ -221,35 +278,99 @@ fn absolute(path: &Path) -> PathBuf {
 }
 
 /// The robot that speaks Valetudo at the broker.
-fn find_robot(seen: &Seen, asker: &mut Asker, notes: &mut Vec<String>) -> Result<Option<String>, Failure> {
+fn find_robot(
+    seen: &Seen,
+    is_broker: bool,
+    asker: &mut Asker,
+    notes: &mut Vec<String>,
+) -> Result<Option<String>, Failure> {
     let mut robots: Vec<&str> = (seen.topics.keys())
         .filter_map(|topic| topic.strip_suffix(STATUS).or_else(|| topic.strip_suffix(MAP)))
         .collect();
     robots.sort_unstable();
     robots.dedup();
     let shown = robots.join(", ");
-    let robot = match robots[..] {
-        [] => return Ok(None),
-        [one] => {
-            if !asker.asks() {
-                notes.push(format!("found a robot under {one}"));
-            }
-            asker
-                .text(&format!("Robot found at the broker: {shown} (none: drive no robot)"), one)?
-                .unwrap_or(one.to_owned())
+    let Some(first) = robots.first() else {
+        if is_broker {
+            asker.say("No robot speaks Valetudo at the broker.")?;
         }
-        [first, ..] => match asker
-            .text(&format!("Robots found at the broker: {shown}; which one is to be driven (or none)"), first)?
-        {
-            Some(chosen) => chosen,
-            None => {
-                let text =
-                    format!("there are several robots at the broker: {shown}; give one with --robot, or --robot none");
-                return Err(Failure::new(exit_code::USAGE, text));
-            }
-        },
+        return Ok(None);
     };
-    Ok(Some(robot).filter(|robot| robot != "none"))
+    let question = match robots[..] {
+        [one] => format!("A robot speaks at the broker under {one}: its topic, or none to drive no robot."),
+        _ => format!("Robots speak at the broker under {shown}: which one is to be driven, or none."),
+    };
+    let chosen = asker.until(&question, first, |_, answer| {
+        let answer = answer.trim_end_matches('/');
+        if answer == "none" || robots.contains(&answer) {
+            return Ok(Some(answer.to_owned()).filter(|answer| answer != "none"));
+        }
+        Err(input(format!("nothing was heard of a robot under {answer}; heard of: {shown}")))
+    })?;
+    match (chosen, &robots[..]) {
+        (Some(chosen), _) => Ok(chosen),
+        (None, [one]) => {
+            notes.push(format!("found a robot under {one}"));
+            Ok(Some((*one).to_owned()))
+        }
+        (None, _) => {
+            let text =
+                format!("there are several robots at the broker: {shown}; give one with --robot, or --robot none");
+            Err(Failure::new(exit_code::USAGE, text))
+        }
+    }
+}
+
+/// The robot's map, where a file is to be read.
+fn find_map(
+    args: &Args,
+    robot: Option<&str>,
+    seen: &Seen,
+    asker: &mut Asker,
+    notes: &mut Vec<String>,
+) -> Result<Option<PathBuf>, Failure> {
+    let Some(robot) = robot.filter(|robot| !seen.topics.contains_key(&format!("{robot}{MAP}"))) else {
+        return Ok(args.valetudo.clone());
+    };
+    if args.valetudo.is_some() {
+        return Ok(args.valetudo.clone());
+    }
+    let question = "The robot tells the broker no map: a file that http://ROBOT/api/v2/robot/state/map gives, or none.";
+    let asked = asker.until(question, "none", |_, answer| {
+        let path = PathBuf::from(answer);
+        if is_none(&path) {
+            return Ok(None);
+        }
+        import_map(args, &read("map", &path)?, &path)?;
+        Ok(Some(path))
+    })?;
+    let map = asked.flatten();
+    if map.is_none() {
+        notes.push(format!(
+            "{robot} tells the broker no map, so the rooms have no outlines; for them switch on \"map data\" in Valetudo, or give --valetudo FILE"
+        ));
+    }
+    Ok(map)
+}
+
+/// Who lives here.
+fn find_residents(args: &Args, asker: &mut Asker) -> Result<Vec<String>, Failure> {
+    if !args.resident.is_empty() {
+        return Ok(args.resident.clone());
+    }
+    let question = "Who lives here: names with commas between. With names, everybody else is a visitor.";
+    let asked = asker.until(question, "none", |_, answer| {
+        if answer == "none" {
+            return Ok(Vec::new());
+        }
+        let names = answer.split(',').map(str::trim).filter(|name| !name.is_empty());
+        let names: Vec<String> = names.map(str::to_owned).collect();
+        let mut config = Config::default();
+        config.persons.residents.clone_from(&names);
+        config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+        Ok(names)
+    })?;
+    Ok(asked.unwrap_or_default())
 }
 
 /// What is to be written, and what to say of it.
@@ -262,12 +383,9 @@ struct Made {
 
 fn make(args: &Args, folder: &Path, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failure> {
     let [scene, rules_file, config_file] = files;
-    let home = found.home_assistant.as_deref();
-    let home =
-        home.map(|home| home_assistant(home, "home", args.token_file.as_deref(), args.ca.as_deref())).transpose()?;
     let plan = robot_map(args, found)?;
-    let (home_map, rules) = match home {
-        Some(home) => (Some(home.imported), home.rules),
+    let (home_map, rules) = match &found.home_assistant {
+        Some((_, home)) => (Some(home.imported.clone()), home.rules.clone()),
         None => (None, None),
     };
     let furnish = |imported: Imported| if args.bare { Ok(imported) } else { imported.furnished() };
@@ -281,9 +399,8 @@ fn make(args: &Args, folder: &Path, files: &[PathBuf; 3], found: &Found) -> Resu
             ));
         }
     };
-    let mut notes = imported.notes.clone();
     let imported = furnish(imported).map_err(|error| in_file("the map", scene, &error))?;
-    let (mut map, mut rules) = (imported.map, rules);
+    let (mut map, mut notes, mut rules) = (imported.map, imported.notes, rules);
     if let Some(Imported { map: areas, .. }) = &areas {
         map = with_things(&map, areas, &mut notes)?;
         rules = rules.map(|text| in_rooms_of(&map, areas, &text, &mut notes));
@@ -291,7 +408,7 @@ fn make(args: &Args, folder: &Path, files: &[PathBuf; 3], found: &Found) -> Resu
     if let Some(text) = &rules {
         check_rules(rules_file, text)?;
     }
-    let config = configuration(args, folder, scene, rules.as_ref().map(|_| rules_file.as_path()), found);
+    let config = configuration(folder, scene, rules.as_ref().map(|_| rules_file.as_path()), found);
     let checked: Config =
         toml::from_str(&config).map_err(|error| input(format!("{}: {error}", config_file.display())))?;
     checked.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
@@ -302,12 +419,12 @@ fn make(args: &Args, folder: &Path, files: &[PathBuf; 3], found: &Found) -> Resu
 
 /// The robot's own map: of a file, or of what it tells the broker.
 fn robot_map(args: &Args, found: &Found) -> Result<Option<Imported>, Failure> {
-    let over_broker = args.valetudo.as_deref() == Some(Path::new("mqtt"));
+    let over_broker = found.valetudo.as_deref() == Some(Path::new("mqtt"));
     let told = || {
         let robot = found.robot.as_ref()?;
         found.seen.topics.get(&format!("{robot}{MAP}"))
     };
-    let (json, from) = match &args.valetudo {
+    let (json, from) = match &found.valetudo {
         Some(path) if !over_broker => (read("map", path)?, path.clone()),
         _ => match told() {
             Some(said) => {
@@ -325,11 +442,16 @@ fn robot_map(args: &Args, found: &Found) -> Result<Option<Imported>, Failure> {
             None => return Ok(None),
         },
     };
+    import_map(args, &json, &from).map(Some)
+}
+
+/// A robot's map, with the names that were given for its segments.
+fn import_map(args: &Args, json: &str, from: &Path) -> Result<Imported, Failure> {
     let names = match &args.names {
         Some(path) => import::segment_names(&read("names", path)?).map_err(|error| in_file("names", path, &error))?,
         None => Default::default(),
     };
-    import::valetudo(&json, "home", &names).map(Some).map_err(|error| in_file("map", &from, &error))
+    import::valetudo(json, "home", &names).map_err(|error| in_file("map", from, &error))
 }
 
 /// A map as the robot tells it: zlib, or plain.
@@ -448,7 +570,7 @@ fn in_rooms_of(map: &SemanticMap, areas: &SemanticMap, rules: &str, notes: &mut 
 }
 
 /// The configuration, with a word to each part.
-fn configuration(args: &Args, folder: &Path, scene: &Path, rules: Option<&Path>, found: &Found) -> String {
+fn configuration(folder: &Path, scene: &Path, rules: Option<&Path>, found: &Found) -> String {
     let quoted = |text: &str| toml::Value::from(text).to_string();
     let path = |path: &Path| quoted(&path.to_string_lossy());
     let mut text = format!(
@@ -458,8 +580,8 @@ fn configuration(args: &Args, folder: &Path, scene: &Path, rules: Option<&Path>,
         path(&folder.join("state"))
     );
     text.push_str("\n[narrator]\nname = \"home\"\n");
-    if !args.resident.is_empty() {
-        let names: Vec<String> = args.resident.iter().map(|name| quoted(name)).collect();
+    if !found.residents.is_empty() {
+        let names: Vec<String> = found.residents.iter().map(|name| quoted(name)).collect();
         let _ = write!(text, "\n[persons]\n# Everybody else is a visitor.\nresidents = [{}]\n", names.join(", "));
     }
     if let Some(broker) = &found.broker {
@@ -519,11 +641,16 @@ impl Made {
             let _ = writeln!(text, "  roomcast bridge mqtt --config {file}");
         }
         if found.robot.is_some() {
-            let _ =
-                writeln!(text, "  roomcast robot --config {file}          # add --obey when what it prints is right");
+            let _ = writeln!(text, "  roomcast robot --config {file}");
         }
         let _ = writeln!(text, "  roomcast view --config {file}");
-        if let Some(url) = found.home_assistant.as_deref().filter(|home| is_url(home)) {
+        if found.robot.is_some() {
+            let _ = writeln!(
+                text,
+                "\n`roomcast robot` only prints what the robot would be told. When that is right: obey = true in [robot] of\n{file}"
+            );
+        }
+        if let Some((url, _)) = found.home_assistant.as_ref().filter(|(home, _)| is_url(home)) {
             let _ = writeln!(
                 text,
                 "\nThe token for {} is not needed any more; revoke it there if you like.",

@@ -10,7 +10,7 @@ use roomcast_services::mqtt_tally::Tally;
 use roomcast_services::narrator::{Input, Who};
 use roomcast_services::stop::Stop;
 
-use super::{CommandResult, Failure, broker, print};
+use super::{CommandResult, Failure, broker, count, print};
 use crate::exit_code;
 
 const TICK: Duration = Duration::from_millis(100);
@@ -49,7 +49,8 @@ pub(super) fn rehearse(broker: &Broker, rules: &Path, stop: &Stop) -> CommandRes
     let heard = mqtt::rehearse(options, rules, std::io::stdout(), stop).map_err(broker::failure)?;
     let Heard { said, unfit, silent, oversized } = heard;
     let summary = format!(
-        "{said} lines would be said; of the messages no rule fits {unfit}, {silent} say nothing new, {oversized} are too large\n"
+        "would be said: {}; messages that no rule fits: {unfit}, that say nothing new: {silent}, that are too large: {oversized}\n",
+        count(said, "line")
     );
     print(&summary)
 }

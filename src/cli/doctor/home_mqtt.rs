@@ -206,7 +206,9 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
                       mqtt_statestream: with base_topic: homeassistant, and restart it; roomcast narrate --mqtt --dry-run shows what comes";
         findings.push(Finding::wrong("topics", found, remedy));
     } else if !silent.is_empty() {
-        let names = some_of(silent.iter().map(|rule| rule.topic));
+        let mut silent_topics: Vec<&str> = silent.iter().map(|rule| rule.topic).collect();
+        silent_topics.dedup();
+        let names = some_of(silent_topics.into_iter());
         let found = format!("{shown}: of {}, {} heard nothing yet: {names}", count(all, "rule"), silent.len());
         let remedy =
             "make the devices speak (open the door, switch the lamp); leave out the rules of devices that are gone";

@@ -5,53 +5,106 @@ use std::io::{self, BufRead, IsTerminal, Write};
 use crate::cli::Failure;
 use crate::exit_code;
 
+/// Columns of a terminal that does not say how many it has.
+const COLUMNS: usize = 80;
+
 /// Asks, or does not.
 pub(super) struct Asker {
-    terminal: Option<Box<dyn BufRead>>,
+    terminal: Option<Terminal>,
+}
+
+struct Terminal {
+    input: Box<dyn BufRead>,
+    output: Box<dyn Write>,
+    columns: usize,
 }
 
 impl Asker {
     /// One that asks where both ends are a terminal, unless it is to ask nothing.
     pub(super) fn new(silent: bool) -> Self {
         let asks = !silent && io::stdin().is_terminal() && io::stdout().is_terminal();
-        Self { terminal: asks.then(|| Box::new(io::BufReader::new(io::stdin())) as Box<dyn BufRead>) }
+        let columns = rustix::termios::tcgetwinsize(io::stdout()).map_or(0, |size| usize::from(size.ws_col));
+        let terminal = || Terminal {
+            input: Box::new(io::BufReader::new(io::stdin())),
+            output: Box::new(io::stdout()),
+            columns: if columns == 0 { COLUMNS } else { columns },
+        };
+        Self { terminal: asks.then(terminal) }
     }
 
-    /// Whether it asks anything.
-    pub(super) fn asks(&self) -> bool {
-        self.terminal.is_some()
+    /// Says something where questions are asked, in lines that fit.
+    pub(super) fn say(&mut self, text: &str) -> Result<(), Failure> {
+        let Some(Terminal { output, columns, .. }) = &mut self.terminal else { return Ok(()) };
+        writeln!(output, "{}", wrapped(text, *columns)).and_then(|()| output.flush()).map_err(failed)
     }
 
     /// The answer to a question, the default where the line is empty; none where nothing is asked.
     pub(super) fn text(&mut self, question: &str, default: &str) -> Result<Option<String>, Failure> {
-        let Some(terminal) = &mut self.terminal else { return Ok(None) };
-        let shown = if default.is_empty() { String::new() } else { format!(" [{default}]") };
-        let failed = |error: io::Error| {
-            Failure::new(exit_code::FAILURE, format!("cannot ask: {error}; give --yes and the options"))
-        };
-        let mut out = io::stdout().lock();
-        write!(out, "{question}{shown}: ").and_then(|()| out.flush()).map_err(failed)?;
+        self.say(question)?;
+        let Some(Terminal { input, output, .. }) = &mut self.terminal else { return Ok(None) };
+        let shown = if default.is_empty() { String::new() } else { format!("[{default}] ") };
+        write!(output, "  {shown}> ").and_then(|()| output.flush()).map_err(failed)?;
         let mut line = String::new();
-        if terminal.read_line(&mut line).map_err(failed)? == 0 {
-            return Err(Failure::new(
-                exit_code::INTERRUPTED,
-                "the answers ended before the questions; nothing was written",
-            ));
+        if input.read_line(&mut line).map_err(failed)? == 0 {
+            let text = "the answers ended before the questions; nothing was written";
+            return Err(Failure::new(exit_code::INTERRUPTED, text));
         }
         let answer = line.trim();
         Ok(Some(if answer.is_empty() { default.to_owned() } else { answer.to_owned() }))
     }
 
+    /// What an answer leads to; one that leads to nothing is told why, and the question is asked again. None where nothing is asked.
+    pub(super) fn until<T>(
+        &mut self,
+        question: &str,
+        default: &str,
+        mut take: impl FnMut(&mut Self, &str) -> Result<T, Failure>,
+    ) -> Result<Option<T>, Failure> {
+        loop {
+            let Some(answer) = self.text(question, default)? else { return Ok(None) };
+            match take(self, &answer) {
+                Ok(taken) => return Ok(Some(taken)),
+                // Nobody answers any more.
+                Err(failure) if failure.code == exit_code::INTERRUPTED => return Err(failure),
+                Err(failure) => self.say(&format!("{failure}.\n"))?,
+            }
+        }
+    }
+
     /// Yes or no; none where nothing is asked.
     pub(super) fn yes_or_no(&mut self, question: &str, default: bool) -> Result<Option<bool>, Failure> {
-        let hint = if default { "Y/n" } else { "y/N" };
-        let answer = self.text(&format!("{question} {hint}"), "")?;
-        Ok(answer.map(|answer| match answer.to_lowercase().as_str() {
-            "y" | "yes" => true,
-            "n" | "no" => false,
-            _ => default,
-        }))
+        let shown = if default { "yes" } else { "no" };
+        self.until(question, shown, |_, answer| match answer.to_lowercase().as_str() {
+            "y" | "yes" => Ok(true),
+            "n" | "no" => Ok(false),
+            _ => Err(Failure::new(exit_code::INPUT, "answer yes or no")),
+        })
     }
+}
+
+fn failed(error: io::Error) -> Failure {
+    Failure::new(exit_code::FAILURE, format!("cannot ask: {error}; give --yes and the options"))
+}
+
+/// A text in lines of at most so many columns, broken between words; a word that is longer has a line of its own.
+fn wrapped(text: &str, columns: usize) -> String {
+    let line = |line: &str| {
+        let (mut whole, mut used) = (String::new(), 0);
+        for word in line.split(' ') {
+            let long = word.chars().count();
+            if used > 0 && used + 1 + long > columns {
+                whole.push('\n');
+                used = 0;
+            } else if used > 0 {
+                whole.push(' ');
+                used += 1;
+            }
+            whole.push_str(word);
+            used += long;
+        }
+        whole
+    };
+    text.split('\n').map(line).collect::<Vec<_>>().join("\n")
 }
 
 #[cfg(test)]
@@ -59,7 +112,8 @@ mod tests {
     use super::*;
 
     fn asker(answers: &'static str) -> Asker {
-        Asker { terminal: Some(Box::new(answers.as_bytes())) }
+        let (input, output) = (Box::new(answers.as_bytes()), Box::new(io::sink()));
+        Asker { terminal: Some(Terminal { input, output, columns: 40 }) }
     }
 
     #[test]
@@ -72,6 +126,24 @@ mod tests {
             [Some(true), Some(false), Some(false)]
         );
         assert!(asker.text("More?", "").unwrap_err().to_string().contains("nothing was written"));
+    }
+
+    #[test]
+    fn a_wrong_answer_is_asked_again_and_the_end_of_answers_is_the_end() {
+        let mut asker = asker("maybe\nYES\nsix\n7\nsix\n");
+        assert_eq!(asker.yes_or_no("Sure?", false).unwrap(), Some(true));
+        let number = |_: &mut Asker, text: &str| {
+            text.parse::<u32>().map_err(|_| Failure::new(exit_code::INPUT, format!("{text} is no number")))
+        };
+        assert_eq!(asker.until("How many?", "", number).unwrap(), Some(7));
+        assert_eq!(asker.until("How many?", "", number).unwrap_err().code, exit_code::INTERRUPTED);
+    }
+
+    #[test]
+    fn lines_fit_the_terminal_and_break_between_words() {
+        let text = "Home Assistant: its address, or its folder\nof configuration";
+        assert_eq!(wrapped(text, 20), "Home Assistant: its\naddress, or its\nfolder\nof configuration");
+        assert_eq!(wrapped("mqtt://a.very.long.name is no broker", 10), "mqtt://a.very.long.name\nis no\nbroker");
     }
 
     #[test]
