@@ -34,6 +34,8 @@ const POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; c
 
 /// Narrations that the page lists.
 const NARRATIONS: usize = 50;
+/// How presence in a room is told.
+const PRESENT_IN: &str = "present in the ";
 /// Silence after which the daemon counts as gone, in nanoseconds: some heartbeats.
 const SILENCE_NS: u64 = 1_500_000_000;
 /// How long the view goes on asking for the things' scores, which cost the daemon a little, after somebody looked last.
@@ -262,7 +264,7 @@ impl Shown for Live {
         let now_ns = clock::monotonic_ns();
         let mut state = self.picture.state(now_ns);
         let map = self.plan.as_ref().map(|plan| plan.map.as_str());
-        state["live"] = true.into();
+        (state["live"], state["forecasts"]) = (true.into(), true.into());
         // A plan of another map is none.
         state["map"] = map.filter(|map| Some(*map) == self.picture.map().as_deref()).into();
         state["daemon"] = self.picture.daemon(now_ns);
@@ -284,6 +286,8 @@ struct Played {
     taken: usize,
     begin_ns: u64,
     length_s: f64,
+    /// Whether there is anything to choose a time ahead for.
+    has_forecasts: bool,
     plan: Option<Plan>,
 }
 
@@ -292,7 +296,9 @@ impl Played {
         let begin_ns = recording.messages.first().map_or(0, |(time_ns, _)| *time_ns);
         let end_ns = recording.messages.last().map_or(0, |(time_ns, _)| *time_ns);
         let length_s = end_ns.saturating_sub(begin_ns) as f64 / 1e9;
-        Self { recording, picture: Picture::default(), taken: 0, begin_ns, length_s, plan: None }
+        let is_forecast = |message: &Recorded| matches!(message, Recorded::Forecast(_) | Recorded::PersonForecasts(_));
+        let has_forecasts = recording.messages.iter().any(|(_, message)| is_forecast(message));
+        Self { recording, picture: Picture::default(), taken: 0, begin_ns, length_s, has_forecasts, plan: None }
     }
 
     fn play_to(&mut self, now_ns: u64) {
@@ -324,7 +330,7 @@ impl Shown for Played {
         let now_ns = self.begin_ns.saturating_add((at_s * 1e9).round() as u64);
         self.play_to(now_ns);
         let mut state = self.picture.state(now_ns);
-        state["live"] = false.into();
+        (state["live"], state["forecasts"]) = (false.into(), self.has_forecasts.into());
         (state["at_s"], state["length_s"]) = (at_s.into(), self.length_s.into());
         state["map"] = self.plan.as_ref().map(|plan| plan.map.clone()).into();
         state["daemon"] = json!({"alarm": false, "text": "A recording."});
@@ -357,10 +363,11 @@ impl Plan {
         let metres = |value: f64| (value * 1e3).round() / 1e3;
         let point = |[x, y]: [f64; 2]| json!([metres(x), metres(y)]);
         let partitions = roomcast_core::grounding::partitions(map, moment.grounding.level);
-        let room = |partition: &roomcast_core::grounding::Partition| {
+        let names = roomcast_core::grounding::partition_names(&partitions);
+        let room = |(partition, name): (&roomcast_core::grounding::Partition, &String)| {
             let rings = partition.spaces.iter().flat_map(|space| space.rings());
             let rings: Vec<Vec<Value>> = rings.map(|ring| ring.into_iter().map(point).collect()).collect();
-            json!({"id": partition.id, "name": partition.label, "rings": rings})
+            json!({"id": partition.id, "name": name, "rings": rings})
         };
         let item = |item: &roomcast_core::semantic_map::Item| {
             let [x, y, _] = item.position_m;
@@ -369,10 +376,10 @@ impl Plan {
         let doors = map.doors().iter().map(|door| point([door.position_m[0], door.position_m[1]]));
         let drawing = json!({
             "map": moment.map_fingerprint, "name": map.name(),
-            "rooms": partitions.iter().map(room).collect::<Vec<_>>(),
+            "rooms": partitions.iter().zip(&names).map(room).collect::<Vec<_>>(),
             "doors": doors.collect::<Vec<_>>(), "items": map.items().iter().map(item).collect::<Vec<_>>(),
         });
-        let names = partitions.iter().map(|partition| (partition.id.clone(), partition.label.clone()));
+        let names = partitions.iter().map(|partition| partition.id.clone()).zip(names);
         Ok(Self { map: moment.map_fingerprint.clone(), names: names.collect(), drawing })
     }
 
@@ -383,6 +390,31 @@ impl Plan {
                 room["name"] = name.as_str().into();
             }
         }
+        for (part, name) in [("decision", "text"), ("decision", "reason")] {
+            if let Some(text) = state[part][name].as_str() {
+                state[part][name] = self.in_names(text).into();
+            }
+        }
+        for told in state["narration"].as_array_mut().into_iter().flatten() {
+            // A sentence is shown as the model reads it; presence has a room's id.
+            if let Some(text) = told["text"].as_str().filter(|text| text.starts_with(PRESENT_IN)) {
+                told["text"] = self.in_names(text).into();
+            }
+        }
+    }
+
+    /// A text with rooms' names in place of their ids.
+    fn in_names(&self, text: &str) -> String {
+        let is_id = |character: char| character.is_alphanumeric() || character == '-' || character == '_';
+        let (mut named, mut rest) = (String::with_capacity(text.len()), text);
+        while !rest.is_empty() {
+            let (word, after) = rest.split_at(rest.find(|character| !is_id(character)).unwrap_or(rest.len()));
+            named.push_str(self.names.get(word).map_or(word, String::as_str));
+            let (between, after) = after.split_at(after.find(is_id).unwrap_or(after.len()));
+            named.push_str(between);
+            rest = after;
+        }
+        named
     }
 }
 
@@ -449,8 +481,8 @@ impl Picture {
         let said = said_of(narration.kind, narration.text());
         let text = said.map_or_else(|_| narration.text().to_owned(), |said| said.to_string());
         let source = match narration.person_name() {
-            "" => narration.source_name().to_owned(),
-            name => format!("{} of {name}", narration.source_name()),
+            "" => format!("from {}", narration.source_name()),
+            name => format!("{name}, from {}", narration.source_name()),
         };
         self.narration.push_front((taken_ns, source, text));
     }
@@ -739,6 +771,41 @@ mod tests {
             assert_eq!((&state["live"], &state["length_s"]), (&json!(false), &json!(2.0)));
             assert_eq!(state["map"], played.plan().unwrap()["map"]);
         }
+    }
+
+    /// Imported rooms have a number in their ids, which nobody calls them by.
+    #[test]
+    fn rooms_are_called_by_their_names_wherever_they_are_told() {
+        let text = include_str!("../tests/data/two_rooms.json").replace("\"kitchen\"", "\"kitchen-3\"");
+        let text = text.replace("\"label\": \"kitchen-3\"", "\"label\": \"kitchen\"");
+        let plan = Plan::of_moment(&moment(&text)).unwrap();
+        assert_eq!(plan.names.get("kitchen-3").map(String::as_str), Some("kitchen"), "{:?}", plan.names);
+        let mut picture = Picture::default();
+        let to = text::encode("to", "kitchen-3").unwrap();
+        let reason = text::encode("reason", "somebody came into the kitchen-3 (98 %), not kitchen-30").unwrap();
+        picture.decision(&DecisionV1 { action: action::GO, to, reason, ..Default::default() }, 1);
+        for (kind, said) in
+            [(narration_kind::SENTENCE, "They say kitchen-3."), (narration_kind::PRESENCE, "present in the kitchen-3")]
+        {
+            picture.narration(&NarrationV1::new(kind, said).unwrap(), 1);
+        }
+        let mut state = picture.state(2);
+        plan.name(&mut state);
+        assert_eq!(state["decision"]["text"], "The robot goes to kitchen.");
+        assert_eq!(state["decision"]["to"], "kitchen-3", "the plan marks it by its id");
+        assert_eq!(state["decision"]["reason"], "somebody came into the kitchen (98 %), not kitchen-30");
+        assert_eq!(state["narration"][0]["text"], "present in the kitchen");
+        assert_eq!(state["narration"][1]["text"], "They say kitchen-3.");
+    }
+
+    #[test]
+    fn a_recording_says_what_it_has() {
+        let of = |messages| Played::new(Recording { messages, moments: vec![moment(STUDIO)] }).state(None);
+        let scored = (1, Recorded::RoomScores(Box::new(scores(1, 0.25))));
+        let state = of(vec![scored.clone()]);
+        assert_eq!((&state["forecasts"], &state["length_s"]), (&json!(false), &json!(0.0)));
+        assert_eq!(of(vec![scored, (9, Recorded::Forecast(Box::default()))])["forecasts"], true);
+        assert_eq!(Live::default().state(None)["forecasts"], true);
     }
 
     #[test]

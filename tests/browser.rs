@@ -151,6 +151,12 @@ impl Browser {
     }
 }
 
+/// The names on the plan that are not inside their rooms, by the ends of their letters.
+const OUTSIDE: &str = "return [...document.querySelectorAll('#plan .heat')].filter((room, i) => {
+    const name = document.querySelectorAll('#plan text')[3 * i], box = name.getBBox(), y = box.y + 0.6 * box.height;
+    return [box.x, box.x + box.width].some(x => !room.isPointInFill(new DOMPoint(x, y)));
+}).map(room => room.textContent)";
+
 const TAB: &str = "\u{e004}";
 const RIGHT: &str = "\u{e014}";
 const SPACE: &str = " ";
@@ -259,4 +265,61 @@ fn the_page_shows_a_running_system_in_a_real_browser() {
     let _daemon = quiet(roomcast(root, &["daemon"]));
     browser.until("the daemon is back", "return document.getElementById('daemon').innerText.includes('alive')");
     browser.until("ada is still known", "return document.getElementById('persons').innerText.includes('ada')");
+}
+
+/// A hall round a corner, whose middle is not inside it, and a room that is too narrow for its name in letters of the usual size.
+const CORNERS: &str = r#"{"format": "roomcast-scene", "version": 2, "name": "corners", "rooms": [
+    {"id": "hall-1", "label": "hall", "footprint": [[[0, 0], [9, 0], [9, 1.6], [1.6, 1.6], [1.6, 9], [0, 9]]], "floor": 0, "height": 2.5},
+    {"id": "den-2", "label": "den", "footprint": [[[1.8, 1.8], [7.2, 1.8], [7.2, 9], [1.8, 9]]], "floor": 0, "height": 2.5},
+    {"id": "laundry-3", "label": "laundry room", "footprint": [[[7.4, 1.8], [9, 1.8], [9, 9], [7.4, 9]]], "floor": 0, "height": 2.5}],
+  "doors": [{"rooms": ["hall-1", "den-2"], "position_m": [1.7, 5.0, 1.0]}, {"rooms": ["hall-1", "laundry-3"], "position_m": [8.0, 1.7, 1.0]}],
+  "items": [{"id": "mirror", "label": "mirror", "position_m": [0.5, 5, 1], "box": {"min_m": [0.4, 4.9, 0.9], "max_m": [0.6, 5.1, 1.1]}},
+    {"id": "sofa", "label": "sofa", "position_m": [4, 5, 0.4], "box": {"min_m": [3, 4.5, 0], "max_m": [5, 5.5, 0.8]}},
+    {"id": "washer", "label": "washing machine", "position_m": [8, 5, 0.4], "box": {"min_m": [7.7, 4.7, 0], "max_m": [8.3, 5.3, 0.8]}}]}"#;
+
+#[test]
+fn the_page_of_a_recording_offers_what_it_has_and_names_fit_their_rooms() {
+    let Some(browser) = Browser::start() else { return };
+    let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+    let root = folder.path();
+    fs::write(root.join("corners.json"), CORNERS).unwrap();
+    let configuration = format!(
+        "[ipc]\nroot = {:?}\ndomain = \"rb-{}\"\n\n[scene]\npath = {:?}\n",
+        root.join("d"),
+        std::process::id(),
+        root.join("corners.json"),
+    );
+    fs::write(root.join("roomcast.toml"), configuration).unwrap();
+    let quiet = |mut command: Command| Running(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
+    let _daemon = quiet(roomcast(root, &["daemon"]));
+    let file = root.join("day.mcap").display().to_string();
+    let mut record = roomcast(root, &["record", &file]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let mut narrator = roomcast(root, &["narrate", "-"]).stdin(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let said = "{\"person\": \"ada\", \"presence\": \"present\", \"room\": \"laundry-3\"}\n";
+    narrator.stdin.take().unwrap().write_all(said.as_bytes()).unwrap();
+    assert!(narrator.wait().unwrap().success());
+    std::thread::sleep(Duration::from_secs(2));
+    rustix::process::kill_process(rustix::process::Pid::from_child(&record), rustix::process::Signal::TERM).unwrap();
+    assert!(record.wait().unwrap().success());
+
+    let arguments = ["view", "--listen", "127.0.0.1:0", "--recording", &file];
+    let mut view = Command::new(env!("CARGO_BIN_EXE_roomcast")).args(arguments).stderr(Stdio::piped()).spawn().unwrap();
+    let said = line_with(view.stderr.take().unwrap(), "open http://");
+    let _view = Running(view);
+    browser.look(360, false);
+    browser.open(said.split(' ').find(|word| word.starts_with("http://")).unwrap());
+    browser.until("a plan is drawn", "return document.querySelectorAll('#plan .heat').length === 3");
+    browser
+        .until("what was said is there", "return document.getElementById('narration').innerText.includes('laundry')");
+    assert!(browser.text("#narration").contains("present in the laundry room"), "{}", browser.text("#narration"));
+    let shown = |id: &str| browser.run(&format!("return document.getElementById({id:?}).offsetParent !== null"));
+    assert_eq!(
+        ["horizon", "time", "play", "pause", "items"].map(shown),
+        [true, true, true, false, false].map(Value::from)
+    );
+    for width in [360, 1280, 2560] {
+        browser.look(width, false);
+        let fits = format!("const outside = (() => {{ {OUTSIDE} }})(); return outside.length === 0");
+        browser.until(&format!("names fit at {width}"), &fits);
+    }
 }

@@ -3,8 +3,11 @@
 const SVG = "http://www.w3.org/2000/svg";
 const POLL_MS = 500;
 const RETRY_MS = 2000;
-// Names on the plan are at least so high, also where the plan is small.
+// Names on the plan are so high at least, also where the plan is small; in rooms too narrow for that, they are smaller, down to the second.
 const NAME_PX = 11;
+const SMALL_PX = 7;
+// So much of a line's height is between the middles of name, probability and persons.
+const LINES = [0, 1.2, 2.3];
 const element = (id) => document.getElementById(id);
 const made = (name, attributes, text) => {
   const node = document.createElementNS(SVG, name);
@@ -27,6 +30,9 @@ const time = (seconds) => {
   return `${Math.floor(s / 86400)} d ${Math.floor((s % 86400) / 3600)} h`;
 };
 
+// After ten minutes seconds say nothing.
+const ago = (seconds) => `${time(seconds < 600 ? seconds : 60 * Math.floor(seconds / 60))} ago`;
+
 let plan = null;
 let state = null;
 let paused = false;
@@ -46,7 +52,10 @@ const whenText = () => {
 const roomValue = (room) => (when === 0 ? room.next : room.occupied ? room.occupied[when - 1] : null);
 const personValue = (person, place) => (person.rooms ? person.rooms[place][Math.max(0, when - 1)] : null);
 
-// Area and centre of a ring, to find where a name fits.
+// How strong the colour of a room is.
+const warmth = (p) => 0.85 * (p || 0);
+
+// The middle of a ring, by area.
 const centre = (ring) => {
   let area = 0, x = 0, y = 0;
   for (let i = 0; i < ring.length; i++) {
@@ -55,6 +64,43 @@ const centre = (ring) => {
     area += cross; x += (ax + bx) * cross; y += (ay + by) * cross;
   }
   return area ? [x / (3 * area), y / (3 * area)] : ring[0];
+};
+
+// Where a horizontal line is in a room: pairs of ends, from left to right.
+const spans = (rings, y) => {
+  const ends = rings.flatMap((ring) => ring.flatMap(([ax, ay], i) => {
+    const [bx, by] = ring[(i + 1) % ring.length];
+    return ay > y === by > y ? [] : [ax + (y - ay) / (by - ay) * (bx - ax)];
+  })).sort((a, b) => a - b);
+  return ends.flatMap((x, i) => i % 2 ? [] : [[x, ends[i + 1]]]);
+};
+
+// Where in a room, whose y goes down, a name of this width and lines of this height fit best: in its middle where they can, else where
+// most of the width is free.
+const placeOfName = (rings, width, height) => {
+  const [cx, cy] = centre(rings[0]);
+  const ys = rings[0].map((p) => p[1]);
+  const top = Math.min(...ys), bottom = Math.max(...ys);
+  let best = { x: cx, y: cy, free: 0, worth: -Infinity };
+  const STEPS = 40;
+  for (let i = -1; i <= STEPS; i++) {
+    const y = i < 0 ? cy - 0.5 * height : top + (bottom - top) * (i + 0.5) / STEPS;
+    // Above the name, between the lines, and under the probability; better, also under the persons.
+    const rows = [-0.9, 0, 1.3].map((line) => spans(rings, y + line * height));
+    const under = spans(rings, y + 2.4 * height);
+    for (const a of rows[0]) for (const b of rows[1]) for (const c of rows[2]) {
+      const left = Math.max(a[0], b[0], c[0]), right = Math.min(a[1], b[1], c[1]);
+      const free = right - left;
+      if (free <= 0) continue;
+      const half = Math.min(width, free) / 2;
+      const x = Math.min(Math.max(cx, left + half), right - half);
+      const isFree = under.some(([from, to]) => from <= x - half / 2 && x + half / 2 <= to);
+      const away = Math.hypot(x - cx, y + 0.5 * height - cy) / (width + height);
+      const worth = 3 * Math.min(1, free / width) + 0.5 * isFree - away;
+      if (worth > best.worth) best = { x, y, free, worth };
+    }
+  }
+  return best;
 };
 
 const drawPlan = () => {
@@ -79,19 +125,38 @@ const drawPlan = () => {
   for (const room of plan.rooms) {
     const d = path(room.rings);
     floors.append(made("path", { d, "fill-rule": "evenodd", class: "floor" }));
-    const heat = made("path", { d, "fill-rule": "evenodd", class: "heat", "fill-opacity": 0 });
+    const known = state && state.rooms.find((own) => own.id === room.id);
+    const heat = made("path", { d, "fill-rule": "evenodd", class: "heat", "fill-opacity": warmth(known ? roomValue(known) : 0) });
     const title = made("title");
     heat.append(title);
     heats.append(heat);
     walls.append(made("path", { d, class: "wall", "stroke-width": 0.5 * unit }));
-    const [x, y] = at(centre(room.rings[0]));
-    const style = { x, y, "font-size": letter, "stroke-width": 0.3 * letter };
-    const name = made("text", style, room.name);
-    const value = made("text", { ...style, y: y + 1.2 * letter, "font-weight": "bold" });
-    const who = made("text", { ...style, y: y + 2.3 * letter, "font-size": 0.85 * letter, class: "person" });
-    const robot = made("circle", { cx: x, cy: y - 1.3 * letter, r: 0.5 * letter, class: "robot", "stroke-width": 0.4 * unit, visibility: "hidden" });
+    const name = made("text", {}, room.name);
+    const value = made("text", { "font-weight": "bold" });
+    const who = made("text", { class: "person" });
+    const robot = made("circle", { class: "robot", visibility: "hidden" });
     robot.append(made("title", {}, "The robot is or goes here"));
     names.append(name, value, who, robot);
+    const write = (text, size) => {
+      text.setAttribute("font-size", size);
+      text.setAttribute("stroke-width", 0.3 * size);
+      return text.getComputedTextLength ? text.getComputedTextLength() : 0;
+    };
+    const rings = room.rings.map((ring) => ring.map(at));
+    // A small room's name is written small.
+    const wide = write(name, letter) + 0.4 * letter, small = Math.min(letter, SMALL_PX * pixel);
+    let size = letter, best = placeOfName(rings, wide, size);
+    while (best.free < wide * size / letter && size > small) {
+      size = Math.max(0.9 * size, small);
+      best = placeOfName(rings, wide * size / letter, size);
+    }
+    const { x, y } = best;
+    [name, value, who].forEach((text, i) => {
+      write(text, (i === 2 ? 0.85 : 1) * size);
+      text.setAttribute("x", x);
+      text.setAttribute("y", y + LINES[i] * size);
+    });
+    for (const [key, number] of Object.entries({ cx: x, cy: y - 1.3 * size, r: 0.5 * size, "stroke-width": 0.4 * unit })) robot.setAttribute(key, number);
     plan.shapes[room.id] = { heat, title, value, who, robot };
   }
   for (const [x, y] of plan.doors) {
@@ -114,6 +179,10 @@ const line = (parent, text, className) => parent.append(html("span", text, class
 const show = () => {
   if (!state) return;
   const horizon = element("horizon");
+  // What there is nothing of is not to be chosen.
+  if (!state.forecasts) when = 0;
+  element("horizon-controls").hidden = !state.forecasts;
+  element("live-controls").hidden = !state.live;
   horizon.max = Math.max(1, state.horizons_s.length);
   element("horizon-text").textContent = whenText();
   horizon.setAttribute("aria-valuetext", whenText());
@@ -128,7 +197,7 @@ const show = () => {
     const shape = plan && plan.shapes && plan.shapes[room.id];
     const there = state.persons.filter((person) => person.likely === place).map((person) => person.name);
     if (shape) {
-      shape.heat.setAttribute("fill-opacity", 0.85 * (p || 0));
+      shape.heat.setAttribute("fill-opacity", warmth(p));
       shape.value.textContent = percent(p);
       shape.who.textContent = there.join(", ");
       shape.title.textContent = `${room.name}: ${percent(p)} ${whenText()}`;
@@ -167,26 +236,25 @@ const show = () => {
     }
     return card;
   });
-  element("persons").replaceChildren(...(persons.length ? persons : [html("li", "Nobody is known yet.")]));
+  element("persons").replaceChildren(...(persons.length ? persons : [html("li", state.live ? "Nobody is known yet." : "Nobody is known then.")]));
   const robot = element("robot");
   robot.replaceChildren();
   if (state.decision) {
     robot.append(html("strong", state.decision.text));
     line(robot, state.decision.reason);
-    line(robot, `by ${state.decision.policy}, ${time(state.decision.age_s)} ago` + (state.decision.flags.length ? ` · ${state.decision.flags.join(", ")}` : ""), "dim");
+    line(robot, `by ${state.decision.policy}, ${ago(state.decision.age_s)}` + (state.decision.flags.length ? ` · ${state.decision.flags.join(", ")}` : ""), "dim");
   } else {
-    robot.append("No decision has been heard yet.");
+    robot.append(state.live ? "No decision has been heard yet." : "No decision until then.");
   }
   const said = state.narration.map((told) => {
     const item = html("li", told.text);
-    item.append(" ", html("span", `${told.who}, ${time(told.age_s)} ago`, "dim"));
+    item.append(" ", html("span", `${told.who}, ${ago(told.age_s)}`, "dim"));
     return item;
   });
-  element("narration").replaceChildren(...(said.length ? said : [html("li", "Nothing has been heard yet.")]));
+  element("narration").replaceChildren(...(said.length ? said : [html("li", state.live ? "Nothing has been heard yet." : "Nothing was said until then.")]));
   showQuality();
   if (!state.live) {
-    element("time-controls").hidden = false;
-    element("pause-controls").querySelector("button").hidden = true;
+    element("time-controls").hidden = state.length_s === 0;
     const slider = element("time");
     slider.max = state.length_s;
     if (document.activeElement !== slider || playing) slider.value = state.at_s;
