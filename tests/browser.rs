@@ -235,6 +235,9 @@ fn the_page_shows_a_running_system_in_a_real_browser() {
     assert_eq!(browser.text("#horizon-text"), "now");
     browser.press(RIGHT);
     assert_eq!(browser.text("#horizon-text"), "in 5 s");
+    let end = "const slider = document.getElementById('horizon'); slider.value = slider.max; slider.dispatchEvent(new Event('input'))";
+    browser.run(end);
+    assert_eq!(browser.text("#horizon-text"), "in 1 h");
     browser.press(TAB);
     assert_eq!(browser.run("return document.activeElement.id"), json!("pause"));
     browser.press(SPACE);

@@ -50,7 +50,7 @@ pub(super) fn rehearse(broker: &Broker, rules: &Path, stop: &Stop) -> CommandRes
     let Heard { said, unfit, silent, oversized } = heard;
     let summary = format!(
         "would be said: {}; messages that no rule fits: {unfit}, that say nothing new: {silent}, that are too large: {oversized}\n",
-        count(said, "line")
+        count(usize::try_from(said).unwrap_or(usize::MAX), "line")
     );
     print(&summary)
 }
