@@ -20,7 +20,7 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool) -> About
     let said = clause::without_first(said);
     let words: Vec<&str> = said.split(' ').map(|word| word.trim_matches([',', ':', ';'])).collect();
     let Some((&first, rest)) = words.split_first() else { return About::Somebody };
-    if clause::is(Word::Condition, first) {
+    if clause::is(Word::Condition, first) || said.ends_with('?') {
         return About::Nobody;
     }
     // What stands before it was speech: "says Ada".
@@ -38,12 +38,18 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool) -> About
         !(clause::is(Word::Title, first) && names.len() == 1 && names[0] == first && !clause::is_verb(verb))
     };
     if let Some((names, rest)) = found.filter(|(names, _)| is_called(names)) {
-        return if clause::is_past_state(rest) { About::Nobody } else { About::Named(names) };
+        let is_not_so = clause::is_past_state(rest) || clause::is_unreal(rest);
+        return if is_not_so { About::Nobody } else { About::Named(names) };
     }
     let second = rest.first().copied().unwrap_or_default();
     if clause::is(Word::Pronoun, first) {
         let rest = said.split_once(' ').map_or("", |(_, rest)| rest);
-        return if clause::is_past_state(rest) { About::Nobody } else { About::Somebody };
+        let is_not_so = clause::is_past_state(rest) || clause::is_unreal(rest);
+        return if is_not_so { About::Nobody } else { About::Somebody };
+    }
+    // What a group does is of no one person.
+    if clause::is(Word::Everybody, first) {
+        return About::Nobody;
     }
     if clause::is(Word::Determiner, first) {
         return of_a_noun(said, first, rest);

@@ -26,6 +26,13 @@ struct Words {
     except: Vec<String>,
     takes: Vec<String>,
     from: Vec<String>,
+    away_for: Vec<String>,
+    doubtful: Vec<String>,
+    along: Vec<String>,
+    not_along: Vec<String>,
+    animals: Vec<String>,
+    unreal: Vec<String>,
+    speaks: Vec<String>,
     determiners: Vec<String>,
     titles: Vec<String>,
     people: Vec<String>,
@@ -68,6 +75,7 @@ pub(super) enum Word {
     Begin,
     Condition,
     Determiner,
+    Everybody,
     Group,
     Nothing,
     People,
@@ -83,6 +91,7 @@ pub(super) fn is(kind: Word, word: &str) -> bool {
         Word::Begin => &WORDS.begin,
         Word::Condition => &WORDS.conditions,
         Word::Determiner => &WORDS.determiners,
+        Word::Everybody => &WORDS.everybody,
         Word::Group => &WORDS.groups,
         Word::Nothing => &WORDS.nothing,
         Word::People => &WORDS.people,
@@ -102,6 +111,22 @@ pub(super) fn is_verb(word: &str) -> bool {
 /// Whether words after a subject say what was: "was in the kitchen".
 pub(super) fn is_past_state(rest: &str) -> bool {
     ["was ", "were ", "had been ", "has been "].iter().any(|verb| rest.starts_with(verb))
+}
+
+/// Whether words after a subject say what is not done now: "does not sit down", "wants to go to the kitchen", "went there yesterday".
+pub(super) fn is_unreal(rest: &str) -> bool {
+    let begins =
+        |verb: &String| rest.strip_prefix(verb.as_str()).is_some_and(|more| more.is_empty() || more.starts_with(' '));
+    WORDS.unreal.iter().any(begins)
+        || rest.ends_with('?')
+        || ["yesterday", "last night", "last week", "ago"].iter().any(|past| rest.ends_with(past))
+}
+
+/// Whether a plain sentence says that somebody speaks: "ada tells ben to go to the kitchen".
+pub(super) fn is_speech(said: &str) -> bool {
+    cuts(said)
+        .take(NAME_WORDS_MAX)
+        .any(|(_, rest)| has(&WORDS.speaks, rest.split([' ', ',', ':']).next().unwrap_or_default()))
 }
 
 /// Whether a plain sentence says what state a device is in: "the oven is on", "the door opens".
@@ -178,6 +203,8 @@ pub(super) struct Clause<'a> {
     pub(super) is_arrival: bool,
 }
 
+/// Somebody's name has at most so many bytes.
+const NAME_BYTES_MAX: usize = 48;
 /// A subject has at most so many words, all its persons together.
 const SUBJECT_WORDS_MAX: usize = 24;
 /// The name of somebody who is known has at most so many words.
@@ -267,16 +294,32 @@ fn ends(more: &str) -> bool {
     more.is_empty() || (more.starts_with([' ', ',']) && WORDS.goes_on.iter().any(follows))
 }
 
+/// The same after words that say that somebody is away: "leaves for bed" and "gone from the kitchen" are in the house.
+fn ends_away(more: &str) -> bool {
+    let is_out =
+        |place: &String| more.trim_start().split_once(' ').is_some_and(|(_, rest)| rest.starts_with(place.as_str()));
+    let is_a_time =
+        || more.trim_start().split_once(' ').is_some_and(|(_, rest)| rest.starts_with(|c: char| c.is_ascii_digit()));
+    let goes_on = [" from ", " for ", " to ", " by "].iter().any(|word| more.starts_with(word));
+    ends(more) && (!goes_on || is_a_time() || WORDS.away_for.iter().any(is_out))
+}
+
 /// What a sentence's words after its subject say of where somebody is: presence, and the room where it is one.
 fn predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
+    let found = first_predicate(rest)?;
+    // Who leaves and comes back is there.
+    let last = [" and then ", ", then ", " and ", " but ", " then "].iter().find_map(|join| rest.rsplit_once(join));
+    let comes_back =
+        || last.and_then(|(_, last)| first_predicate(last)).is_some_and(|(last, _)| last == Presence::Present);
+    if found.0 == Presence::Away && comes_back() { Some((Presence::Present, None)) } else { Some(found) }
+}
+
+/// What the first of several things says of it.
+fn first_predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     let rest = rest.strip_prefix("just ").unwrap_or(rest);
     // Who has left, and says not what, has left the house.
-    let has_left = || {
-        ["left", "has left", "have left"]
-            .iter()
-            .filter_map(|left| rest.strip_prefix(left))
-            .any(|more| ends(more) && !more.starts_with(" to "))
-    };
+    let has_left =
+        || ["left", "has left", "have left"].iter().filter_map(|left| rest.strip_prefix(left)).any(ends_away);
     // Who arrives at work is there.
     if follows(rest, &WORDS.comes, &WORDS.elsewhere) {
         return Some((Presence::Away, None));
@@ -296,7 +339,7 @@ fn predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     }
     let state = state(rest)?;
     let is = |places: &[String]| places.iter().any(|place| state.strip_prefix(place.as_str()).is_some_and(ends));
-    if is(&WORDS.out) {
+    if WORDS.out.iter().any(|out| state.strip_prefix(out.as_str()).is_some_and(ends_away)) {
         return Some((Presence::Away, None));
     }
     let room = in_the(state).map(room_of);
@@ -332,8 +375,24 @@ fn last_of_all(subject: &str, rest: &str) -> Option<(Presence, Option<&'static s
 /// What words say of all, that would not tell which place one person leaves: "everybody leaves".
 fn all_leave(subject: &str, rest: &str) -> Option<(Presence, Option<&'static str>)> {
     let is_of_all = has(&WORDS.everybody, subject) || matches!(of_some(subject), Some(Subject::Others(_)));
-    let leave = || ["leaves", "leave", "left"].iter().any(|verb| rest.strip_prefix(verb).is_some_and(ends));
+    let leave = || ["leaves", "leave", "left"].iter().any(|verb| rest.strip_prefix(verb).is_some_and(ends_away));
     (is_of_all && leave()).then_some((Presence::Away, None))
+}
+
+/// What words say of all that do something in one room: "everybody goes to the kitchen", "everybody sits down in the living room".
+fn all_in_a_room<'a>(subject: &str, rest: &'a str) -> Option<(Presence, Option<&'a str>)> {
+    let is_of_all = has(&WORDS.everybody, subject) || matches!(of_some(subject), Some(Subject::Others(_)));
+    let (at, place) = [" to the ", " into the ", " in the "].iter().filter_map(|to| rest.rsplit_once(to)).last()?;
+    let is_room = has(&WORDS.rooms, place.split([' ', '-']).next_back()?);
+    let is_done = !is_unreal(rest) && !at.contains([',', ' ']) || at.split(' ').count() <= 2 && !is_unreal(rest);
+    (is_of_all && is_room && is_done && !is_doubtful(rest)).then_some((Presence::Present, Some(place)))
+}
+
+/// Whether what is said of a group may not be so, or not of all of it: "everybody leaves tonight", "nobody is home, is it?".
+fn is_doubtful(rest: &str) -> bool {
+    let mut words = rest.split([' ', ',', ':']);
+    rest.ends_with('?')
+        || words.any(|word| has(&WORDS.doubtful, word) || has(&WORDS.speaks, word) || has(&WORDS.reports, word))
 }
 
 /// A subject that is all but a few, or a few alone: "everybody except igor", "nobody but lily", "only lily".
@@ -361,7 +420,8 @@ fn is_alone(rest: &str) -> bool {
             || said.strip_prefix("alone ").and_then(|rest| rest.strip_prefix(place.as_str())).is_some_and(ends);
         after || before()
     };
-    WORDS.r#in.iter().filter(|place| *place != "in").any(is_home)
+    // Who is back alone may not be the only one.
+    WORDS.r#in.iter().filter(|place| *place != "in" && !place.starts_with("back")).any(is_home)
 }
 
 /// What stands before "except", and the persons that stand behind it; none where they are no persons.
@@ -432,7 +492,13 @@ fn arrives(rest: &str) -> bool {
 
 /// Whether a sentence's words after its subject say that somebody goes where they are out of the house: "has gone to work".
 fn goes_out(rest: &str) -> bool {
-    follows(rest, &WORDS.goes, &WORDS.errands)
+    follows(rest, &WORDS.goes, &WORDS.errands) && !works_here(rest)
+}
+
+/// Whether somebody works in the house: "goes to work at her desk", "from home".
+fn works_here(said: &str) -> bool {
+    let Some((_, after)) = said.split_once("to work") else { return false };
+    [" from home", " at her ", " at his ", " at their ", " at the ", " on "].iter().any(|here| after.starts_with(here))
 }
 
 /// Whom somebody takes along who goes out of the house or comes home, and which: "lily" and away of "takes lily to school", "drops lily off at
@@ -445,20 +511,31 @@ fn takes(rest: &str) -> Option<(&str, Presence)> {
     let where_to = |place: &str| {
         let place = ["off ", "up "].iter().find_map(|word| place.strip_prefix(word)).unwrap_or(place);
         let is_home = ["home", "back home", "back"].iter().any(|home| place.strip_prefix(home).is_some_and(ends));
-        let is_out = || [&WORDS.errands, &WORDS.elsewhere, &WORDS.from].iter().any(|places| is(place, places));
+        let is_out = || {
+            [&WORDS.errands, &WORDS.elsewhere, &WORDS.from].iter().any(|places| is(place, places)) && !works_here(place)
+        };
         if is_home { Some(Presence::Present) } else { is_out().then_some(Presence::Away) }
     };
     taken.find_map(|said| {
         let said = ["off ", "up "].iter().find_map(|word| said.strip_prefix(word)).unwrap_or(said);
         let spaces = said.match_indices(' ').take(SUBJECT_WORDS_MAX);
         let mut cuts = spaces.map(|(at, _)| (&said[..at], &said[at + 1..]));
-        cuts.find_map(|(taken, place)| Some((taken, where_to(place)?)))
+        cuts.find_map(|(taken, place)| Some((taken, where_to(place)?))).filter(|(taken, _)| {
+            has(&WORDS.animals, taken) || names(taken).is_some_and(|names| !names.iter().any(is_a_way))
+        })
     })
+}
+
+/// Whether a word says where rather than whom: "upstairs".
+fn is_a_way(name: &&str) -> bool {
+    name.split(' ').any(|word| has(&WORDS.begin, word))
 }
 
 /// Whether a text may say who is taken along.
 pub(super) fn may_have_companions(text: &str) -> bool {
-    text.contains(" with ") || WORDS.takes.iter().any(|verb| crate::text::has_words(text, verb))
+    with_plain(text, |text| {
+        text.contains(" with ") || WORDS.takes.iter().any(|verb| crate::text::has_words(text, verb))
+    })
 }
 
 /// Who is where the persons of a plain sentence are, as it says of where they are: "ben" of "ada leaves the house with ben", "lily" of "ada takes
@@ -470,12 +547,21 @@ pub(super) fn companions(said: &str, mut is_known: impl FnMut(&str) -> bool) -> 
         let names = names(words)?;
         names.iter().all(|name| is_known(name)).then_some(names)
     };
-    let with = rest.split_once(" with ").map(|(_, with)| with);
-    // The longest words behind "with" that are persons.
+    let is_along = |before: &&str| !WORDS.not_along.iter().any(|word| format!(" {before} ").contains(word.as_str()));
+    let with = rest.split_once(" with ").filter(|(before, _)| is_along(before)).map(|(_, with)| with);
+    // The longest words behind "with" that are persons. "With Lily still asleep" is not with Lily.
+    let goes_on = |more: &str| {
+        let more = more.trim_start();
+        let follows = |word: &String| {
+            more.strip_prefix(word.as_str()).is_some_and(|rest| !rest.starts_with(char::is_alphanumeric))
+        };
+        more.is_empty() || more.starts_with(',') || WORDS.along.iter().any(follows)
+    };
     let with = with.and_then(|with| {
         let ends_at = with.match_indices([' ', ',']).map(|(at, _)| at).take(SUBJECT_WORDS_MAX).chain([with.len()]);
-        ends_at.filter_map(|at| known(&with[..at])).last()
+        ends_at.filter_map(|at| Some((known(&with[..at])?, &with[at..]))).last()
     });
+    let with = with.filter(|(_, more)| goes_on(more)).map(|(names, _)| names);
     with.or_else(|| known(takes(rest)?.0)).unwrap_or_default()
 }
 
@@ -499,10 +585,17 @@ impl<'a> Clause<'a> {
         if let Some(place) =
             said.strip_prefix("the ").and_then(|said| said.split_once(" is empty")).filter(|(_, more)| ends(more))
         {
+            // Those alone are there.
+            let only = excepted(place.1).map(|(_, names)| names.map_or(Subject::Other, Subject::Only));
+            let is_doubtful = is_doubtful(place.1);
+            let of_all = |subject| if is_doubtful { Subject::Other } else { only.unwrap_or(subject) };
             return match place.0 {
-                "house" | "home" | "apartment" | "flat" => Some(of(Subject::Everybody, Presence::Away, None)),
+                "house" | "home" | "apartment" | "flat" => Some(match of_all(Subject::Everybody) {
+                    only @ Subject::Only(_) => of(only, Presence::Present, None),
+                    all => of(all, Presence::Away, None),
+                }),
                 room if has(&WORDS.rooms, room.split([' ', '-']).next_back()?) => {
-                    Some(of(Subject::Nobody, Presence::Present, Some(room)))
+                    Some(of(of_all(Subject::Nobody), Presence::Present, Some(room)))
                 }
                 _ => None,
             };
@@ -512,7 +605,10 @@ impl<'a> Clause<'a> {
             let room = state(rest).and_then(in_the).map(room_of);
             let presence = predicate(rest).map(|(presence, _)| presence);
             let presence = if room.is_some() { Presence::Present } else { presence? };
+            let is_told = |word: &str| crate::text::has_words(rest, word);
             let subject = match excepted(rest) {
+                // Nobody is back, but others may be home.
+                _ if is_doubtful(rest) || is_told("with") || (room.is_none() && is_told("back")) => Subject::Other,
                 Some((_, names)) => names.map_or(Subject::Other, Subject::Only),
                 None => Subject::Nobody,
             };
@@ -520,7 +616,8 @@ impl<'a> Clause<'a> {
         }
         let Some((subject, rest, (presence, room))) = cuts(said).find_map(|(subject, rest)| {
             let where_to = predicate(rest).or_else(|| last_of_all(subject, rest));
-            Some((subject, rest, where_to.or_else(|| all_leave(subject, rest))?))
+            let of_all = || all_leave(subject, rest).or_else(|| all_in_a_room(subject, rest));
+            Some((subject, rest, where_to.or_else(of_all)?))
         }) else {
             // What somebody is not, in other words, moves nobody.
             let is_denied = cuts(said)
@@ -544,6 +641,13 @@ impl<'a> Clause<'a> {
         if is_past_state(rest) {
             return None;
         }
+        let is_told = |word: &str| crate::text::has_words(rest, word);
+        let subject = match subject {
+            Subject::Everybody | Subject::Others(_) | Subject::Nobody if is_doubtful(rest) => Subject::Other,
+            Subject::Only(_) if is_doubtful(rest) || is_told("with") || is_told("back") => Subject::Other,
+            _ if rest.ends_with('?') => Subject::Other,
+            subject => subject,
+        };
         Some(Self { subject, presence, room, is_state: state(rest).is_some(), is_arrival: arrives(rest) })
     }
 }
@@ -667,6 +771,8 @@ fn person_of(part: &str) -> Option<&str> {
     let is_had = first.ends_with("'s") && !has(&WORDS.people, name.rsplit(' ').next().unwrap_or_default());
     let is_group = || has(&WORDS.groups, name.rsplit(' ').next().unwrap_or_default());
     let is_nothing = has(&WORDS.nothing, first) || is_had || is_group();
+    // "2 people" is a count, and no name fits into a message that is longer.
+    let is_nothing = is_nothing || first.starts_with(|c: char| c.is_ascii_digit()) || name.len() > NAME_BYTES_MAX;
     let is_person = is_possible(name) && !is_nothing && (!has_determiner || has(&WORDS.people, name));
     is_person.then_some(name)
 }
@@ -681,7 +787,10 @@ fn bare(part: &str) -> Option<&str> {
     };
     let first = bare.split(' ').next()?;
     let is_other = has(&WORDS.pronouns, first) || has(&WORDS.nobody, bare) || has(&WORDS.everybody, first);
-    let is_word = |word: &str| !word.is_empty() && !has(&WORDS.not_said, word) && !has(&WORDS.determiners, word);
+    // "Will" by itself is a name: "will leaves the house".
+    let is_name = |word: &str| matches!(word, "will" | "may") && bare == word;
+    let is_word =
+        |word: &str| is_name(word) || !(word.is_empty() || has(&WORDS.not_said, word) || has(&WORDS.determiners, word));
     let fits = bare.split(' ').count() <= NAME_WORDS_MAX && bare.split(' ').all(is_word);
     (fits && !is_other && !bare.contains(',')).then_some(bare)
 }

@@ -28,7 +28,7 @@ pub(super) fn clauses(text: &str, mut is_person: impl FnMut(&str) -> bool) -> ([
             break;
         }
         let (head, tail) = (&text[from..end], &text[next..]);
-        let begins = clause::with_plain(tail, |tail| {
+        let begins = clause::with_plain(begin_of(tail), |tail| {
             clause::begins_with_persons(tail, &mut is_person) || clause::is_of_a_stranger(tail)
         });
         // A comma alone joins what two persons do, and parts of much else.
@@ -90,15 +90,26 @@ fn ends_with_short_form(head: &str) -> bool {
 
 /// Where the next words that may stand between clauses begin and end, from `at` on; of those that begin at one place the longest.
 fn next_join(text: &str, at: usize) -> Option<(usize, usize)> {
-    let joins = JOINS.iter().chain(&ENDS);
-    let found = joins.filter_map(|join| {
-        let begins = |(place, _): &(usize, u8)| {
-            text.as_bytes()[*place..].get(..join.len()).is_some_and(|part| part.eq_ignore_ascii_case(join.as_bytes()))
-        };
-        let (place, _) = text.bytes().enumerate().skip(at).find(begins)?;
-        Some((place, place + join.len()))
-    });
-    found.min_by_key(|(begin, end)| (*begin, usize::MAX - *end))
+    let bytes = text.as_bytes();
+    (at..bytes.len()).filter(|begin| matches!(bytes[*begin], b' ' | b',' | b'.' | b'!' | b'?' | b';')).find_map(
+        |begin| {
+            let is_here = |join: &&&str| {
+                bytes[begin..].get(..join.len()).is_some_and(|part| part.eq_ignore_ascii_case(join.as_bytes()))
+            };
+            let longest = JOINS.iter().chain(&ENDS).filter(is_here).map(|join| join.len()).max()?;
+            Some((begin, begin + longest))
+        },
+    )
+}
+
+/// As much of the begin of a text as tells whether another clause begins there.
+fn begin_of(text: &str) -> &str {
+    const BYTES: usize = 256;
+    let mut end = text.len().min(BYTES);
+    while !text.is_char_boundary(end) {
+        end -= 1;
+    }
+    &text[..end]
 }
 
 #[cfg(test)]
