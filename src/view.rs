@@ -481,8 +481,8 @@ impl Picture {
         let said = said_of(narration.kind, narration.text());
         let text = said.map_or_else(|_| narration.text().to_owned(), |said| said.to_string());
         let source = match narration.person_name() {
-            "" => format!("from {}", narration.source_name()),
-            name => format!("{name}, from {}", narration.source_name()),
+            "" => narration.source_name().to_owned(),
+            name => format!("{name} \u{b7} {}", narration.source_name()),
         };
         self.narration.push_front((taken_ns, source, text));
     }

@@ -275,7 +275,7 @@ const CORNERS: &str = r#"{"format": "roomcast-scene", "version": 2, "name": "cor
     {"id": "hall-1", "label": "hall", "footprint": [[[0, 0], [9, 0], [9, 1.6], [1.6, 1.6], [1.6, 9], [0, 9]]], "floor": 0, "height": 2.5},
     {"id": "den-2", "label": "den", "footprint": [[[1.8, 1.8], [7.2, 1.8], [7.2, 9], [1.8, 9]]], "floor": 0, "height": 2.5},
     {"id": "laundry-3", "label": "laundry room", "footprint": [[[7.4, 1.8], [9, 1.8], [9, 9], [7.4, 9]]], "floor": 0, "height": 2.5}],
-  "doors": [{"rooms": ["hall-1", "den-2"], "position_m": [1.7, 5.0, 1.0]}, {"rooms": ["hall-1", "laundry-3"], "position_m": [8.0, 1.7, 1.0]}],
+  "doors": [{"id": "den-door", "rooms": ["hall-1", "den-2"], "position_m": [1.7, 5.0, 1.0]}, {"id": "laundry-door", "rooms": ["hall-1", "laundry-3"], "position_m": [8.0, 1.7, 1.0]}],
   "items": [{"id": "mirror", "label": "mirror", "position_m": [0.5, 5, 1], "box": {"min_m": [0.4, 4.9, 0.9], "max_m": [0.6, 5.1, 1.1]}},
     {"id": "sofa", "label": "sofa", "position_m": [4, 5, 0.4], "box": {"min_m": [3, 4.5, 0], "max_m": [5, 5.5, 0.8]}},
     {"id": "washer", "label": "washing machine", "position_m": [8, 5, 0.4], "box": {"min_m": [7.7, 4.7, 0], "max_m": [8.3, 5.3, 0.8]}}]}"#;

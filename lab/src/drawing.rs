@@ -1027,7 +1027,7 @@ mod tests {
         let scene = serde_json::json!({"format": "roomcast-scene", "version": 2, "name": "slanted", "rooms": [
             {"id": "west", "label": "west", "footprint": [[[0.0, 0.0], [4.0, 0.0], [0.0, 4.0]]], "floor": 0.0, "height": 2.5},
             {"id": "east", "label": "east", "footprint": [[[4.0, 0.2], [4.0, 4.2], [0.0, 4.2]]], "floor": 0.0, "height": 2.5}],
-            "doors": [{"rooms": ["west", "east"], "position_m": [2.0, 2.1, 1.0]}], "items": [
+            "doors": [{"id": "door", "rooms": ["west", "east"], "position_m": [2.0, 2.1, 1.0]}], "items": [
             {"id": "lamp", "label": "lamp", "position_m": [0.5, 0.5, 0.5], "box": {"min_m": [0.4, 0.4, 0.4], "max_m": [0.6, 0.6, 0.6]}}]});
         let map = SemanticMap::from_json(&scene.to_string()).unwrap();
         let text = svg(&map, &Grounding::new(&map, &GroundingOptions::default()).unwrap(), None).unwrap();

@@ -647,7 +647,7 @@ impl Made {
         if found.robot.is_some() {
             let _ = writeln!(
                 text,
-                "\n`roomcast robot` only prints what the robot would be told. When that is right: obey = true in [robot] of\n{file}"
+                "\n`roomcast robot` only prints what the robot would be told, until [robot] of\n{file}\nhas obey = true."
             );
         }
         if let Some((url, _)) = found.home_assistant.as_ref().filter(|(home, _)| is_url(home)) {

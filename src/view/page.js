@@ -249,7 +249,7 @@ const show = () => {
   }
   const said = state.narration.map((told) => {
     const item = html("li", told.text);
-    item.append(" ", html("span", `${told.who}, ${ago(told.age_s)}`, "dim"));
+    item.append(" ", html("span", `${told.who} · ${ago(told.age_s)}`, "dim"));
     return item;
   });
   element("narration").replaceChildren(...(said.length ? said : [html("li", state.live ? "Nothing has been heard yet." : "Nothing was said until then.")]));
