@@ -145,7 +145,9 @@ const drawPlan = () => {
     };
     const rings = room.rings.map((ring) => ring.map(at));
     // A small room's name is written small.
-    const wide = write(name, letter) + 0.4 * letter, small = Math.min(letter, SMALL_PX * pixel);
+    value.textContent = "100 %";
+    const wide = Math.max(write(name, letter), write(value, letter)) + 0.4 * letter, small = Math.min(letter, SMALL_PX * pixel);
+    value.textContent = "";
     let size = letter, best = placeOfName(rings, wide, size);
     while (best.free < wide * size / letter && size > small) {
       size = Math.max(0.9 * size, small);
