@@ -987,7 +987,7 @@ mod tests {
     fn a_small_rooms_name_is_written_small_before_it_is_cut_off() {
         let map = row_of_rooms(&[
             ("wide", "dining room", 9.0),
-            ("small", "laundry room", 1.2),
+            ("small", "laundry room", 1.8),
             ("tiny", "guest bathroom", 0.3),
         ]);
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();

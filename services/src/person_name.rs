@@ -1,5 +1,6 @@
 //! What a person may be called.
 
+use roomcast_core::narration::Said;
 use roomcast_ipc::NAME_BYTES;
 
 /// Whether a name can be a person's: it has letters or digits, fits into a message, hides nothing, and is no number.
@@ -18,7 +19,7 @@ pub fn check_name(name: &str) -> Result<(), String> {
     if is_number(name) {
         return Err(format!("{shown:?} is a number: give a name with a letter"));
     }
-    if ["somebody", "someone", "nobody", "everybody", "everyone"].contains(&name.to_lowercase().as_str()) {
+    if ["nobody", "me", "who"].contains(&name.to_lowercase().as_str()) || Said::is_pronoun(name) {
         return Err(format!("{shown:?} is no one person's name: leave it out where nobody is named"));
     }
     let hides = name.contains(roomcast_core::text::is_hidden);

@@ -59,11 +59,13 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool) -> About
     }
     // A word that ends like a verb begins what somebody does: "Opens the fridge."
     let is_name = |word: &str| word.chars().all(|c| c.is_alphabetic() || c == '-') && !word.ends_with('s');
+    let first = first.trim_end_matches('.');
     let (name, verb) = match clause::is(Word::Title, first) {
+        true if is_known(second) => return About::Named(vec![second.to_owned()]),
         true => (format!("{first} {second}"), rest.get(1).copied().unwrap_or_default()),
         false => (first.to_owned(), second),
     };
-    if is_name(first) && clause::is_verb(verb) && clause::may_be_a_person(&name) {
+    if (is_name(first) || clause::is(Word::Title, first)) && clause::is_verb(verb) && clause::may_be_a_person(&name) {
         return About::Stranger(clause::without_title(&name).to_owned());
     }
     // The dishwasher by its name alone is no person.
@@ -132,6 +134,9 @@ mod tests {
             ("Lucas sits on the sofa.", "lucas"),
             ("Igor sits down on the sofa.", "new igor"),
             ("Aunt Rosa goes to the bathroom.", "new aunt rosa"),
+            ("Mrs. Novak mops the floor.", "new novak"),
+            ("Grandma Ada opens the fridge.", "ada"),
+            ("Will opens the fridge.", "new will"),
             ("The cleaner says goodbye.", "cleaner"),
             ("My husband sits on the bed.", "husband"),
             ("\"I will leave the house soon\", says Ada.", "ada"),
@@ -183,6 +188,13 @@ mod tests {
             "If Ada cooks, the light goes on.",
             "Yesterday Ben sat on the sofa.",
             "Dishwasher beeps.",
+            "Ada does not sit on the sofa.",
+            "Ada wants to go to the kitchen.",
+            "Ada will go to the kitchen.",
+            "Ada has just left the bathroom.",
+            "Ada went to the kitchen yesterday.",
+            "Is Ada in the kitchen?",
+            "Everybody sings.",
             "\"Everybody leaves the house\", says the radio.",
         ] {
             assert_eq!(of(sentence), "nobody", "{sentence}");

@@ -169,6 +169,15 @@ pub(super) fn without_title(name: &str) -> &str {
         .map_or(name, |(_, name)| name)
 }
 
+/// A name without a title or what a relative is called before it: "novak" of "mrs. novak", "edith" of "grandma edith".
+pub(super) fn without_any_title(name: &str) -> &str {
+    let is_title = |first: &str| {
+        let first = first.trim_end_matches('.').to_lowercase();
+        has(&WORDS.addresses, &first) || has(&WORDS.titles, &first)
+    };
+    name.split_once(' ').filter(|(first, _)| is_title(first)).map_or(name, |(_, name)| name.trim_start())
+}
+
 /// Whether a name may be a person's: it is no thing, and no other word.
 pub(super) fn may_be_a_person(name: &str) -> bool {
     bare(name).is_some_and(is_possible) && !has(&WORDS.nothing, name) && !has(&WORDS.groups, name)

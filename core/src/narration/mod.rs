@@ -346,6 +346,25 @@ impl Said {
         }
     }
 
+    /// A name without a title or what a relative is called before it: "Novak" of "Mrs. Novak", "Edith" of "Grandma Edith".
+    #[must_use]
+    pub fn without_title(name: &str) -> &str {
+        clause::without_any_title(name)
+    }
+
+    /// Whether a name is another word for one person or several: "he", "everybody".
+    #[must_use]
+    pub fn is_pronoun(name: &str) -> bool {
+        let name = name.to_lowercase();
+        clause::is(clause::Word::Pronoun, &name) || clause::is(clause::Word::Everybody, &name)
+    }
+
+    /// Whether it tells what somebody says to others, whatever place that mentions.
+    #[must_use]
+    pub fn is_speech(&self) -> bool {
+        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_speech))
+    }
+
     /// Whether somebody of whom nobody has told yet may go by a name in a sentence.
     #[must_use]
     pub fn may_be_new(name: &str) -> bool {

@@ -76,8 +76,8 @@ const MAGICS_KEPT: [[u8; 4]; 6] =
     [MAGIC_CARRIED, MAGIC_NAMED_CARRIED, MAGIC_PORT, MAGIC_KEPT, MAGIC_NAMED_KEPT, MAGIC_FORGOTTEN];
 const HEADER_BYTES: usize = 12;
 const FIXED_BYTES: usize = 5 * 8 + 4 + 16;
-/// No payload is longer: a sentence has at most 1024 bytes, and a name comes with two more.
-const PAYLOAD_BYTES_MAX: usize = FIXED_BYTES + 2 + NAME_BYTES + roomcast_core::narration::SENTENCE_BYTES_MAX;
+/// No payload is longer: a sentence has at most 1024 bytes, a statement with its names not twice as many, and a name comes with two more.
+const PAYLOAD_BYTES_MAX: usize = FIXED_BYTES + 2 + NAME_BYTES + 2 * roomcast_core::narration::SENTENCE_BYTES_MAX;
 /// What `RCJ5` holds beside the rooms.
 const OUTCOME_BYTES: usize = 3 * 8 + 4 + 1 + 8;
 /// Bits of what a named record is.

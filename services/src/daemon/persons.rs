@@ -112,7 +112,33 @@ impl Persons {
     /// The number of a name: the one that the home gave it, or the one that follows from the name.
     #[must_use]
     pub fn number_of(&self, name: &str) -> u32 {
-        self.file.number_of(name)
+        let number = self.file.number_of(name);
+        if self.is_number_named(number) || self.lives_here(name) { number } else { self.titled(name).unwrap_or(number) }
+    }
+
+    /// Whether somebody of a number is known by name.
+    fn is_number_named(&self, number: u32) -> bool {
+        self.known.get(&number).is_some_and(|known| known.name.is_some()) || self.file.of_number(number).is_some()
+    }
+
+    fn lives_here(&self, name: &str) -> bool {
+        self.config.residents.iter().any(|resident| same_name(resident, name))
+    }
+
+    /// The one person whose name differs by a title alone: "Mrs. Novak" is Novak, and "Grandma Edith" Edith.
+    fn titled(&self, name: &str) -> Option<u32> {
+        let short = Said::without_title(name);
+        let is_same = |known: &str| {
+            let own = Said::without_title(known);
+            own.len() + short.len() < known.len() + name.len() && same_name(own, short)
+        };
+        let of_known = self.known.values().filter_map(|known| known.name.as_deref());
+        let of_file = self.file.persons().iter().map(|kept| kept.name.as_str());
+        let names = of_known.chain(of_file).chain(self.config.residents.iter().map(String::as_str));
+        let numbers: BTreeSet<u32> =
+            names.filter(|known| is_same(known)).map(|known| self.file.number_of(known)).collect();
+        let mut numbers = numbers.into_iter();
+        numbers.next().filter(|_| numbers.next().is_none())
     }
 
     /// A person's name; none where only a number is known.
@@ -149,6 +175,13 @@ impl Persons {
         let of_nobody = statement.is_some_and(|statement| statement.empty_room().is_some());
         let of_group = statement.filter(|statement| is_open && statement.is_of_everybody() && !of_nobody);
         let (mut others, mut of_named) = (Vec::new(), None);
+        // Who is not understood may be anybody.
+        let is_understood = |statement: &PresenceStatement| {
+            statement.names().chain(statement.excepted()).all(|name| self.is_name_known(name))
+        };
+        if of_group.is_some_and(|statement| !is_understood(statement)) {
+            return None.into_iter().chain(others);
+        }
         if let Some(statement) = of_group {
             let not_meant: Vec<u32> =
                 names.iter().map(String::as_str).chain(statement.excepted()).map(|name| self.number_of(name)).collect();
@@ -414,10 +447,8 @@ impl Persons {
 
     /// Whether somebody who is known goes by a name, has it here, or lives here.
     pub(super) fn is_name_known(&self, name: &str) -> bool {
-        let number = self.number_of(name);
-        let lives_here = || self.config.residents.iter().any(|resident| same_name(resident, name));
-        let known = self.known.get(&number).is_some_and(|known| known.name.is_some());
-        known || self.file.of_number(number).is_some() || lives_here()
+        let number = self.file.number_of(name);
+        self.is_number_named(number) || self.lives_here(name) || self.titled(name).is_some()
     }
 
     /// Whether an observation says of somebody who is not known to be in the house what they may do elsewhere.

@@ -230,7 +230,8 @@ impl<M: LanguageModel> Board<M> {
 
 /// The words of a sentence that say where its person is: none where a device that was found to be theirs has ended something.
 pub(super) fn place_words<'a>(sentence: &'a str, observation: &Observation) -> &'a str {
-    if observation.by_fit && observation.said.is_of_an_end() { "" } else { sentence }
+    let is_nowhere = observation.by_fit && observation.said.is_of_an_end() || observation.said.is_speech();
+    if is_nowhere { "" } else { sentence }
 }
 
 /// Gives what somebody has their name, where the map has it by that: "tom goes to his room" is to "tom's room".
@@ -243,6 +244,16 @@ fn name_owners(words: &mut String, name: &str, mentions: &Mentions) {
             mentions.knows(&format!("{}{thing}", owned.trim_start()).to_lowercase()).then_some((at, owned))
         }) {
             words.replace_range(at..at + had.len(), &next);
+        }
+    }
+    // "Tom goes to bed" is to his.
+    let bed = format!("{}'s bed", name.to_lowercase());
+    if mentions.knows(&bed) {
+        for had in [" to bed", " in bed"] {
+            let is_end = |at: usize| !words[at..].starts_with(char::is_alphanumeric);
+            if let Some(at) = words.find(had).filter(|at| is_end(at + had.len())) {
+                words.replace_range(at + had.len() - "bed".len()..at + had.len(), &bed);
+            }
         }
     }
 }

@@ -6,6 +6,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 
+use roomcast_core::narration::SOMEBODY;
+
 use super::forget::each_record;
 use super::{MAGIC, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Record, Writer, encode_forgotten};
 
@@ -78,19 +80,39 @@ fn in_order<'a>(older: &'a [u8], current: &'a [u8]) -> Vec<Raw<'a>> {
     before
 }
 
-/// Of each person the newest observations that changed something.
+/// Of each person the newest observations that changed something; among them the newest that was of that person alone, by which they are known
+/// when what is said of all is read again.
 fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeMap<u32, Vec<Name>> {
     let mut newest = BTreeMap::<u32, Vec<Name>>::new();
+    let (mut keyed, mut of_themselves) = (BTreeSet::new(), BTreeMap::<u32, Name>::new());
     for record in records {
         match record {
+            Record::Observation(own) | Record::Kept(own) if own.name.is_some() || own.person != SOMEBODY => {
+                keyed.insert((own.source, own.epoch, own.sequence));
+            }
+            Record::Outcome { name, person, by_fit: false, .. } if keyed.contains(name) => {
+                of_themselves.insert(*person, *name);
+                let own = newest.entry(*person).or_default();
+                own.retain(|known| known != name);
+                own.push(*name);
+                own.drain(..own.len().saturating_sub(words));
+            }
             Record::Outcome { name, person, by_fit: false, .. } => {
                 let own = newest.entry(*person).or_default();
                 own.retain(|known| known != name);
                 own.push(*name);
                 own.drain(..own.len().saturating_sub(words));
             }
-            Record::Forgotten { person, .. } => _ = newest.remove(person),
+            Record::Forgotten { person, .. } => {
+                newest.remove(person);
+                of_themselves.remove(person);
+            }
             _ => {}
+        }
+    }
+    for (person, own) in &mut newest {
+        if let Some(name) = of_themselves.get(person).filter(|name| !own.contains(name)) {
+            own.insert(0, *name);
         }
     }
     newest

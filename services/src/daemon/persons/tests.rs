@@ -509,7 +509,17 @@ fn a_sentence_about_a_group_moves_the_group() {
         ("Sophie takes Lily to school.", [away, here, away]),
         ("David goes shopping with Lily.", [here, away, away]),
         ("David leaves the house with a suitcase.", [here, away, here]),
-        ("Everybody except the plumber leaves the house.", [away, away, away]),
+        ("Everybody except the plumber leaves the house.", [here, here, here]),
+        ("Everybody except Mum leaves the house.", [here, here, here]),
+        ("Everybody except little Lily leaves the house.", [away, away, here]),
+        ("Only Lily's mother is home.", [here, here, here]),
+        ("Sophie leaves the house with Lily still asleep.", [away, here, here]),
+        ("Sophie leaves the house after a quarrel with David.", [away, here, here]),
+        ("SOPHIE LEAVES THE HOUSE WITH LILY.", [away, here, away]),
+        ("The house is empty except for Lily.", [away, away, here]),
+        ("Everybody except Sophie and David leaves.", [here, here, away]),
+        ("Sophie, David and Lily leave the house.", [away, away, away]),
+        ("All but Sophie, David and Lily are away.", [here, here, here]),
         ("Sophie is away with David.", [away, away, here]),
     ] {
         for keyed in ["somebody", "lily"] {
