@@ -160,6 +160,7 @@ fn nothing_stays_of_participants_killed_at_any_moment() {
     }
     drop((living, node));
     let left = files(&domain);
+    println!("{kills} kills, left behind: {}", left.len());
     assert!(left.is_empty(), "{left:#?}");
     assert!(domain.clean_up().unwrap());
 }

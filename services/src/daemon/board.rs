@@ -89,12 +89,13 @@ impl Entry {
 }
 
 /// When something was observed, on the monotonic clock; negative where that was before the machine's start, which the wall clock knows.
-/// None where no clock tells.
+/// None where no clock tells: also where the wall clock stands before that time, so that it was set wrong since, or then.
 fn observed_at_ns(observation: &Observation, now_ns: u64, now_unix_ns: u64) -> Option<i64> {
     let signed = |ns: u64| i64::try_from(ns).unwrap_or(i64::MAX);
     match (observation.observed_ns, observation.observed_unix_ns) {
         (0, 0) => None,
-        (0, unix_ns) => Some(signed(now_ns).saturating_sub(signed(now_unix_ns.saturating_sub(unix_ns)))),
+        (0, unix_ns) if unix_ns > now_unix_ns => None,
+        (0, unix_ns) => Some(signed(now_ns).saturating_sub(signed(now_unix_ns - unix_ns))),
         (monotonic_ns, _) => Some(signed(monotonic_ns)),
     }
 }
@@ -433,7 +434,8 @@ impl<M: LanguageModel> Board<M> {
     /// the model said after some of them. Gives how many were left out, because they cost more tokens than a window holds.
     pub fn restore(&mut self, recovered: Recovered, now_ns: u64, now_unix_ns: u64) -> usize {
         let (map, mut costly) = (self.map_number(), 0);
-        let Recovered { observations, mut expectations, forgotten, .. } = recovered;
+        let Recovered { observations, mut expectations, forgotten, of_other_boots, .. } = recovered;
+        let started_unix_ns = now_unix_ns.saturating_sub(now_ns);
         let mut forgotten = forgotten.into_iter().peekable();
         let learned = self.home.begin_recall(&observations, now_ns, now_unix_ns);
         // What is said of several persons after one step is told in no particular order.
@@ -457,7 +459,13 @@ impl<M: LanguageModel> Board<M> {
                 while expectations.next_if(|(after, ..)| *after <= index).is_some() {}
                 continue;
             }
-            let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
+            let name = (observation.source, observation.epoch, observation.sequence);
+            let mut at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
+            if of_other_boots.contains(&name) {
+                // However little the wall clock says has passed, it was before the machine's start.
+                at_ns = at_ns.map(|at_ns| at_ns.min(0));
+                observation.observed_unix_ns = observation.observed_unix_ns.min(started_unix_ns);
+            }
             let voice = Voice::of_source(observation.source);
             let is_strange = !self.named.is_empty() && !self.named.contains(&observation.source);
             self.pipeline.include(&observation, voice);

@@ -25,26 +25,25 @@
 //! A record is handed to the system as soon as it is written, so a daemon that is killed loses nothing; what the machine loses with
 //! its power is at most the last [`JournalOptions::sync_ms`].
 
-use std::collections::{BTreeMap, HashMap};
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Write};
-use std::os::fd::AsRawFd;
-use std::os::unix::fs::FileExt;
-use std::path::{Path, PathBuf};
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::fs;
+use std::io;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
-use rustix::fs::FlockOperation;
-
+use self::disk::Folder;
+pub use self::disk::{Disk, Half};
 use self::forget::IsTheirs;
-use crate::state_file::{self, sync_folder};
+use crate::state_file;
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use roomcast_core::narration::{Observation, PresenceStatement, Said, Sentence};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_ipc::{MAX_ROOMS, NAME_BYTES, Sender as Port};
 
+mod disk;
 mod forget;
 mod last_words;
 
@@ -75,7 +74,9 @@ const MAGICS_TAKEN: [[u8; 4]; 4] = [MAGIC, MAGIC_CARRIED, MAGIC_NAMED, MAGIC_NAM
 const MAGICS_KEPT: [[u8; 4]; 6] =
     [MAGIC_CARRIED, MAGIC_NAMED_CARRIED, MAGIC_PORT, MAGIC_KEPT, MAGIC_NAMED_KEPT, MAGIC_FORGOTTEN];
 const HEADER_BYTES: usize = 12;
-const FIXED_BYTES: usize = 5 * 8 + 4 + 16;
+/// Where the payload of an observation has the boot that it was made in.
+const BOOT_AT: usize = 5 * 8 + 4;
+const FIXED_BYTES: usize = BOOT_AT + 16;
 /// No payload is longer: a sentence has at most 1024 bytes, a statement with its names not twice as many, and a name comes with two more.
 const PAYLOAD_BYTES_MAX: usize = FIXED_BYTES + 2 + NAME_BYTES + 2 * roomcast_core::narration::SENTENCE_BYTES_MAX;
 /// What `RCJ5` holds beside the rooms.
@@ -136,6 +137,8 @@ pub struct Recovered {
     pub forgotten: Vec<(usize, u32)>,
     /// The last observations of persons that were made before all these, until [`Recovered::join`] puts them in their place.
     kept: KeptWords,
+    /// Those that were made before the machine was started last, by source, epoch and sequence.
+    pub of_other_boots: HashSet<(u64, u64, u64)>,
     /// Where the observations are, by source, epoch and sequence.
     places: HashMap<(u64, u64, u64), usize>,
     /// Bytes that were no record: a torn end, or damage.
@@ -232,72 +235,27 @@ impl Journal {
     /// [`JournalError`]; damaged records are no error.
     pub fn open(options: &JournalOptions) -> Result<(Self, Recovered), JournalError> {
         let directory = &options.directory;
-        let failed = |path: &Path, operation| {
-            let path = path.to_owned();
+        let failed = |operation| {
+            let path = directory.clone();
             move |source| JournalError::File { path, operation, source }
         };
-        state_file::make_folder(directory).map_err(failed(directory, "make"))?;
-        let (current, older) = (directory.join("narration.journal"), directory.join("narration.journal.old"));
-        let mut file = open_file(&current).map_err(failed(&current, "open"))?;
-        match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
-            Ok(()) => {}
-            Err(rustix::io::Errno::WOULDBLOCK) => return Err(JournalError::Locked { path: current }),
-            Err(error) => return Err(failed(&current, "lock")(error.into())),
-        }
-        sync_folder(&current).map_err(failed(directory, "sync"))?;
+        state_file::make_folder(directory).map_err(failed("make"))?;
+        let folder = Folder::open(directory).map_err(|(path, operation, source)| match (operation, source.kind()) {
+            ("lock", io::ErrorKind::WouldBlock) => JournalError::Locked { path },
+            _ => JournalError::File { path, operation, source },
+        })?;
         let boot_id = boot_id();
-        let mut recovered = Recovered::default();
-        let mut older_length = 0;
-        match state_file::require_plain(&older).and_then(|()| fs::read(&older)) {
-            Ok(bytes) => {
-                older_length = bytes.len() as u64;
-                read_records(&bytes, &boot_id, &mut recovered);
-            }
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-            Err(error) => return Err(failed(&older, "read")(error)),
-        }
-        let (mut last, mut turn) = (BTreeMap::new(), 0);
-        let mut note = |carried: &[Observation], observations: &[Observation], in_current| {
-            for observation in carried.iter().chain(observations) {
-                turn += 1;
-                let record = encode(observation, &boot_id);
-                last.insert((observation.source, observation.epoch), Last { record, in_current, turn });
-            }
-        };
-        let (carried, observations) = (recovered.carried.len(), recovered.observations.len());
-        note(&recovered.carried, &recovered.observations, false);
-        let mut bytes = Vec::new();
-        file.read_to_end(&mut bytes).map_err(failed(&current, "read"))?;
-        read_records(&bytes, &boot_id, &mut recovered);
-        note(&recovered.carried[carried..], &recovered.observations[observations..], true);
-        let ports = recovered.ports.iter().map(|(name, port)| (*name, encode_port(*name, *port))).collect();
+        let sync_every = Duration::from_millis(options.sync_ms.max(1));
+        let (writer, recovered) =
+            Writer::open(folder, (options.bytes_max / 2).max(4096), &boot_id).map_err(failed("read"))?;
+        let mut writer = Writer { sync_every, ..writer };
+        let progress = Arc::clone(&writer.progress);
 
         let (work, queue) = bounded(QUEUE);
-        let progress = Arc::new(Progress::default());
-        progress.bytes.store(older_length + bytes.len() as u64, Ordering::Relaxed);
-        let mut writer = Writer {
-            file,
-            current,
-            older,
-            length: bytes.len() as u64,
-            older_length,
-            open: open_file,
-            unwritten: Vec::new(),
-            unsynced: Vec::new(),
-            synced: bytes.len() as u64,
-            sync_data: File::sync_data,
-            last,
-            ports,
-            turn,
-            kept: Vec::new(),
-            half_bytes: (options.bytes_max / 2).max(4096),
-            sync_every: Duration::from_millis(options.sync_ms.max(1)),
-            progress: Arc::clone(&progress),
-        };
         let writer = std::thread::Builder::new()
             .name("journal".to_owned())
             .spawn(move || writer.run(&queue))
-            .map_err(failed(directory, "start the writer of"))?;
+            .map_err(failed("start the writer of"))?;
         let sink = Arc::new(Mutex::new(Sink { work: Some(work), appended: 0 }));
         Ok((Self { sink, boot_id, progress, writer: Some(writer) }, recovered))
     }
@@ -396,6 +354,7 @@ impl JournalHandle {
 }
 
 /// The last record of one start of a source.
+#[derive(Debug)]
 struct Last {
     record: Vec<u8>,
     /// The current half has it.
@@ -404,22 +363,20 @@ struct Last {
     turn: u64,
 }
 
-struct Writer {
-    file: File,
-    current: PathBuf,
-    older: PathBuf,
+/// What writes the two halves to a disk; the journal's thread has one.
+#[derive(Debug)]
+pub struct Writer<D> {
+    disk: D,
     length: u64,
     older_length: u64,
-    /// Opens a new half.
-    open: fn(&Path) -> io::Result<File>,
     /// Records that the disk refused, tried again with the next ones: a full disk may have room again.
     unwritten: Vec<u8>,
-    /// Records that were written since the last sync. The system takes for written what a sync has failed with, so they are written again.
+    /// What the current half has had since the last sync. The system takes for written what a sync has failed with, so it is written again.
     unsynced: Vec<u8>,
-    /// Where they begin.
+    /// Where that begins.
     synced: u64,
-    /// [`File::sync_data`], or a disk that fails.
-    sync_data: fn(&File) -> io::Result<()>,
+    /// The disk knows the names of the halves.
+    names_synced: bool,
     /// The last record of each start of a source. What the current half has not is carried over at the next rotation.
     last: BTreeMap<(u64, u64), Last>,
     /// Whose each of them is; every half has all of these records.
@@ -433,10 +390,55 @@ struct Writer {
     progress: Arc<Progress>,
 }
 
-impl Writer {
+impl<D: Disk> Writer<D> {
+    /// Reads what the disk holds, of which `boot_id` names the boot of now, and goes on behind it. A half has at most `half_bytes`.
+    ///
+    /// # Errors
+    /// When a half cannot be read; damaged records are no error.
+    pub fn open(disk: D, half_bytes: u64, boot_id: &[u8; 16]) -> io::Result<(Self, Recovered)> {
+        let mut recovered = Recovered::default();
+        let older = disk.read(Half::Older)?;
+        read_records(&older, boot_id, &mut recovered);
+        let (mut last, mut turn) = (BTreeMap::new(), 0);
+        let mut note = |carried: &[Observation], observations: &[Observation], in_current| {
+            for observation in carried.iter().chain(observations) {
+                turn += 1;
+                let record = encode(observation, boot_id);
+                last.insert((observation.source, observation.epoch), Last { record, in_current, turn });
+            }
+        };
+        let (carried, observations) = (recovered.carried.len(), recovered.observations.len());
+        note(&recovered.carried, &recovered.observations, false);
+        let current = disk.read(Half::Current)?;
+        read_records(&current, boot_id, &mut recovered);
+        note(&recovered.carried[carried..], &recovered.observations[observations..], true);
+        let ports = recovered.ports.iter().map(|(name, port)| (*name, encode_port(*name, *port))).collect();
+        let progress = Arc::new(Progress::default());
+        let (older_length, length) = (older.len() as u64, current.len() as u64);
+        progress.bytes.store(older_length + length, Ordering::Relaxed);
+        let writer = Self {
+            disk,
+            length,
+            older_length,
+            unwritten: Vec::new(),
+            // A process before may have been killed before it synced.
+            unsynced: current,
+            synced: 0,
+            names_synced: false,
+            last,
+            ports,
+            turn,
+            kept: Vec::new(),
+            half_bytes,
+            sync_every: Duration::from_secs(1),
+            progress,
+        };
+        Ok((writer, recovered))
+    }
+
     fn run(&mut self, queue: &Receiver<Work>) {
         let mut synced = Instant::now();
-        let mut dirty = false;
+        let mut dirty = true;
         loop {
             // Only what is still to be done has a time.
             let received = match dirty || !self.unwritten.is_empty() {
@@ -502,10 +504,23 @@ impl Writer {
         self.progress.grew.notify_all();
     }
 
-    /// Brings what was written to the disk; what that fails with is written again, for the next sync.
-    fn sync(&mut self) -> io::Result<()> {
-        if let Err(error) = (self.sync_data)(&self.file) {
-            self.write_again()?;
+    /// Brings what was written to the disk, and the names of the halves; what that fails with is written again, for the next sync.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn sync(&mut self) -> io::Result<()> {
+        self.sync_current()?;
+        if !self.names_synced {
+            self.disk.sync_names()?;
+            self.names_synced = true;
+        }
+        Ok(())
+    }
+
+    fn sync_current(&mut self) -> io::Result<()> {
+        if let Err(error) = self.disk.sync() {
+            // In its place: at no time is anything gone from the file.
+            self.disk.rewrite(self.synced, &self.unsynced)?;
             return Err(error);
         }
         self.synced = self.length;
@@ -513,16 +528,9 @@ impl Writer {
         Ok(())
     }
 
-    /// Writes what may not be on the disk once more, in its place: at no time is anything gone from the file.
-    fn write_again(&self) -> io::Result<()> {
-        // The file appends, so it is written to through another descriptor.
-        let again = format!("/proc/self/fd/{}", self.file.as_raw_fd());
-        OpenOptions::new().write(true).open(again)?.write_all_at(&self.unsynced, self.synced)
-    }
-
-    /// Drops the oldest of what the disk refuses, so that the rest fits into a half; what is carried over goes last.
-    fn trim_unwritten(&mut self) {
-        while self.unwritten.len() as u64 > self.half_bytes {
+    /// Drops the oldest of what the disk refuses, so that the rest fits into so many bytes; what is carried over goes last.
+    fn trim_unwritten(&mut self, bytes_max: u64) {
+        while self.unwritten.len() as u64 > bytes_max {
             let mut from = 0;
             while MAGICS_KEPT.iter().any(|magic| self.unwritten[from..].starts_with(magic)) {
                 from += record_bytes(&self.unwritten[from..]);
@@ -535,23 +543,34 @@ impl Writer {
         }
     }
 
-    /// Writes what was refused before, then `batch`; what is refused now is kept, as much of it as a half may hold.
-    fn write(&mut self, batch: &[u8]) -> io::Result<()> {
+    /// Writes what was refused before, then `batch`, whole records; what is refused now is kept, as much of it as a half may hold.
+    ///
+    /// # Errors
+    /// When the disk refuses, or is full.
+    pub fn write(&mut self, batch: &[u8]) -> io::Result<()> {
         self.unwritten.extend_from_slice(batch);
-        self.trim_unwritten();
+        self.trim_unwritten(self.half_bytes);
         if self.length + self.unwritten.len() as u64 > self.half_bytes && self.length > 0 {
             self.rotate()?;
-            self.trim_unwritten();
+            self.trim_unwritten(self.half_bytes.saturating_sub(self.length));
         }
-        if let Err(error) = self.file.write_all(&self.unwritten) {
+        if let Err(error) = self.disk.append(&self.unwritten) {
             // Part of it may have been taken: cut it off again. If that fails too, reading steps over it.
-            let _cut = self.file.set_len(self.length);
+            let _cut = self.disk.cut(self.length);
             return Err(error);
         }
         self.length += self.unwritten.len() as u64;
-        let mut rest = &self.unwritten[..];
-        while !rest.is_empty() {
-            let (record, after) = rest.split_at(record_bytes(rest));
+        let mut written = std::mem::take(&mut self.unwritten);
+        self.take_note(&written);
+        self.unsynced.append(&mut written);
+        self.progress.bytes.store(self.older_length + self.length, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Remembers of each source what the current half has of it now.
+    fn take_note(&mut self, mut records: &[u8]) {
+        while !records.is_empty() {
+            let (record, after) = records.split_at(record_bytes(records));
             if record.starts_with(&MAGIC_PORT) {
                 self.ports.insert(source_of(record), record.to_vec());
             } else if MAGICS_TAKEN.iter().any(|magic| record.starts_with(magic)) {
@@ -559,20 +578,14 @@ impl Writer {
                 let last = Last { record: record.to_vec(), in_current: true, turn: self.turn };
                 self.last.insert(source_of(record), last);
             }
-            rest = after;
+            records = after;
         }
-        self.unsynced.append(&mut self.unwritten);
-        self.progress.bytes.store(self.older_length + self.length, Ordering::Relaxed);
-        Ok(())
     }
 
-    /// The full half becomes the old one, whose predecessor goes, but for the last words of sources that only it knew. The lock moves to the
-    /// new file before the old one lets go.
+    /// The full half becomes the old one, whose predecessor goes, but for the last words of sources and persons that only it knew: with these
+    /// the new half begins, and the disk has them before anything goes. The lock moves to the new file before the old one lets go.
     fn rotate(&mut self) -> io::Result<()> {
-        if let Err(error) = (self.sync_data)(&self.file) {
-            self.write_again()?;
-            return Err(error);
-        }
+        self.sync_current()?;
         let mut quiet: Vec<_> =
             self.last.iter().filter(|(_, last)| !last.in_current).map(|(name, last)| (last.turn, *name)).collect();
         quiet.sort_unstable();
@@ -593,26 +606,28 @@ impl Writer {
         // In a journal of the least size it is the newest narration that counts.
         carried.truncate(if carried.len() as u64 > self.half_bytes / 4 { 0 } else { carried.len() });
         // A rotation that got no further before has put the full half in place already: another file has its name now, or none.
-        if names_file(&self.current, &self.file)? {
+        let is_first = self.disk.is_current()?;
+        if is_first {
             // Nobody's last words are worth those of everybody from now on.
             self.kept = self.last_words().unwrap_or_else(|error| {
                 self.note(Err(error));
                 Vec::new()
             });
-            fs::rename(&self.current, &self.older)?;
         }
-        self.older_length = self.length;
-        let file = (self.open)(&self.current)?;
-        rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
-        self.file = file;
-        self.length = 0;
-        self.synced = 0;
+        carried.extend_from_slice(&self.kept);
+        self.disk.prepare(&carried)?;
+        self.names_synced = false;
+        if is_first {
+            self.disk.retire()?;
+            self.older_length = self.length;
+        }
+        self.disk.place(Half::Current)?;
+        (self.length, self.synced) = (carried.len() as u64, carried.len() as u64);
         self.unsynced.clear();
-        // The new half has nothing yet. What is carried goes first into it, and is tried again like everything that the disk refuses.
+        self.kept.clear();
         self.last.values_mut().for_each(|last| last.in_current = false);
-        carried.append(&mut self.kept);
-        self.unwritten.splice(..0, carried);
-        self.note(sync_folder(&self.current));
+        self.take_note(&carried);
+        self.progress.bytes.store(self.older_length + self.length, Ordering::Relaxed);
         Ok(())
     }
 
@@ -620,29 +635,10 @@ impl Writer {
         if let Err(error) = result {
             let failures = self.progress.failures.fetch_add(1, Ordering::Relaxed) + 1;
             if failures.is_power_of_two() {
-                tracing::warn!(%error, failures, path = %self.current.display(), "the journal cannot be written; the history in memory is complete");
+                tracing::warn!(%error, failures, disk = ?self.disk, "the journal cannot be written; the history in memory is complete");
             }
         }
     }
-}
-
-/// Whether `path` names the open file.
-fn names_file(path: &Path, file: &File) -> io::Result<bool> {
-    use std::os::unix::fs::MetadataExt;
-    match fs::symlink_metadata(path) {
-        Ok(there) => {
-            let ours = file.metadata()?;
-            Ok((there.dev(), there.ino()) == (ours.dev(), ours.ino()))
-        }
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
-        Err(error) => Err(error),
-    }
-}
-
-fn open_file(path: &Path) -> io::Result<File> {
-    use std::os::unix::fs::OpenOptionsExt;
-    state_file::require_plain(path)?;
-    OpenOptions::new().read(true).append(true).create(true).mode(0o600).open(path)
 }
 
 /// Monotonic times of another boot say nothing about this one.
@@ -757,7 +753,16 @@ pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered)
                     recovered.kept = KeptWords::default();
                     begins = false;
                 }
+                let made_in = rest.get(HEADER_BYTES + BOOT_AT..).and_then(|rest| rest.first_chunk());
+                if let Record::Observation(observation) | Record::Kept(observation) = &record
+                    && made_in != Some(boot_id)
+                {
+                    recovered.of_other_boots.insert(name_of(observation));
+                }
                 match record {
+                    // A disk may give a block twice, or one as it was before: what is named the same is the same.
+                    Record::Observation(observation) if recovered.has(&observation) => {}
+                    Record::Kept(observation) if recovered.has(&observation) => {}
                     Record::Observation(observation) => {
                         recovered.places.insert(name_of(&observation), recovered.observations.len());
                         recovered.observations.push(observation);
@@ -802,6 +807,12 @@ fn name_of(observation: &Observation) -> (u64, u64, u64) {
 }
 
 impl Recovered {
+    /// Whether an observation was read before.
+    fn has(&self, observation: &Observation) -> bool {
+        let name = name_of(observation);
+        self.places.contains_key(&name) || self.kept.places.contains_key(&name)
+    }
+
     /// All that was taken, in its order.
     pub fn taken(&self) -> impl Iterator<Item = &Observation> {
         let mut carried = self.carried_before.iter().zip(&self.carried).peekable();
@@ -944,6 +955,80 @@ fn take_u32(bytes: &mut &[u8]) -> Option<u32> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use std::path::Path;
+
+    /// A folder on a disk that fails as it is told.
+    #[derive(Debug)]
+    struct Failing {
+        folder: Folder,
+        /// Nothing can be made or written, but for a part of it.
+        is_full: bool,
+        /// A next file finds no name.
+        keeps_names: bool,
+        /// A sync fails, and loses all that the open file has: its pages count as written.
+        loses: bool,
+        /// Names do not reach the disk.
+        names_fail: bool,
+    }
+
+    impl Disk for Failing {
+        fn read(&self, half: Half) -> io::Result<Vec<u8>> {
+            self.folder.read(half)
+        }
+
+        fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
+            match self.is_full {
+                true => self.folder.append(&bytes[..bytes.len() / 2]).and(Err(io::ErrorKind::StorageFull.into())),
+                false => self.folder.append(bytes),
+            }
+        }
+
+        fn cut(&mut self, length: u64) -> io::Result<()> {
+            self.folder.cut(length)
+        }
+
+        fn rewrite(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+            self.folder.rewrite(at, bytes)
+        }
+
+        fn sync(&mut self) -> io::Result<()> {
+            if self.loses {
+                let length = self.folder.read(Half::Current)?.len();
+                self.folder.rewrite(0, &vec![0; length])?;
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            self.folder.sync()
+        }
+
+        fn prepare(&mut self, bytes: &[u8]) -> io::Result<()> {
+            match self.is_full {
+                true => Err(io::ErrorKind::StorageFull.into()),
+                false => self.folder.prepare(bytes),
+            }
+        }
+
+        fn is_current(&self) -> io::Result<bool> {
+            self.folder.is_current()
+        }
+
+        fn retire(&mut self) -> io::Result<()> {
+            self.folder.retire()
+        }
+
+        fn place(&mut self, half: Half) -> io::Result<()> {
+            match self.keeps_names {
+                true => Err(io::ErrorKind::StorageFull.into()),
+                false => self.folder.place(half),
+            }
+        }
+
+        fn sync_names(&mut self) -> io::Result<()> {
+            match self.names_fail {
+                true => Err(io::ErrorKind::StorageFull.into()),
+                false => self.folder.sync_names(),
+            }
+        }
+    }
 
     fn observation(sequence: u64) -> Observation {
         let sentence = Sentence::new(&format!("They do thing {sequence}.")).unwrap();
@@ -1034,36 +1119,19 @@ mod tests {
     }
 
     /// A writer of an empty journal.
-    fn writer(current: &Path, older: &Path, half_bytes: u64) -> Writer {
-        Writer {
-            file: open_file(current).unwrap(),
-            current: current.to_owned(),
-            older: older.to_owned(),
-            length: 0,
-            older_length: 0,
-            open: open_file,
-            unwritten: Vec::new(),
-            unsynced: Vec::new(),
-            synced: 0,
-            sync_data: File::sync_data,
-            last: BTreeMap::new(),
-            ports: BTreeMap::new(),
-            turn: 0,
-            kept: Vec::new(),
-            half_bytes,
-            sync_every: Duration::from_secs(1),
-            progress: Arc::default(),
-        }
+    fn writer(folder: &Path, half_bytes: u64) -> Writer<Failing> {
+        let folder = Folder::open(folder).unwrap();
+        let disk = Failing { folder, is_full: false, keeps_names: false, loses: false, names_fail: false };
+        Writer::open(disk, half_bytes, &[0; 16]).unwrap().0
     }
 
-    /// The disk is full just when the last words of a quiet source are carried over: they come with what is written next.
     #[test]
     fn a_quiet_source_stays_known_when_the_disk_is_full_at_a_rotation() {
         let directory = tempfile::tempdir().unwrap();
         let (current, older) =
             (directory.path().join("narration.journal"), directory.path().join("narration.journal.old"));
         let boot = [0; 16];
-        let mut writer = writer(&current, &older, 4096);
+        let mut writer = writer(directory.path(), 4096);
         let quiet = Observation { source: 99, ..observation(41) };
         writer.write(&encode(&quiet, &boot)).unwrap();
         let mut sequence = 0;
@@ -1076,15 +1144,17 @@ mod tests {
             writer.write(&next()).unwrap();
         }
         for round in 0..4 {
-            // The next rotation opens a half that takes nothing, as on a full disk; room comes later.
-            writer.open = |path| {
-                open_file(path)?;
-                OpenOptions::new().append(true).open("/dev/full")
-            };
-            while writer.write(&next()).is_ok() {}
-            writer.write(&next()).unwrap_err();
-            writer.file = open_file(&current).unwrap();
-            writer.open = open_file;
+            // There is no room for the next half; it comes later.
+            writer.disk.is_full = true;
+            while writer.length + 300 < 4096 {
+                writer.disk.is_full = false;
+                writer.write(&next()).unwrap();
+                writer.disk.is_full = true;
+            }
+            for _ in 0..5 {
+                writer.write(&next()).unwrap_err();
+            }
+            writer.disk.is_full = false;
             writer.write(&next()).unwrap();
             let mut recovered = Recovered::default();
             for half in [&older, &current] {
@@ -1197,7 +1267,7 @@ mod tests {
         assert_eq!(expected, [6]);
     }
 
-    fn sequence_of(writer: &Writer) -> u64 {
+    fn sequence_of(writer: &Writer<Failing>) -> u64 {
         let mut recovered = Recovered::default();
         read_records(&writer.last[&(7, 1)].record, &[0; 16], &mut recovered);
         recovered.observations[0].sequence
@@ -1296,7 +1366,9 @@ mod tests {
     fn another_boots_monotonic_time_is_dropped() {
         let mut recovered = Recovered::default();
         read_records(&encode(&observation(1), &[1; 16]), &[2; 16], &mut recovered);
+        read_records(&encode(&observation(2), &[2; 16]), &[2; 16], &mut recovered);
         assert_eq!(recovered.observations[0].observed_ns, 0);
+        assert_eq!(recovered.of_other_boots, HashSet::from([(7, 1, 1)]));
     }
 
     proptest! {
@@ -1329,34 +1401,85 @@ mod tests {
         }
     }
 
-    /// A rotation that fails after the new half was made loses nothing at the next one.
+    /// A rotation that fails after the full half got its new name loses nothing, at the next one or at a restart.
     #[test]
     fn a_rotation_that_fails_half_way_keeps_both_halves() {
-        fn made_and_failed(path: &Path) -> io::Result<File> {
-            open_file(path)?;
-            Err(io::Error::from(io::ErrorKind::StorageFull))
-        }
-        let folder = tempfile::tempdir().unwrap();
-        let current = folder.path().join("narration.journal");
-        let older = folder.path().join("narration.journal.old");
-        let mut writer = writer(&current, &older, 4096);
-        let mut sequence = 0;
-        let mut next = || {
-            sequence += 1;
-            encode(&observation(sequence), &[0; 16])
-        };
-        while !older.exists() {
+        for restarts in [false, true] {
+            let folder = tempfile::tempdir().unwrap();
+            let older = folder.path().join("narration.journal.old");
+            let mut writer = writer(folder.path(), 4096);
+            let mut sequence = 0;
+            let mut next = || {
+                sequence += 1;
+                encode(&observation(sequence), &[0; 16])
+            };
+            while !older.exists() {
+                writer.write(&next()).unwrap();
+            }
+            let before = writer.last.len();
+            writer.disk.keeps_names = true;
+            while writer.write(&next()).is_ok() {}
+            let full = fs::read(&older).unwrap();
+            assert!(full.len() > 2048 && !folder.path().join("narration.journal").exists());
+            if restarts {
+                drop(writer);
+                writer = self::writer(folder.path(), 4096);
+            }
+            writer.disk.keeps_names = false;
             writer.write(&next()).unwrap();
+            assert_eq!(fs::read(&older).unwrap(), full);
+            assert_eq!(writer.last.len(), before);
         }
-        let before = writer.last.len();
-        writer.open = made_and_failed;
-        while writer.write(&next()).is_ok() {}
-        let full = fs::read(&older).unwrap();
-        assert!(full.len() > 2048 && fs::read(&current).unwrap().is_empty());
-        writer.open = open_file;
-        writer.write(&next()).unwrap();
-        assert_eq!(fs::read(&older).unwrap(), full);
-        assert_eq!(writer.last.len(), before);
+    }
+
+    /// A power loss that finds a folder not synced takes all that was written to a new half: so that is tried again.
+    #[test]
+    fn names_that_a_sync_fails_with_are_synced_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut writer = writer(folder.path(), 4096);
+        writer.sync().unwrap();
+        writer.disk.names_fail = true;
+        // No name has changed.
+        writer.write(&encode(&observation(1), &[0; 16])).unwrap();
+        writer.sync().unwrap();
+        let mut sequence = 1;
+        while !folder.path().join("narration.journal.old").exists() {
+            sequence += 1;
+            writer.write(&encode(&observation(sequence), &[0; 16])).unwrap();
+        }
+        writer.sync().unwrap_err();
+        writer.sync().unwrap_err();
+        writer.disk.names_fail = false;
+        writer.sync().unwrap();
+    }
+
+    /// What another daemon wrote and did not sync is written again, too.
+    #[test]
+    fn what_a_killed_daemon_wrote_is_synced() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut first = writer(folder.path(), 1 << 16);
+        first.write(&encode(&observation(1), &[7; 16])).unwrap();
+        drop(first);
+        let mut second = writer(folder.path(), 1 << 16);
+        second.disk.loses = true;
+        assert!(second.sync().is_err());
+        second.disk.loses = false;
+        second.sync().unwrap();
+        let mut recovered = Recovered::default();
+        read_records(&second.disk.read(Half::Current).unwrap(), &[7; 16], &mut recovered);
+        assert_eq!((recovered.observations.len(), recovered.damaged_bytes), (1, 0));
+    }
+
+    /// A disk that gives a block twice, or a daemon that was told again what its disk hid from it, makes nobody say anything twice.
+    #[test]
+    fn what_is_read_twice_is_said_once() {
+        let boot = [7; 16];
+        let all: Vec<u8> = [1, 2, 3, 2, 3, 4, 1].iter().flat_map(|n| encode(&observation(*n), &boot)).collect();
+        let mut recovered = Recovered::default();
+        read_records(&all, &boot, &mut recovered);
+        read_records(&all, &boot, &mut recovered);
+        let sequences: Vec<_> = recovered.observations.iter().map(|observation| observation.sequence).collect();
+        assert_eq!(sequences, [1, 2, 3, 4]);
     }
 
     /// A named pipe would be waited for, and a device read without end.
@@ -1374,23 +1497,15 @@ mod tests {
     /// Row "fsync that fails once" of the attacks: what was written before it is lost with the power, if it is not written again.
     #[test]
     fn what_a_sync_fails_with_is_written_again() {
-        /// Fails, and forgets all that it was given: the pages count as written.
-        fn failing(file: &File) -> io::Result<()> {
-            let length = usize::try_from(file.metadata()?.len()).unwrap_or_default();
-            // The file appends, so it is overwritten through another descriptor.
-            let lost = OpenOptions::new().write(true).open(format!("/proc/self/fd/{}", file.as_raw_fd()))?;
-            lost.write_all_at(&vec![0; length], 0)?;
-            Err(io::Error::from(io::ErrorKind::StorageFull))
-        }
         let folder = tempfile::tempdir().unwrap();
         let current = folder.path().join("narration.journal");
-        let older = folder.path().join("narration.journal.old");
-        let mut writer = Writer { sync_data: failing, ..writer(&current, &older, 1 << 16) };
+        let mut writer = writer(folder.path(), 1 << 16);
+        writer.disk.loses = true;
         for sequence in 1..=3 {
             writer.write(&encode(&observation(sequence), &[7; 16])).unwrap();
         }
         assert!(writer.sync().is_err());
-        writer.sync_data = File::sync_data;
+        writer.disk.loses = false;
         writer.write(&encode(&observation(4), &[7; 16])).unwrap();
         writer.sync().unwrap();
         let mut recovered = Recovered::default();

@@ -46,7 +46,8 @@ use robot::{Robot, Work};
 use round::Round;
 
 /// How often connections are renewed at least. Whoever joins by this contract's crate wakes the planner by itself.
-const TICK: Duration = Duration::from_millis(250);
+/// Longer than the daemon's usual heartbeat, so that an idle planner wakes for scores, and not once more just before them.
+const TICK: Duration = Duration::from_millis(300);
 /// A robot that waits or pauses may be given work at any new score, and so often without one: time alone changes forecasts.
 const LOOK_AGAIN_NS: u64 = 5_000_000_000;
 /// A robot that waits in a room that is done does not change it for less than this share of a stay with somebody.
@@ -620,7 +621,7 @@ impl Planner {
         self.robot.work.as_ref().is_none_or(|work| self.is_over(work, now_ns))
     }
 
-    /// How long there is nothing to decide unless something arrives, at most 250 ms.
+    /// How long there is nothing to decide unless something arrives, at most [`TICK`].
     #[must_use]
     pub fn idle(&self, now_ns: u64) -> Duration {
         const LEAST_NS: u64 = 1_000_000;

@@ -3,15 +3,11 @@
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
-use std::fs;
-use std::io::{self, Write};
-use std::path::Path;
+use std::io;
 
 use roomcast_core::narration::{Observation, SOMEBODY, Sentence};
-use rustix::fs::FlockOperation;
 
-use super::{HEADER_BYTES, MAGIC_CARRIED, Record, Writer, decode, encode, encode_forgotten, open_file};
-use crate::state_file::sync_folder;
+use super::{Disk, HEADER_BYTES, Half, MAGIC_CARRIED, Record, Writer, decode, encode, encode_forgotten};
 
 /// Says whether an observation is of the forgotten person or names them. Of one that named nobody it is told whose it was found to be.
 pub(super) type IsTheirs = dyn Fn(&Observation, Option<u32>) -> bool + Send;
@@ -19,15 +15,11 @@ pub(super) type IsTheirs = dyn Fn(&Observation, Option<u32>) -> bool + Send;
 /// What stands for the sentence of a person who is forgotten.
 const BLANK: &str = "Forgotten.";
 
-impl Writer {
+impl<D: Disk> Writer<D> {
     /// Rewrites both halves, and what the disk has refused so far, without what `is_theirs` says, `person`. A half stays whole until its
     /// successor is. Gives how many records were theirs.
     pub(super) fn forget(&mut self, person: u32, is_theirs: &IsTheirs) -> io::Result<usize> {
-        let older = match fs::read(&self.older) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
-            read => read?,
-        };
-        let current = fs::read(&self.current)?;
+        let (older, current) = (self.disk.read(Half::Older)?, self.disk.read(Half::Current)?);
         let mut attributed = BTreeMap::new();
         for half in [&older, &current, &self.unwritten] {
             attributions(half, &mut attributed);
@@ -35,11 +27,15 @@ impl Writer {
         let forgets = Forgets { person, is_theirs, attributed, records: Cell::new(0) };
         if !older.is_empty() {
             let kept = forgets.without(&older);
-            replace(&self.older, &kept)?;
+            self.names_synced = false;
+            self.disk.prepare(&kept)?;
+            self.disk.place(Half::Older)?;
             self.older_length = kept.len() as u64;
         }
         let kept = forgets.without(&current);
-        self.file = replace(&self.current, &kept)?;
+        self.names_synced = false;
+        self.disk.prepare(&kept)?;
+        self.disk.place(Half::Current)?;
         (self.length, self.synced) = (kept.len() as u64, kept.len() as u64);
         self.unsynced.clear();
         self.unwritten = forgets.without(&self.unwritten);
@@ -49,7 +45,8 @@ impl Writer {
         self.last.retain(|_, last| last.record.len() > HEADER_BYTES);
         self.kept = forgets.without(&self.kept);
         self.progress.bytes.store(self.older_length + self.length, std::sync::atomic::Ordering::Relaxed);
-        sync_folder(&self.current)?;
+        self.disk.sync_names()?;
+        self.names_synced = true;
         // What was said of everybody before this does not bring them back after a restart.
         self.write(&encode_forgotten(person, false))?;
         Ok(forgets.records.get())
@@ -121,22 +118,4 @@ pub(super) fn each_record<'a>(bytes: &'a [u8], mut take: impl FnMut(&'a [u8], Re
         };
         rest = &rest[length..];
     }
-}
-
-/// Puts a file with these bytes in the place of another, and locks it as the other was; gives the new one.
-fn replace(path: &Path, bytes: &[u8]) -> io::Result<fs::File> {
-    let new = path.with_extension("forgetting");
-    match fs::remove_file(&new) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-        _ => {}
-    }
-    let written = open_file(&new).and_then(|mut file| {
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
-        fs::rename(&new, path)?;
-        Ok(file)
-    });
-    // What a full disk has of it helps nobody.
-    written.inspect_err(|_| _ = fs::remove_file(&new))
 }

@@ -9,7 +9,7 @@ use std::io;
 use roomcast_core::narration::SOMEBODY;
 
 use super::forget::each_record;
-use super::{MAGIC, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Record, Writer, encode_forgotten};
+use super::{Disk, Half, MAGIC, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Record, Writer, encode_forgotten};
 
 /// At most so many observations of each person are kept, fewer where they do not fit.
 const WORDS: [usize; 5] = [12, 6, 3, 2, 1];
@@ -20,14 +20,10 @@ type Name = (u64, u64, u64);
 /// A record with its bytes.
 type Raw<'a> = (&'a [u8], Record);
 
-impl Writer {
+impl<D: Disk> Writer<D> {
     /// Records of what only the older half still says: the newest observations of persons, with what became of them, and who was forgotten.
     pub(super) fn last_words(&self) -> io::Result<Vec<u8>> {
-        let older = match std::fs::read(&self.older) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
-            read => read?,
-        };
-        Ok(last_words(&older, &std::fs::read(&self.current)?, self.half_bytes / 4))
+        Ok(last_words(&self.disk.read(Half::Older)?, &self.disk.read(Half::Current)?, self.half_bytes / 4))
     }
 }
 

@@ -1,0 +1,222 @@
+//! What the journal asks of a disk, one call each, so that a test can let every one of them fail, and take what was not synced.
+
+use std::fmt::Debug;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::{FileExt, MetadataExt};
+use std::path::{Path, PathBuf};
+
+use rustix::fs::FlockOperation;
+
+use crate::state_file::{self, sync_folder};
+
+/// A half of the journal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Half {
+    /// The full one.
+    Older,
+    /// The one that is written.
+    Current,
+}
+
+/// Two halves under their names, the file that is open as the current half, and a next one that has no half's name yet.
+///
+/// What is written, cut off or renamed outlives this process at once. It outlives a loss of power after [`Disk::sync`] for the open file, and
+/// after [`Disk::sync_names`] for names.
+pub trait Disk: Debug {
+    /// What a half holds; nothing where there is none.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    fn read(&self, half: Half) -> io::Result<Vec<u8>>;
+
+    /// Puts bytes behind those of the open file. Where it fails, part of them may be there.
+    ///
+    /// # Errors
+    /// When the disk refuses, or is full.
+    fn append(&mut self, bytes: &[u8]) -> io::Result<()>;
+
+    /// Cuts the open file off after so many bytes.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    fn cut(&mut self, length: u64) -> io::Result<()>;
+
+    /// Writes over what the open file has from this byte on.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    fn rewrite(&mut self, at: u64, bytes: &[u8]) -> io::Result<()>;
+
+    /// Brings the open file to the disk. What that fails with is lost with the power, also when a later call succeeds, unless it is written again.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    fn sync(&mut self) -> io::Result<()>;
+
+    /// Makes the next file, with these bytes, locked, and brings it to the disk. One that was made before is gone.
+    ///
+    /// # Errors
+    /// When the disk refuses, or is full.
+    fn prepare(&mut self, bytes: &[u8]) -> io::Result<()>;
+
+    /// Whether the open file has the name of the current half.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    fn is_current(&self) -> io::Result<bool>;
+
+    /// Gives the open file the name of the older half, which goes.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    fn retire(&mut self) -> io::Result<()>;
+
+    /// Gives the next file the name of a half, which goes; as the current half it is the open one from now on.
+    ///
+    /// # Errors
+    /// When the disk refuses, or nothing is prepared.
+    fn place(&mut self, half: Half) -> io::Result<()>;
+
+    /// Brings the names to the disk.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    fn sync_names(&mut self) -> io::Result<()>;
+}
+
+/// A folder of a real disk.
+#[derive(Debug)]
+pub struct Folder {
+    file: File,
+    current: PathBuf,
+    older: PathBuf,
+    /// Where the next file is made, and the file.
+    next: (PathBuf, Option<File>),
+}
+
+/// What failed at the start: the file, and what was done with it.
+pub(super) type Refused = (PathBuf, &'static str, io::Error);
+
+impl Folder {
+    /// Opens the current half in the folder, or begins it, for this process alone. What a rotation that was cut short has left is put to
+    /// rights: a next file becomes the current half where there is none, and goes where there is one.
+    pub(super) fn open(folder: &Path) -> Result<Self, Refused> {
+        let [current, older, next] =
+            ["narration.journal", "narration.journal.old", "narration.journal.next"].map(|name| folder.join(name));
+        let failed = |path: &Path, operation| {
+            let path = path.to_owned();
+            move |error| (path, operation, error)
+        };
+        // Whoever is in the middle of it has the next file locked, and so this one after it.
+        if fs::symlink_metadata(&current).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
+            match fs::rename(&next, &current) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                    return Err(failed(&next, "rename")(error));
+                }
+                _ => {}
+            }
+        }
+        let file = open_file(&current).map_err(failed(&current, "open"))?;
+        rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)
+            .map_err(|error| failed(&current, "lock")(error.into()))?;
+        remove(&next).map_err(failed(&next, "remove"))?;
+        sync_folder(&current).map_err(failed(folder, "sync"))?;
+        Ok(Self { file, current, older, next: (next, None) })
+    }
+
+    fn path(&self, half: Half) -> &Path {
+        match half {
+            Half::Older => &self.older,
+            Half::Current => &self.current,
+        }
+    }
+}
+
+impl Disk for Folder {
+    fn read(&self, half: Half) -> io::Result<Vec<u8>> {
+        let path = self.path(half);
+        state_file::require_plain(path)?;
+        let mut bytes = Vec::new();
+        match File::open(path) {
+            Ok(mut file) => file.read_to_end(&mut bytes).map(|_| bytes),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(bytes),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.file.write_all(bytes)
+    }
+
+    fn cut(&mut self, length: u64) -> io::Result<()> {
+        self.file.set_len(length)
+    }
+
+    fn rewrite(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        // The file appends, so it is written to through another descriptor.
+        let again = format!("/proc/self/fd/{}", self.file.as_raw_fd());
+        OpenOptions::new().write(true).open(again)?.write_all_at(bytes, at)
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        self.file.sync_data()
+    }
+
+    fn prepare(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let (path, next) = &mut self.next;
+        *next = None;
+        remove(path)?;
+        let made = open_file(path).and_then(|mut file| {
+            file.write_all(bytes)?;
+            file.sync_all()?;
+            rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
+            Ok(file)
+        });
+        // What a full disk has of it helps nobody.
+        *next = Some(made.inspect_err(|_| _ = fs::remove_file(path))?);
+        Ok(())
+    }
+
+    fn is_current(&self) -> io::Result<bool> {
+        match fs::symlink_metadata(&self.current) {
+            Ok(there) => {
+                let ours = self.file.metadata()?;
+                Ok((there.dev(), there.ino()) == (ours.dev(), ours.ino()))
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn retire(&mut self) -> io::Result<()> {
+        fs::rename(&self.current, &self.older)
+    }
+
+    fn place(&mut self, half: Half) -> io::Result<()> {
+        let Some(file) = self.next.1.take() else { return Err(io::Error::other("no file is prepared")) };
+        fs::rename(&self.next.0, self.path(half))?;
+        if half == Half::Current {
+            self.file = file;
+        }
+        Ok(())
+    }
+
+    fn sync_names(&mut self) -> io::Result<()> {
+        sync_folder(&self.current)
+    }
+}
+
+fn remove(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+fn open_file(path: &Path) -> io::Result<File> {
+    use std::os::unix::fs::OpenOptionsExt;
+    state_file::require_plain(path)?;
+    OpenOptions::new().read(true).append(true).create(true).mode(0o600).open(path)
+}
