@@ -8,7 +8,7 @@
     reason = "each driver uses its own; a panic is the report"
 )]
 
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -30,14 +30,21 @@ use roomcast_services::planner::Planner;
 use roomcast_services::recording;
 use roomcast_services::sensor_log::SensorRules;
 
+/// The server of metrics and page, which is in the program and so in no library.
+#[cfg(feature = "metrics")]
+#[path = "../src/http.rs"]
+mod http;
+
 /// What a target does with bytes: nothing that can be seen, unless it panics.
 pub type Target = fn(&[u8]);
 
 /// Every target by name.
-pub const ALL: [(&str, Target); 13] = [
+pub const ALL: &[(&str, Target)] = &[
     ("configuration", configuration),
     ("gguf", gguf),
     ("home", home),
+    #[cfg(feature = "metrics")]
+    ("http", requests),
     ("journal", journal),
     ("line", line),
     ("message", message),
@@ -83,6 +90,52 @@ pub fn home(bytes: &[u8]) {
         Rules::parse(&rules).expect("rules that were written can be read");
     }
     assert!(home.imported.furnished().is_ok());
+}
+
+/// Whatever comes over a connection to the HTTP server, it has one answer at most, which is as long as it says, and nothing larger than
+/// the limit is passed on.
+#[cfg(feature = "metrics")]
+pub fn requests(bytes: &[u8]) {
+    use std::cell::{Cell, RefCell};
+    use std::rc::Rc;
+
+    thread_local! {
+        static RUNTIME: tokio::runtime::Runtime =
+            tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().unwrap();
+    }
+    let (mut ours, theirs) = std::os::unix::net::UnixStream::pair().unwrap();
+    // As much as a pair of sockets holds for certain.
+    ours.write_all(&bytes[..bytes.len().min(64 << 10)]).unwrap();
+    ours.shutdown(std::net::Shutdown::Write).unwrap();
+    theirs.set_nonblocking(true).unwrap();
+    let asked = Rc::new(Cell::new(0));
+    let counted = Rc::clone(&asked);
+    let answer = move |request: http::Request<'_>| {
+        counted.set(counted.get() + 1);
+        let lines = request.headers.iter().map(|(name, value)| name.as_str().len() + value.len());
+        assert!(lines.sum::<usize>() + request.uri.to_string().len() <= http::HEADER_BYTES_MAX);
+        hyper::Response::new("answered".to_owned())
+    };
+    RUNTIME.with(|runtime| {
+        runtime.block_on(async {
+            let theirs = tokio::net::UnixStream::from_std(theirs).unwrap();
+            http::converse(theirs, Rc::new(RefCell::new(answer))).await;
+        });
+    });
+    let mut said = Vec::new();
+    // A server that leaves bytes unread resets the connection after its answer.
+    let _reset = ours.read_to_end(&mut said);
+    assert!(asked.get() <= 1, "{} requests of one connection were answered", asked.get());
+    let Some(end) = said.windows(4).position(|end| end == b"\r\n\r\n") else {
+        assert!(said.is_empty() && asked.get() == 0, "half an answer");
+        return;
+    };
+    let (head, body) = (String::from_utf8_lossy(&said[..end]).to_lowercase(), &said[end + 4..]);
+    assert!(head.starts_with("http/1."), "{head}");
+    assert_eq!(asked.get() == 1, body == b"answered");
+    let length = head.lines().find_map(|line| line.strip_prefix("content-length: ")?.parse().ok());
+    // The answer to HEAD says how long it would be.
+    assert!(body.is_empty() || length == Some(body.len()), "{head}");
 }
 
 /// Every step of a program that is accepted has a sentence.

@@ -19,7 +19,8 @@ use hyper::{HeaderMap, Method, Response, StatusCode, Uri};
 use hyper_util::rt::TokioIo;
 use roomcast_ipc::clock;
 use roomcast_services::stop::Stop;
-use tokio::net::{TcpListener, TcpStream};
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::TcpListener;
 use tokio::task::{JoinHandle, LocalSet};
 use tokio::time::timeout;
 
@@ -159,8 +160,11 @@ async fn serve(
     Ok(())
 }
 
-/// One request and its answer.
-async fn converse(stream: TcpStream, answer: Rc<RefCell<impl FnMut(Request<'_>) -> Response<String>>>) {
+/// One request over a connection, and its answer.
+pub async fn converse(
+    stream: impl AsyncRead + AsyncWrite + Unpin,
+    answer: Rc<RefCell<impl FnMut(Request<'_>) -> Response<String>>>,
+) {
     let service = service_fn(|request: hyper::Request<hyper::body::Incoming>| {
         let response = match *request.method() {
             Method::GET => {

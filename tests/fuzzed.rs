@@ -194,7 +194,7 @@ fn mutate(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], rng: &mut ChaCha8Rng) {
 #[test]
 fn no_target_fails_on_its_corpus_or_mutations_of_it() {
     let seed = number("ROOMCAST_FUZZ_SEED").unwrap_or(1);
-    for (name, target) in targets::ALL {
+    for &(name, target) in targets::ALL {
         let seeds = seeds(name);
         for bytes in &seeds {
             target(bytes);
