@@ -464,7 +464,8 @@ impl<M: LanguageModel> Board<M> {
             if of_other_boots.contains(&name) {
                 // However little the wall clock says has passed, it was before the machine's start.
                 at_ns = at_ns.map(|at_ns| at_ns.min(0));
-                observation.observed_unix_ns = observation.observed_unix_ns.min(started_unix_ns);
+                // 0 would say that it has none.
+                observation.observed_unix_ns = observation.observed_unix_ns.min(started_unix_ns.max(1));
             }
             let voice = Voice::of_source(observation.source);
             let is_strange = !self.named.is_empty() && !self.named.contains(&observation.source);
