@@ -208,7 +208,7 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
     } else if !silent.is_empty() {
         let mut silent_topics: Vec<&str> = silent.iter().map(|rule| rule.topic).collect();
         silent_topics.dedup();
-        let names = some_of(silent_topics.into_iter());
+        let names = some_of(silent_topics);
         let found = format!("{shown}: of {}, {} heard nothing yet: {names}", count(all, "rule"), silent.len());
         let remedy =
             "make the devices speak (open the door, switch the lamp); leave out the rules of devices that are gone";
