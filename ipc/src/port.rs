@@ -58,7 +58,7 @@ const STATUS_CLIENTS: usize = 8;
 const RECONNECT: Duration = Duration::from_secs(1);
 
 /// Connections that failed, for want of file descriptors or memory for instance. iceoryx2 tries again only when ports come or go, so
-/// that without this the two ends would be deaf to one another for good.
+/// that without this the two ends would never hear one another again.
 #[derive(Debug, Default)]
 struct Connections {
     failed: Arc<AtomicBool>,

@@ -3,8 +3,7 @@
 use std::path::PathBuf;
 
 use super::{CommandResult, Failure, model, service};
-use roomcast_services::no_model::NoModel;
-use roomcast_services::{daemon, logging, setup};
+use roomcast_services::{daemon, logging};
 
 use crate::exit_code;
 
@@ -50,9 +49,9 @@ pub fn run(args: &Args) -> CommandResult {
         model::try_configured(&config)?;
     }
     let ended = if args.no_model {
-        daemon::run(&config, &domain, &stop, |_| Ok(NoModel::default()))
+        daemon::run_without_model(&config, &domain, &stop)
     } else {
-        daemon::run(&config, &domain, &stop, setup::configured_model)
+        daemon::run(&config, &domain, &stop)
     };
     Ok(ended?)
 }

@@ -36,7 +36,7 @@ pub(crate) struct FakeValetudo {
     home_s: f64,
     fault: String,
     /// Orders that it will not hear.
-    pub(crate) deaf: u32,
+    pub(crate) orders_ignored: u32,
     /// It gets stuck in this segment, once, and somebody frees it after so many seconds.
     pub(crate) sticks: Option<(String, f64)>,
     freed_s: f64,
@@ -59,7 +59,7 @@ impl FakeValetudo {
             job: None,
             home_s: 0.0,
             fault: String::new(),
-            deaf: 0,
+            orders_ignored: 0,
             sticks: None,
             freed_s: 0.0,
             cleaned: Vec::new(),
@@ -70,8 +70,8 @@ impl FakeValetudo {
 
     /// An order comes.
     pub(crate) fn hear(&mut self, topic: &str, payload: &str) {
-        if self.deaf > 0 {
-            self.deaf -= 1;
+        if self.orders_ignored > 0 {
+            self.orders_ignored -= 1;
             return;
         }
         let Some(part) = topic.strip_prefix(&self.topic) else { return };

@@ -65,7 +65,7 @@ pub struct MapAnswer {
     /// Labels that the model did not know before.
     pub new_labels: usize,
     /// Whether the model was prepared for the map's labels again: where some are new, and, where scores are corrected, where some are gone.
-    #[serde(rename = "prepared_anew")]
+    #[serde(alias = "prepared_anew")]
     pub prepared_again: bool,
     /// How long it took to change, check and regroup the map, and to prepare the model, in nanoseconds.
     pub regrouped_in_ns: u64,

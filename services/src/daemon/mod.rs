@@ -29,6 +29,7 @@ use sd_notify::NotifyState;
 
 use crate::config::{Config, DaemonConfig};
 use crate::logging::Limiter;
+use crate::no_model::NoModel;
 use crate::notify::notify;
 use crate::setup::{self, SetupError};
 use crate::stop::Stop;
@@ -132,12 +133,29 @@ pub enum DaemonError {
     },
 }
 
-/// Runs until asked to stop, with the model that `model` gives ([`setup::configured_model`]).
+/// Runs until asked to stop, with the configured model.
+///
+/// Both ways to run are compiled here: in the program, which calls them, they would be compiled at the end of every build, when
+/// nothing else is left to do beside them.
 ///
 /// # Errors
 ///
 /// [`DaemonError`] when it cannot begin, hangs, or a service is lost.
-pub fn run<M: LanguageModel + Send + 'static>(
+pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonError> {
+    run_with(config, domain, stop, setup::configured_model)
+}
+
+/// Runs until asked to stop, with every word as likely as every other: what is left is the price of everything but the model.
+///
+/// # Errors
+///
+/// [`DaemonError`] when it cannot begin, hangs, or a service is lost.
+pub fn run_without_model(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonError> {
+    run_with(config, domain, stop, |_| Ok(NoModel::default()))
+}
+
+/// Runs with the model that `model` gives.
+fn run_with<M: LanguageModel + Send + 'static>(
     config: &Config,
     domain: &Domain,
     stop: &Stop,

@@ -120,18 +120,18 @@ fn a_room_is_done_when_the_robot_has_left_it_by_itself() {
 #[test]
 fn orders_that_are_lost_are_given_again_and_in_the_end_have_failed() {
     let mut pair = Pair::new(&config(), 300.0);
-    pair.robot.deaf = 2;
+    pair.robot.orders_ignored = 2;
     pair.decide(&decision(1, action::GO, "hall-2"));
     pair.pass(60);
     assert_eq!(pair.of_work(), [(Kind::Started, Some(1))]);
     pair.pass(400);
     assert_eq!(pair.of_work(), [(Kind::Finished, Some(1))]);
-    pair.robot.deaf = 4;
+    pair.robot.orders_ignored = 4;
     pair.decide(&decision(2, action::GO, "kitchen-3"));
     pair.pass(100);
     assert!(pair.last_note().contains("does not do what it is told"), "{}", pair.last_note());
     assert_eq!(pair.of_work(), [(Kind::Failed, Some(2))]);
-    assert_eq!(pair.robot.deaf, 0, "the last order takes the others back");
+    assert_eq!(pair.robot.orders_ignored, 0, "the last order takes the others back");
 }
 
 #[test]
@@ -372,7 +372,7 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
         let hour = |hours: f64| trouble && second == (hours * 3600.0) as u64;
         let away = trouble && (8.2..8.25).contains(&(now_s / 3600.0));
         if hour(8.0) {
-            robot.deaf = 2;
+            robot.orders_ignored = 2;
         }
         if hour(8.3) {
             // In a room that is still to come.
