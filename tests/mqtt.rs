@@ -418,7 +418,7 @@ fn a_robot_over_a_real_broker_obeys_and_its_word_counts_over_lost_orders_an_erro
     let mut world = World::new("robot");
     let config = home_with_a_robot(&world);
     let mut robot = FakeValetudo::new(FAKE, &SEGMENTS);
-    robot.deaf = 1;
+    robot.orders_ignored = 1;
     // It is stuck until after the test.
     robot.sticks = Some(("2".to_owned(), 1e9));
     let fake = Fake::start(port, robot);
@@ -458,7 +458,7 @@ fn a_robot_over_a_real_broker_obeys_and_its_word_counts_over_lost_orders_an_erro
         last.filter(|_| fake.look(|robot| robot.cleaned.len() >= 2))
     });
     assert!(all.covered.count_ones() as usize <= fake.look(|robot| robot.cleaned.len()));
-    assert!(fake.look(|robot| robot.deaf == 0));
+    assert!(fake.look(|robot| robot.orders_ignored == 0));
     drop(broker);
 }
 
