@@ -9,6 +9,9 @@
 //! No clock, no port, no network, no process, no C; only the `load` functions read a file. A language model comes in as [`scorer::LanguageModel`]; the crate
 //! `roomcast-llama` has one on llama.cpp, and a reader may bring another, as below.
 //!
+//! Types of other crates that stand in signatures on purpose: `nalgebra`'s dense matrix (the weights of labels in rooms), `rand`'s random
+//! numbers for policies, `serde`'s and `strum`'s traits, which configuration and command line read choices by.
+//!
 //! The method is that of GG-LLM (Graule and Isler, "Geometrically Grounding Large Language Models for Zero-shot Human Activity
 //! Forecasting in Human-Aware Task Planning"); equation numbers in this documentation are those of the paper.
 //!

@@ -20,7 +20,7 @@ pub enum AffinityError {
         /// The cores.
         cores: Vec<usize>,
         /// The system's word.
-        source: rustix::io::Errno,
+        source: std::io::Error,
     },
 }
 
@@ -35,7 +35,7 @@ pub fn bind(cores: &[usize]) -> Result<(), AffinityError> {
     if cores.is_empty() {
         return Ok(());
     }
-    let refused = |source| AffinityError::Refused { cores: cores.to_vec(), source };
+    let refused = |source: rustix::io::Errno| AffinityError::Refused { cores: cores.to_vec(), source: source.into() };
     sched_setaffinity(None, &chosen(cores)?).map_err(refused)
 }
 
@@ -49,7 +49,7 @@ pub fn check(cores: &[usize]) -> Result<(), AffinityError> {
 }
 
 fn chosen(cores: &[usize]) -> Result<CpuSet, AffinityError> {
-    let refused = |source| AffinityError::Refused { cores: cores.to_vec(), source };
+    let refused = |source: rustix::io::Errno| AffinityError::Refused { cores: cores.to_vec(), source: source.into() };
     let allowed = sched_getaffinity(None).map_err(refused)?;
     let mut chosen = CpuSet::new();
     for &core in cores {

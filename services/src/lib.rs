@@ -3,6 +3,9 @@
 //! Data flows one way: a narrator publishes what it sees, the daemon publishes room scores, the planner publishes decisions. What decides
 //! ([`daemon::Intake`], [`daemon::Board`], [`planner::Planner`]) is apart from threads, ports and clocks, so that faults can be simulated.
 //!
+//! The crate is the program's library: its signatures have types of the crates that it drives (`crossbeam`, `rumqttc`, `sd-notify`). What
+//! others build on is `roomcast-ipc` and `roomcast-core`.
+//!
 //! ```
 //! use roomcast_services::config::Config;
 //!

@@ -391,7 +391,8 @@ fn all_leave(subject: &str, rest: &str) -> Option<(Presence, Option<&'static str
 /// What words say of all that do something in one room: "everybody goes to the kitchen", "everybody sits down in the living room".
 fn all_in_a_room<'a>(subject: &str, rest: &'a str) -> Option<(Presence, Option<&'a str>)> {
     let is_of_all = has(&WORDS.everybody, subject) || matches!(of_some(subject), Some(Subject::Others(_)));
-    let (at, place) = [" to the ", " into the ", " in the "].iter().filter_map(|to| rest.rsplit_once(to)).next_back()?;
+    let (at, place) =
+        [" to the ", " into the ", " in the "].iter().filter_map(|to| rest.rsplit_once(to)).next_back()?;
     let is_room = has(&WORDS.rooms, place.split([' ', '-']).next_back()?);
     let is_done = !is_unreal(rest) && !at.contains([',', ' ']) || at.split(' ').count() <= 2 && !is_unreal(rest);
     (is_of_all && is_room && is_done && !is_doubtful(rest)).then_some((Presence::Present, Some(place)))

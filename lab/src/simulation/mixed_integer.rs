@@ -9,18 +9,18 @@ use super::world::Cost;
 #[non_exhaustive]
 pub enum SolverError {
     /// The solver gave up.
-    #[error("HiGHS ended with {status:?} on a program of {slots} slots and {rooms} rooms")]
+    #[error("HiGHS ended with {status} on a program of {slots} slots and {rooms} rooms")]
     Solver {
         /// Its last word.
-        status: HighsModelStatus,
+        status: String,
         /// Slots.
         slots: usize,
         /// Rooms.
         rooms: usize,
     },
     /// The program is malformed.
-    #[error("HiGHS refused the program: {0:?}")]
-    Refused(highs::HighsStatus),
+    #[error("HiGHS refused the program: {0}")]
+    Refused(String),
 }
 
 /// The optimum as a mixed-integer program: binary x(k, r) says that slot k is spent in room r; every slot has one room, the
@@ -56,7 +56,8 @@ pub(crate) fn optimum_s(
             problem.add_row(1.0.., visits.map(|column| (*column, 1.0)));
         }
     }
-    let mut model = problem.try_optimise(Sense::Minimise).map_err(SolverError::Refused)?;
+    let mut model =
+        problem.try_optimise(Sense::Minimise).map_err(|status| SolverError::Refused(format!("{status:?}")))?;
     model.make_quiet();
     // The relaxation is nearly whole-numbered, so a search for a first solution costs more than the program itself; neither it nor the
     // solver's own threads (the cells are already solved side by side) change the optimum.
@@ -69,7 +70,7 @@ pub(crate) fn optimum_s(
             Ok(Some(solution.columns().iter().zip(&slots).map(|(x, cost)| x.round() * cost).sum()))
         }
         HighsModelStatus::Infeasible | HighsModelStatus::UnboundedOrInfeasible => Ok(None),
-        status => Err(SolverError::Solver { status, slots: slots.len() / rooms, rooms }),
+        status => Err(SolverError::Solver { status: format!("{status:?}"), slots: slots.len() / rooms, rooms }),
     }
 }
 
