@@ -621,7 +621,7 @@ impl Planner {
         self.robot.work.as_ref().is_none_or(|work| self.is_over(work, now_ns))
     }
 
-    /// How long there is nothing to decide unless something arrives, at most [`TICK`].
+    /// How long there is nothing to decide unless something arrives, at most one tick.
     #[must_use]
     pub fn idle(&self, now_ns: u64) -> Duration {
         const LEAST_NS: u64 = 1_000_000;
