@@ -26,6 +26,12 @@
 //! room = "{1}"
 //!
 //! [[rule]]
+//! topic = "homeassistant/person/ada/state"
+//! unless = ["home", "unknown"]                     # the values that it does not speak of: every other zone is away
+//! presence = "away"
+//! person = "ada"
+//!
+//! [[rule]]
 //! topic = "home/binary_sensor/front_door/state"
 //! when = "off"
 //! presence = "away"
@@ -34,7 +40,7 @@
 //!
 //! A message says one sentence and one presence for each value that rules read in it (the payload, or a `field`): the first rule that
 //! fits speaks, and each that fits and has `quiet_s` begins to wait; a message that no rule fits is counted. A value that a topic repeats
-//! says nothing new and is left out. A retained message tells how things are, not what has just
+//! says nothing new and is left out, but where `repeats = true` stands, as for buttons. A retained message tells how things are, not what has just
 //! happened: at the first connection it is remembered and not said, unless its rule has `retained = true`; after a reconnection it is
 //! said if it differs from what was heard before.
 //!
@@ -78,6 +84,8 @@ pub const PAYLOAD_BYTES_MAX: usize = 64 << 10;
 pub const TOPICS_MAX: usize = 65_536;
 /// Rules that a file may have.
 pub const RULES_MAX: usize = 4_096;
+/// What Home Assistant says of a device that it does not hear: no state of the device, unless a rule speaks of it.
+const NO_STATE: [&str; 2] = ["unknown", "unavailable"];
 /// Lines that wait for silence at the same time; further ones are not said.
 const WAITING_MAX: usize = 4_096;
 /// How long the connection is listened to before the wish to stop is looked at.
@@ -117,6 +125,11 @@ pub enum MqttError {
         /// What was given.
         given: String,
     },
+    /// The broker's address has a login in it.
+    #[error(
+        "the broker's address has a user name or a password in it: write them into a file, a line each, and give that (--mqtt-credentials FILE, mqtt.credentials)"
+    )]
+    Login,
     /// Scheme and CA file do not fit together.
     #[error("{given:?} with{} a CA file: give mqtts://HOST[:PORT] with --mqtt-ca FILE, or mqtt://HOST[:PORT] without", if *.authority { "" } else { "out" })]
     Scheme {
@@ -170,7 +183,7 @@ pub struct Rules(Vec<Rule>);
 #[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RulesFile {
-    #[serde(rename = "rule")]
+    #[serde(rename = "rule", default)]
     rules: Vec<RuleKeys>,
 }
 
@@ -182,7 +195,11 @@ struct RuleKeys {
     field: Option<String>,
     when: Option<String>,
     #[serde(default)]
+    unless: Vec<String>,
+    #[serde(default)]
     retained: bool,
+    #[serde(default)]
+    repeats: bool,
     say: Option<String>,
     presence: Option<Presence>,
     room: Option<String>,
@@ -212,7 +229,10 @@ struct Rule {
     topic: String,
     field: Option<String>,
     when: Option<String>,
+    unless: Vec<String>,
     retained: bool,
+    /// Whether each message is an event of its own, as of a button.
+    repeats: bool,
     /// Whether it says who is where, and no sentence.
     presence: bool,
     /// JSON pointers in its braces.
@@ -276,7 +296,7 @@ impl Rules {
     pub fn parse(text: &str) -> Result<Self, String> {
         let file: RulesFile = toml::from_str(text).map_err(|error| error.to_string())?;
         if file.rules.is_empty() || file.rules.len() > RULES_MAX {
-            return Err(format!("{} rules; give 1 to {RULES_MAX}", file.rules.len()));
+            return Err(format!("{} rules; give 1 to {RULES_MAX}, each begins with [[rule]]", file.rules.len()));
         }
         let rules = (1..).zip(file.rules).map(|(number, keys)| {
             let rule = Rule::new(keys);
@@ -304,7 +324,8 @@ impl Rules {
         let keys = self.0.iter().map(|rule| {
             let says = rule.saying.line(|name| format!("{{{name}}}"));
             let (field, when) = (rule.field.as_deref().unwrap_or_default(), rule.when.as_deref().unwrap_or_default());
-            let text = format!("{}\n{field}\n{when}\n{says}", rule.topic);
+            let mut text = format!("{}\n{field}\n{when}\n{says}", rule.topic);
+            rule.unless.iter().for_each(|value| text.push_str(&format!("\n{value}")));
             hex::encode(&fingerprint(text.as_bytes())[..8])
         });
         keys.collect()
@@ -320,6 +341,12 @@ impl Rules {
     #[must_use]
     pub fn fits(&self, number: usize, topic: &str) -> bool {
         number.checked_sub(1).and_then(|at| self.0.get(at)).is_some_and(|rule| matches(&rule.topic, topic).is_some())
+    }
+
+    /// Whether a rule, by its number, leaves a value out by its `unless`.
+    fn is_excepted(&self, number: usize, value: &str) -> bool {
+        let rule = number.checked_sub(1).and_then(|at| self.0.get(at));
+        rule.is_some_and(|rule| rule.unless.iter().any(|other| other.eq_ignore_ascii_case(value)))
     }
 
     /// Filters to subscribe to, each once.
@@ -339,7 +366,10 @@ impl Rules {
 
 impl Rule {
     fn new(keys: RuleKeys) -> Result<Self, String> {
-        let RuleKeys { topic, field, when, retained, say, presence, room, person, quiet_s } = keys;
+        let RuleKeys { topic, field, when, unless, retained, repeats, say, presence, room, person, quiet_s } = keys;
+        if when.is_some() && !unless.is_empty() {
+            return Err("when and unless exclude each other: a rule speaks of one value, or of all but some".to_owned());
+        }
         let levels: Vec<_> = topic.split('/').collect();
         let wild = |level: &&str| level.contains(['+', '#']) && level.len() > 1;
         if topic.is_empty() || levels.iter().any(wild) || levels.iter().rev().skip(1).any(|level| *level == "#") {
@@ -356,7 +386,7 @@ impl Rule {
         let places = (1..=places).map(|n| n.to_string());
         let names: Vec<_> = std::iter::once("value".to_owned()).chain(places).chain(pointers.iter().cloned()).collect();
         let saying = Saying::new(Keys { say, presence, room, person, quiet_s }, &names)?;
-        Ok(Self { topic, field, when, retained, presence: presence.is_some(), pointers, saying })
+        Ok(Self { topic, field, when, unless, retained, repeats, presence: presence.is_some(), pointers, saying })
     }
 
     fn say(&self, number: usize, topic: &str, payload: &[u8]) -> Option<Said<'_>> {
@@ -367,7 +397,8 @@ impl Rule {
             Some(field) => text_at(&json()?, field)?,
         };
         let said = |line| Some(Said { number, rule: self, line, value: value.clone() });
-        if self.when.as_ref().is_some_and(|when| !when.eq_ignore_ascii_case(&value)) {
+        let is = |other: &String| other.eq_ignore_ascii_case(&value);
+        if self.when.as_ref().is_some_and(|when| !is(when)) || self.unless.iter().any(is) {
             return said(None);
         }
         // What a pointer in braces does not find leaves nothing to say.
@@ -503,6 +534,8 @@ impl Listener {
         if readings.iter().all(|said| said.line.is_none()) {
             self.heard.unfit += 1;
         }
+        let spoken_of: HashSet<Option<&str>> =
+            readings.iter().filter(|said| said.line.is_some()).map(|said| said.rule.field.as_deref()).collect();
         let mut known: HashMap<Option<&str>, Option<Fingerprint>> = HashMap::new();
         let mut spoken: HashSet<(Option<&str>, bool)> = HashSet::new();
         let mut outcomes = Vec::with_capacity(readings.len());
@@ -513,7 +546,8 @@ impl Listener {
             let known = *known.entry(field).or_insert_with(|| {
                 let place = fingerprint(format!("{topic}\n{}", field.unwrap_or_default()).as_bytes());
                 let known = self.last.get(&place).copied();
-                if known.is_some() || self.last.len() < TOPICS_MAX {
+                let is_state = spoken_of.contains(&field) || !NO_STATE.iter().any(|no| no.eq_ignore_ascii_case(&value));
+                if is_state && (known.is_some() || self.last.len() < TOPICS_MAX) {
                     self.last.insert(place, own);
                 }
                 known
@@ -524,7 +558,7 @@ impl Listener {
                 None => What::OtherValue,
                 // The first that speaks of a value at once.
                 Some(_) if quiet.is_none() && !spoken.insert((field, rule.presence)) => What::Later,
-                Some(_) if known == Some(own) => What::Repeated,
+                Some(_) if known == Some(own) && (retained || !rule.repeats) => What::Repeated,
                 Some(_) if retained && !rule.retained && unknown => What::State,
                 Some(line) => match quiet {
                     None => What::Said(line),
@@ -683,11 +717,17 @@ impl Broker {
             "mqtts" => true,
             _ => return Err(wrong()),
         };
-        let (host, port) = match rest.rsplit_once(':') {
-            Some((host, port)) => (host, port.parse().map_err(|_| wrong())?),
+        let rest = rest.strip_suffix('/').unwrap_or(rest);
+        if rest.contains('@') {
+            return Err(MqttError::Login);
+        }
+        // An address of IPv6 stands in brackets, and has colons of its own.
+        let end = rest.rfind(']').map_or(0, |at| at + 1);
+        let (host, port) = match rest[end..].rsplit_once(':') {
+            Some((name, port)) => (&rest[..end + name.len()], port.parse().map_err(|_| wrong())?),
             None => (rest, if secure { 8883 } else { 1883 }),
         };
-        if host.is_empty() || host.contains('/') {
+        if host.is_empty() || host.contains('/') || end == 0 && host.contains(':') {
             return Err(wrong());
         }
         let mut options = MqttOptions::new(&self.client, host, port);
@@ -699,7 +739,7 @@ impl Broker {
         if let Some(path) = &self.credentials {
             let text =
                 std::fs::read_to_string(path).map_err(|source| MqttError::Read { path: path.clone(), source })?;
-            let mut lines = text.lines();
+            let mut lines = text.trim_start_matches('\u{feff}').lines();
             options.set_credentials(lines.next().unwrap_or_default(), lines.next().unwrap_or_default());
         }
         match (&self.authority, secure) {
@@ -781,13 +821,16 @@ fn shown(bytes: &[u8]) -> String {
 }
 
 /// What becomes of a message, for people.
-fn report(topic: &[u8], payload: &[u8], retained: bool, outcomes: &[Outcome]) -> String {
+fn report(rules: &Rules, topic: &[u8], payload: &[u8], retained: bool, outcomes: &[Outcome]) -> String {
     let mut text = format!("{}  {}{}", shown(topic), shown(payload), if retained { "  (retained)" } else { "" });
     for Outcome { number, value, what } in outcomes {
         let said = match what {
             What::Said(line) => format!("says {line}"),
             What::Waits(line, quiet) => format!("says after {} s of silence {line}", quiet.as_secs_f64()),
             What::Later => "is silent: a rule before it speaks of this value".to_owned(),
+            What::OtherValue if rules.is_excepted(*number, value) => {
+                format!("is silent: {:?} is in its `unless`", shown(value.as_bytes()))
+            }
             What::OtherValue => format!("is silent: {:?} is not its `when`", shown(value.as_bytes())),
             What::Repeated => format!("is silent: {:?} is what the topic said before", shown(value.as_bytes())),
             What::State => "is silent: retained, so no event (`retained = true` says it)".to_owned(),
@@ -992,7 +1035,7 @@ impl<W: Write> Connection<W> {
         let (topic, payload, retained, now) = (&message.topic, &message.payload, message.retain, Instant::now());
         if self.rehearses {
             let outcomes = self.listener.outcomes(topic, payload, retained, now);
-            return write_line(&mut self.out, &report(topic, payload, retained, &outcomes));
+            return write_line(&mut self.out, &report(&self.listener.rules, topic, payload, retained, &outcomes));
         }
         let lines = self.listener.hear(topic, payload, retained, now);
         self.acknowledgements.written += lines.len() as u64;
@@ -1161,7 +1204,7 @@ mod tests {
         let mut listener = Listener::new(Rules::parse(SEVERAL).unwrap());
         let mut told = |topic: &str, payload: &str, retained| {
             let outcomes = listener.outcomes(topic.as_bytes(), payload.as_bytes(), retained, Instant::now());
-            report(topic.as_bytes(), payload.as_bytes(), retained, &outcomes)
+            report(&listener.rules, topic.as_bytes(), payload.as_bytes(), retained, &outcomes)
         };
         let on = r#"{"occupancy": true, "state": "ON"}"#;
         let text = told("z/hall", on, true);
@@ -1177,6 +1220,133 @@ mod tests {
         );
         let text = told("else\u{1b}[2J", "\u{7}", false);
         assert!(text.ends_with("no rule can read it") && !text.contains(['\u{1b}', '\u{7}']), "{text:?}");
+    }
+
+    /// What programs and devices of smart homes send, in their own shapes.
+    #[test]
+    fn devices_of_many_makers_are_understood() {
+        let rules = r#"
+            [[rule]]
+            topic = "zigbee2mqtt/hall_motion"
+            field = "/occupancy"
+            when = "true"
+            presence = "present"
+            room = "hall"
+            [[rule]]
+            topic = "zigbee2mqtt/fridge"
+            field = "/contact"
+            when = "false"
+            say = "They open the fridge."
+            [[rule]]
+            topic = "zigbee2mqtt/button"
+            field = "/action"
+            when = "single"
+            repeats = true
+            say = "They press the button."
+            [[rule]]
+            topic = "stat/+/POWER"
+            when = "ON"
+            say = "They turn on the {1}."
+            [[rule]]
+            topic = "tele/door/SENSOR"
+            field = "/Switch1"
+            when = "ON"
+            say = "They open the front door."
+            [[rule]]
+            topic = "esp-bath/binary_sensor/motion/state"
+            when = "ON"
+            presence = "present"
+            room = "bathroom"
+            [[rule]]
+            topic = "frigate/+/person"
+            unless = ["0"]
+            presence = "present"
+            room = "{1}"
+            [[rule]]
+            topic = "shellies/+/input_event/0"
+            field = "/event"
+            when = "S"
+            say = "They press the {1}."
+            [[rule]]
+            topic = "owntracks/+/phone/event"
+            field = "/event"
+            when = "leave"
+            presence = "away"
+            person = "{1}"
+            [[rule]]
+            topic = "homeassistant/person/ada/state"
+            when = "home"
+            presence = "present"
+            person = "Ada"
+            [[rule]]
+            topic = "homeassistant/person/ada/state"
+            unless = ["home", "unknown", "unavailable"]
+            presence = "away"
+            person = "Ada""#;
+        let mut listener = Listener::new(Rules::parse(rules).unwrap());
+        for (topic, payload, expected) in [
+            (
+                "zigbee2mqtt/hall_motion",
+                r#"{"battery":97,"illuminance":12,"occupancy":true,"linkquality":120}"#,
+                r#"{"presence":"present","room":"hall"}"#,
+            ),
+            ("zigbee2mqtt/hall_motion", r#"{"battery":96,"occupancy":true}"#, ""),
+            ("zigbee2mqtt/hall_motion", r#"{"battery":96}"#, ""),
+            (
+                "zigbee2mqtt/fridge",
+                r#"{"battery":100,"contact":false,"voltage":3005}"#,
+                r#"{"text":"They open the fridge."}"#,
+            ),
+            ("zigbee2mqtt/button", r#"{"action":"single"}"#, r#"{"text":"They press the button."}"#),
+            ("zigbee2mqtt/button", r#"{"battery":88}"#, ""),
+            ("zigbee2mqtt/button", r#"{"action":"single"}"#, r#"{"text":"They press the button."}"#),
+            ("stat/coffee_maker/POWER", "ON", r#"{"text":"They turn on the coffee maker."}"#),
+            (
+                "tele/door/SENSOR",
+                r#"{"Time":"2025-11-24T07:30:00","Switch1":"ON"}"#,
+                r#"{"text":"They open the front door."}"#,
+            ),
+            ("esp-bath/binary_sensor/motion/state", "ON", r#"{"presence":"present","room":"bathroom"}"#),
+            ("frigate/kitchen/person", "0", ""),
+            ("frigate/kitchen/person", "2", r#"{"presence":"present","room":"kitchen"}"#),
+            (
+                "shellies/door_bell/input_event/0",
+                r#"{"event":"S","event_cnt":7}"#,
+                r#"{"text":"They press the door bell."}"#,
+            ),
+            (
+                "owntracks/ada/phone/event",
+                r#"{"_type":"transition","event":"leave","desc":"Home"}"#,
+                r#"{"person":"ada","presence":"away"}"#,
+            ),
+            ("homeassistant/person/ada/state", "home", r#"{"person":"Ada","presence":"present"}"#),
+            // Another zone than home is out of the house, and what Home Assistant does not know is nothing.
+            ("homeassistant/person/ada/state", "unavailable", ""),
+            ("homeassistant/person/ada/state", "home", ""),
+            ("homeassistant/person/ada/state", "Work", r#"{"person":"Ada","presence":"away"}"#),
+            ("homeassistant/person/ada/state", "unknown", ""),
+            ("homeassistant/person/ada/state", "not_home", r#"{"person":"Ada","presence":"away"}"#),
+        ] {
+            let said = hear(&mut listener, topic, payload, false).unwrap_or_default();
+            assert_eq!(said, expected, "{topic} {payload}");
+        }
+    }
+
+    #[test]
+    fn a_device_that_was_not_heard_for_a_while_has_done_nothing() {
+        let rules = "[[rule]]\ntopic = \"door\"\nwhen = \"off\"\nsay = \"They close the door.\"\n\
+            [[rule]]\ntopic = \"watched\"\nwhen = \"unavailable\"\nsay = \"the lamp is gone\"";
+        let mut listener = Listener::new(Rules::parse(rules).unwrap());
+        let said = ["off", "unavailable", "off", "unknown", "off", "on", "off"]
+            .map(|value| hear(&mut listener, "door", value, false).is_some());
+        assert_eq!(said, [true, false, false, false, false, false, true]);
+        let said = ["unavailable", "unavailable", "on", "unavailable"]
+            .map(|value| hear(&mut listener, "watched", value, false).is_some());
+        assert_eq!(said, [true, false, false, true], "a rule that speaks of it");
+        let mut rehearsed =
+            Listener::new(Rules::parse("[[rule]]\ntopic = \"a\"\nunless = [\"0\"]\npresence = \"present\"").unwrap());
+        let outcomes = rehearsed.outcomes(b"a", b"0", false, Instant::now());
+        assert!(report(&rehearsed.rules, b"a", b"0", false, &outcomes).ends_with("\"0\" is in its `unless`"));
     }
 
     #[test]
@@ -1251,6 +1421,10 @@ mod tests {
             ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nperson = -1", "expected a person's number"),
             ("[[rule]]\ntopic = \"a\"", "rule 1: give say or presence"),
             ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nfield = \"state\"", "JSON pointer"),
+            (
+                "[[rule]]\ntopic = \"a\"\nsay = \"x\"\nwhen = \"on\"\nunless = [\"off\"]",
+                "rule 1: when and unless exclude",
+            ),
             ("[[rule]]\ntopic = \"a\"\nsays = \"x\"", "unknown field"),
         ] {
             let error = Rules::parse(text).unwrap_err();
@@ -1291,9 +1465,23 @@ mod tests {
         let broker = |address: &str| Broker { address: address.into(), client: "test".into(), ..Broker::default() };
         assert_eq!(broker("mqtt://hub").options().unwrap().broker_address(), ("hub".into(), 1883));
         assert_eq!(broker("mqtt://hub:99").options().unwrap().broker_address(), ("hub".into(), 99));
-        for wrong in ["hub", "http://hub", "mqtt://", "mqtt://hub:port", "mqtt://hub:99999"] {
+        assert_eq!(broker("mqtt://hub:99/").options().unwrap().broker_address(), ("hub".into(), 99));
+        assert_eq!(broker("mqtt://[::1]").options().unwrap().broker_address(), ("[::1]".into(), 1883));
+        assert_eq!(broker("mqtt://[::1]:99").options().unwrap().broker_address(), ("[::1]".into(), 99));
+        for wrong in [
+            "hub",
+            "http://hub",
+            "mqtt://",
+            "mqtt://hub:port",
+            "mqtt://hub:99999",
+            "mqtt://::1",
+            "mqtt://hub/a",
+            "mqtt://a:1:2",
+        ] {
             assert!(matches!(broker(wrong).options(), Err(MqttError::Address { .. })), "{wrong}");
         }
+        let login = broker("mqtt://home:secret@hub").options().unwrap_err().to_string();
+        assert!(login.contains("--mqtt-credentials FILE") && !login.contains("secret"), "{login}");
         let folder = tempfile::tempdir().unwrap();
         let with = |address: &str, authority| Broker { authority, ..broker(address) }.options().unwrap_err();
         let text = Some(pem(folder.path(), "text", "no certificate"));

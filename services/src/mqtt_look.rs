@@ -68,7 +68,7 @@ impl LookError {
         match self {
             Self::Setup(_) => "correct mqtt.broker, mqtt.credentials and mqtt.ca in the configuration",
             Self::Unreachable { .. } => {
-                "start the broker (systemctl start mosquitto), or correct host and port in mqtt.broker"
+                "start the broker (systemctl start mosquitto), or correct its address (mqtt.broker)"
             }
             Self::Login { .. } => {
                 "write the broker's user name and password, a line each, into the file that mqtt.credentials names"
