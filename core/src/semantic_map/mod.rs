@@ -272,19 +272,21 @@ impl SemanticMap {
         })
     }
 
-    /// The first room whose id or words the name means; looked up as [`SemanticMap::find_label`] does, and last as a name in another
-    /// language ("kuche", an area's id in a home, is a kitchen).
+    /// The first room whose id or words the name means; looked up as [`SemanticMap::find_label`] does, an alias also as one of a single room by
+    /// its id. Last as a name in another language ("kuche", an area's id in a home, is a kitchen), where there is one room of that kind.
     #[must_use]
     pub fn find_room(&self, name: &str) -> Option<RoomId> {
         let by_id = self.rooms.iter().position(|room| room.id == name);
         if let Some(index) = by_id {
             return u32::try_from(index).ok().map(RoomId);
         }
-        let known = |words: &str| {
-            let found = self.rooms.iter().position(|room| room.label == words)?;
-            u32::try_from(found).ok().map(RoomId)
+        let place = |found: usize| u32::try_from(found).ok().map(RoomId);
+        let known = |words: &str| place(self.rooms.iter().position(|room| room.label == words || room.id == words)?);
+        let only = |kind: &str| {
+            let mut of_kind = (0..).zip(&self.rooms).filter(|(_, room)| room.label == kind).map(|(index, _)| index);
+            of_kind.next().filter(|_| of_kind.next().is_none()).and_then(place)
         };
-        self.find(name, known).or_else(|| known(Names::built_in().room(name)?))
+        self.find(name, known).or_else(|| only(Names::built_in().room(name)?))
     }
 
     fn find<T>(&self, name: &str, known: impl Fn(&str) -> Option<T>) -> Option<T> {

@@ -376,7 +376,7 @@ fn check_prose(text: &str, longest_bytes: usize) -> Result<(), String> {
     }
 }
 
-fn check_label(label: &str) -> Result<(), String> {
+pub(super) fn check_label(label: &str) -> Result<(), String> {
     check_text(label, MAX_TEXT_BYTES)?;
     if label.split(' ').any(|word| word.is_empty() || word.contains(char::is_whitespace)) {
         return Err(format!("{label:?} has spaces at an end or side by side"));

@@ -33,16 +33,12 @@ const MOST_STEPS: f64 = 60.0;
 const AT_WALL_M: f64 = 0.15;
 const DOOR_M: f64 = 0.7;
 
-/// The usual furniture of a room by its label.
+/// The usual furniture of a room by its label: "guest bedroom", "bedroom 2" and "küche" are of their kinds.
 fn usual(label: &str) -> &'static [Piece] {
     let known = |kind: &str| USUAL.get(kind).map(Vec::as_slice);
-    let names = Names::built_in();
-    // "guest bedroom" is a bedroom, "master bedroom" by the table of aliases too.
-    let ends = || USUAL.iter().find(|(kind, _)| label.ends_with(&format!(" {kind}"))).map(|(_, pieces)| &pieces[..]);
-    let other_name = || {
-        USUAL.iter().find(|(kind, _)| names.aliases(kind).any(|alias| alias == label)).map(|(_, pieces)| &pieces[..])
-    };
-    let found = known(label).or_else(|| names.room(label).and_then(known)).or_else(other_name).or_else(ends);
+    // Whose room it is, there they sleep.
+    let of_somebody = || label.ends_with("'s room").then_some("bedroom").and_then(known);
+    let found = known(label).or_else(|| Names::built_in().kind_of_room(label).and_then(known)).or_else(of_somebody);
     found.or_else(|| known(ANY)).unwrap_or_default()
 }
 
@@ -200,6 +196,8 @@ mod tests {
         assert_eq!(first("küche"), "fridge");
         assert_eq!(first("restroom"), "toilet");
         assert_eq!(first("corridor"), "coat rack");
+        assert_eq!((first("bedroom 2"), first("lena's room"), first("kid's room")), ("bed", "bed", "bed"));
+        assert_eq!((first("living room upstairs"), first("back yard")), ("sofa", "garden chair"));
         assert_eq!(first("room 7"), "table");
         for (kind, pieces) in &*USUAL {
             assert!(!pieces.is_empty() && pieces[0].4 == 0.0, "{kind}");

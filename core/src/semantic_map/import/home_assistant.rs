@@ -8,8 +8,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::valetudo::room_label;
-use super::{Ids, ImportError, Imported, parse};
+use super::{Ids, ImportError, Imported, parse, room_aliases, room_label};
 use crate::names::{Names, plain_words};
 use crate::narration::{Presence, PresenceStatement};
 use crate::semantic_map::schema::{DoorEntry, FORMAT, ItemEntry, RoomEntry, SceneFile, VERSION};
@@ -26,71 +25,6 @@ const THING_M: f64 = 0.3;
 const APART_M: f64 = 0.5;
 /// The part of topics before domain and object, as `mqtt_statestream` is set up in Home Assistant's own example.
 const BASE_TOPIC: &str = "homeassistant";
-/// Words that say what is measured, and not of what. Without accents.
-const MEASURED: [&str; 56] = [
-    "sensor",
-    "binary",
-    "door",
-    "contact",
-    "opening",
-    "window",
-    "motion",
-    "occupancy",
-    "presence",
-    "state",
-    "status",
-    "power",
-    "energy",
-    "current",
-    "voltage",
-    "switch",
-    "plug",
-    "socket",
-    "outlet",
-    "smart",
-    "temperature",
-    "humidity",
-    "battery",
-    "level",
-    "consumption",
-    "detector",
-    "detection",
-    "movement",
-    "pir",
-    "vibration",
-    "running",
-    "active",
-    "on",
-    "off",
-    "light",
-    "lamp",
-    "tur",
-    "tuer",
-    "fenster",
-    "kontakt",
-    "turkontakt",
-    "bewegung",
-    "bewegungsmelder",
-    "melder",
-    "prasenz",
-    "steckdose",
-    "schalter",
-    "leistung",
-    "licht",
-    "lampe",
-    "the",
-    "zigbee",
-    "zwave",
-    "wifi",
-    "shelly",
-    "tasmota",
-];
-/// Ends of German words that say what is measured.
-const MEASURED_ENDS: [&str; 7] = ["tur", "tuer", "kontakt", "sensor", "schalter", "steckdose", "klappe"];
-/// Which door or window.
-const WHICH: [&str; 12] =
-    ["front", "back", "main", "entrance", "entry", "balcony", "patio", "garden", "terrace", "rear", "side", "cellar"];
-
 /// The texts of the registries.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Registries<'a> {
@@ -113,6 +47,8 @@ pub struct Home {
     pub imported: Imported,
     /// The text of a rules file; none where nothing in the home says anything.
     pub rules: Option<String>,
+    /// The names of its persons.
+    pub persons: Vec<String>,
 }
 
 #[derive(Deserialize)]
@@ -133,8 +69,15 @@ struct Area {
     name: String,
     #[serde(default)]
     floor_id: Option<String>,
+    /// Texts, where there are any.
     #[serde(default)]
-    aliases: Vec<String>,
+    aliases: Value,
+}
+
+impl Area {
+    fn aliases(&self) -> impl Iterator<Item = &str> {
+        self.aliases.as_array().into_iter().flatten().filter_map(Value::as_str)
+    }
 }
 
 #[derive(Default, Deserialize)]
@@ -230,15 +173,10 @@ impl Entity {
     fn thing(&self, domain: &str, object: &str, device: Option<&Device>, area: &Area) -> Option<String> {
         let device = device.and_then(|device| device.name_by_user.as_deref().or(device.name.as_deref()));
         let texts = [self.name.as_deref(), Some(object), device, self.original_name.as_deref()];
-        let area_words: HashSet<String> = [&area.name, &area.id]
-            .into_iter()
-            .flat_map(|text| Names::bare(text).split(' ').map(str::to_owned).collect::<Vec<_>>())
-            .chain(
-                room_label(&area.name)
-                    .into_iter()
-                    .flat_map(|label| label.split(' ').map(str::to_owned).collect::<Vec<_>>()),
-            )
-            .collect();
+        let label = room_label(&area.name).unwrap_or_default();
+        let of_area = [area.name.as_str(), &area.id, &label].into_iter().chain(area.aliases());
+        let area_words: HashSet<String> =
+            of_area.flat_map(|text| Names::bare(text).split(' ').map(str::to_owned).collect::<Vec<_>>()).collect();
         let door = ["door", "opening", "garage_door"].contains(&self.class());
         let kind = match domain {
             "light" => Some("lamp"),
@@ -275,11 +213,18 @@ impl Entity {
             ("cover", _) => pair("open", "open", "closed", "close"),
             ("lock", _) => pair("unlocked", "unlock", "locked", "lock"),
             ("media_player", class) => match thing {
-                Some(thing) => {
-                    let verb = if class == "speaker" || thing.contains("speaker") { "listen to" } else { "watch" };
-                    let off = ("off", format!("They turn off the {thing}."));
-                    Says::Sentences(vec![("playing", format!("They {verb} the {thing}.")), off])
+                Some(thing) if class == "speaker" || ["speaker", "radio"].iter().any(|word| thing.contains(word)) => {
+                    Says::Sentences(vec![
+                        ("playing", format!("They listen to the {thing}.")),
+                        ("off", format!("They turn off the {thing}.")),
+                    ])
                 }
+                // Many televisions tell that they are on, and no more.
+                Some(thing) => Says::Sentences(vec![
+                    ("playing", format!("They watch the {thing}.")),
+                    ("on", format!("They turn on the {thing}.")),
+                    ("off", format!("They turn off the {thing}.")),
+                ]),
                 None => Says::Nothing,
             },
             _ => Says::Nothing,
@@ -289,35 +234,60 @@ impl Entity {
 
 /// The thing in a text such as "Fridge door sensor": the words that say neither what is measured nor in which room.
 fn thing_in(text: &str, area_words: &HashSet<String>, kind: Option<&str>) -> Option<String> {
-    let text: String = text.chars().map(|c| if c.is_alphanumeric() || c == '\'' { c } else { ' ' }).collect();
-    let bare = Names::bare(&text);
+    let names = Names::built_in();
+    let words = names.entities();
+    let bare = Names::bare(text);
     let number = |word: &str| word.chars().any(|c| c.is_ascii_digit());
+    let all: Vec<&str> = bare.split(' ').filter(|word| !word.is_empty() && !number(word)).collect();
+    // The longest run of words that is a thing ("apple tv"); single words have to be more than a word of the room.
+    let runs = (2..=all.len().min(4)).rev().flat_map(|count| all.windows(count));
+    if let Some(known) = runs.map(|run| run.join(" ")).find_map(|run| of_kind(names.thing(&run)?, kind)) {
+        return Some(known);
+    }
     let mut left = Vec::new();
-    for word in bare.split(' ').filter(|word| !word.is_empty() && !number(word)) {
-        if MEASURED.contains(&word) || area_words.contains(word) {
+    for word in all {
+        if area_words.contains(word) || words.is_measured(word) && names.thing(word).is_none() {
             continue;
         }
-        let stem = MEASURED_ENDS.iter().find_map(|end| word.strip_suffix(end)).filter(|stem| stem.len() > 2);
-        left.push(stem.unwrap_or(word));
+        let stem = words.stem(word).filter(|_| names.thing(word).is_none());
+        match stem {
+            // The kitchen's window is a window.
+            Some(stem) if area_words.contains(stem) || is_room_stem(stem) => {}
+            _ => left.push(stem.unwrap_or(word)),
+        }
     }
     if left.is_empty() {
         return None;
     }
-    let phrase = left.join(" ");
-    let names = Names::built_in();
-    if let Some(known) = names.thing(&phrase).or_else(|| left.iter().find_map(|word| names.thing(word))) {
-        return Some(known.to_owned());
+    if let Some(known) = left.iter().find_map(|word| of_kind(names.thing(word)?, kind)) {
+        return Some(known);
     }
-    let words = names.words(&phrase);
+    let phrase = names.words(&left.join(" "));
     match kind {
-        Some(kind @ ("door" | "window")) if left.iter().all(|word| WHICH.contains(word)) => {
-            Some(format!("{words} {kind}"))
+        Some(kind @ ("door" | "window")) if left.iter().all(|word| words.is_which(word)) => {
+            Some(format!("{phrase} {kind}"))
         }
         // "ceiling" is a ceiling lamp.
-        Some("lamp") if !words.ends_with("lamp") => Some(format!("{words} lamp")),
+        Some("lamp") if !phrase.ends_with("lamp") => Some(format!("{phrase} lamp")),
         _ if left.len() > 4 => None,
-        _ => Some(words),
+        _ => Some(phrase),
     }
+}
+
+/// A thing that a name means, as an entity of this kind: the lamp at a bed is a bed lamp, and only a door is a front door.
+fn of_kind(thing: &str, kind: Option<&str>) -> Option<String> {
+    match kind {
+        Some("lamp") if thing.ends_with("door") => None,
+        Some("lamp") if !thing.ends_with("lamp") => Some(format!("{thing} lamp")),
+        kind if thing.ends_with("door") && kind != Some("door") => None,
+        _ => Some(thing.to_owned()),
+    }
+}
+
+/// Whether what is left of a compound is a room: "küchen" of "Küchenfenster", "schlafzimmer" of "Schlafzimmertür".
+fn is_room_stem(stem: &str) -> bool {
+    let names = Names::built_in();
+    names.room(stem).is_some() || stem.strip_suffix(['n', 's']).is_some_and(|stem| names.room(stem).is_some())
 }
 
 /// A text for a comment: on one line.
@@ -356,6 +326,15 @@ impl Rules {
             self.text.push_str(&format!("{key} = {}\n", quoted(value)));
         }
     }
+
+    /// A person is at home, or in another zone, which is a state of its own, or in none.
+    fn person(&mut self, object: &str, name: &str) {
+        self.about(&format!("{name} comes and goes. A zone other than home is away, too."));
+        self.rule("person", object, &[("when", "home"), ("presence", "present"), ("person", name)]);
+        self.text.push_str("retained = true\n");
+        self.rule("person", object, &[("presence", "away"), ("person", name)]);
+        self.text.push_str("unless = [\"home\", \"unknown\", \"unavailable\"]\nretained = true\n");
+    }
 }
 
 /// Whether it is an object's id, as Home Assistant makes them.
@@ -392,11 +371,15 @@ fn rooms(
         .map(|(at, floor)| (floor.level.unwrap_or(at as i64), &*floor.floor_id))
         .collect();
     order.sort_unstable();
+    // An area without a floor is on the ground, which is rather above a cellar than in it.
+    let height = |place: &usize| (order[*place].0.unsigned_abs(), order[*place].0 < 0);
+    let ground = (0..order.len()).min_by_key(height).unwrap_or(0);
     let storey = |area: &Area| {
         let own = area.floor_id.as_deref();
-        order.iter().position(|(_, floor)| Some(*floor) == own).unwrap_or(0)
+        order.iter().position(|(_, floor)| Some(*floor) == own).unwrap_or(ground)
     };
-    let (mut rooms, mut doors, mut aliases) = (Vec::new(), Vec::new(), BTreeMap::<String, Vec<String>>::new());
+    let (mut rooms, mut doors) = (Vec::new(), Vec::new());
+    let mut named = Vec::new();
     let mut below: Option<(String, [f64; 3])> = None;
     for level in 0..order.len().max(1) {
         let own: Vec<&Area> = areas.iter().filter(|area| storey(area) == level).collect();
@@ -406,14 +389,7 @@ fn rooms(
             let min_m = [column as f64 * ROOM_M[0], row as f64 * ROOM_M[1], level as f64 * STOREY_M];
             let max_m = std::array::from_fn(|axis| min_m[axis] + ROOM_M[axis]);
             let label = room_label(&area.name).unwrap_or_else(|| format!("room {}", rooms.len() + 1));
-            let plain = plain_words(&area.name);
-            for other in std::iter::once(plain).chain(area.aliases.iter().map(|alias| plain_words(alias))) {
-                let sound = other != label && other.len() <= MAX_TEXT_BYTES && !other.is_empty();
-                let known = aliases.entry(label.clone()).or_default();
-                if sound && !known.contains(&other) && other.to_lowercase() == other && !other.contains(is_hidden) {
-                    known.push(other);
-                }
-            }
+            named.extend(std::iter::once(&*area.name).chain(area.aliases()).map(|name| (rooms.len(), name.to_owned())));
             rooms.push(RoomEntry::boxed(area.id.clone(), label, Box3 { min_m, max_m }));
             let mut join = |other: &str, position_m: [f64; 3]| {
                 let id = format!("assumed-door-{}", doors.len() + 1);
@@ -432,7 +408,7 @@ fn rooms(
             }
         }
     }
-    aliases.retain(|_, others| !others.is_empty());
+    let aliases = room_aliases(&rooms, named);
     notes.push(
         "The registries know no geometry: rooms are boxes of 4 x 4 m side by side, and nothing is measured.".to_owned(),
     );
@@ -543,9 +519,15 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
     }
     people.retain(|(object, name)| is_object(object) && is_person(name));
     for (object, name) in &people {
-        rules.about(&format!("{name} comes and goes."));
-        rules.rule("person", object, &[("when", "home"), ("presence", "present"), ("person", name)]);
-        rules.rule("person", object, &[("when", "not_home"), ("presence", "away"), ("person", name)]);
+        rules.person(object, name);
+    }
+    let foreign: Vec<String> =
+        (items.iter()).filter(|item| !item.label.is_ascii()).map(|item| format!("{:?}", item.label)).collect();
+    if !foreign.is_empty() {
+        notes.push(format!(
+            "No English is known for {}: write it into the map and into the rules, for the model reads English.",
+            foreign.join(", ")
+        ));
     }
     if homeless > 0 {
         notes.push(format!(
@@ -580,7 +562,8 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
          #\n#   mqtt_statestream:\n#     base_topic: {BASE_TOPIC}\n#\n# in its configuration.yaml. docs/mqtt.md describes every key.\n"
     );
     let rules = (rules.count > 0).then(|| format!("{head}{}", rules.text));
-    Ok(Home { imported: Imported { map: SemanticMap::check(file)?, notes, boxed: Vec::new() }, rules })
+    let persons = people.into_iter().map(|(_, name)| name).collect();
+    Ok(Home { imported: Imported { map: SemanticMap::check(file)?, notes, boxed: Vec::new() }, rules, persons })
 }
 
 #[cfg(test)]
@@ -683,10 +666,91 @@ mod tests {
         assert_eq!(of("homeassistant/binary_sensor/0x00158d/state").len(), 2, "by its device's name");
         assert_eq!(of("homeassistant/binary_sensor/hue_motion/state"), ["on|-|present|bedroom|-"]);
         assert_eq!(of("homeassistant/media_player/wohnzimmer_tv/state")[0], "playing|They watch the television.|-|-|-");
-        assert_eq!(of("homeassistant/person/ada_lovelace/state")[1], "not_home|-|away|-|Ada Lovelace");
+        assert_eq!(of("homeassistant/person/ada_lovelace/state")[1], "-|-|away|-|Ada Lovelace");
         assert_eq!(of("homeassistant/person/grace/state")[0], "home|-|present|-|Grace \"Amazing\" Hopper");
         assert_eq!(of("homeassistant/person/joan/state")[0], "home|-|present|-|Joan Clarke");
         assert!(!rules.contains("light.off") && !rules.contains("kuche_led") && !rules.contains("washer_power"));
+    }
+
+    /// What newer ones write: floors and labels, aliases that are no text, areas without a floor, a floor without a level, rooms of one kind.
+    #[test]
+    fn registries_of_newer_homes_are_read() {
+        let areas = r#"{"version": 1, "minor_version": 9, "key": "core.area_registry", "data": {"areas": [
+            {"aliases": ["Lenas Reich"], "floor_id": "og", "humidity_entity_id": null, "icon": "mdi:bed", "id": "kinderzimmer_lena", "labels": ["kids"],
+             "name": "Kinderzimmer Lena", "picture": null, "temperature_entity_id": null, "created_at": "2025-01-01T00:00:00+00:00", "modified_at": "2025-01-01T00:00:00+00:00"},
+            {"aliases": [null], "floor_id": "og", "id": "kinderzimmer_tom", "labels": [], "name": "Kinderzimmer Tom"},
+            {"aliases": null, "floor_id": null, "id": "wohn_esszimmer", "name": "🛋 Wohn-/Esszimmer"},
+            {"floor_id": "gone", "id": "bad", "name": "Bad "},
+            {"floor_id": "keller", "id": "hobbyraum", "name": "Hobbyraum"}]}}"#;
+        let floors = r#"{"version": 1, "minor_version": 2, "data": {"floors": [
+            {"aliases": [], "floor_id": "og", "icon": null, "level": 1, "name": "Obergeschoss"},
+            {"aliases": [], "floor_id": "eg", "icon": null, "level": null, "name": "Erdgeschoss"},
+            {"aliases": [], "floor_id": "keller", "icon": null, "level": -1, "name": "Keller"}]}}"#;
+        let devices = r#"{"version": 1, "minor_version": 11, "data": {"devices": [
+            {"id": "d1", "area_id": "kinderzimmer_tom", "name": "Bewegungsmelder Tom", "name_by_user": null, "labels": [], "primary_config_entry": "x",
+             "config_entries_subentries": {"x": [null]}, "disabled_by": null, "entry_type": null, "model_id": "E2134"}], "deleted_devices": []}}"#;
+        let entities = r#"{"version": 1, "minor_version": 18, "data": {"entities": [
+            {"aliases": [], "area_id": null, "categories": {}, "device_id": "d1", "entity_id": "binary_sensor.bewegungsmelder_tom_belegung",
+             "has_entity_name": true, "labels": [], "name": null, "original_name": "Belegung", "original_device_class": "occupancy", "disabled_by": null,
+             "hidden_by": null, "entity_category": null, "unique_id": 12, "options": {"conversation": {"should_expose": true}}},
+            {"area_id": "bad", "device_id": null, "entity_id": "light.bad_spiegel", "name": "Spiegel", "hidden_by": null, "unique_id": "2"},
+            {"area_id": "bad", "device_id": null, "entity_id": "light.bad_alle", "name": "Alle", "hidden_by": "integration", "unique_id": "3"},
+            {"area_id": "wohn_esszimmer", "device_id": null, "entity_id": "media_player.lg_webos_tv", "unique_id": "4"},
+            {"area_id": "wohn_esszimmer", "device_id": null, "entity_id": "cover.rollo_links", "unique_id": "5"},
+            {"area_id": "hobbyraum", "device_id": null, "entity_id": "switch.kompressor_saege", "name": "Компрессор", "unique_id": "6"},
+            {"area_id": "bad", "device_id": null, "entity_id": "event.bad_taster", "unique_id": "7"}], "deleted_entities": [{"entity_id": "light.was"}]}}"#;
+        let persons = r#"{"version": 2, "data": {"items": [{"id": "a", "name": "Łukasz", "device_trackers": ["device_tracker.phone"], "picture": null, "user_id": null}]}}"#;
+        let registries = Registries {
+            areas,
+            floors: Some(floors),
+            devices: Some(devices),
+            entities: Some(entities),
+            persons: Some(persons),
+        };
+        let home = home_assistant(&registries, "home").unwrap();
+        let map = &home.imported.map;
+        let rooms: Vec<_> =
+            map.rooms.iter().map(|room| (&*room.id, &*room.label, room.space.bounds.min_m[2])).collect();
+        assert_eq!(
+            rooms,
+            [
+                ("hobbyraum", "living room", 0.0),
+                ("wohn_esszimmer", "living room", 3.0),
+                ("bad", "bathroom", 3.0),
+                ("kinderzimmer_lena", "children's bedroom", 6.0),
+                ("kinderzimmer_tom", "children's bedroom", 6.0),
+            ]
+        );
+        // Each of two rooms of one kind by its own names.
+        for (name, room) in [
+            ("Kinderzimmer Lena", Some("kinderzimmer_lena")),
+            ("lenas reich", Some("kinderzimmer_lena")),
+            ("Kinderzimmer Tom", Some("kinderzimmer_tom")),
+            ("Bad", Some("bad")),
+            ("Badezimmer", Some("bad")),
+            ("Kinderzimmer", None),
+        ] {
+            let found = map.find_room(name).map(|room| map.rooms[room.0 as usize].id.as_str());
+            assert_eq!(found, room, "{name}");
+        }
+        let things: Vec<_> = map.items.iter().map(|item| map.labels[item.label.0 as usize].as_str()).collect();
+        assert_eq!(things, ["spiegel lamp", "television", "blinds", "компрессор"]);
+        assert!(home.imported.notes.iter().any(|note| note.starts_with("No English is known for \"компрессор\"")));
+        let rules = home.rules.unwrap();
+        for part in [
+            "room = \"kinderzimmer_tom\"",
+            "They watch the television.",
+            "They turn on the television.",
+            "topic = \"homeassistant/person/lukasz/state\"",
+            "unless = [\"home\", \"unknown\", \"unavailable\"]",
+            "person = \"Łukasz\"",
+        ] {
+            assert!(rules.contains(part), "{part} in {rules}");
+        }
+        assert!(!rules.contains("bad_alle") && !rules.contains("taster"), "{rules}");
+        assert_eq!(home.persons, ["Łukasz"]);
+        let furnished = home.imported.furnished().unwrap();
+        assert!(furnished.map.find_label("bed").is_some() && furnished.map.find_label("toy").is_some());
     }
 
     #[test]
@@ -703,6 +767,23 @@ mod tests {
             ("Waschmaschine Leistung", None, Some("washing machine")),
             ("Wohnzimmer Licht Decke", Some("lamp"), Some("ceiling lamp")),
             ("Kitchen Rollo", Some("blinds"), Some("blinds")),
+            ("Küchenfenster links", Some("window"), None),
+            ("Schlafzimmertür", Some("door"), None),
+            ("Haustür", Some("door"), Some("front door")),
+            ("Haus Licht", Some("lamp"), Some("haus lamp")),
+            ("TV Hintergrundlicht", Some("lamp"), Some("television lamp")),
+            ("Porte frigo", Some("door"), Some("fridge")),
+            ("Fenêtre de la cuisine gauche", Some("window"), Some("cuisine")),
+            ("Lumière plafond", Some("lamp"), Some("ceiling lamp")),
+            ("Puerta de la nevera", Some("door"), Some("fridge")),
+            ("Enchufe lavadora", None, Some("washing machine")),
+            ("Koelkast deur", Some("door"), Some("fridge")),
+            ("Czujnik otwarcia lodówka", Some("door"), Some("fridge")),
+            ("Aqara MCCGQ11LM Door", Some("door"), None),
+            ("Hue color lamp 2", Some("lamp"), Some("color lamp")),
+            ("Nest Mini", Some("speaker"), Some("speaker")),
+            ("Living Room Apple TV", Some("television"), Some("television")),
+            ("Холодильник", Some("door"), Some("fridge")),
         ] {
             assert_eq!(thing_in(text, &area_words, kind).as_deref(), expected, "{text}");
         }

@@ -2,11 +2,12 @@
 //!
 //! Whatever is read passes the same checks as a scene file, so an import is a map or an error, never half a map.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
-use super::SemanticMap;
-use super::schema::{self, SceneError};
-use crate::names::Names;
+use super::schema::{self, MAX_ALIASES, RoomEntry, SceneError};
+use super::{MAX_TEXT_BYTES, SemanticMap};
+use crate::names::{Names, plain_words};
+use crate::text::is_hidden;
 
 mod furnish;
 mod home_assistant;
@@ -85,6 +86,46 @@ impl Ids {
             }
         }
     }
+}
+
+/// A name that somebody gave a room, as plain words; none where it cannot stand in a map.
+fn room_words(name: &str) -> Option<String> {
+    let shown: String = name.chars().filter(|c| c.is_whitespace() || !is_hidden(*c)).collect();
+    let plain = plain_words(&shown);
+    // A capital letter without a small one would be refused.
+    let fits = !plain.is_empty() && plain.len() <= MAX_TEXT_BYTES && plain.to_lowercase() == plain;
+    fits.then_some(plain)
+}
+
+/// The label of a room by the name that somebody gave it, in any language; none where the name says nothing.
+fn room_label(name: &str) -> Option<String> {
+    let plain = room_words(name)?;
+    Some(Names::built_in().room(&plain).map_or(plain, str::to_owned))
+}
+
+/// Names that rooms were given, each with its room's place, as aliases: of the room's label where no other room bears it, else of the room by
+/// its id. A name of several rooms is none.
+fn room_aliases(rooms: &[RoomEntry], named: Vec<(usize, String)>) -> BTreeMap<String, Vec<String>> {
+    let named: Vec<(usize, String)> =
+        named.into_iter().filter_map(|(place, name)| Some((place, room_words(&name)?))).collect();
+    let mut aliases = BTreeMap::<String, Vec<String>>::new();
+    let mut left = MAX_ALIASES;
+    for (place, name) in &named {
+        let room = &rooms[*place];
+        let is_shared = named.iter().any(|(other, same)| other != place && same == name);
+        let is_own = rooms.iter().all(|other| other.id == room.id || other.label != room.label);
+        let key = if is_own { &room.label } else { &room.id };
+        if left == 0 || is_shared || *name == room.label || schema::check_label(key).is_err() {
+            continue;
+        }
+        let own = aliases.entry(key.clone()).or_default();
+        if !own.contains(name) {
+            own.push(name.clone());
+            left -= 1;
+        }
+    }
+    aliases.retain(|_, others| !others.is_empty());
+    aliases
 }
 
 /// The words of a name, for a label.

@@ -11,14 +11,10 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::{Ids, ImportError, Imported, parse};
-use crate::names::{Names, plain_words};
+use super::{Ids, ImportError, Imported, parse, room_aliases, room_label, room_words};
 use crate::semantic_map::footprint::{Footprint, MAX_CORNERS};
-use crate::semantic_map::schema::{
-    DoorEntry, FORMAT, ItemEntry, MAX_ALIASES, ROOM_HEIGHT_M, Rings, RoomEntry, SceneFile, VERSION,
-};
-use crate::semantic_map::{Box3, MAX_ROOMS, MAX_TEXT_BYTES, SemanticMap};
-use crate::text::is_hidden;
+use crate::semantic_map::schema::{DoorEntry, FORMAT, ItemEntry, ROOM_HEIGHT_M, Rings, RoomEntry, SceneFile, VERSION};
+use crate::semantic_map::{Box3, MAX_ROOMS, SemanticMap};
 
 const EXPECTED: &str = "a map as Valetudo exports it: `pixelSize` and `layers`";
 /// Most pixels of a robot's map, and of the rectangle around it.
@@ -77,8 +73,9 @@ struct About {
 #[derive(Deserialize)]
 struct Entity {
     r#type: String,
+    /// Numbers; what else may stand there is no concern of an import.
     #[serde(default)]
-    points: Vec<f64>,
+    points: Value,
 }
 
 /// A place on the raster, or a corner between its pixels.
@@ -461,16 +458,6 @@ fn text_of(value: &Value) -> Option<String> {
     }
 }
 
-/// The label of a room by the name that somebody gave it, in any language; none where the name says nothing.
-pub(super) fn room_label(name: &str) -> Option<String> {
-    let shown: String = name.chars().filter(|character| !is_hidden(*character)).collect();
-    let plain = plain_words(&shown);
-    let label = Names::built_in().room(&plain).map_or(plain, str::to_owned);
-    // A capital letter without a small one would be refused as a label.
-    let fits = !label.is_empty() && label.len() <= MAX_TEXT_BYTES && label.to_lowercase() == label;
-    fits.then_some(label)
-}
-
 /// Reads names of segments: a TOML table from a segment's number to the room's name.
 ///
 /// # Errors
@@ -552,7 +539,15 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
     }
     let mut tolerance_m = if steps > MAX_STEPS { f64::INFINITY } else { TOLERANCE_M };
     let (mut ids, mut rooms, mut boxed) = (Ids::default(), Vec::new(), Vec::new());
-    let mut aliases: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    let mut named = Vec::new();
+    let given: Vec<Option<String>> = (0..segments.len())
+        .map(|index| {
+            let told = || text_of(&segments[index].about.name).filter(|_| divided);
+            names.get(&numbers[index]).cloned().or_else(told)
+        })
+        .collect();
+    let words: Vec<Option<String>> = given.iter().map(|given| given.as_deref().and_then(room_words)).collect();
+    let labels: Vec<Option<String>> = given.iter().map(|given| given.as_deref().and_then(room_label)).collect();
     let mut room_of: HashMap<u8, String> = HashMap::new();
     let mut shapes: Vec<Option<Rings>>;
     loop {
@@ -573,18 +568,18 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
             notes.push(format!("Left out segment {number}: it has no pixels of its own."));
             continue;
         };
-        let given = names.get(number).cloned().or_else(|| text_of(&segments[index].about.name).filter(|_| divided));
-        let plain = given.as_deref().map(plain_words);
-        let label = given.as_deref().and_then(room_label);
+        // Rooms of one kind are told apart by the names that they were given, where these differ.
+        let bearers = |of: &[Option<String>]| of.iter().filter(|other| **other == of[index]).count();
+        let is_told_apart = bearers(&labels) > 1 && bearers(&words) == 1;
+        let label = labels[index].clone();
         let label =
             label.unwrap_or_else(|| if divided { format!("room {}", number.to_lowercase()) } else { HOME.to_owned() });
-        if let Some(plain) = plain.filter(|plain| *plain != label && room_label(plain).is_some()) {
-            let own = aliases.entry(label.clone()).or_default();
-            if !own.contains(&plain) && plain.len() <= MAX_TEXT_BYTES {
-                own.push(plain);
-            }
-        }
-        let id = ids.take(&if given.is_some() && divided { format!("{label} {number}") } else { label.clone() });
+        let slug = words[index].clone().filter(|_| is_told_apart).unwrap_or_else(|| label.clone());
+        let slug: String = slug.chars().map(|c| if c.is_alphanumeric() { c } else { ' ' }).collect();
+        let slug = slug.split_whitespace().collect::<Vec<_>>().join(" ");
+        let is_named = labels[index].is_some() && divided && !slug.is_empty();
+        let id = ids.take(&if is_named { format!("{slug} {number}") } else { label.clone() });
+        named.extend(given[index].iter().map(|given| (rooms.len(), given.clone())));
         if *lost > 0.05 {
             notes.push(format!(
                 "Left out {:.0} % of segment {number} ({label}), in pieces apart from it.",
@@ -607,11 +602,7 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
     if rooms.is_empty() {
         return Err(ImportError::NoRooms { remedy: "its segments have no pixels; let the robot map the home again" });
     }
-    let mut left = MAX_ALIASES;
-    aliases.values_mut().for_each(|own| {
-        own.truncate(left);
-        left -= own.len();
-    });
+    let aliases = room_aliases(&rooms, named);
 
     let mut doors = Vec::new();
     let gap = (GAP_M / pixel_m).round() as i64;
@@ -626,7 +617,8 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
 
     let mut items = Vec::new();
     let charger = file.entities.iter().find(|entity| entity.r#type == "charger_location");
-    if let Some([x, y]) = charger.and_then(|entity| Some([*entity.points.first()?, *entity.points.get(1)?])) {
+    let place = |entity: &Entity| Some([entity.points.get(0)?.as_f64()?, entity.points.get(1)?.as_f64()?]);
+    if let Some([x, y]) = charger.and_then(place) {
         let [x, y] = [tidy(x / 100.0), tidy(-y / 100.0)];
         let [width, height] = CHARGER_M.map(|metres| 0.5 * metres);
         items.push(ItemEntry {
@@ -640,11 +632,8 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
             },
         });
     }
-    let ignored = file
-        .entities
-        .iter()
-        .filter(|entity| !["charger_location", "robot_position", "path"].contains(&&*entity.r#type));
-    let ignored = ignored.count();
+    let of_robot = ["virtual_wall", "no_go_area", "no_mop_area", "active_zone"];
+    let ignored = file.entities.iter().filter(|entity| of_robot.contains(&&*entity.r#type)).count();
     if ignored > 0 {
         notes.push(format!("Left out {ignored} virtual walls and areas: they are the robot's to keep."));
     }
@@ -710,12 +699,101 @@ mod tests {
     fn names_can_be_given_by_segment() {
         let names = segment_names("3 = \"Lenas Zimmer\"\n\"17\" = \"Flur \"").unwrap();
         let map = valetudo(FLAT, "flat", &names).unwrap().map;
-        assert_eq!(map.rooms[2].label, "lenas zimmer");
-        assert_eq!(map.rooms[2].id, "lenas-zimmer-3");
+        assert_eq!((&*map.rooms[2].label, &*map.rooms[2].id), ("bedroom", "bedroom-3"));
+        assert_eq!(map.find_room("Lenas Zimmer"), Some(crate::semantic_map::RoomId(2)));
         let unknown = segment_names("4 = \"attic\"").unwrap();
         let error = valetudo(FLAT, "flat", &unknown).unwrap_err().to_string();
         assert!(error.contains("segment \"4\", but the map has 16, 17, 3"), "{error}");
         assert!(segment_names("3 = 4").unwrap_err().to_string().contains("11 = \"kitchen\""));
+    }
+
+    /// A map of square segments side by side, with these names.
+    fn named(names: &[Value], of: impl Fn(&mut Value)) -> Result<Imported, ImportError> {
+        let layer = |(index, name): (usize, &Value)| {
+            let runs: Vec<usize> = (0..60).flat_map(|row| [100 + 60 * index, 100 + row, 60]).collect();
+            serde_json::json!({"__class": "MapLayer", "type": "segment", "compressedPixels": runs,
+                "metaData": {"segmentId": (index + 1).to_string(), "name": name, "active": false, "area": 90000, "material": "tile"}})
+        };
+        let layers: Vec<Value> = names.iter().enumerate().map(layer).collect();
+        let mut map = serde_json::json!({"__class": "ValetudoMap", "metaData": {"version": 2, "nonce": "x", "vendorMapId": 3}, "size": {"x": 5120, "y": 5120},
+            "pixelSize": 5, "layers": layers, "entities": []});
+        of(&mut map);
+        valetudo(&map.to_string(), "home", &none())
+    }
+
+    #[test]
+    fn rooms_of_one_kind_are_told_apart_by_their_names() {
+        let names =
+            ["Bad oben", "Bad unten ", "Kinderzimmer Tom", "Kinderzimmer Lena", "Flur", "Flur", "\u{200b}", "寝室"];
+        let map = named(&names.map(Value::from), |_| {}).unwrap().map;
+        let ids: Vec<_> = map.rooms.iter().map(|room| &*room.id).collect();
+        let expected = [
+            "bad-oben-1",
+            "bad-unten-2",
+            "kinderzimmer-tom-3",
+            "kinderzimmer-lena-4",
+            "hallway-5",
+            "hallway-6",
+            "room-7",
+            "bedroom-8",
+        ];
+        assert_eq!(ids, expected);
+        assert_eq!(map.rooms[3].label, "children's bedroom");
+        for (name, room) in [
+            ("Bad unten", Some(1)),
+            ("kinderzimmer lena", Some(3)),
+            ("寝室", Some(7)),
+            ("hallway", Some(4)),
+            ("Flur", None),
+            ("Bad", None),
+        ] {
+            assert_eq!(map.find_room(name).map(|room| room.0), room, "{name}");
+        }
+        assert_eq!(SemanticMap::from_json(&map.to_json()).unwrap(), map);
+    }
+
+    #[test]
+    fn maps_of_other_robots_are_read() {
+        // Names that are no names, and entities that other robots have.
+        let odd = [
+            Value::Null,
+            Value::from(7),
+            Value::from("  "),
+            Value::from("x".repeat(300)),
+            Value::from("a\nb\u{7}c"),
+            Value::from(["Bad"]),
+        ];
+        let imported = named(&odd, |map| {
+            map["entities"] = serde_json::json!([
+                {"__class": "PointMapEntity", "type": "obstacle", "points": [520, 530], "metaData": {"label": "Pedestal (85%)"}},
+                {"__class": "PolygonMapEntity", "type": "no_go_area", "points": [500, 500, 520, 500, 520, 520, 500, 520]},
+                {"__class": "PathMapEntity", "type": "predicted_path", "points": null},
+                {"__class": "PointMapEntity", "type": "charger_location", "points": {"x": 1}}]);
+        })
+        .unwrap();
+        let labels: Vec<_> = imported.map.rooms.iter().map(|room| &*room.label).collect();
+        assert_eq!(labels, ["room 1", "7", "room 3", "room 4", "a bc", "room 6"]);
+        assert!(imported.map.items.is_empty(), "it has no charger");
+        assert!(imported.notes.iter().any(|note| note.starts_with("Left out 1 virtual walls")), "{:?}", imported.notes);
+        // Finer and coarser pixels, far from the origin; the first format, with each pixel by itself.
+        for (pixel, area_m2) in [(1.0, 0.36), (2.5, 2.25), (10.0, 36.0)] {
+            let map = named(&["Küche".into()], |map| map["pixelSize"] = pixel.into()).unwrap().map;
+            let own_m2 = map.rooms[0].space.footprint.as_ref().unwrap().area_m2();
+            assert!((own_m2 - area_m2).abs() < 1e-6, "{pixel}: {own_m2}");
+        }
+        let first = named(&["Küche".into()], |map| {
+            let pixels: Vec<i64> = (0..3600).flat_map(|place| [-800_000 + place % 60, 900_000 - place / 60]).collect();
+            map["metaData"]["version"] = 1.into();
+            map["layers"][0]["pixels"] = pixels.into();
+            map["layers"][0].as_object_mut().unwrap().remove("compressedPixels");
+            map["layers"][0]["metaData"]["segmentId"] = 16.into();
+        });
+        let error = first.unwrap_err().to_string();
+        assert!(error.contains("farther than 10 km"), "{error}");
+        // As many rooms as there can be, and one more.
+        let many = |count: usize| named(&vec![Value::from("Room"); count], |_| {});
+        assert_eq!(many(64).unwrap().map.rooms.len(), 64);
+        assert!(many(65).unwrap_err().to_string().contains("65 segments, more than 64"));
     }
 
     #[test]
