@@ -198,6 +198,11 @@ impl Address {
         format!("{}://{bracketed}:{port}{path}", if *secure { "wss" } else { "ws" })
     }
 
+    /// As a browser opens it, for errors.
+    fn shown(&self) -> String {
+        self.url().replacen("ws", "http", 1).trim_end_matches("/api/websocket").to_owned()
+    }
+
     /// The first address of the host that answers.
     fn connect(&self) -> Result<TcpStream, RegistriesError> {
         let unknown = |fault: String| RegistriesError::Host { host: self.host.clone(), fault };
@@ -210,7 +215,7 @@ impl Address {
             }
         }
         let Some(error) = failed else { return Err(unknown("it has no address".to_owned())) };
-        Err(RegistriesError::Unreachable { url: self.url(), fault: error.to_string() })
+        Err(RegistriesError::Unreachable { url: self.shown(), fault: error.to_string() })
     }
 }
 
@@ -278,7 +283,7 @@ pub fn read_token(path: &Path) -> Result<String, RegistriesError> {
     let file = std::fs::File::open(path).map_err(failed)?;
     let about = file.metadata().map_err(failed)?;
     if !about.is_file() {
-        return Err(wrong("it is no plain file".to_owned()));
+        return Err(wrong("it is no plain file: write the token alone into one, and give that".to_owned()));
     }
     if about.permissions().mode() & 0o077 != 0 {
         return Err(wrong(format!("others may read it; take the right from them: chmod 600 {}", path.display())));
@@ -324,7 +329,7 @@ impl Connection {
         token_file: &Path,
         tls: Option<Arc<ClientConfig>>,
     ) -> Result<Self, RegistriesError> {
-        let url = address.url();
+        let url = address.shown();
         let stream = Timed { stream: address.connect()?, until: Instant::now() + TIME_MAX };
         let unreachable = |fault: String| RegistriesError::Unreachable { url: url.clone(), fault };
         let stream: Box<dyn Stream> = match tls {
@@ -339,19 +344,28 @@ impl Connection {
         };
         let limits = WebSocketConfig::default();
         let limits = limits.max_message_size(Some(MESSAGE_BYTES_MAX)).max_frame_size(Some(MESSAGE_BYTES_MAX));
-        let (socket, _) = client_with_config(url.as_str(), stream, Some(limits)).map_err(|error| match error {
-            HandshakeError::Failure(SocketError::Io(error)) => {
-                RegistriesError::Lost { url: url.clone(), fault: error.to_string() }
-            }
-            HandshakeError::Failure(SocketError::Http(response)) => {
-                let fault = format!("it answers {}", response.status());
-                RegistriesError::Foreign { url: url.clone(), fault }
-            }
-            HandshakeError::Failure(error) => RegistriesError::Foreign { url: url.clone(), fault: error.to_string() },
-            HandshakeError::Interrupted(_) => {
-                RegistriesError::Lost { url: url.clone(), fault: "it was interrupted".to_owned() }
-            }
-        })?;
+        let (socket, _) =
+            client_with_config(address.url().as_str(), stream, Some(limits)).map_err(|error| match error {
+                // What is no TLS: a certificate that is refused is of the same kind, and says so.
+                HandshakeError::Failure(SocketError::Io(error))
+                    if address.secure && error.to_string().contains("corrupt message") =>
+                {
+                    RegistriesError::Foreign { url: url.clone(), fault: "nobody speaks https at this port".to_owned() }
+                }
+                HandshakeError::Failure(SocketError::Io(error)) => {
+                    RegistriesError::Lost { url: url.clone(), fault: error.to_string() }
+                }
+                HandshakeError::Failure(SocketError::Http(response)) => {
+                    let fault = format!("it answers {}", response.status());
+                    RegistriesError::Foreign { url: url.clone(), fault }
+                }
+                HandshakeError::Failure(error) => {
+                    RegistriesError::Foreign { url: url.clone(), fault: error.to_string() }
+                }
+                HandshakeError::Interrupted(_) => {
+                    RegistriesError::Lost { url: url.clone(), fault: "it was interrupted".to_owned() }
+                }
+            })?;
         let mut connection = Self { url, version: "of unknown version".to_owned(), socket, asked: 0 };
         connection.introduce(token, token_file)?;
         Ok(connection)
@@ -690,5 +704,15 @@ mod tests {
         }
         let fault = fetch(&plain_server(b""), &token, None).unwrap_err().to_string();
         assert!(fault.contains("127.0.0.1"), "{fault}");
+        // One that speaks no TLS.
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let secure = format!("https://{}", listener.local_addr().unwrap());
+        std::thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            let _read = stream.read(&mut [0; 1024]);
+            stream.write_all(b"HTTP/1.1 400 Bad Request\r\n\r\n").unwrap();
+        });
+        let fault = fetch(&secure, &token, None).unwrap_err().to_string();
+        assert!(fault.contains("nobody speaks https at this port"), "{fault}");
     }
 }

@@ -221,7 +221,7 @@ fn a_home_that_is_set_up_well_has_no_fault() {
     assert!(rules.contains("room = \"living-room-17\"") && rules.contains("They open the fridge."), "{rules}");
     let (code, findings) = home.doctor();
     assert_eq!(code, 0, "{findings:#?}");
-    for check in ["clock", "things", "rules", "broker", "topics", "segments", "persons"] {
+    for check in ["clock", "state", "things", "rules", "broker", "topics", "segments", "persons"] {
         assert_eq!(finding(&findings, check)["verdict"], "good", "{check}: {findings:#?}");
     }
     assert!(text(finding(&findings, "services"), "found").contains("nothing runs yet"));
@@ -252,6 +252,48 @@ fn a_home_that_is_set_up_well_has_no_fault() {
     let never = finding(&findings, "rules that fit");
     assert!(text(never, "found").contains("homeassistant/switch/toaster/state is \"on\""), "{never}");
     assert!(!text(never, "found").contains("fridge_door/state is \"on\""), "{never}");
+}
+
+/// Rooms of one kind: each area is the room that bears its name, whatever is meant by the others is said.
+#[test]
+fn areas_are_the_rooms_that_bear_their_names() {
+    let Some(home) = Home::new("kinds") else { return };
+    let areas = r#"{"data": {"areas": [{"id": "bad_unten", "name": "Bad unten"}, {"id": "bad_oben", "name": "Bad oben"}, {"id": "buero", "name": "Office"},
+        {"id": "gang", "name": "Gang"}]}}"#;
+    let sensor = |area: &str| serde_json::json!({"entity_id": format!("binary_sensor.{area}_motion"), "area_id": area, "original_device_class": "motion", "unique_id": area});
+    let entities = ["bad_unten", "bad_oben", "buero", "gang"].map(sensor);
+    let storage = home.path("config/.storage");
+    std::fs::write(storage.join("core.area_registry"), areas).unwrap();
+    let entities = serde_json::json!({"data": {"entities": entities}}).to_string();
+    std::fs::write(storage.join("core.entity_registry"), entities).unwrap();
+    let names = ["Bad oben", "Bad unten", "Arbeitszimmer", "Flur", "Flur"];
+    let layers: Vec<_> = (1..)
+        .zip(names)
+        .map(|(number, name)| {
+            let runs: Vec<i32> = (100..160).flat_map(|row| [60 * number, row, 60]).collect();
+            serde_json::json!({"type": "segment", "metaData": {"segmentId": number, "name": name}, "compressedPixels": runs})
+        })
+        .collect();
+    std::fs::write(home.path("map.json"), serde_json::json!({"pixelSize": 5, "layers": layers}).to_string()).unwrap();
+    let output = home.init(&[]);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    let rules = std::fs::read_to_string(home.path("home/home.rules.toml")).unwrap();
+    let rules: toml::Table = rules.parse().unwrap();
+    let room = |area: &str| {
+        let topic = format!("homeassistant/binary_sensor/{area}_motion/state");
+        let own = rules["rule"].as_array().unwrap().iter().find(|rule| rule["topic"].as_str() == Some(&topic));
+        own.unwrap()["room"].as_str().unwrap().to_owned()
+    };
+    let rooms = ["bad_unten", "bad_oben", "buero", "gang"].map(room);
+    assert_eq!(
+        rooms,
+        ["bad-unten-2", "bad-oben-1", "home-office-3", "gang"],
+        "which hallway it is nobody knows: {said}"
+    );
+    assert!(said.contains("1 rule of the area \"gang\"") && said.contains("hallway-4, hallway-5"), "{said}");
+    let (_, findings) = home.doctor();
+    assert!(text(finding(&findings, "rules"), "found").contains("names the room \"gang\""), "{findings:#?}");
 }
 
 /// A mistake that the doctor is to find.
@@ -297,14 +339,14 @@ fn password(home: &mut Home, wrong: bool) -> bool {
     true
 }
 
-const MISTAKES: [Mistake; 22] = [
+const MISTAKES: [Mistake; 29] = [
     Mistake {
         name: "the broker's port",
         make: |home| home.edit("roomcast.toml", &home.port.to_string(), &free_port().to_string()),
         check: "broker",
         verdict: "wrong",
         found: "no broker answers at 127.0.0.1:",
-        remedy: "systemctl start mosquitto), or correct host and port in mqtt.broker",
+        remedy: "systemctl start mosquitto), or correct its address (mqtt.broker)",
         code: exit_code::CHECK,
     },
     Mistake {
@@ -313,7 +355,7 @@ const MISTAKES: [Mistake; 22] = [
         check: "broker",
         verdict: "wrong",
         found: "no broker answers at no-such-host.invalid:",
-        remedy: "correct host and port in mqtt.broker",
+        remedy: "correct its address (mqtt.broker)",
         code: exit_code::CHECK,
     },
     Mistake {
@@ -517,6 +559,73 @@ const MISTAKES: [Mistake; 22] = [
         code: exit_code::OK,
     },
     Mistake {
+        name: "a segment that there is not",
+        make: |home| home.edit("roomcast.toml", "[robot]\n", "[robot]\nsegments = { kitchen-16 = \"99\" }\n"),
+        check: "segments",
+        verdict: "wrong",
+        found: "has \"kitchen-16\" = \"99\", and the robot has no such segment",
+        remedy: "write one of 16 \"Küche\"",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a segment of no room",
+        make: |home| home.edit("roomcast.toml", "[robot]\n", "[robot]\nsegments = { kitchn-16 = \"16\" }\n"),
+        check: "segments",
+        verdict: "wrong",
+        found: "names the room \"kitchn-16\", which the map does not have",
+        remedy: "write \"kitchen-16\"",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a robot of the other kind",
+        make: |home| home.edit("roomcast.toml", "[robot]\n", "[robot]\nkind = \"home-assistant\"\n"),
+        check: "robot",
+        verdict: "wrong",
+        found: "no robot speaks under valetudo/rocky",
+        remedy: "leave robot.kind out",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "states under another base topic",
+        make: |home| {
+            let rules = home.path("home/home.rules.toml");
+            let text = std::fs::read_to_string(&rules).unwrap();
+            std::fs::write(rules, text.replace("\"homeassistant/", "\"ha/")).unwrap();
+        },
+        check: "topics",
+        verdict: "wrong",
+        found: "Home Assistant says its states under homeassistant/",
+        remedy: "write homeassistant/ for ha/ in the topics of the rules",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a state folder that is a file",
+        make: |home| std::fs::write(home.path("home/state"), "").unwrap(),
+        check: "state",
+        verdict: "wrong",
+        found: "is no folder",
+        remedy: "give another folder as daemon.state",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "rules that are not there",
+        make: |home| std::fs::remove_file(home.path("home/home.rules.toml")).unwrap(),
+        check: "rules",
+        verdict: "wrong",
+        found: "home.rules.toml",
+        remedy: "correct mqtt.rules in the configuration",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "rules without a rule",
+        make: |home| std::fs::write(home.path("home/home.rules.toml"), "# none\n").unwrap(),
+        check: "rules",
+        verdict: "wrong",
+        found: "0 rules; give 1 to 4096, each begins with [[rule]]",
+        remedy: "docs/mqtt.md shows every key",
+        code: exit_code::CHECK,
+    },
+    Mistake {
         name: "the clock",
         make: |home| {
             let file = std::fs::File::options().append(true).open(home.path("home/home.json")).unwrap();
@@ -576,7 +685,7 @@ fn token(home: &Home, mode: u32) -> String {
 #[test]
 fn init_says_what_is_wrong_and_writes_nothing() {
     type Case = (&'static str, fn(&Home) -> Vec<String>, u8, &'static [&'static str]);
-    let cases: [Case; 13] = [
+    let cases: [Case; 18] = [
         (
             "a token that is refused",
             |home| {
@@ -617,6 +726,42 @@ fn init_says_what_is_wrong_and_writes_nothing() {
             |home| vec!["--home-assistant".into(), home.directory.path().display().to_string()],
             exit_code::INPUT,
             &["has no .storage/core.area_registry", "give the folder that configuration.yaml is in"],
+        ),
+        (
+            "an address without http",
+            |home| vec!["--home-assistant".into(), "127.0.0.1:8123".into(), "--token-file".into(), token(home, 0o600)],
+            exit_code::INPUT,
+            &["127.0.0.1:8123 is neither a folder that is there nor an address", "such as http://HOST:8123"],
+        ),
+        (
+            "an address of https that speaks none",
+            |home| {
+                let url = format!("https://127.0.0.1:{}", web_server());
+                vec!["--home-assistant".into(), url, "--token-file".into(), token(home, 0o600)]
+            },
+            exit_code::INPUT,
+            &["nobody speaks https at this port", "give what a browser opens"],
+        ),
+        (
+            "a broker's password in its address",
+            |_| vec!["--mqtt".into(), "mqtt://home:secret@127.0.0.1".into()],
+            exit_code::USAGE,
+            &["has a user name or a password in it", "--mqtt-credentials FILE"],
+        ),
+        (
+            "a map that is packed",
+            |home| {
+                std::fs::write(home.path("map.json"), [0x1f, 0x8b, 8, 0, 0xff]).unwrap();
+                Vec::new()
+            },
+            exit_code::INPUT,
+            &["map.json: it is no text: unpack it"],
+        ),
+        (
+            "a resident who is given twice",
+            |_| vec!["--resident".into(), "Ada, Ben".into(), "--resident".into(), "ada".into()],
+            exit_code::CONFIG,
+            &["give each name or number once"],
         ),
         (
             "a registry that is cut off",
@@ -775,7 +920,7 @@ fn init_asks_again_where_an_answer_leads_to_nothing() {
     // In lines that fit, so that a text may be broken anywhere.
     let words = said.split_whitespace().collect::<Vec<_>>().join(" ");
     for part in [
-        "/nowhere has no .storage/core.area_registry",
+        "/nowhere is neither a folder that is there nor an address",
         "\"broker\" is no broker",
         "no broker answers at 127.0.0.1",
         "nothing was heard of a robot under valetudo/other",

@@ -24,6 +24,13 @@ pub(super) fn home_assistant(
     if is_url(source) {
         return over_network(source, name, token_file, authority);
     }
+    if !source.exists() {
+        let source = source.display();
+        let text = format!(
+            "{source} is neither a folder that is there nor an address; give the folder that configuration.yaml is in, or the address, such as http://HOST:8123"
+        );
+        return Err(input(text));
+    }
     if token_file.is_some() || authority.is_some() {
         let source = source.display();
         let text = format!(

@@ -3,15 +3,16 @@
 //! What is not given is found (a broker on this machine, a Home Assistant's folder, a robot at the broker), and on a terminal it is asked.
 //! All is read and checked before the first file is written, and no file that is there is overwritten unasked.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use roomcast_core::grounding::Grounding;
+use roomcast_core::names::Names;
 use roomcast_core::semantic_map::import::{self, Home, Imported};
-use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap, delta};
+use roomcast_core::semantic_map::{MAX_FILE_BYTES, RoomId, SemanticMap, delta};
 use roomcast_services::config::Config;
 use roomcast_services::mqtt::Broker;
 use roomcast_services::mqtt_look::{self, LookError, Seen};
@@ -75,8 +76,8 @@ pub struct Args {
     /// The robot: where it speaks at the broker, Valetudo's prefix and identifier; `none` for a home without.
     #[arg(long, value_name = "TOPIC|none")]
     robot: Option<String>,
-    /// Who lives here; once for each. Without it nobody counts as a visitor.
-    #[arg(long, value_name = "NAME")]
+    /// Who lives here; once for each, or with commas between. Without it nobody counts as a visitor.
+    #[arg(long, value_name = "NAME", value_delimiter = ',')]
     resident: Vec<String>,
     /// Leave rooms without things bare, in place of putting the usual furniture of their kind there.
     #[arg(long)]
@@ -160,7 +161,8 @@ fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
         None => find_robot(&seen, broker.is_some(), asker, &mut notes)?,
     };
     let valetudo = find_map(args, robot.as_deref(), &seen, asker, &mut notes)?;
-    let residents = find_residents(args, asker)?;
+    let persons = home_assistant.as_ref().map_or(&[][..], |(_, home)| &home.persons);
+    let residents = find_residents(args, persons, asker)?;
     Ok(Found { broker, seen, home_assistant, robot, valetudo, residents, notes })
 }
 
@@ -193,7 +195,7 @@ fn find_home_assistant(
             Some(given) => Some(given.clone()),
             None if is_url(source) => {
                 let question = "A file with a long-lived access token (in Home Assistant: your profile, Security).";
-                asker.text(question, TOKEN_FILE)?.map(PathBuf::from)
+                asker.until(question, TOKEN_FILE, |_, answer| usable_token(Path::new(answer)))?
             }
             None => None,
         };
@@ -207,6 +209,13 @@ fn find_home_assistant(
             read(&found, args.token_file.as_deref())
         }
     }
+}
+
+/// A token's file, if a token can be read from it.
+fn usable_token(path: &Path) -> Result<PathBuf, Failure> {
+    #[cfg(feature = "home")]
+    crate::home_assistant::read_token(path).map_err(input)?;
+    Ok(path.to_owned())
 }
 
 /// The folder of a Home Assistant on this machine.
@@ -353,13 +362,18 @@ fn find_map(
     Ok(map)
 }
 
-/// Who lives here.
-fn find_residents(args: &Args, asker: &mut Asker) -> Result<Vec<String>, Failure> {
+/// Who lives here; where it is asked, whom Home Assistant knows.
+fn find_residents(args: &Args, known: &[String], asker: &mut Asker) -> Result<Vec<String>, Failure> {
     if !args.resident.is_empty() {
-        return Ok(args.resident.clone());
+        return Ok(args.resident.iter().map(|name| name.trim().to_owned()).collect());
     }
-    let question = "Who lives here: names with commas between. With names, everybody else is a visitor.";
-    let asked = asker.until(question, "none", |_, answer| {
+    let question = "Who lives here: names with commas between, or none. With names, everybody else is a visitor.";
+    let known = if known.is_empty() || known.iter().any(|name| name.contains(',')) {
+        "none".to_owned()
+    } else {
+        known.join(", ")
+    };
+    let asked = asker.until(question, &known, |_, answer| {
         if answer == "none" {
             return Ok(Vec::new());
         }
@@ -477,9 +491,8 @@ fn unpacked(payload: &[u8]) -> Result<String, String> {
 fn with_things(map: &SemanticMap, areas: &SemanticMap, notes: &mut Vec<String>) -> Result<SemanticMap, Failure> {
     let (mut changes, mut homeless) = (Vec::new(), 0);
     for item in areas.items() {
-        let area = areas.rooms_at(item.position_m).next().map(|room| &areas.rooms()[room.0 as usize]);
-        let room = area.and_then(|area| map.find_room(&area.id).or_else(|| map.find_room(&area.label)));
-        let Some(room) = room else {
+        let area = areas.rooms_at(item.position_m).next();
+        let Some(room) = area.and_then(|area| room_of_area(map, areas, area)) else {
             homeless += 1;
             continue;
         };
@@ -500,7 +513,7 @@ fn with_things(map: &SemanticMap, areas: &SemanticMap, notes: &mut Vec<String>) 
     }
     if homeless > 0 {
         notes.push(format!(
-            "{} of Home Assistant in areas that the robot's map does not have: left out.",
+            "{} of Home Assistant in areas that are no known room of the robot's map: left out.",
             count(homeless, "thing")
         ));
     }
@@ -514,6 +527,32 @@ fn with_things(map: &SemanticMap, areas: &SemanticMap, notes: &mut Vec<String>) 
     let changed =
         delta::parse_changes(&serde_json::Value::from(changes).to_string()).and_then(|changes| map.changed(changes));
     changed.map_err(|error| input(format!("Home Assistant's things do not fit into the robot's map: {error}")))
+}
+
+/// The names that are a room's alone: its id, its label where no other room bears it, and what aliases say of either.
+fn own_names(map: &SemanticMap, room: RoomId) -> BTreeSet<String> {
+    let own = &map.rooms()[room.0 as usize];
+    let is_only = map.rooms().iter().filter(|other| other.label == own.label).count() == 1;
+    let by_label = is_only.then_some(&own.label);
+    let keys = || by_label.into_iter().chain([&own.id]);
+    let aliases = keys().filter_map(|key| map.aliases().get(key)).flatten();
+    keys().chain(aliases).map(|name| name.to_lowercase().replace(['_', '-'], " ")).collect()
+}
+
+/// The room of the robot's map that an area of Home Assistant is: the one that has one of its names, else the only one of its kind where it is the
+/// only area of that kind.
+fn room_of_area(map: &SemanticMap, areas: &SemanticMap, area: RoomId) -> Option<RoomId> {
+    let all = |map: &SemanticMap| (0..map.rooms().len()).filter_map(|room| u32::try_from(room).ok().map(RoomId));
+    let only = |found: Vec<RoomId>| <[RoomId; 1]>::try_from(found).ok().map(|[room]| room);
+    let names = own_names(areas, area);
+    let named = all(map).filter(|room| !own_names(map, *room).is_disjoint(&names)).collect();
+    let kind = |map: &SemanticMap, room: RoomId| {
+        let label = &map.rooms()[room.0 as usize].label;
+        Names::built_in().kind_of_room(label).unwrap_or(label).to_owned()
+    };
+    let wanted = kind(areas, area);
+    let of_kind = |map: &SemanticMap| only(all(map).filter(|room| kind(map, *room) == wanted).collect());
+    only(named).or_else(|| of_kind(areas).and_then(|_| of_kind(map)))
 }
 
 /// A point well inside a room, near its middle.
@@ -543,8 +582,8 @@ fn in_rooms_of(map: &SemanticMap, areas: &SemanticMap, rules: &str, notes: &mut 
         let named = line.starts_with("room = ").then(|| line.parse::<toml::Table>().ok()).flatten();
         let area = named.as_ref().and_then(|table| table.get("room")).and_then(toml::Value::as_str);
         let room = area.map(|area| {
-            let label = areas.find_room(area).map(|room| areas.rooms()[room.0 as usize].label.as_str());
-            map.find_room(area).or_else(|| map.find_room(label?)).ok_or(area)
+            let known = areas.find_room(area).and_then(|known| room_of_area(map, areas, known));
+            known.ok_or(area)
         });
         match room {
             Some(Ok(room)) => {
@@ -561,7 +600,7 @@ fn in_rooms_of(map: &SemanticMap, areas: &SemanticMap, rules: &str, notes: &mut 
     let rooms: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
     for (area, rules) in unknown {
         notes.push(format!(
-            "{} name the area {area:?}, which the robot's map does not have: write one of {} in its place.",
+            "{} of the area {area:?}, and no room of the robot's map is known to be that: write one of {} in its place.",
             count(rules, "rule"),
             rooms.join(", ")
         ));
@@ -597,7 +636,8 @@ fn configuration(folder: &Path, scene: &Path, rules: Option<&Path>, found: &Foun
     if let Some(robot) = &found.robot {
         let _ = write!(
             text,
-            "\n[planner]\n# A room is done when the robot says so, and never by the clock.\nreports = \"always\"\n\n[robot]\ntopic = {}\n\
+            "\n[planner]\n# A room is done when the robot says so, and never by the clock.\nreports = \"always\"\n\
+             # Every room once a day, from the planner's start on.\nround_s = 86400.0\n\n[robot]\ntopic = {}\n\
              # Only what it would be told is printed, until this is true.\nobey = false\n",
             quoted(robot)
         );

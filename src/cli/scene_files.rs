@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
-use roomcast_core::semantic_map::{SemanticMap, read_limited};
+use roomcast_core::semantic_map::{SceneError, SemanticMap, read_limited};
 use roomcast_services::{logging, setup};
 
 use super::{CommandResult, Failure};
@@ -19,7 +19,12 @@ pub(super) fn in_file(what: &str, path: &Path, error: &dyn std::error::Error) ->
 }
 
 pub(super) fn read(what: &str, path: &Path) -> Result<String, Failure> {
-    read_limited(path).map_err(|error| in_file(what, path, &error))
+    read_limited(path).map_err(|error| match &error {
+        SceneError::Read(inner) if inner.kind() == std::io::ErrorKind::InvalidData => {
+            input(format!("{what} {}: it is no text: unpack it, or give another file", path.display()))
+        }
+        error => in_file(what, path, error),
+    })
 }
 
 /// Writes beside the target and renames, so that no reader sees half a file.

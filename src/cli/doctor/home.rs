@@ -30,6 +30,7 @@ pub(super) fn checks(
     place: &Place<'_>,
 ) -> Vec<Finding> {
     let mut findings = vec![clock(config, place)];
+    findings.extend(state(config, place));
     if let Some((map, grounding)) = map {
         findings.push(things(config, map, grounding, place));
     }
@@ -60,6 +61,25 @@ fn clock(config: &Config, place: &Place<'_>) -> Finding {
         );
     }
     Finding::good(check, "plausible, and a time zone is set")
+}
+
+/// Whether what is learned can be kept.
+fn state(config: &Config, place: &Place<'_>) -> Option<Finding> {
+    let check = "state";
+    let folder = config.daemon.state_directory()?;
+    let shown = folder.display();
+    // A folder that is not there yet is made by the daemon.
+    let there = folder.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("/"));
+    let finding = if !there.is_dir() {
+        let found = format!("nothing can be kept in {shown}: {} is no folder", there.display());
+        Finding::wrong(check, found, format!("give another folder as daemon.state in {}", place.shown()))
+    } else if rustix::fs::access(there, rustix::fs::Access::WRITE_OK | rustix::fs::Access::EXEC_OK).is_err() {
+        let found = format!("nothing can be kept in {shown}: this user may not write into {}", there.display());
+        Finding::wrong(check, found, "run this as the user that the services run as, or give that user the folder")
+    } else {
+        Finding::good(check, format!("kept in {shown}"))
+    };
+    Some(finding)
 }
 
 /// Whether there is anything in the rooms that a person can turn to.

@@ -7,7 +7,7 @@ use std::path::Path;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_services::config::{Config, RobotKind};
 use roomcast_services::logging::chain;
-use roomcast_services::mqtt::{Broker, Rules};
+use roomcast_services::mqtt::{Broker, MqttError, Rules};
 use roomcast_services::mqtt_look::{self, LookError, Seen};
 use roomcast_services::mqtt_tally::Counted;
 use roomcast_services::vacuum::{Dialect, Sensed, Status, segment_of};
@@ -17,6 +17,11 @@ use crate::cli::count;
 
 /// Domains of Home Assistant whose states say something of people.
 const OF_PEOPLE: [&str; 8] = ["binary_sensor", "light", "switch", "media_player", "lock", "cover", "fan", "person"];
+
+/// Home Assistant's states under another base topic than the rules'.
+const STATES: [&str; 4] = ["+/binary_sensor/+/state", "+/light/+/state", "+/switch/+/state", "+/person/+/state"];
+/// Robots under another prefix than the configured one.
+const ROBOTS: [&str; 2] = ["+/+/$state", "+/+/StatusStateAttribute/status"];
 
 /// Broker, rules, topics and robot.
 pub(super) fn checks(config: &Config, map: Option<&SemanticMap>, place: &Place<'_>) -> Vec<Finding> {
@@ -91,7 +96,12 @@ fn rules(path: &Path, map: Option<&SemanticMap>) -> (Finding, Option<Rules>) {
     let rules = match Rules::load(path) {
         Ok(rules) => rules,
         Err(error) => {
-            let remedy = "correct the line that it names; docs/mqtt.md shows every key; roomcast init --replace writes new rules";
+            let remedy = match &error {
+                MqttError::Read { .. } => "correct mqtt.rules in the configuration; roomcast init writes rules",
+                _ => {
+                    "correct the line that it names; docs/mqtt.md shows every key; roomcast init --replace writes new rules"
+                }
+            };
             return (Finding::wrong(check, chain(&error), remedy), None);
         }
     };
@@ -128,18 +138,22 @@ fn filters(config: &Config, rules: Option<&Rules>) -> Vec<String> {
     roots.dedup();
     let wide = |root: &String| if root == "#" { root.clone() } else { format!("{root}/#") };
     let mut filters: Vec<String> = roots.iter().map(wide).collect();
+    if rules.is_some() {
+        filters.extend(STATES.map(str::to_owned));
+    }
     // Topics of one level, which the wide ones have not.
     filters.extend(roots.iter().filter(|root| !root.contains(['#', '+'])).cloned());
     if has_robot(config) {
-        // Robots under another prefix than the configured one.
-        filters.extend(["+/+/$state".to_owned(), "+/+/StatusStateAttribute/status".to_owned()]);
+        filters.extend(ROBOTS.map(str::to_owned));
     }
     filters
 }
 
 fn reached(broker: &Broker, seen: &Seen) -> Finding {
     let check = "broker";
-    if let Some((filter, reason)) = seen.refused.first() {
+    // What is only looked for elsewhere may be refused.
+    let is_needed = |filter: &str| !STATES.contains(&filter) && !ROBOTS.contains(&filter);
+    if let Some((filter, reason)) = seen.refused.iter().find(|(filter, _)| is_needed(filter)) {
         let found = format!("{} refuses the subscription to {filter} ({reason})", broker.address);
         return Finding::wrong(check, found, "give this user the right to read it, in the broker's access list");
     }
@@ -171,9 +185,13 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
             || topic.ends_with("/config")
             || topic.contains("roomcast")
     };
-    let topics: Vec<(&str, &[u8])> = (seen.topics.iter())
+    let base = |topic: &str| topic.split('/').next().unwrap_or_default().to_owned();
+    let bases: Vec<String> = rules.filters().iter().map(|filter| base(filter)).collect();
+    let is_listened_to = |topic: &str| bases.iter().any(|own| *own == base(topic) || own == "+" || own == "#");
+    let all_topics = || seen.topics.iter().filter(|(topic, _)| !own(topic));
+    let topics: Vec<(&str, &[u8])> = all_topics()
         .map(|(topic, said)| (topic.as_str(), said.payload.as_slice()))
-        .filter(|(topic, _)| !own(topic))
+        .filter(|(topic, _)| is_listened_to(topic))
         .collect();
     let state = config.daemon.state_directory();
     let counted = state.and_then(|folder| Counted::of(&folder, &config.narrator.name));
@@ -202,8 +220,26 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
     } else if silent.len() == all {
         let found =
             format!("{shown}: nothing was said within {wait_s:.0} s under any topic of its {}", count(all, "rule"));
-        let remedy = "switch something: Home Assistant says a state when it changes; if nothing comes then, give its configuration.yaml \
-                      mqtt_statestream: with base_topic: homeassistant, and restart it; roomcast narrate --mqtt --dry-run shows what comes";
+        // The same under another base.
+        let tail = |topic: &str| topic.split_once('/').map(|(_, tail)| tail.to_owned());
+        let tails: Vec<String> = rules.about().filter_map(|rule| tail(rule.topic)).collect();
+        let other = all_topics().find(|(topic, _)| tail(topic).is_some_and(|own| tails.contains(&own)));
+        let wanted = bases.first().map_or("homeassistant", String::as_str);
+        let (found, remedy) = match other.map(|(topic, _)| base(topic)) {
+            Some(other) => (
+                format!("{found}, and Home Assistant says its states under {other}/"),
+                format!(
+                    "write {other}/ for {wanted}/ in the topics of the rules, or give mqtt_statestream base_topic: {wanted} and restart Home Assistant"
+                ),
+            ),
+            None => (
+                found,
+                format!(
+                    "switch something: Home Assistant says a state when it changes; if nothing comes then, give its configuration.yaml \
+                     mqtt_statestream: with base_topic: {wanted}, and restart it; roomcast narrate --mqtt --dry-run shows what comes"
+                ),
+            ),
+        };
         findings.push(Finding::wrong("topics", found, remedy));
     } else if !silent.is_empty() {
         let mut silent_topics: Vec<&str> = silent.iter().map(|rule| rule.topic).collect();
@@ -309,7 +345,18 @@ fn robot(config: &Config, map: Option<&SemanticMap>, seen: &Seen, place: &Place<
             })
             .collect();
         let found = format!("no robot speaks under {topic} ({})", place.shown());
+        let is_of_home_assistant = topic.contains("/vacuum/");
         let remedy = match others.first() {
+            _ if config.robot.kind == RobotKind::HomeAssistant && others.contains(&topic.as_str()) => {
+                "one that speaks Valetudo does: leave robot.kind out".to_owned()
+            }
+            _ if config.robot.kind == RobotKind::HomeAssistant && !is_of_home_assistant => {
+                "set robot.topic to the vacuum's states, such as homeassistant/vacuum/NAME".to_owned()
+            }
+            _ if config.robot.kind == RobotKind::HomeAssistant => {
+                "let the vacuum do something: Home Assistant says its state under this topic when it changes (mqtt_statestream)".to_owned()
+            }
+            _ if is_of_home_assistant => "set robot.kind = \"home-assistant\"".to_owned(),
             Some(other) => format!("set robot.topic = {other:?}, which is there"),
             None => "switch the robot on; in Valetudo connect it to this broker (Settings, Connectivity, MQTT); then set robot.topic to its \
                      prefix and identifier"
@@ -369,6 +416,21 @@ fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, Stri
         return Finding::wrong(check, found, remedy);
     }
     let known: Vec<String> = segments.iter().map(|(number, name)| format!("{number} {name:?}")).collect();
+    let is_none = |number: &&String| !segments.is_empty() && !segments.contains_key(*number);
+    let (file, table) = (place.shown(), &config.robot.segments);
+    if let Some((room, number)) = table.iter().find(|(_, number)| is_none(number)) {
+        let found = format!("[robot.segments] of {file} has {room:?} = {number:?}, and the robot has no such segment");
+        return Finding::wrong(check, found, format!("write one of {}", some_of(known.iter().map(String::as_str))));
+    }
+    if let Some(room) = table.keys().find(|room| !map.rooms().iter().any(|own| own.id == **room)) {
+        let ids = || map.rooms().iter().map(|own| own.id.as_str());
+        let found = format!("[robot.segments] of {file} names the room {room:?}, which the map does not have");
+        let remedy = match nearest(room, ids()) {
+            Some(meant) => format!("write {meant:?}"),
+            None => format!("write one of {}", some_of(ids())),
+        };
+        return Finding::wrong(check, found, remedy);
+    }
     let Some((room, why)) = wrong.first() else {
         return Finding::good(
             check,
