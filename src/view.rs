@@ -539,8 +539,14 @@ impl Picture {
                 }
                 _ => "The robot stays where it is.".to_owned(),
             };
+            // Bits are of the rooms of the scores that it rests on.
+            let of = scores.filter(|scores| scores.epoch == decision.scores_epoch);
+            let left = of.map(|scores| {
+                let rooms = scores.rooms().iter().enumerate();
+                rooms.filter(|(room, _)| decision.covered >> room & 1 == 0).map(|(_, room)| room.id()).collect::<Vec<_>>()
+            });
             json!({
-                "to": decision.to(), "text": text, "reason": decision.reason(), "policy": decision.policy(), "age_s": seconds(*taken_ns),
+                "to": decision.to(), "left": left, "text": text, "reason": decision.reason(), "policy": decision.policy(), "age_s": seconds(*taken_ns),
                 "flags": decision_flag_names(decision.flags),
             })
         });
@@ -796,6 +802,17 @@ mod tests {
         assert_eq!(state["decision"]["reason"], "somebody came into the kitchen (98 %), not kitchen-30");
         assert_eq!(state["narration"][0]["text"], "present in the kitchen");
         assert_eq!(state["narration"][1]["text"], "They say kitchen-3.");
+    }
+
+    #[test]
+    fn a_decision_says_which_rooms_are_still_to_do() {
+        let mut picture = Picture::default();
+        picture.scores(&scores(1, 0.5), 1);
+        let told = DecisionV1 { scores_epoch: 1, covered: 0b01, ..Default::default() };
+        picture.decision(&told, 1);
+        assert_eq!(picture.state(2)["decision"]["left"], json!(["bathroom"]));
+        picture.decision(&DecisionV1 { scores_epoch: 2, ..told }, 1);
+        assert_eq!(picture.state(2)["decision"]["left"], Value::Null, "its bits are of other rooms");
     }
 
     #[test]

@@ -212,6 +212,8 @@ fn the_page_shows_a_running_system_in_a_real_browser() {
     );
     browser.until("a person is shown", "return document.getElementById('persons').innerText.includes('ada')");
     browser.until("a decision is shown", "return document.getElementById('robot').innerText.includes('by ')");
+    browser
+        .until("what is left is shown", "return document.getElementById('robot').innerText.includes('Still to do: ')");
     browser.until(
         "ada is in the kitchen",
         "return [...document.querySelectorAll('#rooms tbody tr')].some(row => row.innerText.startsWith('kitchen') && parseInt(row.cells[1].innerText) >= 50)",

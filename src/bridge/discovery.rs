@@ -158,7 +158,7 @@ impl<'a> Discovery<'a> {
 
     /// A person: the likely room, also later, and whether they are at home.
     pub(super) fn person(&mut self, name: &str) {
-        let person = slug(name);
+        let person = slug(&name.to_lowercase());
         let topic = format!("persons/{person}");
         let entity = |component, object: String, name, template: String, more| Entity {
             component,

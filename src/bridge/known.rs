@@ -97,7 +97,7 @@ impl Known {
         }
         let persons: Vec<String> = self.persons().map(|(_, person)| name_of(person)).collect();
         for (all, person) in self.persons() {
-            put(format!("persons/{}", slug(&name_of(person))), &person_message(all, person, config));
+            put(format!("persons/{}", slug(&name_of(person).to_lowercase())), &person_message(all, person, config));
         }
         let own = sequence::source_of_name(robot);
         let name = |number: u64| if number == own { robot.to_owned() } else { format!("robot {number:016x}") };

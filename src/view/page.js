@@ -245,6 +245,8 @@ const show = () => {
   if (state.decision) {
     robot.append(html("strong", state.decision.text));
     line(robot, state.decision.reason);
+    const left = state.decision.left && state.rooms.filter((room) => state.decision.left.includes(room.id)).map((room) => room.name);
+    if (left) line(robot, left.length ? `Still to do: ${left.join(", ")}.` : "Every room is done.");
     line(robot, `by ${state.decision.policy}, ${ago(state.decision.age_s)}` + (state.decision.flags.length ? ` · ${state.decision.flags.join(", ")}` : ""), "dim");
   } else {
     robot.append(state.live ? "No decision has been heard yet." : "No decision until then.");

@@ -125,6 +125,11 @@ impl Driver {
         }
     }
 
+    /// Whether it is known what each room is to the robot.
+    pub fn knows_segments(&self) -> bool {
+        self.kind == RobotKind::HomeAssistant || !self.segments.is_empty()
+    }
+
     /// What each room is to the robot: its segment, or why there is none.
     pub fn plan(&self) -> impl Iterator<Item = (&str, Result<String, String>)> {
         self.rooms.iter().map(|room| (room.as_str(), self.segment(room)))

@@ -25,6 +25,8 @@ const ORDER_S: u32 = 10;
 const TURN_MAX_NS: u64 = 5_000_000_000;
 /// How often systemd hears that this process lives, at most.
 const WATCHDOG: Duration = Duration::from_secs(1);
+/// How long a robot has to tell of its segments before it is said which rooms it cannot do.
+const SETTLING: Duration = Duration::from_secs(5);
 /// Complaints of one kind come at most so often.
 const QUIET_NS: u64 = 5_000_000_000;
 
@@ -116,7 +118,7 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
     let mut driver = Driver::new(&config.robot, number);
     let mut mouth = Mouth { dialect, link, reporter, reports, way, log: Limiter::new(QUIET_NS) };
     let mut plan = Vec::new();
-    let mut told = Instant::now();
+    let (begun, mut told) = (Instant::now(), Instant::now());
     notify(&[NotifyState::Ready]);
     while !stop.requested() {
         decisions.wait(TICK)?;
@@ -139,7 +141,9 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
         let acts = driver.tick(now_ns);
         mouth.act(acts)?;
         mouth.reports.tick()?;
-        show_plan(&driver, &mut plan);
+        if driver.knows_segments() || begun.elapsed() >= SETTLING {
+            show_plan(&driver, &mut plan);
+        }
         let turned_ns = now_ns.saturating_sub(mouth.link.turned_ns());
         if told.elapsed() >= WATCHDOG && turned_ns <= TURN_MAX_NS {
             told = Instant::now();
