@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,19 +24,46 @@ class Program:
     description: str = ""  # what somebody wrote about it, in free words
 
 
+def normal(title: str) -> str:
+    return re.sub(r"\s+", " ", title.strip().lower())
+
+
 def cluster_of(title: str) -> str:
-    title = re.sub(r"\s+", " ", title.strip().lower())
+    title = normal(title)
     for name, patterns in SPLITS["clusters"].items():
         if any(re.search(pattern, title) for pattern in patterns):
             return name
     return title
 
 
-def split_of(cluster: str, dev: bool) -> str:
-    for split in ("test", "calibration"):
-        if cluster in SPLITS[split]:
-            return split
+FOLDS = len(SPLITS["folds"])
+
+
+def fold_of(cluster: str) -> int:
+    """The fold that holds a cluster out, from 1; of a title without a cluster by its hash."""
+    for number, clusters in enumerate(SPLITS["folds"], 1):
+        if cluster in clusters:
+            return number
+    return 1 + int(hashlib.sha256(cluster.encode()).hexdigest(), 16) % FOLDS
+
+
+def split_of(cluster: str, dev: bool, fold: int | str | None = None) -> str:
+    """Where a cluster belongs; under a fold `test` is what that fold holds out."""
+    if cluster in SPLITS["calibration"]:
+        return "calibration"
+    if fold is not None:
+        return "sealed" if cluster in SPLITS["sealed"] else "test" if fold_of(cluster) == fold else "train"
+    if cluster in SPLITS["test"]:
+        return "test"
     return "dev" if dev and cluster in SPLITS["dev"] else "train"
+
+
+def activities(programs: Iterable[Program]) -> dict[str, list[str]]:
+    """The clusters of several titles, with these as they are matched: titles near each other are one activity."""
+    titles: dict[str, set[str]] = {}
+    for program in programs:
+        titles.setdefault(program.cluster, set()).add(normal(program.title))
+    return {cluster: sorted(members) for cluster, members in sorted(titles.items()) if members != {cluster}}
 
 
 def virtualhome(shared: Path) -> list[Program]:
@@ -50,20 +78,21 @@ def virtualhome(shared: Path) -> list[Program]:
     return programs
 
 
-def homer(shared: Path) -> list[list[Program]]:
-    """Whole days, each a list of activities in order. Days marked as test by HOMER are left alone."""
+def homer(shared: Path, fold: int | str | None = None) -> list[list[Program]]:
+    """Whole days, each a list of activities in order. Days marked as test by HOMER are left alone; under a fold the days lack what it holds out."""
     days = []
     for path in sorted((shared / "homer_plus").glob("*/scripts_train/*.txt")):
         day: list[Program] = []
         title, steps = "", []
         for line in path.read_text(errors="replace").splitlines() + ["### end"]:
             if line.startswith("### "):
-                if steps:
+                if steps and (fold is None or split_of(cluster_of(title), False, fold) == "train"):
                     day.append(Program(f"{path.relative_to(shared)}#{title}", title, "homer " + title, tuple(steps)))
                 title, steps = re.sub(r"(-\d+)?\.txt.*", "", line[4:]).strip().replace("_", " "), []
             elif step := parse_step(line):
                 steps.append(step)
-        days.append(day)
+        if day:
+            days.append(day)
     return days
 
 

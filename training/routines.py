@@ -1,5 +1,7 @@
 """The project's own corpus: everyday routines written by hand, and the generator that varies them.
 
+    python training/routines.py --out FOLDER      # one way of each that is trained on, as a program for `roomcast experiment forecast --fit`
+
 A routine's `steps` are actions separated by `;`. An action is a key of actions.toml, then up to two objects separated by a comma.
 
     a|b      one of the alternatives; the same alternatives written again in a routine mean the same choice
@@ -9,13 +11,14 @@ A routine's `steps` are actions separated by `;`. An action is a key of actions.
 
 from __future__ import annotations
 
+import argparse
 import random
 import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
-from data import Program, cluster_of
+from data import Program, cluster_of, split_of
 from narration import ACTIONS, Step
 from things import HOME, WORKPLACES
 
@@ -89,3 +92,20 @@ def check(routine: Routine) -> None:
             raise ValueError(f"routine {routine.title!r}: unknown action {verb!r} in {text!r}; see src/narration/actions.toml")
         if rest.count(",") > 1:
             raise ValueError(f"routine {routine.title!r}: more than two objects in {text!r}")
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--out", type=Path, required=True)
+    given = arguments.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    rng = random.Random("programs")
+    trained = [r for r in load(Path(__file__).resolve().parent / "routines") if split_of(r.cluster, False) == "train"]
+    for number, routine in enumerate(trained):
+        lines = (" ".join([f"[{step.action}]", *(f"<{word.replace(' ', '_')}> ({n})" for word, n in step.objects)]) for step in routine.program(rng).steps)
+        (given.out / f"{number:04}.txt").write_text(f"{routine.title}\n\n\n" + "\n".join(lines) + "\n")
+    print(f"{len(trained)} programs in {given.out}")
+
+
+if __name__ == "__main__":
+    main()

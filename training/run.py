@@ -1,6 +1,9 @@
 """Makes the embedded model from data folders: corpus, vocabulary, training, export, manifest.
 
     python training/run.py --shared ../shared --out models --seed 1
+    python training/run.py --shared ../shared --folds folds       # one model per fold, each below folds/, for `roomcast experiment folds`
+
+A run that was ended goes on where it was when the same command is given again.
 """
 
 from __future__ import annotations
@@ -42,15 +45,15 @@ DESCRIPTION = (
 )
 
 
-def corpus_of(shared: Path, dev: bool) -> tuple[Corpus, dict[str, list[data.Program]]]:
-    programs = {"train": [], "dev": [], "calibration": [], "test": []}
+def corpus_of(shared: Path, dev: bool, fold: int | str | None = None) -> tuple[Corpus, dict[str, list[data.Program]]]:
+    programs = {"train": [], "dev": [], "calibration": [], "test": [], "sealed": []}
     for program in data.virtualhome(shared):
-        programs[data.split_of(program.cluster, dev)].append(program)
+        programs[data.split_of(program.cluster, dev, fold)].append(program)
     if not programs["train"]:
         raise SystemExit(f"no activity programs below {shared}/virtualhome/programs: pass the folder that holds virtualhome and homer_plus with --shared")
-    own = [r for r in routines.load(ROOT / "training/routines") if data.split_of(r.cluster, dev) == "train"]
+    own = [r for r in routines.load(ROOT / "training/routines") if data.split_of(r.cluster, dev, fold) == "train"]
     scenes = scene_labels(shared, ROOT / "scenes")
-    return Corpus(programs["train"], data.homer(shared), own, scenes, Things.load(ROOT / "training/things")), programs
+    return Corpus(programs["train"], data.homer(shared, fold), own, scenes, Things.load(ROOT / "training/things")), programs
 
 
 def main() -> None:
@@ -63,13 +66,36 @@ def main() -> None:
     arguments.add_argument("--dev", action="store_true", help="hold the development clusters out too")
     arguments.add_argument("--short", type=int, metavar="STEPS", help="end training after so many steps, to try the pipeline out")
     arguments.add_argument("--export-only", action="store_true", help="take the vocabulary and the trained weights from --work instead of training")
+    arguments.add_argument("--fold", type=fold_named, metavar="N", help=f"hold out fold 1 to {data.FOLDS} of splits.toml and the sealed clusters; or `sealed`: hold out these alone")
+    arguments.add_argument("--folds", type=Path, metavar="DIR", help="one model per fold, in place of --fold, --out and --work; folds that are done are left as they are")
     given = arguments.parse_args()
 
     torch.set_num_threads(1)  # sums depend on the number of threads; training uses processes
+    if not given.folds:
+        make(given)
+        return
+    for fold in range(1, data.FOLDS + 1):
+        out = given.folds / f"fold-{fold}"
+        if (out / "manifest.json").exists():
+            print(f"fold {fold}: {out} is done")
+        else:
+            print(f"fold {fold}: into {out}", flush=True)
+            make(argparse.Namespace(**{**vars(given), "fold": fold, "out": out, "work": out / "work"}))
+
+
+def fold_named(text: str) -> int | str:
+    if text == "sealed":
+        return text
+    if text.isdigit() and 1 <= int(text) <= data.FOLDS:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"{text!r} is neither 1 to {data.FOLDS} nor `sealed`")
+
+
+def make(given: argparse.Namespace) -> None:
     device = "cuda" if torch.cuda.is_available() else "cpu"
     given.work.mkdir(parents=True, exist_ok=True)
     given.out.mkdir(parents=True, exist_ok=True)
-    corpus, programs = corpus_of(given.shared, given.dev)
+    corpus, programs = corpus_of(given.shared, given.dev, given.fold)
     trained, last = given.work / "trained.pt", given.work / "checkpoint.pt"
     if given.export_only:
         pieces, model = vocabulary.load(given.work / "vocabulary.model"), restore(trained)
@@ -79,7 +105,9 @@ def main() -> None:
         shape = Shape(vocab=size, width=512, layers=8, feed_forward=1408) if given.large else Shape(vocab=size)
         schedule = Schedule()
         schedule = replace(schedule, rows=(16 if given.large else 1) * schedule.rows, until=given.short or schedule.until)
-        model = train(shape, schedule, Encoder(pieces), corpus, given.seed, device, trained)
+        # What a checkpoint must agree in to be gone on from: the data, through the vocabulary that was made of them, and what is held out.
+        recipe = {"seed": given.seed, "dev": given.dev, "fold": given.fold, "vocabulary": data.sha256(given.work / "vocabulary.model")}
+        model = train(shape, schedule, Encoder(pieces), corpus, given.seed, device, trained, recipe)
     temperature, prior = calibrate.fit(model, Encoder(pieces), programs["calibration"], sorted((given.shared / "virtualhome/scenes").glob("*_graph.json")))
     calibrate.apply(model, temperature)
     print(f"temperature {temperature:.2f}, prior weight {prior:.2f}")
@@ -123,7 +151,7 @@ def write_manifest(given, corpus, programs, model, shipped: Path) -> None:
     here = sorted(p for pattern in ("training/*.py", "training/*.toml", "training/routines/*.toml", "training/things/*.toml", "core/src/narration/actions.toml", "core/src/names.toml", "scenes/*.json") for p in ROOT.glob(pattern))
     manifest = {
         "model": {"file": shipped.name, "sha256": data.sha256(shipped), "bytes": shipped.stat().st_size, "parameters": model.parameter_count(), "shape": model.shape.to_dict()},
-        "command": f"python training/run.py --shared SHARED --seed {given.seed}" + (" --dev" if given.dev else "") + (f" --short {given.short}" if given.short else ""),
+        "command": f"python training/run.py --shared SHARED --seed {given.seed}" + (" --dev" if given.dev else "") + (f" --fold {given.fold}" if given.fold else "") + (f" --short {given.short}" if given.short else ""),
         "environment": {"python": platform.python_version(), "torch": torch.__version__, "workers": Schedule.workers, "machine": platform.machine()},
         "splits": {
             split: {
@@ -133,7 +161,8 @@ def write_manifest(given, corpus, programs, model, shipped: Path) -> None:
             }
             for split, members in programs.items() if members
         },
-        "homer": {"days": len(corpus.days), "split": "train"},
+        "activities": data.activities(p for members in programs.values() for p in members),
+        "homer": {"days": len(corpus.days), "split": "train", "scripts": sorted({p.title for day in corpus.days for p in day})},
         "routines": {"train": sorted(r.title for r in corpus.routines)},
         "inputs": {"shared/" + str(p.relative_to(given.shared)): data.sha256(p) for p in inputs},
         "pipeline": {str(p.relative_to(ROOT)): data.sha256(p) for p in here},

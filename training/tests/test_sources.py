@@ -28,3 +28,28 @@ def test_every_path_that_the_pipeline_names_is_there():
         named = re.findall(r'"((?:core|src|llama|services|lab|scenes|training|models)/[\w./-]+\.(?:toml|json|rs|txt))"', path.read_text())
         missing += [f"{path.relative_to(ROOT)}: {name}" for name in named if not (ROOT / name).exists()]
     assert not missing
+
+
+def test_every_activity_is_held_out_by_one_fold_or_sealed():
+    splits = data.SPLITS
+    listed = [cluster for fold in splits["folds"] for cluster in fold]
+    assert len(listed) == len(set(listed))
+    assert not set(listed) & ({*splits["calibration"], *splits["sealed"]})
+    assert not set(splits["sealed"]) & {*splits["test"], *splits["dev"], *splits["calibration"]}
+    assert {*listed, *splits["sealed"], *splits["calibration"]} == set(splits["clusters"])
+    folds = range(1, data.FOLDS + 1)
+    for cluster in [*splits["clusters"], "annoy your dog", "tell jokes", "whine"]:
+        found = [data.split_of(cluster, False, fold) for fold in [*folds, "sealed"]]
+        if cluster in splits["calibration"]:
+            assert set(found) == {"calibration"}, cluster
+        elif cluster in splits["sealed"]:
+            assert set(found) == {"sealed"}, cluster
+        else:
+            assert sorted(found) == ["test"] + ["train"] * data.FOLDS and found[-1] == "train", cluster
+
+
+def test_titles_near_each_other_are_one_activity():
+    for titles in (("Watch TV", "Turn on TV with remote"), ("Write an email", "Browse internet"), ("Wash teeth", "Change toothbrush"), ("Read book", "Read  newspaper")):
+        assert len({data.cluster_of(title) for title in titles}) == 1, titles
+    programs = [data.Program("", title, data.cluster_of(title), ()) for title in ("Watch TV", "watch  movie", "Whine")]
+    assert data.activities(programs) == {"television": ["watch movie", "watch tv"]}

@@ -27,6 +27,7 @@ import export
 import routines
 import run
 import things
+import train
 import tokenizer as vocabulary
 from model import Household, Shape
 from narration import PRODUCT, Step, Style, bind, next_targets, parse_step, segments, sentence, words
@@ -196,3 +197,53 @@ def test_export_keeps_every_weight(tmp_path):
         assert np.abs(held - value).max() <= np.abs(value).max() / 127 + 1e-6, name
     query = model.state_dict()["blocks.0.query_key_value.weight"].numpy()[:64]
     assert np.allclose(export.tensors(model)["blk.0.attn_q.weight"][1], query[16])  # second row: partner of the first
+
+
+@needs_data
+def test_a_fold_trains_on_nothing_that_it_holds_out():
+    for fold in (2, "sealed"):
+        corpus, programs = run.corpus_of(SHARED, False, fold)
+        held = {p.cluster for split in ("test", "sealed", "calibration") for p in programs[split]}
+        assert programs["sealed"] and bool(programs["test"]) == (fold == 2)
+        trained = {p.cluster for p in corpus.programs} | {r.cluster for r in corpus.routines}
+        trained |= {data.cluster_of(p.title) for day in corpus.days for p in day}
+        assert not trained & held
+
+
+def test_an_ended_training_goes_on_as_if_it_had_not_ended(tmp_path, monkeypatch):
+    monkeypatch.setattr(train, "CHECKPOINT_STEPS", 2)
+    monkeypatch.setattr(train, "pack", lambda encoder, corpus, rng, rows, length: fake_batch(rng))
+    shape = Shape(vocab=64, width=64, layers=1, heads=2, feed_forward=96)
+    schedule = train.Schedule(steps=12, until=6, workers=1, warm_up=2, averages=2, apart=2)
+
+    def weights(folder, ends_after=None):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        keep = train.Checkpoints.keep
+
+        def keep_and_end(self, step, **state):
+            keep(self, step, **state)
+            if step == ends_after:
+                raise KeyboardInterrupt
+
+        monkeypatch.setattr(train.Checkpoints, "keep", keep_and_end)
+        try:
+            trained = train.train(shape, schedule, None, None, 1, "cpu", tmp_path / folder / "trained.pt", {"of": "a test"})
+        except KeyboardInterrupt:
+            return None
+        finally:
+            monkeypatch.setattr(train.Checkpoints, "keep", keep)
+        return torch.cat([value.flatten() for value in trained.state_dict().values()])
+
+    whole = weights("whole")
+    assert weights("cut", ends_after=4) is None
+    assert [path.name for path in (tmp_path / "cut").glob("resume-*")]
+    assert torch.equal(weights("cut"), whole)
+    assert not [*(tmp_path / "cut").glob("resume-*")]
+
+
+def fake_batch(rng):
+    """A row of chance tokens, as `pack` gives it."""
+    length = 12
+    token = np.array([[rng.randrange(64) for _ in range(length)]])
+    causal = np.tril(np.ones((length, length), bool))[None, None]
+    return {"token": token, "position": np.arange(length)[None], "target": np.roll(token, -1), "weight": np.ones((1, length), np.float32), "mask": causal}
