@@ -1152,6 +1152,70 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
     }
 }
 
+/// What the training writes of a fold, with the shipped model: `held_out` and `trained` are programs.
+fn write_fold(folder: &Path, trained: &str, held_out: &str) {
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+    std::fs::create_dir_all(folder).unwrap();
+    for name in ["household.gguf", "household-statistics.json"] {
+        std::fs::copy(models.join(name), folder.join(name)).unwrap();
+    }
+    let files = |name: &str| serde_json::json!({ "files": [format!("programs/{name}")] });
+    let splits = serde_json::json!({ "train": files(trained), "test": files(held_out), "sealed": files("c.txt") });
+    std::fs::write(folder.join("manifest.json"), serde_json::json!({ "splits": splits }).to_string()).unwrap();
+}
+
+/// Folds are pooled, and the sealed split is opened once: what is found is in the file before it is shown.
+#[test]
+fn folds_are_pooled_and_the_sealed_split_is_opened_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |below: &str| folder.path().join(below).display().to_string();
+    std::fs::create_dir(path("programs")).unwrap();
+    let shipped = ["p0-breakfast-and-television", "p1-laundry-and-to-bed", "p2-long-evening"];
+    for (name, program) in ["a", "b", "c"].iter().zip(shipped) {
+        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenes/programs/{program}.txt"));
+        std::fs::copy(from, path(&format!("programs/{name}.txt"))).unwrap();
+    }
+    let run = |command: &str, more: &[&str]| {
+        let programs = path("programs");
+        let output =
+            roomcast(&["experiment", command, "--programs", &programs, "--scene", "studio", "--no-cache", "--json"])
+                .args(more)
+                .output()
+                .unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        (output.status.code(), serde_json::from_slice::<serde_json::Value>(&output.stdout).ok(), said)
+    };
+    let input = Some(i32::from(exit_code::INPUT));
+
+    write_fold(Path::new(&path("folds/fold-1")), "a.txt", "b.txt");
+    let (code, _, said) = run("folds", &["--folds", &path("folds")]);
+    assert!(code == input && said.contains("1 finished folds") && said.contains("training/run.py"), "{said}");
+    write_fold(Path::new(&path("folds/fold-2")), "b.txt", "a.txt");
+    let (_, report, said) = run("folds", &["--folds", &path("folds")]);
+    let report = report.unwrap_or_else(|| panic!("{said}"));
+    assert_eq!((&report[0]["programs"], &report[0]["activities"]), (&2.into(), &2.into()));
+    write_fold(Path::new(&path("folds/fold-2")), "a.txt", "b.txt");
+    let (code, _, said) = run("folds", &["--folds", &path("folds")]);
+    assert!(code == input && said.contains("b.txt is held out by two folds"), "{said}");
+    write_fold(Path::new(&path("folds/fold-2")), "a.txt", "a.txt");
+    let (code, _, said) = run("folds", &["--folds", &path("folds")]);
+    assert!(code == input && said.contains("so it was not held out"), "{said}");
+
+    let (record, trained, none) = (path("sealed.json"), path("folds/fold-1"), path("programs"));
+    let sealed = ["--trained", &trained, "--record", &record, "--places", &none];
+    let manifest = path("folds/fold-1/manifest.json");
+    let (code, _, said) = run("forecast", &["--manifest", &manifest, "--split", "sealed"]);
+    assert!(code == input && said.contains("opened once"), "{said}");
+    let (_, shown, said) = run("sealed", &sealed);
+    let shown = shown.unwrap_or_else(|| panic!("{said}"));
+    let written = std::fs::read_to_string(&record).unwrap();
+    let entries: serde_json::Value = serde_json::from_str(&written).unwrap();
+    assert_eq!((entries.as_array().unwrap().len(), &entries[0]["reports"]), (1, &shown));
+    let (code, shown, said) = run("sealed", &sealed);
+    assert!(code == input && shown.is_none() && said.contains("opened already"), "{said}");
+    assert_eq!(std::fs::read_to_string(&record).unwrap(), written);
+}
+
 #[test]
 fn errors_name_the_file_and_the_remedy_once() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,5 +1,6 @@
 //! `roomcast experiment`: the paper's tables and figures, and the project's own.
 
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -12,15 +13,17 @@ use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::{Method, Tokenisation};
-use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::semantic_map::{SemanticMap, import};
 use roomcast_lab::experiment::baselines::Statistics;
 use roomcast_lab::experiment::losses::Summary;
-use roomcast_lab::experiment::prediction::{self, NamedProgram, Report};
+use roomcast_lab::experiment::prediction::{self, NamedProgram, Part, Report, Target};
 use roomcast_lab::experiment::{ExperimentError, Progress, ScoreSource, ScoresError};
 use roomcast_lab::simulation::binding::ItemChoice;
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast_services::setup;
 
+mod card;
+mod folds;
 mod habits;
 mod study;
 
@@ -37,10 +40,16 @@ pub struct Args {
 enum Experiment {
     /// How well the next object and room are forecast, next to baselines on the same cases.
     Forecast(ForecastArgs),
+    /// Every table of the model card, in Markdown.
+    Card(card::CardArgs),
+    /// The forecast over folds: every activity by a model that was trained without it.
+    Folds(folds::FoldsArgs),
+    /// The forecast on the sealed split, once: what it finds is written down before it is shown.
+    Sealed(folds::SealedArgs),
     /// The paper's Table I: disturbance by prompt.
     Table1(study::Table1Args),
     /// The paper's Table II: disturbance, time of coverage and failure by policy.
-    Table2(study::StudyArgs),
+    Table2(study::Table2Args),
     /// What the scores depend on: models, prompts, tokenisation, correction, windows.
     Ablation(study::AblationArgs),
     /// Disturbance against coverage for every policy and weight, with the clairvoyant bound.
@@ -124,21 +133,21 @@ struct ForecastArgs {
     /// A folder of activity programs (VirtualHome) or of days (HOMER+), or one such file.
     #[arg(long, value_name = "DIR")]
     programs: PathBuf,
-    /// A scene file, or the name of a shipped scene; may be repeated.
+    /// A scene file, the name of a shipped scene, or a VirtualHome graph (*_graph.json); may be repeated.
     #[arg(long, value_name = "FILE", required = true)]
     scene: Vec<PathBuf>,
-    /// Programs that the baselines are fitted on; the statistics of the embedded model's training split when left out.
+    /// Programs that the baselines are counted on, may be repeated; the statistics of the embedded model's training split when left out.
     #[arg(long, value_name = "DIR")]
-    fit: Option<PathBuf>,
+    fit: Vec<PathBuf>,
     /// Take only the programs of a split that a training manifest lists, such as models/manifest.json.
     #[arg(long, value_name = "FILE")]
     manifest: Option<PathBuf>,
     /// Which split of the manifest.
     #[arg(long, value_name = "NAME", default_value = "test", requires = "manifest")]
     split: String,
-    /// Which of a label's items an object of a program means.
-    #[arg(long, value_parser = choice::<ItemChoice>(), default_value_t)]
-    items: ItemChoice,
+    /// Which of a label's items an object of a program means; may be repeated.
+    #[arg(long, value_parser = choice::<ItemChoice>(), default_values_t = BINDINGS)]
+    items: Vec<ItemChoice>,
     /// The binding sequence: default, p0 to p5, or a text of your own.
     #[arg(long, value_name = "TEXT", default_value = "default")]
     binding: BindingSequence,
@@ -147,7 +156,13 @@ struct ForecastArgs {
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
+    /// Print the tables of the model card.
+    #[arg(long, conflicts_with = "json")]
+    markdown: bool,
 }
+
+/// The ways of binding that are shown side by side: a person takes any thing of a kind, or the nearest.
+const BINDINGS: [ItemChoice; 2] = [ItemChoice::Uniform, ItemChoice::Nearest];
 
 impl From<ExperimentError> for Failure {
     fn from(error: ExperimentError) -> Self {
@@ -171,6 +186,9 @@ impl From<ExperimentError> for Failure {
 pub fn run(args: &Args) -> CommandResult {
     match &args.experiment {
         Experiment::Forecast(args) => run_forecast(args),
+        Experiment::Card(args) => card::run(args),
+        Experiment::Folds(args) => folds::run_folds(args),
+        Experiment::Sealed(args) => folds::run_sealed(args),
         Experiment::Table1(args) => study::run_table1(args),
         Experiment::Table2(args) => study::run_table2(args),
         Experiment::Ablation(args) => study::run_ablation(args),
@@ -181,42 +199,66 @@ pub fn run(args: &Args) -> CommandResult {
 }
 
 fn run_forecast(args: &ForecastArgs) -> CommandResult {
-    let (mut programs, faults) = prediction::load_programs(&args.programs)?;
+    let (programs, faults) = prediction::load_programs(&args.programs)?;
     report_faults(&faults);
-    if let Some(manifest) = &args.manifest {
-        programs = split(programs, manifest, &args.split)?;
-    }
-    let statistics = match &args.fit {
-        Some(folder) => {
-            let (fitted, faults) = prediction::load_programs(folder)?;
-            report_faults(&faults);
-            Statistics::fit(fitted.iter().map(|named| &named.program))
+    let (programs, trained) = match &args.manifest {
+        Some(manifest) => {
+            let manifest = Manifest::read(manifest)?;
+            let trained = if args.model.model.is_none() { manifest.of_split(&programs, TRAINED)? } else { Vec::new() };
+            (manifest.split(programs, &args.split)?, trained)
         }
-        None => Statistics::from_json(roomcast_services::embedded::STATISTICS)
-            .map_err(|e| Failure::new(exit_code::FAILURE, e))?,
+        None => (programs, Vec::new()),
     };
+    let mut statistics = embedded_statistics()?;
+    if !args.fit.is_empty() {
+        let mut fitted = Vec::new();
+        for folder in &args.fit {
+            let (more, faults) = prediction::load_programs(folder)?;
+            report_faults(&faults);
+            fitted.extend(more);
+        }
+        let fit = statistics.kneser_ney;
+        statistics = Statistics { kneser_ney: fit, ..Statistics::fit(fitted.iter().map(|named| &named.program)) };
+    }
     let maps = maps(&args.scene)?;
     let options = prediction::Options {
         history: args.model.limits(),
         binding: args.binding.clone(),
-        items: args.items,
+        items: distinct(&args.items),
         seed: args.model.seed,
     };
-    let progress = Progress::new("programs", programs.len() * maps.len());
-    let open = |grounding: &Grounding| args.model.source(grounding);
-    let report = prediction::run(&maps, &programs, &statistics, &options, &progress, open)?;
+    let progress = Progress::new("programs", programs.len() * maps.len() * options.items.len());
+    let open = |_, grounding: &Grounding| args.model.source(grounding);
+    let parts = [Part { programs, trained, statistics }];
+    let report = prediction::run(&maps, &parts, &options, &progress, open)?;
     drop(progress);
     if args.json {
         return super::print_json(&report);
     }
-    print_forecast(&report)
+    super::print(&if args.markdown { forecast_markdown(&report) } else { forecast_text(&report) })
+}
+
+/// What the baselines know of the embedded model's training split.
+fn embedded_statistics() -> Result<Statistics, Failure> {
+    Statistics::from_json(roomcast_services::embedded::STATISTICS).map_err(|e| Failure::new(exit_code::FAILURE, e))
+}
+
+/// Each once, in their order.
+fn distinct(items: &[ItemChoice]) -> Vec<ItemChoice> {
+    let mut once = Vec::new();
+    for choice in items {
+        if !once.contains(choice) {
+            once.push(*choice);
+        }
+    }
+    once
 }
 
 /// Results go by the names of scenes, so no two may have the same.
 fn maps(paths: &[PathBuf]) -> Result<Vec<(SemanticMap, Grounding)>, Failure> {
     let mut maps: Vec<(SemanticMap, Grounding)> = Vec::with_capacity(paths.len());
     for path in paths {
-        let map = setup::load_map(Some(path))?;
+        let map = load_map(path)?;
         if maps.iter().any(|(other, _)| other.name() == map.name()) {
             let fault = format!(
                 "{}: another of the scenes has its name, {:?}, too, and results go by it: change one's \"name\", or give it once",
@@ -232,6 +274,18 @@ fn maps(paths: &[PathBuf]) -> Result<Vec<(SemanticMap, Grounding)>, Failure> {
     Ok(maps)
 }
 
+/// The end of the names of VirtualHome's environment graphs.
+const GRAPH: &str = "_graph.json";
+
+/// A scene, or a VirtualHome graph as `roomcast scene import` reads it.
+fn load_map(path: &Path) -> Result<SemanticMap, Failure> {
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let Some(name) = name.strip_suffix(GRAPH) else { return Ok(setup::load_map(Some(path))?) };
+    let failed = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|e| failed(e.to_string()))?;
+    Ok(import::virtualhome(&text, name, None).map_err(|e| failed(e.to_string()))?.map)
+}
+
 /// Files that cannot be read are no reason to throw the others away, but are never passed over in silence.
 fn report_faults(faults: &[String]) {
     for fault in faults.iter().take(10) {
@@ -242,95 +296,174 @@ fn report_faults(faults: &[String]) {
     }
 }
 
-#[derive(serde::Deserialize)]
+/// The split that a manifest's model was trained on.
+const TRAINED: &str = "train";
+/// The split that only `experiment sealed` opens.
+const SEALED: &str = "sealed";
+
+/// A manifest that the training writes.
+#[derive(Debug, serde::Deserialize)]
 struct Manifest {
-    splits: std::collections::BTreeMap<String, Split>,
+    #[serde(skip)]
+    path: PathBuf,
+    splits: BTreeMap<String, Split>,
+    /// Titles near one another, by the name of their activity.
+    #[serde(default)]
+    activities: BTreeMap<String, Vec<String>>,
 }
 
-#[derive(serde::Deserialize)]
+#[derive(Debug, serde::Deserialize)]
 struct Split {
     files: Vec<PathBuf>,
 }
 
-fn split(programs: Vec<NamedProgram>, manifest: &Path, name: &str) -> Result<Vec<NamedProgram>, Failure> {
-    let failed = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", manifest.display()));
-    let text = std::fs::read_to_string(manifest).map_err(|e| failed(e.to_string()))?;
-    let parsed: Manifest = serde_json::from_str(&text).map_err(|e| failed(e.to_string()))?;
-    let known = || parsed.splits.keys().cloned().collect::<Vec<_>>().join(", ");
-    let split = parsed.splits.get(name).ok_or_else(|| failed(format!("no split `{name}`: there are {}", known())))?;
-    let files: std::collections::HashSet<&Path> = split.files.iter().map(PathBuf::as_path).collect();
-    // The manifest's paths are relative to the data's root: the ends of the programs' paths.
-    let listed = |path: &Path| {
-        let parts: Vec<_> = path.components().collect();
-        (0..parts.len()).any(|from| files.contains(parts[from..].iter().collect::<PathBuf>().as_path()))
-    };
-    let chosen: Vec<_> = programs.into_iter().filter(|program| listed(&program.path)).collect();
-    if chosen.is_empty() {
-        return Err(failed(format!("none of the programs given is in the split `{name}`")));
+impl Manifest {
+    fn read(path: &Path) -> Result<Self, Failure> {
+        let failed = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", path.display()));
+        let text = std::fs::read_to_string(path).map_err(|e| failed(e.to_string()))?;
+        let parsed: Self = serde_json::from_str(&text).map_err(|e| failed(e.to_string()))?;
+        Ok(Self { path: path.to_owned(), ..parsed })
     }
-    Ok(chosen)
+
+    fn failed(&self, error: impl std::fmt::Display) -> Failure {
+        Failure::new(exit_code::INPUT, format!("{}: {error}", self.path.display()))
+    }
+
+    /// The programs of a split, with their activities. The sealed one is left to `experiment sealed`.
+    fn split(&self, programs: Vec<NamedProgram>, name: &str) -> Result<Vec<NamedProgram>, Failure> {
+        if name == SEALED {
+            return Err(self.failed("the sealed split is opened once, by `roomcast experiment sealed`"));
+        }
+        let chosen = self.of_split(&programs, name)?;
+        if chosen.is_empty() {
+            return Err(self.failed(format!("none of the programs given is in the split `{name}`")));
+        }
+        Ok(chosen)
+    }
+
+    fn of_split(&self, programs: &[NamedProgram], name: &str) -> Result<Vec<NamedProgram>, Failure> {
+        let known = || self.splits.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+        let split = self.splits.get(name);
+        let split = split.ok_or_else(|| self.failed(format!("no split `{name}`: there are {}", known())))?;
+        let files: HashSet<&Path> = split.files.iter().map(PathBuf::as_path).collect();
+        let activity_of: HashMap<&str, &str> = self
+            .activities
+            .iter()
+            .flat_map(|(activity, titles)| titles.iter().map(|title| (title.as_str(), activity.as_str())))
+            .collect();
+        // The manifest's paths are relative to the data's root: the ends of the programs' paths.
+        let listed = |path: &Path| {
+            let parts: Vec<_> = path.components().collect();
+            (0..parts.len()).any(|from| files.contains(parts[from..].iter().collect::<PathBuf>().as_path()))
+        };
+        let chosen = programs.iter().filter(|program| listed(&program.path));
+        let named = |program: &NamedProgram| {
+            let activity = activity_of.get(program.activity.as_str()).map(|name| (*name).to_owned());
+            NamedProgram { activity: activity.unwrap_or_else(|| program.activity.clone()), ..program.clone() }
+        };
+        Ok(chosen.map(named).collect())
+    }
 }
 
-fn print_forecast(report: &Report) -> CommandResult {
-    let mut table =
-        super::table(&["scene", "target", "predictor", "cases", "nll (nats)", "top-1", "top-5", "mrr", "brier", "ece"]);
+fn forecast_text(report: &Report) -> String {
+    let mut table = super::table(&[
+        "scene",
+        "target",
+        "things",
+        "predictor",
+        "cases",
+        "nll (nats)",
+        "top-1",
+        "top-5",
+        "mrr",
+        "brier",
+        "ece",
+    ]);
     let mut differences =
-        super::table(&["scene", "target", "model less", "nll (nats)", "top-1", "top-5", "mrr", "brier"]);
-    let mut activities =
-        super::table(&["scene", "target", "predictor", "nll (nats)", "top-1", "mrr", "model less: nll (nats)", "mrr"]);
+        super::table(&["scene", "target", "things", "model less", "nll (nats)", "top-1", "top-5", "mrr", "brier"]);
+    let mut activities = super::table(&[
+        "scene",
+        "target",
+        "things",
+        "predictor",
+        "nll (nats)",
+        "top-1",
+        "mrr",
+        "ece",
+        "model less: nll (nats)",
+        "top-1",
+        "mrr",
+    ]);
     let mut rows: Vec<_> = report.rows.iter().collect();
-    rows.sort_by(|a, b| (&a.scene, a.target).cmp(&(&b.scene, b.target)));
+    rows.sort_by(|a, b| (&a.scene, a.target, a.items).cmp(&(&b.scene, b.target, b.items)));
+    // Resampling one group gives the same cases again and again: no interval at all, and not one without width.
+    let with = |groups: usize, value: f64, [low, high]: [f64; 2]| match groups {
+        0 | 1 => format!("{value:.3}"),
+        _ => format!("{value:.3} [{low:.3}, {high:.3}]"),
+    };
     for row in rows {
-        let target =
-            serde_json::to_value(row.target).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default();
-        let named = [row.scene.clone(), target, row.predictor.to_owned()];
-        // Resampling one program gives the same cases again and again: no interval at all, and not one without width.
-        let with = |value: f64, [low, high]: [f64; 2]| match report.programs {
-            0 | 1 => format!("{value:.3}"),
-            _ => format!("{value:.3} [{low:.3}, {high:.3}]"),
-        };
+        let things = row.items.unwrap_or("any");
+        let named = [row.scene.clone(), target_name(row.target), things.to_owned(), row.predictor.to_owned()];
         let figures = |s: &Summary| {
             [
-                with(s.nll_nats, s.ci95.nll_nats),
-                with(s.top1, s.ci95.top1),
-                with(s.top5, s.ci95.top5),
-                with(s.mrr, s.ci95.mrr),
-                with(s.brier, s.ci95.brier),
+                (s.nll_nats, s.ci95.nll_nats),
+                (s.top1, s.ci95.top1),
+                (s.top5, s.ci95.top5),
+                (s.mrr, s.ci95.mrr),
+                (s.brier, s.ci95.brier),
             ]
+            .map(|(value, interval)| with(report.programs, value, interval))
         };
         if let Some(less) = &row.model_less_this {
             differences.add_row(named.iter().cloned().chain(figures(less)));
         }
-        let (s, less) = (&row.macro_average, row.model_less_this_by_activity.as_ref());
-        let difference = |value: fn(&Summary) -> (f64, [f64; 2])| {
-            less.map_or_else(String::new, |less| {
-                let (value, interval) = value(less);
-                with(value, interval)
-            })
+        let of_activities = |s: &Summary| {
+            [(s.nll_nats, s.ci95.nll_nats), (s.top1, s.ci95.top1), (s.mrr, s.ci95.mrr), (s.ece, s.ci95.ece)]
+                .map(|(value, interval)| with(report.activities, value, interval))
         };
-        activities.add_row(named.iter().cloned().chain([
-            with(s.nll_nats, s.ci95.nll_nats),
-            with(s.top1, s.ci95.top1),
-            with(s.mrr, s.ci95.mrr),
-            difference(|less| (less.nll_nats, less.ci95.nll_nats)),
-            difference(|less| (less.mrr, less.ci95.mrr)),
-        ]));
+        let [nll, top1, mrr, ece] = of_activities(&row.macro_average);
+        let less = row.model_less_this_by_activity.as_ref().map(of_activities);
+        let [nll_less, top1_less, mrr_less, _] = less.unwrap_or_default();
+        activities.add_row(named.iter().cloned().chain([nll, top1, mrr, ece, nll_less, top1_less, mrr_less]));
         let s = &row.summary;
-        let ece = with(s.ece, s.ci95.ece);
+        let ece = with(report.programs, s.ece, s.ci95.ece);
         table.add_row(named.into_iter().chain([s.cases.to_string()]).chain(figures(s)).chain([ece]));
     }
-    let counted = report.rows.first().map_or(0, |row| row.macro_average.cases);
     let mut text = format!(
         "{table}\n\nOn the same cases, resampled together, the model less each of them:\n{differences}\n\n\
-         Where each of {counted} activities (programs of one title) counts alike, and the difference over all cases with intervals over \
-         activities:\n{activities}\n"
+         Where each of {} counts alike, and the difference over all cases with intervals over activities:\n{activities}\n",
+        if report.activities == 1 { "1 activity".to_owned() } else { format!("{} activities", report.activities) }
     );
+    if !report.nearness.is_empty() {
+        let mut near =
+            super::table(&["nearness", "programs", "cases", "nll (nats)", "mrr", "over activities: nll (nats)", "mrr"]);
+        for third in &report.nearness {
+            let [from, to] = third.nearness;
+            let (s, by) = (&third.model_less_kneser_ney_cache, &third.by_activity);
+            near.add_row([
+                format!("{from:.2} to {to:.2}"),
+                third.programs.to_string(),
+                s.cases.to_string(),
+                with(third.programs, s.nll_nats, s.ci95.nll_nats),
+                with(third.programs, s.mrr, s.ci95.mrr),
+                with(report.activities, by.nll_nats, by.ci95.nll_nats),
+                with(report.activities, by.mrr, by.ci95.mrr),
+            ]);
+        }
+        let _ = writeln!(
+            text,
+            "\nThe model less Kneser-Ney with its cache, next object, by the share of objects that a program has in common with the most \
+             similar one trained on:\n{near}\n"
+        );
+    }
     let _ = writeln!(
         text,
-        "{} in {}; {:.1} % of the next objects are in the maps; scored by {}; {}; {} computed, the others from the cache",
+        "{} in {}; {:.1} % of the next objects are in the maps, and {} had the label of the last one and are no cases; scored by {}; {}; {} \
+         computed, the others from the cache",
         count(report.cases, "case"),
         count(report.programs, "program"),
         100.0 * report.bound_share,
+        report.same_label,
         report.correction,
         if report.programs > 1 {
             "95 % intervals by bootstrap over programs"
@@ -343,5 +476,143 @@ fn print_forecast(report: &Report) -> CommandResult {
     if !missing.is_empty() {
         let _ = writeln!(text, "not in the maps: {}", missing.join(", "));
     }
-    super::print(&text)
+    text
+}
+
+/// The tables of the model card: next object and next room, both ways of binding, and the differences from the baselines.
+fn forecast_markdown(report: &Report) -> String {
+    let cell = |groups: usize, value: f64, [low, high]: [f64; 2]| match groups {
+        0 | 1 => format!("{value:.2}"),
+        _ => format!("{value:.2} [{low:.2}, {high:.2}]"),
+    };
+    let find = |scene: &str, predictor: &str, target: Target, items: Option<&str>| {
+        report.rows.iter().find(|row| {
+            row.scene == scene
+                && row.predictor == predictor
+                && row.target == target
+                && (row.items == items || target == Target::Object)
+        })
+    };
+    let mut scenes: Vec<&str> = report.rows.iter().map(|row| row.scene.as_str()).collect();
+    scenes.dedup();
+    let mut predictors: Vec<&str> = report.rows.iter().map(|row| row.predictor).collect();
+    predictors.sort_unstable();
+    predictors.dedup();
+    let items: Vec<&str> = BINDINGS.map(<&str>::from).to_vec();
+    let items: Vec<&str> =
+        items.into_iter().filter(|items| report.rows.iter().any(|row| row.items == Some(items))).collect();
+    let mut header = vec!["place".to_owned(), "predictor".to_owned(), "object: NLL".into(), "MRR".into(), "ECE".into()];
+    for items in &items {
+        header.extend(["room: NLL", "ECE", "changes found", "where to"].map(|name| format!("{name} ({items})")));
+    }
+    let (n, m) = (report.programs, report.activities);
+    let order = [
+        "model",
+        "model-cache",
+        "kneser-ney",
+        "kneser-ney-cache",
+        "markov2",
+        "frequency",
+        "uniform",
+        "stay",
+        "no-narration",
+    ];
+    let (mut levels, mut programs, mut activities) = (Vec::new(), Vec::new(), Vec::new());
+    for scene in &scenes {
+        for predictor in order.into_iter().filter(|name| predictors.contains(name)) {
+            let figures = |of: &dyn Fn(&prediction::Row) -> Option<Summary>, groups: usize| -> Option<Vec<String>> {
+                let object = of(find(scene, predictor, Target::Object, None)?)?;
+                let mut cells = vec![
+                    (*scene).to_owned(),
+                    predictor.to_owned(),
+                    cell(groups, object.nll_nats, object.ci95.nll_nats),
+                    cell(groups, object.mrr, object.ci95.mrr),
+                    cell(groups, object.ece, object.ci95.ece),
+                ];
+                for items in &items {
+                    let room = of(find(scene, predictor, Target::Room, Some(items))?)?;
+                    let change = of(find(scene, predictor, Target::RoomChange, Some(items))?)?;
+                    let to = of(find(scene, predictor, Target::RoomIfChanged, Some(items))?)?;
+                    cells.push(cell(groups, room.nll_nats, room.ci95.nll_nats));
+                    cells.push(cell(groups, room.ece, room.ci95.ece));
+                    cells.push(cell(groups, change.top1, change.ci95.top1));
+                    cells.push(cell(groups, to.top1, to.ci95.top1));
+                }
+                Some(cells)
+            };
+            levels.extend(figures(&|row| Some(row.summary), n));
+            if ["kneser-ney", "kneser-ney-cache", "frequency", "stay"].contains(&predictor) {
+                programs.extend(figures(&|row| row.model_less_this, n));
+                activities.extend(figures(&|row| row.model_less_this_by_activity, m));
+            }
+        }
+    }
+    let header: Vec<&str> = header.iter().map(String::as_str).collect();
+    let mut less = header.clone();
+    less[1] = "model less";
+    let mut text = format!(
+        "{}\n\nThe model less each baseline, intervals over {n} programs:\n\n{}\n",
+        markdown(&header, &levels),
+        markdown(&less, &programs)
+    );
+    if m > 1 {
+        let _ = writeln!(text, "\nThe same, intervals over {m} activities:\n\n{}", markdown(&less, &activities));
+    }
+    if !report.nearness.is_empty() {
+        let rows: Vec<Vec<String>> = report
+            .nearness
+            .iter()
+            .map(|third| {
+                let (s, by) = (&third.model_less_kneser_ney_cache, &third.by_activity);
+                vec![
+                    format!("{:.2} to {:.2}", third.nearness[0], third.nearness[1]),
+                    third.programs.to_string(),
+                    cell(third.programs, s.nll_nats, s.ci95.nll_nats),
+                    cell(third.programs, s.mrr, s.ci95.mrr),
+                    cell(m, by.nll_nats, by.ci95.nll_nats),
+                    cell(m, by.mrr, by.ci95.mrr),
+                ]
+            })
+            .collect();
+        let header = [
+            "objects in common with the nearest trained program",
+            "programs",
+            "NLL",
+            "MRR",
+            "over activities: NLL",
+            "MRR",
+        ];
+        let _ = writeln!(
+            text,
+            "\nThe model less Kneser-Ney with its cache, next object, by nearness:\n\n{}",
+            markdown(&header, &rows)
+        );
+    }
+    let _ = writeln!(
+        text,
+        "\n{}, {}, {}; {:.1} % of the next objects are in the maps; {} with the label of the last one are no cases; {}.",
+        count(report.cases, "case"),
+        count(n, "program"),
+        if m == 1 { "1 activity".to_owned() } else { format!("{m} activities") },
+        100.0 * report.bound_share,
+        report.same_label,
+        report.correction
+    );
+    text
+}
+
+/// A table in Markdown.
+fn markdown<H: AsRef<str>, C: AsRef<str>>(header: &[H], rows: &[Vec<C>]) -> String {
+    let line = |cells: &mut dyn Iterator<Item = &str>| {
+        let cells: Vec<String> = cells.map(|cell| cell.replace('|', "\\|")).collect();
+        format!("| {} |", cells.join(" | "))
+    };
+    let rule = format!("|{}", " --- |".repeat(header.len()));
+    let mut lines = vec![line(&mut header.iter().map(AsRef::as_ref)), rule];
+    lines.extend(rows.iter().map(|row| line(&mut row.iter().map(AsRef::as_ref))));
+    lines.join("\n")
+}
+
+fn target_name(target: Target) -> String {
+    serde_json::to_value(target).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
 }

@@ -161,10 +161,12 @@ impl Baselines {
             for (context, next) in table {
                 let mut key =
                     |words: &str| if words == START { START.to_owned() } else { key(words, binder, grounding) };
-                let key = context.split('>').map(&mut key).collect::<Vec<_>>().join(">");
-                let counts = contexts.entry(key).or_default();
+                let words: Vec<String> = context.split('>').map(&mut key).collect();
+                let in_hand = context.rsplit('>').next().and_then(|last| binder.label(last));
+                let counts = contexts.entry(words.join(">")).or_default();
                 for (words, count) in next {
-                    if let Some(label) = binder.label(words) {
+                    // Two words of one label are no turn to another thing.
+                    if let Some(label) = binder.label(words).filter(|label| Some(*label) != in_hand) {
                         counts.add(label, *count);
                     }
                 }
@@ -273,20 +275,39 @@ impl KneserNey {
     }
 
     fn with_cache(&self, chain: &[f64], visited: &[usize], here: Option<usize>) -> Vec<f64> {
-        let mut cache = vec![0.0; self.labels];
+        Cache { weight: self.fit.cache_weight, decay: self.fit.cache_decay }.mixed(chain, visited, here)
+    }
+}
+
+/// What was turned to in this activity, the latest most.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Cache {
+    /// Its share of a forecast.
+    weight: f64,
+    /// How much less each earlier object counts.
+    decay: f64,
+}
+
+/// The cache beside the model, to show what it has not learned: weight and decay make the calibration split likeliest with the shipped model.
+pub(crate) const MODEL_CACHE: Cache = Cache { weight: 0.15, decay: 0.7 };
+
+impl Cache {
+    /// A forecast of labels with the cache mixed in; `here` is in hand and is not next.
+    pub(crate) fn mixed(self, forecast: &[f64], visited: &[usize], here: Option<usize>) -> Vec<f64> {
+        let mut cache = vec![0.0; forecast.len()];
         let mut weight = 1.0;
         for label in visited.iter().rev() {
             if Some(*label) != here {
                 cache[*label] += weight;
             }
-            weight *= self.fit.cache_decay;
+            weight *= self.decay;
         }
         let total: f64 = cache.iter().sum();
         if total == 0.0 {
-            return chain.to_vec();
+            return forecast.to_vec();
         }
-        let share = self.fit.cache_weight;
-        chain.iter().zip(&cache).map(|(chain, cached)| (1.0 - share) * chain + share * cached / total).collect()
+        let share = self.weight;
+        forecast.iter().zip(&cache).map(|(own, cached)| (1.0 - share) * own + share * cached / total).collect()
     }
 }
 
@@ -319,7 +340,7 @@ fn stay(statistics: &Statistics, binder: &mut Binder<'_>, grounding: &Grounding)
     for (last, next) in &statistics.markov1 {
         let Some(from) = binder.label(last) else { continue };
         for (words, count) in next {
-            if let Some(to) = binder.label(words) {
+            if let Some(to) = binder.label(words).filter(|to| *to != from) {
                 let (from, to) = (grounding.weights().row(from), grounding.weights().row(to));
                 same += count * from.dot(&to);
                 all += count * from.sum() * to.sum();

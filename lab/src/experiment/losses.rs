@@ -43,7 +43,7 @@ impl Sums {
         self.bins[bin][2] += within(1);
     }
 
-    fn merge(&mut self, other: &Self) {
+    pub(crate) fn merge(&mut self, other: &Self) {
         self.cases += other.cases;
         self.nll_nats += other.nll_nats;
         self.top1 += other.top1;
@@ -53,6 +53,15 @@ impl Sums {
         for (own, more) in self.bins.iter_mut().flatten().zip(other.bins.iter().flatten()) {
             *own += more;
         }
+    }
+
+    /// How many cases.
+    pub(crate) fn len(&self) -> usize {
+        self.cases as usize
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.cases == 0.0
     }
 
     /// The same means from one case's weight; nothing of no case.

@@ -16,6 +16,7 @@ pub mod losses;
 pub mod prediction;
 pub mod report;
 pub mod scores;
+pub mod setups;
 pub mod study;
 pub mod tables;
 

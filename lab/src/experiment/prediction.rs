@@ -6,7 +6,7 @@
 //! ([`ItemChoice`]); *room-change* cases are those in which it is not the room of the last object that was bound. In these,
 //! *room-if-changed* asks every forecast where to, given that the person leaves: the current room is taken out of it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -31,6 +31,19 @@ pub struct NamedProgram {
     pub path: PathBuf,
     /// The program.
     pub program: Program,
+    /// The activity that it is one way of: its title, unless a manifest says which titles are near one another.
+    pub activity: String,
+}
+
+/// Programs that one model is asked about, and what it and the baselines have learned from.
+#[derive(Debug, Clone)]
+pub struct Part {
+    /// Those asked about.
+    pub programs: Vec<NamedProgram>,
+    /// Those of the model's training split, to say how near the others are; may be empty.
+    pub trained: Vec<NamedProgram>,
+    /// What the baselines know.
+    pub statistics: Statistics,
 }
 
 /// What a forecast is of.
@@ -54,14 +67,16 @@ pub struct Row {
     pub predictor: &'static str,
     /// What.
     pub target: Target,
-    /// In which map.
+    /// In which map; "all" over several.
     pub scene: String,
+    /// How an object was bound to one of several like things; none where that makes no difference.
+    pub items: Option<&'static str>,
     /// How well.
     #[serde(flatten)]
     pub summary: Summary,
     /// The model's figures less these, on the same cases resampled together; none for the model itself.
     pub model_less_this: Option<Summary>,
-    /// The same means, with intervals over activities: programs of one title are one.
+    /// The same means, with intervals over activities.
     pub by_activity: Summary,
     /// Means in which every activity counts alike; its cases are activities.
     pub macro_average: Summary,
@@ -70,12 +85,18 @@ pub struct Row {
 }
 
 /// The table, and what was left out of it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Report {
     /// Cases of the target `object`, over all scenes.
     pub cases: usize,
     /// Programs evaluated.
     pub programs: usize,
+    /// Activities that they are ways of.
+    pub activities: usize,
+    /// Next objects with the label of the last one, which are no cases, over all scenes.
+    pub same_label: usize,
+    /// The model's lead by how near the nearest program of its training split is; empty if that is not known.
+    pub nearness: Vec<Near>,
     /// Next objects that the maps lack, the most frequent first, over all scenes.
     pub unbound: Vec<(String, usize)>,
     /// Share of next objects that the maps have.
@@ -88,6 +109,19 @@ pub struct Report {
     pub rows: Vec<Row>,
 }
 
+/// The model's lead over Kneser-Ney with its cache, next object, over programs that are about as near to the training split.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Near {
+    /// Least and greatest nearness: the share of objects that a program has in common with the most similar one of the training split (Jaccard).
+    pub nearness: [f64; 2],
+    /// How many programs.
+    pub programs: usize,
+    /// The model's figures less Kneser-Ney's with its cache.
+    pub model_less_kneser_ney_cache: Summary,
+    /// The same, with intervals over activities.
+    pub by_activity: Summary,
+}
+
 /// How the evaluation is done.
 #[derive(Debug, Clone)]
 pub struct Options {
@@ -95,14 +129,24 @@ pub struct Options {
     pub history: HistoryLimits,
     /// The binding sequence.
     pub binding: BindingSequence,
-    /// Which of a label's items an object means.
-    pub items: ItemChoice,
+    /// Which of a label's items an object means; each is a table of its own.
+    pub items: Vec<ItemChoice>,
     /// Of the draws of items and of the bootstrap.
     pub seed: u64,
 }
 
-const PREDICTORS: [&str; 9] =
-    ["model", "uniform", "frequency", "markov1", "markov2", "kneser-ney", "kneser-ney-cache", "stay", "no-narration"];
+const PREDICTORS: [&str; 10] = [
+    "model",
+    "model-cache",
+    "uniform",
+    "frequency",
+    "markov1",
+    "markov2",
+    "kneser-ney",
+    "kneser-ney-cache",
+    "stay",
+    "no-narration",
+];
 const TARGETS: [Target; 4] = [Target::Object, Target::Room, Target::RoomChange, Target::RoomIfChanged];
 
 /// Reads every program below `folder` in the order of their paths; `folder` may be a single file. A household's day is read as one
@@ -127,7 +171,10 @@ pub fn load_programs(folder: &Path) -> Result<(Vec<NamedProgram>, Vec<String>), 
     let (mut programs, mut faults) = (Vec::new(), Vec::new());
     for path in files {
         match crate::simulation::homer::load_any(&path) {
-            Ok(program) => programs.push(NamedProgram { path, program }),
+            Ok(program) => {
+                let activity = plain_title(&program.title);
+                programs.push(NamedProgram { path, program, activity });
+            }
             Err(fault) => faults.push(fault.to_string()),
         }
     }
@@ -135,6 +182,21 @@ pub fn load_programs(folder: &Path) -> Result<(Vec<NamedProgram>, Vec<String>), 
         return Err(ExperimentError::NoPrograms { path: folder.to_owned(), fault: faults.into_iter().next() });
     }
     Ok((programs, faults))
+}
+
+/// A title as manifests and groups of activities have it.
+#[must_use]
+pub fn plain_title(title: &str) -> String {
+    title.split_whitespace().map(str::to_lowercase).collect::<Vec<_>>().join(" ")
+}
+
+/// Next objects that are no cases.
+#[derive(Debug, Default)]
+struct LeftOut {
+    /// The map lacks them.
+    unbound: BTreeMap<String, usize>,
+    /// They have the label of the last one.
+    same_label: usize,
 }
 
 /// The cases of one program, after binding.
@@ -151,12 +213,7 @@ struct Case {
     in_hand: Option<usize>,
 }
 
-fn cases(
-    program: &Program,
-    binder: &mut Binder<'_>,
-    grounding: &Grounding,
-    unbound: &mut BTreeMap<String, usize>,
-) -> Vec<Case> {
+fn cases(program: &Program, binder: &mut Binder<'_>, grounding: &Grounding, left_out: &mut LeftOut) -> Vec<Case> {
     let steps = &program.steps;
     let words: Vec<Option<String>> = steps.iter().map(|step| step.objects().first().map(|o| o.words())).collect();
     let mut cases = Vec::new();
@@ -183,9 +240,13 @@ fn cases(
         let Some(object) = next.and_then(|next| steps[next].objects().first()) else { continue };
         let place = binder.bind(object, at_m);
         let Some((place, label)) = place.and_then(|place| Some((place, place.label?))) else {
-            *unbound.entry(object.words()).or_default() += 1;
+            *left_out.unbound.entry(object.words()).or_default() += 1;
             continue;
         };
+        if in_hand == Some(label) {
+            left_out.same_label += 1;
+            continue;
+        }
         cases.push(Case {
             done,
             object: label,
@@ -199,31 +260,45 @@ fn cases(
     cases
 }
 
-/// Which activity each program is, by its title: numbers from 0.
-fn activities(programs: &[NamedProgram]) -> Vec<usize> {
+/// Numbers from 0 for the activities of programs.
+fn activities<'a>(programs: impl Iterator<Item = &'a NamedProgram>) -> Vec<usize> {
     let mut known = BTreeMap::new();
-    let title = |named: &NamedProgram| {
-        named.program.title.split_whitespace().map(str::to_lowercase).collect::<Vec<_>>().join(" ")
-    };
-    let number = |named| {
+    let number = |named: &'a NamedProgram| {
         let next = known.len();
-        *known.entry(title(named)).or_insert(next)
+        *known.entry(named.activity.as_str()).or_insert(next)
     };
-    programs.iter().map(number).collect()
+    programs.map(number).collect()
 }
 
-/// Evaluates in one map. Gives the rows, the cases, and counts what could not be bound into `unbound`.
+/// How near a program is to the most similar one of others: the share of objects that two have in common.
+fn nearness(program: &Program, trained: &[BTreeSet<String>]) -> f64 {
+    let own = objects(program);
+    let shared = |other: &BTreeSet<String>| {
+        let common = own.intersection(other).count() as f64;
+        common / (own.len() + other.len()) as f64
+    };
+    // Of a union of a + b - c things c are common.
+    trained.iter().map(shared).map(|share| share / (1.0 - share)).fold(0.0, f64::max)
+}
+
+fn objects(program: &Program) -> BTreeSet<String> {
+    program.steps.iter().filter_map(|step| step.objects().first()).map(|object| object.words()).collect()
+}
+
+/// Sums per predictor and target, and per program of a part.
+type Groups = Vec<Vec<Sums>>;
+
+/// Evaluates one part in one map under one way of binding.
 fn evaluate<M: LanguageModel>(
     (map, grounding): &(SemanticMap, Grounding),
     source: &mut ScoreSource<M>,
-    programs: &[NamedProgram],
-    statistics: &Statistics,
-    options: &Options,
-    unbound: &mut BTreeMap<String, usize>,
+    part: &Part,
+    (options, items): (&Options, ItemChoice),
+    left_out: &mut LeftOut,
     progress: &Progress,
-) -> Result<(Vec<Row>, usize), ExperimentError> {
-    let mut binder = Binder::new(map, grounding, options.items);
-    let baselines = Baselines::new(statistics, &mut binder, grounding);
+) -> Result<Groups, ExperimentError> {
+    let mut binder = Binder::new(map, grounding, items);
+    let baselines = Baselines::new(&part.statistics, &mut binder, grounding);
     let mut grounded = GroundedScores::default();
     let blind = source.score([], &options.binding.clone().without_narration())?;
     let (blind_labels, blind_rooms) = both(&blind, grounding, &mut grounded)?;
@@ -232,13 +307,12 @@ fn evaluate<M: LanguageModel>(
     let even_rooms = vec![1.0 / rooms as f64; rooms];
     let frequency = baselines.frequency().to_vec();
     let frequency_rooms = rooms_of(&frequency, grounding, &mut grounded)?;
-    let mut sums = vec![vec![Sums::default(); programs.len()]; PREDICTORS.len() * TARGETS.len()];
-    let mut count = 0;
+    let mut sums = vec![vec![Sums::default(); part.programs.len()]; PREDICTORS.len() * TARGETS.len()];
     let mut others = Vec::new();
 
-    for (index, NamedProgram { path, program }) in programs.iter().enumerate() {
+    for (index, NamedProgram { path, program, .. }) in part.programs.iter().enumerate() {
         binder.begin(options.seed, &path.file_stem().unwrap_or_default().to_string_lossy());
-        let cases = cases(program, &mut binder, grounding, unbound);
+        let cases = cases(program, &mut binder, grounding, left_out);
         let Some(last) = cases.last() else {
             progress.step();
             continue;
@@ -246,8 +320,9 @@ fn evaluate<M: LanguageModel>(
         let sentences = sentences(&program.steps[..last.done])?;
         let rows = source.score_steps(&sentences, options.history, &options.binding)?;
         for case in &cases {
-            count += 1;
             let (model_labels, model_rooms) = both(&rows[case.done], grounding, &mut grounded)?;
+            let remembering = baselines::MODEL_CACHE.mixed(&model_labels, &case.visited, case.in_hand);
+            let remembering_rooms = rooms_of(&remembering, grounding, &mut grounded)?;
             let context @ [_, before, last] = case.context.each_ref().map(Option::as_deref);
             let first = baselines.markov1(last);
             let second = baselines.markov2(before, last);
@@ -261,6 +336,7 @@ fn evaluate<M: LanguageModel>(
             let stay_labels = labels_in(&stay_rooms, grounding);
             let forecasts: [(&[f64], &[f64]); PREDICTORS.len()] = [
                 (&model_labels, &model_rooms),
+                (&remembering, &remembering_rooms),
                 (&even_labels, &even_rooms),
                 (&frequency, &frequency_rooms),
                 (&first, &first_rooms),
@@ -286,16 +362,22 @@ fn evaluate<M: LanguageModel>(
         progress.step();
     }
     source.flush()?;
-    let of_activity = activities(programs);
-    let by_activity: Vec<Vec<Sums>> = sums.iter().map(|groups| merged(groups, &of_activity)).collect();
+    Ok(sums)
+}
+
+/// The rows of one scene and one way of binding, from the sums of all programs.
+fn rows(scene: &str, items: ItemChoice, sums: &Groups, of_activity: &[usize], seed: u64) -> Vec<Row> {
+    let by_activity: Groups = sums.iter().map(|groups| merged(groups, of_activity)).collect();
     let rows = sums.iter().zip(&by_activity).enumerate().map(|(index, (groups, activities))| {
-        let (model, seed) = (index % TARGETS.len(), options.seed);
+        let model = index % TARGETS.len();
         // The model is the first predictor.
         let is_other = index >= TARGETS.len();
+        let target = TARGETS[model];
         Row {
             predictor: PREDICTORS[index / TARGETS.len()],
-            target: TARGETS[model],
-            scene: map.name().to_owned(),
+            target,
+            scene: scene.to_owned(),
+            items: (target != Target::Object).then(|| items.into()),
             summary: summarise(groups, seed),
             model_less_this: is_other.then(|| difference(&sums[model], groups, seed)),
             by_activity: summarise(activities, seed),
@@ -303,47 +385,108 @@ fn evaluate<M: LanguageModel>(
             model_less_this_by_activity: is_other.then(|| difference(&by_activity[model], activities, seed)),
         }
     });
-    Ok((rows.collect(), count))
+    rows.collect()
 }
 
-/// Evaluates in several maps; `open` gives the source of scores for a map's labels.
+/// The lead by thirds of the programs, the farthest from the training split first.
+fn by_nearness(sums: &Groups, parts: &[Part], of_activity: &[usize], seed: u64) -> Vec<Near> {
+    if parts.iter().any(|part| part.trained.is_empty()) {
+        return Vec::new();
+    }
+    let of_part = |part: &Part| {
+        let trained: Vec<BTreeSet<String>> = part.trained.iter().map(|named| objects(&named.program)).collect();
+        part.programs.iter().map(|named| nearness(&named.program, &trained)).collect::<Vec<_>>()
+    };
+    let near: Vec<f64> = parts.iter().flat_map(of_part).collect();
+    let row =
+        |predictor: &str| PREDICTORS.iter().position(|name| *name == predictor).map(|at| &sums[at * TARGETS.len()]);
+    let (Some(model), Some(cache)) = (row("model"), row("kneser-ney-cache")) else { return Vec::new() };
+    let mut order: Vec<usize> = (0..near.len()).filter(|program| !model[*program].is_empty()).collect();
+    order.sort_by(|a, b| near[*a].total_cmp(&near[*b]));
+    let third = order.len().div_ceil(3).max(1);
+    let of = |programs: &[usize]| {
+        let pick = |row: &[Sums]| programs.iter().map(|program| row[*program]).collect::<Vec<_>>();
+        let (model, cache) = (pick(model), pick(cache));
+        let activity: Vec<usize> = programs.iter().map(|program| of_activity[*program]).collect();
+        Near {
+            nearness: [programs.first(), programs.last()].map(|program| program.map_or(0.0, |program| near[*program])),
+            programs: programs.len(),
+            model_less_kneser_ney_cache: difference(&model, &cache, seed),
+            by_activity: difference(&merged(&model, &activity), &merged(&cache, &activity), seed),
+        }
+    };
+    order.chunks(third).map(of).collect()
+}
+
+/// Evaluates in several maps; `open` gives the source of scores for a part, by its number, and a map's labels. Programs of several parts are pooled, as
+/// where each part is a fold with a model of its own.
 ///
 /// # Errors
 /// When a model, a map or the cache fails, or no case is left.
 pub fn run<M: LanguageModel>(
     maps: &[(SemanticMap, Grounding)],
-    programs: &[NamedProgram],
-    statistics: &Statistics,
+    parts: &[Part],
     options: &Options,
     progress: &Progress,
-    mut open: impl FnMut(&Grounding) -> Result<ScoreSource<M>, ExperimentError>,
+    mut open: impl FnMut(usize, &Grounding) -> Result<ScoreSource<M>, ExperimentError>,
 ) -> Result<Report, ExperimentError> {
-    let mut report = Report {
-        cases: 0,
-        programs: programs.len(),
-        unbound: Vec::new(),
-        bound_share: 0.0,
-        computed: 0,
-        correction: Correction::default(),
-        rows: Vec::new(),
-    };
-    let mut unbound = BTreeMap::new();
+    let mut report = Report { programs: parts.iter().map(|part| part.programs.len()).sum(), ..Report::default() };
+    let of_activity = activities(parts.iter().flat_map(|part| &part.programs));
+    report.activities = of_activity.iter().max().map_or(0, |most| most + 1);
+    let mut unbound: BTreeMap<String, usize> = BTreeMap::new();
+    // Per way of binding, over all maps.
+    let mut all: Vec<Groups> = Vec::new();
     for scene in maps {
-        let mut source = open(&scene.1)?;
-        let (rows, cases) = evaluate(scene, &mut source, programs, statistics, options, &mut unbound, progress)?;
+        let mut of_scene: Vec<Groups> = vec![vec![Vec::new(); PREDICTORS.len() * TARGETS.len()]; options.items.len()];
+        for (number, part) in parts.iter().enumerate() {
+            let mut source = open(number, &scene.1)?;
+            for (index, items) in options.items.iter().enumerate() {
+                let mut left_out = LeftOut::default();
+                let sums = evaluate(scene, &mut source, part, (options, *items), &mut left_out, progress)?;
+                of_scene[index].iter_mut().zip(sums).for_each(|(groups, more)| groups.extend(more));
+                if index == 0 {
+                    report.same_label += left_out.same_label;
+                    left_out.unbound.into_iter().for_each(|(name, n)| *unbound.entry(name).or_default() += n);
+                }
+            }
+            report.computed += source.computed();
+            report.correction = source.correction();
+        }
+        let cases: usize = of_scene.first().map_or(0, |groups| groups[0].iter().map(Sums::len).sum());
         if cases == 0 {
             return Err(ExperimentError::NothingBound { scene: scene.0.name().to_owned() });
         }
         report.cases += cases;
-        report.computed += source.computed();
-        report.correction = source.correction();
-        report.rows.extend(rows);
+        report.add_rows(scene.0.name(), &of_scene, &of_activity, options);
+        if all.is_empty() {
+            all = of_scene;
+        } else {
+            for (sum, more) in all.iter_mut().flatten().flatten().zip(of_scene.iter().flatten().flatten()) {
+                sum.merge(more);
+            }
+        }
+    }
+    if maps.len() > 1 {
+        report.add_rows("all", &all, &of_activity, options);
+    }
+    if let Some(groups) = all.first() {
+        report.nearness = by_nearness(groups, parts, &of_activity, options.seed);
     }
     let missing: usize = unbound.values().sum();
     report.bound_share = report.cases as f64 / (report.cases + missing) as f64;
     report.unbound = unbound.into_iter().collect();
     report.unbound.sort_by(|a, b| b.1.cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
     Ok(report)
+}
+
+impl Report {
+    /// The rows of a scene under every way of binding; what does not depend on that, once.
+    fn add_rows(&mut self, scene: &str, of_items: &[Groups], of_activity: &[usize], options: &Options) {
+        for (index, (items, sums)) in options.items.iter().zip(of_items).enumerate() {
+            let rows = rows(scene, *items, sums, of_activity, options.seed);
+            self.rows.extend(rows.into_iter().filter(|row| index == 0 || row.target != Target::Object));
+        }
+    }
 }
 
 /// The sentences of actions.
@@ -435,10 +578,10 @@ mod tests {
         let text =
             "T\nd\n\n[Walk] <fridge> (1)\n[Open] <fridge> (1)\n[Find] <spaceship> (1)\n[Sit] <couch> (1)\n[StandUp]\n";
         let program = Program::parse(text).unwrap();
-        let mut unbound = BTreeMap::new();
-        let cases = cases(&program, &mut binder, &grounding, &mut unbound);
+        let mut left_out = LeftOut::default();
+        let cases = cases(&program, &mut binder, &grounding, &mut left_out);
         // After walk and open the spaceship is next and cannot be bound; after it, the sofa; then nothing.
-        assert_eq!(unbound, BTreeMap::from([("spaceship".to_owned(), 2)]));
+        assert_eq!(left_out.unbound, BTreeMap::from([("spaceship".to_owned(), 2)]));
         assert_eq!(cases.len(), 1);
         assert_eq!(
             (cases[0].done, cases[0].context.each_ref().map(Option::as_deref)),
@@ -448,19 +591,48 @@ mod tests {
         assert_ne!(cases[0].room, cases[0].here);
     }
 
+    /// A couch is a sofa to this map: nobody turns to another thing there.
+    #[test]
+    fn the_same_label_again_is_no_case() {
+        let (map, grounding) = studio();
+        let mut binder = Binder::new(&map, &grounding, ItemChoice::First);
+        let text = "T\nd\n\n[Walk] <fridge> (1)\n[Find] <sofa> (1)\n[Sit] <couch> (1)\n[Walk] <fridge> (1)\n";
+        let mut left_out = LeftOut::default();
+        let cases = cases(&Program::parse(text).unwrap(), &mut binder, &grounding, &mut left_out);
+        assert_eq!(cases.iter().map(|case| case.done).collect::<Vec<_>>(), [1, 3]);
+        assert_eq!((left_out.same_label, left_out.unbound.len()), (1, 0));
+    }
+
+    #[test]
+    fn nearness_is_the_share_of_objects_in_common_with_the_most_similar_program() {
+        let program = |text: &str| Program::parse(&format!("T\nd\n\n{text}")).unwrap();
+        let own = program("[Walk] <fridge> (1)\n[Find] <sofa> (1)\n");
+        let trained = [
+            objects(&program("[Walk] <fridge> (1)\n[Find] <bed> (1)\n[Find] <cup> (1)\n")),
+            objects(&program("[Walk] <bed> (1)\n")),
+        ];
+        assert!((nearness(&own, &trained) - 0.25).abs() < 1e-12);
+        assert_eq!(nearness(&own, &[]), 0.0);
+        assert!((nearness(&own, &[objects(&own)]) - 1.0).abs() < 1e-12);
+    }
+
     #[test]
     fn the_report_has_every_predictor_and_target_for_each_scene() {
-        let programs = crate::PROGRAMS
-            .map(|(name, text)| NamedProgram { path: name.into(), program: Program::parse(text).unwrap() });
+        let programs = crate::PROGRAMS.map(|(name, text)| NamedProgram {
+            path: name.into(),
+            program: Program::parse(text).unwrap(),
+            activity: name.into(),
+        });
         let statistics = Statistics::fit(programs.iter().map(|p| &p.program));
+        let part = Part { programs: programs.to_vec(), trained: programs.to_vec(), statistics };
         let options = Options {
             history: HistoryLimits::default(),
             binding: BindingSequence::default(),
-            items: ItemChoice::Uniform,
+            items: vec![ItemChoice::Uniform, ItemChoice::Nearest],
             seed: 1,
         };
-        let run = || {
-            run(&[studio()], &programs, &statistics, &options, &Progress::hidden(), |grounding| {
+        let run_with = |parts: &[Part]| {
+            run(&[studio()], parts, &options, &Progress::hidden(), |_, grounding| {
                 Ok(ScoreSource::new(
                     TableModel::new(1),
                     &grounding.label_texts(),
@@ -472,8 +644,11 @@ mod tests {
             })
             .unwrap()
         };
-        let report = run();
-        assert_eq!(report.rows.len(), 36);
+        let report = run_with(std::slice::from_ref(&part));
+        // Ten predictors: of the object once, of three targets of rooms under each way of binding.
+        assert_eq!(report.rows.len(), 70);
+        assert_eq!((report.nearness.len(), report.activities), (3, 3));
+        assert!(report.nearness.iter().all(|near| near.nearness == [1.0, 1.0]));
         assert!(report.cases > 40 && report.rows.iter().all(|row| row.summary.nll_nats.is_finite()));
         let find =
             |predictor, target| report.rows.iter().find(|r| r.predictor == predictor && r.target == target).unwrap();
@@ -488,6 +663,10 @@ mod tests {
         let nll = |predictor| find(predictor, Target::Object).summary.nll_nats;
         assert!(nll("markov2") <= nll("markov1") && nll("markov1") < nll("frequency"));
         assert!(nll("kneser-ney") < nll("markov1") && nll("kneser-ney-cache") < nll("frequency"));
-        assert_eq!(report, run());
+        assert_eq!(report, run_with(std::slice::from_ref(&part)));
+        // Programs of two parts with the same statistics are pooled to the same table.
+        let [mut first, mut second] = [part.clone(), part.clone()];
+        second.programs = first.programs.split_off(1);
+        assert_eq!(report.rows, run_with(&[first, second]).rows);
     }
 }

@@ -21,12 +21,13 @@ use roomcast_core::scorer::correction::{Correction, CorrectionChoice};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_lab::drawing;
 use roomcast_lab::experiment::report::{Report, Table};
+use roomcast_lab::experiment::setups::{self, SetupRow};
 use roomcast_lab::experiment::study::{self, Activity, Decider, Figures, Home, Options};
-use roomcast_lab::experiment::tables::{self, DIFFERENCES, PAPER_TABLE1};
+use roomcast_lab::experiment::tables::{self, DIFFERENCES, PAPER_TABLE1, PAPER_TABLE2, PaperRow};
 use roomcast_lab::experiment::{ExperimentError, Progress, ScoreSource};
 use roomcast_lab::simulation::binding::ItemChoice;
 use roomcast_lab::simulation::homer::Day;
-use roomcast_lab::simulation::timeline::PersonOptions;
+use roomcast_lab::simulation::timeline::{PersonOptions, TimelineError};
 use roomcast_lab::simulation::world::Disturbance;
 use roomcast_llama::LlamaModel;
 use roomcast_services::setup;
@@ -34,11 +35,12 @@ use roomcast_services::setup;
 /// What all simulations share.
 #[derive(Debug, clap::Args)]
 pub(super) struct StudyArgs {
-    /// A scene file, or the name of a shipped scene; may be repeated. The three apartments when left out.
+    /// A scene file, the name of a shipped scene, or a VirtualHome graph (*_graph.json); may be repeated. The three apartments when left out.
     #[arg(long, value_name = "FILE")]
     scene: Vec<PathBuf>,
     /// An activity program (VirtualHome), a day (HOMER+), a folder of either, or the name of a shipped program; may be
-    /// repeated. The three shipped programs when left out. Of a folder, what a scene has no use for is skipped and reported.
+    /// repeated. The three shipped programs when left out. What a scene has nothing of is skipped and reported, and so is what is too short in a
+    /// folder.
     #[arg(long, value_name = "FILE")]
     program: Vec<PathBuf>,
     /// T_r, the time the robot works in each room, in seconds; may be repeated.
@@ -85,6 +87,9 @@ pub(super) struct StudyArgs {
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
+    /// Print the tables in Markdown, but for those of single cells.
+    #[arg(long, conflicts_with = "json")]
+    markdown: bool,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -116,6 +121,20 @@ pub(super) struct Table1Args {
     study: StudyArgs,
 }
 
+/// Arguments of `roomcast experiment table2`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Table2Args {
+    /// Also under every set-up that the paper leaves open, with intervals and at the naive policy's share of failures: any thing of a kind or the
+    /// nearest, acts up to 10, 20 and 60 s, a window of 16 observations or the whole narration.
+    #[arg(long, conflicts_with_all = ["items", "longest_act", "history"])]
+    setups: bool,
+    /// With --setups, further models, such as trainings with other seeds; may be repeated. Intervals are over them, too.
+    #[arg(long, value_name = "FILE", requires = "setups")]
+    also_model: Vec<PathBuf>,
+    #[command(flatten)]
+    study: StudyArgs,
+}
+
 /// Arguments of `roomcast experiment ablation`.
 #[derive(Debug, clap::Args)]
 pub(super) struct AblationArgs {
@@ -143,14 +162,16 @@ pub(super) struct ParetoArgs {
 }
 
 type Scene = (SemanticMap, Grounding);
+/// Names of files and SVG text.
+type Pictures = Vec<(String, String)>;
 
 /// Everything that was loaded for a study.
 struct Setup<'a> {
     args: &'a StudyArgs,
     scenes: Vec<Scene>,
     activities: Vec<(String, Activity)>,
-    /// Only what was named one by one must fit every scene.
-    strict: bool,
+    /// Some activities come from folders: those too short for every room are left out.
+    folders: bool,
     room_times_s: Vec<usize>,
     options: Options,
 }
@@ -165,7 +186,7 @@ impl StudyArgs {
         let (mut files, faults) = super::prediction::load_programs(path)?;
         report_faults(&faults);
         if let Some(manifest) = self.manifest.as_ref().filter(|_| path.is_dir()) {
-            files = super::split(files, manifest, &self.split)?;
+            files = super::Manifest::read(manifest)?.split(files, &self.split)?;
         }
         let mut activities = Vec::with_capacity(files.len());
         let stem = |file: &Path| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -194,9 +215,9 @@ impl StudyArgs {
             if given.is_empty() { default.iter().map(PathBuf::from).collect() } else { given.to_vec() }
         };
         let scenes = maps(&or(&self.scene, scenes))?;
-        let (mut activities, mut strict) = (Vec::new(), true);
+        let (mut activities, mut folders) = (Vec::new(), false);
         for path in or(&self.program, programs) {
-            strict &= !path.is_dir();
+            folders |= path.is_dir();
             activities.extend(self.load(&path)?);
         }
         let mean_action_s = (self.pace > 0.0).then_some(self.pace);
@@ -214,7 +235,7 @@ impl StudyArgs {
             seed: self.model.seed,
         };
         let room_times_s = if self.room_time.is_empty() { room_times_s.to_vec() } else { self.room_time.clone() };
-        Ok(Setup { args: self, scenes, activities, strict, room_times_s, options })
+        Ok(Setup { args: self, scenes, activities, folders, room_times_s, options })
     }
 }
 
@@ -236,7 +257,7 @@ impl Setup<'_> {
         let mut homes = Vec::with_capacity(groups.len());
         for group in groups {
             match Home::new(map, grounding, &group, source, binding, options) {
-                Ok(home) if self.strict || home.cost().steps() >= shortest_s => homes.push(home),
+                Ok(home) if !self.folders || home.cost().steps() >= shortest_s => homes.push(home),
                 Ok(home) => skipped.push(format!(
                     "{} in {}: its {} s leave no time to do every room for {} s",
                     home.program,
@@ -244,7 +265,9 @@ impl Setup<'_> {
                     home.cost().steps(),
                     shortest_s / map.rooms().len().max(1)
                 )),
-                Err(ExperimentError::Timeline(error)) if !self.strict => skipped.push(error.to_string()),
+                // A scene that has nothing of an activity says nothing of the others.
+                Err(ExperimentError::Timeline(error @ TimelineError::Empty { .. })) => skipped.push(error.to_string()),
+                Err(ExperimentError::Timeline(error)) if self.folders => skipped.push(error.to_string()),
                 Err(error) => return Err(error.into()),
             }
         }
@@ -332,6 +355,13 @@ impl Setup<'_> {
         )
     }
 
+    /// The paper's rows, where the set-up is as there: the person takes any thing of a kind, and the window is the whole narration.
+    fn paper<'p>(&self, rows: &'p [PaperRow]) -> &'p [PaperRow] {
+        let whole = |(_, activity): &(String, Activity)| matches!(activity, Activity::Program(program) if program.steps.len() <= self.options.history.observations);
+        let same = self.options.items == ItemChoice::Uniform && self.activities.iter().all(whole);
+        if same { rows } else { &[] }
+    }
+
     fn binding(&self) -> String {
         format!("binding \"{}\"", self.args.binding.text().trim_end())
     }
@@ -343,6 +373,12 @@ impl Setup<'_> {
         }
         if self.args.json {
             return print_json(&json);
+        }
+        if self.args.markdown {
+            let shown = report.tables.iter().filter(|part| !CELLS.contains(&part.name.as_str()));
+            let tables =
+                shown.map(|part| format!("{}:\n\n{}\n\n", part.title, super::markdown(&part.header, &part.rows)));
+            return print(&format!("{}{}\n", tables.collect::<String>(), report.notes.join("\n")));
         }
         let tables: String =
             report.tables.iter().map(|part| format!("\n{}\n{}\n", part.title, as_text(part))).collect();
@@ -359,6 +395,9 @@ fn as_text(part: &Table) -> comfy_table::Table {
     table
 }
 
+/// Tables with a row per cell.
+const CELLS: [&str; 3] = ["table2", "pareto-cells", "domination"];
+
 const APARTMENTS: [&str; 3] = ["apartment-e0", "apartment-e1", "apartment-e2"];
 const PROGRAMS: [&str; 3] = ["p0-breakfast-and-television", "p1-laundry-and-to-bed", "p2-long-evening"];
 const POLICIES: [Decider; 6] = [
@@ -371,22 +410,47 @@ const POLICIES: [Decider; 6] = [
 ];
 
 /// The paper's Table II.
-pub(super) fn run_table2(args: &StudyArgs) -> CommandResult {
-    let setup = args.setup(&[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
-    let mut sources = setup.sources(&args.model)?;
-    let homes = setup.all_homes(&mut sources, &args.binding, &setup.options)?;
+pub(super) fn run_table2(args: &Table2Args) -> CommandResult {
+    let Table2Args { study, .. } = args;
+    let setup = study.setup(&[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
+    let mut sources = setup.sources(&study.model)?;
+    let homes = setup.all_homes(&mut sources, &study.binding, &setup.options)?;
     let cells = setup.run(&homes, &POLICIES)?;
-    let table = tables::table2(&cells);
+    let table = tables::table2(&cells, setup.paper(&PAPER_TABLE2));
     let mut notes = setup.notes(&sources, &homes, &setup.binding());
     notes.insert(0, tables::headline(&table.overall));
     notes.push(DIFFERENCES.to_owned());
-    let pictures = match args.out {
+    let mut pictures = match study.out {
         Some(_) => setup.pictures(&mut sources)?,
         None => Vec::new(),
     };
-    let report = tables::table2_report(&table, &cells, notes, pictures);
-    setup.finish(&report, json!(table))
+    let mut rows = Vec::new();
+    if args.setups {
+        drop((homes, sources));
+        let models = std::iter::once(study.model.model.clone()).chain(args.also_model.iter().cloned().map(Some));
+        let (found, curves) = setup.setups(&models.collect::<Vec<_>>())?;
+        rows = found;
+        pictures.extend(curves);
+    }
+    let mut report = tables::table2_report(&table, &cells, notes, pictures);
+    if args.setups {
+        report.tables.insert(1, setups::table(&rows));
+    }
+    let mut json = json!(table);
+    if let Some(object) = json.as_object_mut().filter(|_| args.setups) {
+        object.insert("setups".into(), json!(rows));
+    }
+    setup.finish(&report, json)
 }
+
+/// Longest acts of the set-ups, in seconds.
+const LONGEST_ACTS_S: [f64; 3] = [10.0, 20.0, 60.0];
+/// Windows of the set-ups: the length that the model was trained on, and all.
+const WINDOWS: [Option<usize>; 2] = [Some(16), None];
+/// Longer than any narration.
+const WHOLE: usize = 1000;
+/// Weights of coverage-aware avoidance for its curve, in seconds.
+const WEIGHTS_S: [f64; 12] = [0.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 80.0, 100.0, 200.0, 1000.0];
 
 fn refuse_binding(args: &StudyArgs, instead: &str) -> CommandResult {
     if args.binding == BindingSequence::default() {
@@ -423,10 +487,10 @@ pub(super) fn run_table1(args: &Table1Args) -> CommandResult {
     let report = Report {
         title: "Disturbance by prompt (the paper's Table I)".into(),
         notes,
-        tables: vec![tables::table_of("table1", "By prompt, over T_r", &rows, &PAPER_TABLE1)],
+        tables: vec![tables::table_of("table1", "By prompt, over T_r", &rows, setup.paper(&PAPER_TABLE1))],
         figures: Vec::new(),
     };
-    setup.finish(&report, json!({ "rows": rows, "paper": PAPER_TABLE1 }))
+    setup.finish(&report, json!({ "rows": rows, "paper": setup.paper(&PAPER_TABLE1) }))
 }
 
 /// Models, prompts, windows.
@@ -529,7 +593,7 @@ pub(super) fn run_pareto(args: &ParetoArgs) -> CommandResult {
     deciders.extend(args.weight.iter().map(|weight_s| Decider::CoverageAware(*weight_s)));
     deciders.push(Decider::Clairvoyant);
     let cells = setup.run(&homes, &deciders)?;
-    let table = tables::table2(&cells);
+    let table = tables::table2(&cells, setup.paper(&PAPER_TABLE2));
     let domination = tables::domination(&cells);
     let count = |verdict: &str| domination.iter().filter(|row| row.verdict == verdict).count();
     let mut notes = setup.notes(&sources, &homes, &setup.binding());
@@ -576,9 +640,42 @@ pub(super) fn run_horizon(args: &StudyArgs) -> CommandResult {
 }
 
 impl Setup<'_> {
+    /// Every set-up that the paper leaves open, for every model.
+    fn setups(&self, models: &[Option<PathBuf>]) -> Result<(Vec<SetupRow>, Pictures), Failure> {
+        let deciders: Vec<Decider> = POLICIES
+            .into_iter()
+            .filter(|decider| *decider != Decider::Clairvoyant)
+            .chain(WEIGHTS_S.map(Decider::CoverageAware))
+            .collect();
+        let (mut rows, mut curves) = (Vec::new(), Vec::new());
+        for items in super::BINDINGS {
+            for longest_act_s in LONGEST_ACTS_S {
+                for window in WINDOWS {
+                    let options = Options {
+                        items,
+                        history: HistoryLimits::exact(window.unwrap_or(WHOLE)),
+                        person: PersonOptions { action_s_max: longest_act_s, ..self.options.person },
+                        ..self.options.clone()
+                    };
+                    let mut cells = Vec::with_capacity(models.len());
+                    for model in models {
+                        let mut sources =
+                            self.sources(&ModelArgs { model: model.clone(), ..self.args.model.clone() })?;
+                        let homes = self.all_homes(&mut sources, &self.args.binding, &options)?;
+                        cells.push(self.run(&homes, &deciders)?);
+                    }
+                    let setup = setups::Setup { items: items.into(), longest_act_s, window };
+                    rows.extend(setups::rows(setup, &cells, self.options.seed));
+                    curves.extend(cells.first().map(|cells| setups::curves(setup, cells)));
+                }
+            }
+        }
+        Ok((rows, curves))
+    }
+
     /// The grounding picture of the paper's Figure 3: each scene with the heat of its scores, half-way through the first
     /// program.
-    fn pictures(&self, sources: &mut [ScoreSource<LlamaModel>]) -> Result<Vec<(String, String)>, Failure> {
+    fn pictures(&self, sources: &mut [ScoreSource<LlamaModel>]) -> Result<Pictures, Failure> {
         let Some((_, Activity::Program(program))) = self.activities.first() else { return Ok(Vec::new()) };
         let half = &program.steps[..program.steps.len().div_ceil(2)];
         let sentences: Vec<Sentence> = super::prediction::sentences(half)?;

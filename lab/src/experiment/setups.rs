@@ -1,0 +1,342 @@
+//! Table II under several set-ups side by side: what the paper leaves open (which of several like things a person takes, how long an act
+//! lasts, how much narration is the window) decides more than the policy does, so every answer is shown, and none is chosen.
+//!
+//! Policies differ in how often they leave a room undone, and who covers less disturbs less. So each is also compared *at the naive
+//! policy's share of failures*: a policy that fails more often is mixed, run by run, with `uncovered-first`, which always
+//! covers; one that fails less often counts as it is. Coverage-aware avoidance takes the best mixture of its weights.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+
+use super::chart::{Chart, Mark, Series};
+use super::losses::RESAMPLES;
+use super::report::Table;
+use super::study::{Cell, Decider};
+use super::tables::{PAPER_TABLE2, PaperRow, mixed};
+use crate::simulation::binding::ItemChoice;
+use roomcast_core::policy::PolicyName;
+
+/// What the paper leaves open.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Setup {
+    /// Which of several like things the person takes.
+    pub items: &'static str,
+    /// Longest time of one act before stretching, in seconds.
+    pub longest_act_s: f64,
+    /// Observations in the window; the whole narration where none.
+    pub window: Option<usize>,
+}
+
+/// A share with its 95 % interval by bootstrap over pairs of home and activity, and over models where there are several.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Share {
+    /// The share.
+    pub value: f64,
+    /// Low and high.
+    pub ci95: [f64; 2],
+}
+
+/// One policy under one set-up.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SetupRow {
+    /// The set-up.
+    #[serde(flatten)]
+    pub setup: Setup,
+    /// How many models are pooled.
+    pub models: usize,
+    /// Who decided.
+    pub policy: String,
+    /// Mean D_T in seconds.
+    pub disturbance_mean: f64,
+    /// F.
+    pub failure_rate: Share,
+    /// How much less it disturbs than the naive policy.
+    pub less: Share,
+    /// The same at the naive policy's share of failures.
+    pub less_at_naive_failures: Share,
+}
+
+/// What one decider's runs come to in one home, over T_r.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Total {
+    runs: f64,
+    disturbance_s: f64,
+    failures: f64,
+}
+
+impl Total {
+    fn add(&mut self, other: &Self) {
+        self.runs += other.runs;
+        self.disturbance_s += other.disturbance_s;
+        self.failures += other.failures;
+    }
+
+    /// F and mean D_T.
+    fn point(&self) -> (f64, f64) {
+        let n = self.runs.max(1.0);
+        (self.failures / n, self.disturbance_s / n)
+    }
+}
+
+/// Totals by decider and home, of one model.
+struct Totals {
+    deciders: Vec<Decider>,
+    of: Vec<Vec<Total>>,
+}
+
+impl Totals {
+    fn new(cells: &[Cell]) -> Self {
+        let (mut deciders, mut homes): (Vec<Decider>, Vec<(&str, &str)>) = Default::default();
+        for cell in cells {
+            if !deciders.contains(&cell.decider) {
+                deciders.push(cell.decider);
+            }
+            if !homes.contains(&(&cell.scene, &cell.program)) {
+                homes.push((&cell.scene, &cell.program));
+            }
+        }
+        let mut of = vec![vec![Total::default(); homes.len()]; deciders.len()];
+        for cell in cells {
+            let decider = deciders.iter().position(|decider| *decider == cell.decider);
+            let home = homes.iter().position(|home| *home == (&cell.scene, &cell.program));
+            let (Some(decider), Some(home)) = (decider, home) else { continue };
+            of[decider][home].add(&Total {
+                runs: cell.runs.len() as f64,
+                disturbance_s: cell.runs.iter().map(|run| run.disturbance_s).sum(),
+                failures: cell.runs.iter().filter(|run| run.coverage_s.is_none()).count() as f64,
+            });
+        }
+        Self { deciders, of }
+    }
+}
+
+/// What is shown of a decider: F, D_T over the naive policy's, and the same at the naive policy's F.
+fn shown(points: &[(Decider, (f64, f64))], decider: Decider) -> [f64; 3] {
+    let find = |wanted: Decider| points.iter().find(|(other, _)| *other == wanted).map(|(_, point)| *point);
+    let (naive_f, naive_s) = find(Decider::Policy(PolicyName::Naive)).unwrap_or_default();
+    let own = find(decider).unwrap_or_default();
+    let candidates: Vec<(f64, f64, f64)> = match decider {
+        Decider::Policy(PolicyName::CoverageAware) => {
+            let front =
+                points.iter().filter(|(other, _)| matches!(other, Decider::CoverageAware(_)) || *other == decider);
+            front.map(|(_, (f, d))| (0.0, *f, *d)).collect()
+        }
+        _ => [Some(own), find(Decider::Policy(PolicyName::UncoveredFirst))]
+            .into_iter()
+            .flatten()
+            .map(|(f, d)| (0.0, f, d))
+            .collect(),
+    };
+    // Who fails less often than the naive policy has no use for more failures.
+    let at_naive_s = if own.0 <= naive_f && !matches!(decider, Decider::Policy(PolicyName::CoverageAware)) {
+        own.1
+    } else {
+        mixed(&candidates, naive_f).unwrap_or(own.1)
+    };
+    let less = |s: f64| if naive_s > 0.0 { 1.0 - s / naive_s } else { 0.0 };
+    [own.0, less(own.1), less(at_naive_s)]
+}
+
+/// The rows of one set-up; `models` are the cells of each model, of the same homes in the same order. Coverage-aware avoidance with other than its
+/// default weight is no row of its own.
+#[must_use]
+pub fn rows(setup: Setup, models: &[Vec<Cell>], seed: u64) -> Vec<SetupRow> {
+    let totals: Vec<Totals> = models.iter().map(|cells| Totals::new(cells)).collect();
+    let Some(first) = totals.first() else { return Vec::new() };
+    let homes = first.of.first().map_or(0, Vec::len);
+    let points = |drawn_models: &[usize], drawn_homes: &[usize]| -> Vec<(Decider, (f64, f64))> {
+        let of_decider = |(index, decider): (usize, &Decider)| {
+            let mut sum = Total::default();
+            for model in drawn_models {
+                drawn_homes.iter().filter_map(|home| totals[*model].of[index].get(*home)).for_each(|one| sum.add(one));
+            }
+            (*decider, sum.point())
+        };
+        first.deciders.iter().enumerate().map(of_decider).collect()
+    };
+    let all = points(&(0..totals.len()).collect::<Vec<_>>(), &(0..homes).collect::<Vec<_>>());
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut draw = |count: usize| (0..count).map(|_| rng.random_range(0..count)).collect::<Vec<_>>();
+    let samples: Vec<_> = (0..RESAMPLES).map(|_| points(&draw(totals.len()), &draw(homes))).collect();
+    let named = first.deciders.iter().filter(|decider| !matches!(decider, Decider::CoverageAware(_)));
+    let row = |decider: &Decider| {
+        let values = shown(&all, *decider);
+        let resampled: Vec<[f64; 3]> = samples.iter().map(|points| shown(points, *decider)).collect();
+        let share = |index: usize| {
+            let mut sorted: Vec<f64> = resampled.iter().map(|values| values[index]).collect();
+            sorted.sort_by(f64::total_cmp);
+            let at = |share: f64| sorted[((share * sorted.len() as f64) as usize).min(sorted.len() - 1)];
+            Share { value: values[index], ci95: [at(0.025), at(0.975)] }
+        };
+        let disturbance_mean = all.iter().find(|(other, _)| other == decider).map_or(0.0, |(_, (_, d))| *d);
+        SetupRow {
+            setup,
+            models: totals.len(),
+            policy: decider.name(),
+            disturbance_mean,
+            failure_rate: share(0),
+            less: share(1),
+            less_at_naive_failures: share(2),
+        }
+    };
+    named.map(row).collect()
+}
+
+/// The paper's row, where the set-up is the paper's; how long an act lasts there is not published.
+fn paper(row: &SetupRow) -> Option<&'static PaperRow> {
+    let same = row.setup.items == <&str>::from(ItemChoice::Uniform) && row.setup.window.is_none();
+    PAPER_TABLE2.iter().find(|paper| same && paper.name == row.policy)
+}
+
+/// The rows as a table.
+#[must_use]
+pub fn table(rows: &[SetupRow]) -> Table {
+    let header = [
+        "things",
+        "longest act (s)",
+        "window",
+        "models",
+        "policy",
+        "D_T (s)",
+        "F",
+        "less than naive",
+        "less at naive's F",
+        "paper: D_T (s), F",
+    ];
+    let mut table = Table::new("setups", "Under every set-up", &header);
+    let share = |share: &Share| {
+        let [low, high] = share.ci95;
+        format!("{:.1} % [{:.1}, {:.1}]", 100.0 * share.value, 100.0 * low, 100.0 * high)
+    };
+    table.rows = rows
+        .iter()
+        .map(|row| {
+            vec![
+                row.setup.items.to_owned(),
+                row.setup.longest_act_s.to_string(),
+                row.setup.window.map_or_else(|| "all".to_owned(), |window| window.to_string()),
+                row.models.to_string(),
+                row.policy.clone(),
+                format!("{:.1}", row.disturbance_mean),
+                share(&row.failure_rate),
+                share(&row.less),
+                share(&row.less_at_naive_failures),
+                paper(row)
+                    .map_or_else(String::new, |p| format!("{}, {:.1} %", p.disturbance_mean, 100.0 * p.failure_rate)),
+            ]
+        })
+        .collect();
+    table
+}
+
+/// Disturbance against failed coverage over all cells of a set-up: coverage-aware avoidance by its weight, and each other policy mixed with
+/// `uncovered-first`.
+#[must_use]
+pub fn curves(setup: Setup, cells: &[Cell]) -> (String, String) {
+    let totals = Totals::new(cells);
+    let points: Vec<(Decider, (f64, f64))> = totals
+        .deciders
+        .iter()
+        .zip(&totals.of)
+        .map(|(decider, homes)| {
+            let mut sum = Total::default();
+            homes.iter().for_each(|home| sum.add(home));
+            (*decider, sum.point())
+        })
+        .collect();
+    let shown = |(f, d): (f64, f64)| (100.0 * f, d);
+    let covers = points.iter().find(|(decider, _)| *decider == Decider::Policy(PolicyName::UncoveredFirst));
+    let mut front: Vec<(f64, f64)> = points
+        .iter()
+        .filter(|(decider, _)| matches!(decider, Decider::CoverageAware(_)))
+        .map(|(_, point)| shown(*point))
+        .collect();
+    front.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut series = vec![Series { name: "coverage-aware, by weight".into(), points: front, mark: Mark::Line }];
+    for (decider, point) in &points {
+        if matches!(decider, Decider::CoverageAware(_) | Decider::Clairvoyant) {
+            continue;
+        }
+        let with =
+            covers.filter(|(other, _)| other != decider && *decider != Decider::Policy(PolicyName::CoverageAware));
+        let points: Vec<_> = with.map(|(_, covers)| shown(*covers)).into_iter().chain([shown(*point)]).collect();
+        let mark = if points.len() > 1 { Mark::Line } else { Mark::Points };
+        series.push(Series { name: decider.name(), points, mark });
+    }
+    let window = setup.window.map_or_else(|| "all".to_owned(), |window| window.to_string());
+    let name = format!("curves-{}-{}-{window}", setup.items, setup.longest_act_s);
+    let title = format!(
+        "Disturbance at a share of failures: {} things, acts up to {} s, window {window}",
+        setup.items, setup.longest_act_s
+    );
+    let chart = Chart { title, x: "runs without full coverage (%)".into(), y: "mean D_T (s)".into(), series };
+    (name, chart.svg())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulation::world::Run;
+
+    const SETUP: Setup = Setup { items: "nearest", longest_act_s: 10.0, window: Some(16) };
+
+    fn cell(program: &str, decider: Decider, runs: &[(f64, bool)]) -> Cell {
+        let run = |(disturbance_s, covers): &(f64, bool)| Run {
+            disturbance_s: *disturbance_s,
+            coverage_s: covers.then_some(75),
+            start: 0,
+        };
+        let runs = runs.iter().map(run).collect();
+        Cell {
+            scene: "s".into(),
+            program: program.into(),
+            room_time_s: 25,
+            decider,
+            runs,
+            optima: Vec::new(),
+            horizon_s: 100,
+        }
+    }
+
+    #[test]
+    fn policies_are_compared_at_the_naive_policys_failures() {
+        let policy = Decider::Policy;
+        let cells: Vec<Cell> = ["p", "q"]
+            .iter()
+            .flat_map(|program| {
+                [
+                    cell(
+                        program,
+                        policy(PolicyName::Naive),
+                        &[(20.0, true), (20.0, true), (20.0, true), (20.0, false)],
+                    ),
+                    cell(program, policy(PolicyName::InformedAvoidance), &[(10.0, true), (10.0, false)]),
+                    cell(program, policy(PolicyName::UncoveredFirst), &[(14.0, true), (14.0, true)]),
+                    cell(program, policy(PolicyName::CoverageAware), &[(8.0, true), (8.0, true)]),
+                    cell(program, Decider::CoverageAware(1.0), &[(4.0, false), (4.0, false)]),
+                ]
+            })
+            .collect();
+        let rows = rows(SETUP, std::slice::from_ref(&cells), 1);
+        let of = |policy: &str| rows.iter().find(|row| row.policy == policy).unwrap();
+        assert_eq!(rows.len(), 4, "other weights are no rows");
+        assert_eq!((of("naive").less.value, of("naive").failure_rate.value), (0.0, 0.25));
+        // Half of the runs may be informed: 0.5 * 10 + 0.5 * 14 = 12 of 20 s.
+        let informed = of("informed-avoidance");
+        assert!((informed.less.value - 0.5).abs() < 1e-12);
+        assert!((informed.less_at_naive_failures.value - 0.4).abs() < 1e-12, "{informed:?}");
+        // A quarter of the runs at weight 1: 0.25 * 4 + 0.75 * 8 = 7 of 20 s.
+        assert!((of("coverage-aware").less_at_naive_failures.value - 0.65).abs() < 1e-12);
+        assert!((of("uncovered-first").less_at_naive_failures.value - 0.3).abs() < 1e-12);
+        // Homes that are all alike leave nothing unsure.
+        assert!(rows.iter().all(|row| row.less.ci95 == [row.less.value; 2]));
+        let two = super::rows(SETUP, &[cells.clone(), cells.clone()], 1);
+        assert_eq!(two[1].models, 2);
+        assert_eq!(two[1].less, rows[1].less);
+        assert!(curves(SETUP, &cells).1.contains("coverage-aware, by weight"));
+        assert!(table(&rows).rows.iter().all(|row| row[9].is_empty()));
+        let as_paper = super::rows(Setup { items: "uniform", window: None, ..SETUP }, &[cells], 1);
+        assert_eq!(table(&as_paper).rows[1][9], "145.3, 20.5 %");
+    }
+}

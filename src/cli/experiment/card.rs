@@ -1,0 +1,66 @@
+//! `roomcast experiment card`: every table of the model card, in Markdown, each below the command that prints it alone.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args as _, FromArgMatches as _};
+
+use super::Args;
+use crate::cli::{CommandResult, Failure, print};
+use crate::exit_code;
+
+/// Arguments of `roomcast experiment card`.
+#[derive(Debug, clap::Args)]
+pub(super) struct CardArgs {
+    /// The folder with virtualhome/ that the model was trained from.
+    #[arg(long, value_name = "DIR")]
+    shared: PathBuf,
+    /// The project's folder, for models/manifest.json and training/unseen/.
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    project: PathBuf,
+    /// Only tables whose title has this in it.
+    #[arg(long, value_name = "TEXT")]
+    only: Option<String>,
+}
+
+const GRAPHS: [&str; 3] = ["TestScene1", "TestScene2", "TestScene5"];
+const PLACES: [&str; 4] = ["house", "ward", "warehouse", "office"];
+
+pub(super) fn run(args: &CardArgs) -> CommandResult {
+    let path = |folder: &Path, below: &str| folder.join(below).display().to_string();
+    let shared = |below: &str| path(&args.shared, below);
+    let project = |below: &str| path(&args.project, below);
+    let programs = shared("virtualhome/programs");
+    let manifest = project("models/manifest.json");
+    let graphs: Vec<String> = GRAPHS
+        .iter()
+        .flat_map(|name| ["--scene".to_owned(), shared(&format!("virtualhome/scenes/{name}_graph.json"))])
+        .collect();
+    let mut tables: Vec<(String, Vec<String>)> = Vec::new();
+    let mut add = |title: &str, command: &[&str], more: Vec<String>| {
+        tables.push((title.to_owned(), command.iter().map(|word| (*word).to_owned()).chain(more).collect()));
+    };
+    let held_out = || vec!["--manifest".to_owned(), manifest.clone(), "--split".to_owned(), "test".to_owned()];
+    let forecast = |programs: &str| vec!["--programs".to_owned(), programs.to_owned()];
+    add("Test split", &["forecast"], [forecast(&programs), held_out(), graphs.clone()].concat());
+    for place in PLACES {
+        let scene = vec!["--scene".to_owned(), project(&format!("training/unseen/{place}/map.json"))];
+        let folder = project(&format!("training/unseen/{place}/programs"));
+        add(&format!("Development place: {place}"), &["forecast"], [forecast(&folder), scene].concat());
+    }
+    add("Table II, seen activities", &["table2", "--setups"], Vec::new());
+    let unseen = [vec!["--program".to_owned(), programs.clone()], held_out(), graphs].concat();
+    add("Table II, test split", &["table2", "--setups", "--restarts", "100"], unseen);
+    for (title, command) in tables {
+        if args.only.as_ref().is_some_and(|only| !title.contains(only)) {
+            continue;
+        }
+        print(&format!("### {title}\n\n    roomcast experiment {} --markdown\n\n", command.join(" ")))?;
+        let line = ["experiment".to_owned()].into_iter().chain(command).chain(["--markdown".to_owned()]);
+        let parsed = Args::augment_args(clap::Command::new("experiment")).try_get_matches_from(line);
+        let parsed = parsed.and_then(|matches| Args::from_arg_matches(&matches));
+        // A title and the folders that were given make no other arguments than these.
+        super::run(&parsed.map_err(|error| Failure::new(exit_code::FAILURE, error))?)?;
+        print("\n")?;
+    }
+    Ok(())
+}

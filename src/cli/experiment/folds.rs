@@ -1,0 +1,220 @@
+//! `roomcast experiment folds | sealed`: forecasts by models that were trained without what they are asked about.
+
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde_json::{Value, json};
+
+use super::{
+    BINDINGS, Manifest, ModelArgs, SEALED, TRAINED, distinct, forecast_markdown, forecast_text, maps, report_faults,
+};
+use crate::cli::choice::choice;
+use crate::cli::{CommandResult, Failure, print, print_json};
+use crate::exit_code;
+use roomcast_core::grounding::Grounding;
+use roomcast_core::prompt::BindingSequence;
+use roomcast_lab::experiment::Progress;
+use roomcast_lab::experiment::baselines::Statistics;
+use roomcast_lab::experiment::prediction::{self, NamedProgram, Part, Report};
+use roomcast_lab::simulation::binding::ItemChoice;
+
+/// What both ask about.
+#[derive(Debug, clap::Args)]
+struct Asked {
+    /// The folder of activity programs that the models were trained on parts of.
+    #[arg(long, value_name = "DIR")]
+    programs: PathBuf,
+    /// A scene file, the name of a shipped scene, or a VirtualHome graph (*_graph.json); may be repeated.
+    #[arg(long, value_name = "FILE", required = true)]
+    scene: Vec<PathBuf>,
+    /// Which of a label's items an object of a program means; may be repeated.
+    #[arg(long, value_parser = choice::<ItemChoice>(), default_values_t = BINDINGS)]
+    items: Vec<ItemChoice>,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+    /// Print the tables of the model card.
+    #[arg(long, conflicts_with = "json")]
+    markdown: bool,
+}
+
+/// Arguments of `roomcast experiment folds`.
+#[derive(Debug, clap::Args)]
+pub(super) struct FoldsArgs {
+    /// What `training/run.py --folds` wrote: a folder per fold, with model, manifest and statistics.
+    #[arg(long, value_name = "DIR")]
+    folds: PathBuf,
+    #[command(flatten)]
+    asked: Asked,
+    #[command(flatten)]
+    model: ModelArgs,
+}
+
+/// Arguments of `roomcast experiment sealed`.
+#[derive(Debug, clap::Args)]
+pub(super) struct SealedArgs {
+    /// A folder with model, manifest and statistics, as `training/run.py --fold` writes it.
+    #[arg(long, value_name = "DIR")]
+    trained: PathBuf,
+    /// Where it is written down that the split was opened; a file that holds an entry ends the command before it looks.
+    #[arg(long, value_name = "FILE", default_value = "models/sealed.json")]
+    record: PathBuf,
+    /// Places that nobody has measured yet, opened together with the split: a folder for each, with map.json and programs/.
+    #[arg(long, value_name = "DIR", default_value = "training/sealed")]
+    places: PathBuf,
+    #[command(flatten)]
+    asked: Asked,
+    #[command(flatten)]
+    model: ModelArgs,
+}
+
+/// A model, and what was held out when it was trained.
+struct Trained {
+    folder: PathBuf,
+    manifest: Manifest,
+    statistics: Statistics,
+}
+
+impl Trained {
+    fn read(folder: &Path) -> Result<Self, Failure> {
+        let manifest = Manifest::read(&folder.join("manifest.json"))?;
+        let path = folder.join("household-statistics.json");
+        let failed = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", path.display()));
+        let text = std::fs::read_to_string(&path).map_err(|e| failed(e.to_string()))?;
+        let statistics = Statistics::from_json(&text).map_err(|e| failed(e.to_string()))?;
+        Ok(Self { folder: folder.to_owned(), manifest, statistics })
+    }
+
+    fn model(&self) -> PathBuf {
+        self.folder.join("household.gguf")
+    }
+
+    fn part(&self, programs: &[NamedProgram], split: &str) -> Result<Part, Failure> {
+        let asked = self.manifest.of_split(programs, split)?;
+        if asked.is_empty() {
+            return Err(self.manifest.failed(format!("none of the programs given is in the split `{split}`")));
+        }
+        let trained = self.manifest.of_split(programs, TRAINED)?;
+        if let Some(both) = trained.iter().find(|known| asked.iter().any(|program| program.path == known.path)) {
+            let fault =
+                format!("{} is in the splits `{TRAINED}` and `{split}`, so it was not held out", both.path.display());
+            return Err(self.manifest.failed(fault));
+        }
+        Ok(Part { programs: asked, trained, statistics: self.statistics.clone() })
+    }
+}
+
+impl Asked {
+    fn load(&self) -> Result<Vec<NamedProgram>, Failure> {
+        let (programs, faults) = prediction::load_programs(&self.programs)?;
+        report_faults(&faults);
+        Ok(programs)
+    }
+
+    fn print(&self, reports: &[Report]) -> CommandResult {
+        if self.json {
+            return print_json(&reports);
+        }
+        let text = if self.markdown { forecast_markdown } else { forecast_text };
+        print(&reports.iter().map(text).collect::<Vec<_>>().join("\n"))
+    }
+
+    fn measure(
+        &self,
+        trained: &[Trained],
+        parts: &[Part],
+        scenes: &[PathBuf],
+        model: &ModelArgs,
+    ) -> Result<Report, Failure> {
+        let maps = maps(scenes)?;
+        let options = prediction::Options {
+            history: model.limits(),
+            binding: BindingSequence::default(),
+            items: distinct(&self.items),
+            seed: model.seed,
+        };
+        let programs: usize = parts.iter().map(|part| part.programs.len()).sum();
+        let progress = Progress::new("programs", programs * maps.len() * options.items.len());
+        let open = |part: usize, grounding: &Grounding| {
+            ModelArgs { model: Some(trained[part].model()), ..model.clone() }.source(grounding)
+        };
+        Ok(prediction::run(&maps, parts, &options, &progress, open)?)
+    }
+}
+
+/// The models take their names from the folds.
+fn refuse_model(model: &ModelArgs, instead: &str) -> CommandResult {
+    match model.model {
+        Some(_) => Err(Failure::new(exit_code::USAGE, format!("--model has no effect here: give {instead}"))),
+        None => Ok(()),
+    }
+}
+
+pub(super) fn run_folds(args: &FoldsArgs) -> CommandResult {
+    refuse_model(&args.model, "--folds")?;
+    let folders = folders(&args.folds, "manifest.json")?;
+    if folders.len() < 2 {
+        let found = folders.len();
+        let folds = args.folds.display();
+        let fault = format!(
+            "{folds}: {found} finished folds, and it takes two at least: `python training/run.py --shared DATA --folds {folds}` trains them"
+        );
+        return Err(Failure::new(exit_code::INPUT, fault));
+    }
+    let programs = args.asked.load()?;
+    let trained = folders.iter().map(|folder| Trained::read(folder)).collect::<Result<Vec<_>, _>>()?;
+    let parts = trained.iter().map(|fold| fold.part(&programs, "test")).collect::<Result<Vec<_>, _>>()?;
+    let mut seen = std::collections::HashSet::new();
+    for (fold, part) in trained.iter().zip(&parts) {
+        if let Some(twice) = part.programs.iter().find(|program| !seen.insert(program.path.clone())) {
+            return Err(fold.manifest.failed(format!("{} is held out by two folds", twice.path.display())));
+        }
+    }
+    let report = args.asked.measure(&trained, &parts, &args.asked.scene, &args.model)?;
+    args.asked.print(&[report])
+}
+
+/// The folders below `folder` that have such a file, in order.
+fn folders(folder: &Path, file: &str) -> Result<Vec<PathBuf>, Failure> {
+    let failed = |error: std::io::Error| Failure::new(exit_code::INPUT, format!("{}: {error}", folder.display()));
+    let entries = std::fs::read_dir(folder).map_err(failed)?;
+    let mut found: Vec<PathBuf> =
+        entries.filter_map(|entry| Some(entry.ok()?.path())).filter(|path| path.join(file).is_file()).collect();
+    found.sort();
+    Ok(found)
+}
+
+pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
+    refuse_model(&args.model, "--trained")?;
+    let record = &args.record;
+    let failed = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", record.display()));
+    let mut entries: Vec<Value> = match std::fs::read_to_string(record) {
+        Ok(text) => serde_json::from_str(&text).map_err(|e| failed(e.to_string()))?,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
+        Err(error) => return Err(failed(error.to_string())),
+    };
+    if !entries.is_empty() {
+        return Err(failed(
+            "the sealed split was opened already; what was found is in this file, and it is not opened twice".into(),
+        ));
+    }
+    let programs = args.asked.load()?;
+    let trained = [Trained::read(&args.trained)?];
+    let part = trained[0].part(&programs, SEALED)?;
+    let sha256 = roomcast_llama::file_sha256(&trained[0].model()).map_err(|e| failed(e.to_string()))?;
+    let places = folders(&args.places, "map.json")?;
+    let mut reports =
+        vec![args.asked.measure(&trained, std::slice::from_ref(&part), &args.asked.scene, &args.model)?];
+    for place in places {
+        let (programs, faults) = prediction::load_programs(&place.join("programs"))?;
+        report_faults(&faults);
+        let part = Part { programs, ..part.clone() };
+        reports.push(args.asked.measure(&trained, &[part], &[place.join("map.json")], &args.model)?);
+    }
+    let opened = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    entries.push(json!({ "opened_unix_s": opened, "model_sha256": hex::encode(sha256), "reports": reports }));
+    // Written first: nobody sees what is not written down.
+    let text = serde_json::to_string_pretty(&entries).map_err(|e| failed(e.to_string()))?;
+    std::fs::write(record, text + "\n").map_err(|e| failed(e.to_string()))?;
+    args.asked.print(&reports)
+}
