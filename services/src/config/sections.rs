@@ -81,6 +81,9 @@ pub struct KnownNarrator {
     pub share: u32,
     /// In place of `daemon.intake.rate_per_s`.
     pub rate_per_s: Option<f64>,
+    /// Its narration comes through `roomcast-bridge`: when that starts again, its port goes on where the closed one was.
+    #[serde(default)]
+    pub relayed: bool,
 }
 
 fn one() -> u32 {
@@ -216,6 +219,8 @@ pub struct PlannerConfig {
     pub forced: Forced,
     /// No room is entered that is in the room set of a person at any time of the stay. Where nothing was learned there are no sets.
     pub avoid_sets: bool,
+    /// Whether rooms that other robots are in or on their way to are not entered.
+    pub avoid_robots: bool,
     /// A person who comes into the robot's room ends its work there.
     pub interrupt: bool,
     /// How likely somebody must be in a room, 0 to 1, to interrupt the robot; and to keep it out under `forced = "skip"`.
@@ -248,6 +253,7 @@ impl Default for PlannerConfig {
             repeat: true,
             forced: Forced::default(),
             avoid_sets: false,
+            avoid_robots: false,
             interrupt: true,
             interrupt_at: 0.6,
             interrupt_after_s: 2.0,

@@ -1,6 +1,7 @@
 //! From a message to an observation: what is taken, what is refused, and what is counted. Pure: time comes in as a number.
 //!
-//! A start of a source (its number and epoch) belongs to the port that first used it; what another port says in its name is forged. Ports
+//! A start of a source (its number and epoch) belongs to the port that first used it; what another port says in its name is forged. Of a
+//! narrator that the configuration calls relayed, another port goes on once that one is closed: a bridge that started again. Ports
 //! have equal shares of what is limited: sources that are followed, and places in a person's window ([`Voice`]). The service
 //! has as many ports as there are shares, so that what a living port holds no other can take.
 
@@ -210,11 +211,22 @@ impl Intake {
         self.alive = alive.into_iter().collect();
     }
 
-    /// Whether a port uses the name of a configured narrator for which another one speaks, as far as is known. Then
-    /// [`Intake::note_alive`] is to say whether that one is still there.
+    /// Whether a port uses the name of a configured narrator for which another one speaks, or a start of a relayed one that another began, as
+    /// far as is known. Then [`Intake::note_alive`] is to say whether that one is still there.
     #[must_use]
-    pub fn is_contested(&self, source: u64, sender: Sender) -> bool {
-        self.holders.get(&source).is_some_and(|holder| *holder != sender && self.alive.contains(holder))
+    pub fn is_contested(&self, source: u64, epoch: u64, sender: Sender) -> bool {
+        let holder = self.holders.get(&source);
+        let owner = self.followed((source, epoch)).and_then(|known| known.port.as_ref()).filter(|_| self.is_relayed(source));
+        [holder, owner].into_iter().flatten().any(|other| *other != sender && self.alive.contains(other))
+    }
+
+    /// What is remembered of a start of a source.
+    fn followed(&self, start: (u64, u64)) -> Option<&Source> {
+        self.sources.get(&start).or_else(|| self.former.get(&start))
+    }
+
+    fn is_relayed(&self, source: u64) -> bool {
+        self.narrators.get(&source).is_some_and(|known| known.relayed)
     }
 
     /// Judges what a port gave: a message that has passed [`roomcast_ipc::Message::check`], or why it has not.
@@ -261,7 +273,7 @@ impl Intake {
             return Taken::Limited;
         }
         let start = (message.source, message.epoch);
-        let known = self.sources.get(&start).or_else(|| self.former.get(&start));
+        let known = self.followed(start);
         // What was taken may be said again by anybody, a replay for instance.
         if known.is_some_and(|known| message.sequence <= known.follower.sequence()) {
             // Of what gave way long ago that takes no place from others.
@@ -270,7 +282,8 @@ impl Intake {
             }
             return Taken::Duplicate;
         }
-        if known.and_then(|known| known.port).is_some_and(|port| port != sender) {
+        let other = known.and_then(|known| known.port).filter(|port| *port != sender);
+        if other.is_some_and(|port| !self.is_relayed(message.source) || self.alive.contains(&port)) {
             return Taken::Forged;
         }
         if known.is_some_and(|known| message.sequence - known.follower.sequence() > roomcast_ipc::sequence::JUMP_MAX) {
@@ -278,6 +291,11 @@ impl Intake {
                 "its sequence {} is too far ahead of what its source said",
                 message.sequence
             ));
+        }
+        if other.is_some()
+            && let Some(known) = self.sources.get_mut(&start).or_else(|| self.former.get_mut(&start))
+        {
+            (known.port, known.bound) = (None, false);
         }
         let leaves = self.claim(start, sender, turn);
         let excess =
@@ -580,7 +598,7 @@ mod tests {
     /// A name is no password, but who uses one that is in use has none of its places.
     #[test]
     fn the_name_of_a_living_narrator_gives_nobody_its_voice() {
-        let named = KnownNarrator { name: "hall".into(), trust: 3, share: 4, rate_per_s: None };
+        let named = KnownNarrator { name: "hall".into(), trust: 3, share: 4, rate_per_s: None, relayed: false };
         let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[named]);
         let hall = source_of_name("hall");
         let mut voice = |epoch, port, alive: &[Sender]| {
@@ -595,7 +613,7 @@ mod tests {
         let next = Sender::simulated(3);
         assert_eq!(voice(4, next, &[OTHER, next]), own);
         assert_eq!(voice(5, OTHER, &[OTHER, next]), stranger);
-        assert!(intake.is_contested(hall, OTHER) && !intake.is_contested(hall, next));
+        assert!(intake.is_contested(hall, 1, OTHER) && !intake.is_contested(hall, 1, next));
     }
 
     /// Row "two narrators of one name" of the attacks.
@@ -628,6 +646,36 @@ mod tests {
         assert!(told[1] != told[0] && told[2] != told[0], "{told:?}");
         let told = voices(&[(PORT, &[PORT]), (OTHER, &[OTHER]), (third, &[third]), (fourth, &[third, fourth])]);
         assert!(told[1] == told[0] && told[2] == told[0] && told[3] != told[0], "{told:?}");
+    }
+
+    #[test]
+    fn a_bridge_that_starts_again_goes_on_for_the_narrator_elsewhere() {
+        let hall = source_of_name("hall");
+        let known = |relayed| KnownNarrator { name: "hall".into(), trust: 1, share: 1, rate_per_s: None, relayed };
+        let third = Sender::simulated(3);
+        for relayed in [false, true] {
+            let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[known(relayed)]);
+            intake.note_alive([PORT]);
+            let (first, ..) = accepted(intake.take(&message(hall, 1, 1, "A."), PORT, 0));
+            intake.note_alive([PORT, OTHER]);
+            assert_eq!(intake.take(&message(hall, 1, 2, "B."), OTHER, 0), Taken::Forged, "its port is open");
+            assert!(intake.is_contested(hall, 1, OTHER));
+            intake.note_alive([OTHER, third]);
+            assert_eq!(intake.take(&message(hall, 1, 1, "A."), OTHER, 0), Taken::Duplicate);
+            let taken = intake.take(&message(hall, 1, 2, "B."), OTHER, 0);
+            if relayed {
+                assert!(matches!(taken, Taken::Accepted { binds: true, missed: 0, .. }), "{taken:?}");
+                assert_eq!(intake.take(&message(hall, 1, 3, "C."), third, 0), Taken::Forged);
+                // So does one after a restart of the daemon, to which the journal has said whose it was.
+                let mut next = Intake::new(IntakeLimits::default()).with_narrators(&[known(true)]);
+                next.restore(&first);
+                next.restore_port((hall, 1), PORT);
+                next.note_alive([third]);
+                accepted(next.take(&message(hall, 1, 2, "B."), third, 0));
+            } else {
+                assert_eq!(taken, Taken::Forged);
+            }
+        }
     }
 
     /// Row "64 invented sources" of the attacks: nobody who lives is locked out, forgotten or outspoken, also after a restart.
@@ -667,7 +715,7 @@ mod tests {
     /// Whoever is not named counts as one voice with all others, so that more processes have no more of a window.
     #[test]
     fn narrators_that_are_named_have_voices_of_their_own() {
-        let named = KnownNarrator { name: "hall".into(), trust: 3, share: 4, rate_per_s: Some(0.0) };
+        let named = KnownNarrator { name: "hall".into(), trust: 3, share: 4, rate_per_s: Some(0.0), relayed: false };
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 1.0, burst: 2.0 }).with_narrators(&[named]);
         let hall = source_of_name("hall");
         let voice = |taken| accepted(taken).1;

@@ -462,7 +462,8 @@ impl Inbox {
                 self.intake.note_alive(self.narration.senders());
             }
             // A killed narrator's successor has its voice at once.
-            if self.intake.is_contested(source, sender) {
+            let epoch = received.as_ref().map_or(0, |received| received.epoch);
+            if self.intake.is_contested(source, epoch, sender) {
                 self.intake.note_alive(self.narration.senders().into_iter().filter(|sender| sender.is_running()));
             }
             let name = self.message.source_name();

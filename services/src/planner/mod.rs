@@ -27,6 +27,7 @@ use roomcast_core::policy::{Choice, Policy, PolicyError, PolicyName, RobotState}
 use roomcast_core::semantic_map::{PartitionId, SemanticMap};
 
 mod interruption;
+mod others;
 mod outlook;
 mod places;
 mod reports;
@@ -40,6 +41,7 @@ pub use run::{participant, robot_of, run};
 pub use state::KeptRound;
 
 use interruption::Interruption;
+use others::Others;
 use outlook::{Forecast, Outlook};
 use places::Places;
 use robot::{Robot, Work};
@@ -73,6 +75,8 @@ pub struct Planner {
     /// Each person's forecast, where rooms of their sets are not entered.
     avoid_sets: bool,
     sets: Option<Box<PersonForecastsV1>>,
+    /// The other robots, where their rooms are not entered.
+    others: Option<Others>,
     places: Option<Places>,
     round: Round,
     robot: Robot,
@@ -142,6 +146,7 @@ impl Planner {
             forecast: None,
             avoid_sets: config.avoid_sets,
             sets: None,
+            others: config.avoid_robots.then(|| Others::new(sequence::source_of_name(&config.robot))),
             places: None,
             round: Round::new(config),
             robot: Robot::new(config),
@@ -234,6 +239,13 @@ impl Planner {
         outlook::in_sets(self.sets.as_deref(), scores, (now_ns, self.deadline_ns), self.stay_s())
     }
 
+    /// Takes note of what another robot is told, where rooms of others are not entered.
+    pub fn take_other(&mut self, decision: &DecisionV1, now_ns: u64) {
+        if let Some(others) = &mut self.others {
+            others.hear(decision, now_ns);
+        }
+    }
+
     /// Decides if the robot is free, or has to leave its room, and there is something new to say.
     ///
     /// # Errors
@@ -247,6 +259,7 @@ impl Planner {
             return Ok(self.fall_back(stale, now_ns, now_unix_ns));
         };
         self.look_for_persons(&scores, now_ns);
+        self.look_for_robots(&scores, now_ns);
         if std::mem::take(&mut self.asks_again)
             && let Some(work) = self.robot.work.clone()
         {
@@ -385,6 +398,19 @@ impl Planner {
         }
     }
 
+    /// Ends the work in a room that another robot has, too, and keeps.
+    fn look_for_robots(&mut self, scores: &RoomScoresV1, now_ns: u64) {
+        let Some(work) = self.robot.work.as_ref().filter(|work| !work.waits) else { return };
+        let room = scores.rooms().get(work.room).map(|room| room.id);
+        if !room.zip(self.others.as_ref()).is_some_and(|(room, others)| others.go_before(&room, now_ns)) {
+            return;
+        }
+        let (id, cancels) = (self.id_of(work.room).to_owned(), self.own_decision(work));
+        self.robot.work = None;
+        let why = format!("another robot has the {id}, so its work there stops: ");
+        self.notice = Notice { cancels, flags: 0, why };
+    }
+
     /// Whether the robot is free and something may have changed since the last decision.
     fn is_to_decide(&self, scores: &RoomScoresV1, now_ns: u64) -> bool {
         let news = self.decided != Some((scores.epoch, scores.sequence));
@@ -409,6 +435,10 @@ impl Planner {
         let mut closed = self.interruption.held().to_vec();
         closed.resize(closed.len().max(avoided.len()), false);
         closed.iter_mut().zip(&avoided).for_each(|(closed, avoided)| *closed |= avoided);
+        let taken = self.scores.as_ref().zip(self.others.as_ref());
+        let taken = taken.map_or_else(Vec::new, |(scores, others)| others.taken(scores, now_ns));
+        closed.resize(closed.len().max(taken.len()), false);
+        closed.iter_mut().zip(&taken).for_each(|(closed, taken)| *closed |= taken);
         let mut left = Vec::new();
         // What is scarce is time only if every stay that is left is needed.
         let scarce = self.plans()

@@ -35,6 +35,8 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let forecasts = node.subscriber::<ForecastV1>()?;
     // The daemon makes them for whoever follows them.
     let sets = config.planner.avoid_sets.then(|| node.subscriber::<PersonForecastsV1>()).transpose()?;
+    // Of robots of this domain, and of others through `roomcast-bridge`.
+    let others = config.planner.avoid_robots.then(|| node.subscriber::<DecisionV1>()).transpose()?;
     let reports = node.subscriber::<RobotReportV1>()?;
     let decisions = node.publisher::<DecisionV1>()?;
     let mut planner = Planner::new(&config.planner, sequence::random_epoch());
@@ -51,7 +53,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let patience_ns = clock::monotonic_ns() + config.planner.deadline_ms.saturating_mul(1_000_000);
     let (mut snapshot, mut forecast) = (Box::<RoomScoresV1>::default(), Box::<ForecastV1>::default());
     let mut each = Box::<PersonForecastsV1>::default();
-    let mut report = RobotReportV1::default();
+    let (mut report, mut other) = (RobotReportV1::default(), DecisionV1::default());
     let mut early = VecDeque::new();
     notify(&[NotifyState::Ready]);
     while !stop.requested() {
@@ -65,6 +67,11 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
         if let Some(sets) = &sets {
             while receive(sets, &mut each, &mut log)? {
                 planner.take_sets(&each);
+            }
+        }
+        if let Some(others) = &others {
+            while receive(others, &mut other, &mut log)? {
+                planner.take_other(&other, clock::monotonic_ns());
             }
         }
         // Who reports may leave at once, so reports are taken from the port although rooms are known only with the first scores.

@@ -1082,3 +1082,63 @@ fn rooms_of_the_sets_are_not_entered() {
     sets.person[0].set_coverage = 0.0;
     assert_eq!(decide(true, &sets).to(), "room-0", "nothing was learned yet");
 }
+
+/// Two robots of one home for a day, with decisions that reach the other after a while, not at all for the sixth of the day in which they are
+/// cut off, or never; how many seconds both were told to be in one room outside of that time and the delay, and what each has covered.
+fn day_of_two(avoid: bool, delay_s: u64) -> (u64, u64, [usize; 2]) {
+    let config = |robot: &str, seed| PlannerConfig {
+        robot: robot.to_owned(),
+        policy: PolicyName::UncoveredFirst,
+        room_time_s: 60.0,
+        avoid_robots: avoid,
+        seed,
+        ..Default::default()
+    };
+    let mut planners = [Planner::new(&config("robot-1", 1), 1), Planner::new(&config("robot-2", 1), 1)];
+    let mut last: [Option<DecisionV1>; 2] = [None, None];
+    let mut on_the_way = Vec::<(u64, usize, DecisionV1)>::new();
+    let (mut shared, mut cut_off, mut done) = (0, 0, [0, 0]);
+    for second in 1..86_400_u64 {
+        let now_ns = second * S;
+        let cut = (40_000..54_400).contains(&second);
+        for robot in [0, 1] {
+            on_the_way.retain(|(due, to, decision)| {
+                let arrives = *due <= second && *to == robot;
+                if arrives {
+                    planners[robot].take_other(decision, now_ns);
+                }
+                !arrives
+            });
+            planners[robot].take(&scores(second, now_ns, &[0.7, 0.1, 0.1, 0.05, 0.05]));
+            if let Some(decision) = planners[robot].decide(now_ns, 0).unwrap() {
+                last[robot] = Some(decision);
+                done[robot] += usize::from(decision.action == action::GO);
+                if !cut {
+                    on_the_way.push((second + delay_s, 1 - robot, decision));
+                }
+            }
+        }
+        let room = |robot: usize| {
+            let last = last[robot].filter(|last| last.action == action::GO)?;
+            Some(last.to().to_owned())
+        };
+        if room(0).is_some() && room(0) == room(1) {
+            *(if cut { &mut cut_off } else { &mut shared }) += 1;
+        }
+    }
+    (shared, cut_off, done)
+}
+
+#[test]
+fn two_robots_do_not_choose_the_same_room() {
+    let (shared, _, alone) = day_of_two(false, 0);
+    assert!(shared > 3_600, "without the others' decisions they meet: {shared} s");
+    for delay_s in [0, 1, 3] {
+        let (shared, cut_off, done) = day_of_two(true, delay_s);
+        // Who decides within the delay of the other leaves when it hears of it; so they do at the end of the cut.
+        let most = if delay_s == 0 { 61 } else { 86_400 / 60 * delay_s + 61 };
+        assert!(shared <= most, "{shared} s in one room at a delay of {delay_s} s");
+        assert!(cut_off > 0, "each goes on for itself while they are cut off");
+        assert!(done.iter().zip(alone).all(|(done, alone)| *done >= alone * 9 / 10), "{done:?} of {alone:?} stays");
+    }
+}

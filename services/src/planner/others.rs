@@ -1,0 +1,115 @@
+//! Rooms that other robots are in or on their way to, by what their planners decide. Pure: time comes in as a number.
+//!
+//! No robot goes into a room that another has. Where two have decided for one room before they heard of one another, the one with the
+//! smaller number keeps it and the other leaves: both see the same two numbers, so that they agree without asking. Whom a planner does not
+//! hear, it does not make way for.
+
+use std::collections::BTreeMap;
+
+use roomcast_ipc::{DecisionV1, NAME_BYTES, RoomScoresV1, action};
+
+/// Robots that are followed; of more, the one whose room is free first gives way.
+const ROBOTS_MAX: usize = 16;
+/// A robot that is late is waited for so long after its stay, in nanoseconds: its next decision may be on its way.
+const LATE_NS: u64 = 10_000_000_000;
+
+/// What another robot has last been told.
+#[derive(Debug, Clone, Copy)]
+struct Claim {
+    decision: (u64, u64),
+    room: [u8; NAME_BYTES],
+    /// 0 where it has no room.
+    until_ns: u64,
+}
+
+/// The other robots.
+#[derive(Debug)]
+pub(super) struct Others {
+    own: u64,
+    robots: BTreeMap<u64, Claim>,
+}
+
+impl Others {
+    /// None heard; `own` is the number of the planner's robot.
+    pub(super) fn new(own: u64) -> Self {
+        Self { own, robots: BTreeMap::new() }
+    }
+
+    /// Takes note of a checked decision; of its robot's own it takes none.
+    pub(super) fn hear(&mut self, decision: &DecisionV1, now_ns: u64) {
+        let name = (decision.epoch, decision.sequence);
+        let old = |claim: &Claim| claim.decision.0 == name.0 && claim.decision.1 > name.1;
+        if decision.robot == self.own || self.robots.get(&decision.robot).is_some_and(old) {
+            return;
+        }
+        let goes = decision.action == action::GO && !decision.to().is_empty();
+        let end_ns = decision.decided_ns.min(now_ns).saturating_add(decision.stay_ns).saturating_add(LATE_NS);
+        let until_ns = if goes { end_ns } else { 0 };
+        self.robots.insert(decision.robot, Claim { decision: name, room: decision.to, until_ns });
+        if self.robots.len() > ROBOTS_MAX
+            && let Some(first) = self.robots.iter().min_by_key(|(_, claim)| claim.until_ns).map(|(robot, _)| *robot)
+        {
+            self.robots.remove(&first);
+        }
+    }
+
+    /// Whether each room of the scores is another robot's now.
+    pub(super) fn taken(&self, scores: &RoomScoresV1, now_ns: u64) -> Vec<bool> {
+        let taken = |id: &[u8; NAME_BYTES]| self.claims(now_ns).any(|(_, claim)| claim.room == *id);
+        scores.rooms().iter().map(|room| taken(&room.id)).collect()
+    }
+
+    /// Whether a room that this robot has is another's that comes before it.
+    pub(super) fn go_before(&self, room: &[u8; NAME_BYTES], now_ns: u64) -> bool {
+        self.claims(now_ns).any(|(robot, claim)| *robot < self.own && claim.room == *room)
+    }
+
+    fn claims(&self, now_ns: u64) -> impl Iterator<Item = (&u64, &Claim)> {
+        self.robots.iter().filter(move |(_, claim)| claim.until_ns > now_ns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use roomcast_ipc::text;
+
+    const S: u64 = 1_000_000_000;
+
+    fn decision(robot: u64, sequence: u64, to: &str) -> DecisionV1 {
+        let to = text::encode("to", to).unwrap();
+        DecisionV1 {
+            robot,
+            epoch: 1,
+            sequence,
+            decided_ns: S,
+            stay_ns: 60 * S,
+            action: action::GO,
+            to,
+            ..Default::default()
+        }
+    }
+
+    #[test]
+    fn a_room_is_taken_until_its_robot_goes_elsewhere_or_its_time_is_over() {
+        let mut scores = RoomScoresV1 { room_count: 2, ..Default::default() };
+        scores.room[0].id = text::encode("id", "kitchen").unwrap();
+        scores.room[1].id = text::encode("id", "hall").unwrap();
+        let kitchen = scores.room[0].id;
+        let mut others = Others::new(5);
+        others.hear(&decision(5, 1, "hall"), S);
+        others.hear(&decision(9, 2, "kitchen"), S);
+        assert_eq!((others.taken(&scores, 2 * S), others.go_before(&kitchen, 2 * S)), (vec![true, false], false));
+        others.hear(&decision(9, 1, "hall"), S);
+        assert_eq!(others.taken(&scores, 2 * S), [true, false], "it was older");
+        assert_eq!(others.taken(&scores, 71 * S), [false, false]);
+        others.hear(&decision(3, 1, "kitchen"), S);
+        others.hear(&DecisionV1 { action: action::PAUSE, ..decision(9, 3, "") }, S);
+        assert_eq!((others.taken(&scores, 2 * S), others.go_before(&kitchen, 2 * S)), (vec![true, false], true));
+        // A time in the future is of now.
+        others.hear(&DecisionV1 { decided_ns: u64::MAX, ..decision(3, 2, "hall") }, S);
+        assert_eq!(others.taken(&scores, 72 * S), [false, false]);
+        (10..1000).for_each(|robot| others.hear(&decision(robot, 1, "hall"), S));
+        assert!(others.robots.len() <= ROBOTS_MAX);
+    }
+}
