@@ -13,6 +13,8 @@ export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 TARGET := $(or $(CARGO_TARGET_DIR),target)
 VENV := $(TARGET)/python
 HOME_ASSISTANT := $(TARGET)/home-assistant
+ZENOH := $(TARGET)/zenoh
+BRIDGE := --release --locked --manifest-path bridge/Cargo.toml --target-dir $(abspath $(TARGET))
 
 .PHONY: help
 help: ## Lists the commands.
@@ -32,13 +34,14 @@ demo: build ## Builds, then shows the whole system at work on this machine.
 	$(TARGET)/release/roomcast demo
 
 .PHONY: test
-test: setup format counts structure lint unit docs licences scenes python ## Runs every check: format, lints, tests, documentation, licences, Python.
+test: setup format counts structure lint unit bridge docs licences scenes python ## Runs every check: format, lints, tests, documentation, licences, Python.
 	@echo "test: all checks passed"
 
 .PHONY: format
 format:
 	@echo "test: format"
 	cargo fmt --all --check
+	cargo fmt --manifest-path bridge/Cargo.toml --check
 
 .PHONY: structure
 structure: ## Prints the tree, the crates' dependencies and what each build compiles; fails when a crate uses what it may not.
@@ -54,9 +57,23 @@ unit:
 	@echo "test: unit, property and multi-process tests"
 	cargo test --release --locked --workspace --features full
 
+# A workspace of its own, in the same target folder (bridge/Cargo.toml says why). Its tests start the robot's program, and zenoh's router from PyPI.
+.PHONY: bridge
+bridge: setup ## Builds and checks roomcast-bridge: lints, tests with a real router, documentation.
+	@echo "test: the zenoh bridge (its first build compiles zenoh: some minutes on two cores)"
+	test -x $(TARGET)/release/roomcast || cargo build --release --locked
+	cargo clippy $(BRIDGE) --all-targets -- -D warnings
+	@test -x $(ZENOH)/bin/python || python3 -m venv $(ZENOH); \
+	if ! $(ZENOH)/bin/python -c 'import rosbags, zenoh, zenoh_ros2_sdk' 2>/dev/null; then \
+	    $(ZENOH)/bin/python -m pip install --quiet --disable-pip-version-check 'eclipse-zenoh==1.10.2' 'rosbags==0.11.9' 'zenoh-ros2-sdk==0.1.8' || true; \
+	fi
+	cargo test $(BRIDGE)
+	RUSTDOCFLAGS="-D warnings" cargo doc $(BRIDGE) --no-deps
+
 .PHONY: nightly
 nightly: ## About an hour of faults by seed: simulation, killed processes and strangers, failing system calls, mutated input.
 	ROOMCAST_SEEDS=30000 ROOMCAST_CHAOS_CYCLES=700 ROOMCAST_CHAOS_SEED=$$(date +%j) ROOMCAST_SYSCALLS=300 ROOMCAST_SYSCALLS_SEED=$$(date +%j) ROOMCAST_FUZZ_RUNS=2000000 ROOMCAST_RESTARTS=100 cargo test --release --locked --workspace --features full --test simulated --test chaos --test killed --test syscalls --test systemd --test fuzzed -- --nocapture
+	ROOMCAST_FLEET_CYCLES=300 ROOMCAST_FLEET_SEED=$$(date +%j) ROOMCAST_FLEET_CUT_S=60 cargo test $(BRIDGE) --test fleet -- --nocapture
 
 # Home Assistant 2024.3.3 is the last for Python 3.11; at its first start it installs what its parts need.
 .PHONY: test-home

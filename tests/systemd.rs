@@ -14,7 +14,7 @@ use rustix::process::{Pid, Signal, kill_process};
 mod skipped;
 use skipped::skipped;
 
-const UNITS: [&str; 8] = [
+const UNITS: [&str; 9] = [
     "roomcast-daemon.service",
     "roomcast-planner.service",
     "roomcast-narrator.service",
@@ -23,6 +23,7 @@ const UNITS: [&str; 8] = [
     "roomcast-robot.service",
     "roomcast-metrics.service",
     "roomcast-view.service",
+    "zenoh/roomcast-zenoh.service",
 ];
 
 /// Keys that make the delay between restarts grow. Older versions pass over them, with a warning.
@@ -36,8 +37,11 @@ fn installed() -> Option<tempfile::TempDir> {
     }
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd");
     let directory = tempfile::tempdir().unwrap();
+    std::fs::create_dir(directory.path().join("zenoh")).unwrap();
     for unit in UNITS.iter().chain(&["roomcast.target"]) {
         let text = std::fs::read_to_string(source.join(unit)).unwrap();
+        // The bridge is built apart from this.
+        let text = text.replace("/usr/bin/roomcast-bridge", "/usr/bin/roomcast");
         let text = text.replace("/usr/bin/roomcast", env!("CARGO_BIN_EXE_roomcast"));
         std::fs::write(directory.path().join(unit), text).unwrap();
     }

@@ -216,7 +216,8 @@ impl Intake {
     #[must_use]
     pub fn is_contested(&self, source: u64, epoch: u64, sender: Sender) -> bool {
         let holder = self.holders.get(&source);
-        let owner = self.followed((source, epoch)).and_then(|known| known.port.as_ref()).filter(|_| self.is_relayed(source));
+        let owner =
+            self.followed((source, epoch)).and_then(|known| known.port.as_ref()).filter(|_| self.is_relayed(source));
         [holder, owner].into_iter().flatten().any(|other| *other != sender && self.alive.contains(other))
     }
 

@@ -1,0 +1,519 @@
+//! The configuration: `default.toml` is the manual, and tested against this file.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use roomcast_core::grounding::PartitionLevel;
+use roomcast_ipc::{Domain, IpcError, NAME_BYTES};
+use serde::Deserialize;
+
+/// The manual.
+pub const MANUAL: &str = include_str!("default.toml");
+/// Most bytes of a configuration.
+pub const FILE_BYTES_MAX: u64 = 64 << 10;
+/// Most narrators elsewhere: each has a port of its own, so that the daemon's rates and shares hold for each, and a service has eight.
+pub const NARRATORS_MAX: usize = 4;
+/// Most robots of a hub.
+pub const ROBOTS_MAX: usize = 16;
+
+/// Why there is no configuration.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's word.
+        source: std::io::Error,
+    },
+    /// It is too long.
+    #[error("{path} has more than {FILE_BYTES_MAX} bytes; is it a configuration?")]
+    TooLong {
+        /// The file.
+        path: PathBuf,
+    },
+    /// It is malformed, or has an unknown key.
+    #[error("{path}: {source}; `roomcast-bridge config` prints every key")]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// Where and what.
+        source: Box<toml::de::Error>,
+    },
+    /// A value is none that can be.
+    #[error("{key} = {value}: {allowed}")]
+    Value {
+        /// The key.
+        key: &'static str,
+        /// Its value.
+        value: String,
+        /// What can be there.
+        allowed: String,
+    },
+    /// The domain cannot be.
+    #[error(transparent)]
+    Domain(#[from] IpcError),
+}
+
+fn refuse<T>(key: &'static str, value: impl ToString, allowed: impl Into<String>) -> Result<T, ConfigError> {
+    Err(ConfigError::Value { key, value: value.to_string(), allowed: allowed.into() })
+}
+
+/// The whole configuration.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// The way to the router.
+    pub router: Router,
+    /// The site.
+    pub site: Site,
+    /// The robot.
+    pub robot: Robot,
+    /// Where the robot's processes meet.
+    pub ipc: Ipc,
+    /// What is told.
+    pub tell: Tell,
+    /// What may be asked.
+    pub ask: Ask,
+    /// Other robots.
+    pub peers: Peers,
+    /// Narrators elsewhere that are heard.
+    pub narrator: Vec<Narrator>,
+    /// ROS 2.
+    pub ros2: Ros2,
+    /// The hub.
+    pub hub: Hub,
+}
+
+/// The way to the router.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Router {
+    /// `tls/HOST:PORT` or `tcp/HOST:PORT`.
+    pub connect: String,
+    /// PEM files.
+    pub ca: Option<PathBuf>,
+    /// This machine's certificate.
+    pub certificate: Option<PathBuf>,
+    /// Its key.
+    pub key: Option<PathBuf>,
+    /// Whether tcp may lead elsewhere.
+    pub insecure: bool,
+}
+
+/// The site.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Site {
+    /// Its name in keys.
+    pub name: String,
+}
+
+impl Default for Site {
+    fn default() -> Self {
+        Self { name: "home".to_owned() }
+    }
+}
+
+/// The robot.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Robot {
+    /// Its planner's name for it.
+    pub name: String,
+    /// Its name in keys.
+    pub key: Option<String>,
+}
+
+impl Default for Robot {
+    fn default() -> Self {
+        Self { name: "robot".to_owned(), key: None }
+    }
+}
+
+impl Robot {
+    /// Its name in keys.
+    #[must_use]
+    pub fn key(&self) -> &str {
+        self.key.as_deref().unwrap_or(&self.name)
+    }
+}
+
+/// Where the robot's processes meet.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Ipc {
+    /// The root path.
+    pub root: Option<PathBuf>,
+    /// The domain's name.
+    pub domain: String,
+}
+
+impl Default for Ipc {
+    fn default() -> Self {
+        Self { root: None, domain: Domain::default_for_user().name().to_owned() }
+    }
+}
+
+/// What is told.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Tell {
+    /// Room scores.
+    pub scores: bool,
+    /// The forecast of all persons together.
+    pub forecast: bool,
+    /// Each person's forecast and room sets.
+    pub persons: bool,
+    /// The planner's decisions.
+    pub decision: bool,
+    /// How often what has not changed is told again.
+    pub repeat_s: f64,
+}
+
+impl Default for Tell {
+    fn default() -> Self {
+        Self { scores: true, forecast: true, persons: true, decision: true, repeat_s: 5.0 }
+    }
+}
+
+/// Other robots of the site.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Peers {
+    /// Whether the planner hears what they are told.
+    pub hear: bool,
+}
+
+/// What may be asked.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Ask {
+    /// The moment behind the scores.
+    pub moment: bool,
+    /// Changes of the map.
+    pub map_change: bool,
+    /// Persons.
+    pub person: bool,
+}
+
+/// A narrator elsewhere.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Narrator {
+    /// Its name.
+    pub name: String,
+    /// What of it reaches the daemon over time.
+    #[serde(default = "rate")]
+    pub rate_per_s: f64,
+}
+
+fn rate() -> f64 {
+    100.0
+}
+
+/// ROS 2.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Ros2 {
+    /// rmw_zenoh's router.
+    pub connect: Option<String>,
+    /// `ROS_DOMAIN_ID`.
+    pub domain: u32,
+    /// What its topics begin with.
+    pub prefix: String,
+    /// Whether its strings are narration.
+    pub narration: bool,
+    /// The frame of scene and map.
+    pub frame: String,
+    /// The robot's scene.
+    pub scene: Option<PathBuf>,
+    /// What a partition is, as in `grounding.level`.
+    pub level: PartitionLevel,
+    /// A Nav2 map's YAML file.
+    pub map: Option<PathBuf>,
+    /// A mask has the likeliest moment within so long.
+    pub horizon_s: f64,
+    /// A mask is sent at most so often.
+    pub mask_s: f64,
+}
+
+impl Default for Ros2 {
+    fn default() -> Self {
+        Self {
+            connect: None,
+            domain: 0,
+            prefix: "/roomcast".to_owned(),
+            narration: false,
+            frame: "map".to_owned(),
+            scene: None,
+            level: PartitionLevel::Room,
+            map: None,
+            horizon_s: 300.0,
+            mask_s: 5.0,
+        }
+    }
+}
+
+impl Ros2 {
+    /// The way to its router.
+    #[must_use]
+    pub fn router(&self) -> Option<Router> {
+        self.connect.clone().map(|connect| Router { connect, ..Router::default() })
+    }
+
+    fn check(&self) -> Result<(), ConfigError> {
+        if let Some(router) = self.router() {
+            router.check("ros2.connect")?;
+        }
+        let part = |part: &str| {
+            part.starts_with(|first: char| first.is_ascii_lowercase())
+                && part.bytes().all(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'_')
+        };
+        let name = self.prefix.strip_prefix('/').unwrap_or_default();
+        if name.len() > NAME_BYTES || !name.split('/').all(part) {
+            return refuse(
+                "ros2.prefix",
+                &self.prefix,
+                "a ROS 2 name: a slash, then a to z, 0 to 9 and _, such as /roomcast",
+            );
+        }
+        if self.domain > 232 {
+            return refuse("ros2.domain", self.domain, "0 to 232");
+        }
+        for (key, seconds) in [("ros2.horizon_s", self.horizon_s), ("ros2.mask_s", self.mask_s)] {
+            if !(0.1..=86_400.0).contains(&seconds) {
+                return refuse(key, seconds, "0.1 to 86400");
+            }
+        }
+        if self.map.is_some() && self.scene.is_none() {
+            return refuse("ros2.map", "", "the mask needs ros2.scene, which says where rooms are");
+        }
+        Ok(())
+    }
+}
+
+/// The hub.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Hub {
+    /// The narrator's name.
+    pub name: String,
+    /// Names of robots, as in keys.
+    pub robots: Vec<String>,
+    /// The folder of what is not confirmed.
+    pub spool: PathBuf,
+    /// Most narrations in it.
+    pub keep: usize,
+}
+
+impl Default for Hub {
+    fn default() -> Self {
+        Self { name: String::new(), robots: Vec::new(), spool: PathBuf::new(), keep: 10_000 }
+    }
+}
+
+fn is_chunk(name: &str) -> bool {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_';
+    !name.is_empty() && name.len() <= NAME_BYTES && name.bytes().all(plain)
+}
+
+const CHUNK: &str = "a name in keys has letters, digits, \"-\" and \"_\" alone, 1 to 48 of them";
+
+impl Config {
+    /// Reads a file.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`] with the key, what it has, and what can be there.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let read = |source| ConfigError::Read { path: path.to_owned(), source };
+        if fs::metadata(path).map_err(read)?.len() > FILE_BYTES_MAX {
+            return Err(ConfigError::TooLong { path: path.to_owned() });
+        }
+        let text = fs::read_to_string(path).map_err(read)?;
+        toml::from_str(&text)
+            .map_err(|source| ConfigError::Malformed { path: path.to_owned(), source: Box::new(source) })
+    }
+
+    /// What both roles need.
+    fn check(&self) -> Result<(), ConfigError> {
+        self.router.check("router.connect")?;
+        if !is_chunk(&self.site.name) {
+            return refuse("site.name", &self.site.name, CHUNK);
+        }
+        Ok(())
+    }
+
+    /// Whether an operator can watch with it.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError::Value`].
+    pub fn check_watch(&self) -> Result<(), ConfigError> {
+        self.check()
+    }
+
+    /// Whether a robot's bridge can run with it.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError::Value`].
+    pub fn check_robot(&self) -> Result<(), ConfigError> {
+        // A robot may speak to ROS 2 alone.
+        if self.ros2.connect.is_none() || !self.router.connect.is_empty() {
+            self.check()?;
+        }
+        self.ros2.check()?;
+        if !is_chunk(self.robot.key()) {
+            return refuse("robot.key", self.robot.key(), format!("{CHUNK}; give robot.key beside robot.name"));
+        }
+        if self.peers.hear && self.robot.key() != self.robot.name {
+            return refuse(
+                "peers.hear",
+                true,
+                "the robot has to have one name, in keys and in its planner: leave robot.key out",
+            );
+        }
+        if self.narrator.len() > NARRATORS_MAX {
+            return refuse("narrator", self.narrator.len(), format!("at most {NARRATORS_MAX} narrators"));
+        }
+        for (index, narrator) in self.narrator.iter().enumerate() {
+            if !is_chunk(&narrator.name) {
+                return refuse("narrator.name", &narrator.name, CHUNK);
+            }
+            if self.narrator.iter().take(index).any(|other| other.name == narrator.name) {
+                return refuse("narrator.name", &narrator.name, "it is there twice");
+            }
+            if !(0.1..=100_000.0).contains(&narrator.rate_per_s) {
+                return refuse("narrator.rate_per_s", narrator.rate_per_s, "0.1 to 100000");
+            }
+        }
+        if !(1.0..=3600.0).contains(&self.tell.repeat_s) {
+            return refuse("tell.repeat_s", self.tell.repeat_s, "1 to 3600");
+        }
+        Ok(())
+    }
+
+    /// Whether a hub can run with it.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError::Value`].
+    pub fn check_hub(&self) -> Result<(), ConfigError> {
+        self.check()?;
+        let Hub { name, robots, spool, keep } = &self.hub;
+        if !is_chunk(name) {
+            return refuse("hub.name", name, CHUNK);
+        }
+        if robots.is_empty() || robots.len() > ROBOTS_MAX {
+            return refuse("hub.robots", robots.len(), format!("1 to {ROBOTS_MAX} robots"));
+        }
+        if let Some(robot) = robots.iter().find(|robot| !is_chunk(robot)) {
+            return refuse("hub.robots", robot, CHUNK);
+        }
+        if spool.as_os_str().is_empty() {
+            return refuse("hub.spool", "", "a folder that this program may write");
+        }
+        if !(100..=1_000_000).contains(keep) {
+            return refuse("hub.keep", keep, "100 to 1000000");
+        }
+        Ok(())
+    }
+
+    /// The robot's domain.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError::Domain`].
+    pub fn domain(&self) -> Result<Domain, ConfigError> {
+        let root = self.ipc.root.clone().unwrap_or_else(|| Domain::default_for_user().root().to_owned());
+        Ok(Domain::new(root, &self.ipc.domain)?)
+    }
+}
+
+impl Router {
+    fn check(&self, name: &'static str) -> Result<(), ConfigError> {
+        let Self { connect, ca, certificate, key, insecure } = self;
+        let Some((protocol @ ("tcp" | "tls"), address)) = connect.split_once('/') else {
+            return refuse(
+                "router.connect",
+                connect,
+                "tls/HOST:PORT or tcp/HOST:PORT; `roomcast-bridge config` shows one",
+            );
+        };
+        let Some((host, port)) = address.rsplit_once(':') else {
+            return refuse(name, connect, "the port is missing; zenoh's own is 7447");
+        };
+        if host.is_empty() || port.parse::<u16>().is_err() || address.contains(['#', '?', ';', '/']) {
+            return refuse(name, connect, "tls/HOST:PORT or tcp/HOST:PORT and nothing else");
+        }
+        if protocol == "tls" {
+            for (key, file) in [("router.ca", ca), ("router.certificate", certificate), ("router.key", key)] {
+                match file {
+                    None => return refuse(key, "", "tls needs ca, certificate and key; docs/fleet.md makes them"),
+                    Some(file) => {
+                        if let Err(error) = fs::File::open(file) {
+                            return refuse(key, file.display(), format!("the file cannot be read: {error}"));
+                        }
+                    }
+                }
+            }
+        } else if !insecure && !matches!(host, "localhost" | "127.0.0.1" | "[::1]") {
+            return refuse(
+                "router.connect",
+                connect,
+                "tcp is for a router on this machine; use tls, or set router.insecure = true",
+            );
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_manual_is_the_default() {
+        assert_eq!(toml::from_str::<Config>(MANUAL).unwrap(), Config::default());
+        // What is commented out is a key, too.
+        let all: String = MANUAL
+            .lines()
+            .map(|line| match line.strip_prefix("# ") {
+                Some(rest)
+                    if (rest.starts_with('[') && rest.ends_with(']'))
+                        || rest.split_once(" = ").is_some_and(|(key, _)| !key.contains(' ')) =>
+                {
+                    format!("{rest}\n")
+                }
+                _ => format!("{line}\n"),
+            })
+            .collect();
+        let config: Config = toml::from_str(&all).unwrap();
+        assert_eq!((config.narrator.len(), config.hub.robots.len()), (1, 1));
+        assert_eq!(config.narrator[0].rate_per_s, rate());
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused_with_its_key() {
+        let fault = |text: &str| {
+            let config: Config = toml::from_str(text).unwrap();
+            config.check_robot().unwrap_err().to_string()
+        };
+        assert!(fault("").starts_with("router.connect"));
+        assert!(fault("[router]\nconnect='tls/far:7447'").starts_with("router.ca"));
+        assert!(fault("[router]\nconnect='tcp/far:7447'").contains("insecure"));
+        assert!(fault("[router]\nconnect='udp/far:7447'").starts_with("router.connect"));
+        assert!(fault("[router]\nconnect='tcp/localhost:7447#x=1'").starts_with("router.connect"));
+        let near = "[router]\nconnect='tcp/localhost:7447'\n";
+        assert!(fault(&format!("{near}[robot]\nname='my robot'")).contains("robot.key"));
+        assert!(fault(&format!("{near}[site]\nname='a/**'")).starts_with("site.name"));
+        assert!(fault(&format!("{near}[[narrator]]\nname='a'\n[[narrator]]\nname='a'")).contains("twice"));
+        assert!(toml::from_str::<Config>("[router]\nconect='x'").is_err());
+        let good: Config = toml::from_str(near).unwrap();
+        good.check_robot().unwrap();
+        assert!(good.check_hub().unwrap_err().to_string().starts_with("hub.name"));
+    }
+}

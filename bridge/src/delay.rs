@@ -1,0 +1,89 @@
+//! How long a message was on its way, without clocks that agree.
+//!
+//! A monotonic clock counts from its machine's start, so the difference between the receiver's and the sender's says nothing by itself.
+//! Its least value over some minutes is that of the fastest message; what another message has more, it was delayed for: in a queue, or
+//! because the link was cut. What the fastest itself took stays unknown, and counts as nothing. Wall clocks are not asked, so that it does
+//! not matter whether they agree.
+
+use std::collections::VecDeque;
+
+/// The least difference is that of this window and the one before it. Quartz clocks drift by 50 millionths: 60 ms in two windows.
+const WINDOW_NS: u64 = 600_000_000_000;
+
+/// Follows one sender.
+#[derive(Debug, Clone, Default)]
+pub struct Delay {
+    /// The sender's start: with another one the clock may be another machine's.
+    start: u64,
+    /// When each window began, and its least difference; two at most.
+    windows: VecDeque<(u64, i64)>,
+}
+
+impl Delay {
+    /// How much longer than the fastest a message took that was sent at `sent_ns` of the sender's clock and received at `now_ns` of
+    /// this machine's.
+    pub fn excess_ns(&mut self, start: u64, sent_ns: u64, now_ns: u64) -> u64 {
+        if self.start != start {
+            (self.start, self.windows) = (start, VecDeque::new());
+        }
+        let difference = now_ns.wrapping_sub(sent_ns).cast_signed();
+        match self.windows.back_mut() {
+            Some((began_ns, least)) if now_ns.saturating_sub(*began_ns) < WINDOW_NS => *least = difference.min(*least),
+            _ => {
+                self.windows.push_back((now_ns, difference));
+                if self.windows.len() > 2 {
+                    self.windows.pop_front();
+                }
+            }
+        }
+        let least = self.windows.iter().map(|(_, least)| *least).min().unwrap_or(difference);
+        difference.saturating_sub(least).unsigned_abs()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const S: u64 = 1_000_000_000;
+
+    #[test]
+    fn what_was_held_up_is_known_without_a_common_clock() {
+        let mut delay = Delay::default();
+        // The sender's clock is ahead, then behind.
+        for ahead in [5_000 * S, 0] {
+            let start = ahead + 1;
+            assert_eq!(delay.excess_ns(start, ahead + 10 * S, 110 * S), 0);
+            assert_eq!(delay.excess_ns(start, ahead + 20 * S, 180 * S), 60 * S, "held up for a minute");
+            assert_eq!(delay.excess_ns(start, ahead + 80 * S, 180 * S), 0);
+        }
+    }
+
+    #[test]
+    fn a_long_silence_is_no_new_beginning() {
+        let mut delay = Delay::default();
+        assert_eq!(delay.excess_ns(1, 0, 0), 0);
+        assert_eq!(delay.excess_ns(1, 10_000 * S, 10_030 * S), 30 * S);
+        assert_eq!(delay.excess_ns(1, 10_030 * S, 10_030 * S), 0);
+    }
+
+    #[test]
+    fn clocks_that_drift_apart_do_not_add_up() {
+        let mut delay = Delay::default();
+        for second in 0..86_400 {
+            // The receiver's clock gains 50 microseconds a second.
+            let excess_ns = delay.excess_ns(1, second * S, second * (S + 50_000));
+            assert!(excess_ns <= 60_100_000, "{excess_ns}");
+        }
+    }
+
+    #[test]
+    fn any_numbers_are_taken() {
+        let mut delay = Delay::default();
+        for sent in [0, u64::MAX, i64::MAX.unsigned_abs(), 1 << 63] {
+            for now in [0, u64::MAX, 1 << 63] {
+                let _excess = delay.excess_ns(1, sent, now);
+            }
+        }
+    }
+}

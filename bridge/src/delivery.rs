@@ -1,0 +1,194 @@
+//! How far one robot has a hub's narration, and what is sent to it next. Pure: time comes in as a number.
+
+use crate::wire::Confirmed;
+
+/// Narrations that are sent ahead of what the robot has confirmed.
+const AHEAD_MAX: u64 = 64;
+/// A robot that says nothing for so long is away, and nothing is sent to it.
+const AWAY_NS: u64 = 5_000_000_000;
+/// What did not arrive is sent again after so long.
+const AGAIN_NS: u64 = 1_000_000_000;
+
+/// One robot.
+#[derive(Debug, Clone, Default)]
+pub struct Delivery {
+    /// Up to here the robot's daemon has dealt with everything.
+    confirmed: u64,
+    /// Up to here it was sent.
+    sent: u64,
+    sent_ns: u64,
+    heard_ns: Option<u64>,
+    /// Narrations that were given up before the robot had them.
+    lost: u64,
+}
+
+impl Delivery {
+    /// Takes note of what the robot says: `epoch` is the hub's own, `last` the last number that it has.
+    pub fn hear(&mut self, said: Confirmed, epoch: u64, last: u64, now_ns: u64) {
+        self.heard_ns = Some(now_ns);
+        let may_repeat = now_ns.saturating_sub(self.sent_ns) >= AGAIN_NS;
+        if said.epoch.0 != epoch {
+            // It knows nothing of this start: whatever it has not confirmed goes again.
+            if may_repeat {
+                self.sent = self.confirmed;
+            }
+            return;
+        }
+        self.confirmed = self.confirmed.max(said.confirmed.min(last));
+        let has = said.next.saturating_sub(1).min(last);
+        if has > self.sent || may_repeat {
+            self.sent = has;
+        }
+        self.sent = self.sent.max(self.confirmed);
+    }
+
+    /// What is older than `first` is not kept any more.
+    pub fn give_up_before(&mut self, first: u64) {
+        let lost = first.saturating_sub(1).saturating_sub(self.confirmed);
+        self.lost += lost;
+        self.confirmed += lost;
+        self.sent = self.sent.max(self.confirmed);
+    }
+
+    /// The number that is to be sent next, up to `last`; none where nothing may go now.
+    #[must_use]
+    pub fn next(&self, last: u64, now_ns: u64) -> Option<u64> {
+        let there = !self.is_away(now_ns);
+        let next = self.sent + 1;
+        (there && next <= last && next - self.confirmed <= AHEAD_MAX).then_some(next)
+    }
+
+    /// Takes note that the next one was sent.
+    pub fn sent(&mut self, now_ns: u64) {
+        self.sent += 1;
+        self.sent_ns = now_ns;
+    }
+
+    /// The first number that the robot can still get.
+    #[must_use]
+    pub fn first(&self) -> u64 {
+        self.confirmed + 1
+    }
+
+    /// Up to here it is confirmed.
+    #[must_use]
+    pub fn confirmed(&self) -> u64 {
+        self.confirmed
+    }
+
+    /// Whether it was silent for long.
+    #[must_use]
+    pub fn is_away(&self, now_ns: u64) -> bool {
+        self.heard_ns.is_none_or(|heard_ns| now_ns.saturating_sub(heard_ns) > AWAY_NS)
+    }
+
+    /// Narrations that were given up before the robot had them.
+    #[must_use]
+    pub fn lost(&self) -> u64 {
+        self.lost
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::relay::{Offered, Relay};
+    use crate::wire::Hex;
+    use roomcast_ipc::{IncludedV1, NarrationV1, RoomScoresV1, sequence};
+
+    const S: u64 = 1_000_000_000;
+
+    #[test]
+    fn nobody_is_sent_to_who_is_away() {
+        let mut delivery = Delivery::default();
+        assert_eq!(delivery.next(10, S), None);
+        delivery.hear(Confirmed::default(), 7, 10, S);
+        assert_eq!(delivery.next(10, S), Some(1));
+        assert_eq!(delivery.next(10, 7 * S), None);
+    }
+
+    #[test]
+    fn a_robot_that_lies_harms_itself_alone() {
+        let mut delivery = Delivery::default();
+        let lie = Confirmed { epoch: Hex(7), next: u64::MAX, confirmed: u64::MAX, refused: 0 };
+        delivery.hear(lie, 7, 10, S);
+        assert_eq!((delivery.confirmed(), delivery.next(10, S), delivery.next(11, S)), (10, None, Some(11)));
+        delivery.hear(Confirmed { epoch: Hex(7), next: 0, confirmed: 0, refused: 0 }, 7, 10, 9 * S);
+        assert_eq!(delivery.next(11, 9 * S), Some(11));
+    }
+
+    #[test]
+    fn what_is_not_kept_is_given_up_and_counted() {
+        let mut delivery = Delivery::default();
+        delivery.give_up_before(4);
+        delivery.hear(Confirmed::default(), 7, 10, S);
+        assert_eq!((delivery.lost(), delivery.next(10, S), delivery.first()), (3, Some(4), 4));
+    }
+
+    /// A link that loses and delays, a bridge and a hub that start again, and a daemon that confirms late: everything arrives once and in
+    /// order. The random numbers are a plain generator, so that a seed names a run.
+    #[test]
+    fn whatever_the_link_does_everything_arrives_once_and_in_order() {
+        for seed in 1..200_u64 {
+            let mut state = seed;
+            let mut random = |below: u64| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (state >> 33) % below
+            };
+            let (epoch, last) = (7, 300);
+            let (mut delivery, mut relay) = (Delivery::default(), Relay::new("hub", 1e9));
+            let mut taken = Vec::<u64>::new();
+            let mut on_the_way = std::collections::VecDeque::<(u64, u64)>::new();
+            let mut answers = std::collections::VecDeque::<Confirmed>::new();
+            let source = sequence::source_of_name("hub");
+            let mut now_ns = S;
+            let mut rounds = 0;
+            while delivery.confirmed() < last {
+                rounds += 1;
+                assert!(rounds < 100_000, "seed {seed} does not end");
+                now_ns += 20_000_000 + random(200_000_000);
+                match random(200) {
+                    0 => delivery = Delivery::default(),
+                    1 => relay = Relay::new("hub", 1e9),
+                    2 => on_the_way.clear(),
+                    3 => answers.clear(),
+                    _ => {}
+                }
+                while let Some(number) = delivery.next(last, now_ns) {
+                    if random(10) > 0 {
+                        on_the_way.push_back((number, delivery.first()));
+                    }
+                    delivery.sent(now_ns);
+                }
+                for _ in 0..random(40) {
+                    let Some((number, first)) = on_the_way.pop_front() else { break };
+                    let message =
+                        NarrationV1 { source, epoch, sequence: number, ..NarrationV1::new(0, "They sit.").unwrap() };
+                    if relay.offer(epoch, number, first, Some(message)) == Offered::Taken && random(10) == 0 {
+                        // The same again, as a link may do.
+                        assert_eq!(relay.offer(epoch, number, first, Some(message)), Offered::Again);
+                    }
+                }
+                while let Some(message) = relay.send(now_ns) {
+                    // The daemon takes each number once.
+                    if taken.last().is_none_or(|newest| message.sequence > *newest) {
+                        taken.push(message.sequence);
+                    }
+                }
+                if random(3) == 0
+                    && let Some(newest) = taken.last()
+                {
+                    let mut scores = RoomScoresV1 { source_count: 1, ..Default::default() };
+                    scores.included[0] = IncludedV1 { source, epoch, sequence: *newest, ..Default::default() };
+                    relay.confirm(&scores, now_ns);
+                }
+                answers.push_back(relay.confirmed());
+                while answers.len() > random(5) as usize {
+                    let Some(said) = answers.pop_front() else { break };
+                    delivery.hear(said, epoch, last, now_ns);
+                }
+            }
+            assert!(taken.iter().copied().eq(1..=last), "seed {seed}: {taken:?}");
+        }
+    }
+}

@@ -1,0 +1,339 @@
+//! A hub: lines of narration of this machine, kept on disk until every robot has confirmed them.
+
+use std::any::Any;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::os::unix::fs::FileTypeExt;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::thread;
+use std::time::Duration;
+
+use roomcast_ipc::clock;
+use sd_notify::NotifyState;
+use zenoh::sample::Sample;
+use zenoh::{Session, Wait};
+
+use crate::config::{Config, ConfigError};
+use crate::delivery::Delivery;
+use crate::keys::Keys;
+use crate::limiter::Limiter;
+use crate::line::{LINE_BYTES_MAX, line};
+use crate::link::{Declare, Link, LinkError};
+use crate::robot::notify;
+use crate::spool::{Spool, SpoolError};
+use crate::stop::Stop;
+use crate::wire::{self, Confirmed, Fault, Hex, Narrated, Observation};
+
+/// Lines that wait to be kept; the input waits then.
+const LINES_MAX: usize = 256;
+/// Words of robots that wait to be looked at; more are dropped, and said again.
+const HEARD_MAX: usize = 64;
+const TICK: Duration = Duration::from_millis(20);
+
+/// Why a hub ends.
+#[derive(Debug, thiserror::Error)]
+pub enum HubError {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The way to the router.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// What is kept.
+    #[error(transparent)]
+    Spool(#[from] SpoolError),
+    /// The input.
+    #[error("cannot read {path}: {source}")]
+    Input {
+        /// The file.
+        path: PathBuf,
+        /// The system's word.
+        source: io::Error,
+    },
+    /// The system gives no thread.
+    #[error("cannot start a thread: {0}; is a limit on tasks set too low?")]
+    Thread(io::Error),
+}
+
+/// A line that was read, up to this place of the input.
+type Line = (Vec<u8>, u64);
+
+/// Reads lines until the input ends. A file that grows is followed from `from`; of one that became shorter, from its start.
+fn read_lines(path: &Path, from: u64, lines: &SyncSender<Line>, stop: &Stop) -> io::Result<()> {
+    let standard = path.as_os_str() == "-";
+    let is_file = !standard && std::fs::metadata(path)?.is_file();
+    let fifo = !standard && std::fs::metadata(path)?.file_type().is_fifo();
+    let mut input: Box<dyn BufRead> = if standard {
+        Box::new(BufReader::new(io::stdin()))
+    } else {
+        // With a writer of its own a FIFO does not end when the last other writer leaves.
+        Box::new(BufReader::new(File::options().read(true).write(fifo).open(path)?))
+    };
+    let mut at = 0;
+    if is_file {
+        let mut file = File::open(path)?;
+        at = if from <= file.metadata()?.len() { from } else { 0 };
+        file.seek(SeekFrom::Start(at))?;
+        input = Box::new(BufReader::new(file));
+    }
+    let mut text = Vec::new();
+    while !stop.requested() {
+        let left = (LINE_BYTES_MAX + 1).saturating_sub(text.len() as u64).max(1);
+        let read = input.by_ref().take(left).read_until(b'\n', &mut text)? as u64;
+        at += read;
+        if text.ends_with(b"\n") || text.len() as u64 > LINE_BYTES_MAX {
+            if lines.send((std::mem::take(&mut text), at)).is_err() {
+                return Ok(());
+            }
+        } else if read == 0 {
+            if !is_file {
+                if !text.is_empty() {
+                    let _last = lines.send((text, at));
+                }
+                return Ok(());
+            }
+            if std::fs::metadata(path)?.len() < at {
+                tracing::warn!(path = %path.display(), "the input became shorter: it is read from its start");
+                (at, text) = (0, Vec::new());
+                input = Box::new(BufReader::new(File::open(path)?));
+            }
+            thread::sleep(Duration::from_millis(50));
+        }
+    }
+    Ok(())
+}
+
+/// Runs until asked to stop, or until the input has ended and everything is confirmed. Gives how much of it every robot has.
+///
+/// # Errors
+///
+/// [`HubError`]; a router or robot that is away is none.
+pub fn run(config: &Config, input: &Path, stop: &Stop) -> Result<Outcome, HubError> {
+    config.check_hub()?;
+    let mut spool = Spool::open(&config.hub.spool, config.hub.keep)?;
+    let failed = |source| HubError::Input { path: input.to_owned(), source };
+    if input.as_os_str() != "-" {
+        File::options().read(true).open(input).map(drop).map_err(failed)?;
+    }
+    let (to_robots, heard) = sync_channel(HEARD_MAX);
+    let link = Link::start(&config.router, declare(config, to_robots))?;
+    let (to_spool, lines) = sync_channel::<Line>(LINES_MAX);
+    let (path, from, reading) = (input.to_owned(), spool.input(), stop.clone());
+    let reader = move || read_lines(&path, from, &to_spool, &reading);
+    let reader = thread::Builder::new().name("reader".to_owned()).spawn(reader).map_err(HubError::Thread)?;
+    notify(&[NotifyState::Ready]);
+    let mut hub = Hub::new(config);
+    let mut ended = false;
+    while !(stop.requested() || ended && hub.is_done(&spool)) {
+        ended |= hub.keep(&lines, &mut spool)?;
+        hub.hear(&heard, &spool);
+        hub.send(&link, &mut spool);
+        notify(&[NotifyState::Watchdog]);
+    }
+    notify(&[NotifyState::Stopping]);
+    if ended && let Ok(Err(error)) = reader.join() {
+        return Err(failed(error));
+    }
+    Ok(hub.outcome(&spool))
+}
+
+/// What became of the narration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+pub struct Outcome {
+    /// The last number.
+    pub last: u64,
+    /// Up to this number every robot's daemon has dealt with it.
+    pub confirmed: u64,
+    /// Lines that were no narration.
+    pub refused: u64,
+    /// Narrations that a robot did not get because they were too many to keep, of the robot that lost most.
+    pub lost: u64,
+}
+
+struct Hub {
+    name: String,
+    robots: Vec<(String, String, Delivery)>,
+    refused: u64,
+    log: Limiter,
+    /// The disk failed, so nothing more is read for a moment.
+    unsaved: Vec<(Observation, u64, u64)>,
+}
+
+impl Hub {
+    fn new(config: &Config) -> Self {
+        let robots = config.hub.robots.iter().map(|robot| {
+            let key = Keys::new(&config.site.name, robot).narration(&config.hub.name);
+            (robot.clone(), key, Delivery::default())
+        });
+        let (refused, log, unsaved) = (0, Limiter::default(), Vec::new());
+        Self { name: config.hub.name.clone(), robots: robots.collect(), refused, log, unsaved }
+    }
+
+    /// Keeps the lines that have come; whether the input has ended.
+    fn keep(&mut self, lines: &Receiver<Line>, spool: &mut Spool) -> Result<bool, HubError> {
+        let mut ended = false;
+        if self.unsaved.is_empty() {
+            let first = match lines.recv_timeout(TICK) {
+                Ok(first) => Some(first),
+                Err(RecvTimeoutError::Timeout) => None,
+                Err(RecvTimeoutError::Disconnected) => {
+                    thread::sleep(TICK);
+                    ended = true;
+                    None
+                }
+            };
+            for (bytes, at) in first.into_iter().chain(lines.try_iter().take(LINES_MAX)) {
+                match self.read(&bytes) {
+                    Ok((observation, age_ns)) => self.unsaved.push((observation, age_ns, at)),
+                    Err(None) => {}
+                    Err(Some(fault)) => {
+                        self.refused += 1;
+                        if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+                            tracing::warn!(narrator = self.name, %fault, held_back, "a line is no narration");
+                        }
+                    }
+                }
+            }
+        } else {
+            thread::sleep(TICK);
+        }
+        if !self.unsaved.is_empty() {
+            match spool.append(self.unsaved.clone()) {
+                Ok(()) => self.unsaved.clear(),
+                Err(error) => {
+                    if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+                        tracing::error!(%error, held_back, "narration cannot be kept; the input waits");
+                    }
+                }
+            }
+        }
+        Ok(ended)
+    }
+
+    fn read(&self, bytes: &[u8]) -> Result<(Observation, u64), Option<Fault>> {
+        if bytes.len() as u64 > LINE_BYTES_MAX {
+            return Err(Some(Fault(format!("a line has at most {LINE_BYTES_MAX} bytes"))));
+        }
+        let text = std::str::from_utf8(bytes).map_err(|_| Some(Fault("a line is UTF-8".to_owned())))?;
+        if text.trim().is_empty() {
+            return Err(None);
+        }
+        line(text, clock::unix_ns()).map_err(Some)
+    }
+
+    /// Takes what robots say of how far they are.
+    fn hear(&mut self, heard: &Receiver<(usize, Vec<u8>)>, spool: &Spool) {
+        for (robot, bytes) in heard.try_iter() {
+            let Some((name, _, delivery)) = self.robots.get_mut(robot) else { continue };
+            let now_ns = clock::monotonic_ns();
+            match wire::read::<Confirmed>(&bytes) {
+                Ok(said) => delivery.hear(said, spool.epoch(), spool.last(), now_ns),
+                Err(fault) => {
+                    if let Some(held_back) = self.log.pass(now_ns) {
+                        tracing::warn!(robot = name, %fault, held_back, "no confirmation");
+                    }
+                }
+            }
+        }
+    }
+
+    /// Sends what may be sent, and forgets what every robot has.
+    fn send(&mut self, link: &Link, spool: &mut Spool) {
+        let last = spool.last();
+        for (robot, key, delivery) in &mut self.robots {
+            let lost = delivery.lost();
+            delivery.give_up_before(spool.first());
+            if delivery.lost() > lost
+                && let Some(held_back) = self.log.pass(clock::monotonic_ns())
+            {
+                let lost = delivery.lost();
+                tracing::error!(
+                    robot,
+                    lost,
+                    held_back,
+                    "a robot was away for longer than narration is kept (hub.keep)"
+                );
+            }
+            while let Some(number) = delivery.next(last, clock::monotonic_ns())
+                && let Some(kept) = spool.get(number)
+            {
+                let narrated = Narrated {
+                    epoch: Hex(spool.epoch()),
+                    sequence: number,
+                    first: delivery.first(),
+                    age_ns: spool.age_ns(kept),
+                    sent_ns: clock::monotonic_ns(),
+                    observation: kept.observation.clone(),
+                };
+                let sent = serde_json::to_vec(&narrated).is_ok_and(|bytes| link.put(key, bytes));
+                if !sent {
+                    break;
+                }
+                delivery.sent(clock::monotonic_ns());
+            }
+        }
+        let everywhere = self.robots.iter().map(|(.., delivery)| delivery.confirmed()).min().unwrap_or(0);
+        if let Err(error) = spool.confirm(everywhere)
+            && let Some(held_back) = self.log.pass(clock::monotonic_ns())
+        {
+            tracing::warn!(%error, held_back, "the spool stays longer than it has to be");
+        }
+    }
+
+    fn is_done(&self, spool: &Spool) -> bool {
+        self.unsaved.is_empty() && self.robots.iter().all(|(.., delivery)| delivery.confirmed() >= spool.last())
+    }
+
+    fn outcome(&self, spool: &Spool) -> Outcome {
+        let of_all = || self.robots.iter().map(|(.., delivery)| delivery);
+        Outcome {
+            last: spool.last(),
+            confirmed: of_all().map(Delivery::confirmed).min().unwrap_or(0),
+            refused: self.refused,
+            lost: of_all().map(Delivery::lost).max().unwrap_or(0),
+        }
+    }
+}
+
+fn declare(config: &Config, heard: SyncSender<(usize, Vec<u8>)>) -> Declare {
+    let config = config.clone();
+    Box::new(move |session: &Session| {
+        let mut declared: Vec<Box<dyn Any + Send>> = Vec::new();
+        for (number, robot) in config.hub.robots.iter().enumerate() {
+            let heard = heard.clone();
+            let take = move |sample: Sample| {
+                if sample.payload().len() <= wire::BYTES_MAX {
+                    let _said_again = heard.try_send((number, sample.payload().to_bytes().into_owned()));
+                }
+            };
+            let key = Keys::new(&config.site.name, robot).confirmed(&config.hub.name);
+            declared.push(Box::new(session.declare_subscriber(key).callback(take).wait()?));
+        }
+        Ok(declared)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    #[test]
+    fn a_file_is_followed_from_a_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lines");
+        std::fs::write(&path, "one\ntwo\nthr").unwrap();
+        let (to, lines) = sync_channel(16);
+        let stop = Stop::default();
+        let (own, reading) = (path.clone(), stop.clone());
+        let thread = thread::spawn(move || read_lines(&own, 4, &to, &reading));
+        assert_eq!(lines.recv().unwrap(), (b"two\n".to_vec(), 8));
+        File::options().append(true).open(&path).unwrap().write_all(b"ee\n").unwrap();
+        assert_eq!(lines.recv().unwrap(), (b"three\n".to_vec(), 14));
+        std::fs::write(&path, "new\n").unwrap();
+        assert_eq!(lines.recv().unwrap(), (b"new\n".to_vec(), 4));
+        stop.request();
+        thread.join().unwrap().unwrap();
+    }
+}

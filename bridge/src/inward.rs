@@ -1,0 +1,233 @@
+//! Narration from hubs to the daemon: a port for each narrator, so that the daemon's rates and shares hold for each.
+
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Duration;
+
+use roomcast_ipc::{Domain, IpcError, NarrationV1, Publisher, RoomScoresV1, Subscriber, clock, sequence};
+use zenoh::bytes::ZBytes;
+
+use crate::config::Config;
+use crate::delay::Delay;
+use crate::keys::Keys;
+use crate::limiter::Limiter;
+use crate::line::line;
+use crate::link::Link;
+use crate::relay::{Offered, Relay};
+use crate::ros2::types;
+use crate::stop::Stop;
+use crate::wire::{self, Arrived, Confirmed, Hex, Narrated};
+
+/// Messages that wait to be looked at; more are dropped, and sent again by their hub.
+pub const HEARD_MAX: usize = 256;
+const TICK: Duration = Duration::from_millis(50);
+/// How often a hub hears how far its narration is, at least.
+const SAY_NS: u64 = 1_000_000_000;
+/// A daemon that was silent for so long is away.
+const SILENCE_NS: u64 = 2_000_000_000;
+/// The narrator whose words are strings of ROS 2, and how many of them reach the daemon a second.
+const ROS2: &str = "ros2";
+const RATE_PER_S: f64 = 100.0;
+/// After so many repetitions that nobody takes, the log says what may be wrong.
+const REPEATS: u32 = 2;
+
+/// Bytes of a narrator, as they came.
+#[derive(Debug)]
+pub struct Heard {
+    narrator: usize,
+    now_ns: u64,
+    bytes: Vec<u8>,
+}
+
+/// Where a subscriber puts what it hears.
+#[derive(Debug, Clone)]
+pub struct Ear(SyncSender<Heard>);
+
+impl Ear {
+    /// Takes a narrator's bytes, unless they are too many or too much waits.
+    pub fn take(&self, narrator: usize, payload: &ZBytes) {
+        if payload.len() <= wire::BYTES_MAX {
+            let heard = Heard { narrator, now_ns: clock::monotonic_ns(), bytes: payload.to_bytes().into_owned() };
+            // Full: the hub sends it again.
+            let _taken = self.0.try_send(heard);
+        }
+    }
+}
+
+/// Both ends of what waits to be looked at.
+#[must_use]
+pub fn ear() -> (Ear, Receiver<Heard>) {
+    let (ear, heard) = sync_channel(HEARD_MAX);
+    (Ear(ear), heard)
+}
+
+/// Where a narrator's words come from.
+enum From {
+    /// A hub, which hears on this key how far they are.
+    Hub { key: String },
+    /// A ROS 2 topic, whose messages are numbered here.
+    Ros2 { epoch: u64, next: u64 },
+}
+
+struct Narrator {
+    name: String,
+    from: From,
+    relay: Relay,
+    delay: Delay,
+    port: Publisher<NarrationV1>,
+    said: Confirmed,
+    said_ns: u64,
+}
+
+/// Runs until asked to stop.
+///
+/// # Errors
+///
+/// [`IpcError`] when a service cannot be opened or is lost.
+pub fn run(
+    config: &Config,
+    domain: &Domain,
+    link: Option<&Link>,
+    heard: &Receiver<Heard>,
+    stop: &Stop,
+) -> Result<(), IpcError> {
+    let node = domain.open("roomcast-zenoh-in")?;
+    let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
+    let keys = Keys::new(&config.site.name, config.robot.key());
+    let mut narrators = Vec::new();
+    for narrator in &config.narrator {
+        let from = From::Hub { key: keys.confirmed(&narrator.name) };
+        narrators.push(Narrator::new(&narrator.name, narrator.rate_per_s, from, node.publisher()?));
+    }
+    if config.ros2.narration {
+        let from = From::Ros2 { epoch: sequence::random_epoch(), next: 1 };
+        narrators.push(Narrator::new(ROS2, RATE_PER_S, from, node.publisher()?));
+    }
+    let mut message = Box::<RoomScoresV1>::default();
+    let (mut log, mut alive_ns) = (Limiter::default(), 0);
+    while !stop.requested() {
+        let first = match heard.recv_timeout(TICK) {
+            Ok(first) => Some(first),
+            Err(RecvTimeoutError::Timeout) => None,
+            // No subscriber is left, which the link makes again.
+            Err(RecvTimeoutError::Disconnected) => {
+                std::thread::sleep(TICK);
+                None
+            }
+        };
+        for heard in first.into_iter().chain(heard.try_iter()) {
+            if let Some(narrator) = narrators.get_mut(heard.narrator) {
+                narrator.hear(&heard, &mut log);
+                narrator.send(clock::monotonic_ns())?;
+            }
+        }
+        while let Some(checked) = scores.receive_into(&mut message)? {
+            if checked.is_ok() {
+                alive_ns = alive_ns.max(message.published_ns);
+                for narrator in &mut narrators {
+                    narrator.relay.confirm(&message, clock::monotonic_ns());
+                }
+            }
+        }
+        let now_ns = clock::monotonic_ns();
+        let alive = now_ns.saturating_sub(alive_ns) < SILENCE_NS;
+        for narrator in &mut narrators {
+            narrator.send(now_ns)?;
+            for message in narrator.relay.again(now_ns, alive) {
+                narrator.port.send(&message)?;
+            }
+            if narrator.relay.repeats() >= REPEATS
+                && let Some(held_back) = log.pass(now_ns)
+            {
+                tracing::error!(
+                    narrator = narrator.name,
+                    held_back,
+                    "the daemon does not take this narrator's narration: name it in the robot's configuration as [[daemon.narrator]] with relayed = true, and see the daemon's log"
+                );
+            }
+            narrator.port.tick()?;
+            narrator.say(link, now_ns);
+        }
+    }
+    Ok(())
+}
+
+impl Narrator {
+    fn new(name: &str, rate_per_s: f64, from: From, port: Publisher<NarrationV1>) -> Self {
+        let relay = Relay::new(name, rate_per_s);
+        let (said, said_ns) = (Confirmed::default(), 0);
+        Self { name: name.to_owned(), from, relay, delay: Delay::default(), port, said, said_ns }
+    }
+
+    fn hear(&mut self, heard: &Heard, log: &mut Limiter) {
+        match self.from {
+            From::Hub { .. } => self.hear_hub(heard, log),
+            From::Ros2 { epoch, next } => self.hear_ros2(heard, (epoch, next), log),
+        }
+    }
+
+    fn hear_ros2(&mut self, heard: &Heard, (epoch, sequence): (u64, u64), log: &mut Limiter) {
+        let observed = types::decode_string(&heard.bytes).and_then(|text| line(&text, clock::unix_ns()));
+        let message = observed.and_then(|(observation, age_ns)| {
+            let narrated = Narrated { epoch: Hex(epoch), sequence, first: 1, age_ns, sent_ns: 0, observation };
+            let arrived = Arrived { now_ns: heard.now_ns, now_unix_ns: clock::unix_ns(), excess_ns: 0 };
+            narrated.message(&self.name, arrived)
+        });
+        match message {
+            Ok(message) if self.relay.offer(epoch, sequence, 1, Some(message)) == Offered::Taken => {
+                self.from = From::Ros2 { epoch, next: sequence + 1 };
+            }
+            // ROS 2 knows no confirmation that could hold its sender up.
+            Ok(_) => self.refuse("it comes faster than the daemon takes it, and is dropped", log),
+            Err(fault) => self.refuse(&fault.0, log),
+        }
+    }
+
+    fn hear_hub(&mut self, heard: &Heard, log: &mut Limiter) {
+        let narrated: Narrated = match wire::read(&heard.bytes) {
+            Ok(narrated) => narrated,
+            Err(fault) => return self.refuse(&fault.0, log),
+        };
+        let Narrated { epoch, sequence, first, sent_ns, .. } = narrated;
+        if epoch.0 == 0 || sequence == 0 || first == 0 {
+            return self.refuse("epoch, sequence and first are 1 or more", log);
+        }
+        let excess_ns = self.delay.excess_ns(epoch.0, sent_ns, heard.now_ns);
+        let arrived = Arrived { now_ns: heard.now_ns, now_unix_ns: clock::unix_ns(), excess_ns };
+        match narrated.message(&self.name, arrived) {
+            Ok(message) => drop(self.relay.offer(epoch.0, sequence, first, Some(message))),
+            // It has a number, and the ones after it are waited for: it is passed over.
+            Err(fault) => {
+                if self.relay.offer(epoch.0, sequence, first, None) == Offered::Taken {
+                    self.refuse(&fault.0, log);
+                }
+            }
+        }
+    }
+
+    fn refuse(&self, fault: &str, log: &mut Limiter) {
+        if let Some(held_back) = log.pass(clock::monotonic_ns()) {
+            tracing::warn!(narrator = self.name, fault, held_back, "no narration");
+        }
+    }
+
+    fn send(&mut self, now_ns: u64) -> Result<(), IpcError> {
+        while let Some(message) = self.relay.send(now_ns) {
+            self.port.send(&message)?;
+        }
+        Ok(())
+    }
+
+    /// Tells the hub how far its narration is, where that is new or was told long ago.
+    fn say(&mut self, link: Option<&Link>, now_ns: u64) {
+        let confirmed = self.relay.confirmed();
+        let (Some(link), From::Hub { key }) = (link, &self.from) else { return };
+        if (confirmed == self.said && now_ns.saturating_sub(self.said_ns) < SAY_NS) || !link.is_connected() {
+            return;
+        }
+        if let Ok(bytes) = serde_json::to_vec(&confirmed)
+            && link.put(key, bytes)
+        {
+            (self.said, self.said_ns) = (confirmed, now_ns);
+        }
+    }
+}

@@ -1,0 +1,34 @@
+//! Roomcast beyond one machine, over zenoh. The robot's own path stays shared memory, and its daemon has no socket: this is a participant
+//! beside it.
+//!
+//! ```text
+//! hub: lines -> spool -> [router] -> inward -> daemon            the hub keeps what the daemon has not confirmed
+//!                        [router] <- outward <- scores, forecasts, decisions
+//! operator: watch     <- [router]
+//! ```
+
+pub mod config;
+pub mod delay;
+pub mod delivery;
+pub mod keys;
+pub mod limiter;
+pub mod line;
+pub mod relay;
+pub mod spool;
+pub mod stop;
+pub mod wire;
+
+pub mod told;
+
+pub mod link;
+
+pub mod ros2;
+
+pub mod ask;
+pub mod inward;
+pub mod outward;
+pub mod peers;
+
+pub mod hub;
+pub mod robot;
+pub mod watch;

@@ -1,0 +1,204 @@
+//! The way to the router: a client that listens nowhere, comes back by itself, and keeps nothing for who is away.
+
+use std::any::Any;
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use zenoh::pubsub::Publisher;
+use zenoh::qos::CongestionControl;
+use zenoh::{Config, Session, Wait};
+
+use crate::config::Router;
+
+/// A router that cannot be reached is tried again after so long.
+const OPEN_AGAIN: Duration = Duration::from_secs(1);
+/// How often the connection is looked at.
+const LOOK: Duration = Duration::from_millis(200);
+/// A session whose connection does not come back by itself is opened again.
+const REOPEN: Duration = Duration::from_secs(30);
+/// The same failure is told of once in so long.
+const QUIET: Duration = Duration::from_secs(60);
+/// How long a connection may be silent before it counts as cut. Each side says something four times in that.
+const LEASE_MS: u64 = 5_000;
+
+/// Why there is no link.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    /// The configuration is none that zenoh takes.
+    #[error("router: {0}")]
+    Config(zenoh::Error),
+    /// The system gives no thread.
+    #[error("cannot start the thread of the link: {0}; is a limit on tasks set too low?")]
+    Thread(std::io::Error),
+}
+
+/// What is declared at every session: subscribers, queryables and tokens, which hold as long as they are kept.
+pub type Declare = Box<dyn Fn(&Session) -> zenoh::Result<Vec<Box<dyn Any + Send>>> + Send>;
+
+/// A session and what was declared on it; dropped in this order.
+struct Open {
+    publishers: BTreeMap<String, Publisher<'static>>,
+    _declared: Vec<Box<dyn Any + Send>>,
+    session: Session,
+}
+
+#[derive(Default)]
+struct Shared {
+    open: Mutex<Option<Open>>,
+    connected: AtomicBool,
+    stop: AtomicBool,
+    sessions: AtomicU64,
+}
+
+impl Shared {
+    fn open(&self) -> MutexGuard<'_, Option<Open>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The link. Dropped, it leaves.
+pub struct Link {
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// zenoh's configuration of a client of one router.
+///
+/// # Errors
+///
+/// [`LinkError::Config`].
+pub fn client(router: &Router) -> Result<Config, LinkError> {
+    let mut config = Config::default();
+    let mut set =
+        |key: &str, value: serde_json::Value| config.insert_json5(key, &value.to_string()).map_err(LinkError::Config);
+    set("mode", "client".into())?;
+    set("connect/endpoints", vec![router.connect.clone()].into())?;
+    set("listen/endpoints", serde_json::json!([]))?;
+    set("scouting/multicast/enabled", false.into())?;
+    set("scouting/gossip/enabled", false.into())?;
+    set("timestamping/enabled", true.into())?;
+    set("transport/link/tx/lease", LEASE_MS.into())?;
+    if router.connect.starts_with("tls/") {
+        let file = |path: &Option<std::path::PathBuf>| path.as_ref().map(|path| path.display().to_string());
+        set("transport/link/tls/root_ca_certificate", file(&router.ca).into())?;
+        set("transport/link/tls/connect_certificate", file(&router.certificate).into())?;
+        set("transport/link/tls/connect_private_key", file(&router.key).into())?;
+        set("transport/link/tls/enable_mtls", true.into())?;
+        set("transport/link/tls/verify_name_on_connect", true.into())?;
+    }
+    Ok(config)
+}
+
+impl Link {
+    /// Connects; a router that is away is waited for. `declare` is called at every new session.
+    ///
+    /// # Errors
+    ///
+    /// [`LinkError`].
+    pub fn start(router: &Router, declare: Declare) -> Result<Self, LinkError> {
+        let (config, name) = (client(router)?, router.connect.clone());
+        let shared = Arc::<Shared>::default();
+        let own = Arc::clone(&shared);
+        let thread = std::thread::Builder::new().name("link".to_owned());
+        let thread = thread.spawn(move || turn(&own, &config, &name, &declare)).map_err(LinkError::Thread)?;
+        Ok(Self { shared, thread: Some(thread) })
+    }
+
+    /// Whether a router is there.
+    #[must_use]
+    pub fn is_connected(&self) -> bool {
+        self.shared.connected.load(Ordering::Relaxed)
+    }
+
+    /// Sends bytes to whoever listens now; whether they went out. What cannot go at once is dropped: nothing waits here for a router that is
+    /// away.
+    pub fn put(&self, key: &str, bytes: Vec<u8>) -> bool {
+        if !self.is_connected() {
+            return false;
+        }
+        let mut open = self.shared.open();
+        let Some(open) = open.as_mut() else { return false };
+        if !open.publishers.contains_key(key) {
+            let publisher = open.session.declare_publisher(key.to_owned());
+            // Each message goes out at once: batches would make it wait.
+            match publisher.congestion_control(CongestionControl::Drop).express(true).wait() {
+                Ok(publisher) => drop(open.publishers.insert(key.to_owned(), publisher)),
+                Err(_) => return false,
+            }
+        }
+        open.publishers.get(key).is_some_and(|publisher| publisher.put(bytes).wait().is_ok())
+    }
+
+    /// The session, where there is one, and its number.
+    #[must_use]
+    pub fn session(&self) -> Option<(u64, Session)> {
+        let number = self.shared.sessions.load(Ordering::Relaxed);
+        self.shared.open().as_ref().map(|open| (number, open.session.clone()))
+    }
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        self.shared.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ended = thread.join();
+        }
+    }
+}
+
+fn turn(shared: &Shared, config: &Config, router: &str, declare: &Declare) {
+    let mut told = None::<Instant>;
+    let stop = || shared.stop.load(Ordering::Relaxed);
+    while !stop() {
+        let opened = zenoh::open(config.clone()).wait().and_then(|session| {
+            let declared = declare(&session)?;
+            Ok(Open { publishers: BTreeMap::new(), _declared: declared, session })
+        });
+        match opened {
+            Ok(open) => {
+                shared.sessions.fetch_add(1, Ordering::Relaxed);
+                *shared.open() = Some(open);
+                watch(shared, router);
+                shared.connected.store(false, Ordering::Relaxed);
+                // Taken out first: closing takes a while, and whoever sends must not wait for it.
+                let open = shared.open().take();
+                drop(open);
+            }
+            Err(error) => {
+                if told.is_none_or(|told| told.elapsed() >= QUIET) {
+                    told = Some(Instant::now());
+                    tracing::warn!(router, %error, "no connection, trying again");
+                }
+                let start = Instant::now();
+                while start.elapsed() < OPEN_AGAIN && !stop() {
+                    std::thread::sleep(LOOK);
+                }
+            }
+        }
+    }
+}
+
+/// Watches a session until it is to end.
+fn watch(shared: &Shared, router: &str) {
+    let mut lost = None::<Instant>;
+    while !shared.stop.load(Ordering::Relaxed) {
+        let connected =
+            shared.open().as_ref().is_some_and(|open| open.session.info().routers_zid().wait().next().is_some());
+        if shared.connected.swap(connected, Ordering::Relaxed) != connected {
+            if connected {
+                tracing::info!(router, "connected");
+            } else {
+                tracing::warn!(router, "connection lost, trying again");
+            }
+        }
+        if connected {
+            lost = None;
+        } else if lost.get_or_insert_with(Instant::now).elapsed() >= REOPEN {
+            return;
+        }
+        std::thread::sleep(LOOK);
+    }
+}

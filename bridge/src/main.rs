@@ -1,0 +1,116 @@
+//! The command line of `roomcast-bridge`.
+
+use std::error::Error;
+use std::io::{self, IsTerminal, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use roomcast_bridge::config::{self, Config};
+use roomcast_bridge::stop::Stop;
+use roomcast_bridge::{hub, robot, watch};
+use tracing_subscriber::EnvFilter;
+
+/// What went wrong is in the configuration.
+const CONFIG: u8 = 2;
+/// Something else went wrong.
+const FAILURE: u8 = 1;
+/// zenoh tells of every attempt to connect; the link says it once.
+const LOG: &str = "info,zenoh=off";
+
+/// Roomcast beyond one machine, over zenoh: narration from hubs in, scores and decisions out (docs/fleet.md).
+#[derive(Debug, Parser)]
+#[command(version)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// On a robot: hears hubs, and tells what its daemon and planner say.
+    Robot {
+        #[command(flatten)]
+        file: File,
+        /// The domain's root path, in place of the configuration's.
+        #[arg(long, value_name = "DIR", env = "ROOMCAST_ROOT")]
+        root: Option<PathBuf>,
+        /// The domain's name, in place of the configuration's.
+        #[arg(long, value_name = "NAME", env = "ROOMCAST_DOMAIN")]
+        domain: Option<String>,
+    },
+    /// On another machine: keeps lines of narration until every robot has confirmed them.
+    Hub {
+        #[command(flatten)]
+        file: File,
+        /// Lines: `-` for standard input, a FIFO, or a file that grows and is followed.
+        #[arg(long, default_value = "-")]
+        input: PathBuf,
+    },
+    /// Prints what the robots of the site say, a line of JSON for each message.
+    Watch(File),
+    /// Prints the configuration, every key with its default.
+    Config,
+    /// Prints an example of the router's configuration: mutual TLS, and who may read and write what.
+    Router,
+}
+
+#[derive(Debug, clap::Args)]
+struct File {
+    /// The configuration; `roomcast-bridge config` prints every key.
+    #[arg(long, value_name = "FILE", env = "ROOMCAST_BRIDGE_CONFIG")]
+    config: PathBuf,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let filter = EnvFilter::try_from_env("ROOMCAST_LOG").unwrap_or_else(|_| EnvFilter::new(LOG));
+    let colours = io::stderr().is_terminal();
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr).with_ansi(colours).init();
+    match run(arguments.command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err((code, error)) => {
+            // Where standard error is closed nobody is there to be told.
+            let _told = writeln!(io::stderr(), "roomcast-bridge: {error}");
+            ExitCode::from(code)
+        }
+    }
+}
+
+type Failure = (u8, Box<dyn Error>);
+
+fn failure(error: impl Error + 'static) -> Failure {
+    (FAILURE, Box::new(error))
+}
+
+fn load(file: &File) -> Result<(Config, Stop), Failure> {
+    let config = Config::load(&file.config).map_err(|error| (CONFIG, error.into()))?;
+    Ok((config, Stop::on_signals().map_err(failure)?))
+}
+
+fn run(command: Command) -> Result<(), Failure> {
+    let print = |text: &str| io::stdout().write_all(text.as_bytes()).map_err(failure);
+    match command {
+        Command::Config => print(config::MANUAL),
+        Command::Router => print(include_str!("router.json5")),
+        Command::Robot { file, root, domain } => {
+            let (mut config, stop) = load(&file)?;
+            config.ipc.root = root.or(config.ipc.root);
+            config.ipc.domain = domain.unwrap_or(config.ipc.domain);
+            config.check_robot().map_err(|error| (CONFIG, error.into()))?;
+            robot::run(&config, &stop).map_err(failure)
+        }
+        Command::Hub { file, input } => {
+            let (config, stop) = load(&file)?;
+            config.check_hub().map_err(|error| (CONFIG, error.into()))?;
+            let outcome = hub::run(&config, &input, &stop).map_err(failure)?;
+            let line = serde_json::to_string(&outcome).map_err(failure)?;
+            print(&format!("{line}\n"))
+        }
+        Command::Watch(file) => {
+            let (config, stop) = load(&file)?;
+            config.check_watch().map_err(|error| (CONFIG, error.into()))?;
+            watch::run(&config, &stop).map_err(failure)
+        }
+    }
+}

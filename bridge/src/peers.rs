@@ -1,0 +1,261 @@
+//! What other robots of the site are told, as decisions in this robot's own domain: its planner, with `planner.avoid_robots`, enters no room of theirs.
+//! A robot that is not heard any more has no room: each goes on for itself.
+
+use std::collections::BTreeMap;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Duration;
+
+use roomcast_ipc::{DecisionV1, Domain, IpcError, Message, NAME_BYTES, action, clock, sequence, text};
+use serde::Deserialize;
+use zenoh::sample::Sample;
+
+use crate::config::Config;
+use crate::delay::Delay;
+use crate::limiter::Limiter;
+use crate::stop::Stop;
+use crate::wire::{self, Fault, Hex};
+
+/// Robots that are followed; more are not heard.
+pub const PEERS_MAX: usize = 15;
+/// A robot that was silent for so long has left its room: it says something every second.
+const LEASE_NS: u64 = 3_500_000_000;
+/// Messages that wait; more are dropped, and follow within seconds.
+const WAITING_MAX: usize = 64;
+const TICK: Duration = Duration::from_millis(100);
+
+/// A message of a robot: its name in keys, what it is of, and its bytes.
+pub struct Heard {
+    robot: String,
+    topic: String,
+    bytes: Vec<u8>,
+    now_ns: u64,
+}
+
+/// Where a subscriber puts what it hears.
+#[derive(Clone)]
+pub struct Ear(SyncSender<Heard>);
+
+/// Both ends of what waits to be looked at.
+#[must_use]
+pub fn ear() -> (Ear, Receiver<Heard>) {
+    let (to, heard) = sync_channel(WAITING_MAX);
+    (Ear(to), heard)
+}
+
+impl Ear {
+    /// Takes a message of `roomcast/SITE/ROBOT/told/TOPIC`.
+    pub fn take(&self, sample: &Sample) {
+        let parts: Vec<&str> = sample.key_expr().as_str().split('/').collect();
+        if let [_, _, robot, _, topic] = parts[..]
+            && sample.payload().len() <= wire::BYTES_MAX
+        {
+            let bytes = sample.payload().to_bytes().into_owned();
+            let (robot, topic) = (robot.to_owned(), topic.to_owned());
+            let _dropped = self.0.try_send(Heard { robot, topic, bytes, now_ns: clock::monotonic_ns() });
+        }
+    }
+}
+
+/// What both messages have.
+#[derive(Deserialize)]
+struct Stamp {
+    teller: Hex,
+    sent_ns: u64,
+    age_ns: u64,
+}
+
+#[derive(Deserialize)]
+struct Decision {
+    epoch: Hex,
+    sequence: u64,
+    action: String,
+    to: String,
+    reason: String,
+    stay_ns: u64,
+}
+
+struct Peer {
+    delay: Delay,
+    heard_ns: u64,
+    last: Option<DecisionV1>,
+    /// Its room was given up for it.
+    silent: bool,
+}
+
+/// The other robots, as far as they are heard. Pure: time comes in as a number.
+pub struct Peers {
+    own: String,
+    peers: BTreeMap<String, Peer>,
+}
+
+impl Peers {
+    /// None heard yet; `own` is this robot's name in keys.
+    #[must_use]
+    pub fn new(own: &str) -> Self {
+        Self { own: own.to_owned(), peers: BTreeMap::new() }
+    }
+
+    /// Takes a message; gives what the planner is to hear of it.
+    ///
+    /// # Errors
+    ///
+    /// [`Fault`] for what is no message of a robot.
+    pub fn hear(&mut self, heard: &Heard) -> Result<Option<DecisionV1>, Fault> {
+        if heard.robot == self.own || (self.peers.len() >= PEERS_MAX && !self.peers.contains_key(&heard.robot)) {
+            return Ok(None);
+        }
+        let stamp: Stamp = wire::read(&heard.bytes)?;
+        let decision = match heard.topic.as_str() {
+            "decision" => Some(wire::read::<Decision>(&heard.bytes)?),
+            _ => None,
+        };
+        let new = Peer { delay: Delay::default(), heard_ns: 0, last: None, silent: false };
+        let peer = self.peers.entry(heard.robot.clone()).or_insert(new);
+        let excess_ns = peer.delay.excess_ns(stamp.teller.0, stamp.sent_ns, heard.now_ns);
+        if excess_ns >= LEASE_NS {
+            // It lay in a queue for longer than it may be believed.
+            return Ok(None);
+        }
+        peer.heard_ns = peer.heard_ns.max(heard.now_ns);
+        let back = std::mem::replace(&mut peer.silent, false);
+        let Some(decision) = decision else { return Ok(peer.last.filter(|_| back)) };
+        let age_ns = stamp.age_ns.saturating_add(excess_ns);
+        let message = message(&heard.robot, &decision, heard.now_ns.saturating_sub(age_ns))?;
+        let old = |last: DecisionV1| last.epoch == message.epoch && last.sequence >= message.sequence;
+        if peer.last.is_some_and(old) && !back {
+            return Ok(None);
+        }
+        peer.last = Some(message);
+        Ok(Some(message))
+    }
+
+    /// What the planner is to hear of robots that have fallen silent: they have no room any more.
+    pub fn fallen_silent(&mut self, now_ns: u64) -> Vec<(String, Option<DecisionV1>)> {
+        let silent = |peer: &Peer| !peer.silent && now_ns.saturating_sub(peer.heard_ns) > LEASE_NS;
+        let fallen = self.peers.iter_mut().filter(|(_, peer)| silent(peer));
+        let leave = fallen.map(|(robot, peer)| {
+            peer.silent = true;
+            let reason = text::encode_cut("it is not heard any more");
+            let gone = |last| DecisionV1 { action: action::PAUSE, to: [0; NAME_BYTES], stay_ns: 0, reason, ..last };
+            (robot.clone(), peer.last.map(gone))
+        });
+        leave.collect()
+    }
+}
+
+fn message(robot: &str, decision: &Decision, decided_ns: u64) -> Result<DecisionV1, Fault> {
+    let message = DecisionV1 {
+        robot: sequence::source_of_name(robot),
+        epoch: decision.epoch.0,
+        sequence: decision.sequence,
+        decided_ns,
+        decided_unix_ns: clock::unix_ns(),
+        stay_ns: decision.stay_ns,
+        action: match decision.action.as_str() {
+            "go" => action::GO,
+            "pause" => action::PAUSE,
+            _ => action::STAY,
+        },
+        minor: 1,
+        to: text::encode("to", &decision.to).map_err(|error| Fault(error.to_string()))?,
+        reason: text::encode_cut(&decision.reason),
+        ..DecisionV1::default()
+    };
+    message.check().map_err(|error| Fault(error.to_string()))?;
+    Ok(message)
+}
+
+/// Runs until asked to stop.
+///
+/// # Errors
+///
+/// [`IpcError`] when a service cannot be opened or is lost.
+pub fn run(config: &Config, domain: &Domain, heard: &Receiver<Heard>, stop: &Stop) -> Result<(), IpcError> {
+    let node = domain.open("roomcast-zenoh-peers")?;
+    let decisions = node.publisher::<DecisionV1>()?;
+    let mut peers = Peers::new(config.robot.key());
+    let mut log = Limiter::default();
+    while !stop.requested() {
+        let first = match heard.recv_timeout(TICK) {
+            Ok(first) => Some(first),
+            Err(RecvTimeoutError::Timeout) => None,
+            Err(RecvTimeoutError::Disconnected) => {
+                std::thread::sleep(TICK);
+                None
+            }
+        };
+        for heard in first.into_iter().chain(heard.try_iter()) {
+            match peers.hear(&heard) {
+                Ok(Some(decision)) => decisions.send(&decision)?,
+                Ok(None) => {}
+                Err(fault) => {
+                    if let Some(held_back) = log.pass(clock::monotonic_ns()) {
+                        tracing::warn!(robot = heard.robot, %fault, held_back, "no message of a robot");
+                    }
+                }
+            }
+        }
+        for (robot, gone) in peers.fallen_silent(clock::monotonic_ns()) {
+            tracing::warn!(robot, "another robot is not heard any more: its room is free for this one");
+            if let Some(gone) = gone {
+                decisions.send(&gone)?;
+            }
+        }
+        decisions.tick()?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::told::{self, Teller};
+
+    const S: u64 = 1_000_000_000;
+
+    fn heard(robot: &str, topic: &str, bytes: Vec<u8>, now_ns: u64) -> Heard {
+        Heard { robot: robot.to_owned(), topic: topic.to_owned(), bytes, now_ns }
+    }
+
+    fn told(sequence: u64, to: &str) -> Vec<u8> {
+        let to = text::encode("to", to).unwrap();
+        let (decided_ns, action) = (clock::monotonic_ns(), action::GO);
+        let decision = DecisionV1 { epoch: 7, sequence, decided_ns, stay_ns: 60 * S, action, to, ..Default::default() };
+        told::decision(&decision).bytes(Teller { start: 1, number: sequence })
+    }
+
+    #[test]
+    fn a_robots_decisions_are_heard_once_and_given_up_when_it_falls_silent() {
+        let now_ns = clock::monotonic_ns();
+        let mut peers = Peers::new("robot-1");
+        assert_eq!(peers.hear(&heard("robot-1", "decision", told(1, "hall"), now_ns)).unwrap(), None);
+        let first = peers.hear(&heard("robot-2", "decision", told(1, "kitchen"), now_ns)).unwrap().unwrap();
+        assert_eq!(
+            (first.robot, first.to(), first.action),
+            (sequence::source_of_name("robot-2"), "kitchen", action::GO)
+        );
+        assert_eq!(peers.hear(&heard("robot-2", "decision", told(1, "kitchen"), now_ns)).unwrap(), None);
+        assert!(peers.fallen_silent(now_ns + S).is_empty());
+        let gone = peers.fallen_silent(now_ns + 4 * S).remove(0).1.unwrap();
+        assert_eq!((gone.action, gone.to(), gone.sequence), (action::PAUSE, "", 1));
+        assert!(peers.fallen_silent(now_ns + 9 * S).is_empty(), "said once");
+        // It comes back with what it was told last.
+        let status = told::status("robot-2", None, None).bytes(Teller { start: 1, number: 3 });
+        let back = peers.hear(&heard("robot-2", "status", status, now_ns + 1)).unwrap().unwrap();
+        assert_eq!((back.to(), back.action), ("kitchen", action::GO));
+    }
+
+    #[test]
+    fn hostile_bytes_are_refused_and_robots_without_end_take_no_memory() {
+        let mut peers = Peers::new("robot-1");
+        for bytes in [b"".to_vec(), b"{}".to_vec(), b"null".to_vec(), told(1, "a").split_off(3), vec![b'x'; 9000]] {
+            peers.hear(&heard("robot-2", "decision", bytes, 1)).err().unwrap();
+        }
+        let hidden = String::from_utf8(told(1, "hall")).unwrap().replace("hall", "h\\u001bl");
+        peers.hear(&heard("robot-2", "decision", hidden.into_bytes(), 1)).err().unwrap();
+        for robot in 0..1000 {
+            let _heard = peers.hear(&heard(&robot.to_string(), "decision", told(1, "hall"), 1)).unwrap();
+        }
+        assert!(peers.peers.len() <= PEERS_MAX);
+    }
+}

@@ -1,0 +1,259 @@
+//! A narrator elsewhere on its way to the daemon: what is taken from it, what is under way, and how far it is confirmed. Pure: time comes
+//! in as a number.
+//!
+//! A number is taken once, and after the one before it. Whatever else comes, the narrator sends again from the number that is expected, so
+//! that a link may lose and repeat what it likes.
+
+use std::collections::VecDeque;
+
+use roomcast_ipc::{Message, NarrationV1, RoomScoresV1, sequence};
+
+use crate::wire::{Confirmed, Hex};
+
+/// Narrations that the daemon has not confirmed: what the service's history holds for a daemon that restarts.
+pub const UNDER_WAY_MAX: usize = NarrationV1::SERVICE.history;
+/// Narrations that wait for that.
+pub const WAITING_MAX: usize = 64;
+/// What the daemon has not confirmed for so long is given to it again: it may have been above a limit, or lost with a port.
+const AGAIN_NS: u64 = 5_000_000_000;
+/// Former epochs that stay known, so that a delayed message of one is not taken for a new start.
+const FORMER_MAX: usize = 8;
+
+/// What becomes of a narration that was heard.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Offered {
+    /// It is the next one.
+    Taken,
+    /// It was taken before, or is of a former start.
+    Again,
+    /// Others have to come before it.
+    Early,
+    /// There is no room for it now.
+    Full,
+}
+
+/// One narrator.
+#[derive(Debug)]
+pub struct Relay {
+    source: u64,
+    epoch: u64,
+    /// The number expected next; 0 before the first.
+    next: u64,
+    former: VecDeque<u64>,
+    waiting: VecDeque<NarrationV1>,
+    under_way: VecDeque<NarrationV1>,
+    refused: u64,
+    /// When something was last sent or confirmed.
+    moved_ns: u64,
+    /// How often in a row all that is under way was sent again.
+    repeats: u32,
+    pace: Pace,
+}
+
+impl Relay {
+    /// Nothing heard yet.
+    #[must_use]
+    pub fn new(narrator: &str, rate_per_s: f64) -> Self {
+        Self {
+            source: sequence::source_of_name(narrator),
+            epoch: 0,
+            next: 0,
+            former: VecDeque::new(),
+            waiting: VecDeque::new(),
+            under_way: VecDeque::new(),
+            refused: 0,
+            moved_ns: 0,
+            repeats: 0,
+            pace: Pace::new(rate_per_s),
+        }
+    }
+
+    /// Whether a narration of this name would be taken now.
+    fn judge(&self, epoch: u64, sequence: u64, first: u64) -> Offered {
+        let expected = if epoch == self.epoch { self.next.max(first) } else { first };
+        if self.former.contains(&epoch) || (epoch == self.epoch && sequence < self.next) {
+            Offered::Again
+        } else if sequence != expected {
+            Offered::Early
+        } else if self.waiting.len() >= WAITING_MAX {
+            Offered::Full
+        } else {
+            Offered::Taken
+        }
+    }
+
+    /// Takes a narration, if it is the next one. `first` is the first number that its narrator can still send; `message` is what the
+    /// daemon gets of it, none where it is no narration.
+    pub fn offer(&mut self, epoch: u64, sequence: u64, first: u64, message: Option<NarrationV1>) -> Offered {
+        let offered = self.judge(epoch, sequence, first);
+        if offered == Offered::Taken {
+            if epoch != self.epoch {
+                if self.epoch != 0 {
+                    self.former.push_back(self.epoch);
+                    if self.former.len() > FORMER_MAX {
+                        self.former.pop_front();
+                    }
+                }
+                (self.epoch, self.refused) = (epoch, 0);
+            }
+            self.next = sequence.saturating_add(1);
+            match message {
+                Some(message) => self.waiting.push_back(message),
+                None => self.refused += 1,
+            }
+        }
+        offered
+    }
+
+    /// The next message for the daemon, if one may go now.
+    pub fn send(&mut self, now_ns: u64) -> Option<NarrationV1> {
+        if self.under_way.len() >= UNDER_WAY_MAX || self.waiting.is_empty() || !self.pace.take(now_ns) {
+            return None;
+        }
+        let message = self.waiting.pop_front()?;
+        self.under_way.push_back(message);
+        self.moved_ns = now_ns;
+        Some(message)
+    }
+
+    /// What is under way, where the daemon has been silent about it for long; `alive` is whether it says anything at all.
+    pub fn again(&mut self, now_ns: u64, alive: bool) -> Vec<NarrationV1> {
+        if self.under_way.is_empty() || !alive || now_ns.saturating_sub(self.moved_ns) < AGAIN_NS {
+            return Vec::new();
+        }
+        self.moved_ns = now_ns;
+        self.repeats += 1;
+        self.under_way.iter().copied().collect()
+    }
+
+    /// How often in a row the daemon has not taken what was sent again.
+    #[must_use]
+    pub fn repeats(&self) -> u32 {
+        self.repeats
+    }
+
+    /// Takes note of what checked scores contain.
+    pub fn confirm(&mut self, scores: &RoomScoresV1, now_ns: u64) {
+        for included in scores.included() {
+            if included.source != self.source {
+                continue;
+            }
+            let before = self.under_way.len();
+            self.under_way.retain(|sent| sent.epoch != included.epoch || sent.sequence > included.sequence);
+            if self.under_way.len() < before {
+                (self.moved_ns, self.repeats) = (now_ns, 0);
+            }
+        }
+    }
+
+    /// How far the narrator's narration has come.
+    #[must_use]
+    pub fn confirmed(&self) -> Confirmed {
+        let own = self.under_way.iter().chain(&self.waiting).find(|message| message.epoch == self.epoch);
+        let open = own.map_or(self.next, |message| message.sequence);
+        Confirmed { epoch: Hex(self.epoch), next: self.next, confirmed: open.saturating_sub(1), refused: self.refused }
+    }
+}
+
+/// So many a second over time, and a second's worth at once.
+#[derive(Debug)]
+struct Pace {
+    rate_per_s: f64,
+    tokens: f64,
+    at_ns: u64,
+}
+
+impl Pace {
+    fn new(rate_per_s: f64) -> Self {
+        Self { rate_per_s, tokens: rate_per_s.max(1.0), at_ns: 0 }
+    }
+
+    fn take(&mut self, now_ns: u64) -> bool {
+        let passed_s = now_ns.saturating_sub(self.at_ns) as f64 / 1e9;
+        self.tokens = (self.tokens + passed_s * self.rate_per_s).min(self.rate_per_s.max(1.0));
+        self.at_ns = now_ns;
+        let may = self.tokens >= 1.0;
+        self.tokens -= f64::from(u8::from(may));
+        may
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_ipc::IncludedV1;
+
+    use super::*;
+
+    fn message(epoch: u64, sequence: u64) -> Option<NarrationV1> {
+        let source = sequence::source_of_name("hub");
+        Some(NarrationV1 { source, epoch, sequence, ..NarrationV1::new(0, "They sit.").unwrap() })
+    }
+
+    fn scores(epoch: u64, sequence: u64) -> RoomScoresV1 {
+        let mut scores = RoomScoresV1 { source_count: 1, ..Default::default() };
+        scores.included[0] =
+            IncludedV1 { source: sequence::source_of_name("hub"), epoch, sequence, ..Default::default() };
+        scores
+    }
+
+    #[test]
+    fn each_number_is_taken_once_and_in_order() {
+        let mut relay = Relay::new("hub", 1e6);
+        assert_eq!(relay.confirmed(), Confirmed::default());
+        assert_eq!(relay.offer(9, 2, 1, message(9, 2)), Offered::Early, "the narrator still has the first");
+        assert_eq!(relay.offer(9, 1, 1, message(9, 1)), Offered::Taken);
+        assert_eq!(relay.offer(9, 1, 1, message(9, 1)), Offered::Again);
+        assert_eq!(relay.offer(9, 3, 1, message(9, 3)), Offered::Early);
+        assert_eq!(relay.offer(9, 2, 1, None), Offered::Taken, "it is no narration, and is passed over");
+        assert_eq!(relay.send(0).unwrap().sequence, 1);
+        assert_eq!(relay.confirmed(), Confirmed { epoch: Hex(9), next: 3, confirmed: 0, refused: 1 });
+        relay.confirm(&scores(9, 1), 1);
+        assert_eq!(relay.confirmed().confirmed, 2);
+        // What the narrator cannot send any more is not waited for.
+        assert_eq!(relay.offer(9, 8, 7, message(9, 8)), Offered::Early);
+        assert_eq!(relay.offer(9, 7, 7, message(9, 7)), Offered::Taken);
+    }
+
+    #[test]
+    fn a_former_start_does_not_come_back() {
+        let mut relay = Relay::new("hub", 1e6);
+        assert_eq!(relay.offer(9, 1, 1, message(9, 1)), Offered::Taken);
+        assert_eq!(relay.offer(10, 1, 1, message(10, 1)), Offered::Taken);
+        assert_eq!(relay.offer(9, 2, 1, message(9, 2)), Offered::Again);
+        assert_eq!((relay.send(0).unwrap().epoch, relay.send(0).unwrap().epoch), (9, 10), "in the order they came");
+        relay.confirm(&scores(10, 1), 1);
+        assert_eq!(relay.again(2 * AGAIN_NS, true).len(), 1, "the first start's is still under way");
+    }
+
+    #[test]
+    fn memory_is_bounded_and_what_finds_no_room_is_sent_again() {
+        let mut relay = Relay::new("hub", 1e6);
+        let all = (UNDER_WAY_MAX + WAITING_MAX) as u64;
+        for number in 1..=all {
+            assert_eq!(relay.offer(9, number, 1, message(9, number)), Offered::Taken);
+            relay.send(number);
+        }
+        assert_eq!(relay.offer(9, all + 1, 1, message(9, all + 1)), Offered::Full);
+        assert_eq!((relay.under_way.len(), relay.waiting.len()), (UNDER_WAY_MAX, WAITING_MAX));
+        assert!(relay.send(1).is_none());
+        assert_eq!(relay.confirmed().next, all + 1);
+        assert!(relay.again(AGAIN_NS, true).is_empty());
+        assert!(relay.again(10 * AGAIN_NS, false).is_empty(), "a daemon that is away has its history");
+        assert_eq!(relay.again(10 * AGAIN_NS, true).len(), UNDER_WAY_MAX);
+        assert_eq!(relay.repeats(), 1);
+        relay.confirm(&scores(9, 32), 1);
+        assert_eq!((relay.repeats(), relay.offer(9, all + 1, 1, message(9, all + 1))), (0, Offered::Full));
+        while relay.send(2).is_some() {}
+        assert_eq!(relay.offer(9, all + 1, 1, message(9, all + 1)), Offered::Taken);
+    }
+
+    #[test]
+    fn a_rate_holds() {
+        let mut relay = Relay::new("hub", 2.0);
+        for number in 1..=5 {
+            relay.offer(9, number, 1, message(9, number));
+        }
+        let sent = (0..40).filter(|tenth| relay.send(tenth * 100_000_000).is_some()).collect::<Vec<_>>();
+        assert_eq!(sent, [0, 1, 5, 10, 15]);
+    }
+}

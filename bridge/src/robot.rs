@@ -1,0 +1,162 @@
+//! The bridge of a robot: its threads, and what it declares at a router.
+
+use std::any::Any;
+use std::sync::Arc;
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread;
+
+use roomcast_ipc::IpcError;
+use sd_notify::NotifyState;
+use zenoh::query::{Query, Reply};
+use zenoh::sample::Sample;
+use zenoh::{Session, Wait};
+
+use crate::config::{Config, ConfigError};
+use crate::keys::Keys;
+use crate::link::{Declare, Link, LinkError};
+use crate::outward::{self, Last};
+use crate::ros2::run::{Places, Ros2Error};
+use crate::stop::Stop;
+use crate::{ask, inward, peers, ros2};
+
+/// Why a bridge ends.
+#[derive(Debug, thiserror::Error)]
+pub enum BridgeError {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The way to the router.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// A service of the robot.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+    /// ROS 2.
+    #[error(transparent)]
+    Ros2(#[from] Ros2Error),
+    /// The system gives no thread.
+    #[error("cannot start a thread: {0}; is a limit on tasks set too low?")]
+    Thread(std::io::Error),
+}
+
+/// Runs until asked to stop.
+///
+/// # Errors
+///
+/// [`BridgeError`]; a router that is away is none.
+pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
+    config.check_robot()?;
+    let domain = config.domain()?;
+    let last = Last::new();
+    let (ear, heard) = inward::ear();
+    let (asking, asked) = sync_channel(ask::WAITING_MAX);
+    let questions = ask::allowed(&config.ask);
+    // A narrator's number is its place; ROS 2's comes behind the hubs'.
+    let ros2_ear = config.ros2.narration.then(|| (config.narrator.len(), ear.clone()));
+    let (peer_ear, peers_heard) = peers::ear();
+    let site = !config.router.connect.is_empty();
+    let declare = || declare(config, &last, ear, asking, peer_ear);
+    let link = site.then(|| Link::start(&config.router, declare())).transpose()?;
+    let ros2 = match config.ros2.router() {
+        Some(router) => Some((Places::load(&config.ros2)?, Link::start(&router, Box::new(|_| Ok(Vec::new())))?)),
+        None => None,
+    };
+    let (link, ros2, stopper) = (link.as_ref(), ros2.as_ref(), stop);
+    thread::scope(|scope| {
+        let start = |name: &str| thread::Builder::new().name(name.to_owned());
+        // Those that run already have to end, too.
+        let failed = |error| {
+            stopper.request();
+            BridgeError::Thread(error)
+        };
+        // Whichever ends ends the others.
+        let ending = |result: Result<(), IpcError>| {
+            stopper.request();
+            result
+        };
+        let domain = &domain;
+        let inward = move || ending(inward::run(config, domain, link, &heard, stopper));
+        let inward = start("inward").spawn_scoped(scope, inward).map_err(failed)?;
+        let answering = if questions.is_empty() {
+            None
+        } else {
+            let services: Vec<_> = questions.iter().map(|(_, service)| *service).collect();
+            let answer = move || ending(ask::run(domain, &services, &asked, stopper));
+            Some(start("ask").spawn_scoped(scope, answer).map_err(failed)?)
+        };
+        let listening = if config.peers.hear {
+            let listen = move || ending(peers::run(config, domain, &peers_heard, stopper));
+            Some(start("peers").spawn_scoped(scope, listen).map_err(failed)?)
+        } else {
+            None
+        };
+        let spoken = match ros2 {
+            Some((places, link)) => {
+                let speak = move || ending(ros2::run::run(&config.ros2, places, domain, link, ros2_ear, stopper));
+                Some(start("ros2").spawn_scoped(scope, speak).map_err(failed)?)
+            }
+            None => None,
+        };
+        notify(&[NotifyState::Ready]);
+        // It says that it lives for as long as narration is moved, too.
+        let alive = || {
+            if !inward.is_finished() {
+                notify(&[NotifyState::Watchdog]);
+            }
+        };
+        let outward = ending(outward::run(config, domain, link, &last, stopper, &alive));
+        notify(&[NotifyState::Stopping]);
+        let ended = |thread: thread::ScopedJoinHandle<'_, Result<(), IpcError>>| thread.join().unwrap_or(Ok(()));
+        let inward = ended(inward);
+        let others = [answering, spoken, listening].into_iter().flatten().map(ended).collect::<Result<Vec<()>, _>>();
+        outward.and(inward).and(others.map(drop)).map_err(BridgeError::Ipc)
+    })
+}
+
+/// Tells systemd; without it this does nothing.
+pub(crate) fn notify(state: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(state) {
+        tracing::debug!(%error, "systemd cannot be notified");
+    }
+}
+
+fn declare(
+    config: &Config,
+    last: &Arc<Last>,
+    ear: inward::Ear,
+    asking: SyncSender<ask::Asked>,
+    peer_ear: peers::Ear,
+) -> Declare {
+    let (config, last) = (config.clone(), Arc::clone(last));
+    Box::new(move |session: &Session| {
+        let keys = Keys::new(&config.site.name, config.robot.key());
+        let mut declared: Vec<Box<dyn Any + Send>> = Vec::new();
+        for (number, narrator) in config.narrator.iter().enumerate() {
+            let ear = ear.clone();
+            let take = move |sample: Sample| ear.take(number, sample.payload());
+            declared.push(Box::new(session.declare_subscriber(keys.narration(&narrator.name)).callback(take).wait()?));
+        }
+        let own = Arc::clone(&last);
+        let answer = move |query: Query| own.answer(&query);
+        declared.push(Box::new(session.declare_queryable(keys.all_told()).callback(answer).wait()?));
+        for (name, service) in ask::allowed(&config.ask) {
+            let asking = asking.clone();
+            let take = move |query: Query| ask::take(&asking, service, query);
+            declared.push(Box::new(session.declare_queryable(keys.ask(name)).callback(take).wait()?));
+        }
+        if config.peers.hear {
+            for topic in ["decision", "status"] {
+                let (key, ear) = (Keys::new(&config.site.name, "*").told(topic), peer_ear.clone());
+                let take = move |sample: Sample| ear.take(&sample);
+                declared.push(Box::new(session.declare_subscriber(&key).callback(take).wait()?));
+                // What was said before.
+                let ear = peer_ear.clone();
+                let earlier = move |reply: Reply| reply.into_result().into_iter().for_each(|sample| ear.take(&sample));
+                session.get(&key).callback(earlier).wait()?;
+            }
+        }
+        // Last: whoever sees it may ask.
+        declared.push(Box::new(session.liveliness().declare_token(keys.alive()).wait()?));
+        Ok(declared)
+    })
+}

@@ -1,0 +1,238 @@
+//! A Nav2 keepout mask over the rooms of a map: how likely somebody is in a room, as a cost that is never lethal. Pure.
+
+use std::fs;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use roomcast_core::grounding::Partition;
+
+use super::types::{ColorRgba, Header, MapMetaData, Marker, MarkerArray, OccupancyGrid, Point, Pose, Quaternion};
+
+/// A certain person's room. Nav2's keepout filter makes 100 a lethal cost of 254; this is 249, below those that a robot's body must not
+/// touch.
+pub const MOST: i8 = 98;
+/// Most cells of a map.
+pub const CELLS_MAX: u64 = 16_000_000;
+/// Most bytes of a map's YAML file.
+const YAML_BYTES_MAX: u64 = 64 << 10;
+
+/// Why a Nav2 map cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: {problem}; ros2.map is the YAML file that nav2_map_server loads, with its PGM image beside it")]
+pub struct MapError {
+    path: PathBuf,
+    problem: String,
+}
+
+/// Where and how large a Nav2 map is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grid {
+    /// Metres of a cell.
+    pub resolution_m: f64,
+    /// Cells from west to east.
+    pub width: u32,
+    /// Cells from south to north.
+    pub height: u32,
+    /// The lower left corner: x, y in metres, and its turn in radians.
+    pub origin: [f64; 3],
+}
+
+impl Grid {
+    /// Reads a map's YAML file, and of its PGM image the size.
+    ///
+    /// # Errors
+    ///
+    /// [`MapError`].
+    pub fn load(path: &Path) -> Result<Self, MapError> {
+        let fault = |path: &Path, problem: String| MapError { path: path.to_owned(), problem };
+        let mut text = String::new();
+        let file = fs::File::open(path).map_err(|error| fault(path, error.to_string()))?;
+        file.take(YAML_BYTES_MAX).read_to_string(&mut text).map_err(|error| fault(path, error.to_string()))?;
+        let value = |key: &str| {
+            let found = text.lines().find_map(|line| line.trim().strip_prefix(key)?.trim_start().strip_prefix(':'));
+            let found = found.map(|value| value.split(" #").next().unwrap_or("").trim().trim_matches(['"', '\'']));
+            found.filter(|value| !value.is_empty()).ok_or_else(|| fault(path, format!("{key} is missing")))
+        };
+        let number = |key: &str, text: &str| {
+            let number = text.trim().parse::<f64>().ok().filter(|number| number.is_finite());
+            number.ok_or_else(|| fault(path, format!("{key}: {text:?} is no number")))
+        };
+        let resolution_m = number("resolution", value("resolution")?)?;
+        if !(0.001..=10.0).contains(&resolution_m) {
+            return Err(fault(path, format!("resolution: {resolution_m} is no size of a cell, 0.001 to 10 m")));
+        }
+        let origin = value("origin")?.trim_matches(['[', ']']);
+        let numbers = origin.split(',').map(|text| number("origin", text)).collect::<Result<Vec<_>, _>>()?;
+        let origin = <[f64; 3]>::try_from(numbers).map_err(|_| fault(path, "origin: three numbers".to_owned()))?;
+        let image = path.parent().unwrap_or(Path::new("")).join(value("image")?);
+        let (width, height) = pgm_size(&image).map_err(|problem| fault(&image, problem))?;
+        if u64::from(width) * u64::from(height) > CELLS_MAX || width == 0 || height == 0 {
+            return Err(fault(&image, format!("{width} times {height} cells, 1 to {CELLS_MAX}")));
+        }
+        Ok(Self { resolution_m, width, height, origin })
+    }
+
+    /// The middle of a cell.
+    fn centre_m(&self, column: u32, row: u32) -> [f64; 2] {
+        let [x, y, turn] = self.origin;
+        let (across, up) = ((f64::from(column) + 0.5) * self.resolution_m, (f64::from(row) + 0.5) * self.resolution_m);
+        [x + across * turn.cos() - up * turn.sin(), y + across * turn.sin() + up * turn.cos()]
+    }
+}
+
+/// Width and height from the head of a PGM image.
+fn pgm_size(path: &Path) -> Result<(u32, u32), String> {
+    let mut head = Vec::new();
+    let file = fs::File::open(path).map_err(|error| error.to_string())?;
+    file.take(4096).read_to_end(&mut head).map_err(|error| error.to_string())?;
+    if !head.starts_with(b"P5") && !head.starts_with(b"P2") {
+        return Err("no PGM image".to_owned());
+    }
+    let text = String::from_utf8_lossy(&head[2..]).into_owned();
+    let lines = text.lines().map(|line| line.split('#').next().unwrap_or(""));
+    let mut words = lines.flat_map(str::split_whitespace);
+    let mut next = || words.next().and_then(|word| word.parse().ok()).ok_or_else(|| "its head has no size".to_owned());
+    Ok((next()?, next()?))
+}
+
+/// Which room each cell of a grid is of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mask {
+    grid: Grid,
+    room: Vec<Option<u16>>,
+}
+
+impl Mask {
+    /// Assigns the cells by their middles. Scene and map have one frame, and the floor is at `floor_m`.
+    #[must_use]
+    pub fn new(grid: Grid, rooms: &[Partition]) -> Self {
+        let cells = (0..grid.height).flat_map(|row| (0..grid.width).map(move |column| (column, row)));
+        let of = |(column, row)| {
+            let [x, y] = grid.centre_m(column, row);
+            let within = |room: &Partition| {
+                let spaces = room.spaces.iter();
+                spaces.into_iter().any(|space| space.contains(&[x, y, space.centre_m()[2]]))
+            };
+            rooms.iter().position(within).and_then(|room| u16::try_from(room).ok())
+        };
+        Self { grid, room: cells.map(of).collect() }
+    }
+
+    /// The grid of values, one for each room.
+    #[must_use]
+    pub fn draw(&self, values: &[i8], header: Header) -> OccupancyGrid {
+        let [x, y, turn] = self.grid.origin;
+        let orientation = Quaternion { z: (turn / 2.0).sin(), w: (turn / 2.0).cos(), ..Quaternion::default() };
+        let info = MapMetaData {
+            map_load_time: header.stamp,
+            resolution: self.grid.resolution_m as f32,
+            width: self.grid.width,
+            height: self.grid.height,
+            origin: Pose { position: Point { x, y, z: 0.0 }, orientation },
+        };
+        let value = |room: &Option<u16>| room.and_then(|room| values.get(usize::from(room))).copied().unwrap_or(0);
+        OccupancyGrid { header, info, data: self.room.iter().map(value).collect() }
+    }
+}
+
+/// A room's value for the probability that somebody is there; in steps of five, so that a mask is seldom sent.
+#[must_use]
+pub fn value(probability: f64) -> i8 {
+    let steps = (probability.clamp(0.0, 1.0) * 20.0).round() as i8;
+    (steps * 5).min(MOST)
+}
+
+/// Each room's outline and its name with a probability, redder where somebody is likelier.
+#[must_use]
+pub fn markers(rooms: &[(&Partition, f64)], header: &Header) -> MarkerArray {
+    let mut markers = Vec::new();
+    for (room, probability) in rooms {
+        let share = probability.clamp(0.0, 1.0) as f32;
+        let color = ColorRgba { r: share, g: 1.0 - share, b: 0.2, a: 0.9 };
+        let mut add = |kind: i32, marker: Marker| {
+            let id = i32::try_from(markers.len()).unwrap_or(i32::MAX);
+            let ns = "rooms".to_owned();
+            markers.push(Marker { header: header.clone(), ns, id, r#type: kind, color, ..marker });
+        };
+        for ring in room.spaces.iter().flat_map(|space| space.rings()) {
+            let corner = |corner: &[f64; 2]| Point { x: corner[0], y: corner[1], z: 0.02 };
+            let points = ring.iter().chain(ring.first()).map(corner).collect();
+            add(4, Marker { scale: Point { x: 0.05, y: 0.0, z: 0.0 }, points, ..Marker::default() });
+        }
+        if let Some(space) = room.spaces.first() {
+            let [x, y, _] = space.centre_m();
+            let pose = Pose { position: Point { x, y, z: 0.3 }, orientation: Quaternion::default() };
+            let text = format!("{} {:.0} %", room.label, probability * 100.0);
+            add(9, Marker { pose, scale: Point { x: 0.0, y: 0.0, z: 0.3 }, text, ..Marker::default() });
+        }
+    }
+    MarkerArray { markers }
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_core::grounding::{PartitionLevel, partitions};
+    use roomcast_core::semantic_map::SemanticMap;
+
+    use super::*;
+
+    fn rooms() -> Vec<Partition> {
+        let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/two_rooms.json");
+        partitions(&SemanticMap::load(scene).unwrap(), PartitionLevel::Room)
+    }
+
+    #[test]
+    fn no_cost_is_lethal() {
+        for percent in -10..120 {
+            assert!((0..=MOST).contains(&value(f64::from(percent) / 100.0)));
+        }
+        assert_eq!((value(0.0), value(0.5), value(1.0), value(f64::NAN)), (0, 50, MOST, 0));
+    }
+
+    #[test]
+    fn cells_have_their_rooms_value_and_others_nothing() {
+        let rooms = rooms();
+        let [left, bottom, _] = rooms[0].spaces[0].bounds.min_m;
+        let grid = Grid { resolution_m: 0.5, width: 40, height: 40, origin: [left - 1.0, bottom - 1.0, 0.0] };
+        let drawn = Mask::new(grid, &rooms).draw(&[98, 5], Header::default());
+        assert_eq!((drawn.data.len(), drawn.data[0]), (1600, 0));
+        let at = |room: usize| {
+            let [x, y, _] = rooms[room].spaces[0].centre_m();
+            let cell = |along: f64, from: f64| ((along - from) / 0.5) as usize;
+            drawn.data[cell(y, bottom - 1.0) * 40 + cell(x, left - 1.0)]
+        };
+        assert_eq!((at(0), at(1)), (98, 5));
+        // A map that is turned by a quarter has the same rooms.
+        let turned = Grid { origin: [left + 19.0, bottom - 1.0, std::f64::consts::FRAC_PI_2], ..grid };
+        let mut values = Mask::new(turned, &rooms).draw(&[98, 5], Header::default()).data;
+        let mut before = drawn.data;
+        values.sort_unstable();
+        before.sort_unstable();
+        assert_eq!(values, before);
+    }
+
+    #[test]
+    fn a_map_of_nav2_is_read_and_what_is_none_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let yaml = folder.path().join("map.yaml");
+        fs::write(folder.path().join("map.pgm"), b"P5\n# made by hand\n30 20\n255\n\0").unwrap();
+        let good = "image: map.pgm\nmode: trinary\nresolution: 0.05\norigin: [-1.5, 2, 0]\nnegate: 0\n";
+        fs::write(&yaml, good).unwrap();
+        let grid = Grid::load(&yaml).unwrap();
+        assert_eq!(grid, Grid { resolution_m: 0.05, width: 30, height: 20, origin: [-1.5, 2.0, 0.0] });
+        for (from, to, says) in [
+            ("resolution: 0.05", "", "resolution is missing"),
+            ("0.05", "0", "no size of a cell"),
+            ("[-1.5, 2, 0]", "[nan, 2, 0]", "no number"),
+            ("[-1.5, 2, 0]", "[1, 2]", "three numbers"),
+            ("map.pgm", "map.png", "map.png"),
+        ] {
+            fs::write(&yaml, good.replace(from, to)).unwrap();
+            let fault = Grid::load(&yaml).unwrap_err().to_string();
+            assert!(fault.contains(says), "{fault}");
+        }
+        fs::write(&yaml, good).unwrap();
+        fs::write(folder.path().join("map.pgm"), b"P5\n4000000000 4000000000\n255\n").unwrap();
+        assert!(Grid::load(&yaml).is_err());
+    }
+}

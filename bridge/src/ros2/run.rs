@@ -1,0 +1,309 @@
+//! What ROS 2 nodes hear of the robot's services, each on a topic of a standard type.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use roomcast_core::grounding::{Partition, partitions};
+use roomcast_core::semantic_map::{SceneError, SemanticMap};
+use roomcast_ipc::{Domain, ForecastV1, IpcError, PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, clock, sequence};
+
+use super::mask::{self, Grid, MapError, Mask};
+use super::node::{Kept, Node};
+use super::types::{
+    Classification, CostmapFilterInfo, DiagnosticArray, DiagnosticStatus, Header, KeyValue, ObjectHypothesis, Text,
+    Time,
+};
+use crate::config::Ros2;
+use crate::inward::Ear;
+use crate::limiter::Limiter;
+use crate::link::Link;
+use crate::stop::Stop;
+
+const TICK: Duration = Duration::from_millis(100);
+/// How often diagnostics are published, and markers at most.
+const SECOND: Duration = Duration::from_secs(1);
+/// A daemon that was silent for so long is an error.
+const SILENCE_NS: u64 = 2_000_000_000;
+/// The node's name.
+const NAME: &str = "roomcast";
+
+/// Why ROS 2 is not spoken to.
+#[derive(Debug, thiserror::Error)]
+pub enum Ros2Error {
+    /// The scene.
+    #[error("ros2.scene = {path}: {source}")]
+    Scene {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: Box<SceneError>,
+    },
+    /// The Nav2 map.
+    #[error(transparent)]
+    Map(#[from] MapError),
+    /// A service of the robot.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+}
+
+/// Where rooms are.
+#[derive(Debug)]
+pub struct Places {
+    rooms: Vec<Partition>,
+    mask: Option<Mask>,
+}
+
+impl Places {
+    /// Reads the scene and the map.
+    ///
+    /// # Errors
+    ///
+    /// [`Ros2Error`] where one of them cannot be used.
+    pub fn load(config: &Ros2) -> Result<Self, Ros2Error> {
+        let Some(path) = &config.scene else { return Ok(Self { rooms: Vec::new(), mask: None }) };
+        let scene = SemanticMap::load(path);
+        let scene = scene.map_err(|source| Ros2Error::Scene { path: path.clone(), source: Box::new(source) })?;
+        let rooms = partitions(&scene, config.level);
+        let grid = config.map.as_deref().map(Grid::load).transpose()?;
+        let mask = grid.map(|grid| Mask::new(grid, &rooms));
+        Ok(Self { rooms, mask })
+    }
+}
+
+/// The node of the session that stands, and what was said through it.
+struct Voice<'a> {
+    config: &'a Ros2,
+    link: &'a Link,
+    ear: Option<(usize, Ear)>,
+    node: Option<(u64, Node)>,
+    log: Limiter,
+}
+
+impl Voice<'_> {
+    /// Makes the node again with every new session; whether it is a new one.
+    fn renew(&mut self) -> bool {
+        let session = self.link.session();
+        let stands = session.as_ref().map(|(number, _)| *number);
+        if self.node.as_ref().map(|(number, _)| *number) == stands {
+            return false;
+        }
+        self.node = None;
+        let Some((number, session)) = session else { return false };
+        let made = Node::new(session, self.config.domain, NAME).and_then(|mut node| {
+            if let Some((narrator, ear)) = self.ear.clone() {
+                let topic = format!("{}/narration", self.config.prefix);
+                node.hear::<Text>(&topic, move |sample| ear.take(narrator, sample.payload()))?;
+            }
+            Ok(node)
+        });
+        match made {
+            Ok(node) => self.node = Some((number, node)),
+            Err(error) => self.complain(&error),
+        }
+        self.node.is_some()
+    }
+
+    fn complain(&mut self, error: &zenoh::Error) {
+        if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+            tracing::warn!(%error, held_back, "ROS 2 does not hear this");
+        }
+    }
+
+    /// Publishes below the prefix, or at an absolute name.
+    fn say<M: super::types::Message + serde::Serialize>(&mut self, topic: &str, kept: Kept, message: &M) {
+        let topic = if topic.starts_with('/') { topic.to_owned() } else { format!("{}/{topic}", self.config.prefix) };
+        let said = self.node.as_mut().map(|(_, node)| node.publish(&topic, kept, message));
+        if let Some(Err(error)) = said {
+            self.complain(&error);
+        }
+    }
+
+    /// A header for content of this age.
+    fn header(&self, age_ns: u64) -> Header {
+        let stamp = Time::of_unix_ns(clock::unix_ns().saturating_sub(age_ns));
+        Header { stamp, frame_id: self.config.frame.clone() }
+    }
+}
+
+/// Publishes until asked to stop. `ear` takes narration, where ROS 2 may narrate.
+///
+/// # Errors
+///
+/// [`IpcError`] when a service cannot be opened or is lost.
+pub fn run(
+    config: &Ros2,
+    places: &Places,
+    domain: &Domain,
+    link: &Link,
+    ear: Option<(usize, Ear)>,
+    stop: &Stop,
+) -> Result<(), IpcError> {
+    let node = domain.open("roomcast-ros2")?;
+    let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
+    let persons: Subscriber<PersonScoresV1> = node.subscriber()?;
+    let forecasts: Subscriber<ForecastV1> = node.subscriber()?;
+    let mut voice = Voice { config, link, ear, node: None, log: Limiter::default() };
+    let mut rooms = None::<Box<RoomScoresV1>>;
+    let mut said = None::<(u64, u64)>;
+    let mut of_persons = None::<(u64, u64)>;
+    let mut values = Vec::<i8>::new();
+    let mut drawn = None::<(Vec<i8>, Instant)>;
+    let (mut told, mut marked) = (None::<Instant>, None::<Instant>);
+    while !stop.requested() {
+        scores.wait(TICK)?;
+        if voice.renew() {
+            // What the last session kept for late subscribers went with it.
+            (said, of_persons, drawn, marked) = (None, None, None, None);
+            if places.mask.is_some() {
+                let header = voice.header(0);
+                voice.say("keepout_info", Kept::Last, &filter(config, header));
+            }
+        }
+        rooms = scores.newest()?.map(Box::new).or(rooms);
+        let now_ns = clock::monotonic_ns();
+        if let Some(scores) = &rooms
+            && said != Some((scores.epoch, scores.sequence))
+        {
+            said = Some((scores.epoch, scores.sequence));
+            voice.say("rooms", Kept::Last, &of_all(scores, voice.header(scores.age_ns(now_ns))));
+        }
+        if let Some(message) = persons.newest()?
+            && of_persons != Some((message.epoch, message.sequence))
+        {
+            of_persons = Some((message.epoch, message.sequence));
+            for person in message.persons() {
+                let header = voice.header(now_ns.saturating_sub(message.computed_ns));
+                voice.say(&format!("person/{}", slug(person)), Kept::Last, &of_one(&message, person, header));
+            }
+        }
+        if let Some(forecast) = forecasts.newest()? {
+            values = likely(&forecast, &places.rooms, config.horizon_s).map(mask::value).collect();
+        }
+        if let Some(mask) = &places.mask
+            && !values.is_empty()
+            && drawn
+                .as_ref()
+                .is_none_or(|(before, at)| *before != values && at.elapsed().as_secs_f64() >= config.mask_s)
+        {
+            drawn = Some((values.clone(), Instant::now()));
+            let header = voice.header(0);
+            voice.say("keepout_mask", Kept::Last, &mask.draw(&values, header));
+        }
+        if let Some(scores) = &rooms
+            && !places.rooms.is_empty()
+            && marked.is_none_or(|marked| marked.elapsed() >= SECOND)
+        {
+            marked = Some(Instant::now());
+            let probability = |room: &Partition| {
+                scores.rooms().iter().find(|own| own.id() == room.id).map_or(0.0, |own| own.probability)
+            };
+            let shown: Vec<_> = places.rooms.iter().map(|room| (room, probability(room))).collect();
+            let header = voice.header(scores.age_ns(now_ns));
+            voice.say("markers", Kept::Last, &mask::markers(&shown, &header));
+        }
+        if told.is_none_or(|told| told.elapsed() >= SECOND) {
+            told = Some(Instant::now());
+            let header = voice.header(0);
+            voice.say("/diagnostics", Kept::Not, &diagnostics(rooms.as_deref(), now_ns, header));
+        }
+    }
+    Ok(())
+}
+
+fn filter(config: &Ros2, header: Header) -> CostmapFilterInfo {
+    let filter_mask_topic = format!("{}/keepout_mask", config.prefix);
+    CostmapFilterInfo { header, r#type: 0, filter_mask_topic, base: 0.0, multiplier: 1.0 }
+}
+
+fn of_all(scores: &RoomScoresV1, header: Header) -> Classification {
+    let rooms = scores.rooms().iter();
+    let results = rooms.map(|room| ObjectHypothesis { class_id: room.id().to_owned(), score: room.probability });
+    Classification { header, results: results.collect() }
+}
+
+fn of_one(message: &PersonScoresV1, person: &PersonV1, header: Header) -> Classification {
+    let rooms = message.probabilities(person).map(|(id, score)| ObjectHypothesis { class_id: id.to_owned(), score });
+    let elsewhere = ObjectHypothesis { class_id: "elsewhere".to_owned(), score: person.elsewhere };
+    Classification { header, results: rooms.chain([elsewhere]).collect() }
+}
+
+/// A person's part of a topic: ROS 2 has small letters, digits and underscores there. Who has another name in them has a number behind.
+fn slug(person: &PersonV1) -> String {
+    let name = person.name();
+    let plain = |letter: char| letter.is_ascii_lowercase() || letter.is_ascii_digit();
+    let lower = name.to_lowercase();
+    if !name.is_empty() && lower.chars().all(plain) && lower == name.to_ascii_lowercase() {
+        return format!("p_{lower}");
+    }
+    if name.is_empty() {
+        return format!("number_{}", person.person);
+    }
+    let safe: String = lower.chars().map(|letter| if plain(letter) { letter } else { '_' }).collect();
+    format!("p_{safe}_{:08x}", sequence::source_of_name(name) >> 32)
+}
+
+/// How likely somebody is in each room of the scene at the likeliest moment within a horizon.
+fn likely<'a>(forecast: &'a ForecastV1, rooms: &'a [Partition], horizon_s: f64) -> impl Iterator<Item = f64> + 'a {
+    let within = forecast.horizon_s.iter().take(forecast.horizon_count as usize);
+    let within = within.take_while(|at| f64::from(**at) <= horizon_s).count().max(1);
+    rooms.iter().map(move |room| {
+        let row = (0..forecast.room_count as usize).filter_map(|index| forecast.room(index));
+        let row = row.filter(|(id, _)| *id == room.id).flat_map(|(_, row)| row.iter().take(within));
+        row.fold(0.0, |most, probability| f64::from(*probability).max(most))
+    })
+}
+
+fn diagnostics(scores: Option<&RoomScoresV1>, now_ns: u64, header: Header) -> DiagnosticArray {
+    let silence_ns = scores.map(|scores| scores.silence_ns(now_ns));
+    let (level, message) = match silence_ns {
+        None => (3, "no daemon has said anything yet"),
+        Some(silence_ns) if silence_ns > SILENCE_NS => (2, "the daemon is silent"),
+        Some(_) => (0, "rooms are scored"),
+    };
+    let mut values = Vec::new();
+    let mut add = |key: &str, value: String| values.push(KeyValue { key: key.to_owned(), value });
+    if let (Some(scores), Some(silence_ns)) = (scores, silence_ns) {
+        add("silence_s", format!("{:.3}", silence_ns as f64 / 1e9));
+        add("scores_age_s", format!("{:.3}", scores.age_ns(now_ns) as f64 / 1e9));
+        add("persons", scores.persons.to_string());
+        add("window", scores.window.to_string());
+        add("label_mass", format!("{:.6}", scores.label_mass));
+    }
+    let name = "roomcast: daemon".to_owned();
+    let status = DiagnosticStatus { level, name, message: message.to_owned(), hardware_id: String::new(), values };
+    DiagnosticArray { header, status: vec![status] }
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_ipc::text;
+
+    use super::*;
+
+    fn person(name: &str) -> PersonV1 {
+        PersonV1 { person: 7, name: text::encode("name", name).unwrap(), ..Default::default() }
+    }
+
+    #[test]
+    fn every_person_has_a_topic_that_ros2_takes() {
+        assert_eq!(slug(&person("Ada")), "p_ada");
+        assert_eq!(slug(&person("")), "number_7");
+        let names = ["José", "Jos_", "Ada B", "ada-b", "🙂", "7/x"];
+        let slugs: Vec<_> = names.iter().map(|name| slug(&person(name))).collect();
+        for (index, one) in slugs.iter().enumerate() {
+            assert!(
+                one.bytes().all(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'_'),
+                "{one}"
+            );
+            assert!(!slugs[..index].contains(one), "{slugs:?}");
+        }
+    }
+
+    #[test]
+    fn a_silent_daemon_is_an_error_and_none_at_all_is_stale() {
+        let level =
+            |scores: Option<&RoomScoresV1>| diagnostics(scores, 10_000_000_000, Header::default()).status[0].level;
+        let scores = |published_ns| RoomScoresV1 { published_ns, ..Default::default() };
+        assert_eq!((level(None), level(Some(&scores(1))), level(Some(&scores(9_900_000_000)))), (3, 2, 0));
+    }
+}

@@ -1,0 +1,371 @@
+//! The ROS 2 messages that are used, field by field in the order of their definitions, with the names and hashes by which rmw_zenoh
+//! tells types apart. `tests/ros2.py` computes every hash from the definition and decodes every message by another implementation.
+
+use cdr_encoding::{Error, from_bytes, to_vec};
+use serde::{Deserialize, Serialize};
+
+use crate::wire::Fault;
+
+/// Before each message in CDR: little endian, no options.
+const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
+
+/// A message that is published or heard.
+pub trait Message {
+    /// Its name in keys.
+    const TYPE: &'static str;
+    /// The hash of its definition (REP 2016).
+    const HASH: &'static str;
+}
+
+/// A message's bytes: encapsulation and CDR.
+///
+/// # Errors
+///
+/// For what CDR cannot hold: a sequence of 2^32 elements or more.
+pub fn encode<M: Message + Serialize>(message: &M) -> Result<Vec<u8>, Error> {
+    let mut bytes = ENCAPSULATION.to_vec();
+    bytes.extend(to_vec::<M, byteorder::LittleEndian>(message)?);
+    Ok(bytes)
+}
+
+/// The text of a peer's `std_msgs/String`, in either byte order.
+///
+/// # Errors
+///
+/// [`Fault`] for bytes that are none.
+pub fn decode_string(bytes: &[u8]) -> Result<String, Fault> {
+    let decoded = match bytes {
+        [0, 1, _, _, rest @ ..] => from_bytes::<Text, byteorder::LittleEndian>(rest),
+        [0, 0, _, _, rest @ ..] => from_bytes::<Text, byteorder::BigEndian>(rest),
+        _ => return Err(Fault("no CDR".to_owned())),
+    };
+    decoded.map(|(text, _)| text.data).map_err(|error| Fault(error.to_string()))
+}
+
+macro_rules! message {
+    ($name:ident, $kind:literal, $hash:literal) => {
+        impl Message for $name {
+            const TYPE: &'static str = $kind;
+            const HASH: &'static str = concat!("RIHS01_", $hash);
+        }
+    };
+}
+
+/// `std_msgs/String`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Text {
+    /// The text.
+    pub data: String,
+}
+message!(Text, "std_msgs::msg::dds_::String_", "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18");
+
+/// `builtin_interfaces/Time` and `Duration`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct Time {
+    /// Seconds.
+    pub sec: i32,
+    /// Nanoseconds beyond them.
+    pub nanosec: u32,
+}
+
+impl Time {
+    /// A wall clock's time.
+    #[must_use]
+    pub fn of_unix_ns(unix_ns: u64) -> Self {
+        // ROS 2 itself ends in 2038 here.
+        let sec = i32::try_from(unix_ns / 1_000_000_000).unwrap_or(i32::MAX);
+        Self { sec, nanosec: (unix_ns % 1_000_000_000) as u32 }
+    }
+}
+
+/// `std_msgs/Header`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Header {
+    /// When the content was made.
+    pub stamp: Time,
+    /// The frame of its coordinates.
+    pub frame_id: String,
+}
+
+/// `geometry_msgs/Point` and `Vector3`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Point {
+    /// Metres.
+    pub x: f64,
+    /// Metres.
+    pub y: f64,
+    /// Metres.
+    pub z: f64,
+}
+
+/// `geometry_msgs/Quaternion`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Quaternion {
+    /// First imaginary part.
+    pub x: f64,
+    /// Second imaginary part.
+    pub y: f64,
+    /// Third imaginary part.
+    pub z: f64,
+    /// Real part.
+    pub w: f64,
+}
+
+impl Default for Quaternion {
+    fn default() -> Self {
+        Self { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }
+    }
+}
+
+/// `geometry_msgs/Pose`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Pose {
+    /// Where.
+    pub position: Point,
+    /// Which way.
+    pub orientation: Quaternion,
+}
+
+/// `nav_msgs/MapMetaData`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct MapMetaData {
+    /// When the map was loaded.
+    pub map_load_time: Time,
+    /// Metres of a cell.
+    pub resolution: f32,
+    /// Cells from west to east.
+    pub width: u32,
+    /// Cells from south to north.
+    pub height: u32,
+    /// The lower left corner of the first cell.
+    pub origin: Pose,
+}
+
+/// `nav_msgs/OccupancyGrid`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct OccupancyGrid {
+    /// When, and in which frame.
+    pub header: Header,
+    /// Its place and size.
+    pub info: MapMetaData,
+    /// 0 to 100 for each cell, row by row from the south.
+    pub data: Vec<i8>,
+}
+message!(
+    OccupancyGrid,
+    "nav_msgs::msg::dds_::OccupancyGrid_",
+    "8d348150c12913a31ee0ec170fbf25089e4745d17035792a1ba94d6f0bc0cfc7"
+);
+
+/// `nav2_msgs/CostmapFilterInfo`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct CostmapFilterInfo {
+    /// When, and in which frame.
+    pub header: Header,
+    /// 0: a keepout filter.
+    pub r#type: u8,
+    /// Where the mask is.
+    pub filter_mask_topic: String,
+    /// Cost is base + multiplier times the mask's value.
+    pub base: f32,
+    /// See `base`.
+    pub multiplier: f32,
+}
+message!(
+    CostmapFilterInfo,
+    "nav2_msgs::msg::dds_::CostmapFilterInfo_",
+    "61ce391bf7690f76a331c01c9d5ce8ca71e6c99273b9fb75e48380f05c6dfdc8"
+);
+
+/// `vision_msgs/ObjectHypothesis`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct ObjectHypothesis {
+    /// The room.
+    pub class_id: String,
+    /// Its probability.
+    pub score: f64,
+}
+
+/// `vision_msgs/Classification`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Classification {
+    /// When, and in which frame.
+    pub header: Header,
+    /// The rooms.
+    pub results: Vec<ObjectHypothesis>,
+}
+message!(
+    Classification,
+    "vision_msgs::msg::dds_::Classification_",
+    "f74db28d0eaef3afb78f48bf2161cd709a1383a0309d3454383b25be11345143"
+);
+
+/// `std_msgs/ColorRGBA`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct ColorRgba {
+    /// Red, 0 to 1.
+    pub r: f32,
+    /// Green.
+    pub g: f32,
+    /// Blue.
+    pub b: f32,
+    /// 1 hides what is behind it.
+    pub a: f32,
+}
+
+/// `sensor_msgs/CompressedImage`, which is empty here.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct CompressedImage {
+    /// Empty.
+    pub header: Header,
+    /// Empty.
+    pub format: String,
+    /// Empty.
+    pub data: Vec<u8>,
+}
+
+/// `visualization_msgs/UVCoordinate`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct UvCoordinate {
+    /// Zero.
+    pub u: f32,
+    /// Zero.
+    pub v: f32,
+}
+
+/// `visualization_msgs/MeshFile`, which is empty here.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct MeshFile {
+    /// Empty.
+    pub filename: String,
+    /// Empty.
+    pub data: Vec<u8>,
+}
+
+/// `visualization_msgs/Marker`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Marker {
+    /// When, and in which frame.
+    pub header: Header,
+    /// With `id`, its name.
+    pub ns: String,
+    /// With `ns`, its name.
+    pub id: i32,
+    /// What it is: 4 a line, 9 a text.
+    pub r#type: i32,
+    /// 0: it is there.
+    pub action: i32,
+    /// Where it is.
+    pub pose: Pose,
+    /// Metres.
+    pub scale: Point,
+    /// Its colour.
+    pub color: ColorRgba,
+    /// Zero: for ever.
+    pub lifetime: Time,
+    /// Whether it moves with its frame.
+    pub frame_locked: bool,
+    /// Of a line.
+    pub points: Vec<Point>,
+    /// Of each point; none.
+    pub colors: Vec<ColorRgba>,
+    /// Empty.
+    pub texture_resource: String,
+    /// Empty.
+    pub texture: CompressedImage,
+    /// Empty.
+    pub uv_coordinates: Vec<UvCoordinate>,
+    /// Of a text.
+    pub text: String,
+    /// Empty.
+    pub mesh_resource: String,
+    /// Empty.
+    pub mesh_file: MeshFile,
+    /// No.
+    pub mesh_use_embedded_materials: bool,
+}
+
+/// `visualization_msgs/MarkerArray`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct MarkerArray {
+    /// The markers.
+    pub markers: Vec<Marker>,
+}
+message!(
+    MarkerArray,
+    "visualization_msgs::msg::dds_::MarkerArray_",
+    "86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf"
+);
+
+/// `diagnostic_msgs/KeyValue`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct KeyValue {
+    /// What.
+    pub key: String,
+    /// How much.
+    pub value: String,
+}
+
+/// `diagnostic_msgs/DiagnosticStatus`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct DiagnosticStatus {
+    /// 0 good, 1 a warning, 2 an error, 3 stale.
+    pub level: u8,
+    /// Of what.
+    pub name: String,
+    /// In words.
+    pub message: String,
+    /// Of which machine.
+    pub hardware_id: String,
+    /// In numbers.
+    pub values: Vec<KeyValue>,
+}
+
+/// `diagnostic_msgs/DiagnosticArray`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct DiagnosticArray {
+    /// When.
+    pub header: Header,
+    /// Of each part.
+    pub status: Vec<DiagnosticStatus>,
+}
+message!(
+    DiagnosticArray,
+    "diagnostic_msgs::msg::dds_::DiagnosticArray_",
+    "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e"
+);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_string_goes_and_comes() {
+        let bytes = encode(&Text { data: "hello".to_owned() }).unwrap();
+        assert_eq!(bytes, b"\0\x01\0\0\x06\0\0\0hello\0");
+        assert_eq!(decode_string(&bytes).unwrap(), "hello");
+        assert_eq!(decode_string(b"\0\0\0\0\0\0\0\x03hi\0").unwrap(), "hi");
+    }
+
+    #[test]
+    fn hostile_strings_are_refused() {
+        for bad in [
+            b"".as_slice(),
+            b"\0\x01\0\0",
+            b"\0\x01\0\0\xff\xff\xff\xffhello\0",
+            b"\0\x01\0\0\x06\0\0\0hel",
+            b"\0\x01\0\0\x03\0\0\0\xff\xfe\0",
+            b"\x07\x01\0\0\x06\0\0\0hello\0",
+        ] {
+            decode_string(bad).unwrap_err();
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn any_bytes_are_taken_without_a_panic(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..64)) {
+            let _text = decode_string(&bytes);
+            let _text = decode_string(&[&ENCAPSULATION[..], &bytes].concat());
+        }
+    }
+}

@@ -1,0 +1,316 @@
+//! What a hub keeps until every robot has confirmed it: in memory, and in a file that a killed hub goes on with.
+//!
+//! A line of JSON for each narration, behind one that says the epoch. A line that was cut off by a power loss is dropped; it was not sent
+//! before it was on disk.
+
+use std::collections::VecDeque;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use roomcast_ipc::{clock, sequence};
+use rustix::fs::{FlockOperation, flock};
+use serde::{Deserialize, Serialize};
+
+use crate::wire::{Hex, Observation};
+
+/// The file's name in its folder.
+const FILE: &str = "narration";
+/// The file is written anew when it has so many lines of narrations that are gone.
+const GONE_MAX: u64 = 4096;
+/// Longest line of the file.
+const LINE_BYTES_MAX: u64 = 16 << 10;
+
+/// Why there is no spool.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: {what}: {source}; is the folder this program's, and the disk not full?")]
+pub struct SpoolError {
+    path: PathBuf,
+    what: &'static str,
+    source: io::Error,
+}
+
+/// The file's first line.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+struct Head {
+    epoch: Hex,
+    /// The first number that is kept.
+    first: u64,
+    /// So many bytes of the input were read.
+    input: u64,
+}
+
+/// A narration that is kept.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Kept {
+    /// Its number.
+    pub sequence: u64,
+    /// The start of the machine that `observed_ns` counts from.
+    boot: Hex,
+    observed_ns: u64,
+    observed_unix_ns: u64,
+    /// So many bytes of the input were read with it.
+    input: u64,
+    /// What was observed.
+    #[serde(flatten)]
+    pub observation: Observation,
+}
+
+/// This start of the machine.
+fn boot() -> Hex {
+    let id = fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
+    Hex(sequence::source_of_name(id.trim()))
+}
+
+/// The spool.
+#[derive(Debug)]
+pub struct Spool {
+    path: PathBuf,
+    file: File,
+    head: Head,
+    boot: Hex,
+    kept: VecDeque<Kept>,
+    keep: usize,
+    /// Lines of the file whose narrations are gone.
+    gone: u64,
+    _lock: File,
+}
+
+impl Spool {
+    /// Opens the spool in a folder, which is made where it is missing, and goes on with what it has.
+    ///
+    /// # Errors
+    ///
+    /// [`SpoolError`] for a folder that cannot be used, or that another hub uses.
+    pub fn open(folder: &Path, keep: usize) -> Result<Self, SpoolError> {
+        let path = folder.join(FILE);
+        let failed = |what| {
+            let path = path.clone();
+            move |source| SpoolError { path, what, source }
+        };
+        fs::create_dir_all(folder).map_err(failed("cannot make its folder"))?;
+        let lock =
+            OpenOptions::new().create(true).append(true).open(folder.join("lock")).map_err(failed("cannot lock"))?;
+        flock(&lock, FlockOperation::NonBlockingLockExclusive)
+            .map_err(|error| failed("another hub uses it")(error.into()))?;
+        let (head, kept) = match File::open(&path) {
+            Ok(file) => read(BufReader::new(file)).map_err(failed("cannot read"))?,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => (None, VecDeque::new()),
+            Err(error) => return Err(failed("cannot read")(error)),
+        };
+        let head = head.unwrap_or_else(|| Head { epoch: Hex(sequence::random_epoch()), first: 1, input: 0 });
+        let file = write(&path, head, &kept).map_err(failed("cannot write"))?;
+        let mut spool = Self { path, file, head, boot: boot(), kept, keep, gone: 0, _lock: lock };
+        spool.trim();
+        Ok(spool)
+    }
+
+    /// The narrator's epoch.
+    #[must_use]
+    pub fn epoch(&self) -> u64 {
+        self.head.epoch.0
+    }
+
+    /// The first number that is kept.
+    #[must_use]
+    pub fn first(&self) -> u64 {
+        self.head.first
+    }
+
+    /// The last number that was given; one less than `first` where nothing is kept.
+    #[must_use]
+    pub fn last(&self) -> u64 {
+        self.head.first + self.kept.len() as u64 - 1
+    }
+
+    /// So many bytes of the input are in what was kept.
+    #[must_use]
+    pub fn input(&self) -> u64 {
+        self.kept.back().map_or(self.head.input, |kept| kept.input)
+    }
+
+    /// A narration that is kept.
+    #[must_use]
+    pub fn get(&self, sequence: u64) -> Option<&Kept> {
+        let place = sequence.checked_sub(self.head.first)?;
+        self.kept.get(usize::try_from(place).ok()?)
+    }
+
+    /// How long ago it was observed. After a restart of the machine that is the wall clock's word.
+    #[must_use]
+    pub fn age_ns(&self, kept: &Kept) -> u64 {
+        if kept.boot == self.boot {
+            clock::monotonic_ns().saturating_sub(kept.observed_ns)
+        } else {
+            clock::unix_ns().saturating_sub(kept.observed_unix_ns)
+        }
+    }
+
+    /// Keeps narrations, each observed so long ago and read up to a place of the input, on disk when this returns.
+    ///
+    /// # Errors
+    ///
+    /// [`SpoolError`]; then nothing of them counts as kept.
+    pub fn append(&mut self, observed: Vec<(Observation, u64, u64)>) -> Result<(), SpoolError> {
+        let (now_ns, now_unix_ns, mut next) = (clock::monotonic_ns(), clock::unix_ns(), self.last() + 1);
+        let mut lines = Vec::new();
+        let mut fresh = Vec::new();
+        for (observation, age_ns, input) in observed {
+            let kept = Kept {
+                sequence: next,
+                boot: self.boot,
+                observed_ns: now_ns.saturating_sub(age_ns),
+                observed_unix_ns: now_unix_ns.saturating_sub(age_ns),
+                input,
+                observation,
+            };
+            serde_json::to_writer(&mut lines, &kept).map_err(|error| self.failed("cannot write", error.into()))?;
+            lines.push(b'\n');
+            fresh.push(kept);
+            next += 1;
+        }
+        let end = self.file.metadata().map_err(|error| self.failed("cannot write", error))?.len();
+        if let Err(error) = self.file.write_all(&lines).and_then(|()| self.file.sync_data()) {
+            // Half a line would hide what comes after it.
+            let _cut = self.file.set_len(end);
+            return Err(self.failed("cannot write", error));
+        }
+        self.kept.extend(fresh);
+        self.trim();
+        Ok(())
+    }
+
+    /// Keeps no more than the newest.
+    fn trim(&mut self) {
+        let over = self.kept.len().saturating_sub(self.keep);
+        self.forget(over);
+    }
+
+    /// Forgets everything up to a number, itself included.
+    ///
+    /// # Errors
+    ///
+    /// [`SpoolError`] when the file cannot be written again; it is then longer than it has to be.
+    pub fn confirm(&mut self, sequence: u64) -> Result<(), SpoolError> {
+        let over = (sequence.min(self.last()) + 1).saturating_sub(self.head.first);
+        self.forget(usize::try_from(over).unwrap_or(usize::MAX));
+        if self.gone >= GONE_MAX && self.gone > self.kept.len() as u64 {
+            self.file = write(&self.path, self.head, &self.kept).map_err(|error| self.failed("cannot write", error))?;
+            self.gone = 0;
+        }
+        Ok(())
+    }
+
+    fn forget(&mut self, count: usize) {
+        for kept in self.kept.drain(..count.min(self.kept.len())) {
+            (self.head.first, self.head.input) = (kept.sequence + 1, kept.input);
+            self.gone += 1;
+        }
+    }
+
+    fn failed(&self, what: &'static str, source: io::Error) -> SpoolError {
+        SpoolError { path: self.path.clone(), what, source }
+    }
+}
+
+/// What a file has, up to a line that is cut off or no narration.
+fn read(mut file: impl BufRead) -> io::Result<(Option<Head>, VecDeque<Kept>)> {
+    let mut line = Vec::new();
+    let mut next = |line: &mut Vec<u8>| -> io::Result<bool> {
+        line.clear();
+        io::Read::take(&mut file, LINE_BYTES_MAX).read_until(b'\n', line)?;
+        Ok(line.ends_with(b"\n"))
+    };
+    let mut kept = VecDeque::<Kept>::new();
+    let head = if next(&mut line)? { serde_json::from_slice::<Head>(&line).ok() } else { None };
+    let Some(head) = head.filter(|head| head.epoch.0 != 0 && head.first != 0) else { return Ok((None, kept)) };
+    while next(&mut line)? {
+        match serde_json::from_slice::<Kept>(&line) {
+            Ok(own) if own.sequence == head.first + kept.len() as u64 => kept.push_back(own),
+            _ => break,
+        }
+    }
+    Ok((Some(head), kept))
+}
+
+/// Replaces the file at once, so that a kill leaves the old one or the new one. Gives it, opened for more.
+fn write(path: &Path, head: Head, kept: &VecDeque<Kept>) -> io::Result<File> {
+    let unfinished = path.with_extension("unfinished");
+    let mut file = BufWriter::new(File::create(&unfinished)?);
+    serde_json::to_writer(&mut file, &head)?;
+    file.write_all(b"\n")?;
+    for own in kept {
+        serde_json::to_writer(&mut file, own)?;
+        file.write_all(b"\n")?;
+    }
+    file.into_inner().map_err(io::IntoInnerError::into_error)?.sync_data()?;
+    fs::rename(&unfinished, path)?;
+    if let Some(folder) = path.parent() {
+        File::open(folder)?.sync_all()?;
+    }
+    OpenOptions::new().append(true).open(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::Kind;
+
+    fn observation(text: &str) -> Observation {
+        Observation { text: text.to_owned(), kind: Kind::Sentence, person: None }
+    }
+
+    fn append(spool: &mut Spool, count: u64) {
+        for _ in 0..count {
+            let input = spool.input() + 10;
+            spool.append(vec![(observation("They sit."), 7, input)]).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_killed_hub_goes_on_where_it_was() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut spool = Spool::open(folder.path(), 100).unwrap();
+        assert_eq!((spool.first(), spool.last(), spool.input()), (1, 0, 0));
+        append(&mut spool, 5);
+        let epoch = spool.epoch();
+        let path = folder.path().join(FILE);
+        assert!(Spool::open(folder.path(), 100).unwrap_err().to_string().contains("another hub"));
+        let again = || read(BufReader::new(File::open(&path).unwrap())).unwrap();
+        assert_eq!((again().0.unwrap().epoch.0, again().1.len()), (epoch, 5));
+        spool.confirm(3).unwrap();
+        assert_eq!((spool.first(), spool.last(), spool.input()), (4, 5, 50));
+        assert!(spool.get(3).is_none() && spool.get(4).unwrap().sequence == 4 && spool.get(6).is_none());
+        // A power loss cuts the last line off, or a disk makes nonsense of it.
+        for tail in [b"{\"sequence\":6,".as_slice(), b"\xff\n", b"{\"sequence\":9}\n"] {
+            let mut file = OpenOptions::new().append(true).open(&path).unwrap();
+            file.write_all(tail).unwrap();
+            assert_eq!(again().1.len(), 5);
+            let end = fs::metadata(&path).unwrap().len();
+            file.set_len(end - tail.len() as u64).unwrap();
+        }
+        drop(spool);
+        let mut spool = Spool::open(folder.path(), 100).unwrap();
+        assert_eq!((spool.epoch(), spool.first(), spool.last(), spool.input()), (epoch, 1, 5, 50));
+        append(&mut spool, 1);
+        assert_eq!(again().1.len(), 6);
+    }
+
+    #[test]
+    fn what_is_kept_is_bounded_in_memory_and_on_disk() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut spool = Spool::open(folder.path(), 100).unwrap();
+        append(&mut spool, 130);
+        assert_eq!((spool.first(), spool.last()), (31, 130));
+        for _ in 0..50 {
+            spool.append((0..100).map(|_| (observation("They sit."), 0, 0)).collect()).unwrap();
+            spool.confirm(spool.last()).unwrap();
+        }
+        assert_eq!((spool.first(), spool.last()), (5131, 5130));
+        let lines = fs::read_to_string(folder.path().join(FILE)).unwrap().lines().count();
+        assert!(lines < 1200, "{lines}");
+        spool.confirm(u64::MAX).unwrap();
+        append(&mut spool, 1);
+        assert_eq!(spool.last(), 5131);
+    }
+}

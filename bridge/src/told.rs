@@ -1,0 +1,236 @@
+//! What leaves the robot, as JSON: the messages of the contract by their fields' names, with ages in place of times.
+//!
+//! A time of a monotonic clock means nothing elsewhere. So each message says how old its content is when it is sent, and when that was by
+//! the sender's own clock, which lets a receiver know how much longer than others it was on its way ([`crate::delay`]).
+
+use roomcast_ipc::{
+    DecisionV1, ForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, action, clock, decision_flags, presence,
+};
+use serde_json::{Map, Value, json};
+
+use crate::wire::Hex;
+
+/// One message's content, and when it was made.
+#[derive(Debug, Clone)]
+pub struct Told {
+    content: Map<String, Value>,
+    made_ns: u64,
+}
+
+/// Who tells.
+#[derive(Debug, Clone, Copy)]
+pub struct Teller {
+    /// Random per start.
+    pub start: u64,
+    /// Counts its messages.
+    pub number: u64,
+}
+
+impl Told {
+    fn new(content: Value, made_ns: u64) -> Self {
+        let content = if let Value::Object(content) = content { content } else { Map::new() };
+        Self { content, made_ns }
+    }
+
+    /// The message's bytes now.
+    #[must_use]
+    pub fn bytes(&self, teller: Teller) -> Vec<u8> {
+        let now_ns = clock::monotonic_ns();
+        let mut message = self.content.clone();
+        message.insert("teller".to_owned(), hex(teller.start));
+        message.insert("number".to_owned(), teller.number.into());
+        message.insert("sent_ns".to_owned(), now_ns.into());
+        message.insert("sent_unix_ns".to_owned(), clock::unix_ns().into());
+        message.insert("age_ns".to_owned(), now_ns.saturating_sub(self.made_ns).into());
+        serde_json::to_vec(&message).unwrap_or_default()
+    }
+}
+
+fn hex(number: u64) -> Value {
+    json!(Hex(number))
+}
+
+/// Six digits behind the point are more than is known.
+fn rounded(probability: f32) -> Value {
+    ((f64::from(probability) * 1e6).round() / 1e6).into()
+}
+
+/// A score in nats; null for -inf, which JSON has not.
+fn nats(score: f64) -> Value {
+    if score.is_finite() { score.into() } else { Value::Null }
+}
+
+/// Room scores, of a checked message.
+#[must_use]
+pub fn scores(scores: &RoomScoresV1) -> Told {
+    let rooms: Vec<Value> = scores
+        .rooms()
+        .iter()
+        .map(|room| json!({"id": room.id(), "probability": room.probability, "log_score_nats": nats(room.log_score_nats)}))
+        .collect();
+    let content = json!({
+        "epoch": hex(scores.epoch), "sequence": scores.sequence, "rooms": rooms, "persons": scores.persons,
+        "window": scores.window, "label_mass": scores.label_mass, "reached": scores.reached, "flags": scores.flags,
+        "map": fingerprint(&scores.map_fingerprint), "model": fingerprint(&scores.model_fingerprint),
+        "observed_before_ns": (scores.observed_ns > 0).then(|| scores.computed_ns.saturating_sub(scores.observed_ns)),
+    });
+    Told::new(content, scores.computed_ns)
+}
+
+fn fingerprint(bytes: &[u8; 32]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The forecast, of a checked message.
+#[must_use]
+pub fn forecast(forecast: &ForecastV1) -> Told {
+    let horizons = forecast.horizon_count as usize;
+    let rooms: Map<String, Value> = (0..forecast.room_count as usize)
+        .filter_map(|room| forecast.room(room))
+        .map(|(id, row)| (id.to_owned(), row.iter().copied().map(rounded).collect()))
+        .collect();
+    let content = json!({
+        "epoch": hex(forecast.epoch), "sequence": forecast.sequence, "flags": forecast.flags,
+        "horizons_s": forecast.horizon_s.iter().take(horizons).collect::<Vec<_>>(), "rooms": rooms,
+        "elsewhere": forecast.elsewhere.iter().take(horizons).copied().map(rounded).collect::<Vec<_>>(),
+    });
+    Told::new(content, forecast.computed_ns)
+}
+
+/// Each person's forecast and room sets, of a checked message.
+#[must_use]
+pub fn persons(message: &PersonForecastsV1) -> Told {
+    let horizons = message.horizon_count as usize;
+    let persons: Vec<Value> = message
+        .persons()
+        .iter()
+        .map(|person| {
+            let rooms: Map<String, Value> = message
+                .rooms()
+                .zip(&person.probability)
+                .map(|(id, row)| (id.to_owned(), row.iter().take(horizons).copied().map(rounded).collect()))
+                .collect();
+            let sets: Vec<Value> = (0..horizons)
+                .filter(|_| person.set_coverage > 0.0)
+                .map(|horizon| {
+                    let held = message.rooms().enumerate();
+                    let held = held.filter(|(room, _)| person.set_holds(horizon, *room) == Some(true));
+                    json!({
+                        "rooms": held.map(|(_, id)| id).collect::<Vec<_>>(),
+                        "elsewhere": person.set_holds_elsewhere(horizon) == Some(true),
+                    })
+                })
+                .collect();
+            json!({
+                "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+                "flags": person.flags, "rooms": rooms, "coverage": rounded(person.set_coverage), "sets": sets,
+                "elsewhere": person.elsewhere.iter().take(horizons).copied().map(rounded).collect::<Vec<_>>(),
+            })
+        })
+        .collect();
+    let content = json!({
+        "epoch": hex(message.epoch), "sequence": message.sequence, "horizons_s": message.horizons_s(),
+        "persons": persons,
+    });
+    Told::new(content, message.computed_ns)
+}
+
+fn presence_word(number: u32) -> &'static str {
+    match number {
+        presence::PRESENT => "present",
+        presence::AWAY => "away",
+        presence::GONE => "gone",
+        _ => "unknown",
+    }
+}
+
+/// A decision, of a checked message.
+#[must_use]
+pub fn decision(decision: &DecisionV1) -> Told {
+    let word = match decision.action {
+        action::GO => "go",
+        action::PAUSE => "pause",
+        _ => "stay",
+    };
+    let content = json!({
+        "epoch": hex(decision.epoch), "sequence": decision.sequence, "action": word, "from": decision.from(),
+        "to": decision.to(), "policy": decision.policy(), "reason": decision.reason(),
+        "probability": decision.probability, "stay_ns": decision.stay_ns, "flags": decision.flags,
+        "fallback": decision.has(decision_flags::FALLBACK), "cancels": decision.cancels,
+        "scores_epoch": hex(decision.scores_epoch), "scores_sequence": decision.scores_sequence,
+        "scores_age_ns": decision.scores_age_ns,
+    });
+    Told::new(content, decision.decided_ns)
+}
+
+/// Whether the daemon lives, and its counters where it has told them.
+#[must_use]
+pub fn status(robot: &str, silence_ns: Option<u64>, status: Option<&StatusResponseV1>) -> Told {
+    let daemon = status.map(|status| {
+        json!({
+            "version": status.version(), "map": status.map(), "model": status.model(), "epoch": hex(status.epoch),
+            "received": status.received, "accepted": status.accepted, "duplicates": status.duplicates,
+            "missed": status.missed, "malformed": status.malformed, "limited": status.limited, "forged": status.forged,
+            "published": status.published, "persons": status.persons, "sources": status.sources,
+            "latency_p50_ns": status.latency_p50_ns, "latency_p99_ns": status.latency_p99_ns,
+        })
+    });
+    let content = json!({ "robot": robot, "silence_ns": silence_ns, "daemon": daemon });
+    Told::new(content, clock::monotonic_ns())
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_ipc::text;
+
+    use super::*;
+
+    fn told(told: &Told) -> Value {
+        serde_json::from_slice(&told.bytes(Teller { start: 7, number: 3 })).unwrap()
+    }
+
+    #[test]
+    fn a_message_says_its_age_by_no_clock_of_the_receiver() {
+        let made_ns = clock::monotonic_ns() - 5_000_000;
+        let message = told(&decision(&DecisionV1 {
+            decided_ns: made_ns,
+            action: action::GO,
+            to: text::encode("to", "kitchen").unwrap(),
+            ..Default::default()
+        }));
+        assert!(message["age_ns"].as_u64().unwrap() >= 5_000_000);
+        assert_eq!(
+            (&message["action"], &message["to"], &message["teller"]),
+            (&json!("go"), &json!("kitchen"), &hex(7))
+        );
+    }
+
+    #[test]
+    fn scores_without_a_number_are_null() {
+        let mut message = RoomScoresV1 { epoch: 1, sequence: 2, room_count: 2, ..Default::default() };
+        message.room[0].id = text::encode("id", "kitchen").unwrap();
+        message.room[0].log_score_nats = f64::NEG_INFINITY;
+        message.room[1].id = text::encode("id", "hall").unwrap();
+        message.room[1].probability = 0.25;
+        let message = told(&scores(&message));
+        assert_eq!(message["rooms"][0]["log_score_nats"], Value::Null);
+        assert_eq!(message["rooms"][1], json!({"id": "hall", "probability": 0.25, "log_score_nats": 0.0}));
+        assert_eq!(message["observed_before_ns"], Value::Null);
+    }
+
+    #[test]
+    fn room_sets_are_told_by_name() {
+        let mut message =
+            PersonForecastsV1 { epoch: 1, room_count: 2, horizon_count: 1, person_count: 1, ..Default::default() };
+        message.id[0] = text::encode("id", "kitchen").unwrap();
+        message.id[1] = text::encode("id", "hall").unwrap();
+        message.person[0].set_coverage = 0.9;
+        message.person[0].room_set[0] = 0b10;
+        message.person[0].probability[1][0] = 0.3;
+        message.person[0].presence = presence::PRESENT;
+        let message = told(&persons(&message));
+        let person = &message["persons"][0];
+        assert_eq!(person["sets"], json!([{"rooms": ["hall"], "elsewhere": false}]));
+        assert_eq!((&person["presence"], &person["rooms"]["hall"]), (&json!("present"), &json!([0.3])));
+    }
+}

@@ -1,0 +1,126 @@
+//! What an operator sees: every message of every robot of the site as a line of JSON, and which robots come and go.
+
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Duration;
+
+use roomcast_ipc::clock;
+use serde_json::{Value, json};
+use zenoh::sample::{Sample, SampleKind};
+use zenoh::{Session, Wait};
+
+use crate::config::{Config, ConfigError};
+use crate::delay::Delay;
+use crate::link::{Declare, Link, LinkError};
+use crate::stop::Stop;
+use crate::wire::Hex;
+
+/// Messages that wait to be printed; more are dropped.
+const WAITING_MAX: usize = 1024;
+/// Most bytes of a message.
+const BYTES_MAX: usize = 1 << 20;
+/// Tellers that are followed; of more, all are followed from the start again.
+const TELLERS_MAX: usize = 4096;
+
+/// Why nothing can be watched.
+#[derive(Debug, thiserror::Error)]
+pub enum WatchError {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The way to the router.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// Nobody reads what is printed.
+    #[error("cannot write to standard output: {0}")]
+    Print(io::Error),
+}
+
+enum Heard {
+    Said { key: String, bytes: Vec<u8>, now_ns: u64 },
+    Alive { key: String, alive: bool },
+}
+
+/// Prints until asked to stop.
+///
+/// # Errors
+///
+/// [`WatchError`]; a router that is away is none.
+pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
+    config.check_watch()?;
+    let (to, heard) = sync_channel(WAITING_MAX);
+    let _link = Link::start(&config.router, declare(config.site.name.clone(), to))?;
+    let mut delays = BTreeMap::<u64, Delay>::new();
+    let mut out = io::stdout().lock();
+    while !stop.requested() {
+        let heard = match heard.recv_timeout(Duration::from_millis(200)) {
+            Ok(heard) => heard,
+            Err(RecvTimeoutError::Timeout) => continue,
+            Err(RecvTimeoutError::Disconnected) => {
+                std::thread::sleep(Duration::from_millis(200));
+                continue;
+            }
+        };
+        let line = match heard {
+            Heard::Alive { key, alive } => json!({ "key": key, "alive": alive }),
+            Heard::Said { key, bytes, now_ns } => match serde_json::from_slice::<Value>(&bytes) {
+                Ok(Value::Object(mut message)) => {
+                    aged(&mut message, &mut delays, now_ns);
+                    message.insert("key".to_owned(), key.into());
+                    message.insert("received_ns".to_owned(), now_ns.into());
+                    Value::Object(message)
+                }
+                _ => json!({ "key": key, "fault": "no JSON object" }),
+            },
+        };
+        writeln!(out, "{line}").and_then(|()| out.flush()).map_err(WatchError::Print)?;
+    }
+    Ok(())
+}
+
+/// Adds to a message's age what it was held up for.
+fn aged(message: &mut serde_json::Map<String, Value>, delays: &mut BTreeMap<u64, Delay>, now_ns: u64) {
+    let teller = message.get("teller").and_then(|teller| serde_json::from_value::<Hex>(teller.clone()).ok());
+    let number = |key: &str| message.get(key).and_then(Value::as_u64);
+    let (Some(Hex(teller)), Some(sent_ns), Some(age_ns)) = (teller, number("sent_ns"), number("age_ns")) else {
+        return;
+    };
+    if delays.len() >= TELLERS_MAX && !delays.contains_key(&teller) {
+        delays.clear();
+    }
+    let excess_ns = delays.entry(teller).or_default().excess_ns(teller, sent_ns, now_ns);
+    message.insert("age_ns".to_owned(), age_ns.saturating_add(excess_ns).into());
+    message.insert("held_up_ns".to_owned(), excess_ns.into());
+}
+
+fn declare(site: String, to: SyncSender<Heard>) -> Declare {
+    Box::new(move |session: &Session| {
+        let said = {
+            let to = to.clone();
+            move |sample: Sample| {
+                if sample.payload().len() <= BYTES_MAX {
+                    let (key, bytes) = (sample.key_expr().to_string(), sample.payload().to_bytes().into_owned());
+                    let _dropped = to.try_send(Heard::Said { key, bytes, now_ns: clock::monotonic_ns() });
+                }
+            }
+        };
+        let told = format!("roomcast/{site}/*/told/**");
+        let subscriber = session.declare_subscriber(&told).callback(said.clone()).wait()?;
+        let of_before = to.clone();
+        // What was told before: asked for, since nobody keeps it but who told it.
+        let earlier = move |reply: zenoh::query::Reply| {
+            if let Ok(sample) = reply.into_result() {
+                said(sample);
+            }
+        };
+        session.get(&told).callback(earlier).wait()?;
+        let seen = move |sample: Sample| {
+            let alive = sample.kind() == SampleKind::Put;
+            let _dropped = of_before.try_send(Heard::Alive { key: sample.key_expr().to_string(), alive });
+        };
+        let tokens = format!("roomcast/{site}/*/alive");
+        let tokens = session.liveliness().declare_subscriber(tokens).history(true).callback(seen).wait()?;
+        Ok(vec![Box::new(subscriber), Box::new(tokens)])
+    })
+}

@@ -1,0 +1,275 @@
+//! What narrators elsewhere and robots say to one another: JSON objects. A peer's bytes are believed only as far as they are checked here.
+//! Keys that this version does not know are passed over, so that a later one can add some.
+
+use roomcast_core::narration::{Action, DeviceState, Observed, PresenceStatement, Said, Sentence};
+use roomcast_ipc::{ALL_PERSONS, Message, NarrationV1, narration_kind, sequence, text};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Most bytes of a peer's message; a narration's text has 1024, and each of them six at most in JSON.
+pub const BYTES_MAX: usize = 8 << 10;
+
+/// A 64-bit number in sixteen hexadecimal digits: JSON's numbers end at 53 bits.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct Hex(pub u64);
+
+impl Serialize for Hex {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(&format_args!("{:016x}", self.0))
+    }
+}
+
+impl<'de> Deserialize<'de> for Hex {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        let digits = text.len() == 16 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
+        let number = if digits { u64::from_str_radix(&text, 16).ok() } else { None };
+        number.map(Hex).ok_or_else(|| serde::de::Error::custom("sixteen hexadecimal digits are expected"))
+    }
+}
+
+/// What a text is ([`narration_kind`]).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// A plain sentence.
+    #[default]
+    Sentence,
+    /// An action in VirtualHome's notation.
+    Action,
+    /// A device's state.
+    Device,
+    /// Where a person is.
+    Presence,
+}
+
+impl Kind {
+    fn number(self) -> u32 {
+        match self {
+            Self::Sentence => narration_kind::SENTENCE,
+            Self::Action => narration_kind::ACTION,
+            Self::Device => narration_kind::DEVICE,
+            Self::Presence => narration_kind::PRESENCE,
+        }
+    }
+}
+
+/// Whom it is of; without one, somebody, whom the daemon makes out.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Person {
+    /// By number.
+    Number(u32),
+    /// By name.
+    Name(String),
+}
+
+/// What was observed.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Observation {
+    /// The text, in the notation of its kind.
+    pub text: String,
+    /// What it is.
+    #[serde(default, skip_serializing_if = "is_sentence")]
+    pub kind: Kind,
+    /// Whom it is of.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub person: Option<Person>,
+}
+
+fn is_sentence(kind: &Kind) -> bool {
+    *kind == Kind::Sentence
+}
+
+/// Why something is no narration.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Fault(pub String);
+
+impl Observation {
+    /// The message without its sender and time. What the daemon would refuse is refused here.
+    ///
+    /// # Errors
+    ///
+    /// [`Fault`] with what is wrong.
+    pub fn message(&self) -> Result<NarrationV1, Fault> {
+        let fault = |error: &dyn std::fmt::Display| Fault(error.to_string());
+        let content = self.text.trim();
+        let mut message = NarrationV1::new(self.kind.number(), content).map_err(|error| fault(&error))?;
+        message.person = ALL_PERSONS;
+        match &self.person {
+            None => {}
+            Some(Person::Number(number)) => message.person = *number,
+            Some(Person::Name(name)) => {
+                let name = name.trim();
+                if !name.chars().any(char::is_alphanumeric) {
+                    return Err(Fault("person: a name has letters or digits".to_owned()));
+                }
+                message.person_name = text::encode("person", name).map_err(|error| fault(&error))?;
+            }
+        }
+        self.kind.read(content)?;
+        Ok(message)
+    }
+}
+
+impl Kind {
+    /// Whether the daemon can read a text as this.
+    fn read(self, content: &str) -> Result<(), Fault> {
+        let read = || -> Result<(), Box<dyn std::error::Error>> {
+            match self {
+                Self::Sentence => drop(Said::of(Sentence::new(content)?)),
+                Self::Action => drop(Observed::Action(Action::parse(content)?).sentence()?),
+                Self::Device => match DeviceState::parse(content) {
+                    Some(device) => drop(device.sentence()?),
+                    None => drop(Sentence::new(content)?),
+                },
+                Self::Presence => drop(PresenceStatement::parse(content)?),
+            }
+            Ok(())
+        };
+        read().map_err(|error| Fault(error.to_string()))
+    }
+}
+
+/// A narration on its way to a robot.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Narrated {
+    /// Random per start of the narrator, kept as long as its spool.
+    pub epoch: Hex,
+    /// 1, 2, 3, ... within the epoch.
+    pub sequence: u64,
+    /// The first number that the narrator can still send.
+    pub first: u64,
+    /// How long ago it was observed, when it was sent.
+    pub age_ns: u64,
+    /// When it was sent: the sender's monotonic clock.
+    pub sent_ns: u64,
+    /// What was observed.
+    #[serde(flatten)]
+    pub observation: Observation,
+}
+
+/// Reads a peer's bytes.
+///
+/// # Errors
+///
+/// [`Fault`] for too many of them, and for what is not the JSON that is expected.
+pub fn read<'de, T: Deserialize<'de>>(bytes: &'de [u8]) -> Result<T, Fault> {
+    if bytes.len() > BYTES_MAX {
+        return Err(Fault(format!("{} bytes, at most {BYTES_MAX}", bytes.len())));
+    }
+    serde_json::from_slice(bytes).map_err(|error| Fault(error.to_string()))
+}
+
+/// Who says something, and how far its way was.
+#[derive(Debug, Clone, Copy)]
+pub struct Arrived {
+    /// When it was received, by this machine's monotonic clock and by its wall clock.
+    pub now_ns: u64,
+    /// The wall clock.
+    pub now_unix_ns: u64,
+    /// How long it was held up.
+    pub excess_ns: u64,
+}
+
+impl Narrated {
+    /// The message for the daemon: of the hub's name, and of this machine's clocks.
+    ///
+    /// # Errors
+    ///
+    /// [`Fault`] for what the daemon would refuse.
+    pub fn message(&self, narrator: &str, arrived: Arrived) -> Result<NarrationV1, Fault> {
+        let age_ns = self.age_ns.saturating_add(arrived.excess_ns);
+        let message = NarrationV1 {
+            source: sequence::source_of_name(narrator),
+            epoch: self.epoch.0,
+            sequence: self.sequence,
+            // What was observed before this machine's start has no monotonic time: 0, as the contract has it.
+            observed_ns: arrived.now_ns.saturating_sub(age_ns),
+            observed_unix_ns: arrived.now_unix_ns.saturating_sub(age_ns),
+            source_name: text::encode_cut(narrator),
+            ..self.observation.message()?
+        };
+        message.check().map_err(|error| Fault(error.to_string()))?;
+        Ok(message)
+    }
+}
+
+/// How far a robot has a narrator's narration.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Confirmed {
+    /// The narrator's epoch; 0 where nothing was heard yet.
+    pub epoch: Hex,
+    /// The number that is expected next; 0 where nothing was heard yet.
+    pub next: u64,
+    /// Up to this number the daemon has dealt with everything.
+    pub confirmed: u64,
+    /// Of these, how many were no narration and did not reach the daemon.
+    pub refused: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: &str =
+        r#"{"epoch":"00000000000000ff","sequence":3,"first":1,"age_ns":5,"sent_ns":9,"text":"They grab the mug."}"#;
+    const ARRIVED: Arrived = Arrived { now_ns: 100, now_unix_ns: 1_000, excess_ns: 10 };
+
+    #[test]
+    fn a_narration_is_of_this_machines_clocks() {
+        let narrated: Narrated = read(GOOD.as_bytes()).unwrap();
+        let message = narrated.message("hall-camera", ARRIVED).unwrap();
+        assert_eq!((message.epoch, message.sequence, message.person), (255, 3, ALL_PERSONS));
+        assert_eq!((message.observed_ns, message.observed_unix_ns), (85, 985));
+        assert_eq!((message.text(), message.source_name()), ("They grab the mug.", "hall-camera"));
+        assert_eq!(serde_json::to_string(&narrated).unwrap(), GOOD);
+    }
+
+    #[test]
+    fn each_kind_is_read_as_the_daemon_reads_it() {
+        let with = |more: &str| {
+            let narrated: Narrated = read(GOOD.replace("\"text\":\"They grab the mug.\"", more).as_bytes())?;
+            narrated.message("hub", ARRIVED)
+        };
+        assert_eq!(with(r#""text":"[Grab] <mug> (1)","kind":"action""#).unwrap().kind, narration_kind::ACTION);
+        assert_eq!(with(r#""text":"away","kind":"presence","person":"Ada""#).unwrap().person_name(), "Ada");
+        assert_eq!(with(r#""text":"They sit.","person":7"#).unwrap().person, 7);
+        for bad in [
+            r#""text":"[Fly] <mug> (1)","kind":"action""#,
+            r#""text":"in the kitchen","kind":"presence""#,
+            r#""text":"""#,
+            r#""text":"a\u001b[2J""#,
+            r#""text":"They sit.","kind":"shout""#,
+            r#""text":"They sit.","person":" ""#,
+            r#""text":"They sit.","person":-1"#,
+            r#""kind":"sentence""#,
+        ] {
+            with(bad).unwrap_err();
+        }
+    }
+
+    #[test]
+    fn hostile_bytes_are_refused() {
+        for bad in
+            [b"".as_slice(), b"[", b"\xff\xfe", b"null", b"{}", b"{\"epoch\":7}", &[b'['; 4000], &[b' '; BYTES_MAX + 1]]
+        {
+            read::<Narrated>(bad).unwrap_err();
+            read::<Confirmed>(bad).unwrap_err();
+        }
+        let zero: Narrated = read(GOOD.replace("00ff", "0000").as_bytes()).unwrap();
+        assert!(zero.message("hub", ARRIVED).is_err(), "no epoch is 0");
+        let old: Narrated = read(GOOD.replace("\"age_ns\":5", "\"age_ns\":18446744073709551615").as_bytes()).unwrap();
+        assert_eq!(old.message("hub", ARRIVED).unwrap().observed_ns, 0);
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn any_bytes_are_taken_without_a_panic(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..300), text in ".{0,40}") {
+            let _read = read::<Narrated>(&bytes);
+            for kind in [Kind::Sentence, Kind::Action, Kind::Device, Kind::Presence] {
+                let _message = Observation { text: text.clone(), kind, person: Some(Person::Name(text.clone())) }.message();
+            }
+        }
+    }
+}
