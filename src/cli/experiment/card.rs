@@ -17,6 +17,9 @@ pub(super) struct CardArgs {
     /// The project's folder, for models/manifest.json and training/unseen/.
     #[arg(long, value_name = "DIR", default_value = ".")]
     project: PathBuf,
+    /// The routines as programs, which `training/routines.py --out` writes: the baselines of the development places count them beside VirtualHome's.
+    #[arg(long, value_name = "DIR")]
+    routines: Option<PathBuf>,
     /// Only tables whose title has this in it.
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
@@ -45,7 +48,11 @@ pub(super) fn run(args: &CardArgs) -> CommandResult {
     for place in PLACES {
         let scene = vec!["--scene".to_owned(), project(&format!("training/unseen/{place}/map.json"))];
         let folder = project(&format!("training/unseen/{place}/programs"));
-        add(&format!("Development place: {place}"), &["forecast"], [forecast(&folder), scene].concat());
+        let counted = args.routines.as_ref().map_or_else(Vec::new, |routines| {
+            let routines = routines.display().to_string();
+            ["--fit", &programs, "--fit", &routines].map(str::to_owned).to_vec()
+        });
+        add(&format!("Development place: {place}"), &["forecast"], [forecast(&folder), scene, counted].concat());
     }
     add("Table II, seen activities", &["table2", "--setups"], Vec::new());
     let unseen = [vec!["--program".to_owned(), programs.clone()], held_out(), graphs].concat();
