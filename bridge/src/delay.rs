@@ -7,24 +7,36 @@
 
 use std::collections::VecDeque;
 
+use roomcast_ipc::sequence;
+
 /// The least difference is that of this window and the one before it. Quartz clocks drift by 50 millionths: 60 ms in two windows.
 const WINDOW_NS: u64 = 600_000_000_000;
+
+/// The first message may be one that was held up. When a clock was followed for so long, one that was not has come.
+const KNOWN_NS: u64 = 2_000_000_000;
+
+/// This machine's monotonic clock: another one with every start of the machine.
+#[must_use]
+pub fn clock_id() -> u64 {
+    let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
+    sequence::source_of_name(boot.trim())
+}
 
 /// Follows one sender.
 #[derive(Debug, Clone, Default)]
 pub struct Delay {
-    /// The sender's start: with another one the clock may be another machine's.
-    start: u64,
+    /// The sender's clock, and since when it is followed.
+    clock: Option<(u64, u64)>,
     /// When each window began, and its least difference; two at most.
     windows: VecDeque<(u64, i64)>,
 }
 
 impl Delay {
-    /// How much longer than the fastest a message took that was sent at `sent_ns` of the sender's clock and received at `now_ns` of
-    /// this machine's.
-    pub fn excess_ns(&mut self, start: u64, sent_ns: u64, now_ns: u64) -> u64 {
-        if self.start != start {
-            (self.start, self.windows) = (start, VecDeque::new());
+    /// How much longer than the fastest a message took that was sent at `sent_ns` of the clock `clock` and received at `now_ns` of this
+    /// machine's; none while too little was heard of that clock to know.
+    pub fn excess_ns(&mut self, clock: u64, sent_ns: u64, now_ns: u64) -> Option<u64> {
+        if self.clock.is_none_or(|(own, _)| own != clock) {
+            (self.clock, self.windows) = (Some((clock, now_ns)), VecDeque::new());
         }
         let difference = now_ns.wrapping_sub(sent_ns).cast_signed();
         match self.windows.back_mut() {
@@ -37,7 +49,8 @@ impl Delay {
             }
         }
         let least = self.windows.iter().map(|(_, least)| *least).min().unwrap_or(difference);
-        difference.saturating_sub(least).unsigned_abs()
+        let known = self.clock.is_some_and(|(_, since_ns)| now_ns.saturating_sub(since_ns) >= KNOWN_NS);
+        known.then(|| difference.saturating_sub(least).unsigned_abs())
     }
 }
 
@@ -52,19 +65,27 @@ mod tests {
         let mut delay = Delay::default();
         // The sender's clock is ahead, then behind.
         for ahead in [5_000 * S, 0] {
-            let start = ahead + 1;
-            assert_eq!(delay.excess_ns(start, ahead + 10 * S, 110 * S), 0);
-            assert_eq!(delay.excess_ns(start, ahead + 20 * S, 180 * S), 60 * S, "held up for a minute");
-            assert_eq!(delay.excess_ns(start, ahead + 80 * S, 180 * S), 0);
+            let clock = ahead + 1;
+            assert_eq!(delay.excess_ns(clock, ahead + 10 * S, 110 * S), None, "nobody knows");
+            assert_eq!(delay.excess_ns(clock, ahead + 20 * S, 180 * S), Some(60 * S), "held up for a minute");
+            assert_eq!(delay.excess_ns(clock, ahead + 80 * S, 180 * S), Some(0));
         }
+    }
+
+    #[test]
+    fn a_first_message_that_was_held_up_is_not_taken_for_a_fast_one() {
+        let mut delay = Delay::default();
+        assert_eq!(delay.excess_ns(1, 10 * S, 70 * S), None);
+        assert_eq!(delay.excess_ns(1, 70 * S, 70 * S), None);
+        assert_eq!(delay.excess_ns(1, 12 * S, 72 * S), Some(60 * S));
     }
 
     #[test]
     fn a_long_silence_is_no_new_beginning() {
         let mut delay = Delay::default();
-        assert_eq!(delay.excess_ns(1, 0, 0), 0);
-        assert_eq!(delay.excess_ns(1, 10_000 * S, 10_030 * S), 30 * S);
-        assert_eq!(delay.excess_ns(1, 10_030 * S, 10_030 * S), 0);
+        assert_eq!(delay.excess_ns(1, 0, 0), None);
+        assert_eq!(delay.excess_ns(1, 10_000 * S, 10_030 * S), Some(30 * S));
+        assert_eq!(delay.excess_ns(1, 10_030 * S, 10_030 * S), Some(0));
     }
 
     #[test]
@@ -72,7 +93,7 @@ mod tests {
         let mut delay = Delay::default();
         for second in 0..86_400 {
             // The receiver's clock gains 50 microseconds a second.
-            let excess_ns = delay.excess_ns(1, second * S, second * (S + 50_000));
+            let excess_ns = delay.excess_ns(1, second * S, second * (S + 50_000)).unwrap_or(0);
             assert!(excess_ns <= 60_100_000, "{excess_ns}");
         }
     }

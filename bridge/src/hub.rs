@@ -15,6 +15,7 @@ use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
 use crate::config::{Config, ConfigError};
+use crate::delay::clock_id;
 use crate::delivery::Delivery;
 use crate::keys::Keys;
 use crate::limiter::Limiter;
@@ -153,6 +154,7 @@ pub struct Outcome {
 
 struct Hub {
     name: String,
+    clock: Hex,
     robots: Vec<(String, String, Delivery)>,
     refused: u64,
     log: Limiter,
@@ -167,7 +169,7 @@ impl Hub {
             (robot.clone(), key, Delivery::default())
         });
         let (refused, log, unsaved) = (0, Limiter::default(), Vec::new());
-        Self { name: config.hub.name.clone(), robots: robots.collect(), refused, log, unsaved }
+        Self { name: config.hub.name.clone(), clock: Hex(clock_id()), robots: robots.collect(), refused, log, unsaved }
     }
 
     /// Keeps the lines that have come; whether the input has ended.
@@ -264,6 +266,7 @@ impl Hub {
                     first: delivery.first(),
                     age_ns: spool.age_ns(kept),
                     sent_ns: clock::monotonic_ns(),
+                    clock: self.clock,
                     observation: kept.observation.clone(),
                 };
                 let sent = serde_json::to_vec(&narrated).is_ok_and(|bytes| link.put(key, bytes));

@@ -168,7 +168,8 @@ impl Narrator {
     fn hear_ros2(&mut self, heard: &Heard, (epoch, sequence): (u64, u64), log: &mut Limiter) {
         let observed = types::decode_string(&heard.bytes).and_then(|text| line(&text, clock::unix_ns()));
         let message = observed.and_then(|(observation, age_ns)| {
-            let narrated = Narrated { epoch: Hex(epoch), sequence, first: 1, age_ns, sent_ns: 0, observation };
+            let narrated =
+                Narrated { epoch: Hex(epoch), sequence, first: 1, age_ns, sent_ns: 0, clock: Hex(0), observation };
             let arrived = Arrived { now_ns: heard.now_ns, now_unix_ns: clock::unix_ns(), excess_ns: 0 };
             narrated.message(&self.name, arrived)
         });
@@ -187,11 +188,12 @@ impl Narrator {
             Ok(narrated) => narrated,
             Err(fault) => return self.refuse(&fault.0, log),
         };
-        let Narrated { epoch, sequence, first, sent_ns, .. } = narrated;
+        let Narrated { epoch, sequence, first, sent_ns, clock, .. } = narrated;
         if epoch.0 == 0 || sequence == 0 || first == 0 {
             return self.refuse("epoch, sequence and first are 1 or more", log);
         }
-        let excess_ns = self.delay.excess_ns(epoch.0, sent_ns, heard.now_ns);
+        // What is not known yet counts as nothing.
+        let excess_ns = self.delay.excess_ns(clock.0, sent_ns, heard.now_ns).unwrap_or(0);
         let arrived = Arrived { now_ns: heard.now_ns, now_unix_ns: clock::unix_ns(), excess_ns };
         match narrated.message(&self.name, arrived) {
             Ok(message) => drop(self.relay.offer(epoch.0, sequence, first, Some(message))),

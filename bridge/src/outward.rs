@@ -14,6 +14,7 @@ use zenoh::key_expr::KeyExpr;
 use zenoh::query::Query;
 
 use crate::config::Config;
+use crate::delay::clock_id;
 use crate::keys::Keys;
 use crate::limiter::Limiter;
 use crate::link::Link;
@@ -35,13 +36,14 @@ pub struct Last {
     told: Mutex<BTreeMap<String, Told>>,
     start: AtomicU64,
     number: AtomicU64,
+    clock: u64,
 }
 
 impl Last {
     /// Nothing told yet.
     #[must_use]
     pub fn new() -> Arc<Self> {
-        let last = Self::default();
+        let last = Self { clock: clock_id(), ..Self::default() };
         last.start.store(sequence::random_epoch(), Ordering::Relaxed);
         Arc::new(last)
     }
@@ -52,7 +54,7 @@ impl Last {
 
     fn teller(&self) -> Teller {
         let number = self.number.fetch_add(1, Ordering::Relaxed) + 1;
-        Teller { start: self.start.load(Ordering::Relaxed), number }
+        Teller { start: self.start.load(Ordering::Relaxed), number, clock: self.clock }
     }
 
     /// Answers a query with all values that it asks for, each with its age of now.

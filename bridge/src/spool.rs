@@ -12,6 +12,7 @@ use roomcast_ipc::{clock, sequence};
 use rustix::fs::{FlockOperation, flock};
 use serde::{Deserialize, Serialize};
 
+use crate::delay::clock_id;
 use crate::wire::{Hex, Observation};
 
 /// The file's name in its folder.
@@ -45,8 +46,8 @@ struct Head {
 pub struct Kept {
     /// Its number.
     pub sequence: u64,
-    /// The start of the machine that `observed_ns` counts from.
-    boot: Hex,
+    /// The clock of `observed_ns`.
+    clock: Hex,
     observed_ns: u64,
     observed_unix_ns: u64,
     /// So many bytes of the input were read with it.
@@ -56,19 +57,13 @@ pub struct Kept {
     pub observation: Observation,
 }
 
-/// This start of the machine.
-fn boot() -> Hex {
-    let id = fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
-    Hex(sequence::source_of_name(id.trim()))
-}
-
 /// The spool.
 #[derive(Debug)]
 pub struct Spool {
     path: PathBuf,
     file: File,
     head: Head,
-    boot: Hex,
+    clock: Hex,
     kept: VecDeque<Kept>,
     keep: usize,
     /// Lines of the file whose narrations are gone.
@@ -100,7 +95,7 @@ impl Spool {
         };
         let head = head.unwrap_or_else(|| Head { epoch: Hex(sequence::random_epoch()), first: 1, input: 0 });
         let file = write(&path, head, &kept).map_err(failed("cannot write"))?;
-        let mut spool = Self { path, file, head, boot: boot(), kept, keep, gone: 0, _lock: lock };
+        let mut spool = Self { path, file, head, clock: Hex(clock_id()), kept, keep, gone: 0, _lock: lock };
         spool.trim();
         Ok(spool)
     }
@@ -139,7 +134,7 @@ impl Spool {
     /// How long ago it was observed. After a restart of the machine that is the wall clock's word.
     #[must_use]
     pub fn age_ns(&self, kept: &Kept) -> u64 {
-        if kept.boot == self.boot {
+        if kept.clock == self.clock {
             clock::monotonic_ns().saturating_sub(kept.observed_ns)
         } else {
             clock::unix_ns().saturating_sub(kept.observed_unix_ns)
@@ -158,7 +153,7 @@ impl Spool {
         for (observation, age_ns, input) in observed {
             let kept = Kept {
                 sequence: next,
-                boot: self.boot,
+                clock: self.clock,
                 observed_ns: now_ns.saturating_sub(age_ns),
                 observed_unix_ns: now_unix_ns.saturating_sub(age_ns),
                 input,

@@ -24,6 +24,8 @@ pub struct Teller {
     pub start: u64,
     /// Counts its messages.
     pub number: u64,
+    /// Its monotonic clock ([`crate::delay::clock_id`]).
+    pub clock: u64,
 }
 
 impl Told {
@@ -40,6 +42,7 @@ impl Told {
         message.insert("teller".to_owned(), hex(teller.start));
         message.insert("number".to_owned(), teller.number.into());
         message.insert("sent_ns".to_owned(), now_ns.into());
+        message.insert("clock".to_owned(), hex(teller.clock));
         message.insert("sent_unix_ns".to_owned(), clock::unix_ns().into());
         message.insert("age_ns".to_owned(), now_ns.saturating_sub(self.made_ns).into());
         serde_json::to_vec(&message).unwrap_or_default()
@@ -186,7 +189,7 @@ mod tests {
     use super::*;
 
     fn told(told: &Told) -> Value {
-        serde_json::from_slice(&told.bytes(Teller { start: 7, number: 3 })).unwrap()
+        serde_json::from_slice(&told.bytes(Teller { start: 7, number: 3, clock: 1 })).unwrap()
     }
 
     #[test]

@@ -20,8 +20,8 @@ use crate::wire::Hex;
 const WAITING_MAX: usize = 1024;
 /// Most bytes of a message.
 const BYTES_MAX: usize = 1 << 20;
-/// Tellers that are followed; of more, all are followed from the start again.
-const TELLERS_MAX: usize = 4096;
+/// Clocks that are followed; of more, all are followed from the start again.
+const CLOCKS_MAX: usize = 4096;
 
 /// Why nothing can be watched.
 #[derive(Debug, thiserror::Error)]
@@ -79,18 +79,18 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
     Ok(())
 }
 
-/// Adds to a message's age what it was held up for.
+/// Adds to a message's age what it was held up for; `held_up_ns` is null while that is not known.
 fn aged(message: &mut serde_json::Map<String, Value>, delays: &mut BTreeMap<u64, Delay>, now_ns: u64) {
-    let teller = message.get("teller").and_then(|teller| serde_json::from_value::<Hex>(teller.clone()).ok());
+    let id = message.get("clock").and_then(|id| serde_json::from_value::<Hex>(id.clone()).ok());
     let number = |key: &str| message.get(key).and_then(Value::as_u64);
-    let (Some(Hex(teller)), Some(sent_ns), Some(age_ns)) = (teller, number("sent_ns"), number("age_ns")) else {
+    let (Some(Hex(id)), Some(sent_ns), Some(age_ns)) = (id, number("sent_ns"), number("age_ns")) else {
         return;
     };
-    if delays.len() >= TELLERS_MAX && !delays.contains_key(&teller) {
+    if delays.len() >= CLOCKS_MAX && !delays.contains_key(&id) {
         delays.clear();
     }
-    let excess_ns = delays.entry(teller).or_default().excess_ns(teller, sent_ns, now_ns);
-    message.insert("age_ns".to_owned(), age_ns.saturating_add(excess_ns).into());
+    let excess_ns = delays.entry(id).or_default().excess_ns(id, sent_ns, now_ns);
+    message.insert("age_ns".to_owned(), age_ns.saturating_add(excess_ns.unwrap_or(0)).into());
     message.insert("held_up_ns".to_owned(), excess_ns.into());
 }
 

@@ -144,6 +144,8 @@ pub struct Narrated {
     pub age_ns: u64,
     /// When it was sent: the sender's monotonic clock.
     pub sent_ns: u64,
+    /// Which clock that is.
+    pub clock: Hex,
     /// What was observed.
     #[serde(flatten)]
     pub observation: Observation,
@@ -212,8 +214,7 @@ pub struct Confirmed {
 mod tests {
     use super::*;
 
-    const GOOD: &str =
-        r#"{"epoch":"00000000000000ff","sequence":3,"first":1,"age_ns":5,"sent_ns":9,"text":"They grab the mug."}"#;
+    const GOOD: &str = r#"{"epoch":"00000000000000ff","sequence":3,"first":1,"age_ns":5,"sent_ns":9,"clock":"0000000000000001","text":"They grab the mug."}"#;
     const ARRIVED: Arrived = Arrived { now_ns: 100, now_unix_ns: 1_000, excess_ns: 10 };
 
     #[test]

@@ -1,6 +1,6 @@
 //! The example of a router's access control, as `roomcast-bridge router` prints it: who gets in, and what each may read and write.
 
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
+#![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
