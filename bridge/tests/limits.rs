@@ -1,7 +1,5 @@
 //! `docs/fleet.md` states the limits of the code.
 
-#![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
-
 use std::path::Path;
 
 use roomcast_bridge::{ask, config, inward, line, peers, relay, wire};

@@ -1,7 +1,5 @@
 //! ROS 2, as another implementation of its middleware sees it: zenoh-ros2-sdk for keys and tokens, rosbags for hashes and messages.
 
-#![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
-
 use std::path::Path;
 use std::process::Command;
 
