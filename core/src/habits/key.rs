@@ -42,10 +42,17 @@ pub(crate) enum Kind {
     Later,
     LaterHour,
     LaterDwell,
+    /// Next rooms: after a room and the one or two before it; after an object by the time between the last two observations; after a room by
+    /// the time spent there, and by the time between observations as well.
+    RoomBefore,
+    RoomBefore2,
+    RoomPace,
+    RoomDwell,
+    RoomDwellPace,
 }
 
 impl Kind {
-    pub(crate) const ALL: [Self; 26] = [
+    pub(crate) const ALL: [Self; 31] = [
         Self::Object0,
         Self::Object1,
         Self::Object2,
@@ -72,6 +79,11 @@ impl Kind {
         Self::Later,
         Self::LaterHour,
         Self::LaterDwell,
+        Self::RoomBefore,
+        Self::RoomBefore2,
+        Self::RoomPace,
+        Self::RoomDwell,
+        Self::RoomDwellPace,
     ];
 
     /// Which of the key's three numbers are objects and which are places; the symbol counted comes last.
@@ -87,8 +99,10 @@ impl Kind {
             Self::Object2 => [Object, Object, Plain, Object],
             Self::Object3 => [Object, Object, Object, Object],
             Self::ObjectHour => [Plain, Plain, Plain, Object],
-            Self::RoomOfObject | Self::Room1 => [Object, Plain, Plain, Place],
-            Self::Room0 | Self::RoomHour => [Place, Plain, Plain, Place],
+            Self::RoomOfObject | Self::Room1 | Self::RoomPace => [Object, Plain, Plain, Place],
+            Self::Room0 | Self::RoomHour | Self::RoomDwell | Self::RoomDwellPace => [Place, Plain, Plain, Place],
+            Self::RoomBefore => [Place, Place, Plain, Place],
+            Self::RoomBefore2 => [Place, Place, Place, Place],
             Self::Room2 => [Object, Object, Plain, Place],
             Self::Room3 => [Object, Object, Object, Place],
             Self::Stay => [Plain; 4],

@@ -43,9 +43,10 @@ use counts::{Counts, Limits};
 use frame::{ELSEWHERE, Frame};
 use key::{Kind, NONE, Number, SLOT_MASK, key, parts};
 use objects::{Objects, Parts};
-use rooms::Rooms;
+use rooms::{Known, Rooms};
 use stays::{ANCHORS_S, Stays};
 use stored::{Stored, StoredAnchor, StoredName, StoredPerson, StoredRow, malformed};
+use together::Together;
 use whose::{OTHERS_MAX, Whose};
 use words::{Numbered, Words};
 
@@ -139,7 +140,7 @@ pub struct RoomShares {
     pub probability: f64,
     /// Of the language model, alone and where habit backs off to it.
     pub model: f64,
-    /// Of where this person went from this room and after the last things.
+    /// Of where this person went from this room and those before it, after the last things, after so long, and at such a pace.
     pub habit: f64,
     /// Of the next thing that is expected, and where things are.
     pub things: f64,
@@ -197,6 +198,8 @@ struct Person {
     slot: u8,
     observations: f64,
     last_s: f64,
+    /// How long after the one before it the last observation came.
+    pace_s: f64,
     objects: Objects,
     rooms: Rooms,
     stays: Stays,
@@ -209,9 +212,24 @@ impl Person {
             slot,
             observations: 0.0,
             last_s: f64::NEG_INFINITY,
+            pace_s: f64::INFINITY,
             objects: Objects::new(),
             rooms: Rooms::new(),
             stays: Stays::new(options.sets),
+        }
+    }
+
+    /// What is known now of the room of the next thing.
+    fn known(&self, at_s: f64) -> Known {
+        let Self { pace_s, objects, stays, .. } = self;
+        Known {
+            here: stays.place,
+            before: stays.before,
+            last: objects.last_three(),
+            times: objects.times,
+            entered_s: stays.entered_s,
+            pace_s: *pace_s,
+            at_s,
         }
     }
 }
@@ -336,7 +354,10 @@ impl Habits {
             Numbered::Known(number) | Numbered::New(number) => number,
             Numbered::Reused(number) => {
                 self.frame.drop_number(number);
-                self.persons.iter_mut().for_each(|person| person.objects.forget_number(number));
+                for person in &mut self.persons {
+                    person.objects.forget_number(number);
+                    person.rooms.forget_known();
+                }
                 self.drop_counts(Number::Object, number);
                 number
             }
@@ -362,7 +383,10 @@ impl Habits {
             Numbered::Known(number) | Numbered::New(number) => number,
             Numbered::Reused(number) => {
                 self.frame.drop_place_number(number);
-                self.persons.iter_mut().for_each(|person| person.stays.forget_number(number));
+                for person in &mut self.persons {
+                    person.stays.forget_number(number);
+                    person.rooms.forget_known();
+                }
                 self.drop_counts(Number::Place, number);
                 number
             }
@@ -405,15 +429,16 @@ impl Habits {
         let Self { persons, counts, options, .. } = self;
         let person = &mut persons[at];
         let Person { slot, objects, rooms, stays, .. } = person;
-        let (slot, here) = (*slot, stays.place);
-        if turn.at_s - person.last_s > options.activity_gap_s {
+        let slot = *slot;
+        let pace_s = turn.at_s - person.last_s;
+        if pace_s > options.activity_gap_s {
             objects.forget_activity();
         }
-        person.last_s = person.last_s.max(turn.at_s);
+        (person.last_s, person.pace_s) = (person.last_s.max(turn.at_s), pace_s);
         if learn {
             if let Some((room, place)) = room.zip(place) {
                 rooms.learn_weights(room);
-                rooms.count(counts, slot, place, (here, objects.last_three(), objects.times, number), turn.at_s);
+                rooms.count(counts, slot, place, number, turn.at_s);
             }
             if let Some((label, number)) = turn.label.zip(number) {
                 objects.learn_weights(label);
@@ -432,6 +457,8 @@ impl Habits {
         if let Some(place) = place {
             stays.be(counts, slot, place, turn.at_s, learn);
         }
+        let known = person.known(turn.at_s);
+        person.rooms.know(known);
     }
 
     /// Somebody is in a place, without having turned to anything: told, or seen.
@@ -489,16 +516,10 @@ impl Habits {
         let at = self.person(person);
         let others = self.others(at);
         let Self { persons, counts, frame, .. } = self;
-        let Person { slot, objects, rooms, stays, .. } = &mut persons[at];
+        let known = persons[at].known(at_s);
+        let Person { slot, objects, rooms, .. } = &mut persons[at];
         let whose = Whose { counts, slot: *slot, others, now_min: moment::minute(at_s), times: 0 };
-        rooms.forecast(
-            whose,
-            frame,
-            frame.place(stays.place),
-            (objects.last_three(), objects.times),
-            at_s,
-            (model, &objects.mixed),
-        );
+        rooms.forecast(whose, frame, known, (model, &objects.mixed));
         &rooms.mixed
     }
 
@@ -514,16 +535,18 @@ impl Habits {
     #[must_use]
     pub fn explain_room(&self, person: u32, room: usize) -> Option<RoomShares> {
         let person = self.persons.iter().find(|other| other.number == person)?;
-        let (parts, [in_habit, in_short]) = person.rooms.by_expert(room)?;
-        let probability: f64 = parts.iter().sum();
+        let parts = person.rooms.by_expert(room)?;
+        let probability: f64 = parts.iter().map(|(part, _)| part).sum();
         if probability <= 0.0 {
             return None;
         }
-        let [model, habit, short, things, hour, staying] = parts.map(|part| part / probability);
+        let model = parts.iter().map(|(part, of_model)| part * of_model).sum::<f64>() / probability;
+        let [_, habit, short, things, hour, before, pace, dwell, staying] =
+            parts.map(|(part, of_model)| part * (1.0 - of_model) / probability);
         Some(RoomShares {
             probability,
-            model: model + in_habit * habit + in_short * short,
-            habit: (1.0 - in_habit) * habit + (1.0 - in_short) * short,
+            model,
+            habit: habit + short + before + pace + dwell,
             things,
             hour,
             staying,
@@ -643,9 +666,9 @@ impl Habits {
                 .chain(person.objects.base.weights())
                 .chain(person.rooms.base.weights())
                 .chain(person.objects.again.weights())
-                .chain(person.objects.together.iter().flat_map(|together| together.powers()))
-                .chain(person.rooms.staying_together.iter().flat_map(|together| together.powers()))
-                .chain(person.rooms.destination_together.iter().flat_map(|together| together.powers()))
+                .chain(person.objects.together.iter().flat_map(Together::state))
+                .chain(person.rooms.staying_together.iter().flat_map(Together::state))
+                .chain(person.rooms.destination_together.iter().flat_map(Together::state))
                 .chain(person.objects.reliance.state())
                 .copied()
                 .collect(),
@@ -712,17 +735,28 @@ impl Habits {
             for mixture in &mut objects.mixtures {
                 mixture.restore(taken(weights, from.number)?);
             }
+            // Version 2 had other forecasts of rooms: how good each was is learned again, what they count is kept.
+            let earlier = stored.version == stored::VERSION_2;
             for mixture in rooms.staying.iter_mut().chain(&mut rooms.destination) {
-                mixture.restore(taken(weights, from.number)?);
+                match earlier {
+                    true => taken::<ROOM_EXPERTS_OF_2>(weights, from.number).map(|_| ())?,
+                    false => mixture.restore(taken(weights, from.number)?),
+                }
             }
             objects.base.restore(taken(weights, from.number)?);
             rooms.base.restore(taken(weights, from.number)?);
             objects.again.restore(taken(weights, from.number)?);
             for together in &mut objects.together {
-                together.restore(taken(weights, from.number)?);
+                match earlier {
+                    true => together.restore_powers(taken(weights, from.number)?),
+                    false => restore_together(together, weights, from.number)?,
+                }
             }
             for together in rooms.staying_together.iter_mut().chain(&mut rooms.destination_together) {
-                together.restore(taken(weights, from.number)?);
+                match earlier {
+                    true => taken::<ROOM_FACTORS_OF_2>(weights, from.number).map(|_| ())?,
+                    false => restore_together(together, weights, from.number)?,
+                }
             }
             objects.reliance.restore(&taken(weights, from.number)?);
             [person.objects.repeated, person.objects.turned] = [from.repeated[0], from.repeated[1].max(1.0)];
@@ -734,7 +768,10 @@ impl Habits {
                     anchor.mixture.restore(weights);
                 }
                 (anchor.stayed, anchor.sampled) = (from.stayed, from.sampled);
-                anchor.sets.restore(from.miss, from.outcomes, from.scores.iter().copied());
+                match earlier {
+                    true => anchor.sets.restore_scores(from.miss, from.outcomes, &from.scores),
+                    false => anchor.sets.restore(from.miss, from.outcomes, &from.scores),
+                }
             }
             habits.persons.push(person);
         }
@@ -792,6 +829,25 @@ impl Habits {
         let stored: Stored = serde_json::from_str(json).map_err(|error| malformed(error.to_string()))?;
         Self::restore(options, &stored.checked()?)
     }
+}
+
+/// Forecasts of rooms and factors of their products in version 2 of the file.
+const ROOM_EXPERTS_OF_2: usize = 7;
+const ROOM_FACTORS_OF_2: usize = 5;
+
+/// Takes up the next of a person's stored products.
+fn restore_together<const N: usize>(
+    together: &mut Together<N>,
+    weights: &mut &[f64],
+    person: u32,
+) -> Result<(), StoredError> {
+    let powers = taken(weights, person)?;
+    let Some((information, rest)) = weights.split_at_checked(N * N) else {
+        return Err(malformed(format!("weights of person {person} are missing")));
+    };
+    *weights = rest;
+    together.restore(powers, information);
+    Ok(())
 }
 
 /// The next of a person's stored weights.

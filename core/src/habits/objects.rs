@@ -169,7 +169,7 @@ impl Objects {
             times: 0,
             recent: Vec::with_capacity(RECENT_MAX),
             mixtures: PRIOR.map(|prior| FixedShare::beginning_with(FIRST, prior)),
-            together: std::array::from_fn(|_| Together::new(POWERS)),
+            together: std::array::from_fn(|_| Together::steady(POWERS)),
             again: FixedShare::new(AGAIN_PRIOR),
             base: FixedShare::new(BASE),
             reliance: Reliance::new(),

@@ -1,4 +1,4 @@
-//! The next room: whether the person leaves this one, and where to if so, by seven forecasts each.
+//! The next room: whether the person leaves this one, and where to if so, by ten forecasts each.
 //!
 //! | expert | what it knows |
 //! | --- | --- |
@@ -7,10 +7,15 @@
 //! | short | the same of this room and the last object alone |
 //! | objects | the mixture's next object, and in which room it was found before |
 //! | hour | which rooms followed this one at this part of the day, over short |
+//! | before | which rooms followed this one and the one or two before it |
+//! | pace | which rooms followed the last object, by how soon it came after what was before it |
+//! | dwell | which rooms followed this one by the time spent there, and by the pace as well |
 //! | staying | the share of times that the person stayed, and else the model |
 //! | together | the others multiplied ([`super::together`]): what is sure of too much is believed less |
 //!
-//! The base is the model mixed with even chances, as for objects. Staying and destination are mixed apart from one another: who knows best that somebody leaves need not know best where to.
+//! The base is the model mixed with even chances, as for objects. Staying and destination are mixed apart from one another: who knows best
+//! that somebody leaves need not know best where to. What comes next is counted for what was known when it was forecast: whoever was told
+//! of elsewhere meanwhile left from where they were.
 
 use super::counts::Counts;
 use super::frame::Frame;
@@ -20,29 +25,84 @@ use super::moment;
 use super::together::Together;
 use super::whose::Whose;
 
-pub(crate) const EXPERTS: usize = 7;
+pub(crate) const EXPERTS: usize = 10;
 pub(crate) const GATES: usize = 2;
-pub(crate) const PRIOR: [f64; EXPERTS] = [0.1, 0.06, 0.06, 0.06, 0.06, 0.06, 0.6];
+pub(crate) const PRIOR: [f64; EXPERTS] = [0.1, 0.04, 0.04, 0.04, 0.04, 0.04, 0.04, 0.03, 0.03, 0.6];
 /// The model's weight before anything was seen, of staying and leaving and of where to.
-const FIRST: [f64; 2] = [0.4, 0.8];
-/// The powers that the products begin with: of staying and leaving those of habit, short, objects, hour and staying; of where to those of
-/// model, habit, short, objects and hour.
-pub(crate) const FACTORS: usize = 5;
-const STAYING_POWERS: [f64; FACTORS] = [0.3, 0.2, 0.1, 0.2, 0.2];
-const DESTINATION_POWERS: [f64; FACTORS] = [0.15, 0.3, 0.15, 0.1, 0.15];
+pub(crate) const FIRST: [f64; 2] = [0.4, 0.8];
+/// The powers that the products begin with: of staying and leaving those of habit, short, objects, hour, before, pace, dwell and staying; of
+/// where to those of model, habit, short, objects, hour, before, pace and dwell.
+pub(crate) const FACTORS: usize = 8;
+const STAYING_POWERS: [f64; FACTORS] = [0.3, 0.2, 0.1, 0.2, 0.1, 0.1, 0.1, 0.2];
+const DESTINATION_POWERS: [f64; FACTORS] = [0.15, 0.3, 0.15, 0.1, 0.15, 0.1, 0.1, 0.1];
 /// The first of the rows that are multiplied.
 const STAYING_FACTOR: usize = 1;
 const DESTINATION_FACTOR: usize = 0;
-const TOGETHER: usize = 6;
+const TOGETHER: usize = EXPERTS - 1;
 pub(crate) const SHARE: f64 = 0.005;
 const DISCOUNT: f64 = 0.5;
 const CONCENTRATIONS: [f64; 4] = [2.0, 2.0, 1.0, 1.0];
+/// The same of what is counted by the rooms before, by pace, and by time spent.
+const BEFORE_CONCENTRATIONS: [f64; 2] = [1.0, 1.0];
+const BY_TIME_CONCENTRATION: f64 = 2.0;
 /// Of the model and of even chances in the base.
 const BASE: [f64; 2] = [0.9, 0.1];
 /// Of things that are less likely next, the map says where they are: looking one up takes longer than it could change anything.
 const UNLIKELY: f64 = 1e-3;
 /// How many observations what the map says of a thing's room is worth.
 const MAP_STRENGTH: f64 = 1.0;
+/// Upper ends of the times that are told apart, in seconds: between the last two observations, and spent in a room.
+const PACES_S: [f64; 6] = [20.0, 60.0, 180.0, 600.0, 1_800.0, 7_200.0];
+const DWELLS_S: [f64; 6] = [15.0, 60.0, 240.0, 960.0, 3_840.0, 15_360.0];
+
+fn class(time_s: f64, ends_s: &[f64]) -> u16 {
+    ends_s.partition_point(|end_s| *end_s <= time_s) as u16
+}
+
+/// What is known when a next room is forecast.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Known {
+    /// Where the person is, and was before, the latest first.
+    pub(crate) here: u16,
+    pub(crate) before: [u16; 2],
+    /// The last objects, and how often the latest was mentioned again.
+    pub(crate) last: [u16; 3],
+    pub(crate) times: u8,
+    /// Since when the person is here, how long after what was before it the last observation came, and when that was.
+    pub(crate) entered_s: f64,
+    pub(crate) pace_s: f64,
+    pub(crate) at_s: f64,
+}
+
+impl Known {
+    /// The contexts in which the next room is counted, each with how often the last object was mentioned again, if that matters there.
+    fn contexts(&self) -> [(Kind, u8, [u16; 3]); CONTEXTS] {
+        let Self { here, before: [before, before_it], last: [first, second, third], times, .. } = *self;
+        let (pace, dwell) = (class(self.pace_s, &PACES_S), class(self.at_s - self.entered_s, &DWELLS_S));
+        [
+            (Kind::Room0, 0, [here, NONE, NONE]),
+            (Kind::Room1, times, [first, NONE, NONE]),
+            (Kind::Room2, times, [first, second, NONE]),
+            (Kind::Room3, times, [first, second, third]),
+            (Kind::RoomHour, 0, [here, moment::part_of_day(self.at_s, 3), NONE]),
+            (Kind::RoomBefore, 0, [here, before, NONE]),
+            (Kind::RoomBefore2, 0, [here, before, before_it]),
+            (Kind::RoomPace, 0, [first, pace, NONE]),
+            (Kind::RoomDwell, 0, [here, dwell, NONE]),
+            (Kind::RoomDwellPace, 0, [here, dwell, pace]),
+        ]
+    }
+}
+
+/// The experts that back off to the base, in which the model is.
+const OVER_MODEL: [usize; 5] = [1, 2, 5, 6, 7];
+
+/// Contexts of a next room, and the places of some among them.
+const CONTEXTS: usize = 10;
+const HOUR: usize = 4;
+const BEFORE: usize = 5;
+const PACE: usize = 7;
+const DWELL: usize = 8;
 
 /// The rooms that one person goes to.
 #[derive(Debug, Clone)]
@@ -61,9 +121,11 @@ pub(crate) struct Rooms {
     rooms: usize,
     here: Option<usize>,
     gate: usize,
-    /// The weight that the model keeps within habit and within short, and the observations after this room, and after the last one to
-    /// three things.
-    model_in: [f64; 2],
+    /// What was known of it, or when something was observed last.
+    known: Option<Known>,
+    /// The weight that the model keeps within each of [`OVER_MODEL`], and the observations after this room, and after the last one to three
+    /// things.
+    model_in: [f64; OVER_MODEL.len()],
     pub(crate) observations: [f64; 4],
     pub(crate) mixed: Vec<f64>,
 }
@@ -83,7 +145,8 @@ impl Rooms {
             rooms: 0,
             here: None,
             gate: 0,
-            model_in: [1.0; 2],
+            known: None,
+            model_in: [1.0; OVER_MODEL.len()],
             observations: [0.0; 4],
             mixed: Vec::new(),
         }
@@ -95,18 +158,27 @@ impl Rooms {
         self.mixed.clear();
     }
 
+    /// A number stands for something else from now on.
+    pub(crate) fn forget_known(&mut self) {
+        self.known = None;
+    }
+
+    /// This is what is known now of what comes next.
+    pub(crate) fn know(&mut self, known: Known) {
+        self.known = Some(known);
+    }
+
     /// Forecasts the room of the next object, from the model's room probabilities and the mixture's next object.
     pub(crate) fn forecast(
         &mut self,
         whose: Whose<'_>,
         frame: &Frame,
-        here: Option<usize>,
-        (last, times): ([u16; 3], u8),
-        at_s: f64,
+        known: Known,
         (model, objects): (&[f64], &[f64]),
     ) {
         let rooms = model.len();
-        (self.rooms, self.here) = (rooms, here.filter(|here| *here < rooms));
+        self.known = Some(known);
+        (self.rooms, self.here) = (rooms, frame.room(known.here).filter(|here| *here < rooms));
         self.experts.clear();
         self.experts.resize(EXPERTS * rooms, 0.0);
         let (own, rest) = self.experts.split_at_mut(rooms);
@@ -114,6 +186,9 @@ impl Rooms {
         let (short, rest) = rest.split_at_mut(rooms);
         let (by_object, rest) = rest.split_at_mut(rooms);
         let (hour, rest) = rest.split_at_mut(rooms);
+        let (before, rest) = rest.split_at_mut(rooms);
+        let (pace, rest) = rest.split_at_mut(rooms);
+        let (dwell, rest) = rest.split_at_mut(rooms);
         let (staying, together) = rest.split_at_mut(rooms);
 
         const FLOOR: f64 = 1e-4;
@@ -123,23 +198,44 @@ impl Rooms {
         let [of_model, of_even] = *self.base.weights();
         habit.iter_mut().zip(&*own).for_each(|(habit, p)| *habit = of_model * p + of_even / rooms as f64);
         let index = |number| frame.room(number);
-        let at = here.and_then(|here| frame.place_number(here)).unwrap_or(NONE);
-        let [first, second, third] = last;
-        let after = [[at, NONE, NONE], [first, NONE, NONE], [first, second, NONE], [first, second, third]];
-        let again = Whose { times, ..whose };
-        let mut kept = 1.0;
-        for (order, kind) in [Kind::Room0, Kind::Room1, Kind::Room2, Kind::Room3].into_iter().enumerate() {
-            let whose = if order == 0 { whose } else { again };
-            let (left, seen) = whose.smooth(kind, after[order], DISCOUNT, CONCENTRATIONS[order], index, habit);
+        let contexts = known.contexts();
+        // Mixes what was seen in a context over a shorter one; gives the weight that this keeps, and what was seen.
+        let over = |context: usize, concentration: f64, p: &mut [f64]| {
+            let (kind, times, after) = contexts[context];
+            let mut whose = whose;
+            whose.times = times;
+            whose.smooth(kind, after, DISCOUNT, concentration, index, p)
+        };
+        let mut kept = of_model;
+        let mut model_in = [of_model; OVER_MODEL.len()];
+        for (order, concentration) in CONCENTRATIONS.into_iter().enumerate() {
+            let (left, seen) = over(order, concentration, habit);
             kept *= left;
             self.observations[order] = seen;
-            if order == 1 {
-                short.copy_from_slice(habit);
-                self.model_in[1] = of_model * kept;
+            match order {
+                // What follows this room is what those by the rooms before it and by time spent begin with.
+                0 => {
+                    [&mut *before, &mut *dwell].into_iter().for_each(|p| p.copy_from_slice(habit));
+                    (model_in[2], model_in[4]) = (kept, kept);
+                }
+                1 => {
+                    short.copy_from_slice(habit);
+                    model_in[1] = kept;
+                }
+                _ => {}
             }
         }
-        self.model_in[0] = of_model * kept;
-        self.gate = usize::from(kept < 0.2);
+        model_in[0] = kept;
+        self.gate = usize::from(kept < 0.2 * of_model);
+        for (context, concentration) in (BEFORE..).zip(BEFORE_CONCENTRATIONS) {
+            model_in[2] *= over(context, concentration, before).0;
+        }
+        pace.copy_from_slice(short);
+        model_in[3] = model_in[1] * over(PACE, BY_TIME_CONCENTRATION, pace).0;
+        for context in [DWELL, DWELL + 1] {
+            model_in[4] *= over(context, BY_TIME_CONCENTRATION, dwell).0;
+        }
+        self.model_in = model_in;
 
         for (label, p) in objects.iter().enumerate() {
             // Where a thing is that is next to impossible need not be looked up.
@@ -162,7 +258,7 @@ impl Rooms {
         by_object.iter_mut().for_each(|p| *p = (*p + FLOOR) / total);
 
         hour.copy_from_slice(short);
-        whose.smooth(Kind::RoomHour, [at, moment::part_of_day(at_s, 3), NONE], DISCOUNT, 2.0, index, hour);
+        over(HOUR, 2.0, hour);
 
         staying.copy_from_slice(own);
         if let Some(here) = self.here {
@@ -172,7 +268,7 @@ impl Rooms {
             staying[here] = if rooms > 1 { stay } else { 1.0 };
         }
 
-        let rows: [&[f64]; EXPERTS - 1] = [own, habit, short, by_object, hour, staying];
+        let rows: [&[f64]; EXPERTS - 1] = [own, habit, short, by_object, hour, before, pace, dwell, staying];
         let factors = std::array::from_fn(|factor| rows[DESTINATION_FACTOR + factor]);
         self.destination_together[self.gate].forecast(factors, self.here, &mut self.logs, together);
         if let Some(here) = self.here {
@@ -211,9 +307,8 @@ impl Rooms {
         }
     }
 
-    /// What each expert adds to the probability of a room in the latest forecast, and how much of what habit and short give to it is
-    /// the model's.
-    pub(crate) fn by_expert(&self, room: usize) -> Option<([f64; TOGETHER], [f64; 2])> {
+    /// What each expert adds to the probability of a room in the latest forecast, and how much of that is the model's.
+    pub(crate) fn by_expert(&self, room: usize) -> Option<[(f64, f64); TOGETHER]> {
         let mixed = *self.mixed.get(room).filter(|_| room < self.rooms)?;
         let p = |expert: usize, room: usize| self.experts[expert * self.rooms + room];
         let part = |expert: usize| match self.here {
@@ -236,9 +331,13 @@ impl Rooms {
             *part += of_product * power / of_all;
         }
         let total: f64 = parts.iter().sum();
-        let of_model = |expert: usize, kept: f64| (kept * p(0, room) / p(expert, room).max(f64::MIN_POSITIVE)).min(1.0);
         let scale = if total > 0.0 { mixed / total } else { 0.0 };
-        Some((parts.map(|part| part * scale), [of_model(1, self.model_in[0]), of_model(2, self.model_in[1])]))
+        let mut parts = parts.map(|part| (part * scale, 0.0));
+        parts[0].1 = 1.0;
+        for (expert, kept) in OVER_MODEL.into_iter().zip(self.model_in) {
+            parts[expert].1 = (kept * p(0, room) / p(expert, room).max(f64::MIN_POSITIVE)).min(1.0);
+        }
+        Some(parts)
     }
 
     /// Learns how good the latest forecast was: the next object was in `room`.
@@ -276,25 +375,10 @@ impl Rooms {
         self.destination_together[self.gate].learn(std::array::from_fn(p));
     }
 
-    /// Counts that the next object, `object`, was in the place `number`; the person was at `here` and had turned to `last`.
-    pub(crate) fn count(
-        &self,
-        counts: &mut Counts,
-        slot: u8,
-        number: u16,
-        (here, last, times, object): (u16, [u16; 3], u8, Option<u16>),
-        at_s: f64,
-    ) {
+    /// Counts that the next object, `object`, was in the place `number`.
+    pub(crate) fn count(&self, counts: &mut Counts, slot: u8, number: u16, object: Option<u16>, at_s: f64) {
         let now_min = moment::minute(at_s);
-        let [first, second, third] = last;
-        let after = [
-            (Kind::Room0, 0, [here, NONE, NONE]),
-            (Kind::Room1, times, [first, NONE, NONE]),
-            (Kind::Room2, times, [first, second, NONE]),
-            (Kind::Room3, times, [first, second, third]),
-            (Kind::RoomHour, 0, [here, moment::part_of_day(at_s, 3), NONE]),
-        ];
-        for (kind, times, after) in after {
+        for (kind, times, after) in self.known.iter().flat_map(Known::contexts) {
             counts.add(key(kind, with_times(slot, times), after), number, 1.0, now_min);
         }
         if let Some(object) = object {

@@ -1,9 +1,12 @@
 //! Sets of places with a promise: how often they hold the person, on the long run, whatever the forecast is worth.
 //!
 //! Adaptive conformal inference (Gibbs and Candes): a set takes the places whose probability is at least a threshold, a quantile of
-//! the probabilities that the truth had of late; the quantile asked moves by a step after every hit and miss, so that the share of
+//! the probabilities that the truth had; the quantile asked moves by a step after every hit and miss, so that the share of
 //! misses goes to what is asked even while the home changes. What happened is known only a horizon later, and is learned then. Of all
 //! sets with the same coverage these have the fewest places on average.
+//!
+//! Outcomes come every minute, and many say the same: a night is one long hit. So the quantile is that of about a week, and the step is small.
+//! With a memory of hours sets would be small by night, when everything is easy, and would take in whole homes by day to make up for it.
 //!
 //! Where nothing is likely a set may be empty; that belongs to the coverage asked. Whoever must not be told nothing asks for
 //! [`SetOptions::never_empty`], and is then right more often than asked.
@@ -21,7 +24,7 @@ pub struct SetOptions {
 
 impl Default for SetOptions {
     fn default() -> Self {
-        Self { coverage: 0.9, step: 0.005, never_empty: true }
+        Self { coverage: 0.9, step: 0.0005, never_empty: true }
     }
 }
 
@@ -35,14 +38,35 @@ impl Issued {
     /// Whether the set holds `place`, without regard to [`SetOptions::never_empty`].
     #[must_use]
     pub fn holds(&self, probabilities: &[f64], place: usize) -> bool {
-        probabilities.get(place).is_some_and(|p| 1.0 - p <= self.threshold)
+        probabilities.get(place).is_some_and(|p| *p >= self.threshold)
     }
 }
 
 /// How far beyond 0 and 1 the share of misses may be owed.
 const SERIES: f64 = 0.5;
-/// Outcomes whose scores are remembered.
-pub(crate) const SCORES: usize = 600;
+/// Classes of probabilities that the truth had, of equal width in [`odds`].
+pub(crate) const CLASSES: usize = 256;
+/// Probabilities nearer to 0 and 1 than this are not told apart.
+const NEAREST: f64 = 1e-4;
+/// Outcomes after which one counts half: five days of minutes.
+const HALF_LIFE: f64 = 7_200.0;
+/// With fewer outcomes a quantile says little: places of a tenth or more are taken.
+const FEW: f64 = 20.0;
+const AT_FIRST: f64 = 0.1;
+/// Weights are brought back to one before they are greater than this.
+const WEIGHT_MAX: f64 = 1e6;
+
+/// The logarithm of the odds of a probability, in nats.
+fn odds(p: f64) -> f64 {
+    let p = p.clamp(NEAREST, 1.0 - NEAREST);
+    (p / (1.0 - p)).ln()
+}
+
+/// The greatest odds that are told apart, and the width of a class.
+fn widest() -> (f64, f64) {
+    let most = odds(1.0);
+    (most, 2.0 * most / CLASSES as f64)
+}
 
 /// The sets of one horizon.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,10 +74,11 @@ pub struct AdaptiveSets {
     options: SetOptions,
     /// Share of misses that the quantile is set for.
     miss: f64,
-    /// Scores, one less the probability of the truth, as they came, the oldest at `oldest` once there are [`SCORES`], and sorted.
-    scores: Vec<f32>,
-    sorted: Vec<f32>,
-    oldest: usize,
+    /// How often the truth had a probability of each class, the least likely first; what is seen next counts for `weight`.
+    seen: Vec<f64>,
+    weight: f64,
+    total: f64,
+    threshold: f64,
     outcomes: u64,
 }
 
@@ -62,14 +87,17 @@ impl AdaptiveSets {
     #[must_use]
     pub fn new(options: SetOptions) -> Self {
         let coverage = options.coverage.clamp(0.0, 1.0);
-        Self {
+        let mut sets = Self {
             options: SetOptions { coverage, ..options },
             miss: 1.0 - coverage,
-            scores: Vec::with_capacity(SCORES),
-            sorted: Vec::with_capacity(SCORES),
-            oldest: 0,
+            seen: vec![0.0; CLASSES],
+            weight: 1.0,
+            total: 0.0,
+            threshold: 0.0,
             outcomes: 0,
-        }
+        };
+        sets.threshold = sets.least();
+        sets
     }
 
     /// How many outcomes were learned from.
@@ -78,30 +106,35 @@ impl AdaptiveSets {
         self.outcomes
     }
 
-    /// The score up to which places are taken.
-    fn threshold(&self) -> f64 {
-        /// With fewer outcomes a quantile says little.
-        const FEW: usize = 20;
-        if self.miss <= 0.0 {
+    /// The probability from which on places are taken.
+    fn least(&self) -> f64 {
+        if self.miss >= 1.0 {
             return f64::INFINITY;
         }
-        if self.miss >= 1.0 {
-            return f64::NEG_INFINITY;
+        let total = self.total / self.weight;
+        if self.miss > 0.0 && total < FEW {
+            return AT_FIRST;
         }
-        if self.sorted.len() < FEW {
-            return 0.9;
+        // Of so many outcomes, and the next, this many may be misses.
+        let mut misses = self.miss * (total + 1.0) * self.weight - self.weight;
+        if misses < 0.0 {
+            return 0.0;
         }
-        let rank = ((1.0 - self.miss) * (self.sorted.len() + 1) as f64).ceil() as usize;
-        match self.sorted.get(rank.max(1) - 1) {
-            Some(score) => f64::from(*score),
-            None => f64::INFINITY,
+        let (most, width) = widest();
+        for (class, seen) in self.seen.iter().enumerate() {
+            if *seen > misses {
+                let at = width * (class as f64 + misses / seen) - most;
+                return 1.0 / (1.0 + (-at).exp());
+            }
+            misses -= seen;
         }
+        1.0 - NEAREST
     }
 
     /// What a set of this moment is made by.
     #[must_use]
     pub fn issue(&self) -> Issued {
-        Issued { threshold: self.threshold() }
+        Issued { threshold: self.threshold }
     }
 
     /// Which of the places with these probabilities are in the set.
@@ -122,45 +155,55 @@ impl AdaptiveSets {
             return;
         }
         let hit = issued.holds(probabilities, truth);
-        let score = (1.0 - probabilities[truth]) as f32;
-        if self.scores.len() < SCORES {
-            self.scores.push(score);
-        } else {
-            let old = std::mem::replace(&mut self.scores[self.oldest], score);
-            self.oldest = (self.oldest + 1) % SCORES;
-            let at = self.sorted.partition_point(|other| *other < old);
-            if at < self.sorted.len() {
-                self.sorted.remove(at);
-            }
-        }
-        let at = self.sorted.partition_point(|other| *other < score);
-        self.sorted.insert(at, score);
+        self.see(probabilities[truth]);
         let asked = 1.0 - self.options.coverage;
         self.miss += self.options.step * (asked - f64::from(u8::from(!hit)));
         // Beyond 0 and 1 all or nothing is taken, until what went wrong in a long series is made good.
         self.miss = self.miss.clamp(-SERIES, 1.0 + SERIES);
         self.outcomes += 1;
+        self.threshold = self.least();
     }
 
-    /// What is kept across restarts: the share of misses and the scores, oldest first.
+    /// The truth had this probability.
+    fn see(&mut self, p: f64) {
+        self.weight *= (std::f64::consts::LN_2 / HALF_LIFE).exp();
+        if self.weight > WEIGHT_MAX {
+            self.seen.iter_mut().for_each(|seen| *seen /= self.weight);
+            self.total /= self.weight;
+            self.weight = 1.0;
+        }
+        let (most, width) = widest();
+        let class = ((odds(p) + most) / width) as usize;
+        self.seen[class.min(CLASSES - 1)] += self.weight;
+        self.total += self.weight;
+    }
+
+    /// What is kept across restarts: the share of misses, the outcomes, and how often the truth had a probability of each class.
     pub(crate) fn state(&self) -> (f64, u64, impl ExactSizeIterator<Item = f32>) {
-        let (newer, older) = self.scores.split_at(self.oldest.min(self.scores.len()));
-        let count = self.scores.len();
-        (self.miss, self.outcomes, (0..count).map(move |at| *older.get(at).unwrap_or_else(|| &newer[at - older.len()])))
+        (self.miss, self.outcomes, self.seen.iter().map(|seen| (seen / self.weight) as f32))
     }
 
-    /// Takes up a state; scores that are none are left out.
-    pub(crate) fn restore(&mut self, miss: f64, outcomes: u64, scores: impl Iterator<Item = f32>) {
-        self.scores.clear();
-        self.scores.extend(scores.filter(|score| (0.0..=1.1).contains(score)).take(SCORES));
-        self.sorted.clone_from(&self.scores);
-        self.sorted.reserve(SCORES - self.sorted.len());
-        self.sorted.sort_by(f32::total_cmp);
-        self.oldest = 0;
+    /// Takes up a state; what cannot be is left out.
+    pub(crate) fn restore(&mut self, miss: f64, outcomes: u64, seen: &[f32]) {
+        self.weight = 1.0;
+        let possible = |seen: &f32| if seen.is_finite() && *seen > 0.0 { f64::from(*seen) } else { 0.0 };
+        self.seen.iter_mut().zip(seen).for_each(|(own, seen)| *own = possible(seen));
+        self.total = self.seen.iter().sum();
+        self.take_up(miss, outcomes);
+    }
+
+    /// As [`AdaptiveSets::restore`] from what version 2 of the file held: one less the probability that the truth had, each time.
+    pub(crate) fn restore_scores(&mut self, miss: f64, outcomes: u64, scores: &[f32]) {
+        scores.iter().filter(|score| (0.0..=1.0).contains(*score)).for_each(|score| self.see(1.0 - f64::from(*score)));
+        self.take_up(miss, outcomes);
+    }
+
+    fn take_up(&mut self, miss: f64, outcomes: u64) {
         self.outcomes = outcomes;
         if miss.is_finite() {
             self.miss = miss.clamp(-SERIES, 1.0 + SERIES);
         }
+        self.threshold = self.least();
     }
 }
 
@@ -177,7 +220,8 @@ mod tests {
         let mut sets = AdaptiveSets::new(SetOptions { never_empty, ..SetOptions::default() });
         let (mut held, mut size, mut set) = (0.0, 0.0, Vec::new());
         let mut waiting = std::collections::VecDeque::new();
-        const MOMENTS: usize = 8000;
+        // Two weeks of minutes.
+        const MOMENTS: usize = 20_160;
         for moment in 0..MOMENTS {
             let likely = if moment < MOMENTS / 2 { 0.97 } else { 0.6 };
             // Not quite the same each time.
@@ -222,9 +266,10 @@ mod tests {
             sets.set(&p, sets.issue(), &mut set);
             let least_in = (0..p.len()).filter(|i| set[*i]).map(|i| p[i]).fold(f64::INFINITY, f64::min);
             prop_assert!((0..p.len()).all(|i| set[i] || p[i] <= least_in) && set.contains(&true));
-            let (miss, outcomes, scores) = sets.state();
+            let (miss, outcomes, seen) = sets.state();
+            let seen: Vec<f32> = seen.collect();
             let mut again = AdaptiveSets::new(SetOptions::default());
-            again.restore(miss, outcomes, scores);
+            again.restore(miss, outcomes, &seen);
             let mut other = Vec::new();
             again.set(&p, again.issue(), &mut other);
             prop_assert_eq!(set, other);

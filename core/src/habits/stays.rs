@@ -94,9 +94,9 @@ pub(crate) struct Anchor {
 #[derive(Debug, Clone)]
 pub(crate) struct Stays {
     pub(crate) place: u16,
-    entered_s: f64,
-    /// The place before, and until when.
-    before: u16,
+    pub(crate) entered_s: f64,
+    /// The places before, the latest first.
+    pub(crate) before: [u16; 2],
     updated_s: f64,
     sampled_s: f64,
     pub(crate) anchors: [Anchor; ANCHORS_S.len()],
@@ -122,7 +122,7 @@ impl Stays {
         Self {
             place: NONE,
             entered_s: 0.0,
-            before: NONE,
+            before: [NONE; 2],
             updated_s: 0.0,
             sampled_s: f64::NEG_INFINITY,
             anchors: ANCHORS_S.map(|horizon_s| {
@@ -152,7 +152,7 @@ impl Stays {
 
     /// A number stands for another place from now on.
     pub(crate) fn forget_number(&mut self, number: u16) {
-        for place in [&mut self.place, &mut self.before] {
+        for place in self.before.iter_mut().chain([&mut self.place]) {
             if *place == number {
                 *place = NONE;
             }
@@ -216,7 +216,7 @@ impl Stays {
             counts.add(key(Kind::Exit, slot, [self.place, NONE, NONE]), number, 1.0, now_min);
             counts.add(key(Kind::ExitHour, slot, [self.place, part, NONE]), number, 1.0, now_min);
         }
-        self.before = std::mem::replace(&mut self.place, number);
+        self.before = [std::mem::replace(&mut self.place, number), self.before[0]];
         self.entered_s = now_s;
         self.updated_s = now_s;
     }
@@ -241,7 +241,7 @@ impl Stays {
                 }
                 anchor.first = (at + 1) % slots;
                 anchor.count -= 1;
-                let truth = if due_s >= self.entered_s { self.place } else { self.before };
+                let truth = if due_s >= self.entered_s { self.place } else { self.before[0] };
                 // What was not watched is not known.
                 if truth == NONE || place == NONE || !learn || now_s - due_s > 2.0 * SAMPLE_S {
                     continue;

@@ -8,7 +8,9 @@ use super::key::Kind;
 /// Begins every file.
 const MAGIC: &[u8; 8] = b"RCHABITS";
 /// Changes when older programs cannot read the file.
-pub(crate) const VERSION: u16 = 2;
+pub(crate) const VERSION: u16 = 3;
+/// The oldest one that is read: it had fewer forecasts of rooms, and scores of sets one by one.
+pub(crate) const VERSION_2: u16 = 2;
 const CHECKSUM_BYTES: usize = 16;
 /// Largest state that is read, in bytes.
 pub const BYTES_MAX: usize = 16 << 20;
@@ -28,7 +30,7 @@ pub enum StoredError {
     },
     /// Another version wrote it.
     #[error(
-        "the habits are of version {found}, this program reads version {VERSION}: use the program that wrote them, or forget them"
+        "the habits are of version {found}, this program reads versions {VERSION_2} and {VERSION}: use the program that wrote them, or forget them"
     )]
     Version {
         /// Which.
@@ -64,6 +66,7 @@ pub(crate) struct StoredAnchor {
     pub(crate) sampled: f64,
     pub(crate) miss: f64,
     pub(crate) outcomes: u64,
+    /// How often the truth had a probability of each class of [`super::sets`].
     pub(crate) scores: Vec<f32>,
 }
 
@@ -77,8 +80,8 @@ pub(crate) struct StoredPerson {
     pub(crate) turned: f64,
     /// How often an object was mentioned again, of how many times.
     pub(crate) repeated: [f64; 2],
-    /// Weights of the mixtures of objects, of staying, of destinations, of both bases, of mentioning again, and how far contexts are
-    /// relied on.
+    /// Weights of the mixtures of objects, of staying, of destinations, of both bases, of mentioning again, powers of the products with what
+    /// is known of them, and how far contexts are relied on.
     pub(crate) weights: Vec<f64>,
     pub(crate) anchors: Vec<StoredAnchor>,
 }
@@ -108,7 +111,7 @@ impl Stored {
     pub(crate) fn to_bytes(&self) -> Vec<u8> {
         let mut out = Writer(Vec::with_capacity(64 * self.rows.len() + 4096));
         out.0.extend_from_slice(MAGIC);
-        out.0.extend_from_slice(&VERSION.to_le_bytes());
+        out.0.extend_from_slice(&self.version.to_le_bytes());
         out.0.extend_from_slice(&self.mark.to_le_bytes());
         for names in [&self.objects, &self.places] {
             out.length(names.len());
@@ -161,7 +164,7 @@ impl Stored {
         }
         let Some((version, _)) = rest.split_first_chunk::<2>() else { return Err(StoredError::Checksum) };
         let found = u16::from_le_bytes(*version);
-        if found != VERSION {
+        if !(VERSION_2..=VERSION).contains(&found) {
             return Err(StoredError::Version { found });
         }
         let Some((body, sum)) = bytes.split_last_chunk::<CHECKSUM_BYTES>() else { return Err(StoredError::Checksum) };
@@ -169,7 +172,7 @@ impl Stored {
             return Err(StoredError::Checksum);
         }
         let mut read = Reader(body.get(MAGIC.len() + 2..).unwrap_or_default());
-        let stored = read.stored().ok_or_else(|| malformed("it ends early"))?;
+        let stored = read.stored(found).ok_or_else(|| malformed("it ends early"))?;
         if !read.0.is_empty() {
             return Err(malformed(format!("{} bytes are left over", read.0.len())));
         }
@@ -178,7 +181,7 @@ impl Stored {
 
     /// Nothing impossible is in it: numbers are finite and in range.
     pub(crate) fn checked(self) -> Result<Self, StoredError> {
-        if self.version != VERSION {
+        if !(VERSION_2..=VERSION).contains(&self.version) {
             return Err(StoredError::Version { found: self.version });
         }
         let positive = |value: f64| value.is_finite() && value >= 0.0;
@@ -300,9 +303,9 @@ impl Reader<'_> {
         })
     }
 
-    fn stored(&mut self) -> Option<Stored> {
+    fn stored(&mut self, version: u16) -> Option<Stored> {
         Some(Stored {
-            version: VERSION,
+            version,
             mark: self.take().map(u64::from_le_bytes)?,
             objects: self.list(Self::name)?,
             places: self.list(Self::name)?,

@@ -197,6 +197,35 @@ fn bytes_and_json_give_back_what_was_learned() {
     assert!(Habits::from_json(*habits.options(), &json.replace("\"slot\":0", "\"slot\":77")).is_err());
 }
 
+/// What version 2 exported after six days of a bed, a fridge and a sofa, each anchor with its first 24 scores.
+#[test]
+fn what_version_2_learned_is_still_known() {
+    let json = include_str!("version-2.json");
+    let mut habits = Habits::from_json(HabitsOptions::default(), json).unwrap();
+    let stored: Stored = serde_json::from_str(json).unwrap();
+    assert!(Habits::from_bytes(*habits.options(), &stored.to_bytes()).unwrap().to_bytes() == habits.to_bytes());
+    habits.bind(
+        words(&["sofa", "fridge", "bed"]),
+        words(&["living room", "kitchen"]),
+        vec![1.0, 0.0, 0.0, 1.0, 1.0, 0.0],
+    );
+    let (person, observations) = habits.persons().next().unwrap();
+    assert_eq!(observations, 24.0);
+    let at_s = 1_710_055_800.0;
+    habits.observe(&Turn { person, label: Some(2), room: Some(0), at_s, mark: 0 });
+    let objects = habits.mix(person, at_s, &[1.0 / 3.0; 3]).to_vec();
+    let rooms = habits.next_rooms(person, at_s, &[0.5; 2]).to_vec();
+    assert!(objects[1] > 0.6 && rooms[1] > 0.6, "{objects:?} {rooms:?}");
+    let (mut p, mut set) = (Vec::new(), Vec::new());
+    habits.at(person, at_s, 60.0, &[1.0 / 3.0; 3], &mut p);
+    habits.room_set(person, 60.0, &p, &mut set);
+    assert!(set.contains(&true));
+    // The next file is of this version, and an older one is none.
+    assert_eq!(habits.stored().version, stored::VERSION);
+    let older = json.replacen("\"version\":2", "\"version\":1", 1);
+    assert_eq!(Habits::from_json(HabitsOptions::default(), &older).unwrap_err(), StoredError::Version { found: 1 });
+}
+
 /// A year of two people who do much at random stays within the stated memory.
 #[test]
 fn memory_is_bounded() {
@@ -278,6 +307,29 @@ proptest! {
             let again = mixture::bound_nats(objects::AGAIN_PRIOR[0], objects::SHARE, 1);
             let bound = others + again + 2.0 * steps as f64 * -(1.0 - objects::SHARE).ln();
             prop_assert!(mixture <= model + bound + 1e-4 * steps as f64, "{mixture} {model} {bound}");
+        }
+    }
+
+    /// The same of the next room: staying and where to are mixed apart, each by gates that begin by themselves.
+    #[test]
+    fn a_day_of_rooms_is_never_much_worse_than_the_model(
+        steps in prop::collection::vec((0..5usize, 0.02..1.0f64, 0.02..1.0f64), 1..200),
+    ) {
+        let mut habits = home(HabitsOptions::default());
+        let (mut mixture, mut model) = (0.0, 0.0);
+        let mut at_s = MONDAY_S;
+        for (step, (label, one, other)) in steps.into_iter().enumerate() {
+            let mut p = [one, other, 0.2];
+            let total: f64 = p.iter().sum();
+            p.iter_mut().for_each(|p| *p /= total);
+            habits.mix(0, at_s, &[0.2; 5]);
+            mixture -= habits.next_rooms(0, at_s, &p)[ROOM_OF[label]].ln();
+            model -= p[ROOM_OF[label]].ln();
+            habits.observe(&turn(0, label, at_s));
+            at_s += 60.0;
+            let begun = rooms::FIRST.iter().map(|first| mixture::bound_nats(*first, rooms::SHARE, 1)).sum::<f64>();
+            let bound = rooms::GATES as f64 * begun + 2.0 * (step + 1) as f64 * -(1.0 - rooms::SHARE).ln();
+            prop_assert!(mixture <= model + bound + 1e-3 * (step + 1) as f64, "{mixture} {model} {bound}");
         }
     }
 

@@ -5,22 +5,33 @@
 //! ```
 //!
 //! Where a sum of forecasts believes whichever is surest, a product keeps what all of them hold likely: of the things that the model
-//! expects, those that this home has. The powers go down the gradient of the loss after every outcome. A product may be worse than any
-//! of its factors; it is one expert among others of a mixture with a bound.
+//! expects, those that this home has. The powers go down the gradient of the loss after every outcome: by steady steps, or the farther the
+//! less was learned in that direction (Newton's step with the information of all outcomes so far, of which the newest count). A product
+//! may be worse than any of its factors; it is one expert among others of a mixture with a bound.
 
-/// How far the powers go along a gradient.
+use nalgebra::{SMatrix, SVector};
+
+/// How far steady steps go along a gradient.
 const RATE: f64 = 0.01;
+/// What the powers begin with is worth this much information.
+const PRIOR_INFORMATION: f64 = 20.0;
+/// How much of what was learned is kept at each outcome: the newest five hundred count.
+const KEPT: f64 = 0.998;
 /// The longest step of a gradient, and the range of the powers.
 const STEEPEST: f64 = 10.0;
 const POWERS: std::ops::RangeInclusive<f64> = -0.5..=1.5;
 /// What is less likely than this is no better known to be so.
 const FLOOR: f32 = 1e-7;
 
-/// The powers of `N` forecasts, and what the latest forecast says of the logarithms of each.
+/// The powers of `N` forecasts, what is known of them, and what the latest forecast says of the logarithms of each.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Together<const N: usize> {
-    powers: [f64; N],
-    expected: [f64; N],
+    powers: SVector<f64, N>,
+    steady: bool,
+    information: SMatrix<f64, N, N>,
+    expected: SVector<f64, N>,
+    /// How the logarithms of the factors vary together, by the latest forecast.
+    covariance: SMatrix<f64, N, N>,
 }
 
 /// The natural logarithm, to four digits: a home's forecast takes a thousand of them.
@@ -44,20 +55,59 @@ fn exp(x: f32) -> f32 {
     f32::from_bits(((whole + 127.0) as u32) << 23) * part
 }
 
+/// The sum of products, in lanes: in one order after the other it takes several times as long.
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    const LANES: usize = 16;
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    let mut sums = [0.0; LANES];
+    for (a, b) in a.iter().zip(b) {
+        sums.iter_mut().zip(a).zip(b).for_each(|((sum, a), b)| *sum += a * b);
+    }
+    let rest: f32 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    rest + sums.iter().sum::<f32>()
+}
+
 impl<const N: usize> Together<N> {
     pub(crate) fn new(powers: [f64; N]) -> Self {
-        Self { powers, expected: [0.0; N] }
-    }
-
-    pub(crate) fn powers(&self) -> &[f64; N] {
-        &self.powers
-    }
-
-    /// Powers that were stored; those that cannot be are ignored.
-    pub(crate) fn restore(&mut self, powers: [f64; N]) {
-        if powers.iter().all(|power| POWERS.contains(power)) {
-            self.powers = powers;
+        Self {
+            powers: powers.into(),
+            steady: false,
+            information: SMatrix::identity() * PRIOR_INFORMATION,
+            expected: SVector::zeros(),
+            covariance: SMatrix::zeros(),
         }
+    }
+
+    /// As [`Together::new`], with powers that go by steady steps: of many outcomes they cost less.
+    pub(crate) fn steady(powers: [f64; N]) -> Self {
+        Self { steady: true, ..Self::new(powers) }
+    }
+
+    pub(crate) fn powers(&self) -> [f64; N] {
+        self.powers.into()
+    }
+
+    /// What is kept across restarts: the powers, and what is known of them, column by column.
+    pub(crate) fn state(&self) -> impl Iterator<Item = &f64> {
+        self.powers.iter().chain(&self.information)
+    }
+
+    /// Powers that were stored without what is known of them; those that cannot be are ignored.
+    pub(crate) fn restore_powers(&mut self, powers: [f64; N]) {
+        if powers.iter().all(|power| POWERS.contains(power)) {
+            self.powers = powers.into();
+        }
+    }
+
+    /// Takes up a state; what cannot be is ignored.
+    pub(crate) fn restore(&mut self, powers: [f64; N], information: &[f64]) {
+        let information = (information.len() == N * N).then(|| SMatrix::<f64, N, N>::from_column_slice(information));
+        let possible = |matrix: &SMatrix<f64, N, N>| {
+            matrix.iter().all(|cell| cell.is_finite()) && matrix == &matrix.transpose() && matrix.cholesky().is_some()
+        };
+        let Some(information) = information.filter(possible) else { return };
+        self.restore_powers(powers);
+        self.information = information;
     }
 
     /// Multiplies forecasts into `out`; what has none is `without`.
@@ -70,8 +120,9 @@ impl<const N: usize> Together<N> {
     ) {
         let length = out.len();
         logs.clear();
-        logs.resize((N + 1) * length, 0.0);
+        logs.resize((N + 2) * length, 0.0);
         let (sums, logs) = logs.split_at_mut(length);
+        let (weighted, logs) = logs.split_at_mut(length);
         for ((logs, factor), power) in logs.chunks_exact_mut(length.max(1)).zip(factors).zip(&self.powers) {
             let power = *power as f32;
             for ((log, sum), p) in logs.iter_mut().zip(sums.iter_mut()).zip(factor) {
@@ -93,18 +144,42 @@ impl<const N: usize> Together<N> {
         }
         let scale = if total > 0.0 { 1.0 / total } else { 0.0 };
         out.iter_mut().zip(sums.iter()).for_each(|(out, sum)| *out = f64::from(sum * scale));
-        for (expected, logs) in self.expected.iter_mut().zip(logs.chunks_exact(length.max(1))) {
-            let sum: f32 = logs.iter().zip(sums.iter()).map(|(log, p)| log * p).sum();
-            *expected = f64::from(sum * scale);
+        let row = |factor: usize| &logs[factor * length..(factor + 1) * length];
+        for factor in 0..N {
+            let expected = f64::from(scale * dot(row(factor), sums));
+            self.expected[factor] = expected;
+            if self.steady {
+                continue;
+            }
+            weighted.iter_mut().zip(row(factor)).zip(sums.iter()).for_each(|((own, log), p)| *own = log * p);
+            for other in 0..=factor {
+                let of_both = f64::from(scale * dot(row(other), weighted));
+                let varies = of_both - expected * self.expected[other];
+                (self.covariance[(factor, other)], self.covariance[(other, factor)]) = (varies, varies);
+            }
         }
     }
 
     /// Learns from an outcome to which the factors of the latest forecast gave these probabilities.
     pub(crate) fn learn(&mut self, given: [f64; N]) {
-        for ((power, expected), p) in self.powers.iter_mut().zip(&self.expected).zip(given) {
-            let steep = (f64::from(ln((p as f32).max(FLOOR))) - expected).clamp(-STEEPEST, STEEPEST);
-            *power = (*power + RATE * steep).clamp(*POWERS.start(), *POWERS.end());
+        let steep = SVector::<f64, N>::from_fn(|factor, _| {
+            (f64::from(ln((given[factor] as f32).max(FLOOR))) - self.expected[factor]).clamp(-STEEPEST, STEEPEST)
+        });
+        if self.steady {
+            self.powers += steep * RATE;
+            self.powers.apply(|power| *power = power.clamp(*POWERS.start(), *POWERS.end()));
+            return;
         }
+        self.information *= KEPT;
+        self.information += self.covariance;
+        (0..N).for_each(|at| self.information[(at, at)] += (1.0 - KEPT) * PRIOR_INFORMATION);
+        let Some(information) = self.information.cholesky() else {
+            // What was known is not what it was by rounding: it is learned again.
+            self.information = SMatrix::identity() * PRIOR_INFORMATION;
+            return;
+        };
+        self.powers += information.solve(&steep);
+        self.powers.apply(|power| *power = power.clamp(*POWERS.start(), *POWERS.end()));
     }
 }
 
