@@ -319,7 +319,8 @@ impl SensorRules {
         // Some of the public files align their columns by several tabs.
         let fields: Vec<String> = record.iter().filter(|field| !(tabs && field.is_empty())).map(text).collect();
         if fields.len() < self.columns.len() {
-            return Err(format!("{} fields, {} are expected", fields.len(), self.columns.len()));
+            let (found, wanted) = (fields.len(), self.columns.len());
+            return Err(format!("{found} fields, {wanted} are expected, with tabs, semicolons or commas between them"));
         }
         let mut interval = Interval { end_s: f64::NAN, ..Interval::default() };
         for (column, field) in self.columns.iter().zip(fields) {

@@ -292,7 +292,7 @@ fn report_faults(faults: &[String]) {
         eprintln!("roomcast: skipped: {fault}");
     }
     if faults.len() > 10 {
-        eprintln!("roomcast: skipped {} more files", faults.len() - 10);
+        eprintln!("roomcast: skipped {} more", faults.len() - 10);
     }
 }
 

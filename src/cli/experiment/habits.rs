@@ -1,5 +1,6 @@
 //! `roomcast experiment habits`: how well a home is learned, day by day.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::{ModelArgs, maps, report_faults};
@@ -20,7 +21,7 @@ use roomcast_lab::experiment::habits::{
 };
 use roomcast_lab::experiment::report::{Report as Page, Table};
 use roomcast_lab::simulation::binding::ItemChoice;
-use roomcast_lab::simulation::homer::Day;
+use roomcast_lab::simulation::homer::{DAY_BYTES_MAX, Day};
 use roomcast_services::message_text::said_of;
 use roomcast_services::narrator::Who;
 use roomcast_services::sensor_log::{SensorRules, absences};
@@ -68,10 +69,17 @@ pub(super) fn run(args: &HabitsArgs) -> CommandResult {
     let statistics = Statistics::from_json(roomcast_services::embedded::STATISTICS)
         .map_err(|e| Failure::new(exit_code::FAILURE, e))?;
     let trace = match (&args.days, &args.sensors, &args.rules) {
-        (Some(folder), ..) => Trace::of_days(&days(folder)?, &map, &grounding, args.items, args.model.seed)?,
+        (Some(folder), ..) => of_days(&days(folder)?, &map, &grounding, args)?,
         (None, Some(log), Some(rules)) => sensors(log, rules, args.presence.as_deref(), &map, &grounding)?,
         _ => return Err(Failure::new(exit_code::USAGE, "give --days, or --sensors with --rules")),
     };
+    // A folder that cannot be written is said before the work is done.
+    if let Some(folder) = &args.out {
+        std::fs::create_dir_all(folder).map_err(|error| {
+            let text = format!("failed to make {}: {error}; choose another folder with --out", folder.display());
+            Failure::new(exit_code::FAILURE, text)
+        })?;
+    }
     let mut source = args.model.source(&grounding)?;
     let options = Options {
         history: args.model.limits(),
@@ -92,30 +100,80 @@ pub(super) fn run(args: &HabitsArgs) -> CommandResult {
     show(&report)
 }
 
+fn of_days(days: &[Day], map: &SemanticMap, grounding: &Grounding, args: &HabitsArgs) -> Result<Trace, Failure> {
+    let trace = Trace::of_days(days, map, grounding, args.items, args.model.seed)?;
+    let actions = days.iter().flat_map(|day| &day.actions);
+    let mut unknown = BTreeMap::new();
+    for (action, _) in actions.zip(&trace.steps).filter(|(_, step)| step.lacking) {
+        let object = action.action.objects().first().map_or_else(String::new, |object| object.name.clone());
+        *unknown.entry(object).or_default() += 1;
+    }
+    report_unknown("actions are with things that the scene lacks", trace.steps.len(), &unknown);
+    Ok(trace)
+}
+
 fn read(path: &Path) -> Result<Vec<u8>, Failure> {
     std::fs::read(path)
         .map_err(|error| Failure::new(exit_code::INPUT, format!("failed to read {}: {error}", path.display())))
 }
 
-/// The days of a folder, in the order of their names.
+/// Names as people number them: "day 9" before "day 10".
+fn in_order(path: &Path) -> Vec<(u64, String)> {
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let of_one_kind = |a: &char, b: &char| a.is_ascii_digit() == b.is_ascii_digit();
+    let parts = name.chars().collect::<Vec<_>>();
+    // A number that is too long for one comes last, and text by itself before any number.
+    let part = |part: &[char]| {
+        let text: String = part.iter().collect();
+        let number = part.first().is_some_and(char::is_ascii_digit).then(|| text.parse().unwrap_or(u64::MAX));
+        (number.map_or(0, |number: u64| number.saturating_add(1)), text)
+    };
+    parts.chunk_by(of_one_kind).map(part).collect()
+}
+
+/// The days of a folder, in the order of their names: the files that are days, whatever they are called, and those called `.txt`.
 pub(in crate::cli) fn days(folder: &Path) -> Result<Vec<Day>, Failure> {
     let fault = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", folder.display()));
     let entries = std::fs::read_dir(folder).map_err(|error| fault(error.to_string()))?;
     let mut files: Vec<PathBuf> = entries.filter_map(Result::ok).map(|entry| entry.path()).collect();
-    files.retain(|path| path.extension().is_some_and(|extension| extension == "txt"));
-    files.sort();
-    let (mut days, mut faults) = (Vec::new(), Vec::new());
+    files.retain(|path| path.is_file());
+    files.sort_by_cached_key(|path| in_order(path));
+    let (mut days, mut faults, mut others) = (Vec::new(), Vec::new(), 0);
     for path in files {
-        match Day::parse(&String::from_utf8_lossy(&read(&path)?)) {
+        let is_text = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("txt"));
+        let too_large = std::fs::metadata(&path).is_ok_and(|file| file.len() > DAY_BYTES_MAX as u64);
+        if too_large && !is_text {
+            others += 1;
+            continue;
+        }
+        let text = read(&path)?;
+        let text = String::from_utf8_lossy(&text);
+        match Day::parse(&text) {
             Ok(day) => days.push(day),
-            Err(error) => faults.push(format!("{}: {error}", path.display())),
+            Err(error) if is_text || Day::recognise(&text) => faults.push(format!("{}: {error}", path.display())),
+            Err(_) => others += 1,
         }
     }
     report_faults(&faults);
     if days.is_empty() {
-        return Err(fault("no day is in it: give a folder of .txt files in HOMER+'s format".to_owned()));
+        let others = if others > 0 { format!("; {} in it are none", count(others, "file")) } else { String::new() };
+        return Err(fault(format!("no day is in it: give a folder of files in HOMER+'s format{others}")));
     }
     Ok(days)
+}
+
+/// Says which words a scene has no place for, and how often they come, the most frequent first.
+fn report_unknown(what: &str, of: usize, unknown: &BTreeMap<String, usize>) {
+    const SHOWN: usize = 5;
+    let times: usize = unknown.values().sum();
+    if times == 0 {
+        return;
+    }
+    let mut words: Vec<_> = unknown.iter().collect();
+    words.sort_by_key(|(_, times)| std::cmp::Reverse(**times));
+    let shown: Vec<_> = words.iter().take(SHOWN).map(|(word, times)| format!("{word} ({times})")).collect();
+    let more = if words.len() > SHOWN { ", ..." } else { "" };
+    eprintln!("roomcast: {times} of {of} {what}: {}{more}", shown.join(", "));
 }
 
 fn sensors(
@@ -133,8 +191,16 @@ fn sensors(
     report_faults(&faults);
     let partition = |room: u32| grounding.partitions().iter().position(|p| p.rooms.iter().any(|id| id.0 == room));
     let place = |words: &str| map.find_room(&words.replace('_', " ").to_lowercase()).and_then(|room| partition(room.0));
-    let intervals = rules.intervals(&read(log)?);
-    let intervals: Vec<Interval> = (intervals.iter())
+    let read_intervals = rules.intervals(&read(log)?);
+    if read_intervals.is_empty() {
+        return Err(fault(log, "it has no interval that can be read; docs/sensors.md shows what they look like".to_owned()));
+    }
+    let mut unknown = BTreeMap::new();
+    for interval in read_intervals.iter().filter(|interval| place(&interval.place).is_none()) {
+        *unknown.entry(format!("{:?}", interval.place)).or_default() += 1;
+    }
+    report_unknown("intervals are in places that are no rooms of the scene", read_intervals.len(), &unknown);
+    let intervals: Vec<Interval> = (read_intervals.iter())
         .map(|interval| Interval { from_s: interval.start_s, to_s: interval.end_s, room: place(&interval.place) })
         .collect();
     if intervals.iter().all(|interval| interval.room.is_none()) {
@@ -262,7 +328,7 @@ fn cleaning(report: &Report) -> Table {
 
 /// The loss of each day, for those whom it is worth to follow.
 fn curve(report: &Report, target: &str) -> Chart {
-    let shown = ["mixture", "model", "counts", "stay", "persistence", "kneser-ney-cache"];
+    let shown = ["mixture", "without-model", "model", "counts", "stay", "persistence"];
     let series = PREDICTORS.iter().filter(|name| shown.contains(name)).map(|name| {
         let days = report.rows.iter().filter(|row| row.predictor == *name && row.target == target);
         let points = days.filter_map(|row| match row.day {

@@ -17,7 +17,9 @@ const CACHED: usize = 30;
 pub(crate) enum Style {
     /// A chain of this order: each context over the shorter one, with a strength.
     Markov(usize),
-    /// Third-order interpolated Kneser-Ney, and a cache of what was seen of late.
+    /// Third-order interpolated Kneser-Ney.
+    KneserNey,
+    /// The same, and a cache of what was seen of late.
     KneserNeyCache,
     /// Third-order prediction by partial matching with escapes by method C and exclusion, as Active LeZi and SPEED use it for homes.
     Ppm,
@@ -39,7 +41,7 @@ impl Chain {
     fn order(&self) -> usize {
         match self.style {
             Style::Markov(order) => order,
-            Style::KneserNeyCache | Style::Ppm => ORDER_MAX,
+            Style::KneserNey | Style::KneserNeyCache | Style::Ppm => ORDER_MAX,
         }
     }
 
@@ -127,7 +129,7 @@ mod tests {
 
     #[test]
     fn each_learns_what_follows_and_gives_probabilities() {
-        for style in [Style::Markov(1), Style::Markov(2), Style::KneserNeyCache, Style::Ppm] {
+        for style in [Style::Markov(1), Style::Markov(2), Style::KneserNey, Style::KneserNeyCache, Style::Ppm] {
             let mut chain = Chain::new(style);
             let text: Vec<usize> = (0..60).map(|at| [0, 1, 2, 1][at % 4]).collect();
             let context = |at: usize| (1..=ORDER_MAX.min(at)).map(|back| text[at - back] as u32).collect::<Vec<_>>();

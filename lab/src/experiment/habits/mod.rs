@@ -30,9 +30,20 @@ pub mod trace;
 
 pub use trace::{Interval, Step, Trace};
 
-/// Who forecasts, in the order of the table.
-pub const PREDICTORS: [&str; 9] =
-    ["mixture", "model", "counts", "stay", "persistence", "markov1", "markov2", "kneser-ney-cache", "ppm"];
+/// Who forecasts, in the order of the table. *counts* is what followed the last one to three things, by Kneser-Ney, and nothing else;
+/// *without-model* is everything that the mixture learns, with even chances in the place of the model.
+pub const PREDICTORS: [&str; 10] = [
+    "mixture",
+    "model",
+    "counts",
+    "stay",
+    "persistence",
+    "markov1",
+    "markov2",
+    "kneser-ney-cache",
+    "ppm",
+    "without-model",
+];
 /// What is forecast, in the order of the table.
 pub const TARGETS: [&str; 8] = [
     "object",
@@ -52,7 +63,14 @@ const ROOM_AT: usize = 3;
 const OBJECT_OR_SAME: usize = 7;
 /// Horizons of the targets that have one, in seconds.
 pub const HORIZONS_S: [f64; 4] = [60.0, 300.0, 900.0, 3_600.0];
-const CHAINS: [Style; 4] = [Style::Markov(1), Style::Markov(2), Style::KneserNeyCache, Style::Ppm];
+/// Chains, and whose forecasts they are.
+const CHAINS: [(usize, Style); 5] = [
+    (COUNTS, Style::KneserNey),
+    (5, Style::Markov(1)),
+    (6, Style::Markov(2)),
+    (7, Style::KneserNeyCache),
+    (8, Style::Ppm),
+];
 /// Time from one moment to the next.
 const MOMENT_S: f64 = 60.0;
 /// Silence after which a new window of narration begins, as in the daemon.
@@ -229,7 +247,7 @@ struct Others {
 
 impl Others {
     fn new() -> Self {
-        Self { chains: CHAINS.map(Chain::new), stayed: 1.0, turned: 2.0 }
+        Self { chains: CHAINS.map(|(_, style)| Chain::new(style)), stayed: 1.0, turned: 2.0 }
     }
 }
 
@@ -295,7 +313,7 @@ struct Watch<'a> {
     rooms: usize,
     labels: usize,
     mixture: Habits,
-    counts: Habits,
+    without_model: Habits,
     forecaster: Forecaster,
     baselines: Baselines,
     objects: Others,
@@ -321,7 +339,7 @@ const MODEL: usize = 1;
 const COUNTS: usize = 2;
 const STAY: usize = 3;
 const PERSISTENCE: usize = 4;
-const FIRST_CHAIN: usize = 5;
+const WITHOUT_MODEL: usize = 9;
 
 impl Watch<'_> {
     /// A sentence: what waited for it is scored and learned, then the next is forecast from the model's scores.
@@ -338,7 +356,7 @@ impl Watch<'_> {
         self.last_s = step.at_s;
         let turn = Turn { person: PERSON, label: step.label, room: step.room, at_s: step.at_s, mark: 0 };
         self.mixture.observe(&turn);
-        self.counts.observe(&turn);
+        self.without_model.observe(&turn);
         // A thing's room is told by its words, a place by the whole trace.
         if let Some((from_s, place)) = self.trace.place_at(step.at_s) {
             self.tell_place(place, from_s.max(step.at_s));
@@ -360,19 +378,19 @@ impl Watch<'_> {
         let mixed = self.mixture.mix(PERSON, step.at_s, &labels).to_vec();
         forecasts[MIXTURE] = (mixed, self.mixture.next_rooms(PERSON, step.at_s, &rooms).to_vec());
         let even = (vec![1.0 / self.labels as f64; self.labels], vec![1.0 / self.rooms as f64; self.rooms]);
-        let counted = self.counts.mix(PERSON, step.at_s, &even.0).to_vec();
-        forecasts[COUNTS] = (counted, self.counts.next_rooms(PERSON, step.at_s, &even.1).to_vec());
+        let learned = self.without_model.mix(PERSON, step.at_s, &even.0).to_vec();
+        forecasts[WITHOUT_MODEL] = (learned, self.without_model.next_rooms(PERSON, step.at_s, &even.1).to_vec());
         forecasts[MODEL] = (labels, rooms);
         let stay = self.baselines.stay(self.here, self.rooms);
         forecasts[STAY] = (self.labels_in(&stay), stay);
         let fitted = staying(self.here, self.next_rooms.stayed / self.next_rooms.turned, self.rooms);
         forecasts[PERSISTENCE] = (self.labels_in(&fitted), fitted);
-        for index in 0..CHAINS.len() {
+        for (index, (predictor, _)) in CHAINS.into_iter().enumerate() {
             let mut of_objects = self.objects.chains[index].predict(&self.context, self.labels);
             let mut of_rooms = self.next_rooms.chains[index].predict(&self.context, self.rooms);
             normalise(&mut of_objects);
             normalise(&mut of_rooms);
-            forecasts[FIRST_CHAIN + index] = (of_objects, of_rooms);
+            forecasts[predictor] = (of_objects, of_rooms);
         }
         let last = self.context.first().map(|label| *label as usize).filter(|_| !step.lacking);
         self.cases.push(Case {
@@ -455,7 +473,7 @@ impl Watch<'_> {
     fn tell_place(&mut self, place: usize, from_s: f64) {
         let known = if place < self.rooms { Place::Room(place) } else { Place::Elsewhere };
         self.mixture.be(PERSON, known, from_s);
-        self.counts.be(PERSON, known, from_s);
+        self.without_model.be(PERSON, known, from_s);
     }
 
     /// A moment: what was forecast for it is scored and learned, then later places are forecast.
@@ -478,7 +496,7 @@ impl Watch<'_> {
             shipped(horizon.horizon_s, &mut p);
             forecasts.push(p);
         }
-        self.counts.tick(PERSON, now_s, &mut |_, p| p.fill(1.0));
+        self.without_model.tick(PERSON, now_s, &mut |_, p| p.fill(1.0));
         if let Some(stays) = self.cleaning.stays_left(now_s, until_s) {
             let middles_s: Vec<f64> = (0..stays).map(|stay| (stay as f64 + 0.5) * STAY_S).collect();
             let mut without = vec![0.0; stays * places];
@@ -523,18 +541,19 @@ impl Watch<'_> {
             if now_s + horizon.horizon_s > until_s {
                 continue;
             }
-            let (mut mixture, mut counts) = (Vec::new(), Vec::new());
+            let (mut mixture, mut without_model) = (Vec::new(), Vec::new());
             self.mixture.at(PERSON, now_s, horizon.horizon_s, &shipped, &mut mixture);
-            self.counts.at(PERSON, now_s, horizon.horizon_s, &even, &mut counts);
-            [&mut mixture, &mut counts, &mut shipped].into_iter().for_each(|p| normalise(p));
+            self.without_model.at(PERSON, now_s, horizon.horizon_s, &even, &mut without_model);
+            [&mut mixture, &mut without_model, &mut shipped].into_iter().for_each(|p| normalise(p));
             let fitted = staying(Some(here), horizon.others.stayed / horizon.others.turned, places);
             let certain = staying(Some(here), 0.95, places);
-            let mut predicted = vec![mixture.clone(), shipped.clone(), counts, certain, fitted];
-            predicted.extend(horizon.others.chains.iter().map(|chain| {
-                let mut p = chain.predict(&self.places, places);
-                normalise(&mut p);
-                p
-            }));
+            let mut predicted = vec![Vec::new(); PREDICTORS.len()];
+            (predicted[MIXTURE], predicted[MODEL]) = (mixture.clone(), shipped.clone());
+            (predicted[STAY], predicted[PERSISTENCE], predicted[WITHOUT_MODEL]) = (certain, fitted, without_model);
+            for ((predictor, _), chain) in CHAINS.into_iter().zip(&horizon.others.chains) {
+                predicted[predictor] = chain.predict(&self.places, places);
+                normalise(&mut predicted[predictor]);
+            }
             let issued = std::array::from_fn(|which| horizon.sets[which].issue());
             horizon.waiting.push_back(Waiting {
                 due_s: now_s + horizon.horizon_s,
@@ -574,7 +593,7 @@ pub fn run<M: LanguageModel>(
         rooms,
         labels,
         mixture: bound(options.habits, grounding),
-        counts: bound(options.habits, grounding),
+        without_model: bound(options.habits, grounding),
         forecaster: Forecaster::new(rooms, ForecastOptions::default(), first.at_s),
         baselines: Baselines::new(statistics, &mut binder, grounding),
         objects: Others::new(),
@@ -662,6 +681,8 @@ fn report(watch: &Watch<'_>, options: &Options, computed: usize) -> Report {
                 if summary.cases == 0 {
                     continue;
                 }
+                // Of a single day with cases there is no interval by days.
+                let some_days = groups.iter().filter(|sums| !sums.is_empty()).count() > 1;
                 rows.push(Row {
                     day,
                     predictor: predictor_name,
@@ -672,9 +693,9 @@ fn report(watch: &Watch<'_>, options: &Options, computed: usize) -> Report {
                     top1: summary.top1,
                     brier: summary.brier,
                     ece: summary.ece,
-                    ci95: (groups.len() > 1).then_some(summary.ci95),
+                    ci95: some_days.then_some(summary.ci95),
                 });
-                if groups.len() > 1 && predictor != MIXTURE {
+                if some_days && predictor != MIXTURE {
                     let less = difference(&stretch(MIXTURE, target, day), &groups, options.seed);
                     differences.push(Difference {
                         day,
