@@ -3,6 +3,7 @@
 use std::fmt;
 
 use roomcast_core::habits::{RoomShares, Shares};
+use roomcast_ipc::{LEARNED_SHARE_S, PersonForecastV1, PersonForecastsV1};
 use serde::{Deserialize, Serialize};
 
 /// Elsewhere among the places of a set.
@@ -22,6 +23,18 @@ pub struct HorizonLine {
     /// Where the person was that much later at such times before.
     pub later: f64,
     /// The smallest set of places that holds the person then, with the promised coverage: ids of rooms, and [`ELSEWHERE`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub set: Vec<String>,
+}
+
+/// How much of a forecast that was published was learned, and its set: what a recording has of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PublishedLine {
+    /// How far ahead, in seconds.
+    pub horizon_s: f64,
+    /// The share that was learned of this home.
+    pub learned: f64,
+    /// As [`HorizonLine::set`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub set: Vec<String>,
 }
@@ -59,9 +72,41 @@ pub struct PersonHabits {
     pub rooms: Vec<RoomReason>,
     /// Where the person will be: of which forecast how much.
     pub forecast: Vec<HorizonLine>,
+    /// The same as far as messages have it, where nothing else is known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub published: Vec<PublishedLine>,
     /// The coverage that the sets promise, 0 to 1.
     #[serde(default)]
     pub coverage: f64,
+}
+
+impl PersonHabits {
+    /// What a published forecast says of it, of everybody of whom anything was learned.
+    #[must_use]
+    pub fn of_published(forecasts: &PersonForecastsV1) -> Vec<Self> {
+        let learned = forecasts.persons().iter().filter(|own| own.set_coverage > 0.0 || own.observations > 0.0);
+        learned.map(|own| Self::of_person(forecasts, own)).collect()
+    }
+
+    fn of_person(forecasts: &PersonForecastsV1, own: &PersonForecastV1) -> Self {
+        let published = LEARNED_SHARE_S.into_iter().zip(own.learned_share).map(|(ahead_s, learned)| {
+            let mut set = Vec::new();
+            if let Some(horizon) = forecasts.horizons_s().iter().position(|horizon_s| *horizon_s == ahead_s) {
+                let rooms = forecasts.rooms().enumerate();
+                let held = rooms.filter(|(room, _)| own.set_holds(horizon, *room) == Some(true));
+                set.extend(held.map(|(_, id)| id.to_owned()));
+                set.extend((own.set_holds_elsewhere(horizon) == Some(true)).then(|| ELSEWHERE.to_owned()));
+            }
+            PublishedLine { horizon_s: f64::from(ahead_s), learned: f64::from(learned), set }
+        });
+        Self {
+            person: own.person,
+            observations: f64::from(own.observations),
+            published: published.collect(),
+            coverage: f64::from(own.set_coverage),
+            ..Self::default()
+        }
+    }
 }
 
 /// Things and rooms that a text has, at most.
@@ -84,6 +129,16 @@ fn ahead(seconds: f64) -> String {
 fn from(observations: &[f64; 4], first: &str) -> String {
     let [all, one, two, three] = observations;
     format!("from {all:.0} {first}, {one:.0} after the last thing, {two:.0} after two, {three:.0} after three")
+}
+
+impl PersonHabits {
+    /// The places of a set, to the end of the line.
+    fn write_set(&self, f: &mut fmt::Formatter<'_>, set: &[String]) -> fmt::Result {
+        if !set.is_empty() {
+            write!(f, "; {} sure: {}", percent(self.coverage), set.join(", "))?;
+        }
+        writeln!(f)
+    }
 }
 
 impl fmt::Display for PersonHabits {
@@ -133,10 +188,11 @@ impl fmt::Display for PersonHabits {
                 percent(line.leaving),
                 percent(line.later),
             )?;
-            if !line.set.is_empty() {
-                write!(f, "; {} sure: {}", percent(self.coverage), line.set.join(", "))?;
-            }
-            writeln!(f)?;
+            self.write_set(f, &line.set)?;
+        }
+        for PublishedLine { horizon_s, learned, set } in &self.published {
+            write!(f, "  In {}: {} of the forecast was learned", ahead(*horizon_s), percent(*learned))?;
+            self.write_set(f, set)?;
         }
         Ok(())
     }
@@ -145,6 +201,30 @@ impl fmt::Display for PersonHabits {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_published_forecast_says_what_of_it_was_learned() {
+        let mut forecasts =
+            PersonForecastsV1 { room_count: 2, horizon_count: 2, persons: 2, person_count: 2, ..Default::default() };
+        (forecasts.horizon_s[0], forecasts.horizon_s[1]) = (60.0, 900.0);
+        for (at, id) in ["kitchen", "bedroom"].into_iter().enumerate() {
+            forecasts.id[at][..id.len()].copy_from_slice(id.as_bytes());
+        }
+        // Of the second person nothing was learned.
+        let own = &mut forecasts.person[0];
+        (own.person, own.set_coverage, own.observations) = (7, 0.9, 41.0);
+        (own.room_set[0], own.room_set[1], own.set_elsewhere, own.learned_share) =
+            (0b10, 0b01, 0b10, [0.25, 0.5, 0.75]);
+        let learned = PersonHabits::of_published(&forecasts);
+        assert_eq!(learned.len(), 1);
+        assert_eq!(
+            learned[0].to_string(),
+            "What was learned, from 41 observations\n  \
+            In 1 min: 25 % of the forecast was learned; 90 % sure: bedroom\n  \
+            In 15 min: 50 % of the forecast was learned; 90 % sure: kitchen, elsewhere\n  \
+            In 1 h: 75 % of the forecast was learned\n"
+        );
+    }
 
     #[test]
     fn a_text_says_where_a_probability_comes_from_and_from_how_much() {

@@ -21,6 +21,7 @@ use serde_json::{Value, json};
 
 use crate::config::IntakeLimits;
 use crate::daemon::{Intake, Taken, presence_word};
+use crate::habits_reason::PersonHabits;
 use crate::moment::Moment;
 use roomcast_core::narration::{Observation, Presence, SOMEBODY, Said, Sentence, person_number, same_name};
 
@@ -459,6 +460,8 @@ pub struct RecordedMoment {
     pub silent: Vec<(u32, bool)>,
     /// The names of persons, by number.
     pub names: BTreeMap<u32, String>,
+    /// What was learned of the home, by person, as far as the forecasts that follow from the scores say it.
+    pub habits: Vec<PersonHabits>,
 }
 
 impl Recording {
@@ -570,7 +573,19 @@ impl Recording {
         let silent = told.into_iter().flat_map(PersonScoresV1::persons).filter(|told| told.window == 0);
         let silent = silent.filter(|told| told.presence != presence::GONE);
         let silent = silent.map(|told| (told.person, told.presence == presence::PRESENT)).collect();
-        Some(RecordedMoment { scores, at_s: seconds(time), base, narration, silent, names })
+        let habits = self.forecasts(&scores).map_or_else(Vec::new, PersonHabits::of_published);
+        Some(RecordedMoment { scores, at_s: seconds(time), base, narration, silent, names, habits })
+    }
+
+    /// Where each person will be, by the first forecast that follows from some scores, or else from the last ones before them.
+    fn forecasts(&self, scores: &RoomScoresV1) -> Option<&PersonForecastsV1> {
+        let of_daemon = self.messages.iter().filter_map(|(_, told)| match told {
+            Recorded::PersonForecasts(told) if told.epoch == scores.epoch && told.sequence <= scores.sequence => {
+                Some(&**told)
+            }
+            _ => None,
+        });
+        of_daemon.reduce(|newest, told| if told.sequence > newest.sequence { told } else { newest })
     }
 
     /// What the daemon told of persons with some scores.

@@ -180,7 +180,7 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
     let input = |error: String| Failure::new(exit_code::INPUT, error);
     let recording = recording::read(path).map_err(|error| Failure::new(exit_code::INPUT, error))?;
     let shown = path.display();
-    let RecordedMoment { scores, at_s, base, narration, silent, names } =
+    let RecordedMoment { scores, at_s, base, narration, silent, names, habits } =
         recording.moment(args.sequence, args.at).ok_or_else(|| {
             input(format!(
                 "the recording {shown} has no such scores; without --at and --sequence the last ones are explained"
@@ -252,5 +252,5 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
         let _ =
             write!(note, "\nThey contain {}; the recording has {window}.", count(scores.window as usize, "narration"));
     }
-    Ok((Moment { names, ..Moment::of(&pipeline, &map, &grounding, Some(&scores)) }, note))
+    Ok((Moment { names, habits, ..Moment::of(&pipeline, &map, &grounding, Some(&scores)) }, note))
 }

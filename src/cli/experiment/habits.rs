@@ -193,7 +193,8 @@ fn sensors(
     let place = |words: &str| map.find_room(&words.replace('_', " ").to_lowercase()).and_then(|room| partition(room.0));
     let read_intervals = rules.intervals(&read(log)?);
     if read_intervals.is_empty() {
-        return Err(fault(log, "it has no interval that can be read; docs/sensors.md shows what they look like".to_owned()));
+        let fault_text = "it has no interval that can be read; docs/sensors.md shows what they look like";
+        return Err(fault(log, fault_text.to_owned()));
     }
     let mut unknown = BTreeMap::new();
     for interval in read_intervals.iter().filter(|interval| place(&interval.place).is_none()) {
