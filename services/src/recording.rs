@@ -598,14 +598,17 @@ impl Recording {
         })
     }
 
-    /// Whom a daemon called by a name.
+    /// Whom a daemon called by a name, or by one that means the same person in a sentence.
     fn named(&self, name: &str, epoch: u64) -> Option<u32> {
-        self.messages.iter().find_map(|(_, told)| match told {
-            Recorded::PersonScores(told) if told.epoch == epoch => {
-                told.persons().iter().find(|person| same_name(person.name(), name)).map(|person| person.person)
-            }
-            _ => None,
-        })
+        let told = |is_theirs: &dyn Fn(&str) -> bool| {
+            self.messages.iter().find_map(|(_, told)| match told {
+                Recorded::PersonScores(told) if told.epoch == epoch => {
+                    told.persons().iter().find(|person| is_theirs(person.name())).map(|person| person.person)
+                }
+                _ => None,
+            })
+        };
+        told(&|known| same_name(known, name)).or_else(|| told(&|known| Said::may_mean(known, name)))
     }
 
     /// The first person whom a clause names.

@@ -310,6 +310,13 @@ impl Said {
         self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_from_afar))
     }
 
+    /// Whether it says what somebody is, or where they go, and not that they are or come home: "Ada is at the gym.", "Ben flies to Rome.", "Ada is
+    /// late." Whether that is in the house, only who knows the map can tell.
+    #[must_use]
+    pub fn may_be_elsewhere(&self) -> bool {
+        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::may_be_elsewhere))
+    }
+
     /// Whether it is about somebody by a pronoun: "They open the fridge."
     #[must_use]
     pub fn is_of_a_pronoun(&self) -> bool {
@@ -346,10 +353,22 @@ impl Said {
         }
     }
 
-    /// A name without a title or what a relative is called before it: "Novak" of "Mrs. Novak", "Edith" of "Grandma Edith".
+    /// Whether two names may be one person's: "Zoë" and "Zoe"; "Mrs. Novak" and "Novak"; "Grandma Edith" and "Edith". "Mr. Novak" is somebody else
+    /// than "Mrs. Novak".
     #[must_use]
-    pub fn without_title(name: &str) -> &str {
-        clause::without_any_title(name)
+    pub fn may_be_one(one: &str, other: &str) -> bool {
+        clause::may_be_one(one, other)
+    }
+
+    /// Whether a sentence that says `name` may mean somebody who is known: also by the first of several names.
+    #[must_use]
+    pub fn may_mean(known: &str, name: &str) -> bool {
+        Self::may_be_one(known, name) || Self::first_name(known).is_some_and(|first| Self::may_be_one(first, name))
+    }
+
+    /// What somebody of a longer name may be called for short: "Ada" of "Ada Lovelace". None of "Aunt Mary" and "cleaning lady".
+    fn first_name(name: &str) -> Option<&str> {
+        clause::first_name(name)
     }
 
     /// Whether a name is another word for one person or several: "he", "everybody".

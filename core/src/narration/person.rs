@@ -3,14 +3,14 @@
 /// The number of an observation that names nobody.
 pub const SOMEBODY: u32 = u32::MAX;
 
-/// A name without what does not count: case, space around it, and "the" before it.
+/// A name without what does not count: case, more space than one between its words, and "the" before it.
 fn bare(name: &str) -> String {
-    let name = name.trim().to_lowercase();
+    let name = name.split_whitespace().collect::<Vec<_>>().join(" ").to_lowercase();
     let without = name.strip_prefix("the ").map(str::trim_start).filter(|name| !name.is_empty());
     without.map(str::to_owned).unwrap_or(name)
 }
 
-/// Whether two names are one: without regard to case, to space around them, and to "the" before them.
+/// Whether two names are one: without regard to case, to space more than needed, and to "the" before them.
 #[must_use]
 pub fn same_name(a: &str, b: &str) -> bool {
     bare(a) == bare(b)
@@ -44,6 +44,10 @@ mod tests {
     fn a_names_number_stays_what_it_is() {
         assert_eq!(person_number("ada"), 0xb839_0dbb);
         assert!(same_name(" Ada", "ada") && same_name("Éva", "éva") && !same_name("ada", "adam"));
+        assert!(
+            same_name("Ada  Lovelace", "ada lovelace")
+                && person_number("Ada  Lovelace") == person_number("ada lovelace")
+        );
         assert!(same_name("the plumber", "Plumber") && same_name("ΝΊΚΟΣ", "Νίκος") && !same_name("the", ""));
     }
 }

@@ -1002,12 +1002,11 @@ fn forget<M: LanguageModel>(
     let mut names = board.persons().names_of(person);
     names.extend(Some(who.trim().to_lowercase()).filter(|who| who.parse::<u32>().is_err()));
     let is_theirs = move |observation: &Observation, found: Option<u32>| {
+        let is_name = |name: &str| file.number_of(name) == person || names.iter().any(|own| Said::may_mean(own, name));
         let own = match (&observation.name, found) {
-            (Some(name), _) => file.number_of(name) == person,
+            (Some(name), _) => file.number_of(name) == person || names.iter().any(|own| Said::may_be_one(own, name)),
             (None, Some(found)) => found == person,
-            (None, None) if observation.person == SOMEBODY => {
-                observation.said.may_name(|name| file.number_of(name) == person)
-            }
+            (None, None) if observation.person == SOMEBODY => observation.said.may_name(is_name),
             (None, None) => observation.person == person,
         };
         let text = || match &observation.said {
@@ -1017,7 +1016,7 @@ fn forget<M: LanguageModel>(
             }
         };
         let names_them = || match &observation.said {
-            Said::Presence(statement) => statement.names().any(|name| file.number_of(name) == person),
+            Said::Presence(statement) => statement.names().any(is_name),
             Said::Sentence(_) => false,
         };
         // What others did to them, and rooms that are called after them, tell of them, too.

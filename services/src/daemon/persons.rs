@@ -113,7 +113,11 @@ impl Persons {
     #[must_use]
     pub fn number_of(&self, name: &str) -> u32 {
         let number = self.file.number_of(name);
-        if self.is_number_named(number) || self.lives_here(name) { number } else { self.titled(name).unwrap_or(number) }
+        if self.is_number_named(number) || self.lives_here(name) {
+            return number;
+        }
+        let mut alike = self.alike(name).into_iter();
+        alike.next().filter(|_| alike.next().is_none()).unwrap_or(number)
     }
 
     /// Whether somebody of a number is known by name.
@@ -125,20 +129,37 @@ impl Persons {
         self.config.residents.iter().any(|resident| same_name(resident, name))
     }
 
-    /// The one person whose name differs by a title alone: "Mrs. Novak" is Novak, and "Grandma Edith" Edith.
-    fn titled(&self, name: &str) -> Option<u32> {
-        let short = Said::without_title(name);
-        let is_same = |known: &str| {
-            let own = Said::without_title(known);
-            own.len() + short.len() < known.len() + name.len() && same_name(own, short)
-        };
+    /// Whose name differs by accents or a title alone: "Zoe" is Zoë, "Mrs. Novak" is Novak, and "Grandma Edith" Edith.
+    fn alike(&self, name: &str) -> BTreeSet<u32> {
+        self.numbers_where(|known| Said::may_be_one(known, name))
+    }
+
+    /// The numbers of those whose names are such.
+    fn numbers_where(&self, is_such: impl Fn(&str) -> bool) -> BTreeSet<u32> {
         let of_known = self.known.values().filter_map(|known| known.name.as_deref());
         let of_file = self.file.persons().iter().map(|kept| kept.name.as_str());
         let names = of_known.chain(of_file).chain(self.config.residents.iter().map(String::as_str));
-        let numbers: BTreeSet<u32> =
-            names.filter(|known| is_same(known)).map(|known| self.file.number_of(known)).collect();
-        let mut numbers = numbers.into_iter();
-        numbers.next().filter(|_| numbers.next().is_none())
+        names.filter(|known| is_such(known)).map(|known| self.file.number_of(known)).collect()
+    }
+
+    /// Whose first name it is, of those who go by a longer one.
+    fn first_named(&self, name: &str) -> BTreeSet<u32> {
+        self.numbers_where(|known| !name.contains(' ') && known.contains(' ') && Said::may_mean(known, name))
+    }
+
+    /// The number of whom a sentence calls by a name: also of the one person whose first name it is. None where it may be several.
+    fn called(&self, name: &str) -> Option<u32> {
+        if self.is_name_known(name) {
+            return Some(self.number_of(name));
+        }
+        let mut numbers = self.alike(name).into_iter().chain(self.first_named(name));
+        let number = numbers.next().unwrap_or_else(|| self.number_of(name));
+        numbers.next().is_none().then_some(number)
+    }
+
+    /// Whether a sentence may call somebody so who is known, has the name here, or lives here.
+    pub(super) fn is_called(&self, name: &str) -> bool {
+        self.is_name_known(name) || !self.alike(name).is_empty() || !self.first_named(name).is_empty()
     }
 
     /// A person's name; none where only a number is known.
@@ -177,14 +198,21 @@ impl Persons {
         let (mut others, mut of_named) = (Vec::new(), None);
         // Who is not understood may be anybody.
         let is_understood = |statement: &PresenceStatement| {
-            statement.names().chain(statement.excepted()).all(|name| self.is_name_known(name))
+            statement
+                .names()
+                .chain(statement.excepted())
+                .all(|name| self.is_called(name) && self.called(name).is_some())
         };
         if of_group.is_some_and(|statement| !is_understood(statement)) {
             return None.into_iter().chain(others);
         }
         if let Some(statement) = of_group {
-            let not_meant: Vec<u32> =
-                names.iter().map(String::as_str).chain(statement.excepted()).map(|name| self.number_of(name)).collect();
+            let not_meant: Vec<u32> = names
+                .iter()
+                .map(String::as_str)
+                .chain(statement.excepted())
+                .filter_map(|name| self.called(name))
+                .collect();
             of_named = statement.of_named().map(Said::Presence);
             if let Some(said) = statement.of_others() {
                 let whose = self.meant_by_everybody(&said).into_iter().filter(|number| !not_meant.contains(number));
@@ -390,7 +418,7 @@ impl Persons {
     /// The names of those whom an observation is about that was given no name: of persons who are known by them, have them here, or live here; of
     /// who is called by what they are ("the plumber"); or of strangers, unless one alone comes where nobody goes by a name.
     pub(super) fn named(&self, said: &Said) -> Vec<String> {
-        self.names_in(said.about(|name| self.is_name_known(name)))
+        self.names_in(said.about(|name| self.is_called(name)))
     }
 
     fn names_in(&self, about: About) -> Vec<String> {
@@ -406,13 +434,18 @@ impl Persons {
         let is_new = |name: &String| {
             may_be_new && Said::may_be_new(name) && !begins_with_known(name) && check_name(name).is_ok()
         };
-        let is_whose = |name: &String| self.is_name_known(name) || is_new(name);
-        if names.iter().all(is_whose) { names } else { Vec::new() }
+        let whose = |name: String| {
+            // Who goes by a longer name is told of by that.
+            let number = self.called(&name)?;
+            let known = self.is_called(&name).then(|| self.name_of(number)).flatten();
+            known.map(str::to_owned).or_else(|| (self.is_name_known(&name) || is_new(&name)).then_some(name))
+        };
+        names.into_iter().map(whose).collect::<Option<_>>().unwrap_or_default()
     }
 
     /// Whether an observation that was given no name moves nobody: it is about things, or about others than one person whom it names.
     pub(super) fn is_of_nobody(&self, said: &Said) -> bool {
-        match said.about(|name| self.is_name_known(name)) {
+        match said.about(|name| self.is_called(name)) {
             About::Nobody => true,
             named @ About::Named(_) => self.has_names() && self.names_in(named).is_empty(),
             About::Stranger(_) | About::Somebody => false,
@@ -426,7 +459,21 @@ impl Persons {
         let has_name = observation.name.is_some() || self.name_of(number).is_some();
         let mut names = statement.names().peekable();
         names.peek().is_some()
-            && names.all(|name| (has_name || self.is_name_known(name)) && self.number_of(name) != number)
+            && names.all(|name| (has_name || self.is_called(name)) && self.called(name) != Some(number))
+    }
+
+    /// Whether a sentence is about others whom it names, who are all known, and not about the person that it was said of.
+    pub(super) fn tells_of_others(&self, observation: &Observation) -> bool {
+        if !self.has_names() || observation.said.is_of_a_pronoun() {
+            return false;
+        }
+        let number = observation.name.as_deref().map_or(observation.person, |name| self.number_of(name));
+        match observation.said.about(|name| self.is_called(name)) {
+            About::Named(names) => {
+                names.iter().all(|name| self.is_called(name) && self.called(name).is_some_and(|named| named != number))
+            }
+            About::Stranger(_) | About::Somebody | About::Nobody => false,
+        }
     }
 
     /// Takes note of whom a source told of by name.
@@ -448,7 +495,7 @@ impl Persons {
     /// Whether somebody who is known goes by a name, has it here, or lives here.
     pub(super) fn is_name_known(&self, name: &str) -> bool {
         let number = self.file.number_of(name);
-        self.is_number_named(number) || self.lives_here(name) || self.titled(name).is_some()
+        self.is_number_named(number) || self.lives_here(name) || self.alike(name).len() == 1
     }
 
     /// Whether an observation says of somebody who is not known to be in the house what they may do elsewhere.

@@ -20,7 +20,7 @@ enum Place {
 impl<M: LanguageModel> Board<M> {
     /// The observations that one of several clauses stands for, each of those whom it names; itself where it has one.
     pub(super) fn clauses(&self, observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
-        let said = observation.said.clauses(|name| self.persons.is_name_known(name));
+        let said = observation.said.clauses(|name| self.persons.is_called(name));
         // What is keyed, or was found by fit, is so in the clauses that name nobody.
         let own = |said: Said| {
             let mut names = if said.is_of_a_pronoun() { Vec::new() } else { self.persons.named(&said) };
@@ -49,14 +49,16 @@ impl<M: LanguageModel> Board<M> {
             Said::Presence(statement) => Some(statement.clone()),
             Said::Sentence(sentence) => PresenceStatement::of_sentence(sentence.as_str()),
         };
-        if statement
-            .is_some_and(|statement| statement.is_of_everybody() || self.persons.is_of_others(&observation, &statement))
-        {
+        let is_of_others = match statement {
+            Some(statement) => statement.is_of_everybody() || self.persons.is_of_others(&observation, &statement),
+            None => is_keyed && self.persons.tells_of_others(&observation),
+        };
+        if is_of_others {
             (observation.person, observation.name) = (SOMEBODY, None);
         }
         let said = &observation.said;
         let is_open = observation.person == SOMEBODY && observation.name.is_none();
-        let is_thing = |name: &str| self.mentions.knows(name) && !self.persons.is_name_known(name);
+        let is_thing = |name: &str| self.mentions.knows(name) && !self.persons.is_called(name);
         let is_of_things = match said {
             Said::Presence(statement) => statement.names().any(is_thing),
             Said::Sentence(_) => said.moves_nobody(),
@@ -120,7 +122,7 @@ impl<M: LanguageModel> Board<M> {
             self.drop_person(observation.person);
         }
         let is_outdated = at_ns.is_some_and(|at_ns| self.persons.is_outdated(&observation, at_ns));
-        if is_outdated || self.persons.is_heard_from_afar(&observation) {
+        if is_outdated || self.persons.is_heard_from_afar(&observation) || self.is_out_still(&observation) {
             return None;
         }
         if let Some(dropped) = self.persons.note(&observation, voice, noted_ns) {
@@ -160,6 +162,16 @@ impl<M: LanguageModel> Board<M> {
             Said::Presence(statement) => place.words.push_str(statement.room().unwrap_or_default()),
         }
         Some(observation)
+    }
+
+    /// Whether an observation says of somebody who is out, or of whom nothing is known, what they are or where they go, and of nothing that is on
+    /// the map: that brings nobody home.
+    fn is_out_still(&mut self, observation: &Observation) -> bool {
+        let known = self.persons.get(observation.person).map(|known| known.presence);
+        let is_out = known.map_or(observation.name.is_some(), |presence| presence == Presence::Away);
+        is_out
+            && observation.said.may_be_elsewhere()
+            && observation.sentence().is_some_and(|sentence| self.mentions.last(sentence).is_none())
     }
 
     /// Takes a statement that a room is empty into the forecasts.

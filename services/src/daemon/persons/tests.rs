@@ -547,6 +547,140 @@ fn a_sentence_about_a_group_moves_the_group() {
     }
 }
 
+/// Titles and what relatives are called make no other person, and what is not done moves nobody.
+#[test]
+fn a_title_makes_nobody_else() {
+    let mut house = House::new(&["edith", "priya"]);
+    house.after(1, "edith", "They open the fridge.");
+    house.after(1, "priya", "They open the fridge.");
+    house.after(1, "Mrs. Novak", "They open the fridge.");
+    let known = house.known();
+    for (sentence, who) in [
+        ("Mrs. Novak leaves the house.", "Mrs. Novak"),
+        ("Novak comes home.", "Mrs. Novak"),
+        ("Mrs. Novak leaves the house.", "Mrs. Novak"),
+        ("Grandma Edith leaves the house.", "edith"),
+    ] {
+        house.after(2, "somebody", sentence);
+        assert_eq!(house.known(), known, "{sentence}");
+        let is = if sentence.contains("leaves") { presence::AWAY } else { presence::PRESENT };
+        assert_eq!(house.presence(who), Some(is), "{sentence}");
+    }
+    house.after(2, "somebody", "Mrs. Novak opens the fridge.");
+    house.restart();
+    assert_eq!(["Mrs. Novak", "edith"].map(|who| house.presence(who)), [presence::PRESENT, presence::AWAY].map(Some));
+    for sentence in ["Edith will open the fridge.", "Edith doesn't open the fridge.", "Is Edith home?"] {
+        house.after(2, "somebody", sentence);
+        assert_eq!((house.known(), house.presence("edith")), (known, Some(presence::AWAY)), "{sentence}");
+    }
+}
+
+/// Two persons of one surname are two, and who is called by a first name is nobody new.
+#[test]
+fn a_title_tells_apart_and_a_first_name_does_not() {
+    let mut house = House::new(&["Ada Lovelace", "Ben"]);
+    house.after(1, "Ada Lovelace", "They open the fridge.");
+    house.after(1, "Ben", "They sit on the sofa.");
+    house.after(1, "somebody", "Ada leaves the house.");
+    assert_eq!((house.presence("Ada Lovelace"), house.known()), (Some(presence::AWAY), 2));
+    house.after(1, "somebody", "Ada opens the fridge and Ben leaves the house.");
+    let of = |house: &mut House| ["Ada Lovelace", "Ben"].map(|who| house.presence(who));
+    assert_eq!((of(&mut house), house.known()), ([Some(presence::PRESENT), Some(presence::AWAY)], 2));
+    house.after(1, "somebody", "Everybody except Ada leaves the house.");
+    assert_eq!(of(&mut house), [Some(presence::PRESENT), Some(presence::AWAY)]);
+    assert_eq!(house.person("Ada Lovelace").unwrap().name(), "Ada Lovelace");
+    house.restart();
+    assert_eq!((of(&mut house), house.known()), ([Some(presence::PRESENT), Some(presence::AWAY)], 2));
+    house.after(1, "somebody", "Mrs. Novak sits on the sofa.");
+    house.after(1, "somebody", "Mr. Novak opens the fridge.");
+    assert_eq!(house.known(), 4);
+    house.after(1, "somebody", "Mrs Novak leaves the house.");
+    let of = |house: &mut House| ["Mrs. Novak", "Mr. Novak"].map(|who| house.presence(who));
+    assert_eq!(of(&mut house), [Some(presence::AWAY), Some(presence::PRESENT)]);
+    // Either of them may be meant.
+    house.after(1, "somebody", "Novak leaves the house.");
+    assert_eq!((of(&mut house), house.known()), ([Some(presence::AWAY), Some(presence::PRESENT)], 4));
+    // As soon as there are two of a first name it tells nobody.
+    house.after(1, "Ada Byron", "They open the fridge.");
+    house.after(1, "somebody", "Ada leaves the house.");
+    let of = |house: &mut House| ["Ada Lovelace", "Ada Byron"].map(|who| house.presence(who));
+    assert_eq!((of(&mut house), house.known()), ([Some(presence::PRESENT); 2], 5));
+    // Accents are left out by one narrator, and written in two characters by another.
+    house.after(1, "Zoë", "They open the fridge.");
+    house.after(1, "somebody", "Zoe leaves the house.");
+    assert_eq!((house.presence("Zoë"), house.known()), (Some(presence::AWAY), 6));
+    house.after(1, "Zoe\u{308}", "They open the fridge.");
+    assert_eq!((house.presence("Zoë"), house.known()), (Some(presence::PRESENT), 6));
+}
+
+/// Whoever's narrator hears it: a sentence about somebody else whom it names is of them.
+#[test]
+fn a_sentence_about_others_is_theirs_by_whatever_key() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ada", "They open the fridge.");
+    house.after(1, "ben", "They sit on the sofa.");
+    for key in ["ada", "0"] {
+        let before = house.person("ada").unwrap().observed_ns;
+        house.after(3, key, "Ben opens the fridge.");
+        assert_eq!(house.person("ben").unwrap().observed_ns, house.now_ns, "by {key}");
+        assert_eq!((house.person("ada").unwrap().observed_ns, house.known()), (before, 2), "by {key}");
+    }
+    house.after(3, "ada", "They help Ben.");
+    assert_eq!(house.person("ada").unwrap().observed_ns, house.now_ns);
+}
+
+/// Who is out is brought home neither by a place that the map does not know, nor by what is so at another time.
+#[test]
+fn who_is_out_is_not_back_at_a_place_that_nobody_knows() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ben", "They open the fridge.");
+    house.after(1, "ada", "They sit on the sofa.");
+    house.after(1, "ada", "away");
+    for sentence in [
+        "Ada is at the gym.",
+        "Ada is in Rome.",
+        "Ada goes to the hairdresser.",
+        "Ada is back at the hotel.",
+        "Ada drives to the lake.",
+        "Ada is almost home.",
+        "Ada is late.",
+        "Ada is coming home.",
+        "Ada is in the waiting room.",
+        "Ada is back in an hour.",
+        "Ada comes home at the weekend.",
+        "Ada sits on the sofa every evening.",
+    ] {
+        for who in ["somebody", "ada"] {
+            house.after(2, who, sentence);
+            assert_eq!(house.presence("ada"), Some(presence::AWAY), "{sentence} by {who}");
+            assert_eq!(house.presence("ben"), Some(presence::PRESENT), "{sentence} by {who}");
+        }
+    }
+    house.after(2, "somebody", "Igor is at the gym.");
+    assert_eq!(house.presence("igor"), None);
+    for sentence in [
+        "Ada is on the sofa.",
+        "Ada goes to the kitchen.",
+        "Ada goes to bed.",
+        "Ada laughs.",
+        "Ada is cooking.",
+        "Ada is home.",
+    ] {
+        house.after(2, "ada", "away");
+        house.after(2, "somebody", sentence);
+        assert_eq!(house.presence("ada"), Some(presence::PRESENT), "{sentence}");
+    }
+    // Who is there and goes to work is out, in whatever words.
+    for sentence in ["Ada returns to work.", "Ada is back at school.", "Ada walks to the bus stop."] {
+        house.after(2, "ada", "They open the fridge.");
+        house.after(2, "somebody", sentence);
+        assert_eq!(house.presence("ada"), Some(presence::AWAY), "{sentence}");
+    }
+    house.after(2, "ada", "They open the fridge.");
+    house.after(2, "somebody", "Ada usually leaves the house at eight.");
+    assert_eq!(house.presence("ada"), Some(presence::PRESENT));
+}
+
 /// A light that goes off moves nobody, and brings nobody home.
 #[test]
 fn what_has_ended_moves_nobody() {
