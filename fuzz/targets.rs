@@ -127,7 +127,8 @@ pub fn requests(bytes: &[u8]) {
     let _reset = ours.read_to_end(&mut said);
     assert!(asked.get() <= 1, "{} requests of one connection were answered", asked.get());
     let Some(end) = said.windows(4).position(|end| end == b"\r\n\r\n") else {
-        assert!(said.is_empty() && asked.get() == 0, "half an answer");
+        let (said, asked) = (String::from_utf8_lossy(&said), asked.get());
+        assert!(said.is_empty() && asked == 0, "{asked} requests have half an answer: {said:?}");
         return;
     };
     let (head, body) = (String::from_utf8_lossy(&said[..end]).to_lowercase(), &said[end + 4..]);

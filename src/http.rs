@@ -180,8 +180,8 @@ pub async fn converse(
         async move { Ok::<_, Infallible>(response) }
     });
     let mut http = http1::Builder::new();
-    // The one limit on time is around all of it.
-    http.keep_alive(false).max_buf_size(HEADER_BYTES_MAX).header_read_timeout(None);
+    // The one limit on time is around all of it. Who says no more after a request still gets an answer.
+    http.keep_alive(false).half_close(true).max_buf_size(HEADER_BYTES_MAX).header_read_timeout(None);
     match timeout(REQUEST_TIME, http.serve_connection(TokioIo::new(stream), service)).await {
         Ok(Ok(())) => {}
         Ok(Err(error)) => {
