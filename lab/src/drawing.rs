@@ -985,13 +985,14 @@ mod tests {
 
     #[test]
     fn a_small_rooms_name_is_written_small_before_it_is_cut_off() {
-        let map = row_of_rooms(&[
-            ("wide", "dining room", 9.0),
-            ("small", "laundry room", 1.8),
-            ("tiny", "guest bathroom", 0.3),
-        ]);
-        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
-        for heat in [None, Some(Heat::new(&[0.2, 0.2, 0.6], &[0.0], ""))] {
+        // A probability beside the name takes place, too.
+        for (heat, small_m) in [(None, 1.2), (Some(Heat::new(&[0.2, 0.2, 0.6], &[0.0], "")), 1.8)] {
+            let map = row_of_rooms(&[
+                ("wide", "dining room", 9.0),
+                ("small", "laundry room", small_m),
+                ("tiny", "guest bathroom", 0.3),
+            ]);
+            let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
             let text = svg(&map, &grounding, heat.as_ref()).unwrap();
             let drawing = roxmltree::Document::parse(&text).unwrap();
             let bold = drawing.descendants().filter(|node| node.attribute("font-weight") == Some("bold"));
