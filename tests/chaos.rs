@@ -238,7 +238,7 @@ impl World {
         );
         let of_a_household = format!(
             "[history]\ntokens = 256\n[daemon.intake]\nrate_per_s = 300.0\nburst = 100.0\n[[daemon.narrator]]\nname = {NARRATOR:?}\n\
-             [persons]\nresidents = {RESIDENTS:?}\nvisitor_s = 1.0\n[habits]\nlearn = false\n"
+             [persons]\nresidents = {RESIDENTS:?}\nvisitor_s = 1.0\nguard_s = 0.0\n[habits]\nlearn = false\n"
         );
         fs::write(&config, text + if household { &of_a_household } else { "" }).unwrap();
         let node = domain.open("chaos").unwrap();

@@ -123,6 +123,7 @@ fn page() -> String {
             ("bytes of a recording, unpacked", &recording::FILE_BYTES_MAX, "is refused"),
             ("bytes of a record or chunk of a recording", &recording::RECORD_BYTES_MAX, "is refused"),
             ("rules for MQTT", &mqtt::RULES_MAX, "is refused"),
+            ("bytes of a file of rules, credentials or certificates", &sensor_log::RULES_BYTES_MAX, "is refused"),
             ("topics that init and doctor look at", &mqtt_look::TOPICS_MAX, "is passed over"),
             ("bytes that init and doctor keep of them", &mqtt_look::BYTES_MAX, "the topic is noted without them"),
             ("topics that are remembered", &mqtt::TOPICS_MAX, "is not remembered"),

@@ -9,6 +9,8 @@
 //! The pipeline owns every buffer and does no I/O; the daemon, `roomcast score`, the experiments and the replay all run
 //! this one.
 
+use std::collections::BTreeMap;
+
 use crate::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions, Regrouped};
 use crate::narration::history::{Histories, History, HistoryLimits, Voice};
 use crate::narration::{Observation, Presence};
@@ -330,6 +332,8 @@ pub struct Pipeline<M> {
     read: Option<u32>,
     /// Narrations included so far.
     turns: u64,
+    /// Per start of a source up to which sequence a former run has dealt with it, and does not tell of it any more.
+    settled: BTreeMap<(u64, u64), u64>,
     scores: Scores,
 }
 
@@ -356,6 +360,7 @@ impl<M: LanguageModel> Pipeline<M> {
             prompt: String::new(),
             read: None,
             turns: 0,
+            settled: BTreeMap::new(),
             scores: Scores::default(),
         })
     }
@@ -589,6 +594,7 @@ impl<M: LanguageModel> Pipeline<M> {
 
     /// Takes note of an observation that the next scores contain, of however many persons it is, also of none.
     pub fn include(&mut self, observation: &Observation, voice: Voice) {
+        let settled = self.settled_of(observation.source, observation.epoch);
         let observed_ns = observation.observed_ns;
         self.scores.newest_observed_ns = self.scores.newest_observed_ns.max(observed_ns);
         self.turns += 1;
@@ -596,12 +602,23 @@ impl<M: LanguageModel> Pipeline<M> {
         let included = self.included(observation.source, observation.epoch);
         // What was refused after it may be named already.
         included.sequence = included.sequence.max(observation.sequence);
-        included.accepted += 1;
+        included.accepted += u64::from(observation.sequence > settled);
         (included.observed_ns, included.voice, included.turn) = (observed_ns, voice.number, turn);
+    }
+
+    /// Takes note up to which sequence a former run has dealt with the starts of sources. Which of it was accepted nobody can say any more, so
+    /// all of it counts as accepted.
+    pub fn settle(&mut self, settled: BTreeMap<(u64, u64), u64>) {
+        self.settled = settled;
+    }
+
+    fn settled_of(&self, source: u64, epoch: u64) -> u64 {
+        self.settled.get(&(source, epoch)).copied().unwrap_or_default()
     }
 
     /// The place of one start of a source, known or new.
     fn included(&mut self, source: u64, epoch: u64) -> &mut Included {
+        let accepted = self.settled_of(source, epoch);
         let sources = &mut self.scores.included;
         let known = sources.iter().position(|i| (i.source, i.epoch) == (source, epoch));
         let place = known.unwrap_or_else(|| {
@@ -610,7 +627,7 @@ impl<M: LanguageModel> Pipeline<M> {
             {
                 sources.swap_remove(oldest);
             }
-            sources.push(Included { source, epoch, sequence: 0, observed_ns: 0, accepted: 0, voice: 0, turn: 0 });
+            sources.push(Included { source, epoch, sequence: 0, observed_ns: 0, accepted, voice: 0, turn: 0 });
             sources.len() - 1
         });
         &mut sources[place]
@@ -1018,7 +1035,7 @@ mod tests {
             let gone = gone.and_then(|item| map.items.get(item));
             let after = gone.map(|item| map.changed(vec![MapChange::RemoveItem { id: item.id.clone() }]).unwrap());
             let mut together = pipeline(&map, effort, correction);
-            let mut alone = std::collections::BTreeMap::<u32, Pipeline<TableModel>>::new();
+            let mut alone = BTreeMap::<u32, Pipeline<TableModel>>::new();
             let (mut sequence, mut at_s) = (0, 1);
             for (number, (pause_s, persons)) in steps.iter().enumerate() {
                 at_s += pause_s;

@@ -71,8 +71,10 @@ use crate::line::Who;
 use crate::mqtt_tally::Tally;
 use crate::narrator::Settled;
 use crate::rule::{Keys, Saying};
+use crate::sensor_log::RULES_BYTES_MAX;
 use crate::stop::Stop;
 use roomcast_core::narration::Presence;
+use roomcast_core::text::{read_at_most, read_text_at_most};
 
 /// Messages that the broker may send before the first of them is acknowledged: MQTT's receive maximum.
 pub const MESSAGES_AHEAD_MAX: u16 = 32;
@@ -284,7 +286,8 @@ impl Rules {
     ///
     /// [`MqttError::Read`], [`MqttError::Rules`] with the rule's number.
     pub fn load(path: &Path) -> Result<Self, MqttError> {
-        let text = std::fs::read_to_string(path).map_err(|source| MqttError::Read { path: path.to_owned(), source })?;
+        let text = read_text_at_most(path, RULES_BYTES_MAX)
+            .map_err(|source| MqttError::Read { path: path.to_owned(), source })?;
         Self::parse(&text).map_err(|reason| MqttError::Rules { path: path.to_owned(), reason })
     }
 
@@ -737,14 +740,16 @@ impl Broker {
         // Nothing is published; the client would set aside room for so many.
         options.set_outgoing_inflight_upper_limit(MESSAGES_AHEAD_MAX);
         if let Some(path) = &self.credentials {
-            let text =
-                std::fs::read_to_string(path).map_err(|source| MqttError::Read { path: path.clone(), source })?;
+            let text = read_text_at_most(path, RULES_BYTES_MAX)
+                .map_err(|source| MqttError::Read { path: path.clone(), source })?;
             let mut lines = text.trim_start_matches('\u{feff}').lines();
             options.set_credentials(lines.next().unwrap_or_default(), lines.next().unwrap_or_default());
         }
         match (&self.authority, secure) {
             (Some(path), true) => {
-                let ca = std::fs::read(path).map_err(|source| MqttError::Read { path: path.clone(), source })?;
+                let ca = read_at_most(path, RULES_BYTES_MAX)
+                    .map_err(|source| MqttError::Read { path: path.clone(), source })?
+                    .ok_or_else(|| MqttError::Authority { path: path.clone() })?;
                 if !CertificateDer::pem_slice_iter(&ca).any(|certificate| certificate.is_ok()) {
                     return Err(MqttError::Authority { path: path.clone() });
                 }

@@ -24,6 +24,7 @@ use crate::daemon::{Intake, Taken, presence_word};
 use crate::habits_reason::PersonHabits;
 use crate::moment::Moment;
 use roomcast_core::narration::{Observation, Presence, SOMEBODY, Said, Sentence, person_number, same_name};
+use roomcast_core::text::read_at_most;
 
 /// Largest recording that is read back, also of its records unpacked: it is held in memory.
 pub const FILE_BYTES_MAX: u64 = 4 << 30;
@@ -652,10 +653,8 @@ impl Recording {
 /// [`RecordingError`], for the first message that is none.
 pub fn read(path: &Path) -> Result<Recording, RecordingError> {
     let io = |source| RecordingError::Io { path: path.to_owned(), source };
-    if std::fs::metadata(path).map_err(io)?.len() > FILE_BYTES_MAX {
-        return Err(RecordingError::TooLarge { path: path.to_owned() });
-    }
-    decode(path, &std::fs::read(path).map_err(io)?)
+    let bytes = read_at_most(path, FILE_BYTES_MAX).map_err(io)?;
+    decode(path, &bytes.ok_or_else(|| RecordingError::TooLarge { path: path.to_owned() })?)
 }
 
 /// Reads a recording's bytes; `path` is what errors call it.

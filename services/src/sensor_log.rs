@@ -27,11 +27,14 @@ use csv::{ByteRecord, ReaderBuilder, Trim};
 use crate::line::{InputError, Item, LineError, Who, line_item};
 use crate::rule::{Keys, Saying};
 use roomcast_core::narration::Presence;
+use roomcast_core::text::{read_at_most, read_text_at_most};
 
 /// Largest log that is read, in bytes: it is held in memory.
 pub const FILE_BYTES_MAX: u64 = 256 << 20;
 /// Rules that a file may have.
 const RULES_MAX: usize = 4_096;
+/// Most bytes of a file of rules, and of one with credentials or certificates.
+pub const RULES_BYTES_MAX: u64 = 4 << 20;
 /// Bytes of a log that are looked at together; lines are shorter, as a rule.
 const LINE_BYTES: usize = 256;
 
@@ -206,8 +209,8 @@ impl SensorRules {
     ///
     /// [`SensorError::Read`], [`SensorError::Rules`] with the rule's number.
     pub fn load(path: &Path) -> Result<Self, SensorError> {
-        let text =
-            std::fs::read_to_string(path).map_err(|source| SensorError::Read { path: path.to_owned(), source })?;
+        let text = read_text_at_most(path, RULES_BYTES_MAX)
+            .map_err(|source| SensorError::Read { path: path.to_owned(), source })?;
         Self::parse(&text).map_err(|reason| SensorError::Rules { path: path.to_owned(), reason })
     }
 
@@ -241,10 +244,9 @@ impl SensorRules {
     /// [`SensorError::Read`], [`SensorError::TooLarge`].
     pub fn narrate_file(&self, path: &Path, person: &Who) -> Result<SensorLog, SensorError> {
         let read = |source| SensorError::Read { path: path.to_owned(), source };
-        if std::fs::metadata(path).map_err(read)?.len() > FILE_BYTES_MAX {
-            return Err(SensorError::TooLarge { path: path.to_owned() });
-        }
-        Ok(self.narrate(&std::fs::read(path).map_err(read)?, person))
+        let bytes = read_at_most(path, FILE_BYTES_MAX).map_err(read)?;
+        let bytes = bytes.ok_or_else(|| SensorError::TooLarge { path: path.to_owned() })?;
+        Ok(self.narrate(&bytes, person))
     }
 
     /// The narration of a log: tab-, semicolon- or comma-separated; heading and underline are passed over. What a rule without a person

@@ -15,6 +15,7 @@ use crate::hub::{self, Hub, HubError, Request};
 use roomcast_core::prompt::{BindingSequence, write_prompt};
 use roomcast_core::scorer::correction::{Continuation, Correction};
 use roomcast_core::scorer::{LabelScores, LanguageModel, Method, Scorer, Token, Tokenisation};
+use roomcast_core::text::read_text_at_most;
 use roomcast_llama::gguf::Header;
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast_services::config::Config;
@@ -254,7 +255,7 @@ impl KnownCase {
                 format!("failed to read the known case {}: {error}; {remedy}", path.display()),
             )
         };
-        let text = std::fs::read_to_string(path).map_err(|error| fail(error.to_string()))?;
+        let text = read_text_at_most(path, KNOWN_BYTES_MAX).map_err(|error| fail(error.to_string()))?;
         serde_json::from_str(&text).map_err(|error| fail(error.to_string()))
     }
 
@@ -275,6 +276,8 @@ struct Checked {
 /// Largest difference between two methods' scores of one label, in nats per token. Quantised kernels round activations; sums in another
 /// order, as other batches have them, may take one to the next step.
 const METHODS_TOLERANCE_NATS_PER_TOKEN: f64 = 2e-2;
+/// Far more than `--record` writes.
+const KNOWN_BYTES_MAX: u64 = 16 << 20;
 
 fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_json: bool) -> CommandResult {
     let model_failure = |error: &dyn std::fmt::Display| Failure::new(exit_code::MODEL, error.to_string());

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::action::{Action, ActionError};
+use crate::text::read_text_at_most;
 
 /// Largest program file that is read, in bytes. The longest of VirtualHome's has 7 KiB.
 pub const PROGRAM_BYTES_MAX: usize = 1 << 20;
@@ -143,11 +144,14 @@ impl Program {
     pub fn load(path: &Path) -> Result<Self, ProgramError> {
         let within = |source| ProgramError::In { path: path.to_owned(), source: Box::new(source) };
         let unread = |source| ProgramError::Read { path: path.to_owned(), source };
-        let bytes = std::fs::metadata(path).map_err(unread)?.len();
-        if bytes > PROGRAM_BYTES_MAX as u64 {
-            return Err(within(ProgramError::TooLarge { bytes }));
-        }
-        let text = std::fs::read_to_string(path).map_err(unread)?;
+        // As much of it as shows that it is too long.
+        let text = read_text_at_most(path, PROGRAM_BYTES_MAX as u64).map_err(|source| match source.kind() {
+            std::io::ErrorKind::FileTooLarge => {
+                let bytes = std::fs::metadata(path).map_or(0, |file| file.len()).max(PROGRAM_BYTES_MAX as u64 + 1);
+                within(ProgramError::TooLarge { bytes })
+            }
+            _ => unread(source),
+        })?;
         Self::parse(&text).map_err(within)
     }
 }

@@ -17,6 +17,7 @@ use roomcast_core::prompt::{BINDING_BYTES_MAX, BindingSequence};
 use roomcast_core::scorer::certified::Effort;
 use roomcast_core::scorer::correction::{Continuation, PRIOR_WEIGHTS};
 use roomcast_core::scorer::{Method, Tokenisation};
+use roomcast_core::text::read_text_at_most;
 use roomcast_llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
 
 mod sections;
@@ -273,10 +274,10 @@ impl Config {
     /// When it cannot be read, has unknown keys, or a value outside its limits.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
         let read = |source| ConfigError::Read { path: path.to_owned(), source };
-        if std::fs::metadata(path).map_err(read)?.len() > FILE_BYTES_MAX {
-            return Err(ConfigError::TooLarge { path: path.to_owned() });
-        }
-        let text = std::fs::read_to_string(path).map_err(read)?;
+        let text = read_text_at_most(path, FILE_BYTES_MAX).map_err(|source| match source.kind() {
+            std::io::ErrorKind::FileTooLarge => ConfigError::TooLarge { path: path.to_owned() },
+            _ => read(source),
+        })?;
         let config: Self = toml::from_str(&text)
             .map_err(|source| ConfigError::Parse { path: path.to_owned(), source: Box::new(source) })?;
         config.check().map_err(|fault| ConfigError::InFile { path: path.to_owned(), fault: Box::new(fault) })?;
@@ -379,7 +380,6 @@ impl Config {
             within("persons.visitor_s", persons.visitor_s, 1.0..=SECONDS_MAX),
             within("persons.asleep_s", persons.asleep_s, seconds.clone()),
             within("persons.guard_s", persons.guard_s, 0.0..=86_400.0),
-            row("persons.guard_s", &persons.guard_s, persons.guard_s == 0.0 || !known.is_empty(), "name with [[daemon.narrator]] who is heard, or give 0"),
             within("forecast.object_s", forecast.object_s, means.clone()),
             within("forecast.stay_s", forecast.stay_s, means.clone()),
             within("forecast.away_s", forecast.away_s, means.clone()),

@@ -101,13 +101,13 @@ pub struct PersonsConfig {
     /// Seconds of silence after which whoever was last on a bed is possibly asleep.
     pub asleep_s: f64,
     /// For so many seconds after a narrator that the configuration names has told of a person, nobody else is heard of that person; 0: everybody
-    /// is heard of everybody.
+    /// is heard of everybody. Where it names none, everybody is heard of everybody, too.
     pub guard_s: f64,
 }
 
 impl Default for PersonsConfig {
     fn default() -> Self {
-        Self { residents: Vec::new(), visitor_s: 3.0 * 3600.0, asleep_s: 1200.0, guard_s: 0.0 }
+        Self { residents: Vec::new(), visitor_s: 3.0 * 3600.0, asleep_s: 1200.0, guard_s: 600.0 }
     }
 }
 

@@ -1,7 +1,7 @@
 //! From observations to the snapshot that is published: the pipeline's step, with sequence numbers, ages and flags. No clock,
 //! no port: the daemon's loop, the simulation and the tests drive it alike.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use roomcast_ipc::{
     ForecastV1, LEARNED_SHARE_S, MAX_HORIZONS, MAX_ROOMS, MessageError, NAME_BYTES, PersonForecastsV1, PersonScoresV1,
@@ -166,11 +166,13 @@ pub struct Board<M> {
     /// The newest turn of a source that scores were told with.
     named_turn: u64,
     /// Per person where they will be; persons unknown to the histories are forgotten.
-    followed: std::collections::BTreeMap<u32, Forecaster>,
+    followed: BTreeMap<u32, Forecaster>,
     /// What is learned of the home.
     home: HomeHabits,
     /// Nothing was told to the journal since it was read: what it says of those who were not heard since needs no repetition.
     recalled: bool,
+    /// Whose newest restored observation the model has said nothing of, as far as the journal knows.
+    unsaid: BTreeSet<u32>,
 }
 
 /// Names of rooms that the map does not have which are logged, until the map changes.
@@ -231,9 +233,10 @@ impl<M: LanguageModel> Board<M> {
             strange_rooms: BTreeSet::new(),
             newest_sources: Vec::new(),
             named_turn: 0,
-            followed: std::collections::BTreeMap::new(),
+            followed: BTreeMap::new(),
             home: HomeHabits::default(),
             recalled: false,
+            unsaid: BTreeSet::new(),
         })
     }
 
@@ -484,6 +487,7 @@ impl<M: LanguageModel> Board<M> {
                         Some(known) => known.restored = true,
                         None => {}
                     }
+                    self.unsaid.insert(person);
                 }
             }
             while let Some((_, person, expectation)) = expectations.next_if(|(after, ..)| *after <= index) {
@@ -492,6 +496,7 @@ impl<M: LanguageModel> Board<M> {
                     expectation.probability.iter().map(|probability| f64::from(*probability)).collect();
                 if let Some(own) = self.followed.get_mut(&person).filter(|_| expectation.map == map) {
                     own.expect(&said);
+                    self.unsaid.remove(&person);
                 }
             }
         }
@@ -500,6 +505,11 @@ impl<M: LanguageModel> Board<M> {
         self.home.end_restore();
         self.pipeline.forget_voices();
         costly
+    }
+
+    /// Takes note up to which sequence a former run has dealt with the starts of sources, of which the journal tells no more.
+    pub(super) fn settle(&mut self, settled: BTreeMap<(u64, u64), u64>) {
+        self.pipeline.settle(settled);
     }
 
     /// Takes note of a narration that was refused, so that its narrator does not wait for it.
@@ -716,6 +726,14 @@ impl<M: LanguageModel> Board<M> {
         &self.persons
     }
 
+    /// Gives a person a name, or another one.
+    ///
+    /// # Errors
+    /// In words, when the name is somebody else's or none, or the file cannot be written.
+    pub fn rename(&mut self, person: u32, name: &str) -> Result<(), String> {
+        self.persons.rename(person, name)
+    }
+
     /// The same, to give names.
     pub(super) fn persons_mut(&mut self) -> &mut Persons {
         &mut self.persons
@@ -727,11 +745,12 @@ impl<M: LanguageModel> Board<M> {
         for Attributed { source, epoch, sequence, person } in self.attributed.drain(..) {
             tell(&Outcome { source, epoch, sequence, person, by_fit: true, map, probability: &[] });
         }
-        let recalled = std::mem::take(&mut self.recalled);
+        let (recalled, unsaid) = (std::mem::take(&mut self.recalled), std::mem::take(&mut self.unsaid));
         for person in self.rescored.drain(..) {
-            let Some(known) = self.persons.get(person).filter(|known| !(recalled && known.restored)) else { continue };
             // Of who is out it says whose the observation is.
             let own = self.pipeline.person(person).filter(|own| own.at_home);
+            let is_said = |restored| recalled && restored && !(own.is_some() && unsaid.contains(&person));
+            let Some(known) = self.persons.get(person).filter(|known| !is_said(known.restored)) else { continue };
             let probability = own.map_or(&[][..], |own| &own.grounded.partition_probability[..]);
             let (source, epoch, sequence) = known.last;
             tell(&Outcome { source, epoch, sequence, person, by_fit: false, map, probability });

@@ -65,6 +65,7 @@ impl<M: LanguageModel> Cycle<M> {
     pub fn restore(&mut self, recovered: Recovered, intake: &mut Intake, now_ns: u64, now_unix_ns: u64) -> usize {
         recovered.taken().for_each(|observation| intake.restore(observation));
         recovered.ports.iter().for_each(|(name, port)| intake.restore_port(*name, *port));
+        self.board.settle(recovered.settled());
         self.board.restore(recovered.join(), now_ns, now_unix_ns)
     }
 

@@ -25,7 +25,8 @@
 //! A record is handed to the system as soon as it is written, so a daemon that is killed loses nothing; what the machine loses with
 //! its power is at most the last [`JournalOptions::sync_ms`].
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::fs;
 use std::io;
 use std::path::PathBuf;
@@ -79,6 +80,8 @@ const BOOT_AT: usize = 5 * 8 + 4;
 const FIXED_BYTES: usize = BOOT_AT + 16;
 /// No payload is longer: a sentence has at most 1024 bytes, a statement with its names not twice as many, and a name comes with two more.
 const PAYLOAD_BYTES_MAX: usize = FIXED_BYTES + 2 + NAME_BYTES + 2 * roomcast_core::narration::SENTENCE_BYTES_MAX;
+/// A port, with which `RCJ6` ends.
+const PORT_BYTES: usize = 16;
 /// What `RCJ5` holds beside the rooms.
 const OUTCOME_BYTES: usize = 3 * 8 + 4 + 1 + 8;
 /// Bits of what a named record is.
@@ -121,7 +124,7 @@ pub enum JournalError {
 }
 
 /// What was found at the start.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 pub struct Recovered {
     /// The observations, oldest first.
     pub observations: Vec<Observation>,
@@ -143,10 +146,12 @@ pub struct Recovered {
     places: HashMap<(u64, u64, u64), usize>,
     /// Bytes that were no record: a torn end, or damage.
     pub damaged_bytes: u64,
+    /// There was a full half, so that a rotation may have dropped what came before it.
+    has_rotated: bool,
 }
 
 /// What was last said of persons before all that is in the halves; places are indices of these observations.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 struct KeptWords {
     observations: Vec<Observation>,
     expectations: Vec<(usize, u32, Expectation)>,
@@ -375,6 +380,10 @@ pub struct Writer<D> {
     unsynced: Vec<u8>,
     /// Where that begins.
     synced: u64,
+    /// A sync has failed, and what it lost is not written again yet.
+    lacks_pages: bool,
+    /// An append has failed, and what it left behind is not cut off yet.
+    is_torn: bool,
     /// The disk knows the names of the halves.
     names_synced: bool,
     /// The last record of each start of a source. What the current half has not is carried over at the next rotation.
@@ -396,8 +405,8 @@ impl<D: Disk> Writer<D> {
     /// # Errors
     /// When a half cannot be read; damaged records are no error.
     pub fn open(disk: D, half_bytes: u64, boot_id: &[u8; 16]) -> io::Result<(Self, Recovered)> {
-        let mut recovered = Recovered::default();
         let older = disk.read(Half::Older)?;
+        let mut recovered = Recovered { has_rotated: !older.is_empty(), ..Recovered::default() };
         read_records(&older, boot_id, &mut recovered);
         let (mut last, mut turn) = (BTreeMap::new(), 0);
         let mut note = |carried: &[Observation], observations: &[Observation], in_current| {
@@ -424,6 +433,8 @@ impl<D: Disk> Writer<D> {
             // A process before may have been killed before it synced.
             unsynced: current,
             synced: 0,
+            lacks_pages: false,
+            is_torn: false,
             names_synced: false,
             last,
             ports,
@@ -518,13 +529,33 @@ impl<D: Disk> Writer<D> {
     }
 
     fn sync_current(&mut self) -> io::Result<()> {
+        self.rewrite()?;
         if let Err(error) = self.disk.sync() {
-            // In its place: at no time is anything gone from the file.
-            self.disk.rewrite(self.synced, &self.unsynced)?;
+            self.lacks_pages = true;
+            self.rewrite()?;
             return Err(error);
         }
         self.synced = self.length;
         self.unsynced.clear();
+        Ok(())
+    }
+
+    /// Writes again what a sync has lost, in its place: at no time is anything gone from the file. Until that went well, a sync that succeeds
+    /// says nothing.
+    fn rewrite(&mut self) -> io::Result<()> {
+        if self.lacks_pages {
+            self.disk.rewrite(self.synced, &self.unsynced)?;
+            self.lacks_pages = false;
+        }
+        Ok(())
+    }
+
+    /// Cuts off what an append that failed has left behind: where the file ends must be known before anything is written to it.
+    fn cut_torn(&mut self) -> io::Result<()> {
+        if self.is_torn {
+            self.disk.cut(self.length)?;
+            self.is_torn = false;
+        }
         Ok(())
     }
 
@@ -549,20 +580,46 @@ impl<D: Disk> Writer<D> {
     /// When the disk refuses, or is full.
     pub fn write(&mut self, batch: &[u8]) -> io::Result<()> {
         self.unwritten.extend_from_slice(batch);
-        self.trim_unwritten(self.half_bytes);
-        if self.length + self.unwritten.len() as u64 > self.half_bytes && self.length > 0 {
-            self.rotate()?;
-            self.trim_unwritten(self.half_bytes.saturating_sub(self.length));
+        let written = self.write_out();
+        if written.is_err() {
+            self.trim_unwritten(self.half_bytes);
         }
-        if let Err(error) = self.disk.append(&self.unwritten) {
-            // Part of it may have been taken: cut it off again. If that fails too, reading steps over it.
-            let _cut = self.disk.cut(self.length);
+        written
+    }
+
+    fn write_out(&mut self) -> io::Result<()> {
+        let mut is_new = self.length == 0;
+        while !self.unwritten.is_empty() {
+            let fitting = fitting(&self.unwritten, self.half_bytes.saturating_sub(self.length));
+            match (fitting, is_new) {
+                (0, false) => {
+                    self.rotate()?;
+                    is_new = true;
+                }
+                // What a half begins with leaves no room for one as long as this.
+                (0, true) => _ = self.unwritten.drain(..record_bytes(&self.unwritten)),
+                _ => {
+                    self.append_records(fitting)?;
+                    is_new = false;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Appends so many bytes of what is to be written, whole records.
+    fn append_records(&mut self, bytes: usize) -> io::Result<()> {
+        self.cut_torn()?;
+        if let Err(error) = self.disk.append(&self.unwritten[..bytes]) {
+            self.is_torn = true;
+            // Where that fails, too, it is tried again before the next append; until then reading steps over it.
+            self.cut_torn()?;
             return Err(error);
         }
-        self.length += self.unwritten.len() as u64;
-        let mut written = std::mem::take(&mut self.unwritten);
+        self.length += bytes as u64;
+        let written: Vec<u8> = self.unwritten.drain(..bytes).collect();
         self.take_note(&written);
-        self.unsynced.append(&mut written);
+        self.unsynced.extend_from_slice(&written);
         self.progress.bytes.store(self.older_length + self.length, Ordering::Relaxed);
         Ok(())
     }
@@ -596,15 +653,7 @@ impl<D: Disk> Writer<D> {
         if self.ports.len() > SOURCES_MAX {
             self.ports.retain(|name, _| self.last.contains_key(name));
         }
-        let mut carried: Vec<u8> = self.ports.values().flatten().copied().collect();
-        for last in self.last.values().filter(|last| !last.in_current) {
-            let record = &last.record;
-            let named = record.starts_with(&MAGIC_NAMED) || record.starts_with(&MAGIC_NAMED_CARRIED);
-            carried.extend_from_slice(if named { &MAGIC_NAMED_CARRIED } else { &MAGIC_CARRIED });
-            carried.extend_from_slice(&record[MAGIC.len()..]);
-        }
-        // In a journal of the least size it is the newest narration that counts.
-        carried.truncate(if carried.len() as u64 > self.half_bytes / 4 { 0 } else { carried.len() });
+        let mut carried = self.carried();
         // A rotation that got no further before has put the full half in place already: another file has its name now, or none.
         let is_first = self.disk.is_current()?;
         if is_first {
@@ -623,12 +672,50 @@ impl<D: Disk> Writer<D> {
         }
         self.disk.place(Half::Current)?;
         (self.length, self.synced) = (carried.len() as u64, carried.len() as u64);
+        (self.lacks_pages, self.is_torn) = (false, false);
         self.unsynced.clear();
         self.kept.clear();
         self.last.values_mut().for_each(|last| last.in_current = false);
         self.take_note(&carried);
         self.progress.bytes.store(self.older_length + self.length, Ordering::Relaxed);
         Ok(())
+    }
+
+    /// What the next half begins with: whose the sources are, and the last record of those that the current one has not. Where that is more than a
+    /// quarter of a half, the newest start of every port comes first, then the second of every port: whoever invents sources pushes out its own.
+    fn carried(&self) -> Vec<u8> {
+        let quiet = self.last.iter().filter(|(_, last)| !last.in_current);
+        let starts: BTreeSet<_> = self.ports.keys().chain(quiet.map(|(name, _)| name)).collect();
+        let mut newest: Vec<_> =
+            starts.into_iter().map(|name| (self.last.get(name).map_or(0, |last| last.turn), *name)).collect();
+        newest.sort_unstable_by_key(|(turn, _)| Reverse(*turn));
+        let mut of_ports = BTreeMap::<_, usize>::new();
+        let mut ranked: Vec<_> = newest
+            .into_iter()
+            .map(|(turn, name)| {
+                // The port is what a record of one ends with; a start without one is for itself.
+                let port = self.ports.get(&name).map(|record| &record[record.len() - PORT_BYTES..]);
+                let rank = of_ports.entry((port, port.is_none().then_some(name))).or_default();
+                *rank += 1;
+                (*rank, Reverse(turn), name)
+            })
+            .collect();
+        ranked.sort_unstable();
+        let (mut ports, mut words) = (Vec::new(), Vec::new());
+        for (_, _, name) in ranked {
+            let port = self.ports.get(&name).map_or(&[][..], Vec::as_slice);
+            let last = self.last.get(&name).filter(|last| !last.in_current).map_or(&[][..], |last| &last.record);
+            if (ports.len() + words.len() + port.len() + last.len()) as u64 > self.half_bytes / 4 {
+                break;
+            }
+            ports.extend_from_slice(port);
+            if let Some(payload) = last.get(MAGIC.len()..) {
+                let named = last.starts_with(&MAGIC_NAMED) || last.starts_with(&MAGIC_NAMED_CARRIED);
+                words.extend_from_slice(if named { &MAGIC_NAMED_CARRIED } else { &MAGIC_CARRIED });
+                words.extend_from_slice(payload);
+            }
+        }
+        [ports, words].concat()
     }
 
     fn note(&self, result: io::Result<()>) {
@@ -740,6 +827,19 @@ fn record_bytes(records: &[u8]) -> usize {
     length.map_or(records.len(), |length| (HEADER_BYTES + length as usize).min(records.len()))
 }
 
+/// Bytes of the first of some whole records, as many of them as have so much room.
+fn fitting(records: &[u8], room: u64) -> usize {
+    let mut bytes = 0;
+    while bytes < records.len() {
+        let next = bytes + record_bytes(&records[bytes..]);
+        if next as u64 > room {
+            break;
+        }
+        bytes = next;
+    }
+    bytes
+}
+
 /// Reads all records of a file's bytes after those that were read before; whatever is none is counted and stepped over. Monotonic times of
 /// another boot than `boot_id` become 0.
 pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered) {
@@ -822,6 +922,22 @@ impl Recovered {
             let first = carried.next_if(|(before, _)| **before <= next).map(|(_, observation)| observation);
             first.or_else(|| observations.next().map(|(_, observation)| observation))
         })
+    }
+
+    /// Per start of a source up to which sequence rotations have dropped what it said. A narrator that was told of it must not take it for lost.
+    #[must_use]
+    pub fn settled(&self) -> BTreeMap<(u64, u64), u64> {
+        let mut settled = BTreeMap::new();
+        if self.has_rotated {
+            for Observation { source, epoch, sequence, .. } in &self.observations {
+                settled.entry((*source, *epoch)).or_insert(sequence.saturating_sub(1));
+            }
+        }
+        for Observation { source, epoch, sequence, .. } in &self.carried {
+            let last = settled.entry((*source, *epoch)).or_default();
+            *last = (*last).max(*sequence);
+        }
+        settled
     }
 
     /// What became of an observation that was read before; of one that is gone it says nothing.
@@ -969,6 +1085,8 @@ mod tests {
         loses: bool,
         /// Names do not reach the disk.
         names_fail: bool,
+        /// What a sync lost cannot be written again, and what an append left cannot be cut off.
+        keeps_faults: bool,
     }
 
     impl Disk for Failing {
@@ -984,11 +1102,17 @@ mod tests {
         }
 
         fn cut(&mut self, length: u64) -> io::Result<()> {
-            self.folder.cut(length)
+            match self.keeps_faults {
+                true => Err(io::ErrorKind::StorageFull.into()),
+                false => self.folder.cut(length),
+            }
         }
 
         fn rewrite(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
-            self.folder.rewrite(at, bytes)
+            match self.keeps_faults {
+                true => Err(io::ErrorKind::StorageFull.into()),
+                false => self.folder.rewrite(at, bytes),
+            }
         }
 
         fn sync(&mut self) -> io::Result<()> {
@@ -1121,7 +1245,14 @@ mod tests {
     /// A writer of an empty journal.
     fn writer(folder: &Path, half_bytes: u64) -> Writer<Failing> {
         let folder = Folder::open(folder).unwrap();
-        let disk = Failing { folder, is_full: false, keeps_names: false, loses: false, names_fail: false };
+        let disk = Failing {
+            folder,
+            is_full: false,
+            keeps_names: false,
+            loses: false,
+            names_fail: false,
+            keeps_faults: false,
+        };
         Writer::open(disk, half_bytes, &[0; 16]).unwrap().0
     }
 
@@ -1451,6 +1582,65 @@ mod tests {
         writer.sync().unwrap_err();
         writer.disk.names_fail = false;
         writer.sync().unwrap();
+    }
+
+    /// A disk that fails twice in a row: what a sync lost is not written again at once, and what a failed append left is not cut off at once.
+    /// The next sync and the next append do that first.
+    #[test]
+    fn faults_behind_faults_take_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut writer = writer(folder.path(), 1 << 16);
+        let record = |sequence| encode(&observation(sequence), &[7; 16]);
+        let read = |writer: &Writer<Failing>| {
+            let mut recovered = Recovered::default();
+            read_records(&writer.disk.read(Half::Current).unwrap(), &[7; 16], &mut recovered);
+            let sequences: Vec<_> = recovered.observations.iter().map(|observation| observation.sequence).collect();
+            (sequences, recovered.damaged_bytes)
+        };
+        writer.write(&record(1)).unwrap();
+        (writer.disk.loses, writer.disk.keeps_faults) = (true, true);
+        writer.sync().unwrap_err();
+        (writer.disk.loses, writer.disk.keeps_faults) = (false, false);
+        writer.sync().unwrap();
+        assert_eq!(read(&writer), (vec![1], 0));
+
+        (writer.disk.is_full, writer.disk.keeps_faults) = (true, true);
+        writer.write(&record(2)).unwrap_err();
+        // As long as nobody knows where the file ends, nothing is put behind it.
+        writer.disk.is_full = false;
+        writer.write(&record(3)).unwrap_err();
+        writer.disk.keeps_faults = false;
+        writer.write(&record(4)).unwrap();
+        assert_eq!(read(&writer), (vec![1, 2, 3, 4], 0));
+    }
+
+    /// More at once than a half holds, as from a daemon that stood still, goes into both.
+    #[test]
+    fn a_batch_larger_than_half_is_rotated_and_not_dropped() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut writer = writer(folder.path(), 4096);
+        let batch: Vec<u8> = (1..=60).flat_map(|sequence| encode(&observation(sequence), &[7; 16])).collect();
+        assert!(batch.len() > 4096 && batch.len() < 7000, "{}", batch.len());
+        writer.write(&batch).unwrap();
+        let (_, recovered) = Writer::open(writer.disk, 4096, &[7; 16]).unwrap();
+        assert_eq!(recovered.observations.len(), 60);
+    }
+
+    /// Whoever invents sources leaves the others whose they are and what they said last, also in the smallest journal.
+    #[test]
+    fn invented_sources_push_out_their_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut writer = writer(folder.path(), 4096);
+        let said = |source, epoch| encode(&Observation { source, epoch, ..observation(epoch) }, &[7; 16]);
+        let (honest, stranger) = (Port::simulated(1), Port::simulated(2));
+        writer.write(&[encode_port((7, 1), honest), said(7, 1)].concat()).unwrap();
+        for epoch in 1..=200 {
+            writer.write(&[encode_port((99, epoch), stranger), said(99, epoch)].concat()).unwrap();
+        }
+        let (_, recovered) = Writer::open(writer.disk, 4096, &[7; 16]).unwrap();
+        assert_eq!(recovered.ports.get(&(7, 1)), Some(&honest));
+        assert!(recovered.carried.iter().any(|last| (last.source, last.sequence) == (7, 1)));
+        assert_eq!(recovered.settled().get(&(7, 1)), Some(&1));
     }
 
     /// What another daemon wrote and did not sync is written again, too.

@@ -183,7 +183,10 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?;
     let names = config.daemon.state_directory().map(|directory| PersonsFile::load(&directory)).unwrap_or_default();
     let board = board.with_persons(Persons::new(config.persons.clone(), names)).with_forecast(config.forecast);
-    let board = board.with_named(config.daemon.narrator.iter().map(|known| sequence::source_of_name(&known.name)));
+    // Who only names narrators elsewhere does not say that those here are strangers.
+    let guards = config.daemon.narrator.iter().any(|known| !known.relayed);
+    let named = config.daemon.narrator.iter().filter(|_| guards);
+    let board = board.with_named(named.map(|known| sequence::source_of_name(&known.name)));
     let (keeper, memory) = match config.daemon.state_directory() {
         Some(directory) => {
             let (file, memory) = HabitsFile::load(&directory, config.habits.options());
@@ -976,7 +979,7 @@ fn answer_about_person<M: LanguageModel>(
         PersonQuestion::List => Ok(None),
         PersonQuestion::Rename { who, name, .. } => {
             let person = find(board, &who)?;
-            board.persons_mut().rename(person, &name).map(|()| None)
+            board.rename(person, &name).map(|()| None)
         }
         PersonQuestion::Forget { who, .. } => {
             // Of somebody who is known no more the files may still tell.

@@ -551,7 +551,7 @@ impl Persons {
     }
 
     /// The names that the home gave.
-    pub(super) fn file(&self) -> &PersonsFile {
+    pub fn file(&self) -> &PersonsFile {
         &self.file
     }
 

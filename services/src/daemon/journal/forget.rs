@@ -19,6 +19,7 @@ impl<D: Disk> Writer<D> {
     /// Rewrites both halves, and what the disk has refused so far, without what `is_theirs` says, `person`. A half stays whole until its
     /// successor is. Gives how many records were theirs.
     pub(super) fn forget(&mut self, person: u32, is_theirs: &IsTheirs) -> io::Result<usize> {
+        self.rewrite()?;
         let (older, current) = (self.disk.read(Half::Older)?, self.disk.read(Half::Current)?);
         let mut attributed = BTreeMap::new();
         for half in [&older, &current, &self.unwritten] {
@@ -37,6 +38,7 @@ impl<D: Disk> Writer<D> {
         self.disk.prepare(&kept)?;
         self.disk.place(Half::Current)?;
         (self.length, self.synced) = (kept.len() as u64, kept.len() as u64);
+        (self.lacks_pages, self.is_torn) = (false, false);
         self.unsynced.clear();
         self.unwritten = forgets.without(&self.unwritten);
         for last in self.last.values_mut() {
