@@ -1032,6 +1032,27 @@ fn a_restarted_planner_asks_for_the_report_that_is_owed() {
     assert!(next.to() != first.to() && next.covered.count_ones() == 1, "{} {:b}", next.to(), next.covered);
 }
 
+/// A robot that waits in a room that is done is not sent to work there by a planner that is started again.
+#[test]
+fn a_restarted_planner_lets_its_robot_wait() {
+    let config = PlannerConfig { room_time_s: 100.0, ..Default::default() };
+    let mut home = Home::new(2, &config);
+    let first = home.decision(1);
+    home.answer(2, report_kind::STARTED, &first);
+    home.likely = vec![0.0, 0.9];
+    home.answer(90, report_kind::FINISHED, &first);
+    let waits = home.decision(90);
+    assert_eq!((waits.action, waits.to(), waits.covered), (action::STAY, "room-0", 0b01), "{}", waits.reason());
+    let kept = home.planner.kept("boot").unwrap();
+    home.planner = Planner::new(&config, 2).with_kept(kept);
+    let again = home.decision(100);
+    assert_eq!((again.action, again.to(), again.covered), (action::STAY, "room-0", 0b01), "{}", again.reason());
+    // They have left: it is given work at once.
+    home.likely = vec![0.0, 0.0];
+    let next = home.decision(110);
+    assert_eq!((next.action, next.to()), (action::GO, "room-1"), "{}", next.reason());
+}
+
 #[test]
 fn a_kept_round_of_another_map_is_left() {
     let mut home = Home::new(2, &PlannerConfig::default());
