@@ -355,11 +355,11 @@ impl Grounding {
         let rooms = if options.level == PartitionLevel::Part { rooms_as_partitions(map) } else { Vec::new() };
         let mut item_partition = Vec::with_capacity(map.items.len());
         let mut item_placement = Vec::with_capacity(map.items.len());
-        let mut unassigned = Vec::new();
+        let (mut unassigned, mut shared_m3) = (Vec::new(), Vec::new());
         for (index, item) in (0u32..).zip(&map.items) {
-            let (partition, placement) = place(&item.bounds, &item.position_m, &partitions)
+            let (partition, placement) = place(&item.bounds, &item.position_m, &partitions, &mut shared_m3)
                 .or_else(|| {
-                    let (room, _) = place(&item.bounds, &item.position_m, &rooms)?;
+                    let (room, _) = place(&item.bounds, &item.position_m, &rooms, &mut shared_m3)?;
                     let nearest = nearest(&item.position_m, &partitions, Some(RoomId(room.0)))?;
                     Some((nearest.0, Placement::NearestPart))
                 })
@@ -636,15 +636,22 @@ fn scored_labels(map: &SemanticMap, room_labels: bool, known: &[&str]) -> (Vec<S
     (labels, place_of)
 }
 
-/// Rules 1 to 3.
-fn place(bounds: &Box3, position_m: &[f64; 3], partitions: &[Partition]) -> Option<(PartitionId, Placement)> {
-    let overlaps_m3 = || (0u32..).zip(partitions.iter().map(|partition| partition.overlap_m3(bounds)));
-    let largest_m3 = overlaps_m3().map(|(_, overlap_m3)| overlap_m3).fold(0.0, f64::max);
+/// Rules 1 to 3. Each volume is computed once; those that are not zero are kept in `shared_m3`, whose memory is used again.
+fn place(
+    bounds: &Box3,
+    position_m: &[f64; 3],
+    partitions: &[Partition],
+    shared_m3: &mut Vec<(u32, f64)>,
+) -> Option<(PartitionId, Placement)> {
+    shared_m3.clear();
+    let overlaps_m3 = (0u32..).zip(partitions.iter().map(|partition| partition.overlap_m3(bounds)));
+    shared_m3.extend(overlaps_m3.filter(|(_, overlap_m3)| *overlap_m3 > 0.0));
+    let largest_m3 = shared_m3.iter().map(|(_, overlap_m3)| *overlap_m3).fold(0.0, f64::max);
     if largest_m3 > 0.0 {
-        let mut largest = overlaps_m3().filter(|(_, overlap_m3)| *overlap_m3 >= largest_m3 * (1.0 - TIE));
+        let mut largest = shared_m3.iter().filter(|(_, overlap_m3)| *overlap_m3 >= largest_m3 * (1.0 - TIE));
         let first = largest.next()?.0;
-        return Some(match largest.last() {
-            Some((last, _)) => (PartitionId(last), Placement::Tie),
+        return Some(match largest.next_back() {
+            Some((last, _)) => (PartitionId(*last), Placement::Tie),
             None => (PartitionId(first), Placement::Overlap),
         });
     }
