@@ -291,6 +291,9 @@ mod tests {
             ("Ванная комната", "bathroom"),
             ("Treppenhaus", "hallway"),
             ("Garten", "garden"),
+            ("ห้องครัว", "kitchen"),
+            ("غرفة النوم", "bedroom"),
+            ("phòng khách", "living room"),
         ] {
             assert_eq!(room(name), Some(kind), "{name}");
         }

@@ -145,7 +145,7 @@ impl Imported {
                 continue;
             }
             rooms += 1;
-            if usual(&room.label).as_ptr() == usual(ANY).as_ptr() {
+            if usual(&room.label).as_ptr() == usual(ANY).as_ptr() && !unknown.contains(&room.label) {
                 unknown.push(room.label.clone());
             }
             let doors = map.doors.iter().filter(|door| door.rooms.iter().any(|joined| joined.0 as usize == index));
@@ -174,7 +174,7 @@ impl Imported {
         if !unknown.is_empty() {
             notes.push(format!(
                 "Nothing is known of the usual furniture of {}: a table, a chair, a shelf and a lamp were assumed.",
-                unknown.iter().map(|label| format!("{label:?}")).collect::<Vec<_>>().join(", ")
+                unknown.iter().map(|label| format!("\"{label}\"")).collect::<Vec<_>>().join(", ")
             ));
         }
         Ok(Self { map: SemanticMap::check(file)?, notes, boxed })

@@ -522,7 +522,7 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
         rules.person(object, name);
     }
     let foreign: Vec<String> =
-        (items.iter()).filter(|item| !item.label.is_ascii()).map(|item| format!("{:?}", item.label)).collect();
+        (items.iter()).filter(|item| !item.label.is_ascii()).map(|item| format!("\"{}\"", item.label)).collect();
     if !foreign.is_empty() {
         notes.push(format!(
             "No English is known for {}: write it into the map and into the rules, for the model reads English.",

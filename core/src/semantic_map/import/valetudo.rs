@@ -12,6 +12,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::{Ids, ImportError, Imported, parse, room_aliases, room_label, room_words};
+use crate::names::Names;
 use crate::semantic_map::footprint::{Footprint, MAX_CORNERS};
 use crate::semantic_map::schema::{DoorEntry, FORMAT, ItemEntry, ROOM_HEIGHT_M, Rings, RoomEntry, SceneFile, VERSION};
 use crate::semantic_map::{Box3, MAX_ROOMS, SemanticMap};
@@ -575,7 +576,7 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
         let label =
             label.unwrap_or_else(|| if divided { format!("room {}", number.to_lowercase()) } else { HOME.to_owned() });
         let slug = words[index].clone().filter(|_| is_told_apart).unwrap_or_else(|| label.clone());
-        let slug: String = slug.chars().map(|c| if c.is_alphanumeric() { c } else { ' ' }).collect();
+        let slug: String = slug.chars().map(|c| if c.is_ascii_punctuation() { ' ' } else { c }).collect();
         let slug = slug.split_whitespace().collect::<Vec<_>>().join(" ");
         let is_named = labels[index].is_some() && divided && !slug.is_empty();
         let id = ids.take(&if is_named { format!("{slug} {number}") } else { label.clone() });
@@ -636,6 +637,16 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
     let ignored = file.entities.iter().filter(|entity| of_robot.contains(&&*entity.r#type)).count();
     if ignored > 0 {
         notes.push(format!("Left out {ignored} virtual walls and areas: they are the robot's to keep."));
+    }
+    let is_foreign =
+        |room: &&RoomEntry| !room.label.is_ascii() && Names::built_in().kind_of_room(&room.label).is_none();
+    let mut foreign: Vec<String> = rooms.iter().filter(is_foreign).map(|room| format!("\"{}\"", room.label)).collect();
+    foreign.dedup();
+    if !foreign.is_empty() {
+        notes.push(format!(
+            "No English is known for {}: name these segments with --names, for the model reads English.",
+            foreign.join(", ")
+        ));
     }
     let unnamed = rooms.iter().filter(|room| room.label.starts_with("room ")).count();
     if unnamed > 0 {
@@ -723,9 +734,24 @@ mod tests {
 
     #[test]
     fn rooms_of_one_kind_are_told_apart_by_their_names() {
-        let names =
-            ["Bad oben", "Bad unten ", "Kinderzimmer Tom", "Kinderzimmer Lena", "Flur", "Flur", "\u{200b}", "寝室"];
-        let map = named(&names.map(Value::from), |_| {}).unwrap().map;
+        let names = [
+            "Bad oben",
+            "Bad unten ",
+            "Kinderzimmer Tom",
+            "Kinderzimmer Lena",
+            "Flur",
+            "Flur",
+            "\u{200b}",
+            "寝室",
+            "Oда",
+        ];
+        let imported = named(&names.map(Value::from), |_| {}).unwrap();
+        assert!(
+            imported.notes.iter().any(|note| note.starts_with("No English is known for \"oда\"")),
+            "{:?}",
+            imported.notes
+        );
+        let map = imported.map;
         let ids: Vec<_> = map.rooms.iter().map(|room| &*room.id).collect();
         let expected = [
             "bad-oben-1",
@@ -736,6 +762,7 @@ mod tests {
             "hallway-6",
             "room-7",
             "bedroom-8",
+            "oда-9",
         ];
         assert_eq!(ids, expected);
         assert_eq!(map.rooms[3].label, "children's bedroom");
