@@ -1298,6 +1298,42 @@ mod tests {
         }
     }
 
+    /// Who is named once is known again, however often all are spoken of afterwards.
+    #[test]
+    fn words_about_all_push_no_own_word_out() {
+        let directory = tempfile::tempdir().unwrap();
+        let options = options(directory.path(), 16_384);
+        let own = Observation { source: 99, name: Some("ada".into()), ..observation(1) };
+        let of_all = |sequence: u64| {
+            let said = Said::Presence(PresenceStatement::parse("everybody present in the kitchen").unwrap());
+            Observation { source: 98, person: u32::MAX, said, ..observation(sequence) }
+        };
+        let told = |journal: &Journal, o: &Observation| {
+            let Observation { source, epoch, sequence, .. } = *o;
+            let outcome = Outcome { source, epoch, sequence, person: 1, by_fit: false, map: 7, probability: &[] };
+            journal.handle().append(&outcome);
+        };
+        let mut sequence = 0;
+        for run in 0..3 {
+            let (mut journal, recovered) = Journal::open(&options).unwrap();
+            let recovered = recovered.join();
+            if run == 0 {
+                journal.append(&own);
+                told(&journal, &own);
+                for word in (2..20).map(of_all) {
+                    journal.append(&word);
+                    told(&journal, &word);
+                }
+            } else {
+                assert!(recovered.observations.iter().any(|o| o.source == 99), "ada is lost in run {run}");
+            }
+            for _ in 0..700 {
+                sequence += 1;
+                journal.append(&observation(sequence));
+            }
+        }
+    }
+
     /// One narrator that says ten times what the journal holds makes the daemon forget nobody.
     #[test]
     fn who_says_much_pushes_nobody_out() {
