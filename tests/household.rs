@@ -411,6 +411,10 @@ fn nobody_is_lost_over_a_day_a_night_and_two_restarts() {
         nobody_home_minutes > 100 && nobody_home * 10 >= nobody_home_minutes * 9,
         "{nobody_home} of {nobody_home_minutes}"
     );
+    // A planner that is started again sends the robot into no room that is done.
+    let mut twice = robot.finished.iter().map(|(at, room)| ((at - BEGIN_MIN) / ROUND_MIN, room));
+    let mut seen = BTreeSet::new();
+    assert!(twice.all(|done| seen.insert(done)), "a room was done twice in a round: {finished:?}");
     assert!(free.len() >= 2 * ROOMS.len() - 1, "rooms that were free by round: {free:?}");
     for (round, room) in free {
         let is_clean = |(at, own): &(u32, String)| (at - BEGIN_MIN) / ROUND_MIN == round && own == room;

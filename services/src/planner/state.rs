@@ -105,7 +105,8 @@ impl Planner {
         self.round.began_ns = kept.began_ns;
         let robot = &mut self.robot;
         robot.room = kept.room.as_deref().and_then(room);
-        robot.work = kept.work.as_ref().and_then(|work| {
+        // A robot that only waits is told again where: it is not to work there.
+        robot.work = kept.work.as_ref().filter(|work| !work.waits).and_then(|work| {
             let KeptWork { decisions, began_ns, ends_ns, waits, started, .. } = work.clone();
 
             Some(Work { room: room(&work.room)?, decisions, began_ns, ends_ns, waits, started })

@@ -955,6 +955,22 @@ fn a_robot_that_charges_is_kept_in_by_an_older_round_too() {
 
 /// Where nothing is to be done no robot is sent to work, also when it is to wait in another room.
 #[test]
+fn a_restarted_planner_lets_a_robot_wait_that_waited() {
+    let config = PlannerConfig::default();
+    let mut home = Home::new(3, &config);
+    for at_s in [1, 101] {
+        home.decision(at_s);
+    }
+    home.likely = vec![0.0, 0.9, 0.9];
+    home.look(110);
+    let waits = home.decision(112);
+    assert_eq!((waits.action, waits.to(), waits.covered), (action::STAY, "room-0", 0b001));
+    home.planner = Planner::new(&config, 2).with_kept(home.planner.kept("boot").unwrap());
+    let again = home.decision(115);
+    assert_eq!((again.action, again.to(), again.covered), (action::STAY, "room-0", 0b001), "{}", again.reason());
+}
+
+#[test]
 fn a_room_to_wait_in_is_no_room_to_work_in() {
     let mut home = Home::new(3, &PlannerConfig::default());
     let (first, second) = (home.decision(1), home.decision(101));
