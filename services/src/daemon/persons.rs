@@ -542,6 +542,11 @@ impl Persons {
         if owner != number && known {
             return Err(format!("{name} is person {owner} already: forget that one first, or choose another name"));
         }
+        // One who lives here does not become another who does.
+        if owner != number && self.lives_here(name) && self.residents().any(|resident| resident == number) {
+            let own = self.name_of(number).unwrap_or("this person");
+            return Err(format!("{name} and {own} both live here by persons.residents: choose another name"));
+        }
         let former = self.file.of_number(number);
         let kept = match former {
             Some(former) => former.renamed(name),

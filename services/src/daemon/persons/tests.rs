@@ -274,6 +274,18 @@ fn a_resident_with_another_name_is_still_one() {
 }
 
 #[test]
+fn no_resident_becomes_another() {
+    let config = PersonsConfig { residents: vec!["ada".to_owned(), "ben".to_owned()], ..PersonsConfig::default() };
+    let mut persons = Persons::new(config, PersonsFile::default());
+    let refused = persons.rename(person_number("ada"), "Ben").unwrap_err();
+    assert!(refused.contains("both live here"), "{refused}");
+    assert_eq!(persons.name_of(person_number("ada")), Some("ada"));
+    // Of whom only a number was known is one of them.
+    persons.rename(3, "Ben").unwrap();
+    assert_eq!((persons.number_of("ben"), persons.is_visitor(3)), (3, false));
+}
+
+#[test]
 fn visitors_make_room_for_residents() {
     let mut house = House::new(&["0", "ada"]);
     house.after(1, "0", "They sit on the sofa.");
