@@ -261,13 +261,11 @@ impl Planner {
         self.look_for_persons(&scores, now_ns);
         self.look_for_robots(&scores, now_ns);
         if std::mem::take(&mut self.asks_again)
-            // Who waited and has waited long enough is free.
-            && let Some(work) = self.robot.work.clone().filter(|work| !work.waits || now_ns < work.ends_ns)
+            && let Some(work) = self.robot.work.clone()
         {
             // Where its time is over it owes a report, which it may have sent while nobody listened.
             let left_ns = work.ends_ns.saturating_sub(now_ns);
             let reason = match left_ns {
-                _ if work.waits => "waits where it did before the planner's restart",
                 0 => "asks what became of what it was sent to do before the planner's restart",
                 _ => "goes on with what it was sent to do before the planner's restart",
             };
@@ -276,8 +274,7 @@ impl Planner {
             let likely = outlook.over_stay(work.room, self.stay_s()).filter(|_| self.plans());
             let likely = likely.or_else(|| outlook.likely.get(work.room).copied()).unwrap_or_default().clamp(0.0, 1.0);
             let decision = self.go(work.room, left_ns, reason, now_ns, now_unix_ns);
-            let action = if work.waits { action::STAY } else { decision.action };
-            let decision = DecisionV1 { probability: likely, action, ..decision };
+            let decision = DecisionV1 { probability: likely, ..decision };
             if let Some(work) = &mut self.robot.work {
                 work.asked_by(decision.epoch, decision.sequence);
             }

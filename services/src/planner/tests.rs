@@ -953,7 +953,7 @@ fn a_robot_that_charges_is_kept_in_by_an_older_round_too() {
     assert!(out.action == action::GO && out.has(decision_flags::ROBOT_SILENT), "{}", out.reason());
 }
 
-/// Where nothing is to be done no robot is sent to work, also when it is to wait in another room.
+/// Where it waited it waits on, and does not work there.
 #[test]
 fn a_restarted_planner_lets_a_robot_wait_that_waited() {
     let config = PlannerConfig::default();
@@ -970,6 +970,7 @@ fn a_restarted_planner_lets_a_robot_wait_that_waited() {
     assert_eq!((again.action, again.to(), again.covered), (action::STAY, "room-0", 0b001), "{}", again.reason());
 }
 
+/// Where nothing is to be done no robot is sent to work, also when it is to wait in another room.
 #[test]
 fn a_room_to_wait_in_is_no_room_to_work_in() {
     let mut home = Home::new(3, &PlannerConfig::default());
