@@ -26,8 +26,6 @@ pub enum DiskFault {
     FullHalfGoes,
     /// A new half begins without anybody's last words.
     WordsNotCarried,
-    /// A new half begins without what was taken from sources.
-    SourcesNotCarried,
     /// A new half begins without whose the sources are.
     PortsNotCarried,
     /// What was read is taken for what is there, and written over it.
@@ -394,7 +392,6 @@ impl Disk for SimulatedDisk {
         }
         let dropped = match machine.planted {
             Some(DiskFault::WordsNotCarried) => b"78".as_slice(),
-            Some(DiskFault::SourcesNotCarried) => b"24",
             Some(DiskFault::PortsNotCarried) => b"6",
             _ => &[],
         };
@@ -457,15 +454,15 @@ impl Disk for SimulatedDisk {
     }
 }
 
-/// Whole records without those whose fourth letter is one of these.
-fn without(mut records: &[u8], dropped: &[u8]) -> Vec<u8> {
-    let mut kept = Vec::new();
-    while let Some(length) = records.get(4..8).and_then(|length| length.first_chunk()) {
-        let (record, after) = records.split_at(12 + u32::from_le_bytes(*length) as usize);
-        if !dropped.contains(&record[3]) {
-            kept.extend_from_slice(record);
+/// Whole records, of which those whose fourth letter is one of these are none any more.
+fn without(records: &[u8], dropped: &[u8]) -> Vec<u8> {
+    let mut kept = records.to_vec();
+    let mut at = 0;
+    while let Some(length) = records.get(at + 4..at + 8).and_then(|length| length.first_chunk()) {
+        if dropped.contains(&records[at + 3]) {
+            kept[at] = 0;
         }
-        records = after;
+        at += 12 + u32::from_le_bytes(*length) as usize;
     }
     kept
 }
