@@ -1,11 +1,13 @@
 //! What a hub keeps until every robot has confirmed it: in memory, and in a file that a killed hub goes on with.
 //!
 //! A line of JSON for each narration, behind one that says the epoch. A line that was cut off by a power loss is dropped; it was not sent
-//! before it was on disk.
+//! before it was on disk. Narrations up to a damaged line in the middle are given up: numbers go on behind it, so that none is given twice.
+//! Folder and file are their owner's alone, for narration is private.
 
 use std::collections::VecDeque;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use roomcast_ipc::{clock, sequence};
@@ -17,7 +19,7 @@ use crate::wire::{Hex, Observation};
 
 /// The file's name in its folder.
 const FILE: &str = "narration";
-/// The file is written anew when it has so many lines of narrations that are gone.
+/// The file is written again when it has so many lines of narrations that are gone.
 const GONE_MAX: u64 = 4096;
 /// Longest line of the file.
 const LINE_BYTES_MAX: u64 = 16 << 10;
@@ -68,6 +70,8 @@ pub struct Spool {
     keep: usize,
     /// Lines of the file whose narrations are gone.
     gone: u64,
+    /// A write failed, and the file is to end here before the next one.
+    cut_at: Option<u64>,
     _lock: File,
 }
 
@@ -83,19 +87,28 @@ impl Spool {
             let path = path.clone();
             move |source| SpoolError { path, what, source }
         };
-        fs::create_dir_all(folder).map_err(failed("cannot make its folder"))?;
-        let lock =
-            OpenOptions::new().create(true).append(true).open(folder.join("lock")).map_err(failed("cannot lock"))?;
+        fs::DirBuilder::new().recursive(true).mode(0o700).create(folder).map_err(failed("cannot make its folder"))?;
+        let lock = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .mode(0o600)
+            .open(folder.join("lock"))
+            .map_err(failed("cannot lock"))?;
         flock(&lock, FlockOperation::NonBlockingLockExclusive)
             .map_err(|error| failed("another hub uses it")(error.into()))?;
-        let (head, kept) = match File::open(&path) {
+        let (head, kept, given_up) = match File::open(&path) {
             Ok(file) => read(BufReader::new(file)).map_err(failed("cannot read"))?,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => (None, VecDeque::new()),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => (None, VecDeque::new(), 0),
             Err(error) => return Err(failed("cannot read")(error)),
         };
+        if given_up > 0 {
+            let path = path.display();
+            tracing::error!(%path, given_up, "the spool is damaged: what was kept before that is given up; is the disk failing?");
+        }
         let head = head.unwrap_or_else(|| Head { epoch: Hex(sequence::random_epoch()), first: 1, input: 0 });
         let file = write(&path, head, &kept).map_err(failed("cannot write"))?;
-        let mut spool = Self { path, file, head, clock: Hex(clock_id()), kept, keep, gone: 0, _lock: lock };
+        let mut spool =
+            Self { path, file, head, clock: Hex(clock_id()), kept, keep, gone: 0, cut_at: None, _lock: lock };
         spool.trim();
         Ok(spool)
     }
@@ -164,10 +177,14 @@ impl Spool {
             fresh.push(kept);
             next += 1;
         }
+        // Half a line would hide what comes after it.
+        if let Some(end) = self.cut_at {
+            self.file.set_len(end).map_err(|error| self.failed("cannot write", error))?;
+            self.cut_at = None;
+        }
         let end = self.file.metadata().map_err(|error| self.failed("cannot write", error))?.len();
         if let Err(error) = self.file.write_all(&lines).and_then(|()| self.file.sync_data()) {
-            // Half a line would hide what comes after it.
-            let _cut = self.file.set_len(end);
+            self.cut_at = self.file.set_len(end).is_err().then_some(end);
             return Err(self.failed("cannot write", error));
         }
         self.kept.extend(fresh);
@@ -191,7 +208,7 @@ impl Spool {
         self.forget(usize::try_from(over).unwrap_or(usize::MAX));
         if self.gone >= GONE_MAX && self.gone > self.kept.len() as u64 {
             self.file = write(&self.path, self.head, &self.kept).map_err(|error| self.failed("cannot write", error))?;
-            self.gone = 0;
+            (self.gone, self.cut_at) = (0, None);
         }
         Ok(())
     }
@@ -208,30 +225,47 @@ impl Spool {
     }
 }
 
-/// What a file has, up to a line that is cut off or no narration.
-fn read(mut file: impl BufRead) -> io::Result<(Option<Head>, VecDeque<Kept>)> {
+/// What a file has, and how many narrations are given up: those before a damaged line that others follow. What follows no good line any more
+/// was cut off.
+fn read(mut file: impl BufRead) -> io::Result<(Option<Head>, VecDeque<Kept>, u64)> {
     let mut line = Vec::new();
     let mut next = |line: &mut Vec<u8>| -> io::Result<bool> {
         line.clear();
         io::Read::take(&mut file, LINE_BYTES_MAX).read_until(b'\n', line)?;
-        Ok(line.ends_with(b"\n"))
+        Ok(!line.is_empty())
     };
-    let mut kept = VecDeque::<Kept>::new();
+    let (mut kept, mut given_up) = (VecDeque::<Kept>::new(), 0);
     let head = if next(&mut line)? { serde_json::from_slice::<Head>(&line).ok() } else { None };
-    let Some(head) = head.filter(|head| head.epoch.0 != 0 && head.first != 0) else { return Ok((None, kept)) };
+    let head = head.filter(|head| head.epoch.0 != 0 && head.first != 0);
+    let Some(mut head) = head else { return Ok((None, kept, given_up)) };
     while next(&mut line)? {
+        let expected = head.first + kept.len() as u64;
         match serde_json::from_slice::<Kept>(&line) {
-            Ok(own) if own.sequence == head.first + kept.len() as u64 => kept.push_back(own),
-            _ => break,
+            // Without its end of line it may be half of a longer one.
+            Ok(own) if !line.ends_with(b"\n") || own.sequence < expected || own.sequence == u64::MAX => {}
+            Ok(own) => {
+                if own.sequence > expected {
+                    given_up += own.sequence - head.first;
+                    (head.first, head.input) = (own.sequence, own.input);
+                    kept.clear();
+                }
+                kept.push_back(own);
+            }
+            Err(_) => {}
         }
     }
-    Ok((Some(head), kept))
+    Ok((Some(head), kept, given_up))
 }
 
 /// Replaces the file at once, so that a kill leaves the old one or the new one. Gives it, opened for more.
 fn write(path: &Path, head: Head, kept: &VecDeque<Kept>) -> io::Result<File> {
     let unfinished = path.with_extension("unfinished");
-    let mut file = BufWriter::new(File::create(&unfinished)?);
+    // One that is left of an earlier write may have another mode.
+    match fs::remove_file(&unfinished) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    let mut file = BufWriter::new(OpenOptions::new().create_new(true).write(true).mode(0o600).open(&unfinished)?);
     serde_json::to_writer(&mut file, &head)?;
     file.write_all(b"\n")?;
     for own in kept {
@@ -289,6 +323,39 @@ mod tests {
         assert_eq!((spool.epoch(), spool.first(), spool.last(), spool.input()), (epoch, 1, 5, 50));
         append(&mut spool, 1);
         assert_eq!(again().1.len(), 6);
+    }
+
+    #[test]
+    fn numbers_go_on_behind_what_is_damaged() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut spool = Spool::open(folder.path(), 100).unwrap();
+        append(&mut spool, 6);
+        let epoch = spool.epoch();
+        drop(spool);
+        let path = folder.path().join(FILE);
+        let whole = fs::read(&path).unwrap();
+        let begins: Vec<usize> = (0..whole.len()).filter(|at| *at == 0 || whole[at - 1] == b'\n').collect();
+        // The head, narrations 1 to 6. Of the third of them one byte is another.
+        for byte in [b'x', b'\n', 0xff] {
+            let mut damaged = whole.clone();
+            damaged[begins[3] + 4] = byte;
+            fs::write(&path, &damaged).unwrap();
+            let spool = Spool::open(folder.path(), 100).unwrap();
+            assert_eq!((spool.epoch(), spool.first(), spool.last()), (epoch, 4, 6));
+        }
+        // Of what is damaged at its end, all before that is kept.
+        fs::write(&path, &whole[..whole.len() - 3]).unwrap();
+        assert_eq!(Spool::open(folder.path(), 100).unwrap().last(), 5);
+    }
+
+    #[test]
+    fn narration_is_its_owners_alone() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let spool = Spool::open(&folder.path().join("hub"), 100).unwrap();
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        let paths = [folder.path().join("hub"), spool.path.clone(), folder.path().join("hub/lock")];
+        assert_eq!(paths.map(|path| mode(&path)), [0o700, 0o600, 0o600]);
     }
 
     #[test]
