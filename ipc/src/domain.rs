@@ -15,6 +15,7 @@ use iceoryx2::prelude::{
     SignalHandlingMode,
 };
 use iceoryx2::service::ipc_threadsafe;
+use rustix::fs::{Mode, OFlags};
 use rustix::process::geteuid;
 
 use crate::{IpcError, clock};
@@ -401,8 +402,8 @@ impl Domain {
     fn commit_shared_memory(&self) -> Result<(), IpcError> {
         for file in self.shared_memory().unwrap_or_default() {
             // What cannot be opened is gone again, or being made.
-            let Ok(open) = fs::File::options().write(true).open(&file) else { continue };
-            let bytes = open.metadata().map_or(0, |about| about.len());
+            let Some((open, about)) = open_own(&file, OFlags::WRONLY) else { continue };
+            let bytes = about.len();
             if bytes > 0
                 && let Err(rustix::io::Errno::NOSPC) =
                     rustix::fs::fallocate(&open, rustix::fs::FallocateFlags::KEEP_SIZE, 0, bytes)
@@ -415,12 +416,13 @@ impl Domain {
 
     /// iceoryx2 opens one file per domain, its counter of participants, to every user. Nobody else is to reach it.
     fn close_to_others(&self) {
-        use std::os::unix::fs::PermissionsExt;
         for file in self.shared_memory().unwrap_or_default() {
-            let open = fs::metadata(&file).is_ok_and(|about| about.permissions().mode() & 0o077 != 0);
-            if open {
+            let opened = open_own(&file, OFlags::RDONLY).or_else(|| open_own(&file, OFlags::WRONLY));
+            if let Some((open, about)) = opened
+                && about.permissions().mode() & 0o077 != 0
+            {
                 // It may be gone already, and where it cannot be closed the root still keeps others out.
-                let _closed = fs::set_permissions(&file, fs::Permissions::from_mode(0o600));
+                let _closed = open.set_permissions(fs::Permissions::from_mode(0o600));
             }
         }
     }
@@ -464,10 +466,19 @@ impl Domain {
     }
 }
 
+/// Opens a file of the domain's in shared memory, where anybody may put a pipe, on which opening would wait, or a link to somewhere else: none
+/// but a plain file of this user's is opened.
+fn open_own(file: &Path, access: OFlags) -> Option<(fs::File, fs::Metadata)> {
+    let flags = access | OFlags::NONBLOCK | OFlags::NOFOLLOW | OFlags::CLOEXEC | OFlags::NOCTTY;
+    let open = fs::File::from(rustix::fs::open(file, flags, Mode::empty()).ok()?);
+    let about = open.metadata().ok()?;
+    (about.is_file() && about.uid() == geteuid().as_raw()).then_some((open, about))
+}
+
 /// How long ago a file, or what is in a folder, last changed; none where it is gone.
 fn age(path: &Path) -> Option<Duration> {
     static AGES: Mutex<Ages> = Mutex::new(Ages::new());
-    let changed = fs::metadata(path).and_then(|about| about.modified()).ok()?;
+    let changed = fs::symlink_metadata(path).and_then(|about| about.modified()).ok()?;
     let mut ages = AGES.lock().unwrap_or_else(PoisonError::into_inner);
     Some(ages.age(path, changed, SystemTime::now(), Duration::from_nanos(clock::monotonic_ns())))
 }

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use iceoryx2::prelude::ZeroCopySend;
 use roomcast_ipc::{
-    Domain, Field, IpcError, ItemScoreV1, ItemScoresHeaderV1, Layout, Message, MessageError, NarrationV1, RoomScoresV1,
-    ServiceQuality, StatusResponseV1, narration_kind, question, text,
+    DecisionV1, Domain, Field, IpcError, ItemScoreV1, ItemScoresHeaderV1, Layout, Message, MessageError, NarrationV1,
+    RoomScoresV1, ServiceQuality, StatusResponseV1, narration_kind, question, text,
 };
 
 /// A domain that removes itself, also when the test fails.
@@ -456,4 +456,63 @@ fn what_belongs_to_the_living_is_left_alone_however_old() {
         answers.1.unwrap();
     });
     drop((publisher, subscriber, items, question, asked, moments, status, daemon, planner));
+}
+
+/// What anybody may put into `/dev/shm` under the domain's names, after somebody has joined.
+#[test]
+fn pipes_and_links_in_shared_memory_hold_up_nobody_and_stay_as_they_are() {
+    use std::os::unix::fs::MetadataExt;
+
+    let private = Private::new("planted");
+    let prefix = private.domain.prefix();
+    let planted = |name: &str| std::path::PathBuf::from(format!("/dev/shm/{prefix}{name}"));
+    let outside = tempfile::tempdir().unwrap();
+    let victim = outside.path().join("victim");
+    std::fs::File::create(&victim).unwrap().set_len(64 << 20).unwrap();
+    std::fs::set_permissions(&victim, std::fs::Permissions::from_mode(0o644)).unwrap();
+    let sparse = planted("sparse.data");
+    let is_root = rustix::process::geteuid().is_root();
+    let plant = |private: &Private| {
+        rustix::fs::mkfifoat(rustix::fs::CWD, planted("evil.data"), rustix::fs::Mode::from_raw_mode(0o666)).unwrap();
+        std::os::unix::fs::symlink(&victim, planted("link.data")).unwrap();
+        std::os::unix::fs::symlink("/nowhere", planted("dangling.data")).unwrap();
+        std::fs::create_dir(planted("folder.data")).unwrap();
+        std::fs::File::create(&sparse).unwrap().set_len(1 << 20).unwrap();
+        std::fs::set_permissions(&sparse, std::fs::Permissions::from_mode(0o644)).unwrap();
+        if is_root {
+            // Another user's, which only root can make.
+            std::os::unix::fs::lchown(planted("evil.data"), Some(65_534), Some(65_534)).unwrap();
+            std::fs::File::create(planted("theirs.data")).unwrap().set_len(1 << 20).unwrap();
+            std::os::unix::fs::lchown(planted("theirs.data"), Some(65_534), Some(65_534)).unwrap();
+        }
+        private.shared_memory_files()
+    };
+    let node = private.domain.open("before").unwrap();
+    plant(&private);
+    let start = Instant::now();
+    let publisher = node.publisher::<RoomScoresV1>().unwrap();
+    let subscriber = node.subscriber::<RoomScoresV1>().unwrap();
+    publisher.send(&scores(1)).unwrap();
+    assert_eq!(eventually(|| subscriber.newest().unwrap()).sequence, 1);
+    node.clean_up_dead();
+    assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
+    // What is a participant's own is given its pages; what a link leads to is left alone.
+    assert_eq!(std::fs::metadata(&victim).unwrap().blocks(), 0);
+    assert!(std::fs::metadata(&sparse).unwrap().blocks() * 512 >= 1 << 20);
+    if is_root {
+        assert_eq!(std::fs::metadata(planted("theirs.data")).unwrap().blocks(), 0);
+        let refused = private.domain.open("after").unwrap_err();
+        assert!(matches!(refused, IpcError::ForeignSharedMemory { owner: 65_534, .. }), "{refused}");
+        for theirs in ["evil.data", "theirs.data"] {
+            std::os::unix::fs::lchown(planted(theirs), Some(0), Some(0)).unwrap();
+        }
+    }
+    let after = private.domain.open("after").unwrap();
+    let decisions = after.publisher::<DecisionV1>().unwrap();
+    assert!(start.elapsed() < Duration::from_secs(10), "{:?}", start.elapsed());
+    assert_eq!(std::fs::metadata(&victim).unwrap().mode() & 0o777, 0o644, "a link is not followed");
+    assert_eq!(std::fs::metadata(&sparse).unwrap().mode() & 0o777, 0o600);
+    assert!(std::fs::symlink_metadata(planted("evil.data")).is_ok() && planted("folder.data").is_dir());
+    std::fs::remove_dir(planted("folder.data")).unwrap();
+    drop((decisions, after, publisher, subscriber, node));
 }

@@ -111,6 +111,44 @@ def test_nothing_in_shared_memory_is_open_to_others() -> None:
         assert files and not [file for file in files if file.stat().st_mode & 0o077]
 
 
+def test_pipes_and_links_in_shared_memory_hold_up_nobody_and_stay_as_they_are(folder: pathlib.Path) -> None:
+    """What anybody may put there under the domain's names, after somebody has joined."""
+    victim = folder / "victim"
+    with open(victim, "wb") as file:
+        file.truncate(64 << 20)
+    victim.chmod(0o644)
+    with private_domain() as domain:
+        planted = {name: pathlib.Path(f"/dev/shm/{domain.prefix}{name}.data") for name in ["evil", "link", "folder", "sparse", "theirs"]}
+        node = domain.open("before")
+        try:
+            os.mkfifo(planted["evil"], 0o666)
+            planted["link"].symlink_to(victim)
+            planted["folder"].mkdir()
+            for name in ["sparse", "theirs"]:
+                with open(planted[name], "wb") as file:
+                    file.truncate(1 << 20)
+                planted[name].chmod(0o644)
+            if os.geteuid() == 0:
+                os.chown(planted["evil"], NOBODY, NOBODY)
+                os.chown(planted["theirs"], NOBODY, NOBODY)
+            kept = ports.Publisher(node, ports.DECISION)
+            assert victim.stat().st_blocks == 0, "a link was followed"
+            assert planted["sparse"].stat().st_blocks * 512 >= 1 << 20
+            if os.geteuid() == 0:
+                assert planted["theirs"].stat().st_blocks == 0
+                with pytest.raises(RoomcastError, match=f"belongs to user {NOBODY}"):
+                    domain.open("after")
+                os.chown(planted["evil"], 0, 0)
+                os.chown(planted["theirs"], 0, 0)
+            domain.open("after")
+            assert victim.stat().st_mode & 0o777 == 0o644, "a link was followed"
+            assert planted["sparse"].stat().st_mode & 0o777 == 0o600
+            assert planted["evil"].is_fifo() and planted["folder"].is_dir()
+            del kept
+        finally:
+            planted["folder"].rmdir()
+
+
 def test_a_participant_is_named_in_the_refusal_of_its_name() -> None:
     with private_domain() as domain, pytest.raises(RoomcastError, match=f"cannot join the domain at {domain.root} as 'aaa"):
         domain.open("a" * 300)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pathlib
 import subprocess
 import sys
@@ -287,8 +288,6 @@ def test_a_late_planner_has_the_scores_at_once(daemon: Domain) -> None:
 
 def test_the_rust_command_line_agrees(daemon: Domain) -> None:
     """The daemon's numbers for one narration are those of `roomcast score`."""
-    import json
-
     with Narrator("py-narrator", daemon) as narrator:
         narrator.say("They open the fridge.")
         heard = narrator.wait_until_included(20)
@@ -320,6 +319,26 @@ def test_the_map_is_changed_and_the_moment_told(daemon: Domain) -> None:
     for label in told["labels"]:
         tokens = sum(token["log_prob_nats"] for token in label["tokens"])
         assert tokens + label["prior_nats"] == pytest.approx(label["log_prob_nats"])
+
+
+def test_an_answer_that_is_too_long_for_shared_memory_is_read_from_its_file(domain: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ports, "_answer", lambda *_: ports._ANSWER_IN_FILE)
+    pathlib.Path(domain.root, f"{domain.prefix}moment.answer").write_text('{"labels": []}')
+    assert moment(domain) == {"labels": []}
+    with pytest.raises(RoomcastError, match="service roomcast/v1/map-change: the answer in .* cannot be read: No such file.*; ask again"):
+        change_map([], domain)
+
+
+def test_a_long_moment_is_told(daemon: Domain) -> None:
+    with Narrator("py-narrator", daemon) as narrator:
+        narrator.say("They open the fridge.")
+        assert narrator.wait_until_included(20)
+    kept = next(item for item in moment(daemon)["scene"]["items"] if item["id"] == "fridge-1")
+    added = [{"change": "add-item", "item": {**kept, "id": f"fridge-{number}"}} for number in range(100, 700)]
+    assert change_map(added, daemon)["new_labels"] == 0
+    told = moment(daemon)
+    assert len(json.dumps(told, separators=(",", ":"))) > 1 << 16
+    assert {f"fridge-{number}" for number in range(100, 700)} <= {item["id"] for item in told["scene"]["items"]}
 
 
 def test_every_kind_can_be_followed(daemon: Domain) -> None:

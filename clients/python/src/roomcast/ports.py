@@ -135,10 +135,10 @@ class Domain:
         """Has the system give every page of the domain's shared memory now, so that it cannot be out of them when one is first
         touched, in the middle of a publish."""
         for file in self._shared_memory():
-            try:
-                descriptor = os.open(file, os.O_WRONLY)
-            except OSError:
-                continue  # it is gone again, or being made
+            descriptor = _open_own(file, os.O_WRONLY)
+            if descriptor is None:
+                continue  # it is gone again, being made, or not ours
+            size = 0
             try:
                 size = os.fstat(descriptor).st_size
                 if size:
@@ -192,11 +192,35 @@ class Domain:
     def _close_to_others(self) -> None:
         """iceoryx2 opens one file per domain, its counter of participants, to every user. Nobody else is to reach it."""
         for file in self._shared_memory():
+            descriptor = _open_own(file, os.O_RDONLY)
+            if descriptor is None:
+                descriptor = _open_own(file, os.O_WRONLY)
+            if descriptor is None:
+                continue  # it is gone again, or not ours
             try:
-                if file.stat().st_mode & 0o077:
-                    file.chmod(0o600)
+                if os.fstat(descriptor).st_mode & 0o077:
+                    os.fchmod(descriptor, 0o600)
             except OSError:
-                continue  # it is gone again
+                continue  # the root still keeps others out
+            finally:
+                os.close(descriptor)
+
+
+def _open_own(file: pathlib.Path, access: int) -> int | None:
+    """Opens a file of the domain's in shared memory, where anybody may put a pipe, on which opening would wait, or a link to somewhere
+    else: none but a plain file of this user's is opened."""
+    try:
+        descriptor = os.open(file, access | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NOCTTY)
+    except OSError:
+        return None
+    try:
+        about = os.fstat(descriptor)
+        if stat.S_ISREG(about.st_mode) and about.st_uid == os.geteuid():
+            return descriptor
+    except OSError:
+        pass
+    os.close(descriptor)
+    return None
 
 
 def refuse_full_shared_memory() -> None:
@@ -498,7 +522,7 @@ def ask(node: Node, service: str, question: str, timeout_s: float = 10) -> str:
     answer = _answer(service, send, lambda answer: bytes(answer.payload().as_memory_view()), 0.5, timeout_s)
     if answer == _ANSWER_IN_FILE:
         # It is too long for shared memory.
-        path = pathlib.Path(node.domain.root, f"{node.domain.name}_{service.rsplit('/')[-1]}.answer")
+        path = pathlib.Path(node.domain.root, f"{node.domain.prefix}{service.rsplit('/')[-1]}.answer")
         try:
             answer = path.read_bytes()
         except OSError as error:
