@@ -20,6 +20,11 @@
 //! What is observed after a rest, of more than ten minutes with one thing, ends it: whoever turns to another thing then has turned to it at least
 //! as probably as somebody of whom nothing was known before. A rest is no interval to learn from.
 //!
+//! A sensor says in which room somebody is, not with what. A sentence that comes after it is of the next thing, since none is known to be in hand, and the
+//! next thing begins another stay about as often as things are turned to in one: with the ratio of the two means, before any home is
+//! watched. Where that stay is nobody knows, so every room is as likely. Without this the word that is later and says more would lose
+//! against the one before it.
+//!
 //! Beside the rooms there is one more place, elsewhere: the person is out of the house. Whoever has left is elsewhere for sure, and comes
 //! back by a survival function of the same shape, with the mean of the absences watched so far over a prior of hours; who has come back is
 //! where they are in the long run. Whoever is in the house is not elsewhere at any horizon: nothing here knows when they leave.
@@ -66,6 +71,15 @@ impl Default for ForecastOptions {
             mistaken: 0.01,
             away_s: 4.0 * 3600.0,
         }
+    }
+}
+
+impl ForecastOptions {
+    /// How probably the next thing is turned to in another stay than the last one, of somebody of whom nothing was known before.
+    fn moved(&self) -> f64 {
+        let moved = self.object_s / self.stay_s;
+        // Two means that are wrong are no reason to believe neither word.
+        if moved.is_nan() { 0.5 } else { moved.clamp(0.0, 0.5) }
     }
 }
 
@@ -130,6 +144,8 @@ pub struct Forecaster {
     /// When the room now believed in was entered.
     room_since_s: f64,
     updated_s: f64,
+    /// What was heard last of where they are is a sensor's word, and nothing is known to have been done since.
+    sensed: bool,
 }
 
 impl Forecaster {
@@ -153,6 +169,7 @@ impl Forecaster {
             object: None,
             room_since_s: now_s,
             updated_s: now_s,
+            sensed: false,
         }
     }
 
@@ -167,12 +184,16 @@ impl Forecaster {
     /// Whoever does something is in the house.
     pub fn observe(&mut self, at_s: f64, mention: Option<Mention>, grounding: &Grounding, scores: &[f64]) {
         let rooms = self.belief.len();
+        // A sentence of before a sensor's word is no news of after it.
+        let is_late = at_s < self.updated_s;
         let at_s = self.come_home(at_s);
         let mentioned =
             mention.filter(|mention| mention.label < grounding.weights.nrows() && grounding.weights.ncols() == rooms);
         // P(label | room) is in proportion to the share of the label's items there.
         let misplaced = self.options.misplaced;
+        let moved = if self.sensed && !is_late { self.options.moved() } else { 0.0 };
         let weigh = |mention: Mention, room: usize, p: f64| {
+            let p = (1.0 - moved) * p + moved / rooms as f64;
             let share = grounding.weights[(mention.label, room)];
             let fits = if mention.is_left { 1.0 - share } else { share };
             p * (misplaced / rooms as f64 + (1.0 - misplaced) * fits)
@@ -182,6 +203,7 @@ impl Forecaster {
         let turns = rested && mentioned.is_some_and(|mention| mention.is_left || self.object != Some(mention.label));
         let same_at_most = if turns { self.newcomer(at_s) } else { 1.0 };
         self.update(at_s, same_at_most, mentioned.map(|mention| move |room: usize, p: f64| weigh(mention, room, p)));
+        self.sensed &= mentioned.is_none();
         // What is left is not turned to.
         self.expects = true;
         if let Some(label) = mentioned.filter(|mention| !mention.is_left).map(|mention| mention.label)
@@ -204,6 +226,7 @@ impl Forecaster {
         }
         let at_s = self.come_home(at_s);
         let Some(entered) = room.filter(|room| *room < rooms) else { return };
+        self.sensed = true;
         let before = likeliest(&self.belief);
         let mistaken = self.options.mistaken;
         let seen = |room: usize, p: f64| mistaken * p + (1.0 - mistaken) * f64::from(u8::from(room == entered));
@@ -217,7 +240,7 @@ impl Forecaster {
     fn begin_elsewhere(&mut self, at_s: f64) {
         (self.object, self.object_since_s) = (None, at_s);
         self.scores.copy_from_slice(&self.belief);
-        self.expects = false;
+        (self.expects, self.sensed) = (false, true);
     }
 
     /// Takes in that nobody is in `room` at `at_s`. It says nothing else: neither that the person was seen, nor that they did anything. Of a
@@ -656,6 +679,59 @@ mod tests {
             seen.enter(61.0, Some(7));
             assert!(seen.belief()[room] > 0.9, "no such room");
         }
+    }
+
+    /// Motion in the doorway and then a device: what is told after a sensor's word is what they do next, however soon.
+    #[test]
+    fn a_sentence_or_a_sensor_after_a_sensor_says_where_somebody_is() {
+        let (map, grounding) = studio();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let room = |id: &str| grounding.partitions.iter().position(|p| p.id == id).unwrap();
+        let (kitchen, bathroom) = (room("kitchen"), room("bathroom"));
+        let even = [1.0 / 3.0; 3];
+        let fridge = mentions.last("They open the fridge.");
+        let goes = mentions.last("They go to the bathroom.");
+        let leaves = mentions.last("They leave the kitchen.");
+        let fresh = Forecaster::new(3, ForecastOptions::default(), 0.0);
+        // A sensor that agrees with what was done makes it no harder to leave.
+        let mut cooking = fresh.clone();
+        for at_s in [20.0, 50.0, 80.0] {
+            cooking.observe(at_s, fridge, &grounding, &even);
+        }
+        let mut home = fresh.clone();
+        home.leave(20.0);
+        for (name, before) in [("fresh", &fresh), ("cooking", &cooking), ("back home", &home)] {
+            for apart_s in [0.5, 1.0, 2.0, 3.0, 5.0, 10.0] {
+                let what = format!("{name}, {apart_s} s");
+                let mut seen = before.clone();
+                seen.enter(100.0, Some(kitchen));
+                let mut told = seen.clone();
+                told.observe(100.0 + apart_s, goes, &grounding, &even);
+                assert!(told.belief()[bathroom] > 0.9, "{what}: {:?}", told.belief());
+                // And it stays so.
+                let later: Vec<f64> = told.at(160.0 + apart_s, 0.0).collect();
+                assert_eq!(likeliest(&later), Some(bathroom), "{what}: {later:?}");
+                let mut left = seen.clone();
+                left.observe(100.0 + apart_s, leaves, &grounding, &even);
+                assert!(left.belief()[kitchen] < 0.1, "{what}: {:?}", left.belief());
+                let mut walked = seen.clone();
+                walked.enter(100.0 + apart_s, Some(bathroom));
+                assert!(walked.belief()[bathroom] > 0.98, "{what}: {:?}", walked.belief());
+                // What they do where they were seen leaves them there, and so does a sentence that names nothing.
+                for mention in [fridge, None] {
+                    let mut stays = seen.clone();
+                    stays.observe(100.0 + apart_s, mention, &grounding, &even);
+                    assert!(stays.belief()[kitchen] > 0.95, "{what}: {:?}", stays.belief());
+                    stays.observe(101.0 + apart_s, goes, &grounding, &even);
+                    assert!(mention.is_some() || stays.belief()[bathroom] > 0.9, "{what}: {:?}", stays.belief());
+                }
+            }
+        }
+        // A sentence of before the sensor's word is no news of after it.
+        let mut late = fresh.clone();
+        late.enter(100.0, Some(kitchen));
+        late.observe(97.0, goes, &grounding, &even);
+        assert_eq!(likeliest(late.belief()), Some(kitchen), "{:?}", late.belief());
     }
 
     #[test]
