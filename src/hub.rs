@@ -90,7 +90,7 @@ pub enum HubError {
         file: String,
     },
     /// What the hub has is not what was asked for. Nothing of it is kept.
-    #[error("{file} has the SHA-256 {found}, asked for was {wanted}: {remedy}")]
+    #[error("{file} has SHA-256 {found}, expected {wanted}: {remedy}")]
     Checksum {
         /// The file asked for.
         file: String,

@@ -24,6 +24,7 @@ use roomcast_ipc::{
 use sd_notify::NotifyState;
 
 use crate::http::{HttpError, Server, refusal};
+use roomcast_core::policy::PolicyName;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion};
 use roomcast_services::notify::notify;
 use roomcast_services::stop::Stop;
@@ -35,6 +36,8 @@ const PATIENCE: Duration = Duration::from_millis(500);
 const TICK: Duration = Duration::from_millis(100);
 /// How often systemd hears that this process lives, at most.
 const WATCHDOG: Duration = Duration::from_secs(1);
+/// What all policies count as that are not Roomcast's own.
+const OTHER_POLICY: &str = "other";
 /// What OpenMetrics wants to be called.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
@@ -69,7 +72,7 @@ struct Room {
 
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct DecisionKind {
-    policy: String,
+    policy: &'static str,
     fallback: &'static str,
 }
 
@@ -294,7 +297,9 @@ impl Metrics {
 
     fn decide(&self, decision: &DecisionV1) {
         let fallback = if decision.has(decision_flags::FALLBACK) { "true" } else { "false" };
-        let kind = DecisionKind { policy: decision.policy().to_owned(), fallback };
+        // A planner of one's own may name any policy, and ever new ones.
+        let known = PolicyName::ALL.map(PolicyName::as_str).into_iter().find(|known| *known == decision.policy());
+        let kind = DecisionKind { policy: known.unwrap_or(OTHER_POLICY), fallback };
         self.decisions.get_or_create(&kind).inc();
     }
 
@@ -312,6 +317,8 @@ impl Metrics {
             ("missed", status.missed),
             ("malformed", status.malformed),
             ("limited", status.limited),
+            ("forged", status.forged),
+            ("costly", status.costly),
             ("restored", status.restored),
         ] {
             set(&self.narrations.get_or_create(&NarrationOutcome { outcome }), count);
@@ -484,6 +491,27 @@ mod tests {
         for address in ["0.0.0.0:9464", "192.168.1.2:9464", "[::]:9464"] {
             let refused = run(address.parse().unwrap(), &domain, &Stop::new(), |_| ());
             assert!(matches!(refused, Err(MetricsError::Http(HttpError::NotLoopback(_)))), "{address}");
+        }
+    }
+
+    /// Whoever decides may call its policy anything, and something else every time.
+    #[test]
+    fn foreign_policies_are_one_series() {
+        let metrics = Metrics::new();
+        let decide = |policy: &str| {
+            metrics.decide(&DecisionV1 { policy: text::encode("policy", policy).unwrap(), ..DecisionV1::default() });
+        };
+        PolicyName::ALL.iter().for_each(|policy| decide(policy.as_str()));
+        (0..1000).for_each(|number| decide(&format!("policy-{number}")));
+        decide("other");
+        let text = metrics.text(0);
+        let series: Vec<_> = text.lines().filter(|line| line.starts_with("roomcast_decisions_total")).collect();
+        assert_eq!(series.len(), PolicyName::ALL.len() + 1, "{series:?}");
+        for line in [
+            "roomcast_decisions_total{policy=\"coverage-aware\",fallback=\"false\"} 1",
+            "roomcast_decisions_total{policy=\"other\",fallback=\"false\"} 1001",
+        ] {
+            assert!(series.contains(&line), "{line}\n{text}");
         }
     }
 

@@ -80,7 +80,7 @@ impl View {
             && last.epoch == scores.epoch
             && scores.sequence > last.sequence
         {
-            self.snapshots_missed += scores.sequence - last.sequence - 1;
+            self.snapshots_missed = self.snapshots_missed.saturating_add(scores.sequence - last.sequence - 1);
         }
         let same_map = self.rooms.len() == scores.rooms().len()
             && self.rooms.iter().zip(scores.rooms()).all(|(own, new)| own.id == new.id());
@@ -309,7 +309,8 @@ impl View {
                 reached::TOP => "top certain",
                 _ => "order not certain",
             };
-            let step_ns = scores.tokenise_ns + scores.prefix_ns + scores.trie_ns + scores.ground_ns;
+            let stages_ns = [scores.tokenise_ns, scores.prefix_ns, scores.trie_ns, scores.ground_ns];
+            let step_ns = stages_ns.into_iter().fold(0, u64::saturating_add);
             first.push(Span::from(format!(
                 "step {:.1} ms ({reached}), labels together {:.0} %",
                 step_ns as f64 / 1e6,
@@ -516,6 +517,61 @@ mod tests {
         let buffer = terminal.backend().buffer();
         let row = |y| (0..width).map(|x| buffer[(x, y)].symbol()).collect::<String>();
         (0..height).map(|y| row(y).trim_end().to_owned() + "\n").collect()
+    }
+
+    /// Numbers that pass the check of their message, and that no daemon sends.
+    #[test]
+    fn extreme_numbers_are_drawn() {
+        const MOST: u64 = u64::MAX;
+        let mut view = full();
+        let first = scores(1, &[("kitchen", 1.0)]);
+        for epoch in 1..4 {
+            view.scores(&RoomScoresV1 { epoch, ..first });
+            let times = RoomScoresV1 { computed_ns: MOST, published_ns: MOST, observed_ns: MOST, ..first };
+            let last = RoomScoresV1 { tokenise_ns: MOST, prefix_ns: MOST, trie_ns: MOST, ground_ns: MOST, ..times };
+            view.scores(&RoomScoresV1 { epoch, sequence: MOST, wait_ns: MOST, received_ns: MOST, ..last });
+        }
+        assert_eq!(view.snapshots_missed, MOST);
+        view.decision(&DecisionV1 {
+            decided_ns: MOST,
+            sequence: MOST,
+            stay_ns: MOST,
+            flags: u32::MAX,
+            ..Default::default()
+        });
+        view.status(StatusResponseV1 {
+            answered_ns: MOST,
+            accepted: MOST,
+            missed: MOST,
+            malformed: MOST,
+            failed_steps: MOST,
+            learned: MOST,
+            habits_bytes: MOST,
+            latency_p50_ns: MOST,
+            latency_p99_ns: MOST,
+            ..Default::default()
+        });
+        let mut persons =
+            PersonScoresV1 { epoch: 3, room_count: 1, persons: u32::MAX, person_count: 8, ..Default::default() };
+        persons.id[0] = text::encode("id", "kitchen").unwrap();
+        for person in &mut persons.person {
+            (person.person, person.flags, person.since_ns, person.presence) = (u32::MAX, u32::MAX, MOST, 1);
+        }
+        let mut forecasts =
+            PersonForecastsV1 { epoch: 3, person_count: 8, room_count: 1, horizon_count: 2, ..Default::default() };
+        forecasts.horizon_s[..2].copy_from_slice(&[f32::MIN_POSITIVE, f32::MAX]);
+        for person in &mut forecasts.person {
+            (person.person, person.set_coverage, person.presence) = (u32::MAX, 1.0, 1);
+            person.room_set = [MOST; 16];
+        }
+        view.forecasts(&forecasts);
+        view.persons(&persons);
+        view.forecast_flags(u32::MAX);
+        for now_ns in [0, 1, MOST] {
+            for (width, height) in [(1, 1), (80, 24), (200, 50)] {
+                drawn(&view, width, height, now_ns);
+            }
+        }
     }
 
     #[test]

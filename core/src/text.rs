@@ -1,5 +1,6 @@
 //! Which characters may stand in names and sentences, and files of bounded size.
 
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
@@ -34,6 +35,40 @@ pub fn is_hidden(character: char) -> bool {
             | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}')
 }
 
+/// A text from outside as a terminal or a log may have it, on one line: hidden characters stand as JSON writes them, `\u001b`.
+///
+/// ```
+/// use roomcast_core::text::visible;
+///
+/// assert_eq!(visible("a\u{1b}[2J\nb"), "a\\u001b[2J\\u000ab");
+/// ```
+#[must_use]
+pub fn visible(text: &str) -> Cow<'_, str> {
+    escaped(text, is_hidden)
+}
+
+/// The same for a text of several lines, in columns: line ends and tabs stay.
+#[must_use]
+pub fn visible_lines(text: &str) -> Cow<'_, str> {
+    escaped(text, |character| is_hidden(character) && !matches!(character, '\n' | '\t'))
+}
+
+fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.contains(&is_escaped) {
+        return Cow::Borrowed(text);
+    }
+    let mut shown = String::with_capacity(text.len() + 16);
+    for character in text.chars() {
+        if is_escaped(character) {
+            // So a document of JSON stays one.
+            shown.extend(character.encode_utf16(&mut [0; 2]).iter().map(|unit| format!("\\u{unit:04x}")));
+        } else {
+            shown.push(character);
+        }
+    }
+    Cow::Owned(shown)
+}
+
 /// Whether a text has these words next to one another, as whole words; both in lower case.
 ///
 /// ```
@@ -53,6 +88,16 @@ pub fn has_words(text: &str, words: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_hidden_is_made_visible() {
+        assert!(matches!(visible("Küche 👍"), Cow::Borrowed("Küche 👍")));
+        assert_eq!(
+            visible("\u{1b}]0;x\u{7}\u{9b}\u{202e}\u{e0041}\r\n\t"),
+            "\\u001b]0;x\\u0007\\u009b\\u202e\\udb40\\udc41\\u000d\\u000a\\u0009"
+        );
+        assert_eq!(visible_lines("a\tb\n\u{1b}[1m\r"), "a\tb\n\\u001b[1m\\u000d");
+    }
 
     /// A device says that it has no bytes, and has no end.
     #[test]

@@ -12,6 +12,7 @@ use serde_json::Value;
 use crate::message_text::said_of;
 use crate::person_name::{check_name, is_number};
 use roomcast_core::narration::{Observed, ObservedError, Presence, PresenceError, PresenceStatement, ProgramError};
+use roomcast_core::text::visible;
 use roomcast_ipc::{ALL_PERSONS, MessageError, NarrationV1, narration_kind, text};
 
 /// Longest line of input, in bytes.
@@ -340,7 +341,8 @@ fn syntax_error(error: &serde_json::Error) -> LineError {
 
 /// A parser's error about a text of one line, which it calls the first.
 pub(crate) fn error_of_one_line(error: &serde_json::Error) -> String {
-    let said = error.to_string();
+    // It quotes a key as it came.
+    let said = visible(&error.to_string()).into_owned();
     let position = format!(" at line {} column {}", error.line(), error.column());
     let place = |said: &str| format!("{said} at column {}", error.column());
     said.strip_suffix(&position).map_or_else(|| said.clone(), place)
@@ -357,6 +359,16 @@ fn kind_of(text: &str) -> Result<u32, ObservedError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A log has one line for each refused one, whatever its keys are.
+    #[test]
+    fn a_refused_line_forges_no_line_of_a_log() {
+        let keys = [r"\u001b[2J", r"a\nWARN forged", r"\u202e", r"\r"];
+        for key in keys {
+            let refused = line_item(&format!(r#"{{"{key}": 1}}"#), &Who::Somebody).unwrap_err().to_string();
+            assert!(!refused.contains(roomcast_core::text::is_hidden) && refused.contains("\\u"), "{refused}");
+        }
+    }
 
     fn item(line: &str) -> Result<Item, LineError> {
         line_item(line, &Who::Number(3))

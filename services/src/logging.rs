@@ -91,10 +91,12 @@ pub fn chain(error: &dyn std::error::Error) -> String {
     said
 }
 
-/// Lets one message per interval through and counts the others.
+/// Lets one message per interval through, and some at once after a silence; counts the others.
 #[derive(Debug)]
 pub struct Limiter {
     interval_ns: u64,
+    /// Of how many intervals messages may come ahead of their time.
+    ahead_ns: u64,
     next_ns: u64,
     held: u64,
 }
@@ -103,16 +105,22 @@ impl Limiter {
     /// One message per `interval_ns`.
     #[must_use]
     pub fn new(interval_ns: u64) -> Self {
-        Self { interval_ns, next_ns: 0, held: 0 }
+        Self::with_burst(interval_ns, 1)
+    }
+
+    /// One message per `interval_ns` over time, of which `burst` may come at once.
+    #[must_use]
+    pub fn with_burst(interval_ns: u64, burst: u64) -> Self {
+        Self { interval_ns, ahead_ns: interval_ns.saturating_mul(burst.saturating_sub(1)), next_ns: 0, held: 0 }
     }
 
     /// Whether to log now, and then how many were held back since the last.
     pub fn pass(&mut self, now_ns: u64) -> Option<u64> {
-        if now_ns < self.next_ns {
+        if now_ns.saturating_add(self.ahead_ns) < self.next_ns {
             self.held += 1;
             return None;
         }
-        self.next_ns = now_ns + self.interval_ns;
+        self.next_ns = self.next_ns.max(now_ns).saturating_add(self.interval_ns);
         Some(std::mem::take(&mut self.held))
     }
 }
@@ -126,5 +134,15 @@ mod tests {
         let mut limiter = Limiter::new(100);
         let passed: Vec<_> = (0..250).filter_map(|now| limiter.pass(now)).collect();
         assert_eq!(passed, [0, 99, 99]);
+    }
+
+    #[test]
+    fn a_few_messages_come_at_once_and_a_flood_does_not() {
+        let mut limiter = Limiter::with_burst(100, 3);
+        let mut passed = |from, until| (from..until).filter_map(|now| limiter.pass(now)).collect::<Vec<_>>();
+        assert_eq!(passed(1000, 1250), [0, 0, 0, 97, 99]);
+        // A silence fills it up again, and no more than that.
+        assert_eq!(passed(9000, 9003), [49, 0, 0]);
+        assert_eq!(passed(9003, 9100), Vec::<u64>::new());
     }
 }

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use roomcast_ipc::RoomScoresV1;
+use roomcast_ipc::{NAME_BYTES, RoomScoresV1};
 use serde::{Deserialize, Serialize};
 
 use crate::habits_reason::PersonHabits;
@@ -18,6 +18,7 @@ use roomcast_core::prompt::{BindingError, BindingSequence};
 use roomcast_core::scorer::correction::Correction;
 use roomcast_core::scorer::{LanguageModel, Tokenisation};
 use roomcast_core::semantic_map::{SceneError, SemanticMap};
+use roomcast_core::text::is_hidden;
 
 /// Version of the JSON form. Further keys may be added without a new one.
 pub const VERSION: u32 = 1;
@@ -46,8 +47,16 @@ pub enum MomentError {
         /// Who is known.
         known: Vec<u32>,
     },
+    /// A name that nobody can have.
+    #[error("person {person} of the moment is called {name:?}, which is no name; was the file damaged or forged?")]
+    BadName {
+        /// Whose.
+        person: u32,
+        /// The name.
+        name: String,
+    },
     /// Nobody of that name.
-    #[error("the moment knows nobody of the name {0:?}; give a number, or see `roomcast person list`")]
+    #[error("no person is named {0:?}; give a number, or see `roomcast person list`")]
     NoName(String),
     /// Everybody is out of the house.
     #[error("everybody who is known is away: no room is likely, and there is nothing to explain")]
@@ -240,10 +249,18 @@ impl Moment {
     /// Reads a moment's JSON.
     ///
     /// # Errors
-    /// When it is none, or of another version.
+    /// When it is none, of another version, or names somebody as nobody can be called.
     pub fn from_json(text: &str) -> Result<Self, MomentError> {
         let moment: Self = serde_json::from_str(text)?;
-        if moment.version == VERSION { Ok(moment) } else { Err(MomentError::Version(moment.version)) }
+        if moment.version != VERSION {
+            return Err(MomentError::Version(moment.version));
+        }
+        match moment.names.iter().find(|(_, name)| name.contains(is_hidden) || name.len() > NAME_BYTES) {
+            Some((person, name)) => {
+                Err(MomentError::BadName { person: *person, name: name.chars().take(NAME_BYTES).collect() })
+            }
+            None => Ok(moment),
+        }
     }
 
     /// Whom the narration is of, in the order of their numbers.
@@ -383,6 +400,10 @@ mod tests {
         let named = Moment { names: [(4, "Ada".to_owned())].into(), ..moment.clone() };
         assert_eq!(named.explain(3).unwrap().explanation.narration[1], "(Ada) They sit on the sofa.");
         assert_eq!((named.find("ada").unwrap(), named.find("0").unwrap()), (4, 0));
+        let forged = Moment { names: [(4, "Ada\u{1b}[2J\nBen".to_owned())].into(), ..moment.clone() };
+        let refused = Moment::from_json(&serde_json::to_string(&forged).unwrap()).unwrap_err().to_string();
+        assert!(refused.contains("person 4") && !refused.contains('\u{1b}') && !refused.contains('\n'), "{refused}");
+        assert!(Moment::from_json(&serde_json::to_string(&named).unwrap()).is_ok());
         assert!(named.find("ben").unwrap_err().to_string().contains("\"ben\""));
         let unknown = moment.of_person(3).unwrap_err().to_string();
         assert_eq!(unknown, "the moment knows nothing of person 3; it knows [0, 4]");

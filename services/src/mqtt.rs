@@ -50,31 +50,34 @@
 //! again by the next one. MQTT 5 tells the broker how many messages it may send ahead, which bounds what is not acknowledged, and how large
 //! one may be; [`MESSAGES_AHEAD_MAX`] and its neighbours are all limits.
 
+use std::cell::OnceCell;
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::fmt::Display;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::pin::pin;
+use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use rumqttc::v5::mqttbytes::QoS;
-use rumqttc::v5::mqttbytes::v5::{Packet, Publish, SubAck, SubscribeReasonCode};
-use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions};
-use rumqttc::{TlsConfiguration, Transport};
+use rumqttc::v5::mqttbytes::v5::{ConnAck, Packet, Publish, SubAck, SubscribeReasonCode};
+use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, MqttState};
+use rumqttc::{Outgoing, TlsConfiguration, Transport};
 use rustls::pki_types::CertificateDer;
 use rustls::pki_types::pem::PemObject;
 use sha2::{Digest, Sha256};
 use tokio::sync::watch;
 use tokio::time::{sleep, timeout_at};
 
-use crate::line::Who;
+use crate::line::{LINE_BYTES_MAX, Who, line_item};
+use crate::logging::Limiter;
 use crate::mqtt_tally::Tally;
 use crate::narrator::Settled;
-use crate::rule::{Keys, Saying};
+use crate::rule::{Keys, Saying, Whereabouts};
 use crate::sensor_log::RULES_BYTES_MAX;
 use crate::stop::Stop;
-use roomcast_core::narration::Presence;
 use roomcast_core::text::{read_at_most, read_text_at_most};
+use roomcast_ipc::clock;
 
 /// Messages that the broker may send before the first of them is acknowledged: MQTT's receive maximum.
 pub const MESSAGES_AHEAD_MAX: u16 = 32;
@@ -89,15 +92,25 @@ pub const RULES_MAX: usize = 4_096;
 /// What Home Assistant says of a device that it does not hear: no state of the device, unless a rule speaks of it.
 const NO_STATE: [&str; 2] = ["unknown", "unavailable"];
 /// Lines that wait for silence at the same time; further ones are not said.
-const WAITING_MAX: usize = 4_096;
+pub const WAITING_MAX: usize = 4_096;
+/// Bytes of all lines that wait for silence; further ones are not said.
+pub const WAITING_BYTES_MAX: usize = 1 << 20;
 /// How long the connection is listened to before the wish to stop is looked at.
 const POLL: Duration = Duration::from_millis(200);
 /// Pause before a lost connection is tried again.
 const RECONNECT: Duration = Duration::from_secs(1);
+/// The longest pause where the broker itself is broken: it doubles until then.
+const RECONNECT_BROKEN_MAX: Duration = Duration::from_secs(64);
+/// How often the broker is asked whether it is there.
+pub(crate) const KEEP_ALIVE: Duration = Duration::from_secs(30);
+/// Complaints about the connection come at most so often.
+const QUIET_NS: u64 = 30_000_000_000;
 /// How long, at the end, what was read may take to be settled. A narrator has a little longer to publish it.
 const SETTLING: Duration = Duration::from_secs(4);
 /// How long the broker has at the end to take the last acknowledgements.
 const FAREWELL: Duration = Duration::from_secs(2);
+/// A broker whose identifiers have gone up so far takes them all in turn, and none again before.
+const RISEN_LONG: u64 = 8 * MESSAGES_AHEAD_MAX as u64;
 /// How long the broker keeps what arrives while this process is away: for ever, as far as the broker agrees.
 const SESSION_EXPIRY_S: u32 = u32::MAX;
 
@@ -203,7 +216,7 @@ struct RuleKeys {
     #[serde(default)]
     repeats: bool,
     say: Option<String>,
-    presence: Option<Presence>,
+    presence: Option<Whereabouts>,
     room: Option<String>,
     person: Option<Who>,
     quiet_s: Option<f64>,
@@ -249,8 +262,45 @@ struct Said<'a> {
     number: usize,
     rule: &'a Rule,
     /// A line of JSON. None where the rule speaks of other values only: the value is remembered, so that the next one it speaks of is news.
-    line: Option<String>,
-    value: String,
+    line: Option<Line>,
+    value: Rc<Value>,
+}
+
+/// A line of JSON, or why there is none that can be narrated.
+type Line = Result<String, String>;
+
+/// What a message says at one place.
+#[derive(Debug, Clone, PartialEq)]
+struct Value {
+    text: String,
+    own: Fingerprint,
+}
+
+/// A message, of which each part is read once, however many rules read it.
+struct Reading<'a> {
+    payload: &'a [u8],
+    json: OnceCell<Option<serde_json::Value>>,
+}
+
+impl<'a> Reading<'a> {
+    fn new(payload: &'a [u8]) -> Self {
+        Self { payload, json: OnceCell::new() }
+    }
+
+    /// The payload as JSON; none where it is none.
+    fn json(&self) -> Option<&serde_json::Value> {
+        self.json.get_or_init(|| serde_json::from_slice(self.payload).ok()).as_ref()
+    }
+
+    /// The whole payload, or what it has at a pointer.
+    fn value(&self, field: Option<&str>) -> Option<Rc<Value>> {
+        let text = match field {
+            None => std::str::from_utf8(self.payload).ok()?.trim().to_owned(),
+            Some(field) => text_at(self.json()?, field)?,
+        };
+        let own = fingerprint(text.as_bytes());
+        Some(Rc::new(Value { text, own }))
+    }
 }
 
 /// What becomes of a message by one rule.
@@ -259,7 +309,7 @@ struct Outcome {
     /// The rule's number, from 1.
     number: usize,
     /// What it read.
-    value: String,
+    value: Rc<Value>,
     what: What,
 }
 
@@ -277,6 +327,8 @@ enum What {
     Repeated,
     /// Retained: how things are, not what has just happened.
     State,
+    /// What it would say is no narration, for this reason.
+    Unfit(String),
 }
 
 impl Rules {
@@ -363,7 +415,15 @@ impl Rules {
 
     /// What each rule that can read a message makes of it.
     fn readings(&self, topic: &str, payload: &[u8]) -> Vec<Said<'_>> {
-        (1..).zip(&self.0).filter_map(|(number, rule)| rule.say(number, topic, payload)).collect()
+        let reading = Reading::new(payload);
+        let mut values: HashMap<Option<&str>, Option<Rc<Value>>> = HashMap::new();
+        let readings = (1..).zip(&self.0).filter_map(|(number, rule)| {
+            let places = matches(&rule.topic, topic)?;
+            let field = rule.field.as_deref();
+            let value = values.entry(field).or_insert_with(|| reading.value(field)).clone()?;
+            rule.say(number, &places, &reading, value)
+        });
+        readings.collect()
     }
 }
 
@@ -392,29 +452,28 @@ impl Rule {
         Ok(Self { topic, field, when, unless, retained, repeats, presence: presence.is_some(), pointers, saying })
     }
 
-    fn say(&self, number: usize, topic: &str, payload: &[u8]) -> Option<Said<'_>> {
-        let places = matches(&self.topic, topic)?;
-        let json = || serde_json::from_slice::<serde_json::Value>(payload).ok();
-        let value = match &self.field {
-            None => std::str::from_utf8(payload).ok()?.trim().to_owned(),
-            Some(field) => text_at(&json()?, field)?,
-        };
-        let said = |line| Some(Said { number, rule: self, line, value: value.clone() });
-        let is = |other: &String| other.eq_ignore_ascii_case(&value);
+    fn say(&self, number: usize, places: &[&str], reading: &Reading<'_>, value: Rc<Value>) -> Option<Said<'_>> {
+        let text = &value.text;
+        let is = |other: &String| other.eq_ignore_ascii_case(text);
         if self.when.as_ref().is_some_and(|when| !is(when)) || self.unless.iter().any(is) {
-            return said(None);
+            return Some(Said { number, rule: self, line: None, value });
         }
         // What a pointer in braces does not find leaves nothing to say.
-        let payload = if self.pointers.is_empty() { serde_json::Value::Null } else { json()? };
-        if self.pointers.iter().any(|pointer| text_at(&payload, pointer).is_none()) {
+        let at = |pointer: &str| reading.json().and_then(|json| text_at(json, pointer));
+        if self.pointers.iter().any(|pointer| at(pointer).is_none()) {
             return None;
         }
-        let line = self.saying.line(|name| match name.parse::<usize>() {
+        let line = self.saying.short_line(|name| match name.parse::<usize>() {
             Ok(number) => places.get(number.wrapping_sub(1)).map(|place| place.replace('_', " ")).unwrap_or_default(),
-            Err(_) if name.starts_with('/') => text_at(&payload, name).unwrap_or_default(),
-            Err(_) => value.clone(),
+            Err(_) if name.starts_with('/') => at(name).unwrap_or_default(),
+            Err(_) => text.clone(),
         });
-        said(Some(line))
+        // What no line may be is refused here: it takes no place where lines wait.
+        let line = line.ok_or_else(|| format!("it has more than {LINE_BYTES_MAX} bytes")).and_then(|line| {
+            let judged = line_item(&line, &Who::Somebody).map_err(|error| error.to_string());
+            judged.map(|_| line)
+        });
+        Some(Said { number, rule: self, line: Some(line), value })
     }
 }
 
@@ -493,6 +552,8 @@ pub struct Listener {
     /// Whether what is retained now was retained before this process first listened.
     first_connection: bool,
     heard: Heard,
+    /// Lines that rules would have said and that are no narration, and lines that found no room to wait for silence.
+    refused: u64,
     /// How often each rule fitted a message.
     fitted: Vec<u64>,
 }
@@ -503,7 +564,7 @@ impl Listener {
     pub fn new(rules: Rules) -> Self {
         let fitted = vec![0; rules.0.len()];
         let (last, waiting, heard) = (HashMap::new(), Vec::new(), Heard::default());
-        Self { rules, last, waiting, first_connection: true, heard, fitted }
+        Self { rules, last, waiting, first_connection: true, heard, refused: 0, fitted }
     }
 
     /// The narration of a message that is to be said at once, as lines of JSON; `retained` is what the broker calls it.
@@ -544,12 +605,13 @@ impl Listener {
         let mut outcomes = Vec::with_capacity(readings.len());
         for Said { number, rule, line, value } in readings {
             let field = rule.field.as_deref();
-            let own = fingerprint(value.as_bytes());
+            let own = value.own;
             // Every rule that reads one field reads one value there.
             let known = *known.entry(field).or_insert_with(|| {
                 let place = fingerprint(format!("{topic}\n{}", field.unwrap_or_default()).as_bytes());
                 let known = self.last.get(&place).copied();
-                let is_state = spoken_of.contains(&field) || !NO_STATE.iter().any(|no| no.eq_ignore_ascii_case(&value));
+                let is_state =
+                    spoken_of.contains(&field) || !NO_STATE.iter().any(|no| no.eq_ignore_ascii_case(&value.text));
                 if is_state && (known.is_some() || self.last.len() < TOPICS_MAX) {
                     self.last.insert(place, own);
                 }
@@ -563,7 +625,8 @@ impl Listener {
                 Some(_) if quiet.is_none() && !spoken.insert((field, rule.presence)) => What::Later,
                 Some(_) if known == Some(own) && (retained || !rule.repeats) => What::Repeated,
                 Some(_) if retained && !rule.retained && unknown => What::State,
-                Some(line) => match quiet {
+                Some(Err(reason)) => What::Unfit(reason),
+                Some(Ok(line)) => match quiet {
                     None => What::Said(line),
                     Some(quiet) => What::Waits(line, quiet),
                 },
@@ -576,8 +639,12 @@ impl Listener {
             self.waiting.clear();
         }
         for outcome in &outcomes {
-            if let What::Waits(line, quiet) = &outcome.what {
-                self.wait(Waiting { line: line.clone(), since: now, quiet: *quiet });
+            match &outcome.what {
+                What::Waits(line, quiet) if !self.wait(Waiting { line: line.clone(), since: now, quiet: *quiet }) => {
+                    self.refuse(topic, outcome.number, "too much waits for silence");
+                }
+                What::Unfit(reason) => self.refuse(topic, outcome.number, reason),
+                _ => {}
             }
         }
         for outcome in outcomes.iter().filter(|outcome| outcome.what != What::OtherValue) {
@@ -591,11 +658,26 @@ impl Listener {
         outcomes
     }
 
-    /// Begins to wait; the same line begins again.
-    fn wait(&mut self, waiting: Waiting) {
+    /// Begins to wait; the same line begins again. Whether there is room.
+    fn wait(&mut self, waiting: Waiting) -> bool {
         self.waiting.retain(|other| other.line != waiting.line);
-        if self.waiting.len() < WAITING_MAX {
+        let has_room =
+            self.waiting.len() < WAITING_MAX && self.waiting_bytes() + waiting.line.len() <= WAITING_BYTES_MAX;
+        if has_room {
             self.waiting.push(waiting);
+        }
+        has_room
+    }
+
+    fn waiting_bytes(&self) -> usize {
+        self.waiting.iter().map(|waiting| waiting.line.capacity()).sum()
+    }
+
+    /// Each doubling of their number is one line of the log.
+    fn refuse(&mut self, topic: &str, rule: usize, reason: &str) {
+        self.refused += 1;
+        if self.refused.is_power_of_two() {
+            tracing::warn!(topic, rule, reason, refused = self.refused, "what a rule would say is not narrated");
         }
     }
 
@@ -615,8 +697,20 @@ impl Listener {
 
 /// What a broker may send again after a connection broke: messages that it may not have seen acknowledged. There are no more than packet
 /// identifiers, however far ahead a broker sends.
+///
+/// What this side has not acknowledged comes again for sure. Of what it has acknowledged it cannot know: the acknowledgement may be lost
+/// with the connection, and then the message comes again; or it has arrived, so that its identifier is free, and a new message has it, whose
+/// own first sending was lost. Both look the same. So an identifier is free as soon as something shows that the broker has the
+/// acknowledgement: the answer to a later ping, a session that is not kept, or another message of that identifier. In doubt the message is said again, but where the broker counts its identifiers up and so cannot have come round to this one.
 #[derive(Debug, Default)]
-struct Recent(HashMap<u16, Remembered>);
+struct Recent {
+    messages: HashMap<u16, Remembered>,
+    /// New messages until now.
+    new: u64,
+    /// The identifier of the last new message, and how far identifiers have gone up until then without going back.
+    last: u16,
+    risen: u64,
+}
 
 #[derive(Debug, Clone, Copy)]
 struct Remembered {
@@ -624,24 +718,84 @@ struct Remembered {
     text: Fingerprint,
     /// The last line that it said, or that was said before it.
     line: u64,
+    /// Its number among the new messages.
+    number: u64,
+    acknowledged: Acknowledged,
+}
+
+/// What is known of an acknowledgement.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Acknowledged {
+    No,
+    /// On its way.
+    Sent,
+    /// On its way, and a ping behind it.
+    Pinged,
 }
 
 impl Recent {
     /// For a message that an earlier connection brought, the line that it waits for.
     fn again(&mut self, connection: u64, message: &Publish) -> Option<u64> {
-        let before = self.0.get_mut(&message.pkid).filter(|_| message.dup && message.qos != QoS::AtMostOnce)?;
+        let ahead = u64::from(MESSAGES_AHEAD_MAX);
+        let before = self.messages.get_mut(&message.pkid).filter(|_| message.dup && message.qos != QoS::AtMostOnce)?;
         if before.connection >= connection || before.text != Self::text(message) {
             return None;
         }
-        before.connection = connection;
+        // At most so many new messages were lost on their way: a broker whose identifiers have gone up by more than those and all since this
+        // one has not come round to it.
+        let since = self.new - before.number;
+        let is_long = self.risen > RISEN_LONG || self.risen > since + ahead;
+        let counts = is_long && self.risen >= since && since + ahead < u64::from(u16::MAX);
+        if before.acknowledged != Acknowledged::No && !counts {
+            return None;
+        }
+        (before.connection, before.acknowledged) = (connection, Acknowledged::No);
         Some(before.line)
     }
 
     /// Takes note of a message that waits for a line.
     fn take(&mut self, connection: u64, message: &Publish, line: u64) {
-        if message.qos != QoS::AtMostOnce {
-            self.0.insert(message.pkid, Remembered { connection, text: Self::text(message), line });
+        if message.qos == QoS::AtMostOnce {
+            return;
         }
+        // After the highest identifier comes 1.
+        let step = (u32::from(message.pkid) + u32::from(u16::MAX) - u32::from(self.last)) % u32::from(u16::MAX);
+        let is_near = (1..=2 * u32::from(MESSAGES_AHEAD_MAX)).contains(&step);
+        self.risen = if is_near { self.risen + u64::from(step) } else { 0 };
+        (self.new, self.last) = (self.new + 1, message.pkid);
+        let (text, acknowledged) = (Self::text(message), Acknowledged::No);
+        self.messages.insert(message.pkid, Remembered { connection, text, line, number: self.new, acknowledged });
+    }
+
+    /// What the client has sent.
+    fn sent(&mut self, packet: &Outgoing) {
+        match packet {
+            Outgoing::PubAck(pkid) => {
+                if let Some(message) = self.messages.get_mut(pkid) {
+                    message.acknowledged = Acknowledged::Sent;
+                }
+            }
+            Outgoing::PingReq => self.every(Acknowledged::Sent, Acknowledged::Pinged),
+            _ => {}
+        }
+    }
+
+    /// The broker has answered a ping: it has read all that was sent before.
+    fn answered(&mut self) {
+        self.messages.retain(|_, message| message.acknowledged != Acknowledged::Pinged);
+    }
+
+    /// A connection begins. Pings of the last one are not answered any more; of a session that the broker has not kept nothing comes again.
+    fn connect(&mut self, is_kept: bool) {
+        if is_kept {
+            self.every(Acknowledged::Pinged, Acknowledged::Sent);
+        } else {
+            *self = Self::default();
+        }
+    }
+
+    fn every(&mut self, from: Acknowledged, to: Acknowledged) {
+        self.messages.values_mut().filter(|message| message.acknowledged == from).for_each(|m| m.acknowledged = to);
     }
 
     fn text(message: &Publish) -> Fingerprint {
@@ -734,7 +888,7 @@ impl Broker {
             return Err(wrong());
         }
         let mut options = MqttOptions::new(&self.client, host, port);
-        options.set_keep_alive(Duration::from_secs(30)).set_clean_start(false);
+        options.set_keep_alive(KEEP_ALIVE).set_clean_start(false);
         options.set_session_expiry_interval(Some(SESSION_EXPIRY_S));
         options.set_receive_maximum(Some(MESSAGES_AHEAD_MAX)).set_max_packet_size(Some(PACKET_BYTES_MAX));
         // Nothing is published; the client would set aside room for so many.
@@ -833,11 +987,14 @@ fn report(rules: &Rules, topic: &[u8], payload: &[u8], retained: bool, outcomes:
             What::Said(line) => format!("says {line}"),
             What::Waits(line, quiet) => format!("says after {} s of silence {line}", quiet.as_secs_f64()),
             What::Later => "is silent: a rule before it speaks of this value".to_owned(),
-            What::OtherValue if rules.is_excepted(*number, value) => {
-                format!("is silent: {:?} is in its `unless`", shown(value.as_bytes()))
+            What::OtherValue if rules.is_excepted(*number, &value.text) => {
+                format!("is silent: {:?} is in its `unless`", shown(value.text.as_bytes()))
             }
-            What::OtherValue => format!("is silent: {:?} is not its `when`", shown(value.as_bytes())),
-            What::Repeated => format!("is silent: {:?} is what the topic said before", shown(value.as_bytes())),
+            What::OtherValue => format!("is silent: {:?} is not its `when`", shown(value.text.as_bytes())),
+            What::Repeated => format!("is silent: {:?} is what the topic said before", shown(value.text.as_bytes())),
+            What::Unfit(reason) => {
+                format!("is silent: what it would say is no narration: {}", shown(reason.as_bytes()))
+            }
             What::State => "is silent: retained, so no event (`retained = true` says it)".to_owned(),
         };
         text.push_str(&format!("\n  rule {number} {said}"));
@@ -852,48 +1009,99 @@ fn failed(error: impl Display) -> MqttError {
     MqttError::Client { reason: error.to_string() }
 }
 
+/// Why a connection is of no use; none for one that is.
+pub(crate) fn fault_of(greeting: &ConnAck) -> Option<&'static str> {
+    let properties = greeting.properties.as_ref()?;
+    if properties.receive_max == Some(0) {
+        return Some(
+            "the broker is broken: it allows no message at all (a receive maximum of 0, which MQTT 5 forbids)",
+        );
+    }
+    let none = properties.max_packet_size == Some(0);
+    none.then_some(
+        "the broker is broken: it allows no packet at all (a maximum packet size of 0, which MQTT 5 forbids)",
+    )
+}
+
+/// Makes the client ready to connect again, as if for the first time.
+pub(crate) fn renew(events: &mut EventLoop) {
+    events.clean();
+    events.pending.clear();
+    // What the last broker wished holds for its connection only.
+    events.options.set_keep_alive(KEEP_ALIVE);
+    let most = events.options.get_outgoing_inflight_upper_limit().unwrap_or(MESSAGES_AHEAD_MAX);
+    events.state = MqttState::new(most, events.options.manual_acks());
+}
+
+/// A broker that wants no pings says 0, which the client takes for no pause at all between them.
+pub(crate) fn correct_keep_alive(events: &mut EventLoop) {
+    if events.options.keep_alive().is_zero() {
+        events.options.set_keep_alive(KEEP_ALIVE);
+    }
+}
+
 /// A subscription to each filter, one after the other, so that it is known which one the broker answers.
 #[derive(Debug)]
 struct Subscriptions {
     filters: Vec<String>,
     answered: usize,
     granted: usize,
+    /// The next filter is to be asked for, as soon as the client has room.
+    due: bool,
+    /// The packet that the broker has to answer: more answers than questions say nothing.
+    asked: Option<u16>,
+    /// Filters whose refusal was told.
+    told: HashSet<String>,
 }
 
 impl Subscriptions {
-    /// Begins at the first filter.
-    fn start(&mut self, client: &AsyncClient) -> Result<(), MqttError> {
-        (self.answered, self.granted) = (0, 0);
-        self.ask(client)
+    fn new(filters: Vec<String>) -> Self {
+        Self { filters, answered: 0, granted: 0, due: false, asked: None, told: HashSet::new() }
     }
 
-    fn ask(&self, client: &AsyncClient) -> Result<(), MqttError> {
-        match self.filters.get(self.answered) {
-            Some(filter) => client.try_subscribe(filter, QoS::AtLeastOnce).map_err(failed),
-            None => Ok(()),
+    /// Begins at the first filter.
+    fn start(&mut self) {
+        (self.answered, self.granted, self.due, self.asked) = (0, 0, true, None);
+    }
+
+    /// Asks for the filter that is due, where the client has room.
+    fn send(&mut self, client: &AsyncClient) {
+        if self.due {
+            let filter = self.filters.get(self.answered);
+            self.due = filter.is_some_and(|filter| client.try_subscribe(filter, QoS::AtLeastOnce).is_err());
         }
     }
 
     /// Takes the broker's answer to the filter asked for last.
-    fn take(&mut self, answer: &SubAck, client: &AsyncClient, broker: &str) -> Result<(), MqttError> {
-        let Some(filter) = self.filters.get(self.answered) else { return Ok(()) };
+    fn take(&mut self, answer: &SubAck, broker: &str) -> Result<(), MqttError> {
+        let Some(filter) = self.filters.get(self.answered).filter(|_| self.asked == Some(answer.pkid)) else {
+            return Ok(());
+        };
         let reason = answer.return_codes.first().copied().unwrap_or(SubscribeReasonCode::Unspecified);
-        self.answered += 1;
+        (self.answered, self.asked, self.due) = (self.answered + 1, None, true);
         match reason {
-            SubscribeReasonCode::Success(QoS::AtMostOnce) => {
+            SubscribeReasonCode::Success(quality) => {
                 self.granted += 1;
-                tracing::warn!(broker, filter, "the broker grants quality 0 only: what it sends while away is lost");
+                self.told.remove(filter);
+                if quality == QoS::AtMostOnce {
+                    tracing::warn!(
+                        broker,
+                        filter,
+                        "the broker grants quality 0 only: what it sends while away is lost"
+                    );
+                }
             }
-            SubscribeReasonCode::Success(_) => self.granted += 1,
             refused => {
-                tracing::error!(broker, filter, reason = ?refused, "the broker refuses a subscription: nothing is heard of it; give this client the right to read it");
+                if self.told.insert(filter.clone()) {
+                    tracing::error!(broker, filter, reason = ?refused, "the broker refuses a subscription: nothing is heard of it; give this client the right to read it");
+                }
                 if self.answered == self.filters.len() && self.granted == 0 {
                     let reason = format!("{filter:?}: {refused:?}");
                     return Err(MqttError::Refused { broker: broker.to_owned(), reason });
                 }
             }
         }
-        self.ask(client)
+        Ok(())
     }
 }
 
@@ -907,6 +1115,10 @@ struct Connection<W> {
     recent: Recent,
     acknowledgements: Acknowledgements,
     connected: bool,
+    log: Limiter,
+    greetings: Limiter,
+    /// The pause before the next connection.
+    pause: Duration,
     /// What comes is left to the next session.
     leaves: bool,
     /// Reports what would be said, in place of saying it.
@@ -914,6 +1126,11 @@ struct Connection<W> {
     /// Keeps how often each rule fits.
     tally: Option<Tally>,
     out: W,
+}
+
+/// Why the connection that an event tells of is of no use; none for one that is, and for other events.
+fn fault(event: &Event) -> Option<&'static str> {
+    if let Event::Incoming(Packet::ConnAck(greeting)) = event { fault_of(greeting) } else { None }
 }
 
 /// What listening comes to.
@@ -932,7 +1149,7 @@ impl<W: Write> Connection<W> {
     fn new(mut options: MqttOptions, rules: Rules, out: W) -> Self {
         options.set_manual_acks(true);
         let (host, port) = options.broker_address();
-        let subscriptions = Subscriptions { filters: rules.filters(), answered: 0, granted: 0 };
+        let subscriptions = Subscriptions::new(rules.filters());
         // One subscription, one farewell, and every acknowledgement.
         let (client, events) = AsyncClient::new(options, 2 + usize::from(MESSAGES_AHEAD_MAX));
         let (listener, recent) = (Listener::new(rules), Recent::default());
@@ -945,6 +1162,9 @@ impl<W: Write> Connection<W> {
             recent,
             acknowledgements: Acknowledgements::default(),
             connected: false,
+            log: Limiter::new(QUIET_NS),
+            greetings: Limiter::new(QUIET_NS),
+            pause: RECONNECT,
             leaves: false,
             rehearses: false,
             tally: None,
@@ -956,7 +1176,14 @@ impl<W: Write> Connection<W> {
         let mut connections = 0_u64;
         loop {
             let turn = match self.next(|_| stop.requested()).await {
-                Ok(Some(Ok(event))) => self.take(&event, &mut connections)?,
+                Ok(Some(Ok(event))) => match fault(&event) {
+                    Some(fault) => {
+                        let turn = self.lost(&fault, &mut connections, stop).await?;
+                        self.pause = (self.pause * 2).min(RECONNECT_BROKEN_MAX);
+                        turn
+                    }
+                    None => self.take(&event, &mut connections)?,
+                },
                 Ok(Some(Err(error))) => self.lost(&error, &mut connections, stop).await?,
                 Ok(None) => break,
                 Err(_) => Turn::Unread,
@@ -978,9 +1205,12 @@ impl<W: Write> Connection<W> {
         &mut self,
         is_over: impl Fn(&Acknowledgements) -> bool,
     ) -> std::io::Result<Option<Result<Event, ConnectionError>>> {
-        let Self { client, events, listener, acknowledgements, out, connected, leaves, rehearses, .. } = self;
+        let Self {
+            client, events, listener, subscriptions, acknowledgements, out, connected, leaves, rehearses, ..
+        } = self;
         let mut poll = pin!(events.poll());
         loop {
+            subscriptions.send(client);
             acknowledgements.send(client);
             if is_over(acknowledgements) {
                 return Ok(None);
@@ -1006,16 +1236,23 @@ impl<W: Write> Connection<W> {
 
     fn take(&mut self, event: &Event, connections: &mut u64) -> Result<Turn, MqttError> {
         match event {
-            Event::Incoming(Packet::ConnAck(_)) => {
+            Event::Incoming(Packet::ConnAck(greeting)) => {
                 *connections += 1;
-                self.connected = true;
+                (self.connected, self.pause) = (true, RECONNECT);
+                correct_keep_alive(&mut self.events);
+                self.recent.connect(greeting.session_present);
                 self.listener.first_connection = *connections == 1;
                 self.listener.listen_from(Instant::now());
-                tracing::info!(broker = self.broker, connections, "connected");
+                if let Some(held_back) = self.greetings.pass(clock::monotonic_ns()) {
+                    tracing::info!(broker = self.broker, connections, held_back, "connected");
+                }
                 // Again at every connection: a broker that lost its sessions would say nothing any more.
-                self.subscriptions.start(&self.client)?;
+                self.subscriptions.start();
             }
-            Event::Incoming(Packet::SubAck(answer)) => self.subscriptions.take(answer, &self.client, &self.broker)?,
+            Event::Outgoing(Outgoing::Subscribe(pkid)) => self.subscriptions.asked = Some(*pkid),
+            Event::Outgoing(packet) => self.recent.sent(packet),
+            Event::Incoming(Packet::PingResp(_)) => self.recent.answered(),
+            Event::Incoming(Packet::SubAck(answer)) => self.subscriptions.take(answer, &self.broker)?,
             Event::Incoming(Packet::Publish(_)) if self.leaves => {}
             Event::Incoming(Packet::Publish(message)) => {
                 let line = match self.recent.again(*connections, message) {
@@ -1048,16 +1285,21 @@ impl<W: Write> Connection<W> {
     }
 
     /// Takes what was read before the connection broke: the broker sends it again and it is recognised. Then a pause.
-    async fn lost(&mut self, error: &ConnectionError, connections: &mut u64, stop: &Stop) -> Result<Turn, MqttError> {
-        tracing::warn!(broker = self.broker, %error, "no connection, trying again");
+    async fn lost(&mut self, error: &impl Display, connections: &mut u64, stop: &Stop) -> Result<Turn, MqttError> {
+        // Whoever is asked to stop tries no more.
+        if !stop.requested()
+            && let Some(held_back) = self.log.pass(clock::monotonic_ns())
+        {
+            tracing::warn!(broker = self.broker, %error, held_back, "no connection, trying again");
+        }
         let turn = self.drain(connections)?;
         // Subscriptions that were not sent are made again at the next connection.
-        self.events.clean();
-        self.events.pending.clear();
+        renew(&mut self.events);
+        self.subscriptions.due = false;
         self.acknowledgements.waiting.clear();
         self.connected = false;
         let pause = Instant::now();
-        while !stop.requested() && pause.elapsed() < RECONNECT {
+        while !stop.requested() && pause.elapsed() < self.pause {
             sleep(POLL).await;
         }
         Ok(turn)
@@ -1134,7 +1376,8 @@ mod tests {
     #[test]
     fn rules_make_sentences() {
         let rules = Rules::parse(RULES).unwrap();
-        let line = |topic: &str, payload: &[u8]| rules.readings(topic, payload).into_iter().find_map(|said| said.line);
+        let line =
+            |topic: &str, payload: &[u8]| rules.readings(topic, payload).into_iter().find_map(|said| said.line?.ok());
         let fridge = line("home/binary_sensor/fridge_door/state", b"ON").unwrap();
         assert_eq!(fridge, r#"{"text":"They open the fridge."}"#);
         assert_eq!(rules.readings("home/binary_sensor/fridge_door/state", b"off")[0].line, None);
@@ -1422,7 +1665,11 @@ mod tests {
                 "[[rule]]\ntopic = \"a\"\npresence = \"present\"\nroom = \"{1}\"",
                 "rule 1: room has {1}; it knows {value}",
             ),
-            ("[[rule]]\ntopic = \"a\"\npresence = \"home\"", "unknown variant `home`"),
+            (
+                "[[rule]]\ntopic = \"a\"\npresence = \"home\"",
+                "unknown variant `home`, expected one of `present`, `away`, `gone`, `empty`",
+            ),
+            ("[[rule]]\ntopic = \"a\"\npresence = \"empty\"", "rule 1: presence = \"empty\" says that nobody"),
             ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nperson = -1", "expected a person's number"),
             ("[[rule]]\ntopic = \"a\"", "rule 1: give say or presence"),
             ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nfield = \"state\"", "JSON pointer"),
@@ -1596,6 +1843,11 @@ mod tests {
         assert!(lines.next().unwrap().contains("the oven is on"));
         let steps =
             |range: std::ops::Range<u32>| range.map(|n| ("home/step", n.to_string(), false)).collect::<Vec<_>>();
+        // So many that it is known to count its identifiers.
+        broker.publish(&steps(1000..1100));
+        for n in 1000..1100 {
+            assert!(lines.next().unwrap().contains(&format!("They do step {n}.")));
+        }
         broker.publish(&steps(0..50));
         let broker = broker.restart();
         // The listener may not be back yet: its session is.
@@ -1606,7 +1858,7 @@ mod tests {
         }
         stop.request();
         let heard = listening.join().unwrap().unwrap();
-        assert_eq!((heard.said, heard.unfit), (101, 0));
+        assert_eq!((heard.said, heard.unfit), (201, 0));
     }
 
     /// Held by tests that look at the memory of this process: one must not see what the other's messages take.
@@ -1889,5 +2141,283 @@ mod tests {
                 });
             }
         });
+    }
+
+    #[test]
+    fn an_occupancy_sensor_says_that_a_room_is_empty() {
+        let rules = "[[rule]]\ntopic = \"+/occupancy\"\nwhen = \"off\"\npresence = \"empty\"\nroom = \"{1}\"";
+        let mut listener = Listener::new(Rules::parse(rules).unwrap());
+        let said = hear(&mut listener, "living_room/occupancy", "off", false).unwrap();
+        assert_eq!(said, r#"{"presence":"empty","room":"living room"}"#);
+    }
+
+    /// Row "4 200 messages of control characters" of the attacks: whatever is published, what waits for silence has few bytes.
+    #[test]
+    fn what_waits_for_silence_is_bounded_in_bytes() {
+        let rules = "[[rule]]\ntopic = \"home/+/state\"\nsay = \"the {1} is {value}\"\nquiet_s = 600.0";
+        let start = Instant::now();
+        let after = start + Duration::from_secs(600);
+        let bytes = |listener: &Listener| listener.waiting.iter().map(|waiting| waiting.line.capacity()).sum::<usize>();
+        for (text, waits) in [
+            ("\u{1}".repeat(PAYLOAD_BYTES_MAX - 20), false),
+            ("x".repeat(PAYLOAD_BYTES_MAX - 20), false),
+            ("\u{1}".repeat(1_300), false),
+            ("on\u{1b}[2J".to_owned(), false),
+            ("x".repeat(400), true),
+            ("on".to_owned(), true),
+        ] {
+            let mut listener = Listener::new(Rules::parse(rules).unwrap());
+            for n in 0..4_200 {
+                let (topic, payload) = (format!("home/t{n}/state"), format!("{text}{n:08}"));
+                assert!(listener.hear(topic.as_bytes(), payload.as_bytes(), false, start).is_empty());
+                assert!(bytes(&listener) <= WAITING_BYTES_MAX);
+            }
+            let kept = listener.waiting.len();
+            assert_eq!(kept > 0, waits, "{kept} lines of {} bytes", text.len());
+            assert!(kept <= WAITING_MAX && listener.refused == 4_200 - kept as u64, "{kept}: {:?}", listener.heard);
+            let due = listener.due(after);
+            assert_eq!(due.len(), kept);
+            assert!(due.iter().all(|line| line_item(line, &Who::Somebody).is_ok()));
+        }
+        // There is room again, and what cannot be said is no word that ends a silence.
+        let mut listener = Listener::new(Rules::parse(&format!("{rules}\n{STEPS}")).unwrap());
+        assert!(listener.hear(b"home/lamp/state", b"on", false, start).is_empty());
+        assert!(listener.hear(b"home/step", b"\x07", false, start).is_empty());
+        assert_eq!(listener.due(after), [r#"{"text":"the lamp is on"}"#]);
+    }
+
+    /// Row "900 rules for one field" of the attacks: a message is read once, however many rules look into it.
+    #[test]
+    fn a_message_is_read_once_for_all_rules() {
+        let rule =
+            |n: usize| format!("[[rule]]\ntopic = \"z\"\nfield = \"/a\"\nwhen = \"{n}\"\nsay = \"the lamp is on\"\n");
+        let mut listener = Listener::new(Rules::parse(&(0..900).map(rule).collect::<String>()).unwrap());
+        let items = "1,".repeat(PAYLOAD_BYTES_MAX / 2 - 20);
+        let payload = format!(r#"{{"b":[{items}1],"a":"none"}}"#);
+        let one = Instant::now();
+        for _ in 0..10 {
+            serde_json::from_str::<serde_json::Value>(&payload).unwrap();
+        }
+        let one = one.elapsed() / 10;
+        let all = Instant::now();
+        listener.hear(b"z", payload.as_bytes(), false, all);
+        let all = all.elapsed();
+        assert!(all < one * 100, "900 rules took {all:?}, reading it once {one:?}");
+        assert_eq!((listener.heard.unfit, listener.heard.oversized), (1, 0));
+    }
+
+    /// A broker that lies: it does what a test says.
+    struct Liar {
+        socket: std::net::TcpListener,
+        stream: Option<std::net::TcpStream>,
+    }
+
+    /// A message of quality 1.
+    fn message(topic: &str, payload: &str, pkid: u16, dup: bool) -> Vec<u8> {
+        let rest = 2 + topic.len() + 2 + 1 + payload.len();
+        assert!(rest < 128);
+        let mut packet = vec![0x32 | u8::from(dup) << 3, rest as u8, 0, topic.len() as u8];
+        packet.extend(topic.as_bytes());
+        packet.extend(pkid.to_be_bytes());
+        packet.push(0);
+        packet.extend(payload.as_bytes());
+        packet
+    }
+
+    impl Liar {
+        fn new() -> (Self, u16) {
+            let socket = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+            let port = socket.local_addr().unwrap().port();
+            (Self { socket, stream: None }, port)
+        }
+
+        /// The next packet that comes.
+        fn read(&mut self) -> Option<(u8, Vec<u8>)> {
+            let stream = self.stream.as_mut().unwrap();
+            let mut head = [0; 2];
+            stream.read_exact(&mut head).ok()?;
+            let (mut length, mut shift, mut byte) = (usize::from(head[1] & 127), 7, head[1]);
+            while byte & 128 != 0 {
+                let mut more = [0];
+                stream.read_exact(&mut more).ok()?;
+                byte = more[0];
+                length |= usize::from(byte & 127) << shift;
+                shift += 7;
+            }
+            let mut body = vec![0; length];
+            stream.read_exact(&mut body).ok()?;
+            Some((head[0] >> 4, body))
+        }
+
+        fn write(&mut self, bytes: &[u8]) {
+            self.stream.as_mut().unwrap().write_all(bytes).unwrap();
+        }
+
+        /// Takes a connection, greets it with these properties, and grants its subscription.
+        fn greet(&mut self, is_kept: bool, properties: &[u8]) {
+            // Whoever was connected learns that it is over.
+            self.stream = None;
+            self.stream = Some(self.socket.accept().unwrap().0);
+            let _connect = self.read().unwrap();
+            let length = properties.len() as u8;
+            let greeting = [&[0x20, 3 + length, u8::from(is_kept), 0, length], properties].concat();
+            self.write(&greeting);
+        }
+
+        fn grant(&mut self) {
+            let (_, subscribe) = self.read_kind(8);
+            self.write(&[0x90, 4, subscribe[0], subscribe[1], 0, 1]);
+        }
+
+        /// The next packet of a kind; pings between are answered.
+        fn read_kind(&mut self, kind: u8) -> (u8, Vec<u8>) {
+            loop {
+                let packet = self.read().unwrap();
+                if packet.0 == 12 {
+                    self.write(&[0xd0, 0]);
+                }
+                if packet.0 == kind {
+                    return packet;
+                }
+            }
+        }
+
+        fn acknowledged(&mut self, messages: usize) {
+            (0..messages).for_each(|_| _ = self.read_kind(4));
+        }
+    }
+
+    const BELL: &str = "[[rule]]\ntopic = \"bell\"\nrepeats = true\nsay = \"They ring the bell for {value}.\"";
+
+    /// A broker that takes the lowest free identifier, whose acknowledgements it has, and whose new messages are lost on their way.
+    #[test]
+    fn an_identifier_that_was_acknowledged_is_free_for_a_new_message() {
+        let (mut broker, port) = Liar::new();
+        let mut listening = Listening::start(port, BELL);
+        for round in 0..4 {
+            broker.greet(round > 0, &[]);
+            broker.grant();
+            // From the second time on: their first sending was lost with the link.
+            broker.write(&[message("bell", "ada", 1, round > 0), message("bell", "ben", 2, round > 0)].concat());
+            for name in ["ada", "ben"] {
+                assert_eq!(listening.next().unwrap(), format!("{{\"text\":\"They ring the bell for {name}.\"}}"));
+            }
+            broker.acknowledged(2);
+        }
+        assert_eq!(listening.end().1.said, 8);
+    }
+
+    /// What this side has not acknowledged comes again for sure, whatever identifiers the broker takes.
+    #[test]
+    fn what_was_not_acknowledged_is_recognised() {
+        let (mut broker, port) = Liar::new();
+        let to = Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "listener".into(), ..Broker::default() };
+        let (reader, writer) = std::io::pipe().unwrap();
+        let (stop, rules) = (Stop::new(), Rules::parse(BELL).unwrap());
+        let (mut tell, news) = settled();
+        let own_stop = stop.clone();
+        let thread = std::thread::spawn(move || {
+            listen_until_settled(to.options().unwrap(), rules, None, writer, news, &own_stop)
+        });
+        let mut lines = BufReader::new(reader).lines().map(Result::unwrap);
+        broker.greet(false, &[]);
+        broker.grant();
+        broker.write(&message("bell", "ada", 1, false));
+        assert!(lines.next().unwrap().contains("ada"));
+        broker.greet(true, &[]);
+        broker.grant();
+        broker.write(&[message("bell", "ada", 1, true), message("bell", "ben", 2, true)].concat());
+        assert!(lines.next().unwrap().contains("ben"));
+        tell(2);
+        broker.acknowledged(2);
+        stop.request();
+        assert_eq!(thread.join().unwrap().unwrap().said, 2);
+    }
+
+    /// A broker that counts, and has not got the last acknowledgements; until a ping shows that it has them.
+    #[test]
+    fn a_broker_that_counts_says_nothing_twice_until_it_has_answered_a_ping() {
+        let (mut broker, port) = Liar::new();
+        let mut listening = Listening::start(port, BELL);
+        let all = 100_u16;
+        broker.greet(false, &[]);
+        broker.grant();
+        for n in 1..=all {
+            broker.write(&message("bell", &n.to_string(), n, false));
+            assert!(listening.next().unwrap().contains(&format!("for {n}.")));
+        }
+        broker.acknowledged(usize::from(all));
+        // It wants a ping each second now. The last message is new: its first sending was lost.
+        broker.greet(true, &[19, 0, 1]);
+        broker.grant();
+        let again: Vec<_> = (all - 20..=all).flat_map(|n| message("bell", &n.to_string(), n, true)).collect();
+        broker.write(&again);
+        broker.write(&message("bell", "last", all + 1, true));
+        assert!(listening.next().unwrap().contains("for last."), "the others are recognised");
+        broker.acknowledged(22);
+        broker.read_kind(12);
+        broker.write(&message("bell", "more", all + 2, false));
+        assert!(listening.next().unwrap().contains("for more."));
+        broker.greet(true, &[]);
+        broker.grant();
+        broker.write(&message("bell", "last", all + 1, true));
+        assert!(listening.next().unwrap().contains("for last."), "it had the acknowledgement");
+        // A session that is not kept brings nothing again.
+        broker.greet(false, &[]);
+        broker.grant();
+        broker.write(&message("bell", "more", all + 2, true));
+        assert!(listening.next().unwrap().contains("for more."));
+        listening.end();
+    }
+
+    /// Row "server keep alive 0" of the attacks: the broker wants no pings, and none is too late.
+    #[test]
+    fn a_broker_that_wants_no_pings_is_not_left() {
+        let (mut broker, port) = Liar::new();
+        let mut listening = Listening::start(port, STEPS);
+        broker.greet(false, &[19, 0, 0]);
+        broker.grant();
+        let start = Instant::now();
+        let mut n = 0;
+        while start.elapsed() < Duration::from_secs(4) {
+            broker.write(&message("home/step", &n.to_string(), 1, false));
+            assert!(listening.next().unwrap().contains(&format!("step {n}.")));
+            n += 1;
+            std::thread::sleep(Duration::from_millis(300));
+        }
+        broker.socket.set_nonblocking(true).unwrap();
+        assert!(broker.socket.accept().is_err(), "one connection is enough");
+        listening.end();
+    }
+
+    /// Row "receive maximum 0" of the attacks, and the same broker when it has come to its senses.
+    #[test]
+    fn a_broker_that_allows_nothing_is_tried_again() {
+        let (mut broker, port) = Liar::new();
+        let mut listening = Listening::start(port, STEPS);
+        let start = Instant::now();
+        broker.greet(false, &[33, 0, 0]);
+        broker.greet(false, &[33, 0, 0]);
+        broker.greet(false, &[]);
+        assert!(start.elapsed() > Duration::from_millis(2_500), "the second pause is longer: {:?}", start.elapsed());
+        broker.grant();
+        broker.write(&message("home/step", "1", 1, false));
+        assert!(listening.next().unwrap().contains("step 1."));
+        listening.end();
+    }
+
+    /// Row "150 answers to one subscription" of the attacks.
+    #[test]
+    fn more_answers_than_questions_say_nothing() {
+        let rule = |n: usize| format!("[[rule]]\ntopic = \"t{n:03}\"\nsay = \"They do step {{value}}.\"\n");
+        let (mut broker, port) = Liar::new();
+        let mut listening = Listening::start(port, &(0..200).map(rule).collect::<String>());
+        broker.greet(false, &[]);
+        let (_, subscribe) = broker.read_kind(8);
+        broker.write(&[0x90, 4, subscribe[0], subscribe[1], 0, 1].repeat(150));
+        (1..200).for_each(|_| broker.grant());
+        broker.write(&message("t199", "1", 1, false));
+        assert!(listening.next().unwrap().contains("step 1."));
+        listening.end();
     }
 }

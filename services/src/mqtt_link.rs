@@ -5,6 +5,7 @@
 //! connection changes, so that the speaker says again what still holds.
 
 use std::collections::VecDeque;
+use std::fmt::Display;
 use std::pin::pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -18,7 +19,7 @@ use rumqttc::v5::{AsyncClient, Event, EventLoop, MqttOptions};
 use tokio::time::timeout;
 
 use crate::logging::Limiter;
-use crate::mqtt::{Broker, MqttError, PAYLOAD_BYTES_MAX};
+use crate::mqtt::{Broker, MqttError, PAYLOAD_BYTES_MAX, correct_keep_alive, fault_of, renew};
 use crate::stop::Stop;
 
 /// Messages that may wait to be sent.
@@ -31,6 +32,8 @@ const UNCONFIRMED_MAX: u16 = 32;
 const POLL: Duration = Duration::from_millis(200);
 /// Pause before a lost connection is tried again.
 const RECONNECT: Duration = Duration::from_secs(1);
+/// The longest pause where the broker itself is broken: it doubles until then.
+const RECONNECT_BROKEN_MAX: Duration = Duration::from_secs(64);
 /// How long the broker has at the end to confirm what was said last.
 const FAREWELL: Duration = Duration::from_secs(2);
 /// Complaints about the broker come at most so often.
@@ -114,6 +117,8 @@ impl Link {
             shared: Arc::clone(&shared),
             filters,
             log: Limiter::new(QUIET_NS),
+            greetings: Limiter::new(QUIET_NS),
+            pause: RECONNECT,
             stop: stop.clone(),
         };
         let thread = std::thread::Builder::new().name("mqtt".to_owned());
@@ -203,6 +208,9 @@ struct Turning {
     shared: Arc<Mutex<Shared>>,
     filters: Vec<String>,
     log: Limiter,
+    greetings: Limiter,
+    /// The pause before the next connection.
+    pause: Duration,
     stop: Stop,
 }
 
@@ -223,19 +231,33 @@ impl Turning {
                 }
             };
             match event {
+                Ok(Event::Incoming(Packet::ConnAck(greeting))) => match fault_of(&greeting) {
+                    Some(fault) => {
+                        self.lost(&fault).await;
+                        self.pause = (self.pause * 2).min(RECONNECT_BROKEN_MAX);
+                    }
+                    None => self.greet(),
+                },
                 Ok(event) => self.take(event),
-                Err(error) => {
-                    self.lose();
-                    if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
-                        tracing::warn!(broker = self.broker, %error, held_back, "no connection, trying again");
-                    }
-                    let pause = Instant::now();
-                    while !self.stop.requested() && pause.elapsed() < RECONNECT {
-                        lock(&self.shared).turned_ns = clock::monotonic_ns();
-                        tokio::time::sleep(POLL).await;
-                    }
-                }
+                // It closes the connection of whoever has said farewell.
+                Err(_) if lock(&self.shared).disconnected => return,
+                Err(error) => self.lost(&error).await,
             }
+        }
+    }
+
+    /// Drops the connection, and waits before the next.
+    async fn lost(&mut self, error: &impl Display) {
+        self.lose();
+        if !self.stop.requested()
+            && let Some(held_back) = self.log.pass(clock::monotonic_ns())
+        {
+            tracing::warn!(broker = self.broker, %error, held_back, "no connection, trying again");
+        }
+        let pause = Instant::now();
+        while !self.stop.requested() && pause.elapsed() < self.pause {
+            lock(&self.shared).turned_ns = clock::monotonic_ns();
+            tokio::time::sleep(POLL).await;
         }
     }
 
@@ -243,27 +265,31 @@ impl Turning {
     fn lose(&mut self) {
         let mut shared = lock(&self.shared);
         (shared.connection, shared.said, shared.confirmed) = (0, 0, 0);
-        self.events.clean();
-        self.events.pending.clear();
-        self.events.state.events.clear();
+        renew(&mut self.events);
+    }
+
+    /// A connection stands.
+    fn greet(&mut self) {
+        self.pause = RECONNECT;
+        correct_keep_alive(&mut self.events);
+        let mut shared = lock(&self.shared);
+        shared.connections += 1;
+        let connections = shared.connections;
+        let filters: Vec<_> = self.filters.iter().map(|path| Filter::new(path, QoS::AtLeastOnce)).collect();
+        // Before anything is said over this connection, so that an answer is not missed.
+        if !filters.is_empty()
+            && let Err(error) = self.client.try_subscribe_many(filters)
+        {
+            tracing::error!(broker = self.broker, %error, "cannot subscribe");
+        }
+        (shared.connection, shared.said, shared.confirmed) = (connections, 0, 0);
+        if let Some(held_back) = self.greetings.pass(clock::monotonic_ns()) {
+            tracing::info!(broker = self.broker, connections, held_back, "connected");
+        }
     }
 
     fn take(&mut self, event: Event) {
         match event {
-            Event::Incoming(Packet::ConnAck(_)) => {
-                let mut shared = lock(&self.shared);
-                shared.connections += 1;
-                let connections = shared.connections;
-                let filters: Vec<_> = self.filters.iter().map(|path| Filter::new(path, QoS::AtLeastOnce)).collect();
-                // Before anything is said over this connection, so that an answer is not missed.
-                if !filters.is_empty()
-                    && let Err(error) = self.client.try_subscribe_many(filters)
-                {
-                    tracing::error!(broker = self.broker, %error, "cannot subscribe");
-                }
-                (shared.connection, shared.said, shared.confirmed) = (connections, 0, 0);
-                tracing::info!(broker = self.broker, connections, "connected");
-            }
             Event::Incoming(Packet::SubAck(answer)) => {
                 for (filter, reason) in self.filters.iter().zip(&answer.return_codes) {
                     if !matches!(reason, rumqttc::v5::mqttbytes::v5::SubscribeReasonCode::Success(_)) {

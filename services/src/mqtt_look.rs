@@ -11,6 +11,8 @@ use rumqttc::v5::mqttbytes::v5::{ConnectReturnCode, Packet, SubscribeReasonCode}
 use rumqttc::v5::{AsyncClient, ConnectionError, Event, MqttOptions};
 use tokio::time::{Instant, timeout_at};
 
+use roomcast_core::text::is_hidden;
+
 use crate::mqtt::{Broker, MqttError};
 
 /// Topics that are remembered at most.
@@ -102,6 +104,10 @@ pub struct Seen {
 
 impl Seen {
     fn take(&mut self, topic: String, payload: &[u8], retained: bool) {
+        // No configuration can have it, and a terminal would obey it.
+        if topic.contains(is_hidden) {
+            return;
+        }
         let before = self.topics.get(&topic).map_or(0, |said| said.payload.len());
         if !self.topics.contains_key(&topic) && self.topics.len() >= TOPICS_MAX {
             return;
@@ -317,5 +323,14 @@ mod tests {
         assert_eq!(seen.bytes, BYTES_MAX);
         seen.take("2".to_owned(), b"xx", false);
         assert_eq!((seen.topics["2"].payload.len(), seen.bytes), (0, BYTES_MAX - 1));
+    }
+
+    #[test]
+    fn a_topic_with_hidden_characters_is_not_seen() {
+        let mut seen = Seen::default();
+        for topic in ["\u{1b}]0;x\u{7}rob/one", "a\nb", "a/\u{202e}b", "a/\u{9b}b", "küche/licht"] {
+            seen.take(topic.to_owned(), b"x", true);
+        }
+        assert_eq!(seen.topics.keys().collect::<Vec<_>>(), ["küche/licht"]);
     }
 }

@@ -21,6 +21,7 @@ use sd_notify::NotifyState;
 use crate::config::{IntakeLimits, NarratorConfig};
 use crate::line::LINE_BYTES_MAX;
 pub use crate::line::{InputError, Item, LineError, Who, WhoError, line_item};
+use crate::logging::Limiter;
 use crate::notify::notify;
 use crate::setup;
 use crate::stop::Stop;
@@ -30,6 +31,9 @@ use roomcast_core::narration::Program;
 /// Narrations that may be under way unconfirmed: what the service's history holds for a daemon that restarts.
 const UNDER_WAY: u64 = NarrationV1::SERVICE.history as u64;
 const TICK: Duration = Duration::from_millis(100);
+/// So many refused lines are told at once, for whoever writes a file by hand, and then one in this time: a broker has any number of them.
+const REFUSALS_AT_ONCE: u64 = 32;
+const REFUSAL_NS: u64 = 1_000_000_000;
 /// How far a time of observation may lie ahead: clocks differ, and a number of seconds is rounded.
 const AHEAD_NS: u64 = 1_000_000_000;
 
@@ -127,7 +131,12 @@ impl Pace {
             Self::Seconds(seconds) => seconds,
             Self::Speed(speed) => item.duration_s / speed,
         };
-        Duration::try_from_secs_f64(seconds).unwrap_or(Duration::ZERO)
+        // Longer than anybody waits, and a clock can still be so far ahead.
+        const LONGEST_S: f64 = 1e9;
+        match seconds.is_nan() {
+            true => Duration::ZERO,
+            false => Duration::from_secs_f64(seconds.clamp(0.0, LONGEST_S)),
+        }
     }
 }
 
@@ -369,6 +378,7 @@ pub fn run(
         return Err(IpcError::Port { service: NarrationV1::SERVICE.name, operation: "read", cause: error.to_string() });
     }
     notify(&[NotifyState::Ready]);
+    let mut log = Limiter::with_burst(REFUSAL_NS, REFUSALS_AT_ONCE);
     let mut warned = false;
     while let Some(item) = next(&items, &mut sender, stop)? {
         let item = match item {
@@ -376,7 +386,9 @@ pub fn run(
             Err(error) => {
                 sender.account.outcome.refused += 1;
                 sender.take_line();
-                tracing::warn!(%error, "skipped");
+                if let Some(held_back) = log.pass(clock::monotonic_ns()) {
+                    tracing::warn!(%error, held_back, "skipped");
+                }
                 continue;
             }
         };
@@ -511,6 +523,24 @@ mod tests {
     use roomcast_ipc::Sender;
 
     use super::*;
+
+    /// A clock can be ahead by any of them.
+    #[test]
+    fn no_pace_is_too_slow_for_a_clock() {
+        let item = Item { duration_s: 3600.0, ..Item::new(narration_kind::SENTENCE, "They sit.", Who::Somebody) };
+        for (pace, seconds) in [
+            (Pace::Seconds(2.0), 2.0),
+            (Pace::Speed(2.0), 1800.0),
+            (Pace::Seconds(f64::MAX), 1e9),
+            (Pace::Speed(1e-300), 1e9),
+            (Pace::Speed(f64::MIN_POSITIVE), 1e9),
+            (Pace::Seconds(-1.0), 0.0),
+            (Pace::Seconds(f64::NAN), 0.0),
+        ] {
+            assert_eq!(pace.before(&item).as_secs_f64(), seconds, "{pace:?}");
+            assert!(Instant::now().checked_add(pace.before(&item)).is_some());
+        }
+    }
 
     #[test]
     fn a_throttled_narrator_loses_nothing_at_the_intake() {

@@ -4,17 +4,61 @@ use std::time::Duration;
 
 use serde_json::{Map, Value};
 
-use crate::line::{Who, line_item};
+use crate::line::{LINE_BYTES_MAX, Who, line_item};
 use roomcast_core::narration::Presence;
 
 /// Longest silence that a rule may wait for, in seconds: a week.
 const QUIET_S_MAX: f64 = 604_800.0;
 
+/// What a rule may say of who is where.
+pub(crate) trait Stated: Copy {
+    /// As it stands in a line of JSON.
+    fn word(self) -> &'static str;
+    /// The words that a room goes with, for people.
+    const WITH_ROOM: &'static str;
+}
+
+impl Stated for Presence {
+    fn word(self) -> &'static str {
+        self.as_str()
+    }
+    const WITH_ROOM: &'static str = "presence = \"present\"";
+}
+
+/// What a rule of MQTT says of who is where.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Whereabouts {
+    /// In the house.
+    Present,
+    /// Out of the house, and expected back.
+    Away,
+    /// Out of the house, and not expected back.
+    Gone,
+    /// Nobody is in the room.
+    Empty,
+}
+
+impl Stated for Whereabouts {
+    fn word(self) -> &'static str {
+        match self {
+            Self::Present => "present",
+            Self::Away => "away",
+            Self::Gone => "gone",
+            Self::Empty => EMPTY,
+        }
+    }
+    const WITH_ROOM: &'static str = "presence = \"present\" or \"empty\"";
+}
+
+/// That nobody is in a room.
+const EMPTY: &str = "empty";
+
 /// The keys that both kinds of rules have, as they stand in a file.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Keys<'a> {
+pub(crate) struct Keys<'a, P = Presence> {
     pub(crate) say: Option<&'a str>,
-    pub(crate) presence: Option<Presence>,
+    pub(crate) presence: Option<P>,
     pub(crate) room: Option<&'a str>,
     pub(crate) person: Option<&'a Who>,
     pub(crate) quiet_s: Option<f64>,
@@ -33,7 +77,7 @@ impl Saying {
     /// # Errors
     ///
     /// Which key is wrong, and what is allowed.
-    pub(crate) fn new(keys: Keys<'_>, names: &[String]) -> Result<Self, String> {
+    pub(crate) fn new<P: Stated>(keys: Keys<'_, P>, names: &[String]) -> Result<Self, String> {
         let Keys { say, presence, room, person, quiet_s } = keys;
         match (say, presence) {
             (None, None) => return Err("give say or presence".to_owned()),
@@ -41,11 +85,16 @@ impl Saying {
             (Some(say), None) if say.trim().is_empty() => return Err("say is empty".to_owned()),
             _ => {}
         }
-        if room.is_some() && presence != Some(Presence::Present) {
-            return Err("room goes with presence = \"present\" alone".to_owned());
-        }
         let person = person.map_or(Value::Null, Who::json);
-        let presence = presence.map(Presence::as_str);
+        let presence = presence.map(Stated::word);
+        if room.is_some() && ![Some(Presence::Present.as_str()), Some(EMPTY)].contains(&presence) {
+            return Err(format!("room goes with {} alone", P::WITH_ROOM));
+        }
+        if presence == Some(EMPTY) && (room.is_none() || !person.is_null()) {
+            return Err(
+                "presence = \"empty\" says that nobody is in a room: it needs room, and has no person".to_owned()
+            );
+        }
         let mut written = Map::new();
         for (key, said, value) in [
             ("text", "say", say.map(Value::from)),
@@ -82,9 +131,24 @@ impl Saying {
 
     /// The line of JSON that says it, with the value of each name in braces.
     pub(crate) fn line(&self, value_of: impl Fn(&str) -> String) -> String {
-        let filled =
-            |value: &Value| value.as_str().map_or_else(|| value.clone(), |text| filled(text, &value_of).into());
+        let filled = |value: &Value| value.as_str().map(|text| filled(text, usize::MAX, &value_of).unwrap_or_default());
+        let filled = |value: &Value| filled(value).map_or_else(|| value.clone(), Value::from);
         Value::Object(self.keys.iter().map(|(key, value)| (key.clone(), filled(value))).collect()).to_string()
+    }
+
+    /// As [`Self::line`], but none where the line has more bytes than a line of narration may have. It is given up before it grows.
+    pub(crate) fn short_line(&self, value_of: impl Fn(&str) -> String) -> Option<String> {
+        let most = usize::try_from(LINE_BYTES_MAX).unwrap_or(usize::MAX);
+        let mut keys = Map::new();
+        for (key, value) in &self.keys {
+            let value = match value.as_str() {
+                Some(text) => filled(text, most, &value_of)?.into(),
+                None => value.clone(),
+            };
+            keys.insert(key.clone(), value);
+        }
+        let line = Value::Object(keys).to_string();
+        (line.len() <= most).then_some(line)
     }
 }
 
@@ -107,16 +171,19 @@ fn check_names(mut text: &str, names: &[String]) -> Result<(), String> {
     Ok(())
 }
 
-/// A checked text with the names' values; a brace in a value stays what it is.
-fn filled(mut text: &str, value_of: &impl Fn(&str) -> String) -> String {
+/// A checked text with the names' values; a brace in a value stays what it is. None where it would have more bytes than `most`.
+fn filled(mut text: &str, most: usize, value_of: &impl Fn(&str) -> String) -> Option<String> {
     let mut out = String::with_capacity(text.len());
     while let Some(Ok((before, name, after))) = next_name(text) {
         out.push_str(before);
         out.push_str(&value_of(name));
+        if out.len() > most {
+            return None;
+        }
         text = after;
     }
     out.push_str(text);
-    out
+    (out.len() <= most).then_some(out)
 }
 
 #[cfg(test)]
@@ -166,5 +233,30 @@ mod tests {
             let error = Saying::new(keys, &names()).unwrap_err();
             assert!(error.contains(part), "{keys:?}: {error}");
         }
+    }
+
+    #[test]
+    fn a_room_can_be_empty_and_nobody_in_particular_is_not_there() {
+        let empty =
+            Keys { say: None, presence: Some(Whereabouts::Empty), room: Some("{1}"), person: None, quiet_s: None };
+        let line = Saying::new(empty, &names()).unwrap().line(|_| "hall".to_owned());
+        assert_eq!(line, r#"{"presence":"empty","room":"hall"}"#);
+        let ada = "ada".parse().unwrap();
+        for keys in [Keys { room: None, ..empty }, Keys { person: Some(&ada), ..empty }] {
+            let error = Saying::new(keys, &names()).unwrap_err();
+            assert!(error.contains("needs room, and has no person"), "{error}");
+        }
+        let away = Keys { presence: Some(Whereabouts::Away), ..empty };
+        assert!(Saying::new(away, &names()).unwrap_err().contains("\"present\" or \"empty\" alone"));
+    }
+
+    #[test]
+    fn a_line_that_is_too_long_is_given_up() {
+        let say = Keys { say: Some("{value}, {value} and {1}"), ..NOTHING };
+        let saying = Saying::new(say, &names()).unwrap();
+        let of = |text: &str| saying.short_line(|_| text.to_owned());
+        assert_eq!(of("x").as_deref(), Some(r#"{"text":"x, x and x"}"#));
+        assert_eq!((of(&"x".repeat(3_000)), of(&"\u{1}".repeat(600))), (None, None), "as JSON they are longer");
+        assert!(of(&"x".repeat(2_700)).is_some());
     }
 }

@@ -380,7 +380,7 @@ impl<'a> Show<'a> {
         let Some(begin_ns) = self.begin_ns else { return };
         loop {
             let decision = self.untold.front().copied().filter(|decision| decision.decided_ns < until_ns);
-            let at_ns = |(step, _): &(usize, usize)| begin_ns + (*step as f64 / self.speed * 1e9) as u64;
+            let at_ns = |(step, _): &(usize, usize)| begin_ns.saturating_add((*step as f64 / self.speed * 1e9) as u64);
             let entry = self.moves.front().copied().filter(|entry| at_ns(entry) < until_ns);
             match (decision, entry) {
                 (Some(decision), entry) if entry.is_none_or(|entry| decision.decided_ns <= at_ns(&entry)) => {

@@ -21,6 +21,7 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::{Observation, Program, Sentence};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::text::visible_lines;
 use roomcast_llama::LlamaModel;
 use roomcast_services::config::Config;
 use roomcast_services::embedded;
@@ -344,7 +345,7 @@ pub fn run(args: &Args) -> CommandResult {
 /// Prints the findings.
 fn report(args: &Args, findings: &[Finding]) -> CommandResult {
     if !args.json {
-        return super::print(&format!("{}\n", table(findings)));
+        return super::print_styled(&format!("{}\n", table(findings)));
     }
     let ok = findings.iter().all(|finding| finding.verdict != Verdict::Wrong);
     super::print_json(&serde_json::json!({ "version": env!("CARGO_PKG_VERSION"), "ok": ok, "findings": findings }))
@@ -365,9 +366,11 @@ fn table(findings: &[Finding]) -> Table {
             Verdict::Limited => comfy_table::Color::Yellow,
             Verdict::Wrong => comfy_table::Color::Red,
         });
+        // Of a broker's topics, for instance, somebody else says what they are.
+        let found = visible_lines(&finding.found);
         let text = match &finding.remedy {
-            Some(remedy) => format!("{}\n-> {remedy}", finding.found),
-            None => finding.found.clone(),
+            Some(remedy) => format!("{found}\n-> {}", visible_lines(remedy)),
+            None => found.into_owned(),
         };
         table.add_row([comfy_table::Cell::new(finding.check), mark, comfy_table::Cell::new(text)]);
     }

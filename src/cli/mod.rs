@@ -9,6 +9,7 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
+use roomcast_core::text::visible_lines;
 use roomcast_services::daemon::DaemonError;
 use roomcast_services::setup::SetupError;
 
@@ -138,11 +139,20 @@ pub fn table(header: &[&str]) -> comfy_table::Table {
     table
 }
 
-/// Prints on standard output, to the end: what is left in a buffer would be lost without an error.
+/// Prints on standard output, to the end: what is left in a buffer would be lost without an error. Much of it comes from outside, and
+/// none of it reaches a terminal as anything but text.
 ///
 /// # Errors
 /// When it cannot be written, for instance into a closed pipe.
 pub fn print(text: &str) -> CommandResult {
+    print_styled(&visible_lines(text))
+}
+
+/// The same for a text with colours, of which every part that comes from outside is [`visible`](roomcast_core::text::visible).
+///
+/// # Errors
+/// When it cannot be written, for instance into a closed pipe.
+pub fn print_styled(text: &str) -> CommandResult {
     let mut out = std::io::stdout().lock();
     out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(|error| {
         let text = format!("failed to write to standard output: {error}; check where it leads");
@@ -152,7 +162,7 @@ pub fn print(text: &str) -> CommandResult {
 
 /// Writes a line on standard error. Where that cannot be written, on a full disk for instance, nobody is left to tell.
 pub fn tell(line: impl fmt::Display) {
-    let _untold = writeln!(std::io::stderr(), "{line}");
+    let _untold = writeln!(std::io::stderr(), "{}", visible_lines(&line.to_string()));
 }
 
 /// Prints a value as indented JSON on standard output.

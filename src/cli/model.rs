@@ -15,7 +15,7 @@ use crate::hub::{self, Hub, HubError, Request};
 use roomcast_core::prompt::{BindingSequence, write_prompt};
 use roomcast_core::scorer::correction::{Continuation, Correction};
 use roomcast_core::scorer::{LabelScores, LanguageModel, Method, Scorer, Token, Tokenisation};
-use roomcast_core::text::read_text_at_most;
+use roomcast_core::text::{read_text_at_most, visible};
 use roomcast_llama::gguf::Header;
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast_services::config::Config;
@@ -174,7 +174,8 @@ fn table(path: &Path, header: &Header, sha256: &str) -> String {
         ("size", Some(format!("{:.1} MB", header.size_bytes as f64 / 1e6))),
         ("sha256", Some(sha256.to_owned())),
     ];
-    let lines = rows.into_iter().filter_map(|(name, value)| Some(format!("{name:<14}{}\n", value?)));
+    // What stands in the file is its maker's.
+    let lines = rows.into_iter().filter_map(|(name, value)| Some(format!("{name:<14}{}\n", visible(&value?))));
     lines.collect()
 }
 
@@ -558,6 +559,24 @@ fn pull(hub: &Hub, request: &Request<'_>, as_json: bool) -> CommandResult {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What stands in a model file is whoever made it's.
+    #[test]
+    fn a_models_name_forges_no_row() {
+        let mut bytes = embedded::MODEL.to_vec();
+        let name = b"general.name";
+        let at = bytes.windows(name.len()).position(|window| window == name).unwrap() + name.len() + 4;
+        let length = u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap()) as usize;
+        let forged = b"\x1b]0;x\x07\nsha256";
+        bytes[at + 8..at + 8 + length].fill(b' ');
+        bytes[at + 8..at + 8 + length.min(forged.len())].copy_from_slice(&forged[..length.min(forged.len())]);
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), &bytes).unwrap();
+        let header = Header::read_language_model(file.path()).unwrap();
+        let table = table(file.path(), &header, "0");
+        assert!(!table.contains('\u{1b}') && table.contains("\\u001b]0;x"), "{table}");
+        assert_eq!(table.lines().filter(|line| line.starts_with("sha256")).count(), 1, "{table}");
+    }
 
     /// Fails when the model was changed and its known scores were not: `roomcast model check --record models/household-check.json`.
     #[test]

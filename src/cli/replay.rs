@@ -143,8 +143,8 @@ pub fn run(args: &Args) -> CommandResult {
     }
     let (Some(heard), Some(last)) = (heard, last) else { return Ok(()) };
     // What waits in shared memory dies with its publisher, so this one lives until the daemon has it.
-    let deadline = Instant::now() + Duration::from_secs(args.linger);
-    while Instant::now() < deadline && !stop.requested() {
+    let (begun, linger) = (Instant::now(), Duration::from_secs(args.linger));
+    while begun.elapsed() < linger && !stop.requested() {
         publishers.tick().map_err(ipc)?;
         heard.wait(TICK).map_err(ipc)?;
         if let Some(scores) = heard.newest().map_err(ipc)?

@@ -15,8 +15,8 @@ pub enum About {
     Nobody,
 }
 
-/// Reads a sentence in plain form; `is_known` says whether a name is a person's.
-pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool) -> About {
+/// Reads a sentence in plain form; `is_known` says whether a name is a person's, `is_name` whether a word is written as a name.
+pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name: &dyn Fn(&str) -> bool) -> About {
     let said = clause::without_first(said);
     let words: Vec<&str> = said.split(' ').map(|word| word.trim_matches([',', ':', ';'])).collect();
     let Some((&first, rest)) = words.split_first() else { return About::Somebody };
@@ -29,9 +29,11 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool) -> About
         return if is_known(&name) { About::Named(vec![name]) } else { About::Nobody };
     }
     if clause::is(Word::Begin, first) {
-        return later_subject(said, &words, is_known);
+        return later_subject(said, &words, is_known, is_name);
     }
     let found = clause::longest_subject(said, |name| is_known(name) || clause::is(Word::People, name));
+    // "Ada and Igor sit on the sofa" is of Igor, too, of whom nobody has told yet.
+    let found = found.map(|(names, rest)| clause::with_strangers(said, is_known, is_name).unwrap_or((names, rest)));
     // "Aunt Rosa" is not "aunt".
     let is_called = |names: &[String]| {
         let verb = rest.first().copied().unwrap_or_default();
@@ -85,9 +87,14 @@ fn of_a_noun(said: &str, article: &str, rest: &[&str]) -> About {
 }
 
 /// "In the bathroom, Ada brushes her teeth.": whom it names behind what it begins with.
-fn later_subject(said: &str, words: &[&str], is_known: &mut dyn FnMut(&str) -> bool) -> About {
+fn later_subject(
+    said: &str,
+    words: &[&str],
+    is_known: &mut dyn FnMut(&str) -> bool,
+    is_name: &dyn Fn(&str) -> bool,
+) -> About {
     if let Some((_, rest)) = said.split_once(", ") {
-        return about(rest, is_known);
+        return about(rest, is_known, is_name);
     }
     for at in 1..words.len() {
         for length in (1..=NAME_WORDS_MAX.min(words.len() - at)).rev() {
@@ -109,7 +116,8 @@ mod tests {
 
     fn of(sentence: &str) -> String {
         let mut known = |name: &str| ["ada", "ben", "tom", "mr. klein", "lucas"].contains(&name);
-        match clause::with_plain(sentence, |plain| about(plain, &mut known)) {
+        let is_name = |name: &str| sentence.to_lowercase() != sentence && name == "igor";
+        match clause::with_plain(sentence, |plain| about(plain, &mut known, &is_name)) {
             About::Named(names) => names.join("+"),
             About::Stranger(name) => format!("new {name}"),
             About::Somebody => "somebody".to_owned(),
@@ -123,6 +131,8 @@ mod tests {
             ("Ada opens the fridge.", "ada"),
             ("Ada and Ben sit on the sofa.", "ada+ben"),
             ("Ada and the plumber go to the kitchen.", "ada+plumber"),
+            ("Ada and Igor sit on the sofa.", "ada+igor"),
+            ("Ada and nobody else sits on the sofa.", "ada"),
             ("In the bathroom, Ada brushes her teeth.", "ada"),
             ("After dinner, Ben goes to the laundry room.", "ben"),
             ("At 7 am Ben walks into the bathroom.", "ben"),

@@ -248,6 +248,7 @@ impl Said {
                     };
                     clause::with_plain(one, |one| of(clause::companions(one, &mut is_known)))
                 });
+            let guests = Self::guests(clause, &mut is_known);
             let whose = |statement: PresenceStatement| match statement.subject() {
                 None if !statement.is_of_everybody() => {
                     let names = Self::Sentence(sentence_or(clause, sentence)).known_names(&mut is_known);
@@ -257,12 +258,28 @@ impl Said {
             };
             match last.and_then(|(_, statement)| Self::stated(statement)).map(whose) {
                 Some(statement) => said.push(Self::Presence(statement)),
-                None if count > 1 || with.is_some() => said.push(Self::Sentence(sentence_or(clause, sentence))),
+                None if count > 1 || with.is_some() || guests.is_some() => {
+                    said.push(Self::Sentence(sentence_or(clause, sentence)))
+                }
                 None => {}
             }
-            said.extend(with.map(Self::Presence));
+            said.extend(with.into_iter().chain(guests).map(Self::Presence));
         }
         said
+    }
+
+    /// That those are there whom somebody lets in: who is known, is called by what they are, or is written as a name.
+    fn guests(clause: &str, is_known: &mut dyn FnMut(&str) -> bool) -> Option<PresenceStatement> {
+        clause::with_plain(clause, |plain| {
+            let names = clause::guests(plain);
+            let mut is_person = |name: &&str| {
+                is_known(name)
+                    || clause::is(clause::Word::People, name)
+                    || clause::may_be_a_person(name) && clause::may_be_new(name) && is_written_as_a_name(clause, name)
+            };
+            let are_persons = !names.is_empty() && names.iter().all(&mut is_person);
+            are_persons.then(|| PresenceStatement::parse("present").ok())?.map(|here| here.with_subjects(&names))
+        })
     }
 
     /// The sentence for the prompt, if it is one.
@@ -323,6 +340,15 @@ impl Said {
         self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_of_a_pronoun))
     }
 
+    /// Whether it is about the two who are there: "They both go to bed.", "Both leave."
+    #[must_use]
+    pub fn is_of_both(&self) -> bool {
+        match self {
+            Self::Sentence(sentence) => clause::with_plain(sentence.as_str(), clause::is_of_both),
+            Self::Presence(statement) => statement.is_of_both(),
+        }
+    }
+
     /// Whether it is about one person by a pronoun: "She opens the fridge."
     #[must_use]
     pub fn is_of_one_pronoun(&self) -> bool {
@@ -345,7 +371,9 @@ impl Said {
     #[must_use]
     pub fn about(&self, mut is_known: impl FnMut(&str) -> bool) -> About {
         match self {
-            Self::Sentence(sentence) => clause::with_plain(sentence.as_str(), |said| about::about(said, &mut is_known)),
+            Self::Sentence(sentence) => clause::with_plain(sentence.as_str(), |said| {
+                about::about(said, &mut is_known, &|name| is_written_as_a_name(sentence.as_str(), name))
+            }),
             Self::Presence(statement) => match statement.names().map(str::to_owned).collect::<Vec<_>>() {
                 names if names.is_empty() => About::Somebody,
                 names => About::Named(names),
@@ -407,6 +435,16 @@ impl fmt::Display for Said {
             Self::Presence(statement) => statement.fmt(f),
         }
     }
+}
+
+/// Whether a text has a name in lower case with a capital, where that says something: not in a text without small letters.
+fn is_written_as_a_name(text: &str, name: &str) -> bool {
+    let mut words = text.split(|c: char| !(c.is_alphanumeric() || c == '-')).filter(|word| !word.is_empty());
+    let last = name.rsplit(' ').next().unwrap_or_default();
+    let is_it = |word: &str| {
+        word.starts_with(char::is_uppercase) && word.chars().any(char::is_lowercase) && word.to_lowercase() == last
+    };
+    words.any(is_it)
 }
 
 /// A clause as a sentence; the whole one where it has no letters.
@@ -533,8 +571,42 @@ mod tests {
             ("Mia opens the fridge. She grabs the milk.", ""),
             ("They open the fridge.", ""),
             ("They leave the house.", ""),
+            ("Mia gets up, showers and leaves for work.", "mia: away"),
+            ("Tom eats, dresses and goes to work.", "tom: away"),
+            ("Mia gets up, showers, leaves the house and drives off.", ""),
+            ("Mia wakes up, stretches and is in the kitchen.", ""),
+            ("Mia leaves the house, and so does Tom.", "mia: away | tom: away"),
+            ("Mia leaves the house and Tom too.", "mia: away | tom: away"),
+            ("Mia leaves and so does Tom.", "mia: away | tom: away"),
+            ("Mia comes home and so does Tom.", "Mia comes home and so does Tom. | tom: present"),
+            ("Mia and Tom put on their coats and leave for work.", "mia and tom: away"),
+            ("Mia and her friend Igor leave the house.", "mia and igor: away"),
+            ("Tom opens the front door and Igor comes in.", "Tom opens the front door. | Igor comes in."),
+            ("Tom lets Igor in.", "Tom lets Igor in. | igor: present"),
+            (
+                "Tom lets Igor and the plumber into the house.",
+                "Tom lets Igor and the plumber into the house. | igor and plumber: present",
+            ),
+            ("Tom lets the cat in.", ""),
+            ("Tom lets sunlight in.", ""),
+            ("Tom lets her in.", ""),
+            ("Mia comes home from work and puts the groceries into the fridge.", ""),
         ] {
             assert_eq!(of(text), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn both_are_two() {
+        let of_both = |text: &str| Said::of(Sentence::new(text).unwrap()).is_of_both();
+        for text in
+            ["Both leave.", "They both go to bed.", "Both of them leave the house.", "They both sit on the sofa."]
+        {
+            assert!(of_both(text), "{text}");
+        }
+        for text in ["Both parents go to work.", "They open both doors.", "They both will leave.", "Both lamps are on."]
+        {
+            assert!(!of_both(text), "{text}");
         }
     }
 
@@ -581,7 +653,12 @@ mod tests {
         {
             assert_eq!(afar(sentence), !sentence.starts_with("They"), "{sentence}");
         }
-        for sentence in ["They come home.", "Ada opens the fridge.", "Ada willingly washes the dishes."] {
+        for sentence in [
+            "They come home.",
+            "Ada opens the fridge.",
+            "Ada willingly washes the dishes.",
+            "Ada comes home from work and puts the groceries into the fridge.",
+        ] {
             assert!(!afar(sentence), "{sentence}");
         }
     }

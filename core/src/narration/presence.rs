@@ -56,6 +56,8 @@ enum Whose {
     /// The subject's, or that of whom the narrator names.
     Subject,
     Everybody,
+    /// That of the two who are there.
+    Both,
     /// That of everybody but the subject.
     Others,
     /// The subject's; everybody else is away.
@@ -66,6 +68,7 @@ enum Whose {
 
 /// What stands before the presence of everybody, and before a room that nobody is in.
 const EVERYBODY: &str = "everybody ";
+const BOTH: &str = "both ";
 const OTHERS: &str = "everybody else ";
 const ALONE: &str = "alone ";
 const NOBODY: &str = "nobody in the ";
@@ -90,7 +93,7 @@ impl PresenceStatement {
     }
 
     /// Reads what [`fmt::Display`] writes: `present`, `present in the kitchen`, `nobody in the kitchen`, `away`, `everybody away`,
-    /// `everybody present`, `everybody present in the kitchen`, `gone`.
+    /// `everybody present`, `everybody present in the kitchen`, `both away`, `gone`.
     ///
     /// # Errors
     /// Anything else.
@@ -109,12 +112,14 @@ impl PresenceStatement {
             "present in the" | "nobody in the" => (Presence::Unknown, None),
             "present" => (Presence::Present, None),
             "away" => (Presence::Away, None),
-            _ if text.starts_with(EVERYBODY) => {
-                let all = Self::parse(&text[EVERYBODY.len()..])?;
+            _ if text.starts_with(EVERYBODY) || text.starts_with(BOTH) => {
+                let (group, whose) =
+                    if text.starts_with(BOTH) { (BOTH, Whose::Both) } else { (EVERYBODY, Whose::Everybody) };
+                let all = Self::parse(&text[group.len()..])?;
                 // Nobody but a visitor is gone.
                 let is_of_all = all.whose == Whose::Subject && all.presence != Presence::Gone;
                 let error = || PresenceError { text: text.chars().take(80).collect() };
-                return is_of_all.then_some(Self { whose: Whose::Everybody, ..all }).ok_or_else(error);
+                return is_of_all.then_some(Self { whose, ..all }).ok_or_else(error);
             }
             _ if text.starts_with(NOBODY) => return Self::empty(&text[NOBODY.len()..]),
             "gone" => (Presence::Gone, None),
@@ -144,6 +149,7 @@ impl PresenceStatement {
             Subject::Nobody if room.is_some() => of(Whose::Nobody),
             Subject::Nobody => Some(Self { presence: Presence::Away, ..of(Whose::Everybody)? }),
             Subject::Everybody => of(Whose::Everybody),
+            Subject::Both => of(Whose::Both),
             Subject::Others(names) => of_names(Whose::Others, &names),
             // Where only one is, others may be elsewhere in the house.
             Subject::Only(names) if presence == Presence::Present && is_state && room.is_none() => {
@@ -200,7 +206,7 @@ impl PresenceStatement {
     #[must_use]
     pub fn of_others(&self) -> Option<Self> {
         match self.whose {
-            Whose::Everybody | Whose::Others => Some(self.of_one(self.presence)),
+            Whose::Everybody | Whose::Both | Whose::Others => Some(self.of_one(self.presence)),
             Whose::SubjectAlone => Some(self.of_one(Presence::Away)),
             Whose::Subject | Whose::Nobody => None,
         }
@@ -224,6 +230,12 @@ impl PresenceStatement {
     #[must_use]
     pub fn is_of_everybody(&self) -> bool {
         self.whose != Whose::Subject
+    }
+
+    /// Whether it is said of the two who are there.
+    #[must_use]
+    pub fn is_of_both(&self) -> bool {
+        self.whose == Whose::Both
     }
 
     /// What is said.
@@ -267,6 +279,7 @@ impl fmt::Display for PresenceStatement {
         }
         f.write_str(match self.whose {
             Whose::Everybody => EVERYBODY,
+            Whose::Both => BOTH,
             Whose::Others => OTHERS,
             Whose::SubjectAlone => ALONE,
             Whose::Subject | Whose::Nobody => "",
@@ -290,6 +303,8 @@ mod tests {
             "everybody away",
             "everybody present",
             "everybody present in the kitchen",
+            "both away",
+            "both present in the kitchen",
             "gone",
         ] {
             assert_eq!(PresenceStatement::parse(text).unwrap().to_string(), text);
@@ -327,6 +342,7 @@ mod tests {
             "She left the apartment",
             "Ben goes out.",
             "They exit the flat.",
+            "They leave.",
         ] {
             assert_eq!(of(sentence), Some(Presence::Away), "{sentence}");
         }
@@ -338,7 +354,6 @@ mod tests {
             "They leave the house key on the table.",
             "They come to the table.",
             "They go out of the kitchen.",
-            "They leave.",
             "Nobody leaves the house.",
             "They are in the bath.",
             "They are tired.",

@@ -28,8 +28,11 @@ pub(super) fn clauses(text: &str, mut is_person: impl FnMut(&str) -> bool) -> ([
             break;
         }
         let (head, tail) = (&text[from..end], &text[next..]);
+        // "Gets up, showers, leaves the house": a name that ends like a verb has a capital.
+        let word = tail.split([' ', ',']).next().unwrap_or_default();
+        let is_deed = word.starts_with(char::is_lowercase) && clause::is_verb(word);
         let begins = clause::with_plain(begin_of(tail), |tail| {
-            clause::begins_with_persons(tail, &mut is_person) || clause::is_of_a_stranger(tail)
+            clause::begins_with_persons(tail, &mut is_person) || (!is_deed && clause::is_of_a_stranger(tail))
         });
         // A comma alone joins what two persons do, and parts of much else.
         let begins = begins
@@ -141,6 +144,10 @@ mod tests {
             assert_eq!(split(text), expected);
         }
         for text in [
+            "Ada gets up, showers and leaves for work.",
+            "Ben eats, dresses and goes to work.",
+            "Ada gets up, showers, leaves the house and drives off.",
+            "ADA GETS UP, SHOWERS AND LEAVES FOR WORK.",
             "Ada and Ben sit on the sofa.",
             "Ada, Ben and Tom sit on the sofa.",
             "Ada, Ben and Tom leave the house.",

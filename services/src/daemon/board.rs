@@ -11,7 +11,7 @@ use roomcast_ipc::{
 use super::habits::{HomeHabits, Name, PlaceSet};
 use super::intake::OTHERS;
 use super::journal::{Outcome, Recovered};
-use super::persons::{Persons, is_bed, sleeps};
+use super::persons::{Persons, is_bed, may_be_done_lying, sleeps};
 use crate::habits_reason::{ELSEWHERE, HorizonLine, PersonHabits, RoomReason, ThingReason};
 use crate::moment::Moment;
 use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
@@ -476,7 +476,7 @@ impl<M: LanguageModel> Board<M> {
             self.pipeline.include(&observation, voice);
             for clause in self.clauses(observation) {
                 self.exclude(&clause, is_strange, at_ns);
-                for own in self.of_persons(clause) {
+                for own in self.of_persons(clause, is_strange) {
                     let Some(own) = self.take(own, Voice::EARLIER, is_strange, at_ns) else { continue };
                     let person = own.person;
                     self.pipeline.enter(voice, own);
@@ -624,11 +624,31 @@ impl<M: LanguageModel> Board<M> {
             } else if seen.is_sentence {
                 // What the model says after all of them is for what comes then, not for what lies between them.
                 let mention = self.mentions.last(&seen.words);
+                // Where they were before this, and on what.
+                let was_on_bed = self.persons.get(seen.person).is_some_and(|known| known.on_bed);
+                let (mut near, mut rooms) = ([0.0; MAX_ROOMS], 0);
+                if was_on_bed {
+                    rooms = fill(&mut near, own.at(at_s, 0.0));
+                }
                 own.observe(at_s, mention, grounding, &[]);
                 self.home.turned(seen.person, seen.at_ns, turned_to(mention), own);
                 if let Some(known) = self.persons.get_mut(seen.person) {
-                    let on_bed = mention.map(|found| is_bed(&grounding.scored_labels()[found.label].text));
-                    known.on_bed = sleeps(&seen.words).or(on_bed).unwrap_or(known.on_bed);
+                    // One deed after the other: "lies down in bed and turns off the lamp".
+                    for deed in deeds(&seen.words) {
+                        let found = self.mentions.last(deed);
+                        let row = |found: &Mention| grounding.weights().row(found.label);
+                        let stays = |found: &Mention| {
+                            let likeliest = (0..rooms).max_by(|a, b| near[*a].total_cmp(&near[*b]));
+                            let is_here = likeliest.is_some_and(|room| row(found)[room] > SAME_ROOM);
+                            known.on_bed && is_here && may_be_done_lying(deed)
+                        };
+                        let is_bed = |found: &Mention| is_bed(&grounding.scored_labels()[found.label].text);
+                        let on_bed = found.map(|found| is_bed(&found) || stays(&found));
+                        known.on_bed = sleeps(deed).or(on_bed).unwrap_or(known.on_bed && may_be_done_lying(deed));
+                        if let Some(found) = found.filter(is_bed) {
+                            rooms = fill(&mut near, row(&found).iter().copied());
+                        }
+                    }
                 }
             } else {
                 let room = room_named(&seen.words, &self.map, grounding);
@@ -685,7 +705,7 @@ impl<M: LanguageModel> Board<M> {
             self.pipeline.include(&observation, voice);
             for clause in self.clauses(observation) {
                 self.exclude(&clause, is_strange, at_ns);
-                for own in self.of_persons(clause) {
+                for own in self.of_persons(clause, is_strange) {
                     if let Some(own) = self.take(own, voice, is_strange, at_ns) {
                         self.pipeline.enter(voice, own);
                     }
@@ -698,8 +718,8 @@ impl<M: LanguageModel> Board<M> {
                 "narration that was accepted for another map costs more tokens than a window holds now, and is left out"
             );
         }
-        if self.next_rooms.is_none() {
-            // Who lies in bed does not expire like others.
+        if self.next_rooms.is_none() && self.is_overdue(now_ns) {
+            // Who lies in bed does not expire like others. At any other time what was observed waits for the scores to be sent.
             self.follow();
         }
         self.lapse(now_ns);
@@ -780,6 +800,19 @@ impl<M: LanguageModel> Board<M> {
         self.watch();
         self.pipeline.tidy();
     }
+}
+
+/// A smaller share of a thing than this is in the room that somebody is believed in: it is in another one.
+const SAME_ROOM: f64 = 0.05;
+
+/// Fills the begin of a row; gives how much of it.
+fn fill(row: &mut [f64], values: impl Iterator<Item = f64>) -> usize {
+    row.iter_mut().zip(values).map(|(place, value)| *place = value).count()
+}
+
+/// What somebody does one after the other in a sentence.
+fn deeds(words: &str) -> impl Iterator<Item = &str> {
+    words.split(" and ").flat_map(|part| part.split([',', ';'])).map(str::trim).filter(|deed| !deed.is_empty())
 }
 
 /// The label that is turned to, and not left.

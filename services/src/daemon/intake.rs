@@ -19,6 +19,7 @@ use roomcast_core::scorer::TokenCounter;
 
 use crate::config::{IntakeLimits, KnownNarrator};
 use crate::message_text::said_of;
+use crate::person_name::check_name;
 use crate::token_bucket::TokenBucket;
 
 /// Most starts of sources of one port that are followed: the longest silent gives way to another of the same port.
@@ -266,6 +267,10 @@ impl Intake {
             Ok(said) => said,
             Err(error) => return Taken::Malformed(error.to_string()),
         };
+        let name = Some(message.person_name().trim()).filter(|name| !name.is_empty());
+        if let Some(Err(fault)) = name.map(check_name) {
+            return Taken::Malformed(fault);
+        }
         self.turns += 1;
         let turn = self.turns;
         let port = self.port(sender, message.source, now_ns);
@@ -322,7 +327,6 @@ impl Intake {
             None if self.narrators.is_empty() => Voice { number: port_voice, share: 1 },
             _ => Voice { number: OTHERS, share: 1 },
         };
-        let name = Some(message.person_name().trim()).filter(|name| !name.is_empty());
         let observation = Observation {
             person: message.person,
             name: name.map(Into::into),
@@ -509,6 +513,21 @@ mod tests {
         assert_eq!(observation.said.to_string(), "present in the kitchen");
         let nonsense = NarrationV1 { kind: narration_kind::PRESENCE, ..message(7, 1, 2, "perhaps") };
         assert!(matches!(intake.take(&nonsense, PORT, 10), Taken::Malformed(why) if why.contains("perhaps")));
+    }
+
+    /// What no narrator of this program sends, and ports can have.
+    #[test]
+    fn what_is_no_name_of_a_person_is_malformed() {
+        let mut intake = Intake::new(IntakeLimits::default());
+        for name in ["nobody", "Me", "who", "12", " -1", "they", "!"] {
+            let person_name = roomcast_ipc::text::encode("name", name).unwrap();
+            let taken = intake.take(&NarrationV1 { person_name, ..message(7, 1, 1, "They sit.") }, PORT, 10);
+            assert!(matches!(&taken, Taken::Malformed(why) if why.contains(name.trim())), "{name}: {taken:?}");
+        }
+        let person_name = roomcast_ipc::text::encode("name", " ").unwrap();
+        let nobody = intake.take(&NarrationV1 { person_name, ..message(7, 1, 1, "They sit.") }, PORT, 10);
+        assert_eq!(accepted(nobody).0.name, None);
+        assert_eq!((intake.counters().malformed, intake.counters().accepted), (7, 1));
     }
 
     #[test]

@@ -245,9 +245,11 @@ impl Journal {
             move |source| JournalError::File { path, operation, source }
         };
         state_file::make_folder(directory).map_err(failed("make"))?;
-        let folder = Folder::open(directory).map_err(|(path, operation, source)| match (operation, source.kind()) {
-            ("lock", io::ErrorKind::WouldBlock) => JournalError::Locked { path },
-            _ => JournalError::File { path, operation, source },
+        let folder = Folder::open(directory, options.bytes_max).map_err(|(path, operation, source)| {
+            match (operation, source.kind()) {
+                ("lock", io::ErrorKind::WouldBlock) => JournalError::Locked { path },
+                _ => JournalError::File { path, operation, source },
+            }
         })?;
         let boot_id = boot_id();
         let sync_every = Duration::from_millis(options.sync_ms.max(1));
@@ -1171,6 +1173,38 @@ mod tests {
         JournalOptions { directory: directory.to_owned(), bytes_max, sync_ms: 1 }
     }
 
+    /// Row "a sparse narration.journal.old of 4 GB" of the attacks; and a journal that was allowed to be larger before.
+    #[test]
+    fn a_half_that_is_too_large_is_kept_aside_and_its_newest_part_read() {
+        let directory = tempfile::tempdir().unwrap();
+        let (current, older) =
+            (directory.path().join("narration.journal"), directory.path().join("narration.journal.old"));
+        let large = options(directory.path(), 16 << 20);
+        let (mut journal, _) = Journal::open(&large).unwrap();
+        let all = 30_000;
+        (0..all).for_each(|sequence| _ = journal.append(&observation(sequence)));
+        drop(journal);
+        let whole = fs::read(&current).unwrap();
+        assert!(whole.len() > 2 << 20);
+        let sparse = fs::File::create(&older).unwrap();
+        sparse.set_len(4 << 30).unwrap();
+        let small = options(directory.path(), 8192);
+        let (mut journal, recovered) = Journal::open(&small).unwrap();
+        let newest: Vec<_> = recovered.observations.iter().map(|observation| observation.sequence).collect();
+        assert_eq!(newest, (all - newest.len() as u64..all).collect::<Vec<_>>());
+        assert!(newest.len() > 1000 && newest.len() < all as usize);
+        let [kept, other] = [&current, &older].map(|half| PathBuf::from(format!("{}.large-1", half.display())));
+        assert_eq!(fs::read(&kept).unwrap(), whole);
+        assert_eq!(fs::metadata(&other).unwrap().len(), 4 << 30);
+        assert!(fs::metadata(&older).unwrap().len() < 2 << 20);
+        // It goes on as any journal does, and is not set aside again.
+        journal.append(&observation(all));
+        drop(journal);
+        let (_journal, recovered) = Journal::open(&small).unwrap();
+        assert_eq!(recovered.carried.iter().chain(&recovered.observations).last().unwrap().sequence, all);
+        assert!(!PathBuf::from(format!("{}.large-2", older.display())).exists());
+    }
+
     #[test]
     fn what_was_appended_comes_back() {
         let directory = tempfile::tempdir().unwrap();
@@ -1244,7 +1278,7 @@ mod tests {
 
     /// A writer of an empty journal.
     fn writer(folder: &Path, half_bytes: u64) -> Writer<Failing> {
-        let folder = Folder::open(folder).unwrap();
+        let folder = Folder::open(folder, 1 << 30).unwrap();
         let disk = Failing {
             folder,
             is_full: false,

@@ -222,6 +222,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
         counters: Arc::clone(&counters),
         more: false,
         log_refused: limiter(),
+        log_costly: limiter(),
         log_port: limiter(),
     };
     // There is one inbox: sending it never waits.
@@ -434,6 +435,7 @@ struct Inbox {
     /// The port was not emptied the last time.
     more: bool,
     log_refused: Limiter,
+    log_costly: Limiter,
     log_port: Limiter,
 }
 
@@ -490,12 +492,14 @@ impl Inbox {
                 ),
                 Taken::Costly { tokens, most, first } => {
                     take(Heard::PassedOver { source, epoch: self.message.epoch, sequence: self.message.sequence });
-                    if first {
+                    // Sources may be invented.
+                    if first && let Some(held_back) = self.log_costly.pass(now_ns) {
                         tracing::warn!(
                             source,
                             name,
                             tokens,
                             most,
+                            held_back,
                             "a sentence costs more tokens than a window holds, and is dropped, as others of this source will be: shorten it, or raise model.context_tokens and history.tokens"
                         );
                     }
@@ -724,15 +728,14 @@ impl<M: LanguageModel> Scoring<M> {
         if !self.cycle.message_due(before_ns, written) {
             return Ok(());
         }
-        // First, so that a planner that the scores wake finds the forecast that belongs to them. Time alone changes where a person
-        // may be, so a heartbeat has a new one too.
-        let sent = self.send_to_listeners(before_ns)?;
         let behind = !self.queue.is_empty() || self.inbox.as_ref().is_some_and(|inbox| inbox.more);
         let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
         self.scores.send(message)?;
         let (is_heartbeat, after_ns) = (message.has(score_flags::HEARTBEAT), clock::monotonic_ns());
-        // Who joins later is given the last one that was sent: it is no older than the scores, and names nobody who is forgotten.
-        self.send_about_persons(before_ns, sent.map(|sent| !sent))?;
+        // Behind the scores, which wait for nothing; a planner waits for the forecast that belongs to them. Time alone changes where a
+        // person may be, so a heartbeat has a new one too. All are sent, whoever listens: who joins later is given the last one, which is
+        // no older than the scores, and names nobody who is forgotten.
+        self.send_about_persons(before_ns)?;
         if is_heartbeat {
             self.tally.heartbeats += 1;
             return Ok(());
@@ -773,26 +776,11 @@ impl<M: LanguageModel> Scoring<M> {
         Ok(())
     }
 
-    /// Sends the forecasts and what is told of persons to those who listen; gives which of the three were sent.
-    fn send_to_listeners(&mut self, now_ns: u64) -> Result<[bool; 3], IpcError> {
-        let listened = [self.forecasts.subscribers(), self.persons.subscribers(), self.person_forecasts.subscribers()];
-        let sent = listened.map(|subscribers| subscribers > 0);
-        self.send_about_persons(now_ns, sent)?;
-        Ok(sent)
-    }
-
-    /// Sends those of the forecast, the persons' scores and their forecasts that are wanted.
-    fn send_about_persons(&mut self, now_ns: u64, [forecast, scores, forecasts]: [bool; 3]) -> Result<(), IpcError> {
-        if forecast {
-            self.forecasts.send(self.cycle.board_mut().forecast(now_ns))?;
-        }
-        if scores {
-            self.persons.send(self.cycle.board_mut().person_scores(now_ns))?;
-        }
-        if forecasts {
-            self.person_forecasts.send(self.cycle.board_mut().person_forecasts(now_ns))?;
-        }
-        Ok(())
+    /// Sends the forecast, the persons' scores and their forecasts.
+    fn send_about_persons(&mut self, now_ns: u64) -> Result<(), IpcError> {
+        self.forecasts.send(self.cycle.board_mut().forecast(now_ns))?;
+        self.persons.send(self.cycle.board_mut().person_scores(now_ns))?;
+        self.person_forecasts.send(self.cycle.board_mut().person_forecasts(now_ns))
     }
 
     /// Does what was asked of the map; returns whether it changed.
@@ -817,6 +805,8 @@ impl<M: LanguageModel> Scoring<M> {
                     sentence_tokens_max.store(board.sentence_tokens_max(), Ordering::Relaxed);
                 }
                 let MapAnswer { outcome, reason, items, new_labels, .. } = &answer;
+                // A reason may quote a question, which may be long.
+                let reason = reason.as_ref().map(|reason| reason.chars().take(200).collect::<String>());
                 tracing::info!(?outcome, reason, items, new_labels, "map change");
                 if let Some(id) = id {
                     answered.put(id, answer.clone());

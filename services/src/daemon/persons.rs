@@ -23,6 +23,8 @@ const LATE_NS: i64 = 60_000_000_000;
 
 /// So long "he" and "she" mean whom their source told of last by name.
 const PRONOUN_NS: i64 = 60_000_000_000;
+/// So long whoever was last at the front door is taken for who leaves.
+const DOOR_NS: i64 = 900_000_000_000;
 /// Of so many sources it is known whom they told of last.
 const TOLD_OF_MAX: usize = 64;
 
@@ -61,6 +63,8 @@ pub(super) struct Known {
     voice: u64,
     /// When one told of them whose word is guarded; the least number where none did.
     guarded_ns: i64,
+    /// When they were last observed at a door of the house; the least number where they never were.
+    door_ns: i64,
     /// It named nobody.
     by_fit: bool,
     /// The last thing mentioned is one to sleep on, or they were said to sleep.
@@ -72,10 +76,43 @@ pub(super) struct Known {
 }
 
 impl Known {
+    /// Whether one has told of them whose word is guarded.
+    fn is_trusted(&self) -> bool {
+        self.guarded_ns > i64::MIN
+    }
+
     fn is_asleep(&self, asleep_ns: i64, now_ns: i64) -> bool {
         self.presence == Presence::Present && self.on_bed && now_ns - self.heard_ns > asleep_ns
     }
 }
+
+/// Whether somebody can do without getting up what a sentence says.
+pub(super) fn may_be_done_lying(sentence: &str) -> bool {
+    const UPRIGHT: [&str; 44] = [
+        "walk", "walks", "go", "goes", "run", "runs", "stand", "stands", "sit", "sits", "open", "opens", "close",
+        "closes", "cook", "cooks", "wash", "washes", "wipe", "wipes", "clean", "cleans", "sweep", "sweeps", "mop",
+        "mops", "dress", "dresses", "put on", "puts on", "shower", "showers", "enter", "enters", "leave", "leaves",
+        "climb", "climbs", "fold", "folds", "make", "makes", "pour", "pours",
+    ];
+    !UPRIGHT.iter().any(|words| has_words(sentence, words))
+}
+
+/// Whether a sentence is about the door of the house.
+pub(super) fn is_at_front_door(sentence: &str) -> bool {
+    const DOORS: [&str; 6] = ["front door", "entrance door", "main door", "house door", "apartment door", "doorbell"];
+    DOORS.iter().any(|words| has_words(sentence, words))
+}
+
+/// Whether a sentence may be about it: also about a door, and not that of a thing.
+fn is_at_a_door(sentence: &str) -> bool {
+    const HOW: [&str; 6] =
+        ["opens the door", "closes the door", "open the door", "close the door", "the door is", "The door is"];
+    let is_of_a_thing = || ["door of", "door to"].iter().any(|words| has_words(sentence, words));
+    is_at_front_door(sentence) || (HOW.iter().any(|words| has_words(sentence, words)) && !is_of_a_thing())
+}
+
+/// Who told of somebody by name: whether that was a stranger, the source, and its epoch. What strangers say is kept apart.
+pub(super) type Teller = (bool, u64, u64);
 
 /// All persons that the daemon knows.
 #[derive(Debug, Default)]
@@ -84,7 +121,7 @@ pub struct Persons {
     file: PersonsFile,
     known: BTreeMap<u32, Known>,
     /// Whom sources told of by name last, and when; newest last.
-    told_of: VecDeque<(u64, u32, i64)>,
+    told_of: VecDeque<(Teller, u32, i64)>,
 }
 
 impl Persons {
@@ -186,7 +223,7 @@ impl Persons {
 
     /// The observations of persons that one stands for: itself; where it is of everybody, one of each who lives here or is in the house; where
     /// it names several, one of each; none where it says that nobody is in a room.
-    pub(super) fn each(&self, observation: Observation) -> impl Iterator<Item = Observation> + use<> {
+    pub(super) fn each(&self, observation: Observation, is_strange: bool) -> impl Iterator<Item = Observation> + use<> {
         let is_open = observation.person == SOMEBODY && observation.name.is_none();
         let names = if is_open { self.named(&observation.said) } else { Vec::new() };
         let statement = match &observation.said {
@@ -196,6 +233,15 @@ impl Persons {
         let of_nobody = statement.is_some_and(|statement| statement.empty_room().is_some());
         let of_group = statement.filter(|statement| is_open && statement.is_of_everybody() && !of_nobody);
         let (mut others, mut of_named) = (Vec::new(), None);
+        if is_open && observation.said.is_of_both() {
+            let said = match statement.and_then(PresenceStatement::of_others) {
+                Some(said) => Said::Presence(said),
+                None => observation.said.clone(),
+            };
+            let both = self.both(&observation.said, is_strange).into_iter().flatten();
+            others.extend(both.map(|person| Observation { person, said: said.clone(), ..observation.clone() }));
+            return None.into_iter().chain(others);
+        }
         // Who is not understood may be anybody.
         let is_understood = |statement: &PresenceStatement| {
             statement
@@ -229,6 +275,46 @@ impl Persons {
         let is_several = is_group || names.len() > 1;
         others.extend(names.iter().filter(|_| is_several).map(of_name));
         (!is_several && !of_nobody).then_some(observation).into_iter().chain(others)
+    }
+
+    /// The two whom "both" means: who is in the house, or, of who comes home, who is away; none where these are not two. For a named narrator of those
+    /// alone of whom one has told.
+    fn both(&self, said: &Said, is_strange: bool) -> Option<[u32; 2]> {
+        let is_arrival = |sentence: &str| {
+            PresenceStatement::of_sentence(sentence)
+                .is_some_and(|statement| statement.is_of_both() && statement.room().is_none())
+        };
+        let comes = match said {
+            Said::Sentence(sentence) => is_arrival(sentence.as_str()),
+            Said::Presence(statement) => statement.presence() == Presence::Present && statement.room().is_none(),
+        };
+        let candidates = self.candidates(is_strange);
+        let of = |presence: Presence| {
+            let mut found =
+                candidates.iter().filter(|(_, known)| known.presence == presence).map(|(number, _)| *number);
+            let two = [found.next()?, found.next()?];
+            found.next().is_none().then_some(two)
+        };
+        let all = || {
+            let mut found =
+                candidates.iter().filter(|(_, known)| known.presence != Presence::Gone).map(|(number, _)| *number);
+            let two = [found.next()?, found.next()?];
+            found.next().is_none().then_some(two)
+        };
+        if comes { of(Presence::Away).or_else(all) } else { of(Presence::Present) }
+    }
+
+    /// Whom an observation that names nobody may be of: for a named narrator, who does not follow what strangers invent, only those of whom one
+    /// has told, if there are any.
+    fn candidates(&self, is_strange: bool) -> Vec<(u32, &Known)> {
+        let is_all =
+            is_strange || !self.known.values().any(|known| known.is_trusted() && known.presence != Presence::Gone);
+        self.iter().filter(|(_, known)| is_all || known.is_trusted()).collect()
+    }
+
+    /// Whether anybody whom an observation may be of is in the house.
+    pub(super) fn is_anybody_here(&self, is_strange: bool) -> bool {
+        self.candidates(is_strange).iter().any(|(_, known)| known.presence == Presence::Present)
     }
 
     /// Whom a statement of everybody is about, other than those whom it names: of who is somewhere in the house those who are in it, and who lives
@@ -287,6 +373,7 @@ impl Persons {
             last: (0, 0, 0),
             voice: voice.number,
             guarded_ns: i64::MIN,
+            door_ns: i64::MIN,
             by_fit: false,
             on_bed: false,
             restored: false,
@@ -295,8 +382,11 @@ impl Persons {
         if observation.name.is_some() {
             known.name.clone_from(&observation.name);
         }
-        if matches!(observation.said, Said::Sentence(_)) {
+        if let Said::Sentence(sentence) = &observation.said {
             known.did_ns = at_ns.max(known.did_ns);
+            if is_at_a_door(sentence.as_str()) {
+                known.door_ns = at_ns.max(known.door_ns);
+            }
         }
         // What arrives late does not turn back time.
         let at_ns = at_ns.max(known.heard_ns);
@@ -393,23 +483,32 @@ impl Persons {
     }
 
     /// Whom an observation that names nobody fits best: of those in the house, for whom `fit` is greatest; where that does not tell, who
-    /// was observed last, or, of one who leaves, who was silent for longest and is not asleep. With nobody in the house, whoever is
-    /// away for longest is back; where nobody is known at all it is the first of the residents, or person 0.
-    pub(super) fn fitting(&self, said: &Said, now_ns: i64, mut fit: impl FnMut(u32) -> f64) -> u32 {
+    /// was observed last. Who leaves, or is at the door, is awake and not in bed, if anybody is, and was at the door last, or is nearest to it. With
+    /// nobody in the house, whoever is away for longest is back; where nobody is known at all it is the first of the residents, or person 0.
+    pub(super) fn fitting(&self, said: &Said, now_ns: i64, is_strange: bool, mut fit: impl FnMut(u32) -> f64) -> u32 {
+        /// What having been at the door last counts beside being near it.
+        const AT_THE_DOOR: f64 = 1.0;
         let leaves = said.presence() != Presence::Present;
+        let is_out = leaves || said.sentence().is_some_and(|sentence| is_at_front_door(sentence.as_str()));
         // Who comes home is none of those who are there.
         let comes = said.sentence().is_some_and(|sentence| PresenceStatement::is_arrival(sentence.as_str()));
-        let present = self.iter().filter(|(_, known)| known.presence == Presence::Present);
+        let candidates = self.candidates(is_strange);
+        let present = candidates.iter().filter(|(_, known)| known.presence == Presence::Present);
+        let at_door =
+            |known: &Known| known.door_ns > i64::MIN && (0..=DOOR_NS).contains(&now_ns.saturating_sub(known.door_ns));
+        let last_door = present.clone().filter(|(_, known)| at_door(known)).map(|(_, known)| known.door_ns).max();
         let ranked = present.map(|(number, known)| {
-            let recent_ns = if leaves { -known.heard_ns } else { known.heard_ns };
-            (fit(number), !(leaves && known.is_asleep(self.asleep_ns(), now_ns)), recent_ns, Reverse(number))
+            let is_last = last_door.is_some_and(|last_ns| last_ns == known.door_ns);
+            let own = fit(*number) + if leaves && is_last { AT_THE_DOOR } else { 0.0 };
+            let awake = !(is_out && known.is_asleep(self.asleep_ns(), now_ns));
+            (own, (awake, !(is_out && known.on_bed)), known.heard_ns, Reverse(*number))
         });
         let best =
             ranked.max_by(|a, b| a.1.cmp(&b.1).then(a.0.total_cmp(&b.0)).then_with(|| (a.2, a.3).cmp(&(b.2, b.3))));
-        let away = || self.iter().filter(|(_, known)| known.presence == Presence::Away);
-        let longest_away = || away().min_by_key(|(_, known)| known.since_ns).map(|(number, _)| number);
-        // Who sleeps does not leave: one who is away already has been told of twice.
-        let awake = best.filter(|(_, awake, ..)| *awake).map(|(.., Reverse(number))| number);
+        let away = || candidates.iter().filter(|(_, known)| known.presence == Presence::Away);
+        let longest_away = || away().min_by_key(|(_, known)| known.since_ns).map(|(number, _)| *number);
+        // Who sleeps does not leave: one who is away already has been told of twice. Whoever opens the door of a house of sleepers is one of them.
+        let awake = best.filter(|(_, (awake, _), ..)| *awake || !leaves).map(|(.., Reverse(number))| number);
         let sleeper = best.map(|(.., Reverse(number))| number);
         let back = longest_away().filter(|_| comes);
         back.or(awake).or_else(longest_away).or(sleeper).or_else(|| self.residents().next()).unwrap_or_default()
@@ -468,26 +567,35 @@ impl Persons {
             return false;
         }
         let number = observation.name.as_deref().map_or(observation.person, |name| self.number_of(name));
+        // A person by number alone may be any of them.
+        let has_name = observation.name.is_some() || self.name_of(number).is_some();
         match observation.said.about(|name| self.is_called(name)) {
             About::Named(names) => {
-                names.iter().all(|name| self.is_called(name) && self.called(name).is_some_and(|named| named != number))
+                let is_known = |name: &String| self.is_called(name);
+                let is_other = |name: &String| self.called(name).is_some_and(|named| named != number);
+                names.iter().any(is_known)
+                    && names.iter().all(|name| if is_known(name) { is_other(name) } else { has_name && is_other(name) })
             }
             About::Stranger(_) | About::Somebody | About::Nobody => false,
         }
     }
 
-    /// Takes note of whom a source told of by name.
-    pub(super) fn remember(&mut self, source: u64, person: u32, at_ns: i64) {
-        self.told_of.retain(|told| told.0 != source);
+    /// Takes note of whom a source told of by name. Strangers push out what strangers said.
+    pub(super) fn remember(&mut self, teller: Teller, person: u32, at_ns: i64) {
+        self.told_of.retain(|told| told.0 != teller);
         if self.told_of.len() == TOLD_OF_MAX {
-            self.told_of.pop_front();
+            let oldest = self.told_of.iter().position(|((is_strange, ..), ..)| *is_strange);
+            if oldest.is_none() && teller.0 {
+                return;
+            }
+            self.told_of.remove(oldest.unwrap_or_default());
         }
-        self.told_of.push_back((source, person, at_ns));
+        self.told_of.push_back((teller, person, at_ns));
     }
 
     /// Whom a source means by "he" or "she" that has told of somebody by name shortly before: none where they are not in the house.
-    pub(super) fn antecedent(&self, source: u64, at_ns: i64) -> Option<u32> {
-        let (_, person, told_ns) = self.told_of.iter().find(|told| told.0 == source)?;
+    pub(super) fn antecedent(&self, teller: Teller, at_ns: i64) -> Option<u32> {
+        let (_, person, told_ns) = self.told_of.iter().find(|told| told.0 == teller)?;
         let is_here = self.known.get(person).is_some_and(|known| known.presence == Presence::Present);
         (is_here && (0..=PRONOUN_NS).contains(&(at_ns - told_ns))).then_some(*person)
     }

@@ -226,6 +226,17 @@ impl Planner {
         self.forecast = Some(*forecast);
     }
 
+    /// Whether the newest scores are of narration that the newest forecast does not know yet.
+    #[must_use]
+    pub fn lacks_forecast(&self) -> bool {
+        let belongs = |scores: &RoomScoresV1, forecast: &ForecastV1| {
+            forecast.epoch == scores.epoch && forecast.sequence >= scores.sequence
+        };
+        self.scores.as_ref().is_some_and(|scores| {
+            scores.sequence > 0 && !self.forecast.as_ref().is_some_and(|forecast| belongs(scores, forecast))
+        })
+    }
+
     /// Takes each person's checked forecast: rooms of their sets are not entered, where the configuration says so.
     pub fn take_sets(&mut self, forecasts: &PersonForecastsV1) {
         if self.avoid_sets {

@@ -1,6 +1,7 @@
 //! The planner's process: its ports, clock and files.
 
 use std::collections::VecDeque;
+use std::time::{Duration, Instant};
 
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, IpcError, Message, MessageError, PersonForecastsV1, Publisher, RobotReportV1,
@@ -18,6 +19,8 @@ use crate::stop::Stop;
 
 /// What the names of planners begin with.
 const PARTICIPANT: &str = "roomcast-planner ";
+/// The forecast comes right behind the scores that it belongs to. Decisions wait at most so long for it.
+const FORECAST_PATIENCE: Duration = Duration::from_millis(5);
 /// Complaints about one kind of message come at most so often.
 const QUIET_NS: u64 = 5_000_000_000;
 
@@ -50,7 +53,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     }
     let mut log = Limiter::new(QUIET_NS);
     // At the start the scores need a moment to arrive; saying that there are none is worth something only after the deadline.
-    let patience_ns = clock::monotonic_ns() + config.planner.deadline_ms.saturating_mul(1_000_000);
+    let patience_ns = clock::monotonic_ns().saturating_add(config.planner.deadline_ms.saturating_mul(1_000_000));
     let (mut snapshot, mut forecast) = (Box::<RoomScoresV1>::default(), Box::<ForecastV1>::default());
     let mut each = Box::<PersonForecastsV1>::default();
     let (mut report, mut other) = (RobotReportV1::default(), DecisionV1::default());
@@ -58,11 +61,20 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     notify(&[NotifyState::Ready]);
     while !stop.requested() {
         scores.wait_with(&reports, planner.idle(clock::monotonic_ns()))?;
+        let mut has_scores = false;
         while receive(&scores, &mut snapshot, &mut log)? {
             planner.take(&snapshot);
+            has_scores = true;
         }
-        while receive(&forecasts, &mut forecast, &mut log)? {
-            planner.take_forecast(&forecast);
+        let waits_until = Instant::now() + FORECAST_PATIENCE;
+        loop {
+            while receive(&forecasts, &mut forecast, &mut log)? {
+                planner.take_forecast(&forecast);
+            }
+            let left = waits_until.saturating_duration_since(Instant::now());
+            if !(has_scores && planner.lacks_forecast() && !left.is_zero() && forecasts.wait(left)?) {
+                break;
+            }
         }
         if let Some(sets) = &sets {
             while receive(sets, &mut each, &mut log)? {

@@ -29,6 +29,8 @@ const WATCHDOG: Duration = Duration::from_secs(1);
 const SETTLING: Duration = Duration::from_secs(5);
 /// Complaints of one kind come at most so often.
 const QUIET_NS: u64 = 5_000_000_000;
+/// So many reports are told at once, and then one in that time: a battery may change with every message.
+const REPORTS_AT_ONCE: u64 = 16;
 
 /// Why a robot cannot be driven.
 #[derive(Debug, thiserror::Error)]
@@ -64,6 +66,7 @@ struct Mouth<'a> {
     reports: Publisher<RobotReportV1>,
     way: Way<'a>,
     log: Limiter,
+    log_reports: Limiter,
 }
 
 impl Mouth<'_> {
@@ -86,7 +89,9 @@ impl Mouth<'_> {
     }
 
     fn report(&mut self, report: &Report) -> Result<(), DriveError> {
-        tracing::info!(kind = %report.kind, room = report.room, battery = report.battery, note = report.note, "report of the robot");
+        if let Some(held_back) = self.log_reports.pass(clock::monotonic_ns()) {
+            tracing::info!(kind = %report.kind, room = report.room, battery = report.battery, note = report.note, held_back, "report of the robot");
+        }
         match self.reporter.message(report, clock::monotonic_ns(), clock::unix_ns()) {
             Ok(message) => self.reports.send(&message)?,
             Err(error) => {
@@ -116,7 +121,15 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
     let reporter = Reporter::new(robot, sequence::random_epoch())?;
     let reports = node.publisher()?;
     let mut driver = Driver::new(&config.robot, number);
-    let mut mouth = Mouth { dialect, link, reporter, reports, way, log: Limiter::new(QUIET_NS) };
+    let mut mouth = Mouth {
+        dialect,
+        link,
+        reporter,
+        reports,
+        way,
+        log: Limiter::new(QUIET_NS),
+        log_reports: Limiter::with_burst(QUIET_NS, REPORTS_AT_ONCE),
+    };
     let mut plan = Vec::new();
     let (begun, mut told) = (Instant::now(), Instant::now());
     notify(&[NotifyState::Ready]);

@@ -4,6 +4,7 @@ use std::io::{self, BufRead, IsTerminal, Write};
 
 use crate::cli::Failure;
 use crate::exit_code;
+use roomcast_core::text::{visible, visible_lines};
 
 /// Columns of a terminal that does not say how many it has.
 const COLUMNS: usize = 80;
@@ -35,14 +36,15 @@ impl Asker {
     /// Says something where questions are asked, in lines that fit.
     pub(super) fn say(&mut self, text: &str) -> Result<(), Failure> {
         let Some(Terminal { output, columns, .. }) = &mut self.terminal else { return Ok(()) };
-        writeln!(output, "{}", wrapped(text, *columns)).and_then(|()| output.flush()).map_err(failed)
+        // Of topics and of what others answer, somebody else says what they are.
+        writeln!(output, "{}", wrapped(&visible_lines(text), *columns)).and_then(|()| output.flush()).map_err(failed)
     }
 
     /// The answer to a question, the default where the line is empty; none where nothing is asked.
     pub(super) fn text(&mut self, question: &str, default: &str) -> Result<Option<String>, Failure> {
         self.say(question)?;
         let Some(Terminal { input, output, .. }) = &mut self.terminal else { return Ok(None) };
-        let shown = if default.is_empty() { String::new() } else { format!("[{default}] ") };
+        let shown = if default.is_empty() { String::new() } else { format!("[{}] ", visible(default)) };
         write!(output, "  {shown}> ").and_then(|()| output.flush()).map_err(failed)?;
         let mut line = String::new();
         if input.read_line(&mut line).map_err(failed)? == 0 {
@@ -126,6 +128,28 @@ mod tests {
             [Some(true), Some(false), Some(false)]
         );
         assert!(asker.text("More?", "").unwrap_err().to_string().contains("nothing was written"));
+    }
+
+    /// What a broker's topics may hold.
+    #[test]
+    fn a_question_moves_no_cursor() {
+        #[derive(Clone, Default)]
+        struct Shown(std::rc::Rc<std::cell::RefCell<Vec<u8>>>);
+        impl Write for Shown {
+            fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+                self.0.borrow_mut().write(bytes)
+            }
+            fn flush(&mut self) -> io::Result<()> {
+                Ok(())
+            }
+        }
+        let shown = Shown::default();
+        let (input, output) = (Box::new(&b"\n"[..]), Box::new(shown.clone()));
+        let mut asker = Asker { terminal: Some(Terminal { input, output, columns: 80 }) };
+        let topic = "\u{1b}]0;x\u{7}rob/one";
+        assert_eq!(asker.text(&format!("Under {topic}?"), topic).unwrap().as_deref(), Some(topic));
+        let shown = String::from_utf8(shown.0.borrow().clone()).unwrap();
+        assert_eq!(shown, "Under \\u001b]0;x\\u0007rob/one?\n  [\\u001b]0;x\\u0007rob/one] > ");
     }
 
     #[test]

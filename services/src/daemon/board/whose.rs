@@ -1,11 +1,14 @@
 //! Whose an observation is, and what of it is taken in.
 
 use roomcast_core::forecast::Mentions;
+use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::{Observation, Presence, PresenceStatement, SOMEBODY, Said, Voice, same_name};
 use roomcast_core::pipeline::PersonScores;
 use roomcast_core::scorer::LanguageModel;
+use roomcast_core::text::has_words;
 use roomcast_ipc::RoomV1;
 
+use super::super::persons::is_at_front_door;
 use super::{Attributed, Board, STRANGE_ROOMS_LOGGED, Seen, room_named, seconds};
 
 /// What says where somebody is.
@@ -15,6 +18,8 @@ enum Place {
     Label(usize),
     /// A room.
     Room(usize),
+    /// Where the house is left.
+    WayOut,
 }
 
 impl<M: LanguageModel> Board<M> {
@@ -40,7 +45,11 @@ impl<M: LanguageModel> Board<M> {
 
     /// The observations of persons that one stands for; none where it moves nobody ("The milk is out."), or where its subject is somebody who is not known
     /// and may be anywhere ("Carl is on his way.").
-    pub(super) fn of_persons(&self, mut observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
+    pub(super) fn of_persons(
+        &self,
+        mut observation: Observation,
+        is_strange: bool,
+    ) -> impl Iterator<Item = Observation> + use<M> {
         let said = &observation.said;
         // A sentence that says where somebody else is, or that they come, is of them, whoever's narrator heard it.
         let is_keyed = observation.person != SOMEBODY || observation.name.is_some();
@@ -66,10 +75,10 @@ impl<M: LanguageModel> Board<M> {
         let is_unknown =
             || is_open && said.is_from_afar() && !said.is_of_a_pronoun() && self.persons.named(said).is_empty();
         // What has ended brings nobody home.
-        let is_over = || is_open && said.is_of_an_end() && self.persons.count().1 == 0;
+        let is_over = || is_open && said.is_of_an_end() && !self.persons.is_anybody_here(is_strange);
         let is_of_none = || is_open && self.persons.is_of_nobody(said);
         let is_of_nobody = is_of_things || is_over() || is_of_none() || is_unknown();
-        (!is_of_nobody).then(|| self.persons.each(observation)).into_iter().flatten()
+        (!is_of_nobody).then(|| self.persons.each(observation, is_strange)).into_iter().flatten()
     }
 
     /// Decides whom an observation is of, and takes note of it: also for the forecasts, where its time is known. Gives it back for the
@@ -83,21 +92,23 @@ impl<M: LanguageModel> Board<M> {
         at_ns: Option<i64>,
     ) -> Option<Observation> {
         let noted_ns = at_ns.unwrap_or_default();
+        // What a stranger says is not what a named narrator goes on with, whatever number it took.
+        let teller = (is_strange, observation.source, observation.epoch);
         match &observation.name {
             Some(name) => {
                 observation.person = self.persons.number_of(name);
-                self.persons.remember(observation.source, observation.person, noted_ns);
+                self.persons.remember(teller, observation.person, noted_ns);
             }
             None if observation.person == SOMEBODY => {
                 observation.name = self.persons.named(&observation.said).pop().map(Into::into);
                 let is_meant = || observation.said.is_of_one_pronoun();
-                let meant = || self.persons.antecedent(observation.source, noted_ns).filter(|_| is_meant());
+                let meant = || self.persons.antecedent(teller, noted_ns).filter(|_| is_meant());
                 let person = match &observation.name {
                     Some(name) => self.persons.number_of(name),
-                    None => meant().unwrap_or_else(|| self.fitting(&observation.said, noted_ns)),
+                    None => meant().unwrap_or_else(|| self.fitting(&observation.said, noted_ns, is_strange)),
                 };
                 if observation.name.is_some() {
-                    self.persons.remember(observation.source, person, noted_ns);
+                    self.persons.remember(teller, person, noted_ns);
                 }
                 (observation.person, observation.by_fit) = (person, observation.name.is_none());
                 let Observation { source, epoch, sequence, .. } = observation;
@@ -205,14 +216,18 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Whom an observation that names nobody fits best: where each person is believed to be, and what the model expects of them next.
-    fn fitting(&mut self, said: &Said, at_ns: i64) -> u32 {
+    fn fitting(&mut self, said: &Said, at_ns: i64, is_strange: bool) -> u32 {
         /// What an expected object counts beside being where it is.
         const NEXT: f64 = 0.5;
+        /// How near to the way out somebody is tells in so many steps: less says nothing.
+        const STEPS: f64 = 4.0;
         // As far as everything before it is known.
         self.watch();
         let Self { persons, pipeline, followed, mentions, map, next_rooms, .. } = self;
         let grounding = pipeline.grounding();
         let place = match said {
+            _ if said.presence() != Presence::Present => Some(Place::WayOut),
+            Said::Sentence(sentence) if is_at_front_door(sentence.as_str()) => Some(Place::WayOut),
             Said::Sentence(sentence) => mentions.last(sentence.as_str()).map(|found| Place::Label(found.label)),
             Said::Presence(statement) => {
                 statement.room().and_then(|room| room_named(room, map, grounding)).map(Place::Room)
@@ -220,7 +235,9 @@ impl<M: LanguageModel> Board<M> {
         };
         // Of a map that has not been scored yet nobody knows where they are.
         let place = place.filter(|_| next_rooms.is_none());
-        persons.fitting(said, at_ns, |person| {
+        let is_way_out = matches!(place, Some(Place::WayOut));
+        let ways_out: Vec<f64> = if is_way_out { ways_out(grounding) } else { Vec::new() };
+        persons.fitting(said, at_ns, is_strange, |person| {
             let (Some(own), Some(place)) = (followed.get(&person), place) else { return 0.0 };
             let mut belief = own.at(seconds(at_ns), 0.0);
             match place {
@@ -235,9 +252,34 @@ impl<M: LanguageModel> Board<M> {
                     here + NEXT * next
                 }
                 Place::Room(room) => belief.nth(room).unwrap_or_default(),
+                Place::WayOut => {
+                    let near: f64 = belief.zip(&ways_out).map(|(p, share)| p * share).sum();
+                    (near * STEPS).floor() / STEPS
+                }
             }
         })
     }
+}
+
+/// How much of the way out of the house each partition has, at most 1: a hall by its name, and a front door by its share.
+fn ways_out(grounding: &Grounding) -> Vec<f64> {
+    const HALLS: [&str; 8] = ["hall", "hallway", "entrance", "entry", "entryway", "foyer", "vestibule", "lobby"];
+    const DOORS: [&str; 4] = ["front door", "entrance door", "main door", "house door"];
+    let has = |text: &str, all: &[&str]| all.iter().any(|words| has_words(text, words));
+    let lower = |text: &str| text.to_lowercase();
+    let mut near: Vec<f64> =
+        grounding.partitions().iter().map(|own| if has(&lower(&own.label), &HALLS) { 1.0 } else { 0.0 }).collect();
+    for (label, own) in grounding.scored_labels().iter().enumerate() {
+        let text = lower(&own.text);
+        // A door alone is that of the house.
+        let is_only = || text == "door" && own.items.len() == 1;
+        if has(&text, &DOORS) || is_only() {
+            for (near, share) in near.iter_mut().zip(grounding.weights().row(label).iter()) {
+                *near = near.max(*share);
+            }
+        }
+    }
+    near
 }
 
 /// The words of a sentence that say where its person is: none where a device that was found to be theirs has ended something.

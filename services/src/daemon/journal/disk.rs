@@ -2,7 +2,7 @@
 
 use std::fmt::Debug;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
@@ -94,7 +94,14 @@ pub struct Folder {
     older: PathBuf,
     /// Where the next file is made, and the file.
     next: (PathBuf, Option<File>),
+    /// Most bytes of a half that are read.
+    half_bytes_max: u64,
 }
+
+/// More than a half of the journal can have.
+const HALF_MARGIN: u64 = 1 << 20;
+/// Most halves that were too large and are kept aside.
+const ASIDE_MAX: usize = 64;
 
 /// What failed at the start: the file, and what was done with it.
 pub(super) type Refused = (PathBuf, &'static str, io::Error);
@@ -102,7 +109,10 @@ pub(super) type Refused = (PathBuf, &'static str, io::Error);
 impl Folder {
     /// Opens the current half in the folder, or begins it, for this process alone. What a rotation that was cut short has left is put to
     /// rights: a next file becomes the current half where there is none, and goes where there is one.
-    pub(super) fn open(folder: &Path) -> Result<Self, Refused> {
+    ///
+    /// A half that is larger than a journal of `bytes_max` is either of a time when it might have more, or damaged. It is kept under another
+    /// name, whole; the half goes on with what it said last.
+    pub(super) fn open(folder: &Path, bytes_max: u64) -> Result<Self, Refused> {
         let [current, older, next] =
             ["narration.journal", "narration.journal.old", "narration.journal.next"].map(|name| folder.join(name));
         let failed = |path: &Path, operation| {
@@ -123,7 +133,43 @@ impl Folder {
             .map_err(|error| failed(&current, "lock")(error.into()))?;
         remove(&next).map_err(failed(&next, "remove"))?;
         sync_folder(&current).map_err(failed(folder, "sync"))?;
-        Ok(Self { file, current, older, next: (next, None) })
+        let half_bytes_max = bytes_max.saturating_add(HALF_MARGIN);
+        let mut opened = Self { file, current, older, next: (next, None), half_bytes_max };
+        for half in [Half::Older, Half::Current] {
+            let path = opened.path(half).to_owned();
+            opened.keep_large_aside(half).map_err(failed(&path, "keep aside"))?;
+        }
+        Ok(opened)
+    }
+
+    /// Makes a half that is too large one of its newest part. Whatever it is killed in between, the whole one is there.
+    fn keep_large_aside(&mut self, half: Half) -> io::Result<()> {
+        let path = self.path(half).to_owned();
+        state_file::require_plain(&path)?;
+        let mut file = match File::open(&path) {
+            Ok(file) => file,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+            Err(error) => return Err(error),
+        };
+        let bytes = file.metadata()?.len();
+        if bytes <= self.half_bytes_max {
+            return Ok(());
+        }
+        file.seek(SeekFrom::Start(bytes - self.half_bytes_max))?;
+        let mut newest = Vec::new();
+        file.take(self.half_bytes_max).read_to_end(&mut newest)?;
+        let aside = set_aside(&path)?;
+        self.prepare(&newest)?;
+        self.place(half)?;
+        self.sync_names()?;
+        tracing::warn!(
+            path = %path.display(),
+            aside = %aside.display(),
+            bytes,
+            "a file of the journal has more than daemon.journal_bytes: it is kept aside, and its newest part is read. Who is forgotten \
+             stays in what is kept aside, so remove it when it is not needed"
+        );
+        Ok(())
     }
 
     fn path(&self, half: Half) -> &Path {
@@ -140,7 +186,13 @@ impl Disk for Folder {
         state_file::require_plain(path)?;
         let mut bytes = Vec::new();
         match File::open(path) {
-            Ok(mut file) => file.read_to_end(&mut bytes).map(|_| bytes),
+            Ok(file) => {
+                file.take(self.half_bytes_max.saturating_add(1)).read_to_end(&mut bytes)?;
+                match bytes.len() as u64 <= self.half_bytes_max {
+                    true => Ok(bytes),
+                    false => Err(io::Error::new(io::ErrorKind::FileTooLarge, "somebody else has written to it")),
+                }
+            }
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(bytes),
             Err(error) => Err(error),
         }
@@ -206,6 +258,20 @@ impl Disk for Folder {
     fn sync_names(&mut self) -> io::Result<()> {
         sync_folder(&self.current)
     }
+}
+
+/// Gives a file another name, beside its own.
+fn set_aside(path: &Path) -> io::Result<PathBuf> {
+    for number in 1..=ASIDE_MAX {
+        let mut name = path.as_os_str().to_owned();
+        name.push(format!(".large-{number}"));
+        match fs::hard_link(path, &name) {
+            Ok(()) => return Ok(name.into()),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Err(io::Error::other(format!("{ASIDE_MAX} are kept aside already; remove some")))
 }
 
 fn remove(path: &Path) -> io::Result<()> {

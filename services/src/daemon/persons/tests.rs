@@ -220,12 +220,12 @@ fn what_names_nobody_goes_to_whom_it_fits() {
     }
     house.after(3, "ada", "They grab the mug.");
     assert_eq!(house.person("ada").unwrap().flags, 0);
-    // Somebody leaves: not the one who has just done something. With nobody there, the one who is away is back.
+    // Somebody leaves: not the one in bed. With nobody there, the one who is away for longer is back.
     house.after(3, "somebody", "away");
-    assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::PRESENT), Some(presence::AWAY)));
-    house.after(3, "ada", "away");
-    house.after(3, "somebody", "They open the fridge.");
     assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::AWAY), Some(presence::PRESENT)));
+    house.after(3, "ben", "away");
+    house.after(3, "somebody", "They open the fridge.");
+    assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::PRESENT), Some(presence::AWAY)));
     assert_eq!(house.known(), 2);
 }
 
@@ -311,6 +311,143 @@ fn who_sleeps_does_not_leave() {
     let known = house.board.persons();
     let presence = |who: &str| known.get(known.number_of(who)).unwrap().presence;
     assert_eq!((presence("ada"), presence("ben")), (Presence::Present, Presence::Away));
+}
+
+/// Whoever was at the door leaves, not whoever was silent for longest.
+#[test]
+fn who_was_at_the_door_leaves() {
+    for away in ["away", "They leave the house.", "Somebody leaves the house."] {
+        let mut house = House::new(&["ada", "ben"]);
+        for (who, what) in [
+            ("ben", "They sit on the sofa."),
+            ("ben", "They turn on the television."),
+            ("ada", "They open the fridge."),
+            ("somebody", "They open the front door."),
+            ("somebody", "They close the front door."),
+        ] {
+            house.after(30, who, what);
+        }
+        house.after(600, "somebody", away);
+        let of = |house: &mut House| ["ada", "ben"].map(|who| house.presence(who));
+        assert_eq!(of(&mut house), [Some(presence::AWAY), Some(presence::PRESENT)], "{away}");
+        house.restart();
+        assert_eq!(of(&mut house), [Some(presence::AWAY), Some(presence::PRESENT)], "{away}");
+        // Also where somebody else was observed since.
+        house.after(5, "ada", "They come home.");
+        house.after(60, "ada", "Ada opens the front door.");
+        house.after(60, "ben", "They stand up.");
+        house.after(60, "somebody", away);
+        assert_eq!(of(&mut house), [Some(presence::AWAY), Some(presence::PRESENT)], "{away}");
+        // Where nothing tells, who was observed last.
+        house.after(5, "ada", "They come home.");
+        house.after(3000, "ben", "They open the fridge.");
+        house.after(60, "somebody", away);
+        assert_eq!(of(&mut house), [Some(presence::PRESENT), Some(presence::AWAY)], "{away}");
+    }
+}
+
+/// A sleeper stays in bed when somebody else leaves in the morning.
+#[test]
+fn who_slept_for_a_night_does_not_leave() {
+    let mut house = House::new(&["ada", "ben"]);
+    house.after(1, "ada", "They lie on the bed.");
+    house.after(1, "ben", "They lie on the bed.");
+    house.after(1, "ben", "They fall asleep.");
+    house.after(8 * 3600, "ada", "They get up.");
+    house.after(60, "ada", "They open the fridge.");
+    house.after(60, "ada", "They open the front door.");
+    house.after(10, "somebody", "away");
+    assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::AWAY), Some(presence::PRESENT)));
+    assert_eq!(house.person("ben").unwrap().flags & person_flags::ASLEEP, person_flags::ASLEEP);
+}
+
+/// What is done in bed ends no lying on it.
+#[test]
+fn who_turns_off_a_lamp_in_bed_lies_on() {
+    let asleep = |sentences: &[&str]| {
+        let mut house = House::new(&["ben"]);
+        for sentence in sentences {
+            house.after(20, "ben", sentence);
+        }
+        house.now_ns += 2 * 3600 * S;
+        house.person("ben").unwrap().flags & person_flags::ASLEEP != 0
+    };
+    assert!(asleep(&["Ben lies down in bed and turns off the bedside lamp."]));
+    assert!(asleep(&["Ben lies on the bed and grabs the pillow."]));
+    assert!(asleep(&["They lie on the bed.", "They grab the pillow."]));
+    for up in [
+        "They open the closet.",
+        "They turn on the stove.",
+        "They get up.",
+        "They walk to the pillow.",
+        "They grab the milk.",
+    ] {
+        assert!(!asleep(&["They lie on the bed.", up]), "{up}");
+    }
+    assert!(!asleep(&["Ben lies on the bed, gets up and opens the fridge."]));
+}
+
+/// People tell several things at once, and of others than those who are known.
+#[test]
+fn what_people_write_moves_whom_it_is_about() {
+    let [here, away] = [presence::PRESENT, presence::AWAY].map(Some);
+    for (said, who, expected, known) in [
+        ("Ada gets up, showers and leaves for work.", ["ada", "ben", "igor"], [away, here, None], 2),
+        ("Ben eats, dresses and goes to work.", ["ada", "ben", "igor"], [here, away, None], 2),
+        ("Ada wakes up, stretches and is in the kitchen.", ["ada", "ben", "igor"], [here, here, None], 2),
+        ("Ada leaves.", ["ada", "ben", "igor"], [away, here, None], 2),
+        ("Ada leaves now.", ["ada", "ben", "igor"], [away, here, None], 2),
+        ("Ada is leaving the house.", ["ada", "ben", "igor"], [away, here, None], 2),
+        ("Ada goes out the door.", ["ada", "ben", "igor"], [away, here, None], 2),
+        ("The plumber leaves.", ["ada", "ben", "plumber"], [here, here, away], 3),
+        ("Igor leaves.", ["ada", "ben", "igor"], [here, here, away], 3),
+        ("Ada and Ben put on their coats and leave for work.", ["ada", "ben", "igor"], [away, away, None], 2),
+        ("Ada leaves the house, and so does Ben.", ["ada", "ben", "igor"], [away, away, None], 2),
+        ("Ada leaves the house and Ben too.", ["ada", "ben", "igor"], [away, away, None], 2),
+        ("Ada and her friend Igor leave the house.", ["ada", "ben", "igor"], [away, here, away], 3),
+        ("Both leave.", ["ada", "ben", "igor"], [away, away, None], 2),
+        ("They both go out.", ["ada", "ben", "igor"], [away, away, None], 2),
+        ("Both of them leave the house.", ["ada", "ben", "igor"], [away, away, None], 2),
+        ("Ben opens the front door and Igor comes in.", ["ada", "ben", "igor"], [here, here, here], 3),
+        ("Ben lets Igor in.", ["ada", "ben", "igor"], [here, here, here], 3),
+        ("Ada and Igor sit on the sofa.", ["ada", "ben", "igor"], [here, here, here], 3),
+    ] {
+        let mut house = House::new(&["ada", "ben"]);
+        house.after(1, "ada", "They open the fridge.");
+        house.after(1, "ben", "They sit on the sofa.");
+        house.after(5, "somebody", said);
+        for _ in 0..2 {
+            assert_eq!((who.map(|who| house.presence(who)), house.known()), (expected, known), "{said}");
+            house.restart();
+        }
+    }
+}
+
+/// Both are two: who are here, or are away and come home. Of three nobody knows which.
+#[test]
+fn both_are_the_two_who_are_meant() {
+    let mut house = House::new(&["ada", "ben"]);
+    let of = |house: &mut House| ["ada", "ben"].map(|who| house.presence(who));
+    let [here, away] = [presence::PRESENT, presence::AWAY].map(Some);
+    house.after(1, "ada", "They open the fridge.");
+    house.after(1, "somebody", "They both leave the house.");
+    assert_eq!(of(&mut house), [here, None], "one is not both");
+    house.after(1, "ben", "They sit on the sofa.");
+    house.after(1, "somebody", "They both leave the house.");
+    assert_eq!(of(&mut house), [away, away]);
+    house.after(1, "somebody", "Both come home.");
+    assert_eq!(of(&mut house), [here, here]);
+    house.after(1, "somebody", "They both go to bed.");
+    let told = house.now_ns;
+    assert_eq!(["ada", "ben"].map(|who| house.person(who).unwrap().observed_ns), [told; 2]);
+    house.after(1, "plumber", "They open the fridge.");
+    house.after(1, "somebody", "Both leave.");
+    assert_eq!(of(&mut house), [here, here]);
+    // Who comes home from work is home, whatever they do then.
+    house.after(1, "ada", "away");
+    house.after(1, "ben", "away");
+    house.after(60, "somebody", "Ada comes home from work and puts the groceries into the fridge.");
+    assert_eq!(of(&mut house), [here, away]);
 }
 
 /// A narrator of plain sentences gives no names, but the sentences do.
