@@ -13,6 +13,7 @@ use super::names::slug;
 use super::outbox::Picture;
 use crate::flags::{action_word, decision_flag_names, forecast_flag_names};
 use roomcast_services::config::BridgeConfig;
+use roomcast_services::planner::robot_of;
 
 /// Robots that are told of; of more, the one that decided longest ago gives way.
 const ROBOTS_MAX: usize = 8;
@@ -28,6 +29,10 @@ pub(super) struct Known {
     forecast: Option<Box<ForecastV1>>,
     persons: Option<Box<PersonForecastsV1>>,
     decisions: BTreeMap<u64, DecisionV1>,
+    /// The robots whose planners run in this domain.
+    planners: BTreeMap<u64, String>,
+    /// A robot has decided whose planner was not seen yet.
+    strangers: bool,
     status: Option<StatusResponseV1>,
     /// When something was last narrated, in seconds of the wall clock, as far as anybody said.
     narrated_unix_s: Option<u64>,
@@ -53,12 +58,30 @@ impl Known {
     }
 
     pub(super) fn take_decision(&mut self, decision: &DecisionV1) {
+        self.strangers |= !self.planners.contains_key(&decision.robot);
         self.decisions.insert(decision.robot, *decision);
         if self.decisions.len() > ROBOTS_MAX
             && let Some(oldest) = self.decisions.values().min_by_key(|decision| decision.decided_ns).map(|d| d.robot)
         {
             self.decisions.remove(&oldest);
         }
+    }
+
+    /// Whether a robot has decided whose name is to be looked up.
+    pub(super) fn has_strangers(&self) -> bool {
+        self.strangers
+    }
+
+    /// Who takes part in the domain: robots have their planners' names, and one whose planner has ended goes. The configured robot, `own`, stays,
+    /// and so does one that was never seen here.
+    pub(super) fn take_planners(&mut self, participants: &[String], own: &str) {
+        let robots = participants.iter().filter_map(|participant| robot_of(participant));
+        let planners = robots.map(|robot| (sequence::source_of_name(robot), robot.to_owned())).collect();
+        let before = std::mem::replace(&mut self.planners, planners);
+        let own = sequence::source_of_name(own);
+        let gone = before.into_keys().filter(|robot| *robot != own && !self.planners.contains_key(robot));
+        gone.for_each(|robot| _ = self.decisions.remove(&robot));
+        self.strangers = false;
     }
 
     pub(super) fn take_status(&mut self, status: Option<StatusResponseV1>) {
@@ -100,7 +123,11 @@ impl Known {
             put(format!("persons/{}", slug(&name_of(person).to_lowercase())), &person_message(all, person, config));
         }
         let own = sequence::source_of_name(robot);
-        let name = |number: u64| if number == own { robot.to_owned() } else { format!("robot {number:016x}") };
+        let name = |number: u64| match self.planners.get(&number) {
+            _ if number == own => robot.to_owned(),
+            Some(name) => name.clone(),
+            None => format!("robot {number:016x}"),
+        };
         let mut robots: Vec<String> = self.decisions.keys().map(|number| name(*number)).collect();
         for decision in self.decisions.values() {
             let name = name(decision.robot);

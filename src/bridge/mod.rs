@@ -4,6 +4,7 @@
 //! each kind and what it has said last, nothing else, so a broker that is away costs no memory. At every connection it says everything
 //! again, and takes away what an earlier run has left there and nobody wants any more.
 
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use roomcast_ipc::{
@@ -24,12 +25,16 @@ mod names;
 mod outbox;
 
 use known::{Known, OFFLINE};
-use outbox::{Outbox, Picture};
+use outbox::{FOUND_MAX, Outbox, Picture, list_topic, listed};
 
 /// How often connections are renewed at least.
 const TICK: Duration = Duration::from_millis(100);
 /// How often the daemon is asked for its counters, and how long it has to answer.
 const ASK_AGAIN: Duration = Duration::from_secs(10);
+/// A broker that does not give back what it keeps is told everything after so long; a later run may find topics then that no list names.
+const LISTEN: Duration = Duration::from_secs(5);
+/// How often it is looked which planners there are.
+const LOOK_AGAIN: Duration = Duration::from_secs(1);
 const PATIENCE: Duration = Duration::from_millis(200);
 /// The daemon is away when it has missed so many heartbeats, and is silent for two seconds at least.
 const HEARTBEATS: u64 = 4;
@@ -83,8 +88,18 @@ struct Ears {
     base: String,
     marker: String,
     nonce: String,
+    /// The topics that the list of an earlier run names, and what was heard that may be among them.
+    listed: BTreeSet<String>,
+    kept: BTreeSet<String>,
     /// Everything that the broker keeps was heard.
     all: bool,
+}
+
+/// Whether a topic is one that messages can be published to, and that a filter asks for.
+fn fits(filter: &str, topic: &str) -> bool {
+    let (filter, levels): (Vec<_>, Vec<_>) = (filter.split('/').collect(), topic.split('/').collect());
+    let is_wanted = |(wanted, level): (&&str, &&str)| *wanted == "+" || wanted == level;
+    !topic.contains(['+', '#', '\0']) && filter.len() == levels.len() && filter.iter().zip(&levels).all(is_wanted)
 }
 
 impl Ears {
@@ -96,31 +111,57 @@ impl Ears {
             nonce: format!("{:016x}", sequence::random_epoch()),
             base,
             node,
+            listed: BTreeSet::new(),
+            kept: BTreeSet::new(),
             all: false,
         }
     }
 
-    fn filters(&self) -> Vec<String> {
+    /// Those of what is told.
+    fn told(&self) -> impl Iterator<Item = String> {
         let own = ["rooms", "persons", "robots"].map(|kind| format!("{}/{kind}/+", self.base));
         let single = ["status", "daemon", "health", "home", "narrated"].map(|topic| format!("{}/{topic}", self.base));
-        let config = (!self.discovery.is_empty()).then(|| format!("{}/+/{}/+/config", self.discovery, self.node));
-        own.into_iter().chain(single).chain(config).chain([self.marker.clone()]).collect()
+        own.into_iter().chain(single)
+    }
+
+    /// That of entities.
+    fn entities(&self) -> Option<String> {
+        (!self.discovery.is_empty()).then(|| format!("{}/+/{}/+/config", self.discovery, self.node))
+    }
+
+    fn filters(&self) -> Vec<String> {
+        self.told().chain(self.entities()).chain([list_topic(&self.base), self.marker.clone()]).collect()
     }
 
     /// A new connection: the marker comes back behind all that the broker keeps.
     fn connect(&mut self, link: &Link) -> bool {
         self.all = false;
+        self.listed.clear();
+        self.kept.clear();
         link.say(&self.marker, &self.nonce, false, None)
     }
 
     fn hear(&mut self, heard: Heard, outbox: &mut Outbox) {
-        if heard.topic == self.marker {
-            self.all |= heard.payload == self.nonce.as_bytes();
-        } else if heard.retained && !heard.payload.is_empty() {
-            let own = heard.topic.starts_with(&format!("{}/", self.base));
-            if own || discovery::is_own(&heard.payload, &self.node) {
-                outbox.find(heard.topic);
+        let Heard { topic, payload, retained } = heard;
+        if topic == self.marker {
+            if payload == self.nonce.as_bytes() && !self.all {
+                self.all = true;
+                // What is told has no origin of its own: an earlier run has listed what it told, and all else is somebody else's.
+                let own = std::mem::take(&mut self.kept).into_iter().filter(|topic| self.listed.contains(topic));
+                own.for_each(|topic| outbox.find(topic));
+                outbox.hear_all();
             }
+        } else if !retained || payload.is_empty() || self.all {
+            // What comes now is new, and what comes after the marker is not from before.
+        } else if topic == list_topic(&self.base) {
+            self.listed = listed(&payload, &self.base, &self.node);
+            self.kept.retain(|topic| self.listed.contains(topic));
+        } else if self.entities().is_some_and(|filter| fits(&filter, &topic)) {
+            if discovery::is_own(&payload, &self.node) {
+                outbox.find(topic);
+            }
+        } else if self.kept.len() < FOUND_MAX && self.told().any(|filter| fits(&filter, &topic)) {
+            self.kept.insert(topic);
         }
     }
 }
@@ -195,11 +236,17 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
         Way::Print { .. } => None,
     };
     notify(&[NotifyState::Ready]);
-    let (mut known, mut outbox) = (Known::default(), Outbox::default());
+    let mut known = Known::default();
+    // What is printed stands nowhere.
+    let mut outbox = match &link {
+        Some(_) => Outbox::with_list(&ears.base, &ears.node),
+        None => Outbox::default(),
+    };
     let silent_ns = SILENCE_NS.max(config.daemon.heartbeat_ms.saturating_mul(1_000_000 * HEARTBEATS));
     let interval = Duration::from_secs_f64(config.bridge.interval_s);
     let start = Instant::now();
     let (mut connection, mut drawn, mut asked, mut told) = (0, None::<Instant>, None::<Instant>, Instant::now());
+    let (mut looked, mut connected) = (None::<Instant>, start);
     while !stop.requested() {
         ports.scores.wait(TICK)?;
         ports.take(&mut known)?;
@@ -208,8 +255,17 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
             asked = Some(Instant::now());
             known.take_status(status.ask(PATIENCE).ok());
         }
+        if known.has_strangers() || looked.is_none_or(|looked| looked.elapsed() >= LOOK_AGAIN) {
+            looked = Some(Instant::now());
+            // A list that fails changes nothing: whoever is there is there the next time.
+            if let Ok(participants) = node.participants() {
+                known.take_planners(&participants, &config.planner.robot);
+            }
+        }
         if let Some(link) = &link {
-            connection = listen(link, connection, &mut ears, &mut outbox);
+            let now = listen(link, connection, &mut ears, &mut outbox);
+            connected = if connection == now { connected } else { Instant::now() };
+            connection = now;
         }
         if drawn.is_none_or(|drawn| drawn.elapsed() >= interval) {
             drawn = Some(Instant::now());
@@ -217,7 +273,8 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
             outbox.want(known.picture(&config.bridge, &config.planner.robot, alive), complete);
         }
         match (&mut way, &link) {
-            (Way::Broker(_), Some(link)) => send(link, &mut outbox),
+            // First the list of topics, which is made of what the broker keeps.
+            (Way::Broker(_), Some(link)) if ears.all || connected.elapsed() >= LISTEN => send(link, &mut outbox),
             (Way::Print { once, print }, _) if known.is_complete() || !*once => {
                 // The picture was drawn before everything was known.
                 if *once {
@@ -253,7 +310,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
 pub fn remove(config: &Config, broker: &Broker, stop: &Stop) -> Result<(), BridgeError> {
     let mut ears = Ears::new(config);
     let link = Link::start(broker, ears.filters(), None)?;
-    let (mut outbox, mut connection, start) = (Outbox::default(), 0, Instant::now());
+    let (mut outbox, mut connection, start) = (Outbox::with_list(&ears.base, &ears.node), 0, Instant::now());
     while !stop.requested() {
         std::thread::sleep(TICK);
         connection = listen(&link, connection, &mut ears, &mut outbox);

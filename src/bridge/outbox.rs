@@ -2,8 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use serde_json::json;
+
+use super::discovery::ORIGIN;
+
 /// Topics of earlier runs that are remembered until they are known to be wanted or not.
 pub(super) const FOUND_MAX: usize = 4096;
+
+/// Most bytes of the names in the list of our topics: a topic that finds no room there is not taken away by a later run.
+const LISTED_BYTES_MAX: usize = 48 << 10;
 
 /// Retained messages by topic.
 pub(super) type Picture = BTreeMap<String, String>;
@@ -19,12 +26,85 @@ pub(super) struct Outbox {
     complete: bool,
     /// Entities have gone since the picture was drawn: what they tell goes after them, or whoever shows them would read emptiness.
     waits: bool,
+    list: Option<List>,
+}
+
+/// The list of our topics that stands at the broker beside them: their messages have no origin, so by this a later run knows them.
+#[derive(Debug)]
+struct List {
+    topic: String,
+    base: String,
+    node: String,
+    /// The list of an earlier run was heard, and is part of this one.
+    heard: bool,
+    wanted: String,
+    said: Option<String>,
+}
+
+/// The topic of the list.
+pub(super) fn list_topic(base: &str) -> String {
+    format!("{base}/bridge/topics")
+}
+
+/// The topics that the list of a bridge of this node names; none where it is somebody else's.
+pub(super) fn listed(payload: &[u8], base: &str, node: &str) -> BTreeSet<String> {
+    let list = serde_json::from_slice::<serde_json::Value>(payload).unwrap_or_default();
+    let at = |pointer: &str| list.pointer(pointer).and_then(serde_json::Value::as_str);
+    let is_own = at("/origin/name") == Some(ORIGIN) && at("/node") == Some(node);
+    let topics = list.get("topics").and_then(serde_json::Value::as_array).filter(|_| is_own);
+    let topics = topics.into_iter().flatten().filter_map(serde_json::Value::as_str);
+    topics.take(FOUND_MAX).map(|topic| format!("{base}/{topic}")).collect()
 }
 
 impl Outbox {
+    /// One that keeps a list of its topics below `base` at the broker.
+    pub(super) fn with_list(base: &str, node: &str) -> Self {
+        let (topic, base, node) = (list_topic(base), base.to_owned(), node.to_owned());
+        let list = List { topic, base, node, heard: false, wanted: String::new(), said: None };
+        Self { list: Some(list), ..Self::default() }
+    }
+
+    /// All that the broker has kept was heard.
+    pub(super) fn hear_all(&mut self) {
+        if let Some(list) = &mut self.list
+            && !list.heard
+        {
+            list.heard = true;
+            self.renew_list();
+        }
+    }
+
+    /// Draws the list anew; a topic is in it before it is said, and until it is gone.
+    fn renew_list(&mut self) {
+        let payload = self.list.as_ref().map(|list| self.list_payload(list)).unwrap_or_default();
+        if let Some(list) = &mut self.list {
+            list.wanted = payload;
+        }
+    }
+
+    fn list_payload(&self, list: &List) -> String {
+        let all: BTreeSet<_> = self.wanted.keys().chain(self.said.keys()).chain(&self.found).collect();
+        let below = |topic: &'_ &String| topic.strip_prefix(&list.base).is_some_and(|rest| rest.starts_with('/'));
+        let mut bytes = 0;
+        let topics: Vec<_> = all
+            .into_iter()
+            .filter(below)
+            .filter_map(|topic| topic.get(list.base.len() + 1..))
+            .take_while(|topic| {
+                bytes += topic.len() + 3;
+                bytes <= LISTED_BYTES_MAX
+            })
+            .collect();
+        if topics.is_empty() {
+            return String::new();
+        }
+        json!({ "origin": { "name": ORIGIN }, "node": list.node, "topics": topics }).to_string()
+    }
+
     /// What is to stand there from now on. Where the picture is `complete`, all else of ours is to go.
     pub(super) fn want(&mut self, picture: Picture, complete: bool) {
         (self.wanted, self.complete, self.waits) = (picture, complete, false);
+        self.renew_list();
     }
 
     /// The broker has kept a message of ours from before.
@@ -38,10 +118,17 @@ impl Outbox {
     pub(super) fn lose(&mut self) {
         let said = std::mem::take(&mut self.said);
         said.into_keys().for_each(|topic| self.find(topic));
+        if let Some(list) = &mut self.list {
+            (list.heard, list.said) = (false, None);
+        }
     }
 
     /// What is to be said next; an empty message takes a topic's last one away.
     pub(super) fn next(&self) -> Option<(&str, &str)> {
+        let list = self.list.as_ref().filter(|list| list.heard && list.said.as_ref() != Some(&list.wanted));
+        if let Some(list) = list {
+            return Some((list.topic.as_str(), list.wanted.as_str()));
+        }
         let news = self.wanted.iter().find(|(topic, payload)| self.said.get(*topic) != Some(payload));
         let news = news.map(|(topic, payload)| (topic.as_str(), payload.as_str()));
         let entity = || self.stale().find(|topic| is_entity(topic));
@@ -51,7 +138,8 @@ impl Outbox {
 
     /// Whether nothing is left to be said or to go, also later.
     pub(super) fn is_done(&self) -> bool {
-        self.next().is_none() && self.stale().next().is_none()
+        let is_listed = |list: &List| list.heard && list.said.as_ref() == Some(&self.list_payload(list));
+        self.next().is_none() && self.stale().next().is_none() && self.list.as_ref().is_none_or(is_listed)
     }
 
     /// Topics that nobody wants any more.
@@ -62,6 +150,10 @@ impl Outbox {
 
     /// It was said.
     pub(super) fn done(&mut self, topic: &str) {
+        if let Some(list) = self.list.as_mut().filter(|list| list.topic == topic) {
+            list.said = Some(list.wanted.clone());
+            return;
+        }
         self.found.remove(topic);
         match self.wanted.get(topic) {
             Some(payload) => self.said.insert(topic.to_owned(), payload.clone()),
@@ -127,6 +219,29 @@ mod tests {
         outbox.lose();
         outbox.want(picture(&[("a", "1")]), true);
         assert_eq!(send(&mut outbox), [("a".to_owned(), "1".to_owned()), ("b".to_owned(), String::new())]);
+    }
+
+    #[test]
+    fn a_topic_is_listed_before_it_is_said_and_until_it_is_gone() {
+        let named = |payload: &str| listed(payload.as_bytes(), "b", "node").into_iter().collect::<Vec<_>>();
+        let mut outbox = Outbox::with_list("b", "node");
+        outbox.want(picture(&[("b/rooms/a", "1"), ("b/status", "online"), ("ha/x/config", "{}")]), true);
+        outbox.find("b/rooms/old".to_owned());
+        outbox.hear_all();
+        let sent = send(&mut outbox);
+        assert_eq!(sent[0].0, "b/bridge/topics");
+        assert_eq!(named(&sent[0].1), ["b/rooms/a", "b/rooms/old", "b/status"]);
+        assert_eq!(sent.last().unwrap(), &("b/rooms/old".to_owned(), String::new()));
+        assert!(!outbox.is_done(), "the list still names what has gone");
+        outbox.want(Picture::new(), true);
+        send(&mut outbox);
+        outbox.want(Picture::new(), true);
+        send(&mut outbox);
+        outbox.want(Picture::new(), true);
+        assert_eq!(send(&mut outbox), [("b/bridge/topics".to_owned(), String::new())]);
+        assert!(outbox.is_done());
+        let foreign = sent[0].1.replace("\"roomcast\"", "\"else\"");
+        assert!(named(&foreign).is_empty() && listed(sent[0].1.as_bytes(), "b", "other").is_empty());
     }
 
     #[test]

@@ -189,6 +189,71 @@ fn decisions_come_with_their_reason_and_robots_are_bounded() {
 }
 
 #[test]
+fn robots_have_their_planners_names_and_go_with_them() {
+    let mut known = known(&["kitchen"], &[[0.0; 3]], &[]);
+    let decision = |robot: &str| DecisionV1 { robot: sequence::source_of_name(robot), ..Default::default() };
+    let robots = |known: &mut Known| {
+        let all = draw(known).into_keys();
+        all.filter_map(|topic| topic.strip_prefix("roomcast/robots/").map(str::to_owned)).collect::<Vec<_>>()
+    };
+    ["robot", "mop2", "far"].iter().for_each(|robot| known.take_decision(&decision(robot)));
+    assert!(known.has_strangers());
+    let planners = ["robot", "mop2"].map(roomcast_services::planner::participant);
+    known.take_planners(&[&planners[..], &["roomcast-bridge".to_owned()]].concat(), "robot");
+    assert!(!known.has_strangers());
+    let far = format!("robot_{:016x}", sequence::source_of_name("far"));
+    let shown = robots(&mut known);
+    assert!(shown[0] == "mop2" && shown[1] == "robot" && shown.len() == 3, "{shown:?}");
+    assert!(shown[2].starts_with(&far), "{shown:?}");
+    // The configured robot keeps its place, and one that is elsewhere cannot be seen to go.
+    known.take_planners(&[], "robot");
+    assert_eq!(robots(&mut known), shown[1..]);
+}
+
+/// Row "somebody else below our topics" of the attacks.
+#[test]
+fn only_what_an_earlier_run_has_listed_is_found() {
+    let mut ears = Ears::new(&Config::default());
+    let heard = |topic: &str, payload: &str| Heard { topic: topic.into(), payload: payload.into(), retained: true };
+    let entity = r#"{"origin": {"name": "roomcast"}, "device": {"identifiers": ["roomcast"]}}"#;
+    let list = r##"{"origin": {"name": "roomcast"}, "node": "roomcast",
+        "topics": ["rooms/attic", "rooms/gone", "rooms/#", "#", "persons/+", "elsewhere/x", "status"]}"##;
+    let said = [
+        heard("roomcast/persons/of_my_neighbour", "keep me"),
+        heard("roomcast/rooms/attic", "{}"),
+        heard("roomcast/bridge/topics", list),
+        heard("roomcast/status", "offline"),
+        heard("roomcast/rooms/other_program", "{}"),
+        // What no broker keeps, and what nobody has asked for.
+        heard("roomcast/#", "x"),
+        heard("roomcast/rooms/#", "x"),
+        heard("roomcast/persons/+", "x"),
+        heard("roomcast/elsewhere/x", "x"),
+        heard("homeassistant/#/roomcast/x/config", entity),
+        heard("lamp/sensor/roomcast/x/config", entity),
+        heard("homeassistant/sensor/roomcast/old/config", entity),
+        heard("homeassistant/sensor/roomcast/x/config", r#"{"origin": {"name": "else"}}"#),
+    ];
+    let mut outbox = Outbox::with_list("roomcast", "roomcast");
+    said.into_iter().for_each(|said| ears.hear(said, &mut outbox));
+    let marker = Heard { topic: ears.marker.clone(), payload: ears.nonce.clone().into(), retained: false };
+    ears.hear(marker, &mut outbox);
+    assert!(ears.all);
+    let mut removed = Vec::new();
+    for _ in 0..8 {
+        outbox.want(Picture::new(), true);
+        while let Some((topic, payload)) = outbox.next().map(|(topic, payload)| (topic.to_owned(), payload.to_owned()))
+        {
+            outbox.done(&topic);
+            removed.extend(payload.is_empty().then_some(topic));
+        }
+    }
+    assert!(outbox.is_done());
+    let own = ["homeassistant/sensor/roomcast/old/config", "roomcast/rooms/attic", "roomcast/status"];
+    assert_eq!(removed, [&own[..], &["roomcast/bridge/topics"]].concat());
+}
+
+#[test]
 fn discovery_is_one_device_with_unique_safe_ids_whatever_names_are_like() {
     let long = "x".repeat(48);
     let ids = ["kitchen", ODD, "küche", "a b", "a_b", long.as_str()];
