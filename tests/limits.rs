@@ -19,12 +19,26 @@ use roomcast_ipc::{
 use roomcast_llama::{SEQUENCES_MAX, THREADS_MAX};
 use roomcast_services::config::{self, Config};
 use roomcast_services::daemon::{self, FORMER_SOURCES_MAX, SOURCES_OF_A_PORT};
-use roomcast_services::{mqtt, mqtt_link, mqtt_look, recording, sensor_log};
+use roomcast_services::{mqtt, mqtt_link, mqtt_look, recording, reporter, sensor_log};
 
 const HEAD: &str = "# Limits
 
-What Roomcast takes at most, and what becomes of more. `tests/limits.rs` writes this page from the code that enforces it. Limits of the
-metrics' port are in `metrics.md`, limits of configured values in `roomcast config`.
+What Roomcast accepts at most, and what happens beyond it. `tests/limits.rs` writes this page; the numbers in its tables are the constants of
+the code. Limits of configured values are in `roomcast config`, those of `roomcast-bridge` in `fleet.md`. A source counts once for each of its
+starts.
+";
+
+/// Limits whose constants this test cannot see.
+const FOOT: &str = "
+## By hand
+
+These numbers are written by hand, and no test compares them with the code:
+
+- A line of narration has at most 8192 bytes. A longer one is reported and skipped.
+- At most 4096 lines of MQTT rules with `quiet_s` wait for silence, and at most 1 MiB of them. Further ones are not said.
+- `roomcast model pull` fetches at most 64 GiB. A larger file is refused.
+- An answer of Home Assistant has at most 64 MiB, and all questions of one connection take at most 60 s. Beyond that the command ends with an error.
+- The ports of `metrics` and `view` each serve 16 connections at a time, with 16 KiB before the body and 5 s for each (`metrics.md`).
 ";
 
 fn page() -> String {
@@ -60,17 +74,17 @@ fn page() -> String {
             ("narrators at once", &NarrationV1::SERVICE.publishers, "cannot join"),
             ("narrations a second of a narrator, by default", &intake.rate_per_s, "is dropped and counted"),
             ("narrations at once of a narrator, by default", &intake.burst, "is dropped and counted"),
-            ("starts of sources of a narrator", &SOURCES_OF_A_PORT, "its longest silent one gives way"),
-            ("starts of sources", &SOURCES_MAX, "one of an ended process gives way"),
+            ("sources of a narrator", &SOURCES_OF_A_PORT, "its longest silent one is dropped"),
+            ("sources in all", &SOURCES_MAX, "one whose process has ended is dropped"),
             (
-                "starts of sources that gave way and whose owner is known",
+                "dropped sources whose owner is remembered",
                 &FORMER_SOURCES_MAX,
-                "the oldest of whoever has most are forgotten",
+                "the oldest of the narrator with most are forgotten",
             ),
             (
                 "persons",
                 &PERSONS_MAX,
-                "of the narrator that told of most, the longest silent gives way, residents last",
+                "a visitor is dropped, only without visitors a resident: the longest silent of the narrator that told of most",
             ),
             ("numbers that a source skips at once", &sequence::JUMP_MAX, "is dropped and counted"),
             (
@@ -98,7 +112,7 @@ fn page() -> String {
         &[
             ("bytes of a name", &NAME_BYTES, "is refused; of items and labels, cut"),
             ("rooms", &MAX_ROOMS, "is refused with the map"),
-            ("starts of sources that scores name", &MAX_SOURCES, "each narrator's newest are named"),
+            ("sources that scores name", &MAX_SOURCES, "each narrator's newest are named"),
             ("persons with scores of their own", &MAX_PERSONS, "those observed last are sent"),
             ("items with scores", &MAX_ITEMS, "the best are sent"),
             ("horizons of a forecast", &MAX_HORIZONS, "-"),
@@ -120,6 +134,7 @@ fn page() -> String {
         &[
             ("bytes of the configuration", &config::FILE_BYTES_MAX, "is refused"),
             ("bytes of a sensor log", &sensor_log::FILE_BYTES_MAX, "is refused"),
+            ("bytes of a line of `roomcast report`", &reporter::LINE_BYTES_MAX, "is reported and skipped"),
             ("bytes of a recording, unpacked", &recording::FILE_BYTES_MAX, "is refused"),
             ("bytes of a record or chunk of a recording", &recording::RECORD_BYTES_MAX, "is refused"),
             ("rules for MQTT", &mqtt::RULES_MAX, "is refused"),
@@ -140,6 +155,7 @@ fn page() -> String {
             ("horizons that the bridge tells of", &config::BRIDGE_HORIZONS_MAX, "is refused in the configuration"),
         ],
     );
+    page.push_str(FOOT);
     page
 }
 
