@@ -55,7 +55,7 @@ lint:
 .PHONY: unit
 unit:
 	@echo "test: unit, property and multi-process tests"
-	cargo test --release --locked --workspace --features full
+	cargo test --release --locked --workspace --features full --no-fail-fast
 
 # A workspace of its own, in the same target folder (bridge/Cargo.toml says why). Its tests start the robot's program, and zenoh's router from PyPI.
 .PHONY: bridge
