@@ -236,13 +236,16 @@ fn read(mut file: impl BufRead) -> io::Result<(Option<Head>, VecDeque<Kept>, u64
     };
     let (mut kept, mut given_up) = (VecDeque::<Kept>::new(), 0);
     let head = if next(&mut line)? { serde_json::from_slice::<Head>(&line).ok() } else { None };
-    let head = head.filter(|head| head.epoch.0 != 0 && head.first != 0);
+    let head = head.filter(|head| head.epoch.0 != 0 && (1..u64::MAX / 2).contains(&head.first));
     let Some(mut head) = head else { return Ok((None, kept, given_up)) };
+    let mut damaged = 0_u64;
     while next(&mut line)? {
-        let expected = head.first + kept.len() as u64;
+        let expected = head.first.saturating_add(kept.len() as u64);
         match serde_json::from_slice::<Kept>(&line) {
             // Without its end of line it may be half of a longer one.
-            Ok(own) if !line.ends_with(b"\n") || own.sequence < expected || own.sequence == u64::MAX => {}
+            Ok(_) if !line.ends_with(b"\n") => damaged += 1,
+            // Damage may join two lines: no more numbers than those are gone. Any other number is damage itself.
+            Ok(own) if own.sequence < expected || own.sequence - expected > 2 * damaged => damaged += 1,
             Ok(own) => {
                 if own.sequence > expected {
                     given_up += own.sequence - head.first;
@@ -250,8 +253,9 @@ fn read(mut file: impl BufRead) -> io::Result<(Option<Head>, VecDeque<Kept>, u64
                     kept.clear();
                 }
                 kept.push_back(own);
+                damaged = 0;
             }
-            Err(_) => {}
+            Err(_) => damaged += 1,
         }
     }
     Ok((Some(head), kept, given_up))

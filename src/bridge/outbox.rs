@@ -74,7 +74,7 @@ impl Outbox {
         }
     }
 
-    /// Draws the list anew; a topic is in it before it is said, and until it is gone.
+    /// Makes the list again. A topic is in it from before it is said until it is gone.
     fn renew_list(&mut self) {
         let payload = self.list.as_ref().map(|list| self.list_payload(list)).unwrap_or_default();
         if let Some(list) = &mut self.list {
