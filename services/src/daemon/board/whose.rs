@@ -264,16 +264,15 @@ impl<M: LanguageModel> Board<M> {
 /// How much of the way out of the house each partition has, at most 1: a hall by its name, and a front door by its share.
 fn ways_out(grounding: &Grounding) -> Vec<f64> {
     const HALLS: [&str; 8] = ["hall", "hallway", "entrance", "entry", "entryway", "foyer", "vestibule", "lobby"];
-    const DOORS: [&str; 4] = ["front door", "entrance door", "main door", "house door"];
-    let has = |text: &str, all: &[&str]| all.iter().any(|words| has_words(text, words));
+    let is_hall = |text: &str| HALLS.iter().any(|words| has_words(text, words));
     let lower = |text: &str| text.to_lowercase();
     let mut near: Vec<f64> =
-        grounding.partitions().iter().map(|own| if has(&lower(&own.label), &HALLS) { 1.0 } else { 0.0 }).collect();
+        grounding.partitions().iter().map(|own| if is_hall(&lower(&own.label)) { 1.0 } else { 0.0 }).collect();
     for (label, own) in grounding.scored_labels().iter().enumerate() {
         let text = lower(&own.text);
         // A door alone is that of the house.
         let is_only = || text == "door" && own.items.len() == 1;
-        if has(&text, &DOORS) || is_only() {
+        if is_at_front_door(&text) || is_only() {
             for (near, share) in near.iter_mut().zip(grounding.weights().row(label).iter()) {
                 *near = near.max(*share);
             }
