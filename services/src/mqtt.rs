@@ -701,7 +701,9 @@ impl Listener {
 /// What this side has not acknowledged comes again for sure. Of what it has acknowledged it cannot know: the acknowledgement may be lost
 /// with the connection, and then the message comes again; or it has arrived, so that its identifier is free, and a new message has it, whose
 /// own first sending was lost. Both look the same. So an identifier is free as soon as something shows that the broker has the
-/// acknowledgement: the answer to a later ping, a session that is not kept, or another message of that identifier. In doubt the message is said again, but where the broker counts its identifiers up and so cannot have come round to this one.
+/// acknowledgement: the answer to a later ping, a session that is not kept, or another message of that identifier. In doubt the message is said
+/// again, but where the broker cannot have come round to this identifier. It takes either the lowest that is free, or all from 1 to some end
+/// in turn. Whichever it is, there are at least as many as the highest that it has used, so fewer new messages do not come round.
 #[derive(Debug, Default)]
 struct Recent {
     messages: HashMap<u16, Remembered>,
@@ -710,6 +712,7 @@ struct Recent {
     /// The identifier of the last new message, and how far identifiers have gone up until then without going back.
     last: u16,
     risen: u64,
+    highest: u16,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -741,10 +744,9 @@ impl Recent {
         if before.connection >= connection || before.text != Self::text(message) {
             return None;
         }
-        // At most so many new messages were lost on their way: a broker whose identifiers have gone up by more than those and all since this
-        // one has not come round to it.
+        // At most `ahead` new messages were lost on their way.
         let since = self.new - before.number;
-        let is_long = self.risen > RISEN_LONG || self.risen > since + ahead;
+        let is_long = self.risen > RISEN_LONG || u64::from(self.highest) > since + ahead;
         let counts = is_long && self.risen >= since && since + ahead < u64::from(u16::MAX);
         if before.acknowledged != Acknowledged::No && !counts {
             return None;
@@ -762,7 +764,7 @@ impl Recent {
         let step = (u32::from(message.pkid) + u32::from(u16::MAX) - u32::from(self.last)) % u32::from(u16::MAX);
         let is_near = (1..=2 * u32::from(MESSAGES_AHEAD_MAX)).contains(&step);
         self.risen = if is_near { self.risen + u64::from(step) } else { 0 };
-        (self.new, self.last) = (self.new + 1, message.pkid);
+        (self.new, self.last, self.highest) = (self.new + 1, message.pkid, self.highest.max(message.pkid));
         let (text, acknowledged) = (Self::text(message), Acknowledged::No);
         self.messages.insert(message.pkid, Remembered { connection, text, line, number: self.new, acknowledged });
     }
@@ -2368,6 +2370,31 @@ mod tests {
         broker.write(&message("bell", "more", all + 2, true));
         assert!(listening.next().unwrap().contains("for more."));
         listening.end();
+    }
+
+    /// A narrator that has just started, in the middle of a session whose broker counts; the broker ends before it has written down any
+    /// acknowledgement, and sends everything again.
+    #[test]
+    fn a_broker_that_counts_says_nothing_twice_to_a_young_narrator() {
+        let (mut broker, port) = Liar::new();
+        let mut listening = Listening::start(port, BELL);
+        let ids = 9_949..=10_001_u16;
+        let all =
+            |dup: bool| ids.clone().flat_map(move |n| message("bell", &n.to_string(), n, dup)).collect::<Vec<_>>();
+        broker.greet(true, &[]);
+        broker.grant();
+        broker.write(&all(false));
+        for n in ids.clone() {
+            assert!(listening.next().unwrap().contains(&format!("for {n}.")));
+        }
+        broker.acknowledged(ids.len());
+        broker.greet(true, &[]);
+        broker.grant();
+        broker.write(&all(true));
+        broker.write(&message("bell", "last", 10_002, false));
+        assert!(listening.next().unwrap().contains("for last."));
+        broker.acknowledged(ids.len() + 1);
+        assert_eq!(listening.end().1.said, ids.len() as u64 + 1);
     }
 
     /// Row "server keep alive 0" of the attacks: the broker wants no pings, and none is too late.
