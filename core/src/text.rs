@@ -75,14 +75,19 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
 /// use roomcast_core::text::has_words;
 ///
 /// assert!(has_words("ben gives ada the mug", "ada") && !has_words("an adaptor", "ada"));
+/// assert!(has_words("Ben gives Ada the mug", "ada"));
 /// ```
 #[must_use]
 pub fn has_words(text: &str, words: &str) -> bool {
-    let is_end = |c: Option<char>| !c.is_some_and(char::is_alphanumeric);
-    let mut found = text.match_indices(words);
-    !words.is_empty()
-        && found
-            .any(|(at, _)| is_end(text[..at].chars().next_back()) && is_end(text[at + words.len()..].chars().next()))
+    let begins = text.char_indices().scan(false, |in_word, (at, c)| {
+        let was_in_word = std::mem::replace(in_word, c.is_alphanumeric());
+        Some((!was_in_word).then_some(at))
+    });
+    let is_at = |at: usize| {
+        let found = text.get(at..at + words.len()).is_some_and(|found| found.eq_ignore_ascii_case(words));
+        found && !text[at + words.len()..].starts_with(char::is_alphanumeric)
+    };
+    !words.is_empty() && begins.flatten().any(is_at)
 }
 
 #[cfg(test)]

@@ -331,9 +331,12 @@ impl Config {
         let prior = scoring.prior.unwrap_or_default();
         let IntakeLimits { rate_per_s, burst } = daemon.intake;
         let residents = format!("{:?}", persons.residents);
-        let each_name_once = (1..)
-            .zip(&persons.residents)
-            .all(|(next, name)| !persons.residents[next..].iter().any(|other| same_name(other, name)));
+        let not_persons = format!("{:?}", persons.not_persons);
+        let is_one_of = |name: &str, names: &[String]| names.iter().any(|other| same_name(other, name));
+        let each_name_once =
+            (1..).zip(&persons.residents).all(|(next, name)| !is_one_of(name, &persons.residents[next..]));
+        let are_no_residents =
+            persons.not_persons.iter().all(|name| is_name(name) && !is_one_of(name, &persons.residents));
         let known = &daemon.narrator;
         let names = format!("{:?}", known.iter().map(|known| &known.name).collect::<Vec<_>>());
         let each_narrator_once = (1..)
@@ -377,6 +380,7 @@ impl Config {
             row("daemon.narrator.share", &share, known.iter().all(|known| (1..=100).contains(&known.share)), "give 1 to 100"),
             row("daemon.narrator.rate_per_s", &rates, known.iter().all(|known| known.rate_per_s.is_none_or(is_rate)), "give 0 (no limit) or more"),
             row("persons.residents", &residents, persons.residents.iter().all(|name| is_name(name)) && each_name_once, &format!("give each name or number once, {plain}")),
+            row("persons.not_persons", &not_persons, are_no_residents, &format!("give names that no resident has, {plain}")),
             within("persons.visitor_s", persons.visitor_s, 1.0..=SECONDS_MAX),
             within("persons.asleep_s", persons.asleep_s, seconds.clone()),
             within("persons.guard_s", persons.guard_s, 0.0..=86_400.0),
@@ -488,6 +492,7 @@ mod tests {
             ("[[daemon.narrator]]\nname = \"a\"\ntrust = 101", "daemon.narrator.trust is 101"),
             ("[[daemon.narrator]]\nname = \"a\"\nrate_per_s = -1.0", "daemon.narrator.rate_per_s is -1"),
             ("[persons]\nresidents = [\"ada\", \"Ada\"]", "persons.residents is [\"ada\", \"Ada\"]"),
+            ("[persons]\nresidents = [\"ada\"]\nnot_persons = [\"Ada\"]", "persons.not_persons is [\"Ada\"]"),
             ("[forecast]\nobject_s = 0", "forecast.object_s is 0"),
             ("[forecast]\nmistaken = 2", "forecast.mistaken is 2"),
             ("[habits]\nhalf_life_days = nan", "habits.half_life_days is NaN"),

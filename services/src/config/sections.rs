@@ -96,6 +96,8 @@ fn one() -> u32 {
 pub struct PersonsConfig {
     /// Who lives in the house, by name or by number; everybody else is a visitor. When empty, nobody is a visitor.
     pub residents: Vec<String>,
+    /// Names of pets, robots and devices: a plain sentence about one is about nobody.
+    pub not_persons: Vec<String>,
     /// Seconds of silence after which a visitor counts as gone.
     pub visitor_s: f64,
     /// Seconds of silence after which whoever was last on a bed is possibly asleep.
@@ -107,7 +109,13 @@ pub struct PersonsConfig {
 
 impl Default for PersonsConfig {
     fn default() -> Self {
-        Self { residents: Vec::new(), visitor_s: 3.0 * 3600.0, asleep_s: 1200.0, guard_s: 600.0 }
+        Self {
+            residents: Vec::new(),
+            not_persons: Vec::new(),
+            visitor_s: 3.0 * 3600.0,
+            asleep_s: 1200.0,
+            guard_s: 600.0,
+        }
     }
 }
 

@@ -40,7 +40,6 @@ pub(super) fn is_bed(label: &str) -> bool {
 pub(super) fn sleeps(sentence: &str) -> Option<bool> {
     const SLEEPS: [&str; 8] = ["sleep", "sleeps", "asleep", "nap", "naps", "doze", "dozes", "slept"];
     const WAKES: [&str; 8] = ["wake", "wakes", "woke", "awake", "get up", "gets up", "stand up", "stands up"];
-    // A sentence begins with a capital at most in its first word, which is nobody's sleep.
     let says = |words: &[&str]| words.iter().any(|words| has_words(sentence, words));
     if says(&WAKES) { Some(false) } else { says(&SLEEPS).then_some(true) }
 }
@@ -105,8 +104,7 @@ pub(super) fn is_at_front_door(sentence: &str) -> bool {
 
 /// Whether a sentence may be about it: also about a door, and not that of a thing.
 fn is_at_a_door(sentence: &str) -> bool {
-    const HOW: [&str; 6] =
-        ["opens the door", "closes the door", "open the door", "close the door", "the door is", "The door is"];
+    const HOW: [&str; 5] = ["opens the door", "closes the door", "open the door", "close the door", "the door is"];
     let is_of_a_thing = || ["door of", "door to"].iter().any(|words| has_words(sentence, words));
     is_at_front_door(sentence) || (HOW.iter().any(|words| has_words(sentence, words)) && !is_of_a_thing())
 }
@@ -517,7 +515,19 @@ impl Persons {
     /// The names of those whom an observation is about that was given no name: of persons who are known by them, have them here, or live here; of
     /// who is called by what they are ("the plumber"); or of strangers, unless one alone comes where nobody goes by a name.
     pub(super) fn named(&self, said: &Said) -> Vec<String> {
-        self.names_in(said.about(|name| self.is_called(name)))
+        self.names_in(self.about(said))
+    }
+
+    /// Whom an observation is about: of what the home says is no person, nothing.
+    fn about(&self, said: &Said) -> About {
+        let is_none = |name: &str| self.config.not_persons.iter().any(|other| same_name(other, name));
+        match said.about(|name| is_none(name) || self.is_called(name)) {
+            About::Named(names) if names.iter().any(|name| is_none(name)) => {
+                let names: Vec<_> = names.into_iter().filter(|name| !is_none(name)).collect();
+                if names.is_empty() { About::Nobody } else { About::Named(names) }
+            }
+            about => about,
+        }
     }
 
     fn names_in(&self, about: About) -> Vec<String> {
@@ -544,7 +554,7 @@ impl Persons {
 
     /// Whether an observation that was given no name moves nobody: it is about things, or about others than one person whom it names.
     pub(super) fn is_of_nobody(&self, said: &Said) -> bool {
-        match said.about(|name| self.is_called(name)) {
+        match self.about(said) {
             About::Nobody => true,
             named @ About::Named(_) => self.has_names() && self.names_in(named).is_empty(),
             About::Stranger(_) | About::Somebody => false,
@@ -569,7 +579,7 @@ impl Persons {
         let number = observation.name.as_deref().map_or(observation.person, |name| self.number_of(name));
         // A person by number alone may be any of them.
         let has_name = observation.name.is_some() || self.name_of(number).is_some();
-        match observation.said.about(|name| self.is_called(name)) {
+        match self.about(&observation.said) {
             About::Named(names) => {
                 let is_known = |name: &String| self.is_called(name);
                 let is_other = |name: &String| self.called(name).is_some_and(|named| named != number);

@@ -264,6 +264,24 @@ fn silence_ends_a_window_once() {
     assert_eq!(house.person("ada").unwrap().window, 0);
 }
 
+/// A dog or a robot that has a name is no visitor.
+#[test]
+fn what_is_said_of_no_person_moves_nobody() {
+    let mut house = House::new(&["ada"]);
+    house.config.not_persons = vec!["Rocky".to_owned()];
+    house.restart();
+    house.after(1, "ada", "They sit on the sofa.");
+    for sentence in
+        ["Rocky cleans the kitchen.", "Rocky leaves the house.", "Rocky comes home.", "Rocky is in the kitchen."]
+    {
+        house.after(60, "somebody", sentence);
+        assert_eq!((house.known(), house.presence("ada")), (1, Some(presence::PRESENT)), "{sentence}");
+        assert_eq!(house.person("ada").unwrap().window, 1, "{sentence}");
+    }
+    house.after(60, "somebody", "Ada and Rocky go to the kitchen.");
+    assert_eq!((house.known(), house.person("ada").unwrap().window), (1, 2));
+}
+
 #[test]
 fn a_resident_with_another_name_is_still_one() {
     let config = PersonsConfig { residents: vec!["ben".to_owned()], ..PersonsConfig::default() };
@@ -323,7 +341,7 @@ fn who_was_at_the_door_leaves() {
             ("ben", "They turn on the television."),
             ("ada", "They open the fridge."),
             ("somebody", "They open the front door."),
-            ("somebody", "They close the front door."),
+            ("somebody", "Front door closes."),
         ] {
             house.after(30, who, what);
         }
