@@ -21,10 +21,13 @@ mod exit_code;
 #[expect(dead_code, reason = "a test needs some of it")]
 #[path = "support/mosquitto.rs"]
 mod mosquitto;
+#[path = "support/robot_map.rs"]
+mod robot_map;
 #[path = "support/skipped.rs"]
 mod skipped;
 
 use mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+use robot_map::robot_map;
 use skipped::skipped;
 
 const ROBOT: &str = "valetudo/rocky";
@@ -60,16 +63,12 @@ fn kept() -> Vec<(String, String, bool)> {
 }
 
 /// A robot's map: kitchen, living room and hall, side by side along a corridor.
-fn robot_map() -> String {
-    let block = |number: &str, name: &str, x: i32, y: i32, wide: i32, high: i32| {
-        let runs: Vec<i32> = (y..y + high).flat_map(|row| [x, row, wide]).collect();
-        serde_json::json!({"__class": "MapLayer", "type": "segment", "metaData": {"segmentId": number, "name": name, "active": false},
-            "compressedPixels": runs})
-    };
-    serde_json::json!({"__class": "ValetudoMap", "metaData": {"version": 2}, "size": {"x": 5120, "y": 5120}, "pixelSize": 5,
-        "layers": [block("16", "Küche", 100, 100, 80, 80), block("17", "Wohnzimmer", 184, 100, 100, 80), block("18", "Flur", 100, 184, 184, 30)],
-        "entities": []})
-    .to_string()
+fn flat() -> String {
+    robot_map(&[
+        ("16", "Küche", [100, 100, 80, 80]),
+        ("17", "Wohnzimmer", [184, 100, 100, 80]),
+        ("18", "Flur", [100, 184, 184, 30]),
+    ])
 }
 
 /// A home: a folder, a broker, and a domain of its own.
@@ -94,7 +93,7 @@ impl Home {
         for (file, text) in [("core.area_registry", AREAS), ("core.entity_registry", ENTITIES), ("person", PERSONS)] {
             std::fs::write(storage.join(file), text).unwrap();
         }
-        std::fs::write(directory.path().join("map.json"), robot_map()).unwrap();
+        std::fs::write(directory.path().join("map.json"), flat()).unwrap();
         let port = free_port();
         let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
             skipped(NO_BROKER);
@@ -224,6 +223,7 @@ fn a_home_that_is_set_up_well_has_no_fault() {
     for check in ["clock", "state", "things", "rules", "broker", "topics", "segments", "persons"] {
         assert_eq!(finding(&findings, check)["verdict"], "good", "{check}: {findings:#?}");
     }
+    assert!(findings.iter().all(|finding| finding["check"] != "things of rules"), "{findings:#?}");
     assert!(text(finding(&findings, "services"), "found").contains("nothing runs yet"));
     // It runs as it was set up: the narrator says what a sensor does, and counts which rules fit.
     let config = home.at("home/roomcast.toml");
@@ -252,6 +252,40 @@ fn a_home_that_is_set_up_well_has_no_fault() {
     let never = finding(&findings, "rules that fit");
     assert!(text(never, "found").contains("homeassistant/switch/toaster/state is \"on\""), "{never}");
     assert!(!text(never, "found").contains("fridge_door/state is \"on\""), "{never}");
+}
+
+/// A home without a robot's map: what stands in its rooms are the devices that Home Assistant knows.
+#[test]
+fn rooms_with_devices_alone_get_furniture_on_request() {
+    let Some(home) = Home::new("furnish") else { return };
+    let config = home.at("config");
+    let init = |folder: &str, more: &[&str]| {
+        let folder = home.at(folder);
+        let all = ["init", "--yes", "--home-assistant", &config, "--mqtt", "none", "--robot", "none", &folder];
+        home.command(&[&all[..], more].concat()).output().unwrap()
+    };
+    let made = |folder: &str, more: &[&str]| {
+        let output = init(folder, more);
+        let said = String::from_utf8(output.stdout).unwrap();
+        assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+        let map = std::fs::read_to_string(home.path(folder).join("home.json")).unwrap();
+        let map: Value = serde_json::from_str(&map).unwrap();
+        let things: Vec<_> = map["items"].as_array().unwrap().iter().map(|item| text(item, "id").to_owned()).collect();
+        (things, said)
+    };
+    let (devices, said) = made("plain", &["--bare"]);
+    assert!(devices.len() == 3 && !said.contains("--furnish"), "{devices:?} {said}");
+    let (things, said) = made("typical", &[]);
+    assert_eq!(things, devices);
+    let note = "Rooms with one or two kinds of things alone: kuche, wohnzimmer. `--furnish sparse` assumes";
+    assert!(said.contains(note), "{said}");
+    let (things, said) = made("sparse", &["--furnish", "sparse"]);
+    assert!(said.contains("with one or two kinds alone: 2; assumed in them"), "{said}");
+    let has = |thing: &str| things.iter().any(|own| own == thing);
+    assert!(devices.iter().all(|device| has(device)) && has("assumed-stove") && has("assumed-sofa"), "{things:?}");
+    assert!(!has("assumed-fridge"), "the kitchen has a fridge of its own: {things:?}");
+    let both = init("both", &["--bare", "--furnish", "sparse"]);
+    assert_eq!(both.status.code(), Some(i32::from(exit_code::USAGE)), "{both:?}");
 }
 
 /// Rooms of one kind: each area is the room that bears its name, whatever is meant by the others is said.
@@ -339,7 +373,7 @@ fn password(home: &mut Home, wrong: bool) -> bool {
     true
 }
 
-const MISTAKES: [Mistake; 29] = [
+const MISTAKES: [Mistake; 30] = [
     Mistake {
         name: "the broker's port",
         make: |home| home.edit("roomcast.toml", &home.port.to_string(), &free_port().to_string()),
@@ -426,6 +460,15 @@ const MISTAKES: [Mistake; 29] = [
         found: "names the room \"lving-rom-17\", which the map does not have",
         remedy: "write room = \"living-room-17\"",
         code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a rule whose thing is not on the map",
+        make: |home| home.edit("home.rules.toml", "They open the fridge.", "They open the mailbox."),
+        check: "things of rules",
+        verdict: "limited",
+        found: "says \"They open the mailbox.\", and the map has no \"mailbox\"",
+        remedy: "add the thing to the map",
+        code: exit_code::OK,
     },
     Mistake {
         name: "rules that are no TOML",
@@ -849,7 +892,7 @@ fn init_finds_what_is_not_given() {
     // Home Assistant in its user's folder, and the robot's map at the broker, packed as the robot packs it.
     std::fs::rename(home.path("config"), home.path(".homeassistant")).unwrap();
     let mut packed = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::default());
-    packed.write_all(robot_map().as_bytes()).unwrap();
+    packed.write_all(flat().as_bytes()).unwrap();
     publish_bytes(home.port, &format!("{ROBOT}/MapData/map-data"), packed.finish().unwrap());
     let (url, folder) = (home.url(), home.at("home"));
     let output = home.command(&["init", "--mqtt", &url, &folder]).output().unwrap();

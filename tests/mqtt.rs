@@ -1,17 +1,17 @@
 //! Real processes and a real broker. The bridge: what stands at the broker over restarts of each, and what goes when rooms go. The robot:
-//! a fake one over the broker is driven by the real planner.
+//! a fake one over the broker is driven by the real planner, also over a day with a person.
 
 #![cfg(all(feature = "bridge", feature = "robot"))]
 #![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{DecisionV1, Domain, decision_flags};
+use roomcast_ipc::{DecisionV1, Domain, ForecastV1, decision_flags};
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::Packet;
 use rumqttc::v5::{Client, Event, MqttOptions};
@@ -23,13 +23,19 @@ use serde_json::Value;
 mod exit_code;
 #[path = "support/fake_valetudo.rs"]
 mod fake_valetudo;
+#[path = "support/lived_day.rs"]
+mod lived_day;
 #[path = "support/mosquitto.rs"]
 mod mosquitto;
+#[path = "support/robot_map.rs"]
+mod robot_map;
 #[path = "support/skipped.rs"]
 mod skipped;
 
-use fake_valetudo::FakeValetudo;
+use fake_valetudo::{Doing, FakeValetudo};
+use lived_day::{HOURS, ROOM_S, mean, person_at, plain_schedules, segments};
 use mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+use robot_map::robot_map;
 use skipped::skipped;
 
 /// Far longer than anything here takes, also on a loaded machine.
@@ -365,8 +371,17 @@ fn a_wrong_set_up_is_one_clear_error() {
 /// The fake robot at the broker, in a thread of its own: so many times faster than a real one.
 struct Fake {
     robot: Arc<Mutex<FakeValetudo>>,
+    worked: Arc<Mutex<Vec<Worked>>>,
     stop: Arc<Mutex<bool>>,
     thread: Option<std::thread::JoinHandle<()>>,
+}
+
+/// That it was at work in a segment: since when, and for how long, by this machine's clock.
+#[derive(Debug, Clone)]
+struct Worked {
+    segment: String,
+    since: Instant,
+    time: Duration,
 }
 
 const SPEED: f64 = 60.0;
@@ -374,8 +389,13 @@ const FAKE: &str = "valetudo/fake";
 
 impl Fake {
     fn start(port: u16, robot: FakeValetudo) -> Self {
+        Self::faster(port, robot, SPEED)
+    }
+
+    fn faster(port: u16, robot: FakeValetudo, speed: f64) -> Self {
         let (robot, stop) = (Arc::new(Mutex::new(robot)), Arc::new(Mutex::new(false)));
-        let (own, own_stop) = (Arc::clone(&robot), Arc::clone(&stop));
+        let worked = Arc::new(Mutex::new(Vec::new()));
+        let (own, own_stop, own_worked) = (Arc::clone(&robot), Arc::clone(&stop), Arc::clone(&worked));
         let live = move || {
             let mut options = MqttOptions::new("fake-robot", "127.0.0.1", port);
             options.set_keep_alive(Duration::from_secs(5));
@@ -384,8 +404,13 @@ impl Fake {
             while !*own_stop.lock().unwrap() {
                 let event = connection.recv_timeout(Duration::from_millis(20));
                 let mut robot = own.lock().unwrap();
-                robot.pass(passed.elapsed().as_secs_f64() * SPEED);
-                passed = Instant::now();
+                let (since, now) = (passed, Instant::now());
+                passed = now;
+                if let Some((segment, _)) = robot.job.as_ref().filter(|_| robot.doing == Doing::Cleaning) {
+                    let (segment, time) = (segment.clone(), now - since);
+                    own_worked.lock().unwrap().push(Worked { segment, since, time });
+                }
+                robot.pass((now - since).as_secs_f64() * speed);
                 let mut again = false;
                 match event {
                     Ok(Ok(Event::Incoming(Packet::ConnAck(_)))) => {
@@ -409,7 +434,7 @@ impl Fake {
                 }
             }
         };
-        Self { robot, stop, thread: Some(std::thread::spawn(live)) }
+        Self { robot, worked, stop, thread: Some(std::thread::spawn(live)) }
     }
 
     fn look<T>(&self, at: impl Fn(&FakeValetudo) -> T) -> T {
@@ -509,4 +534,250 @@ fn without_obey_a_robot_is_told_nothing() {
     });
     assert_eq!(line["topic"], format!("{FAKE}/MapSegmentationCapability/clean/set"));
     assert!(fake.look(|robot| robot.orders.is_empty()));
+}
+
+/// Before the robot has spoken, what it lacks is its word, and no segments.
+#[test]
+fn of_a_robot_that_has_not_spoken_it_is_said_where_it_is_listened_to_and_what_to_do() {
+    let Some(broker) = broker() else { return };
+    let mut world = World::new("silent");
+    let config = world.directory.path().join("robot.toml");
+    std::fs::write(&config, format!("[robot]\ntopic = \"{FAKE}\"\n")).unwrap();
+    world.start_daemon("state", &[]);
+    let broker_at = format!("mqtt://127.0.0.1:{}", broker.port);
+    let driver = world.start(&["robot", "--config", config.to_str().unwrap(), "--mqtt", &broker_at]);
+    let log = world.children[driver].1.clone();
+    let said = |part: &str| {
+        eventually(part, || Some(std::fs::read_to_string(&log).unwrap()).filter(|said| said.contains(part)))
+    };
+    let silent = said("nothing was heard of the robot yet");
+    for part in [FAKE, &broker_at, "connect it to this broker"] {
+        assert!(silent.contains(part), "{part} in {silent}");
+    }
+    assert!(!silent.contains("segment"), "{silent}");
+    let _fake = Fake::start(broker.port, FakeValetudo::new(FAKE, &SEGMENTS));
+    said("the robot speaks");
+    // "Küche" and "Bad" are rooms of the shipped studio, and it has no living room.
+    let all = said("a room that the robot cannot do");
+    assert!(all.contains("a room that the robot can do") && all.contains("no segment of the robot's map"), "{all}");
+}
+
+/// So many times faster the day is played.
+const DAY_SPEED: f64 = 300.0;
+/// How long the driver waits until a robot that has left its work is done with it.
+const SETTLING_S: f64 = 3.0;
+/// How often the person's sensor says where they are, how long the broker is away, and how long the robot is stuck: in seconds of the day.
+const SENSED_S: f64 = 600.0;
+const AWAY_S: f64 = 600.0;
+const STUCK_S: f64 = 900.0;
+/// The rooms of the day, in its order, as the import names them.
+const FLAT: [&str; 4] = ["bedroom-1", "hallway-2", "kitchen-3", "home-office-4"];
+const WHERE: &str = "home/ada/room";
+const FRIDGE: &str = "home/fridge/state";
+
+/// A home whose map comes from the robot, with a sensor that says where Ada is, and one at the fridge. Every time is so much shorter as the day.
+fn lived_home(world: &World, port: u16, policy: &str, seed: u64) -> String {
+    let folder = world.directory.path();
+    let (map, scene, rules, config) =
+        (folder.join("map.json"), folder.join("home.json"), folder.join("rules.toml"), folder.join("home.toml"));
+    let [(one, bedroom, _), (two, hall, _), (three, kitchen, _), (four, office, _)] = segments(ROOM_S);
+    let rooms = [
+        (one, bedroom, [100, 100, 80, 80]),
+        (two, hall, [100, 184, 248, 30]),
+        (three, kitchen, [184, 100, 80, 80]),
+        (four, office, [268, 100, 80, 80]),
+    ];
+    std::fs::write(&map, robot_map(&rooms)).unwrap();
+    let mut import = Command::new(env!("CARGO_BIN_EXE_roomcast"));
+    import.args(["scene", "import", "--format", "valetudo", "--furnish", "typical"]).arg(&map).arg("--out").arg(&scene);
+    let output = import.output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let text = format!(
+        "[[rule]]\ntopic = {WHERE:?}\nwhen = \"away\"\npresence = \"away\"\nperson = \"ada\"\nrepeats = true\n\
+         [[rule]]\ntopic = {WHERE:?}\nunless = [\"away\"]\npresence = \"present\"\nroom = \"{{value}}\"\nperson = \"ada\"\nrepeats = true\n\
+         [[rule]]\ntopic = {FRIDGE:?}\nwhen = \"on\"\nsay = \"They open the fridge.\"\nperson = \"ada\"\nrepeats = true\n"
+    );
+    std::fs::write(&rules, text).unwrap();
+    let real = |day_s: f64| day_s / DAY_SPEED;
+    let text = format!(
+        "[scene]\npath = {scene:?}\n[daemon]\nstate = {:?}\n[narrator]\nname = \"home\"\n\
+         [mqtt]\nbroker = \"mqtt://127.0.0.1:{port}\"\nrules = {rules:?}\n\
+         [forecast]\nobject_s = {:?}\nstay_s = {:?}\naction_s = {:?}\naway_s = {:?}\n\
+         [planner]\npolicy = {policy:?}\nseed = {seed}\nroom_time_s = {:?}\nround_s = {:?}\nreports = \"always\"\nreport_timeout_s = 10.0\n\
+         interrupt_after_s = {:?}\n[robot]\ntopic = {FAKE:?}\nstart_s = 1.0\n",
+        folder.join("state"),
+        real(40.0),
+        real(120.0),
+        real(2.0),
+        real(4.0 * 3600.0),
+        real(ROOM_S) + SETTLING_S,
+        real(3600.0 * (HOURS.1 - HOURS.0) as f64),
+        real(60.0),
+    );
+    std::fs::write(&config, text).unwrap();
+    config.to_str().unwrap().to_owned()
+}
+
+/// What a day came to.
+#[derive(Debug, Default)]
+struct Lived {
+    shared_min: f64,
+    worked_min: f64,
+    /// Segments that were cleaned to the end, and what was ordered; how many of each until the broker was back.
+    cleaned: Vec<String>,
+    orders: Vec<String>,
+    before_restart: (usize, usize),
+    orders_lost: bool,
+    /// What was decided, by the hour.
+    decided: Vec<String>,
+    /// Why the stuck robot's room was given up, by the hour.
+    stuck: Option<(f64, String)>,
+    most_covered: u32,
+    /// Of the times after the restart at which the person was at home, the part at which the forecast had them in their room.
+    known: f64,
+}
+
+/// A day of the whole chain, in processes of their own: the person's sensors, broker, narrator, daemon, planner, driver, fake robot. The robot does
+/// not hear its first two orders. The broker goes while the robot ends its first room, and has forgotten everything when it is back. In a room
+/// that is still to come the robot gets stuck, until somebody carries it home.
+fn live(policy: &str, seed: u64) -> Lived {
+    let mut broker = broker().unwrap();
+    let port = broker.port;
+    let mut world = World::new(&format!("{policy}-{seed}"));
+    let config = lived_home(&world, port, policy, seed);
+    let mut robot = FakeValetudo::new(FAKE, &segments(ROOM_S));
+    robot.orders_ignored = 2;
+    let fake = Fake::faster(port, robot, DAY_SPEED);
+    world.start(&["daemon", "--config", &config]);
+    world.start(&["narrate", "--mqtt", "--config", &config]);
+    world.start(&["robot", "--obey", "--config", &config]);
+    let node = world.domain.open("test").unwrap();
+    let (decisions, forecasts) = (node.subscriber::<DecisionV1>().unwrap(), node.subscriber::<ForecastV1>().unwrap());
+    let sense = |broker: &Mosquitto, place: Option<usize>, is_new: bool| {
+        let mut said = vec![(WHERE, place.map_or("away", |room| FLAT[room]).to_owned(), false)];
+        if is_new && place == Some(2) {
+            said.push((FRIDGE, "on".to_owned(), false));
+        }
+        broker.publish(&said);
+    };
+    let mut newest = ForecastV1::default();
+    // Now is the first horizon.
+    let mut likely = |place: usize| {
+        newest = forecasts.newest().unwrap().unwrap_or(newest);
+        (0..).map_while(|room| newest.room(room)).any(|(room, chances)| room == FLAT[place] && chances[0] > 0.5)
+    };
+    let mut place = person_at(HOURS.0 as f64);
+    eventually("the forecast has the person in their room", || {
+        sense(&broker, place, false);
+        std::thread::sleep(Duration::from_millis(300));
+        likely(place.unwrap()).then_some(())
+    });
+    world.start(&["planner", "--config", &config]);
+    let begin = Instant::now();
+    let hour_of = |at: Instant| HOURS.0 as f64 + (at - begin).as_secs_f64() * DAY_SPEED / 3600.0;
+    let (mut lived, mut sensed_at, mut home, mut known) = (Lived::default(), HOURS.0 as f64, 0, 0);
+    let (mut gone_at, mut is_back, mut stuck_at) = (None, false, None);
+    let mut is_carried = false;
+    loop {
+        let hour = hour_of(Instant::now());
+        if hour >= HOURS.1 as f64 {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+        while let Some(decision) = decisions.receive().unwrap() {
+            let decision = decision.unwrap();
+            lived.decided.push(format!("{hour:.2} {} {}: {}", decision.action, decision.to(), decision.reason()));
+            lived.most_covered = lived.most_covered.max(decision.covered.count_ones());
+            let cleaned: BTreeSet<String> = fake.look(|robot| robot.cleaned.iter().cloned().collect());
+            assert!(
+                decision.covered.count_ones() as usize <= cleaned.len(),
+                "done is what the robot has done: {decision:?}"
+            );
+            if lived.stuck.is_none() && decision.reason().contains("Wheel lost floor contact") {
+                assert!(decision.has(decision_flags::REPORTED), "{decision:?}");
+                lived.stuck = Some((hour, decision.reason().to_owned()));
+            }
+        }
+        // While the broker is away nobody hears the sensors.
+        let is_away = gone_at.is_some() && !is_back;
+        let now = person_at(hour);
+        if now != place || (hour - sensed_at) * 3600.0 >= SENSED_S {
+            if !is_away {
+                sense(&broker, now, now != place);
+            }
+            (place, sensed_at) = (now, hour);
+        }
+        if let Some(room) = place.filter(|_| is_back) {
+            home += 1;
+            known += u32::from(likely(room));
+        }
+        let left_s = fake.look(|robot| robot.job.as_ref().map(|(_, left_s)| *left_s));
+        match (gone_at, stuck_at) {
+            (None, _) if left_s.is_some_and(|left_s| left_s < 0.5 * AWAY_S) => {
+                broker.stop();
+                gone_at = Some(hour);
+                let mut robot = fake.robot.lock().unwrap();
+                let at_work = robot.job.as_ref().map(|(segment, _)| segment.clone());
+                let next = segments(ROOM_S).into_iter().map(|(segment, ..)| segment.to_owned());
+                let next = next.into_iter().find(|segment| Some(segment) != at_work.as_ref());
+                robot.sticks = next.map(|next| (next, f64::INFINITY));
+            }
+            (Some(gone), _) if !is_back && (hour - gone) * 3600.0 >= AWAY_S => {
+                broker = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY).unwrap();
+                is_back = true;
+                lived.before_restart = fake.look(|robot| (robot.cleaned.len(), robot.orders.len()));
+            }
+            (_, None) if fake.look(|robot| robot.doing == Doing::Error) => stuck_at = Some(hour),
+            (_, Some(stuck)) if !is_carried && (hour - stuck) * 3600.0 >= STUCK_S => {
+                is_carried = true;
+                fake.robot.lock().unwrap().carry_home();
+            }
+            _ => {}
+        }
+    }
+    let minutes = |worked: &Worked| worked.time.as_secs_f64() * DAY_SPEED / 60.0;
+    let all = fake.worked.lock().unwrap().clone();
+    let is_shared = |worked: &&Worked| {
+        let person = person_at(hour_of(worked.since));
+        person.is_some_and(|room| segments(ROOM_S)[room].0 == worked.segment)
+    };
+    let day = all.iter().filter(|worked| worked.since >= begin);
+    lived.worked_min = day.clone().map(minutes).sum();
+    lived.shared_min = day.filter(is_shared).map(minutes).fold(0.0, |sum, minutes| sum + minutes);
+    (lived.cleaned, lived.orders, lived.orders_lost) =
+        fake.look(|robot| (robot.cleaned.clone(), robot.orders.clone(), robot.orders_ignored == 0));
+    lived.known = f64::from(known) / f64::from(home.max(1));
+    lived
+}
+
+#[test]
+fn over_a_day_with_a_person_and_trouble_the_robot_shares_less_than_others_and_does_every_room() {
+    if broker().is_none() {
+        return;
+    }
+    // One day of a policy that goes by chance may be a lucky one.
+    let seeds = [1, 2, 3];
+    let (own, naive) = std::thread::scope(|scope| {
+        let own = scope.spawn(|| live("coverage-aware", 1));
+        let naive = seeds.map(|seed| scope.spawn(move || live("naive", seed)));
+        (own.join().unwrap(), naive.map(|day| day.join().unwrap()))
+    });
+    let shared = naive.each_ref().map(|day| day.shared_min);
+    let (plain, naive_mean) = (plain_schedules(), mean(&shared));
+    let plain_mean = mean(&plain);
+    println!("coverage-aware {own:#?}\nnaive {naive:#?}\nplain schedules {plain:.1?} min");
+    println!(
+        "minutes shared: {:.1}; naive {shared:.1?}, mean {naive_mean:.1}; plain schedules, mean {plain_mean:.1}",
+        own.shared_min
+    );
+    assert!(own.shared_min < naive_mean && own.shared_min < plain_mean, "{own:?} {naive:?} {plain:?}");
+    // Each room is free for long at some time of the day.
+    let rooms: BTreeSet<&String> = own.cleaned.iter().collect();
+    assert_eq!((rooms.len(), own.most_covered), (FLAT.len(), 4), "{own:?}");
+    assert!(own.orders_lost, "{own:?}");
+    let (cleaned, orders) = own.before_restart;
+    assert!(own.cleaned.len() > cleaned && own.orders.len() > orders, "after the broker's restart it obeys: {own:?}");
+    assert!(own.known > 0.8, "after the broker's restart the sensors are heard: {own:?}");
+    let (_, why) = own.stuck.as_ref().unwrap_or_else(|| panic!("no decision says that it is stuck: {own:?}"));
+    assert!(why.contains("could not do the"), "{why}");
 }

@@ -89,3 +89,7 @@ mod mosquitto;
 #[expect(dead_code, reason = "a test needs some of it")]
 #[expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
 mod fake_valetudo;
+
+#[cfg(all(test, feature = "mqtt"))]
+#[path = "../../tests/support/lived_day.rs"]
+mod lived_day;

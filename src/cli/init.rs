@@ -23,6 +23,7 @@ mod ask;
 use ask::Asker;
 
 use super::home_source::{check_rules, home_assistant, is_url};
+use super::scene::Furnish;
 use super::scene_files::{in_file, input, read, write};
 use super::{CommandResult, Failure, count, print};
 use crate::exit_code;
@@ -79,8 +80,12 @@ pub struct Args {
     /// Who lives here; once for each, or with commas between. Without it nobody counts as a visitor.
     #[arg(long, value_name = "NAME", value_delimiter = ',')]
     resident: Vec<String>,
-    /// Leave rooms without things bare, in place of putting the usual furniture of their kind there.
-    #[arg(long)]
+    /// Which rooms get the usual furniture of their kind; ids of such things begin with "assumed". Of a home with a robot's map that is decided
+    /// before Home Assistant's things are put there.
+    #[arg(long, value_enum, value_name = "WHICH", default_value = "typical")]
+    furnish: Furnish,
+    /// Leave all rooms as they are, without assumed furniture.
+    #[arg(long, conflicts_with = "furnish")]
     bare: bool,
     /// Overwrite files that are there.
     #[arg(long)]
@@ -402,7 +407,7 @@ fn make(args: &Args, folder: &Path, files: &[PathBuf; 3], found: &Found) -> Resu
         Some((_, home)) => (Some(home.imported.clone()), home.rules.clone()),
         None => (None, None),
     };
-    let furnish = |imported: Imported| if args.bare { Ok(imported) } else { imported.furnished() };
+    let furnish = |imported: Imported| if args.bare { Ok(imported) } else { args.furnish.furnish(imported) };
     let (imported, areas) = match (plan, home_map) {
         (Some(plan), areas) => (plan, areas),
         (None, Some(areas)) => (areas, None),

@@ -18,7 +18,7 @@ use super::{CommandResult, Failure, count, print, ranges, service};
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use roomcast_core::semantic_map::delta;
-use roomcast_core::semantic_map::import::{self, Imported, Up};
+use roomcast_core::semantic_map::import::{self, ImportError, Imported, Up};
 use roomcast_core::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap};
 use roomcast_services::daemon::{MapAnswer, MapQuestion, Outcome};
 
@@ -59,9 +59,21 @@ enum Format {
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum Furnish {
-    /// What most rooms of their kind have.
+pub(super) enum Furnish {
+    /// The usual furniture of their kind in rooms without things; walls, doors and a charging station are none.
     Typical,
+    /// The same, and in rooms with one or two kinds of things alone the pieces that they lack.
+    Sparse,
+}
+
+impl Furnish {
+    /// Puts assumed furniture where it says.
+    pub(super) fn furnish(self, imported: Imported) -> Result<Imported, ImportError> {
+        match self {
+            Self::Typical => imported.furnished(),
+            Self::Sparse => imported.furnished_where_sparse(),
+        }
+    }
 }
 
 #[derive(Debug, clap::Args)]
@@ -100,7 +112,7 @@ struct Import {
     /// A PEM file with the certificates that the Home Assistant's is signed by, for an https address.
     #[arg(long, value_name = "FILE", requires = "token_file")]
     ca: Option<PathBuf>,
-    /// Put furniture into rooms without things; ids of such things begin with "assumed".
+    /// Put the usual furniture of their kind into rooms; ids of such things begin with "assumed".
     #[arg(long, value_enum)]
     furnish: Option<Furnish>,
 }
@@ -244,7 +256,7 @@ fn import(args: &Import) -> CommandResult {
         ));
     }
     let imported = match args.furnish {
-        Some(Furnish::Typical) => imported.furnished().map_err(in_first)?,
+        Some(furnish) => furnish.furnish(imported).map_err(in_first)?,
         None => imported,
     };
     let Imported { map, notes, boxed } = imported;

@@ -152,6 +152,12 @@ impl FakeValetudo {
         self.freed_s = 0.0;
     }
 
+    /// Somebody frees it and puts it at its dock.
+    pub(crate) fn carry_home(&mut self) {
+        self.fault.clear();
+        (self.freed_s, self.job, self.doing) = (0.0, None, Doing::Docked);
+    }
+
     /// What it says now that it has not said before, retained; after `again`, all of it.
     pub(crate) fn say(&mut self, again: bool) -> Vec<(String, String)> {
         if again {

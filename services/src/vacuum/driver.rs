@@ -17,6 +17,8 @@ use crate::reporter::{Kind, Report};
 const TRIES: u32 = 3;
 /// A robot that leaves its work has finished when it has said nothing else for so long.
 const SETTLE_NS: u64 = 3_000_000_000;
+/// Why a room has no segment before the robot has spoken.
+const UNHEARD: &str = "nothing was heard of the robot yet";
 /// A robot at work is heard of at least so often: the planner takes one that is silent for lost.
 const TELL_NS: u64 = 30_000_000_000;
 
@@ -66,6 +68,8 @@ pub struct Driver {
     resumes: bool,
     battery: Option<f64>,
     fault: String,
+    /// The robot has said something.
+    is_heard: bool,
     /// It has not looked at the robot yet: what that is at, it may have been sent to do by a driver before this one.
     is_new: bool,
     /// The last decision's epoch and sequence.
@@ -106,6 +110,7 @@ impl Driver {
             resumes: false,
             battery: None,
             fault: String::new(),
+            is_heard: false,
             is_new: true,
             decided: None,
             wish: None,
@@ -125,6 +130,11 @@ impl Driver {
         }
     }
 
+    /// Whether the robot has said anything.
+    pub fn is_heard(&self) -> bool {
+        self.is_heard
+    }
+
     /// Whether it is known what each room is to the robot.
     pub fn knows_segments(&self) -> bool {
         self.kind == RobotKind::HomeAssistant || !self.segments.is_empty()
@@ -137,6 +147,7 @@ impl Driver {
 
     fn segment(&self, room: &str) -> Result<String, String> {
         match self.kind {
+            RobotKind::Valetudo if !self.is_heard && !self.configured.contains_key(room) => Err(UNHEARD.to_owned()),
             RobotKind::Valetudo => segment_of(room, &self.configured, &self.segments),
             // Its automation knows rooms by their ids.
             RobotKind::HomeAssistant => Ok(self.configured.get(room).map_or(room, String::as_str).to_owned()),
@@ -228,6 +239,7 @@ impl Driver {
     #[must_use]
     pub fn sense(&mut self, sensed: Sensed, now_ns: u64) -> Vec<Act> {
         let mut acts = Vec::new();
+        self.is_heard = true;
         match sensed {
             Sensed::Status(status) => {
                 self.online = true;

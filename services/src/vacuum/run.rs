@@ -9,7 +9,7 @@ use sd_notify::NotifyState;
 
 use super::dialect::{Dialect, Order};
 use super::driver::{Act, Driver};
-use crate::config::Config;
+use crate::config::{Config, RobotKind};
 use crate::logging::Limiter;
 use crate::mqtt::{Broker, MqttError};
 use crate::mqtt_link::Link;
@@ -25,7 +25,8 @@ const ORDER_S: u32 = 10;
 const TURN_MAX_NS: u64 = 5_000_000_000;
 /// How often systemd hears that this process lives, at most.
 const WATCHDOG: Duration = Duration::from_secs(1);
-/// How long a robot has to tell of its segments before it is said which rooms it cannot do.
+/// How long a robot has to speak before it is said that it does not; and to tell of its segments after that, before it is said which rooms
+/// it cannot do.
 const SETTLING: Duration = Duration::from_secs(5);
 /// Complaints of one kind come at most so often.
 const QUIET_NS: u64 = 5_000_000_000;
@@ -131,7 +132,7 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
         log_reports: Limiter::with_burst(QUIET_NS, REPORTS_AT_ONCE),
     };
     let mut plan = Vec::new();
-    let (begun, mut told) = (Instant::now(), Instant::now());
+    let (mut hearing, mut told) = (Hearing::Nothing { since: Instant::now() }, Instant::now());
     notify(&[NotifyState::Ready]);
     while !stop.requested() {
         decisions.wait(TICK)?;
@@ -154,7 +155,8 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
         let acts = driver.tick(now_ns);
         mouth.act(acts)?;
         mouth.reports.tick()?;
-        if driver.knows_segments() || begun.elapsed() >= SETTLING {
+        hearing = hearing.go_on(&driver, mouth.link.connection() > 0, config, broker);
+        if hearing.is_settled(&driver) {
             show_plan(&driver, &mut plan);
         }
         let turned_ns = now_ns.saturating_sub(mouth.link.turned_ns());
@@ -166,6 +168,54 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
     notify(&[NotifyState::Stopping]);
     mouth.link.leave();
     Ok(())
+}
+
+/// What was heard of the robot.
+#[derive(Debug, Clone, Copy)]
+enum Hearing {
+    Nothing {
+        since: Instant,
+    },
+    /// Nothing, and that is said.
+    Missed,
+    Something {
+        since: Instant,
+    },
+}
+
+impl Hearing {
+    /// Logs once that a robot does not speak, and that it does after all.
+    fn go_on(self, driver: &Driver, is_connected: bool, config: &Config, broker: &Broker) -> Self {
+        let now = Instant::now();
+        let topic = config.robot.topic.as_str();
+        match self {
+            Self::Nothing { .. } if driver.is_heard() => Self::Something { since: now },
+            Self::Missed if driver.is_heard() => {
+                tracing::info!(topic, "the robot speaks");
+                Self::Something { since: now }
+            }
+            // A broker that is away is complained of by itself, and a robot can be heard after that only.
+            Self::Nothing { .. } if !is_connected => Self::Nothing { since: now },
+            Self::Nothing { since } if since.elapsed() >= SETTLING => {
+                let remedy = match config.robot.kind {
+                    RobotKind::Valetudo => {
+                        "switch it on and connect it to this broker; or set robot.topic to its topic prefix and identifier"
+                    }
+                    RobotKind::HomeAssistant => {
+                        "let the vacuum do something, since Home Assistant says a state when it changes (mqtt_statestream); or set robot.topic to its states"
+                    }
+                };
+                tracing::warn!(topic, broker = broker.address, remedy, "nothing was heard of the robot yet");
+                Self::Missed
+            }
+            same => same,
+        }
+    }
+
+    /// Whether what each room is to the robot is known as well as it will be.
+    fn is_settled(self, driver: &Driver) -> bool {
+        matches!(self, Self::Something { since } if driver.knows_segments() || since.elapsed() >= SETTLING)
+    }
 }
 
 /// Logs which segment each room is, whenever that changes.

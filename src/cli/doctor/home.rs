@@ -35,7 +35,7 @@ pub(super) fn checks(
         findings.push(things(config, map, grounding, place));
     }
     #[cfg(feature = "mqtt")]
-    findings.extend(home_mqtt::checks(config, map.map(|(map, _)| map), place));
+    findings.extend(home_mqtt::checks(config, map, place));
     findings.push(persons(config, place));
     findings.extend(services(config, map.map(|(map, _)| map), domain, place));
     findings

@@ -4,6 +4,10 @@ use std::collections::BTreeMap;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
+use roomcast_core::forecast::Mentions;
+use roomcast_core::grounding::Grounding;
+use roomcast_core::names::Names;
+use roomcast_core::narration::{PresenceStatement, Sentence};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_services::config::{Config, RobotKind};
 use roomcast_services::logging::chain;
@@ -24,8 +28,9 @@ const STATES: [&str; 4] = ["+/binary_sensor/+/state", "+/light/+/state", "+/swit
 const ROBOTS: [&str; 2] = ["+/+/$state", "+/+/StatusStateAttribute/status"];
 
 /// Broker, rules, topics and robot.
-pub(super) fn checks(config: &Config, map: Option<&SemanticMap>, place: &Place<'_>) -> Vec<Finding> {
+pub(super) fn checks(config: &Config, home: Option<(&SemanticMap, &Grounding)>, place: &Place<'_>) -> Vec<Finding> {
     let mut findings = Vec::new();
+    let map = home.map(|(map, _)| map);
     let rules = match config.mqtt.rules.as_deref() {
         None if config.mqtt.broker.is_some() => {
             let found =
@@ -41,6 +46,9 @@ pub(super) fn checks(config: &Config, map: Option<&SemanticMap>, place: &Place<'
         Some(path) => {
             let (checked, rules) = rules(path, map);
             findings.push(checked);
+            if let (Some(rules), Some((map, grounding))) = (&rules, home) {
+                findings.extend(things_of_rules(path, rules, map, grounding));
+            }
             rules
         }
     };
@@ -125,6 +133,62 @@ fn rules(path: &Path, map: Option<&SemanticMap>) -> (Finding, Option<Rules>) {
         }
     }
     (Finding::good(check, format!("{shown}: {}", count(rules.about().count(), "rule"))), Some(rules))
+}
+
+/// Rules whose sentence speaks of a thing or a room that the map does not have.
+fn things_of_rules(path: &Path, rules: &Rules, map: &SemanticMap, grounding: &Grounding) -> Option<Finding> {
+    let mut mentions = Mentions::new(map, grounding);
+    let said = rules.about().filter_map(|rule| Some((rule.number, rule.sentence?)));
+    let missing: Vec<(usize, String, String)> = said
+        .filter_map(|(number, said)| {
+            let thing = missing_thing(&said, map, &mut mentions)?;
+            Some((number, said, thing))
+        })
+        .collect();
+    let (number, said, thing) = missing.first()?;
+    let others: Vec<String> = missing.iter().skip(1).map(|(number, ..)| number.to_string()).collect();
+    let more = match others.len() {
+        0 => String::new(),
+        1 => format!("; the same holds for rule {}", others[0]),
+        _ => format!("; the same holds for rules {}", some_of(others.iter().map(String::as_str))),
+    };
+    let found = format!("{}: rule {number} says {said:?}, and the map has no {thing:?}{more}", path.display());
+    let remedy = match nearest(thing, map.labels().iter().map(String::as_str)) {
+        Some(meant) => format!("write {meant:?}, which the map has"),
+        None => {
+            "add the thing to the map (scenes/README.md), or say it by a name that the map has (roomcast scene show)"
+                .to_owned()
+        }
+    };
+    Some(Finding::limited("things of rules", found, remedy))
+}
+
+/// The thing that a sentence is about, where neither it nor anything else in the sentence is on the map. None where the sentence names no thing,
+/// says only who is in the house or out of it, or has a placeholder, whose value nobody knows yet.
+fn missing_thing(said: &str, map: &SemanticMap, mentions: &mut Mentions) -> Option<String> {
+    let sentence = Sentence::new(said).ok().filter(|_| !said.contains('{'))?;
+    if mentions.last(said).is_some() {
+        return None;
+    }
+    if let Some(statement) = PresenceStatement::of_sentence(sentence.as_str()) {
+        let room = statement.room().or(statement.empty_room())?;
+        return map.find_room(room).is_none().then(|| room.to_owned());
+    }
+    let words: Vec<String> = said
+        .split(|c: char| !(c.is_alphanumeric() || c == '\'' || c == '-'))
+        .filter(|word| !word.is_empty())
+        .map(str::to_lowercase)
+        .collect();
+    // What the table of names knows is a thing wherever it stands behind who does what.
+    let runs = (1..=4).rev().flat_map(|length| words.get(2..).unwrap_or_default().windows(length));
+    let is_known = |run: &String| Names::built_in().names().any(|name| name == run);
+    if let Some(known) = runs.map(|run| run.join(" ")).find(is_known) {
+        return Some(known);
+    }
+    // Of what nothing is known "the" says that it is a thing.
+    let at = words.iter().position(|word| word == "the")?;
+    let named = words[at + 1..].join(" ");
+    (!named.is_empty()).then_some(named)
 }
 
 /// What is listened to: everything beside what rules name, and robots.
@@ -450,5 +514,45 @@ fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, Stri
     match wrong.len() == map.rooms().len() {
         true => Finding::wrong(check, found, remedy),
         false => Finding::limited(check, found, remedy),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use roomcast_core::grounding::GroundingOptions;
+
+    #[test]
+    fn a_rule_whose_thing_is_not_on_the_map_is_told_from_one_that_says_it_otherwise() {
+        let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let mut missing = |said: &str| missing_thing(said, &map, &mut mentions);
+        for (said, thing) in [
+            ("They open the fridge.", "fridge"),
+            ("They open the mailbox.", "mailbox"),
+            ("They turn on the washing machine.", "washing machine"),
+            ("They watch television.", "television"),
+            ("They walk to the attic.", "attic"),
+        ] {
+            assert_eq!(missing(said).as_deref(), Some(thing), "{said}");
+        }
+        for said in [
+            "They sit on the sofa.",
+            "They sit on the settee.",
+            "They turn on the coffee-maker.",
+            "They put the plate on the table.",
+            "They switch on the light in the kitchen.",
+            "They walk to the living room.",
+            "They leave the house.",
+            "They come home.",
+            "They are in the house.",
+            "They wake up.",
+            "They go to sleep.",
+            "They go for a walk.",
+            "They turn on the {device}.",
+        ] {
+            assert_eq!(missing(said), None, "{said}");
+        }
     }
 }

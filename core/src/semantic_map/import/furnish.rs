@@ -1,6 +1,6 @@
 //! The usual furniture of rooms that come without things, so that a map of bare rooms forecasts sensibly. It is assumed, and marked so.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
 
 use super::valetudo::CHARGER;
@@ -24,6 +24,8 @@ const ASSUMED: &str = "assumed";
 /// What a map says of them.
 const MARK: &str =
     "Things whose ids begin with \"assumed\" are not measured: they are the usual furniture of their rooms.";
+/// So many kinds of things tell a room from the others. The usual furniture of a few kinds of rooms has fewer.
+const ENOUGH_KINDS: usize = 3;
 /// What is no furniture: a room with nothing else counts as bare.
 const BARE: [&str; 5] = [CHARGER, "wall", "floor", "ceiling", "door"];
 /// How densely places for a piece are tried, in metres; and the most along one side of a room.
@@ -127,31 +129,90 @@ impl Furnisher<'_> {
     }
 }
 
+/// The things of one room that count as furniture, of a map.
+struct Standing<'a> {
+    /// What they are, each kind once.
+    kinds: BTreeSet<&'a str>,
+    things: Vec<(&'a str, Box3)>,
+}
+
+impl<'a> Standing<'a> {
+    /// Of each room, in their order.
+    fn of(map: &'a SemanticMap) -> Vec<Self> {
+        let mut rooms: Vec<Self> =
+            map.rooms.iter().map(|_| Self { kinds: BTreeSet::new(), things: Vec::new() }).collect();
+        for item in &map.items {
+            let label = map.labels[item.label.0 as usize].as_str();
+            if BARE.contains(&label) {
+                continue;
+            }
+            if let Some(room) = holder(&map.rooms, item) {
+                rooms[room].kinds.insert(label);
+                rooms[room].things.push((label, item.bounds));
+            }
+        }
+        rooms
+    }
+
+    fn is_bare(&self) -> bool {
+        self.kinds.is_empty()
+    }
+
+    /// Whether these things are too few to tell the room from the others.
+    fn is_sparse(&self, usual: &[Piece]) -> bool {
+        !self.is_bare() && self.kinds.len() < ENOUGH_KINDS.min(usual.len())
+    }
+}
+
 impl Imported {
     /// Puts the usual furniture of their kind into rooms in which nothing stands. Ids of these things begin with "assumed".
     ///
     /// # Errors
     /// When the map becomes too large.
     pub fn furnished(self) -> Result<Self, ImportError> {
+        self.furnish(false)
+    }
+
+    /// As [`Imported::furnished`]. Rooms with one or two kinds of things alone, such as a lamp that is all that a home knows of there, get the
+    /// pieces of the usual furniture of their kind that they lack.
+    ///
+    /// # Errors
+    /// When the map becomes too large.
+    pub fn furnished_where_sparse(self) -> Result<Self, ImportError> {
+        self.furnish(true)
+    }
+
+    fn furnish(self, also_sparse: bool) -> Result<Self, ImportError> {
         let Self { map, mut notes, boxed } = self;
         let mut file = map.to_file();
         let mut ids = Ids::default();
         ids.taken.extend(file.items.iter().map(|item| item.id.clone()));
-        let thing = |item: &&Item| !BARE.contains(&map.labels[item.label.0 as usize].as_str());
-        let full: Vec<usize> = map.items.iter().filter(thing).filter_map(|item| holder(&map.rooms, item)).collect();
-        let (before, mut rooms, mut unknown) = (file.items.len(), 0, Vec::new());
-        for (index, room) in map.rooms.iter().enumerate() {
-            if full.contains(&index) {
-                continue;
+        let before = file.items.len();
+        let (mut bare, mut filled, mut sparse, mut unknown) = (0, 0, Vec::new(), Vec::new());
+        for (index, (room, standing)) in map.rooms.iter().zip(Standing::of(&map)).enumerate() {
+            let pieces = usual(&room.label);
+            match (standing.is_bare(), standing.is_sparse(pieces)) {
+                (true, _) => bare += 1,
+                (false, true) if also_sparse => filled += 1,
+                (false, true) => {
+                    sparse.push(room.id.as_str());
+                    continue;
+                }
+                (false, false) => continue,
             }
-            rooms += 1;
-            if usual(&room.label).as_ptr() == usual(ANY).as_ptr() && !unknown.contains(&room.label) {
+            if pieces.as_ptr() == usual(ANY).as_ptr() && !unknown.contains(&room.label) {
                 unknown.push(room.label.clone());
             }
             let doors = map.doors.iter().filter(|door| door.rooms.iter().any(|joined| joined.0 as usize == index));
             let doors = doors.map(|door| [door.position_m[0], door.position_m[1]]).collect();
-            let mut furnisher = Furnisher { room, doors, taken: Vec::new() };
-            for piece in usual(&room.label) {
+            let taken = standing.things.iter().map(|(_, bounds)| *bounds).collect();
+            let mut furnisher = Furnisher { room, doors, taken };
+            for piece in pieces {
+                if let Some((_, bounds)) = standing.things.iter().find(|(label, _)| *label == piece.0) {
+                    // What stands on a piece stands on the room's own.
+                    furnisher.taken.push(*bounds);
+                    continue;
+                }
                 let bounds = furnisher.put(piece);
                 file.items.push(ItemEntry {
                     id: ids.take(&format!("{ASSUMED} {}", piece.0)),
@@ -162,15 +223,28 @@ impl Imported {
                 });
             }
         }
-        if rooms == 0 {
+        if !sparse.is_empty() {
+            notes.push(format!(
+                "Rooms with one or two kinds of things alone: {}. `--furnish sparse` assumes the furniture that they lack, too.",
+                sparse.join(", ")
+            ));
+        }
+        let assumed = file.items.len() - before;
+        if assumed == 0 {
             notes.push("Every room has things of its own, so no furniture was assumed.".to_owned());
             return Ok(Self { map, notes, boxed });
         }
-        let description = format!("{} {MARK}", file.description);
+        // A map that says so already says it once.
+        let description = format!("{} {MARK}", file.description.trim_end_matches(MARK).trim_end());
         if description.len() <= MAX_PROSE_BYTES {
             file.description = description.trim_start().to_owned();
         }
-        notes.push(format!("Rooms without things: {rooms}; assumed in them: {} things.", file.items.len() - before));
+        notes.push(match filled {
+            0 => format!("Rooms without things: {bare}; assumed in them: {assumed} things."),
+            _ => format!(
+                "Rooms without things: {bare}; with one or two kinds alone: {filled}; assumed in them: {assumed} things."
+            ),
+        });
         if !unknown.is_empty() {
             notes.push(format!(
                 "Nothing is known of the usual furniture of {}: a table, a chair, a shelf and a lamp were assumed.",
@@ -232,5 +306,48 @@ mod tests {
         }
         let again = furnished.furnished().unwrap();
         assert!(again.notes.iter().any(|note| note.contains("Every room has things")));
+    }
+    /// What a home's devices are is not all that stands in a room.
+    #[test]
+    fn rooms_with_one_or_two_kinds_of_things_get_what_they_lack_on_request() {
+        let bare = include_str!("../../../../tests/data/corners.json");
+        let mut file: serde_json::Value = serde_json::from_str(bare).unwrap();
+        let bed = file["items"].as_array().unwrap().iter().find(|item| item["id"] == "bed-1").unwrap().clone();
+        let beside = |label: &str| {
+            let mut item = bed.clone();
+            (item["id"], item["label"]) = (label.replace(' ', "-").into(), label.into());
+            item
+        };
+        let mut furnished = |labels: &[&str], sparse: bool| {
+            file["items"] = labels.iter().map(|label| beside(label)).collect();
+            let map = SemanticMap::from_json(&file.to_string()).unwrap();
+            let bed = map.items[0].clone();
+            let room = holder(&map.rooms, &bed).unwrap();
+            let imported = Imported { map, notes: Vec::new(), boxed: Vec::new() };
+            let Imported { map, notes, .. } =
+                if sparse { imported.furnished_where_sparse() } else { imported.furnished() }.unwrap();
+            let own = map.items.iter().filter(|item| holder(&map.rooms, item) == Some(room));
+            let own: Vec<String> = own.map(|item| item.id.clone()).collect();
+            (own, notes.join(" "), map)
+        };
+        let (own, notes, _) = furnished(&["ceiling lamp", "wardrobe"], false);
+        assert_eq!(own, ["ceiling-lamp", "wardrobe"]);
+        assert!(
+            notes.contains("Rooms with one or two kinds of things alone: bedroom")
+                && notes.contains("--furnish sparse"),
+            "{notes}"
+        );
+        let (own, notes, map) = furnished(&["ceiling lamp", "wardrobe"], true);
+        let lacking = ["bed", "pillow", "nightstand", "alarm-clock", "dresser"].map(|piece| format!("assumed-{piece}"));
+        assert_eq!(own[..2], ["ceiling-lamp", "wardrobe"]);
+        assert_eq!(own[2..], lacking, "a wardrobe is there already");
+        assert!(notes.contains("with one or two kinds alone: 1; assumed in them"), "{notes}");
+        let once = Imported { map, notes: Vec::new(), boxed: Vec::new() };
+        let again = once.clone().furnished_where_sparse().unwrap();
+        assert_eq!(again.map, once.map, "what has furniture is left alone");
+        let (own, ..) = furnished(&["ceiling lamp", "wardrobe", "desk"], true);
+        assert_eq!(own.len(), 3, "three kinds tell a room: {own:?}");
+        let (own, ..) = furnished(&["wall", "floor", "door", "ceiling"], false);
+        assert!(own.contains(&"assumed-bed".to_owned()), "{own:?}");
     }
 }

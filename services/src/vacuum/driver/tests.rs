@@ -1,6 +1,7 @@
 use super::*;
 use crate::config::{PlannerConfig, Reports, RobotKind};
 use crate::fake_valetudo::{Doing, FakeValetudo};
+use crate::lived_day::{HOURS, ROOM_S, mean, person_at, plain_schedules, segments};
 use crate::planner::Planner;
 use crate::reporter::Reporter;
 use crate::vacuum::Dialect;
@@ -14,10 +15,6 @@ const TOPIC: &str = "valetudo/fake";
 
 fn config() -> RobotConfig {
     RobotConfig { topic: TOPIC.to_owned(), obey: true, ..RobotConfig::default() }
-}
-
-fn segments(seconds: f64) -> [(&'static str, &'static str, f64); 4] {
-    [("1", "Schlafzimmer", seconds), ("2", "Flur", seconds), ("3", "Küche", seconds), ("4", "Büro", seconds)]
 }
 
 fn decision(sequence: u64, action: u32, room: &str) -> DecisionV1 {
@@ -269,6 +266,19 @@ fn rooms_without_a_segment_are_blocked_and_rooms_that_are_done_are_not_cleaned_a
 }
 
 #[test]
+fn a_robot_that_has_not_spoken_is_not_taken_for_one_without_segments() {
+    let configured = BTreeMap::from([("hall-2".to_owned(), "9".to_owned())]);
+    let mut driver = Driver::new(&RobotConfig { segments: configured, ..config() }, 7);
+    driver.know_rooms(ROOMS.into_iter());
+    let plan = |driver: &Driver| driver.plan().map(|(_, segment)| segment).collect::<Vec<_>>();
+    assert!(!driver.is_heard());
+    assert_eq!(plan(&driver)[..2], [Err("nothing was heard of the robot yet".to_owned()), Ok("9".to_owned())]);
+    let _acts = driver.sense(Sensed::Status(Status::Docked), S);
+    assert!(driver.is_heard() && !driver.knows_segments());
+    assert!(plan(&driver)[0].as_ref().unwrap_err().contains("has told of no segments"));
+}
+
+#[test]
 fn a_room_to_wait_in_is_not_cleaned_and_ends_work_elsewhere() {
     let mut pair = Pair::new(&config(), 100.0);
     pair.decide(&decision(1, action::STAY, "kitchen-3"));
@@ -299,37 +309,10 @@ fn a_dry_run_gives_orders_to_nobody_and_reports_nothing() {
     assert_eq!(driver.decide(&decision(2, action::GO, "kitchen-3"), 301 * S).len(), 1);
 }
 
-/// Where the person is: from this hour on, in this room of [`ROOMS`], or away.
-const DAY: [(f64, Option<usize>); 16] = [
-    (0.0, Some(0)),
-    (7.0, Some(2)),
-    (7.6, Some(1)),
-    (7.7, Some(3)),
-    (9.5, Some(2)),
-    (9.8, Some(3)),
-    (12.0, Some(2)),
-    (13.0, None),
-    (14.0, Some(3)),
-    (16.0, Some(2)),
-    (16.3, Some(3)),
-    (18.0, Some(2)),
-    (19.5, Some(3)),
-    (21.0, Some(1)),
-    (21.1, Some(0)),
-    (24.0, None),
-];
-/// Seconds that the robot takes for a room.
-const ROOM_S: f64 = 1500.0;
-/// The robot works from 8 to 20.
-const HOURS: (u64, u64) = (8, 20);
 /// What the daemon sends, that often.
 const EVERY_S: u64 = 2;
 const HORIZONS_S: [f32; 16] =
     [0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 300.0, 450.0, 600.0, 900.0, 1800.0, 3600.0];
-
-fn person_at(hour: f64) -> Option<usize> {
-    DAY.iter().rev().find(|(from, _)| hour >= *from).and_then(|(_, room)| *room)
-}
 
 /// What a day came to.
 #[derive(Debug, PartialEq)]
@@ -459,19 +442,12 @@ fn tell(forecaster: &Forecaster, second: u64) -> (RoomScoresV1, ForecastV1) {
     (scores, forecast)
 }
 
-/// What a robot shares that does the rooms one after the other, as a timer at this hour has it.
-fn plain_schedule(hour: f64) -> f64 {
-    let seconds = 0..(ROOMS.len() as f64 * ROOM_S) as u64;
-    let together = |s: &u64| person_at(hour + *s as f64 / 3600.0) == Some((*s as f64 / ROOM_S) as usize);
-    seconds.filter(together).count() as f64 / 60.0
-}
-
 #[test]
 fn a_flat_is_cleaned_over_a_day_while_a_person_lives_there() {
     let quiet = live(PolicyName::CoverageAware, Trouble(false));
     let naive = live(PolicyName::Naive, Trouble(false));
-    let schedules: Vec<_> = (8..18).map(|hour| plain_schedule(f64::from(hour))).collect();
-    let mean = schedules.iter().sum::<f64>() / schedules.len() as f64;
+    let schedules = plain_schedules();
+    let mean = mean(&schedules);
     println!("coverage-aware {quiet:?}, naive {naive:?}, plain schedules {schedules:.1?} min, mean {mean:.1} min");
     assert_eq!((quiet.cleaned, quiet.failed), (4, 0));
     assert!(quiet.shared_min < naive.shared_min && quiet.shared_min < mean, "{quiet:?} {naive:?} {schedules:?}");
