@@ -18,7 +18,9 @@ use roomcast_ipc::{
 };
 use roomcast_llama::{SEQUENCES_MAX, THREADS_MAX};
 use roomcast_services::config::{self, Config};
-use roomcast_services::daemon::{self, FORMER_SOURCES_MAX, SOURCES_OF_A_PORT};
+use roomcast_services::daemon::{
+    self, ANSWERS_REMEMBERED, FORMER_SOURCES_MAX, QUESTION_NAME_BYTES_MAX, SOURCES_OF_A_PORT,
+};
 use roomcast_services::{mqtt, mqtt_link, mqtt_look, recording, reporter, sensor_log};
 
 const HEAD: &str = "# Limits
@@ -117,6 +119,8 @@ fn page() -> String {
             ("items with scores", &MAX_ITEMS, "the best are sent"),
             ("horizons of a forecast", &MAX_HORIZONS, "-"),
             ("bytes of a question", &question::QUESTION_BYTES_MAX, "is refused"),
+            ("bytes of the name of a question that asks for a change", &QUESTION_NAME_BYTES_MAX, "is refused"),
+            ("answers of a service that are remembered", &ANSWERS_REMEMBERED, "the oldest is forgotten"),
             ("bytes of an answer in shared memory", &question::ANSWER_BYTES_MAX, "lies in a file of the root path"),
             ("subscribers of scores", &RoomScoresV1::SERVICE.subscribers, "cannot join"),
             ("robots", &DecisionV1::SERVICE.publishers, "cannot join"),

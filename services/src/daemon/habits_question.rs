@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::asked::Question;
 use super::board::Board;
 use crate::habits_reason::HorizonLine;
 use roomcast_core::habits::BYTES_MAX;
@@ -46,10 +47,8 @@ pub enum HabitsQuestion {
     },
 }
 
-impl HabitsQuestion {
-    /// The name of a question that asks for a change.
-    #[must_use]
-    pub fn id(&self) -> Option<&str> {
+impl Question for HabitsQuestion {
+    fn id(&self) -> Option<&str> {
         match self {
             Self::Show | Self::Export => None,
             Self::Forget { id, .. } | Self::Import { id, .. } => Some(id),

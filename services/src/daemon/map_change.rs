@@ -1,11 +1,11 @@
 //! Changes to the map in use: what is asked on `roomcast/v1/map-change`, what is answered, and the file that keeps a changed map
 //! over a restart. Pure but for that file.
 
-use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::asked::Question;
 use crate::state_file;
 use roomcast_core::semantic_map::delta::MapChange;
 use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap};
@@ -14,8 +14,12 @@ use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap};
 const FILE: &str = "changed-map.json";
 /// Most bytes of it that are read: a scene, as JSON writes it again.
 const FILE_BYTES_MAX: u64 = 2 * MAX_FILE_BYTES;
-/// Answers that are remembered, for askers that ask again.
-const REMEMBERED: usize = 64;
+
+impl Question for MapQuestion {
+    fn id(&self) -> Option<&str> {
+        Some(&self.id)
+    }
+}
 
 /// A question: change the map in use.
 #[derive(Serialize, Deserialize)]
@@ -71,32 +75,6 @@ pub struct MapAnswer {
     pub regrouped_in_ns: u64,
     /// Whether a restarted daemon will have the changed map: only with a state directory.
     pub kept: bool,
-}
-
-/// The last answers by their questions' names.
-#[derive(Debug)]
-pub struct Answered<T>(VecDeque<(String, T)>);
-
-impl<T> Default for Answered<T> {
-    fn default() -> Self {
-        Self(VecDeque::new())
-    }
-}
-
-impl<T> Answered<T> {
-    /// The answer that was given to a question of this name.
-    #[must_use]
-    pub fn get(&self, id: &str) -> Option<&T> {
-        self.0.iter().find(|(known, _)| known == id).map(|(_, answer)| answer)
-    }
-
-    /// Remembers an answer; the oldest gives way.
-    pub fn put(&mut self, id: String, answer: T) {
-        if self.0.len() == REMEMBERED {
-            self.0.pop_front();
-        }
-        self.0.push_back((id, answer));
-    }
 }
 
 /// Keeps a changed map over a restart, as long as the configured scene stays the one that was changed.
@@ -182,29 +160,5 @@ mod tests {
         assert!(KeptMap::new(directory.path(), &changed).load().is_none(), "of another scene");
         std::fs::write(directory.path().join(FILE), "{").unwrap();
         assert!(kept.load().is_none(), "damaged");
-    }
-
-    #[test]
-    fn a_question_asked_again_finds_its_answer() {
-        let mut answered = Answered::default();
-        let answer = |sequence| MapAnswer {
-            outcome: Outcome::Applied,
-            reason: None,
-            map: String::new(),
-            epoch: String::new(),
-            sequence,
-            rooms: 1,
-            items: 1,
-            outside: 0,
-            new_labels: 0,
-            prepared_again: false,
-            regrouped_in_ns: 1,
-            kept: false,
-        };
-        for number in 0..REMEMBERED as u64 + 1 {
-            answered.put(number.to_string(), answer(number));
-        }
-        assert_eq!(answered.get("3"), Some(&answer(3)));
-        assert_eq!(answered.get("0"), None, "the oldest gave way");
     }
 }

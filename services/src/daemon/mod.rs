@@ -33,6 +33,7 @@ use crate::no_model::NoModel;
 use crate::notify::notify;
 use crate::setup::{self, SetupError};
 use crate::stop::Stop;
+use asked::{Answered, Question};
 use habits_file::Keeper;
 use habits_question::{After, Importing};
 use roomcast_core::narration::{Observation, SOMEBODY, Said};
@@ -41,6 +42,7 @@ use roomcast_core::scorer::LanguageModel;
 use roomcast_core::text::has_words;
 use roomcast_llama::affinity::{self, AffinityError};
 
+mod asked;
 mod board;
 mod cycle;
 mod habits;
@@ -53,6 +55,7 @@ mod person_question;
 mod persons;
 mod persons_file;
 
+pub use asked::{ANSWERS_REMEMBERED, QUESTION_NAME_BYTES_MAX};
 pub use board::{Board, BoardError, Entry, MapError};
 pub use cycle::Cycle;
 pub use habits::{HomeHabits, Memory, Zone};
@@ -60,7 +63,7 @@ pub use habits_file::{HabitsFile, decode_memory, encode_memory};
 pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES};
 pub use intake::{FORMER_SOURCES_MAX, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
 pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
-pub use map_change::{Answered, KeptMap, MapAnswer, MapQuestion, Outcome};
+pub use map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 pub use person_question::{PersonAnswer, PersonLine, PersonQuestion};
 pub use persons::{Persons, flag_words, presence_word};
 pub use persons_file::{KeptPerson, PersonsFile};
@@ -790,15 +793,13 @@ impl<M: LanguageModel> Scoring<M> {
         let board = cycle.board_mut();
         let mut changed = false;
         map_changes.answer(|asked| {
-            let asked = asked.map_err(|error| error.to_string()).and_then(|text| {
-                let parser = &mut serde_json::Deserializer::from_str(text);
-                serde_path_to_error::deserialize::<_, MapQuestion>(parser).map_err(|error| error.to_string())
-            });
-            let id = asked.as_ref().ok().map(|question| question.id.clone());
+            let asked = asked::read::<MapQuestion>(asked);
+            let id = asked.as_ref().ok().and_then(Question::id).map(str::to_owned);
             let known = id.as_ref().and_then(|id| answered.get(id)).cloned();
             let answer = known.unwrap_or_else(|| {
                 lend_inbox(inbox, to_relief, busy);
-                let answer = answer_change(board, kept_map.as_ref(), asked);
+                let mut answer = answer_change(board, kept_map.as_ref(), asked);
+                answer.reason = answer.reason.map(|reason| asked::short(&reason));
                 if answer.outcome == Outcome::Applied {
                     changed = true;
                     tally.map_fingerprint = board.map().fingerprint();
@@ -824,17 +825,15 @@ impl<M: LanguageModel> Scoring<M> {
         let board = cycle.board_mut();
         let mut changed = false;
         person_questions.answer(|asked| {
-            let asked = asked.map_err(|error| error.to_string()).and_then(|text| {
-                let parser = &mut serde_json::Deserializer::from_str(text);
-                serde_path_to_error::deserialize::<_, PersonQuestion>(parser).map_err(|error| error.to_string())
-            });
-            let id = asked.as_ref().ok().and_then(PersonQuestion::id).map(str::to_owned);
+            let asked = asked::read::<PersonQuestion>(asked);
+            let id = asked.as_ref().ok().and_then(Question::id).map(str::to_owned);
             let known = id.as_ref().and_then(|id| answered_persons.get(id)).cloned();
             let answer = known.unwrap_or_else(|| {
                 if id.is_some() {
                     lend_inbox(inbox, to_relief, busy);
                 }
-                let answer = answer_about_person(board, (journal.as_ref(), keeper.as_ref()), asked);
+                let mut answer = answer_about_person(board, (journal.as_ref(), keeper.as_ref()), asked);
+                answer.reason = answer.reason.map(|reason| asked::short(&reason));
                 if let Some(id) = id {
                     changed |= answer.done;
                     tracing::info!(done = answer.done, reason = answer.reason, kept = answer.kept, "person");
@@ -852,11 +851,8 @@ impl<M: LanguageModel> Scoring<M> {
         let Self { cycle, answered_habits, importing, habits_questions, keeper, inbox, to_relief, busy, .. } = self;
         let board = cycle.board_mut();
         habits_questions.answer(|asked| {
-            let asked = asked.map_err(|error| error.to_string()).and_then(|text| {
-                let parser = &mut serde_json::Deserializer::from_str(text);
-                serde_path_to_error::deserialize::<_, HabitsQuestion>(parser).map_err(|error| error.to_string())
-            });
-            let id = asked.as_ref().ok().and_then(HabitsQuestion::id).map(str::to_owned);
+            let asked = asked::read::<HabitsQuestion>(asked);
+            let id = asked.as_ref().ok().and_then(Question::id).map(str::to_owned);
             let known = id.as_ref().and_then(|id| answered_habits.get(id)).cloned();
             let answer = known.unwrap_or_else(|| {
                 lend_inbox(inbox, to_relief, busy);
@@ -871,6 +867,7 @@ impl<M: LanguageModel> Scoring<M> {
                     }
                     tracing::info!(reason = answer.reason, kept = answer.kept, "habits were forgotten or replaced");
                 }
+                answer.reason = answer.reason.map(|reason| asked::short(&reason));
                 if let Some(id) = id {
                     answered_habits.put(id, answer.clone());
                 }

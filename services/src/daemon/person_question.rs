@@ -3,6 +3,8 @@
 use roomcast_core::narration::Presence;
 use serde::{Deserialize, Serialize};
 
+use super::asked::Question;
+
 /// A question. Changes have a name that no other question has: the same one asked again is answered again, and not done again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "ask", rename_all = "kebab-case", deny_unknown_fields)]
@@ -27,10 +29,8 @@ pub enum PersonQuestion {
     },
 }
 
-impl PersonQuestion {
-    /// The name of a question that asks for a change.
-    #[must_use]
-    pub fn id(&self) -> Option<&str> {
+impl Question for PersonQuestion {
+    fn id(&self) -> Option<&str> {
         match self {
             Self::List => None,
             Self::Forget { id, .. } | Self::Rename { id, .. } => Some(id),

@@ -1,0 +1,97 @@
+//! How a question is read, and which answers are remembered: who gets no answer asks again, and it must not be done twice.
+
+use std::collections::VecDeque;
+use std::fmt::Display;
+
+use serde::de::DeserializeOwned;
+
+/// Most bytes of the name of a question.
+pub const QUESTION_NAME_BYTES_MAX: usize = 128;
+/// Answers of one service that are remembered, for askers that ask again.
+pub const ANSWERS_REMEMBERED: usize = 64;
+/// Characters of a reason, which may quote a question.
+const REASON_CHARS_MAX: usize = 1000;
+
+/// A question in JSON.
+pub(super) trait Question: DeserializeOwned {
+    /// The name of one that asks for a change: the same one asked again is answered again, and not done again.
+    fn id(&self) -> Option<&str>;
+}
+
+/// Reads a question.
+///
+/// # Errors
+/// What is wrong with it.
+pub(super) fn read<Q: Question>(asked: Result<&str, impl Display>) -> Result<Q, String> {
+    let text = asked.map_err(|error| error.to_string())?;
+    let parser = &mut serde_json::Deserializer::from_str(text);
+    let question: Q = serde_path_to_error::deserialize(parser).map_err(|error| short(&error.to_string()))?;
+    match question.id().map(str::len) {
+        Some(bytes) if bytes > QUESTION_NAME_BYTES_MAX => {
+            Err(format!("id has {bytes} bytes, and at most {QUESTION_NAME_BYTES_MAX} are allowed: give a shorter one"))
+        }
+        _ => Ok(question),
+    }
+}
+
+/// A reason, cut.
+pub(super) fn short(reason: &str) -> String {
+    reason.chars().take(REASON_CHARS_MAX).collect()
+}
+
+/// The last answers by their questions' names.
+#[derive(Debug)]
+pub(super) struct Answered<T>(VecDeque<(String, T)>);
+
+impl<T> Default for Answered<T> {
+    fn default() -> Self {
+        Self(VecDeque::new())
+    }
+}
+
+impl<T> Answered<T> {
+    /// The answer that was given to a question of this name.
+    pub(super) fn get(&self, id: &str) -> Option<&T> {
+        self.0.iter().find(|(known, _)| known == id).map(|(_, answer)| answer)
+    }
+
+    /// Remembers an answer; the oldest gives way.
+    pub(super) fn put(&mut self, id: String, answer: T) {
+        if self.0.len() == ANSWERS_REMEMBERED {
+            self.0.pop_front();
+        }
+        self.0.push_back((id, answer));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::daemon::{HabitsQuestion, MapQuestion, PersonQuestion};
+
+    #[test]
+    fn an_answer_is_remembered_until_64_others_are() {
+        let mut answered = Answered::default();
+        for number in 0..=ANSWERS_REMEMBERED {
+            answered.put(number.to_string(), number);
+        }
+        assert_eq!((answered.get("3"), answered.get("0")), (Some(&3), None), "the oldest gave way");
+    }
+
+    /// What is remembered is bounded: 64 answers with names of a megabyte took 64 MB for each service.
+    #[test]
+    fn a_question_with_a_long_name_is_refused() {
+        fn of<Q: Question>(question: &str) {
+            let with = |bytes: usize| question.replace("NAME", &"n".repeat(bytes));
+            let refused = |text: String| read::<Q>(Ok::<_, String>(text.as_str())).err();
+            assert_eq!(refused(with(QUESTION_NAME_BYTES_MAX)), None, "{question}");
+            let reason = refused(with(QUESTION_NAME_BYTES_MAX + 1)).unwrap();
+            assert_eq!(reason, "id has 129 bytes, and at most 128 are allowed: give a shorter one");
+            let reason = refused(format!("{{\"{}\": 1}}", "x".repeat(1 << 20))).unwrap();
+            assert!(reason.len() <= REASON_CHARS_MAX);
+        }
+        of::<MapQuestion>(r#"{"id": "NAME", "changes": []}"#);
+        of::<PersonQuestion>(r#"{"ask": "forget", "id": "NAME", "who": "ada"}"#);
+        of::<HabitsQuestion>(r#"{"ask": "forget", "id": "NAME"}"#);
+    }
+}
