@@ -503,9 +503,10 @@ impl Mentions {
         let said = |from: usize, to: usize| words[from..to].iter().map(|&(start, end)| &self.lower[start..end]);
         // The room that is left follows its verb: "They leave the mug in the kitchen" leaves no kitchen.
         let before = if announces(&words[at - 1]) { at - 1 } else { at };
-        let leaves = before == 2 && said(1, 2).all(|verb| LEAVES.contains(&verb));
+        let leaves = || before > 1 && said(before - 1, before).all(|verb| LEAVES.contains(&verb));
+        let is_meant = || before > 2 && said(before - 2, before - 1).eq(["to"]);
         let goes_out = || before > 2 && said(before - 2, before).eq(["out", "of"]);
-        Some(Mention { label, is_left: self.is_room[label] && (leaves || goes_out()) })
+        Some(Mention { label, is_left: self.is_room[label] && (leaves() && !is_meant() || goes_out()) })
     }
 }
 

@@ -433,6 +433,9 @@ pub(super) fn with_plain<T>(sentence: &str, read: impl FnOnce(&str) -> T) -> T {
     if text.contains(['\'', ':']) {
         write_out(&mut text);
     }
+    while let Some(at) = text.find(" & ") {
+        text.replace_range(at..at + " & ".len(), " and ");
+    }
     for (told, nobody) in [("there is nobody ", "nobody is "), ("there is no one ", "no one is ")] {
         if text.starts_with(told) {
             text.replace_range(..told.len(), nobody);

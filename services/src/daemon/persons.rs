@@ -245,7 +245,7 @@ impl Persons {
             statement
                 .names()
                 .chain(statement.excepted())
-                .all(|name| self.is_called(name) && self.called(name).is_some())
+                .all(|name| self.is_no_person(name) || self.is_called(name) && self.called(name).is_some())
         };
         if of_group.is_some_and(|statement| !is_understood(statement)) {
             return None.into_iter().chain(others);
@@ -518,9 +518,14 @@ impl Persons {
         self.names_in(self.about(said))
     }
 
+    /// Whether the home says that a name is no person's.
+    fn is_no_person(&self, name: &str) -> bool {
+        self.config.not_persons.iter().any(|other| same_name(other, name))
+    }
+
     /// Whom an observation is about: of what the home says is no person, nothing.
     fn about(&self, said: &Said) -> About {
-        let is_none = |name: &str| self.config.not_persons.iter().any(|other| same_name(other, name));
+        let is_none = |name: &str| self.is_no_person(name);
         match said.about(|name| is_none(name) || self.is_called(name)) {
             About::Named(names) if names.iter().any(|name| is_none(name)) => {
                 let names: Vec<_> = names.into_iter().filter(|name| !is_none(name)).collect();
@@ -555,7 +560,8 @@ impl Persons {
     /// Whether an observation that was given no name moves nobody: it is about things, or about others than one person whom it names.
     pub(super) fn is_of_nobody(&self, said: &Said) -> bool {
         match self.about(said) {
-            About::Nobody => true,
+            // "Only Rocky is home" is of all the others.
+            About::Nobody => !matches!(said, Said::Presence(statement) if statement.is_of_everybody()),
             named @ About::Named(_) => self.has_names() && self.names_in(named).is_empty(),
             About::Stranger(_) | About::Somebody => false,
         }

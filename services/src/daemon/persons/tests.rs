@@ -280,6 +280,11 @@ fn what_is_said_of_no_person_moves_nobody() {
     }
     house.after(60, "somebody", "Ada and Rocky go to the kitchen.");
     assert_eq!((house.known(), house.person("ada").unwrap().window), (1, 2));
+    for sentence in ["Only Rocky is home.", "Nobody is home but Rocky.", "Everybody has left except Rocky."] {
+        house.after(60, "ada", "They come home.");
+        house.after(60, "somebody", sentence);
+        assert_eq!((house.known(), house.presence("ada")), (1, Some(presence::AWAY)), "{sentence}");
+    }
 }
 
 #[test]
@@ -1134,4 +1139,27 @@ fn a_restart_changes_nothing() {
             }
         }
     }
+}
+
+/// Who leaves a room is in another, also where two do.
+#[test]
+fn two_who_leave_a_room_are_not_in_it() {
+    let mut house = House::new(&["ada", "ben"]);
+    let kitchen = |house: &mut House, who: &str| {
+        let number = house.board.persons().number_of(who);
+        let scores = *house.board.person_forecasts(house.now_ns);
+        let person = scores.persons().iter().find(|person| person.person == number).unwrap();
+        let room = scores.rooms().position(|room| room == "kitchen").unwrap();
+        person.probability[room][0]
+    };
+    for (who, what) in [("ada", "They walk to the kitchen."), ("ben", "They sit on the sofa.")] {
+        house.after(60, who, what);
+    }
+    house.after(60, "somebody", "Ada & Ben leave the kitchen.");
+    for who in ["ada", "ben"] {
+        let likely = kitchen(&mut house, who);
+        assert!(likely < 0.2, "{who} is in the kitchen with {likely}");
+    }
+    house.after(60, "somebody", "Ada & Ben leave the house.");
+    assert_eq!(["ada", "ben"].map(|who| house.presence(who)), [Some(presence::AWAY); 2]);
 }
