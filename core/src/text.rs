@@ -69,7 +69,7 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// Whether a text has these words next to one another, as whole words; both in lower case.
+/// Whether a text has these words next to one another, as whole words. Capitals of the English alphabet count as small letters.
 ///
 /// ```
 /// use roomcast_core::text::has_words;

@@ -712,6 +712,7 @@ struct Recent {
     /// The identifier of the last new message, and how far identifiers have gone up until then without going back.
     last: u16,
     risen: u64,
+    /// The highest identifier of the session until now.
     highest: u16,
 }
 

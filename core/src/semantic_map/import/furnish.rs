@@ -307,6 +307,7 @@ mod tests {
         let again = furnished.furnished().unwrap();
         assert!(again.notes.iter().any(|note| note.contains("Every room has things")));
     }
+
     /// What a home's devices are is not all that stands in a room.
     #[test]
     fn rooms_with_one_or_two_kinds_of_things_get_what_they_lack_on_request() {
