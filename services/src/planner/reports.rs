@@ -53,6 +53,9 @@ impl Planner {
         }
         let at_ns = report.reported_ns.min(now_ns);
         self.robot.hear(at_ns);
+        if is_of_work(report.kind) || report.kind == report_kind::DOCKED {
+            self.robot.note_told(report.epoch, report.sequence);
+        }
         if let Some(battery) = report.battery() {
             self.robot.charge(battery);
         }

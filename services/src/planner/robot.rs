@@ -53,6 +53,8 @@ pub(super) struct Robot {
     charge_timeout_ns: u64,
     /// Reporters by their epoch, and the highest number of each; newest last.
     reporters: Vec<(u64, u64)>,
+    /// The same of what they said of work and dock alone.
+    pub(super) told: Vec<(u64, u64)>,
     /// It has reported its work.
     pub(super) reports_work: bool,
     /// When it was heard last.
@@ -80,6 +82,7 @@ impl Robot {
             battery_ready: config.battery_ready,
             charge_timeout_ns: nanoseconds(config.charge_timeout_s),
             reporters: Vec::new(),
+            told: Vec::new(),
             reports_work: false,
             heard_ns: None,
             room: None,
@@ -138,14 +141,20 @@ impl Robot {
 
     /// Whether a report is new. Reporters may take turns; each counts by itself.
     pub(super) fn is_new(&mut self, epoch: u64, sequence: u64) -> bool {
-        let known = self.reporters.iter().position(|(known, _)| *known == epoch);
-        let before = known.map(|place| self.reporters.remove(place));
-        if self.reporters.len() == REPORTERS {
-            self.reporters.remove(0);
+        note_newest(&mut self.reporters, epoch, sequence)
+    }
+
+    /// Takes note of a report of work or dock: after a restart it is not to be taken again.
+    pub(super) fn note_told(&mut self, epoch: u64, sequence: u64) {
+        note_newest(&mut self.told, epoch, sequence);
+    }
+
+    /// Knows the reports of work and dock that a planner before took.
+    pub(super) fn restore_told(&mut self, told: &[(u64, u64)]) {
+        for (epoch, sequence) in told {
+            self.is_new(*epoch, *sequence);
+            self.note_told(*epoch, *sequence);
         }
-        let newest = before.map_or(0, |(_, newest)| newest);
-        self.reporters.push((epoch, newest.max(sequence)));
-        sequence > newest
     }
 
     /// It was heard.
@@ -213,6 +222,18 @@ impl Robot {
         self.room = self.room.and_then(&after);
         self.work = self.work.take().and_then(|work| Some(Work { room: after(work.room)?, ..work }));
     }
+}
+
+/// Notes the highest number of a reporter, which becomes the newest of them; whether the number is higher than those before.
+fn note_newest(reporters: &mut Vec<(u64, u64)>, epoch: u64, sequence: u64) -> bool {
+    let known = reporters.iter().position(|(known, _)| *known == epoch);
+    let before = known.map(|place| reporters.remove(place));
+    if reporters.len() == REPORTERS {
+        reporters.remove(0);
+    }
+    let newest = before.map_or(0, |(_, newest)| newest);
+    reporters.push((epoch, newest.max(sequence)));
+    sequence > newest
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! The round across a restart: a small file in the state directory, written whole or not at all.
 //!
 //! It is written after a decision was sent, and after reports were taken. What a planner that is killed has not written comes again from
-//! a reporter that is still there: the service keeps its last 8 reports for whoever joins, and to take one twice changes nothing.
+//! a reporter that is still there: the service keeps its last 8 reports for whoever joins. Those of work and dock that the round rests on already
+//! are known by their numbers, and not taken twice.
 
 use std::path::{Path, PathBuf};
 
@@ -42,6 +43,9 @@ pub struct KeptRound {
     /// The minute in which a robot that charges was heard last.
     #[serde(default)]
     heard_ns: Option<u64>,
+    /// Reporters by their epoch, and the newest report of work or dock of each that the round rests on.
+    #[serde(default)]
+    told: Vec<(u64, u64)>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -88,6 +92,7 @@ impl Planner {
                 .heard_ns
                 .filter(|_| self.robot.charges)
                 .map(|heard_ns| heard_ns - heard_ns % MINUTE_NS),
+            told: self.robot.told.clone(),
         })
     }
 
@@ -113,6 +118,7 @@ impl Planner {
         });
         self.asks_again = robot.work.is_some();
         robot.reports_work = kept.reports_work;
+        robot.restore_told(&kept.told);
         // An older version kept no time: a robot that charges counts as heard when its round was taken up.
         robot.heard_ns = kept.heard_ns.or(kept.charges.then_some(scores.published_ns));
         (robot.battery, robot.charges) = (kept.battery, kept.charges && kept.battery.is_some());

@@ -616,7 +616,7 @@ fn a_restarted_planner_knows_which_rooms_failed_and_which_are_left_to_somebody()
     assert!(text.contains(r#""failed":[["room-1",7000000000]],"held":["room-0"]"#), "{text}");
     let config = PlannerConfig { room_time_s: 100.0, ..PlannerConfig::default() };
     let planner = Planner::new(&config, 2).with_kept(kept.clone());
-    let mut again = Home { planner, likely: vec![0.5, 0.0, 0.0], ..Home::new(3, &config) };
+    let mut again = Home { planner, likely: vec![0.5, 0.0, 0.0], reports: home.reports, ..Home::new(3, &config) };
     again.look(9);
     assert_eq!(
         again.planner.kept("boot").map(|kept| serde_json::to_string(&kept).unwrap().contains(r#""held":["room-0"]"#)),
@@ -625,6 +625,44 @@ fn a_restarted_planner_knows_which_rooms_failed_and_which_are_left_to_somebody()
     again.report(20, report_kind::FINISHED, |report| report.room = text::encode("room", "room-2").unwrap());
     let next = again.decision(20);
     assert_ne!(next.to(), "room-0", "somebody may still be there");
+}
+
+/// A reporter's service gives a planner that joins its last reports again: the round that rests on them knows them.
+#[test]
+fn a_restarted_planner_takes_no_report_of_work_twice() {
+    let mut home = Home::new(3, &PlannerConfig::default());
+    let mut said = Vec::new();
+    let mut says = |planner: &mut Planner, at_s: u64, kind: u32, decision: Option<&DecisionV1>| {
+        let (decision_epoch, decision_sequence) = decision.map_or((0, 0), |asked| (asked.epoch, asked.sequence));
+        let report = RobotReportV1 {
+            robot: sequence::source_of_name("robot"),
+            epoch: 77,
+            sequence: 1 + said.len() as u64,
+            reported_ns: at_s * S,
+            kind,
+            decision_epoch,
+            decision_sequence,
+            ..Default::default()
+        };
+        planner.take_report(&report, at_s * S).unwrap();
+        said.push(report);
+    };
+    let first = home.decision(1);
+    says(&mut home.planner, 2, report_kind::STARTED, Some(&first));
+    home.likely = vec![0.9, 0.0, 0.0];
+    home.look(3);
+    let second = home.decision(6);
+    assert!(second.has(decision_flags::INTERRUPTED) && second.to() == "room-1");
+    says(&mut home.planner, 50, report_kind::FINISHED, Some(&second));
+    says(&mut home.planner, 51, report_kind::DOCKED, None);
+    let kept = home.planner.kept("boot").unwrap();
+    let config = PlannerConfig { room_time_s: 100.0, ..PlannerConfig::default() };
+    home.planner = Planner::new(&config, 2).with_kept(kept.clone());
+    home.planner.take(&home.scores(52 * S));
+    for report in &said {
+        home.planner.take_report(report, 52 * S).unwrap();
+    }
+    assert_eq!(home.planner.kept("boot"), Some(kept));
 }
 
 /// A room that is nearly free is done before the round ends, although hardly anybody is at home.
