@@ -171,8 +171,8 @@ pub struct Board<M> {
     home: HomeHabits,
     /// Nothing was told to the journal since it was read: what it says of those who were not heard since needs no repetition.
     recalled: bool,
-    /// Whose newest restored observation the model has said nothing of, as far as the journal knows.
-    unsaid: BTreeSet<u32>,
+    /// What the model has said after each person's newest restored observation, as far as the journal knows.
+    said: BTreeMap<u32, Vec<f64>>,
 }
 
 /// Names of rooms that the map does not have which are logged, until the map changes.
@@ -236,7 +236,7 @@ impl<M: LanguageModel> Board<M> {
             followed: BTreeMap::new(),
             home: HomeHabits::default(),
             recalled: false,
-            unsaid: BTreeSet::new(),
+            said: BTreeMap::new(),
         })
     }
 
@@ -487,7 +487,7 @@ impl<M: LanguageModel> Board<M> {
                         Some(known) => known.restored = true,
                         None => {}
                     }
-                    self.unsaid.insert(person);
+                    self.said.remove(&person);
                 }
             }
             while let Some((_, person, expectation)) = expectations.next_if(|(after, ..)| *after <= index) {
@@ -496,7 +496,7 @@ impl<M: LanguageModel> Board<M> {
                     expectation.probability.iter().map(|probability| f64::from(*probability)).collect();
                 if let Some(own) = self.followed.get_mut(&person).filter(|_| expectation.map == map) {
                     own.expect(&said);
-                    self.unsaid.remove(&person);
+                    self.said.insert(person, said);
                 }
             }
         }
@@ -524,7 +524,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// The first bytes of the map's fingerprint.
-    fn map_number(&self) -> u64 {
+    pub(super) fn map_number(&self) -> u64 {
         let fingerprint = self.map.fingerprint();
         fingerprint.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes))
     }
@@ -765,11 +765,15 @@ impl<M: LanguageModel> Board<M> {
         for Attributed { source, epoch, sequence, person } in self.attributed.drain(..) {
             tell(&Outcome { source, epoch, sequence, person, by_fit: true, map, probability: &[] });
         }
-        let (recalled, unsaid) = (std::mem::take(&mut self.recalled), std::mem::take(&mut self.unsaid));
+        let (recalled, said) = (std::mem::take(&mut self.recalled), std::mem::take(&mut self.said));
         for person in self.rescored.drain(..) {
             // Of who is out it says whose the observation is.
             let own = self.pipeline.person(person).filter(|own| own.at_home);
-            let is_said = |restored| recalled && restored && !(own.is_some() && unsaid.contains(&person));
+            // Where a part of their narration was lost, the model says something else of the rest, and that is what is believed from now on.
+            let is_same = own.is_none_or(|own| {
+                said.get(&person).is_some_and(|said| are_alike(said, &own.grounded.partition_probability))
+            });
+            let is_said = |restored| recalled && restored && is_same;
             let Some(known) = self.persons.get(person).filter(|known| !is_said(known.restored)) else { continue };
             let probability = own.map_or(&[][..], |own| &own.grounded.partition_probability[..]);
             let (source, epoch, sequence) = known.last;
@@ -808,6 +812,12 @@ const SAME_ROOM: f64 = 0.05;
 /// Fills the begin of a row; gives how much of it.
 fn fill(row: &mut [f64], values: impl Iterator<Item = f64>) -> usize {
     row.iter_mut().zip(values).map(|(place, value)| *place = value).count()
+}
+
+/// Whether probabilities are the same but for how the journal rounds them.
+fn are_alike(said: &[f64], now: &[f64]) -> bool {
+    const ROUNDING: f64 = 1e-6;
+    said.len() == now.len() && said.iter().zip(now).all(|(said, now)| (said - now).abs() < ROUNDING)
 }
 
 /// What somebody does one after the other in a sentence.

@@ -5,7 +5,7 @@ use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::{Message, PersonV1, forecast_flags, score_flags};
 
-use super::super::journal::{Recovered, encode, encode_forgotten, encode_outcome, read_records};
+use super::super::journal::{Outcome, Recovered, encode, encode_forgotten, encode_outcome, read_records};
 use super::super::{Board, Entry};
 use super::*;
 
@@ -1162,4 +1162,34 @@ fn two_who_leave_a_room_are_not_in_it() {
     }
     house.after(60, "somebody", "Ada & Ben leave the house.");
     assert_eq!(["ada", "ben"].map(|who| house.presence(who)), [Some(presence::AWAY); 2]);
+}
+
+/// Where a power loss took a part of what somebody did, the model says something else of the rest: that is what is believed from then on, and so
+/// what the next restart is told. What the journal says already is not said again.
+#[test]
+fn a_restart_tells_what_the_model_makes_of_what_is_left() {
+    let mut house = House::new(&[]);
+    let observation = house.observation("3", "They grab the coffee maker.");
+    let tell = |said: &[&[f64]]| {
+        let mut journal = encode(&observation, &BOOT);
+        let mut told = Vec::new();
+        for probability in [&[][..]].iter().chain(said) {
+            let (source, epoch, sequence) = (observation.source, observation.epoch, observation.sequence);
+            let (person, by_fit, map) = (3, false, board(&house.config).map_number());
+            journal.extend(encode_outcome(&Outcome { source, epoch, sequence, person, by_fit, map, probability }));
+        }
+        let mut recovered = Recovered::default();
+        read_records(&journal, &BOOT, &mut recovered);
+        let mut again = board(&house.config);
+        again.restore(recovered, house.now_ns, 1_000_000 * S + house.now_ns);
+        again.step([], house.now_ns, 1_000_000 * S + house.now_ns).unwrap();
+        again.tell_outcomes(|outcome| told.push(outcome.probability.to_vec()));
+        told
+    };
+    let now = tell(&[]).remove(0);
+    assert!(now.len() > 1);
+    assert_eq!(tell(&[&now]), [[0.0; 0]; 0]);
+    let other: Vec<f64> = now.iter().rev().copied().collect();
+    assert_eq!(tell(&[&other]), [&*now]);
+    assert_eq!(tell(&[&other, &now]), [[0.0; 0]; 0]);
 }
