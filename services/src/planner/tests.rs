@@ -640,6 +640,7 @@ fn a_restarted_planner_takes_no_report_of_work_twice() {
             sequence: 1 + said.len() as u64,
             reported_ns: at_s * S,
             kind,
+            room: decision.map_or([0; 48], |asked| asked.to),
             decision_epoch,
             decision_sequence,
             ..Default::default()
