@@ -89,6 +89,8 @@ const IS_PRESENCE: u8 = 1;
 const IS_BY_FIT: u8 = 1 << 1;
 /// Records that may wait for the disk before the sender does.
 const QUEUE: usize = 65_536;
+/// So often in a row a rotation is put off where what was last said of persons cannot be read, before it goes on without that.
+const UNREAD_MAX: u32 = 8;
 
 /// Where and how the journal is kept.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -396,6 +398,8 @@ pub struct Writer<D> {
     turn: u64,
     /// What was last said of persons in a half that a rotation has dropped, until the new one has it.
     kept: Vec<u8>,
+    /// Rotations put off in a row because that could not be read.
+    unread: u32,
     half_bytes: u64,
     sync_every: Duration,
     progress: Arc<Progress>,
@@ -442,6 +446,7 @@ impl<D: Disk> Writer<D> {
             ports,
             turn,
             kept: Vec::new(),
+            unread: 0,
             half_bytes,
             sync_every: Duration::from_secs(1),
             progress,
@@ -659,11 +664,20 @@ impl<D: Disk> Writer<D> {
         // A rotation that got no further before has put the full half in place already: another file has its name now, or none.
         let is_first = self.disk.is_current()?;
         if is_first {
-            // Nobody's last words are worth those of everybody from now on.
-            self.kept = self.last_words().unwrap_or_else(|error| {
-                self.note(Err(error));
-                Vec::new()
-            });
+            self.kept = match self.last_words() {
+                Ok(words) => words,
+                // The next write tries again, and what this one brings waits for it.
+                Err(error) if self.unread < UNREAD_MAX => {
+                    self.unread += 1;
+                    return Err(error);
+                }
+                // What can never be read again must not end the journal.
+                Err(error) => {
+                    self.note(Err(error));
+                    Vec::new()
+                }
+            };
+            self.unread = 0;
         }
         carried.extend_from_slice(&self.kept);
         self.disk.prepare(&carried)?;
@@ -1089,11 +1103,16 @@ mod tests {
         names_fail: bool,
         /// What a sync lost cannot be written again, and what an append left cannot be cut off.
         keeps_faults: bool,
+        /// Nothing can be read.
+        unreadable: bool,
     }
 
     impl Disk for Failing {
         fn read(&self, half: Half) -> io::Result<Vec<u8>> {
-            self.folder.read(half)
+            match self.unreadable {
+                true => Err(io::Error::other("cannot be read")),
+                false => self.folder.read(half),
+            }
         }
 
         fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
@@ -1286,6 +1305,7 @@ mod tests {
             loses: false,
             names_fail: false,
             keeps_faults: false,
+            unreadable: false,
         };
         Writer::open(disk, half_bytes, &[0; 16]).unwrap().0
     }
@@ -1466,6 +1486,34 @@ mod tests {
             }
         }
         assert_eq!(expected, [6]);
+    }
+
+    /// A disk that cannot be read for a while takes nobody's last words; one that can never be read again does not end the journal.
+    #[test]
+    fn a_rotation_that_cannot_read_is_put_off_and_not_for_ever() {
+        for (fails, is_known) in [(UNREAD_MAX, true), (u32::MAX, false)] {
+            let folder = tempfile::tempdir().unwrap();
+            let mut writer = writer(folder.path(), 4096);
+            let ada = Observation { source: 99, name: Some("ada".into()), ..observation(1) };
+            let outcome =
+                Outcome { source: 99, epoch: 1, sequence: 1, person: 1, by_fit: false, map: 7, probability: &[] };
+            writer.write(&[encode(&ada, &[0; 16]), encode_outcome(&outcome)].concat()).unwrap();
+            let mut failed = 0;
+            // Until nothing but last words can have ada's.
+            for sequence in 2..400 {
+                writer.disk.unreadable = failed < fails;
+                failed += u32::from(writer.write(&encode(&observation(sequence), &[0; 16])).is_err());
+            }
+            writer.disk.unreadable = false;
+            let mut recovered = Recovered::default();
+            for half in [Half::Older, Half::Current] {
+                read_records(&writer.disk.read(half).unwrap(), &[0; 16], &mut recovered);
+            }
+            let back = recovered.join().observations;
+            assert_eq!(back.iter().any(|own| own.source == 99), is_known, "{fails}");
+            writer.write(&encode(&observation(400), &[0; 16])).unwrap();
+            assert!(failed >= fails.min(UNREAD_MAX) && writer.unwritten.is_empty(), "{failed}");
+        }
     }
 
     fn sequence_of(writer: &Writer<Failing>) -> u64 {
