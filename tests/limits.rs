@@ -60,6 +60,7 @@ fn page() -> String {
             ("rooms", &semantic_map::MAX_ROOMS, "is refused"),
             ("corners of all footprints of a map", &semantic_map::MAX_CORNERS, "is refused"),
             ("pixels of a robot's map", &semantic_map::import::MAX_PIXELS, "is refused"),
+            ("pixels of the rectangles around its rooms", &semantic_map::import::MAX_ROOM_PIXELS, "is refused"),
             ("bytes of an id or a label", &semantic_map::MAX_TEXT_BYTES, "is refused"),
             ("labels times partitions", &grounding::MAX_WEIGHTS, "is refused"),
         ],

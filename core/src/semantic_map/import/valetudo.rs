@@ -20,6 +20,8 @@ use crate::semantic_map::{Box3, MAX_ROOMS, SemanticMap};
 const EXPECTED: &str = "a map as Valetudo exports it: `pixelSize` and `layers`";
 /// Most pixels of a robot's map, and of the rectangle around it.
 pub const MAX_PIXELS: usize = 4_000_000;
+/// Most pixels of the rectangles around all rooms: rooms of a home lie side by side, and hardly in one another's rectangle.
+pub const MAX_ROOM_PIXELS: usize = 4 * MAX_PIXELS;
 /// How far a room's outline may lie from its pixels, in metres.
 pub const TOLERANCE_M: f64 = 0.1;
 /// Most corners of all outlines before they are simplified.
@@ -162,6 +164,22 @@ impl Raster {
         self.place(cell).map_or(FREE, |place| self.cells[place])
     }
 
+    /// Per segment its largest piece, and how many pixels it has in all.
+    fn largest_pieces(&self) -> BTreeMap<u8, (Vec<Cell>, usize)> {
+        let mut seen = vec![false; self.cells.len()];
+        let mut largest = BTreeMap::<u8, (Vec<Cell>, usize)>::new();
+        for (start, mark) in self.cells().filter(|(_, mark)| ![FREE, WALL].contains(mark)) {
+            let own = |cell| self.place(cell).filter(|place| self.cells[*place] == mark);
+            let Some(piece) = piece(start, &mut seen, own) else { continue };
+            let (best, count) = largest.entry(mark).or_default();
+            *count += piece.len();
+            if piece.len() > best.len() {
+                *best = piece;
+            }
+        }
+        largest
+    }
+
     fn cells(&self) -> impl Iterator<Item = (Cell, u8)> {
         let [x, y] = self.min;
         let at = move |place: usize| [x + (place % self.size[0]) as i64, y + (place / self.size[0]) as i64];
@@ -174,6 +192,18 @@ fn beside([x, y]: Cell) -> [Cell; 4] {
     [[x + 1, y], [x - 1, y], [x, y + 1], [x, y - 1]]
 }
 
+/// The pixels that can be reached from one, side by side, over those that have a place; nothing where that one was seen before, or has none.
+fn piece(start: Cell, seen: &mut [bool], place_of: impl Fn(Cell) -> Option<usize>) -> Option<Vec<Cell>> {
+    let mut take = |cell: Cell| place_of(cell).is_some_and(|place| !std::mem::replace(&mut seen[place], true));
+    let mut piece = Vec::from_iter(take(start).then_some(start));
+    let mut next = 0;
+    while next < piece.len() {
+        piece.extend(beside(piece[next]).into_iter().filter(|cell| take(*cell)));
+        next += 1;
+    }
+    Some(piece).filter(|piece| !piece.is_empty())
+}
+
 /// A set of pixels with room around it.
 struct Mask {
     min: Cell,
@@ -182,17 +212,18 @@ struct Mask {
 }
 
 impl Mask {
-    /// A mask around the cells with free pixels on each side.
-    fn around(cells: &[Cell], margin: i64) -> Self {
+    /// A mask around the cells with free pixels on each side, unless that takes more than are left.
+    fn around(cells: &[Cell], margin: i64, left: &mut usize) -> Option<Self> {
         let bound = |axis: usize, most: bool| {
             let values = cells.iter().map(|cell| cell[axis]);
             if most { values.max() } else { values.min() }.unwrap_or(0)
         };
         let min = [bound(0, false) - margin, bound(1, false) - margin];
         let size = [0, 1].map(|axis| usize::try_from(bound(axis, true) + 1 + margin - min[axis]).unwrap_or(0));
+        *left = left.checked_sub(size[0] * size[1])?;
         let mut mask = Self { min, size, set: vec![false; size[0] * size[1]] };
         cells.iter().for_each(|cell| mask.put(*cell));
-        mask
+        Some(mask)
     }
 
     fn place(&self, [x, y]: Cell) -> Option<usize> {
@@ -215,29 +246,13 @@ impl Mask {
         }
     }
 
-    /// Pieces of the pixels that are set, or of those that are not: pixels that lie side by side.
-    fn pieces(&self, set: bool) -> Vec<Vec<Cell>> {
-        let mut seen: Vec<bool> = self.set.iter().map(|own| *own != set).collect();
-        let mut pieces = Vec::new();
-        for start in 0..seen.len() {
-            if seen[start] {
-                continue;
-            }
-            seen[start] = true;
-            let mut piece = vec![self.at(start)];
-            let mut next = 0;
-            while next < piece.len() {
-                for cell in beside(piece[next]) {
-                    if let Some(place) = self.place(cell).filter(|place| !seen[*place]) {
-                        seen[place] = true;
-                        piece.push(cell);
-                    }
-                }
-                next += 1;
-            }
-            pieces.push(piece);
-        }
-        pieces
+    /// Pieces of the pixels that are not set.
+    fn holes(&self) -> impl Iterator<Item = Vec<Cell>> {
+        let mut seen = self.set.clone();
+        (0..seen.len()).filter_map(move |start| {
+            let is_free = |cell| self.place(cell).filter(|place| !self.set[*place]);
+            piece(self.at(start), &mut seen, is_free)
+        })
     }
 
     /// For every pixel whether one within `reach` along an axis is set, or, with `all`, whether all are.
@@ -366,24 +381,17 @@ fn footprint(outlines: &[Vec<Cell>], pixel_m: f64, tolerance_m: f64) -> Option<R
     None
 }
 
-/// The outlines of a segment: of its largest piece, with slits closed, the outer one first, with holes only where other segments lie in it. And the share of
-/// its pixels that lie elsewhere.
-fn outlines(raster: &Raster, mark: u8, reach: i64) -> Option<(Vec<Vec<Cell>>, f64)> {
-    let own: Vec<Cell> = raster.cells().filter(|(_, of)| *of == mark).map(|(cell, _)| cell).collect();
-    if own.is_empty() {
-        return None;
-    }
-    let whole = Mask::around(&own, 1);
-    let largest = whole.pieces(true).into_iter().max_by_key(Vec::len)?;
-    let lost = 1.0 - largest.len() as f64 / own.len() as f64;
-    let mut mask = Mask::around(&largest, 2 * reach + 1);
+/// The outlines of a segment: of its largest piece, with slits closed, the outer one first, with holes only where other segments lie in it.
+/// None where a rectangle around it has more pixels than are left.
+fn outlines(raster: &Raster, mark: u8, largest: &[Cell], reach: i64, left: &mut usize) -> Option<Vec<Vec<Cell>>> {
+    let mut mask = Mask::around(largest, 2 * reach + 1, left)?;
     let corner = mask.min;
     for slit in mask.slits(reach) {
         if [FREE, WALL, mark].contains(&raster.get(slit)) {
             mask.put(slit);
         }
     }
-    for hole in mask.pieces(false) {
+    for hole in mask.holes().collect::<Vec<_>>() {
         let of_others = hole.iter().filter(|cell| ![FREE, WALL, mark].contains(&raster.get(**cell))).count();
         if !hole.contains(&corner) && of_others * 2 <= hole.len() {
             hole.into_iter().for_each(|cell| mask.put(cell));
@@ -394,7 +402,7 @@ fn outlines(raster: &Raster, mark: u8, reach: i64) -> Option<(Vec<Vec<Cell>>, f6
     // The outer one reaches farthest to the left; holes lie within it.
     let outer = (0..rings.len()).min_by_key(|ring| rings[*ring].iter().map(|corner| corner[0]).min())?;
     rings.swap(0, outer);
-    Some((rings, lost))
+    Some(rings)
 }
 
 /// Where segments lie side by side without a wall between: per two of them, the pixels there.
@@ -533,10 +541,17 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
     let mut traced = Vec::new();
     let mut steps = 0;
     let reach = ((TOLERANCE_M / pixel_m).round() as i64).clamp(0, MAX_REACH);
+    let (mut pieces, mut left) = (raster.largest_pieces(), MAX_ROOM_PIXELS);
     for mark in (1u8..).take(segments.len()) {
-        let outlines = outlines(&raster, mark, reach);
-        steps += outlines.iter().flat_map(|(rings, _)| rings).map(Vec::len).sum::<usize>();
-        traced.push(outlines);
+        let Some((largest, count)) = pieces.remove(&mark) else {
+            traced.push(None);
+            continue;
+        };
+        let outlines = outlines(&raster, mark, &largest, reach, &mut left).ok_or_else(|| {
+            fault("layers", format!("the rectangles around its segments are more than {MAX_ROOM_PIXELS} pixels in all"))
+        })?;
+        steps += outlines.iter().map(Vec::len).sum::<usize>();
+        traced.push(Some((outlines, 1.0 - largest.len() as f64 / count as f64)));
     }
     let mut tolerance_m = if steps > MAX_STEPS { f64::INFINITY } else { TOLERANCE_M };
     let (mut ids, mut rooms, mut boxed) = (Ids::default(), Vec::new(), Vec::new());
@@ -716,6 +731,25 @@ mod tests {
         let error = valetudo(FLAT, "flat", &unknown).unwrap_err().to_string();
         assert!(error.contains("segment \"4\", but the map has 16, 17, 3"), "{error}");
         assert!(segment_names("3 = 4").unwrap_err().to_string().contains("11 = \"kitchen\""));
+    }
+
+    /// Segments that lie around one another, each as large as the whole map: no home, and much to trace.
+    #[test]
+    fn rooms_around_one_another_are_refused() {
+        let map = |size: usize, rooms: usize| {
+            let corner = |room: usize| {
+                let from = 10 * room;
+                let across = (from..from + 5).flat_map(move |row| [from, row, size - from]);
+                let down = (from + 5..size).flat_map(move |row| [from, row, 5]);
+                let runs: Vec<usize> = across.chain(down).collect();
+                serde_json::json!({"type": "segment", "compressedPixels": runs, "metaData": {"segmentId": (room + 1).to_string()}})
+            };
+            let layers: Vec<Value> = (0..rooms).map(corner).collect();
+            valetudo(&serde_json::json!({"pixelSize": 5, "layers": layers}).to_string(), "home", &none())
+        };
+        assert_eq!(map(400, 5).unwrap().map.rooms.len(), 5);
+        let error = map(1990, 5).unwrap_err().to_string();
+        assert!(error.contains(&format!("more than {MAX_ROOM_PIXELS} pixels in all")), "{error}");
     }
 
     /// A map of square segments side by side, with these names.
