@@ -324,6 +324,10 @@ struct World {
     is_refused: bool,
     /// All that was ever accepted, as it came; what rotations have dropped of it.
     ever: BTreeMap<(u64, u64, u64), Observation>,
+    /// When each was accepted the last time, as a number: a start that misreads the journal has seen it in another order.
+    order: BTreeMap<(u64, u64, u64), u64>,
+    /// How many were accepted before each rotation.
+    rotated_at: Vec<u64>,
     /// What was accepted more than once, since it was lost.
     again: BTreeSet<(u64, u64, u64)>,
     rotated: BTreeSet<(u64, u64, u64)>,
@@ -479,6 +483,8 @@ impl World {
             refused: BTreeSet::new(),
             is_refused: false,
             ever: BTreeMap::new(),
+            order: BTreeMap::new(),
+            rotated_at: Vec::new(),
             again: BTreeSet::new(),
             rotated: BTreeSet::new(),
             hidden: BTreeSet::new(),
@@ -759,6 +765,7 @@ impl World {
                 // Damage may have taken that its source had said it, or hidden it.
                 let hidden = self.tally.is_hurt() && self.rotated.contains(&name);
                 ensure(self.taken.insert(name) || hidden, || format!("taken twice: {name:?}"))?;
+                self.order.insert(name, self.tally.accepted);
                 if self.ever.insert(name, observation.clone()).is_some() {
                     self.again.insert(name);
                 }
@@ -877,6 +884,7 @@ impl World {
         let rotations = self.disk.tally().rotations;
         self.is_refused = daemon.writer.write(&batch).is_err();
         let (is_refused, rotated) = (self.is_refused, self.disk.tally().rotations - rotations);
+        self.rotated_at.extend((0..rotated).map(|_| self.tally.accepted));
         self.note(|| format!("the journal takes {observations}, rotated {rotated} times, refused: {is_refused}"));
         match self.is_refused {
             true => self.refused.extend(self.accepted[before..before + observations].iter().map(name_of)),
@@ -1472,18 +1480,20 @@ impl World {
             "the journal gives back what was accepted in another order".to_owned()
         })?;
 
-        let place_of = |name: &(u64, u64, u64)| self.accepted.iter().position(|said| name_of(said) == *name);
-        let once = halves.iter().filter(|name| !self.again.contains(name));
-        let first = once.filter_map(place_of).next().unwrap_or(self.accepted.len());
+        let once = halves.iter().find(|name| !self.again.contains(name));
+        let first = once.map_or(u64::MAX, |name| self.order[name]);
+        // What a disk has refused lies behind what was accepted after it, in the next half: the half before that may have gone without it.
+        let older_from = self.rotated_at.iter().rev().nth(1).copied().filter(|_| self.disk.tally().failed_calls > 0);
+        let first = first.max(older_from.unwrap_or(0));
         let rotations = self.disk.tally().rotations;
         let has_rotated = rotations > 1;
         self.check_hidden(&names)?;
         let (mut lost, mut rotated) = (Vec::new(), 0);
-        for (at, said) in self.accepted.iter().enumerate().filter(|(_, said)| !names.contains(&name_of(said))) {
+        for said in self.accepted.iter().filter(|said| !names.contains(&name_of(said))) {
             let name = name_of(said);
             let unsafe_then = self.lost_power && !self.safe.contains(&name);
             let refused = self.refused.contains(&name) || self.disk.lacks_pages();
-            if has_rotated && at < first {
+            if has_rotated && self.order[&name] < first {
                 self.rotated.insert(name);
                 rotated += 1;
                 continue;
@@ -1737,7 +1747,7 @@ impl World {
                     self.tally.failed_rooms += u64::from(self.body.failed.insert(room));
                 }
                 _ => {
-                    self.body.failed.extend(robot.last.map(|last| last.to().to_owned()));
+                    self.body.failed.extend(robot.last.or(robot.resumes).map(|last| last.to().to_owned()));
                     self.body.failed.append(&mut self.body.begun);
                 }
             }
