@@ -357,6 +357,12 @@ impl Persons {
     /// Takes in an observation of a person that was made at `at_ns`; gives who has to make room for them, if they are one too many.
     pub(super) fn note(&mut self, observation: &Observation, voice: Voice, at_ns: i64) -> Option<u32> {
         let number = observation.person;
+        // Who comes back is known afresh, whether or not it was told meanwhile that they were gone.
+        let is_back =
+            |known: &&Known| known.presence == Presence::Gone && observation.said.presence() != Presence::Gone;
+        if self.known.get(&number).filter(is_back).is_some() {
+            self.known.remove(&number);
+        }
         let full = self.known.len() >= PERSONS_MAX && !self.known.contains_key(&number);
         let dropped = if full { self.least_missed(voice.number) } else { None };
         if let Some(dropped) = dropped {

@@ -1193,3 +1193,33 @@ fn a_restart_tells_what_the_model_makes_of_what_is_left() {
     assert_eq!(tell(&[&other]), [&*now]);
     assert_eq!(tell(&[&other, &now]), [[0.0; 0]; 0]);
 }
+
+/// Who comes back after they were gone is known afresh, whether or not it was told in between that they were gone: a restart cannot know that.
+#[test]
+fn who_comes_back_is_known_afresh() {
+    for is_told in [true, false] {
+        let mut house = House::new(&[]);
+        house.after(60, "guest", "They sit on the sofa.");
+        house.wait(60);
+        let mut late = |late_s: u64, text: &str| {
+            let observation = house.observation("guest", text);
+            let (observed_ns, observed_unix_ns) = (observation.observed_ns, observation.observed_unix_ns);
+            Observation {
+                observed_ns: observed_ns - late_s * S,
+                observed_unix_ns: observed_unix_ns - late_s * S,
+                ..observation
+            }
+        };
+        let [goes, sits, goes_again] = [late(0, "gone"), late(5, "They sit on the sofa."), late(3, "gone")];
+        if is_told {
+            house.enter(goes);
+            assert_eq!(house.presence("guest"), Some(presence::GONE));
+            house.enter(sits);
+        } else {
+            let entries = [goes, sits].map(|observation| Entry::new(observation, house.now_ns));
+            house.board.step(entries, house.now_ns, 1_000_000 * S + house.now_ns).unwrap();
+        }
+        house.enter(goes_again);
+        assert_eq!(house.presence("guest"), Some(presence::GONE), "{is_told}");
+    }
+}
