@@ -34,6 +34,8 @@ pub const DEFAULT_TOML: &str = include_str!("default.toml");
 pub const FILE_BYTES_MAX: u64 = 1 << 20;
 /// Most milliseconds that a step may take under `effort = "deadline"`.
 pub const DEADLINE_MS_MAX: u64 = 60_000;
+/// Most milliseconds between two heartbeats: views and bridges take a daemon for gone after 1.5 s of silence, three heartbeats at least.
+const HEARTBEAT_MS_MAX: u64 = 500;
 
 /// Most entries of `[[daemon.narrator]]`.
 pub const KNOWN_NARRATORS_MAX: usize = 64;
@@ -371,7 +373,7 @@ impl Config {
             row("scoring.effort", &effort, scoring.method.allows(effort), "give \"exact\", or scoring.method = \"trie\", which alone can end early"),
             row("daemon.state", &"empty", daemon.state.as_ref().is_none_or(is_free), "give a directory, or leave the key out for no journal"),
             row("daemon.journal_bytes", &daemon.journal_bytes, daemon.journal_bytes >= JOURNAL_BYTES_MIN, &format!("give {JOURNAL_BYTES_MIN} or more")),
-            within("daemon.heartbeat_ms", daemon.heartbeat_ms, 10..=60_000),
+            within("daemon.heartbeat_ms", daemon.heartbeat_ms, 10..=HEARTBEAT_MS_MAX),
             row("daemon.hang_s", &daemon.hang_s, daemon.hang_s >= 1, "give 1 or more"),
             row("daemon.intake.rate_per_s", &rate_per_s, is_rate(rate_per_s), "give 0 (no limit) or more"),
             row("daemon.intake.burst", &burst, burst >= 1.0 && burst.is_finite(), "give 1 or more"),
