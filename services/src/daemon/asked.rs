@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::fmt::Display;
 
+use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 /// Most bytes of the name of a question.
@@ -18,11 +19,17 @@ pub(super) trait Question: DeserializeOwned {
     fn id(&self) -> Option<&str>;
 }
 
+/// What a question is answered with.
+pub(super) trait Answer: Clone + Serialize {
+    /// Why something was not done.
+    fn reason(&mut self) -> &mut Option<String>;
+}
+
 /// Reads a question.
 ///
 /// # Errors
 /// What is wrong with it.
-pub(super) fn read<Q: Question>(asked: Result<&str, impl Display>) -> Result<Q, String> {
+fn read<Q: Question>(asked: Result<&str, impl Display>) -> Result<Q, String> {
     let text = asked.map_err(|error| error.to_string())?;
     let parser = &mut serde_json::Deserializer::from_str(text);
     let question: Q = serde_path_to_error::deserialize(parser).map_err(|error| short(&error.to_string()))?;
@@ -35,7 +42,7 @@ pub(super) fn read<Q: Question>(asked: Result<&str, impl Display>) -> Result<Q, 
 }
 
 /// A reason, cut.
-pub(super) fn short(reason: &str) -> String {
+fn short(reason: &str) -> String {
     reason.chars().take(REASON_CHARS_MAX).collect()
 }
 
@@ -49,14 +56,38 @@ impl<T> Default for Answered<T> {
     }
 }
 
+impl<T: Answer> Answered<T> {
+    /// Answers a question in JSON: with the answer that one of its name was given before, else with the one that `answer` makes of it, or of
+    /// what is wrong with it.
+    pub(super) fn answer<Q: Question>(
+        &mut self,
+        asked: Result<&str, impl Display>,
+        answer: impl FnOnce(Result<Q, String>) -> T,
+    ) -> String {
+        let question = read::<Q>(asked);
+        let id = question.as_ref().ok().and_then(Question::id).map(str::to_owned);
+        let known = id.as_deref().and_then(|id| self.get(id)).cloned();
+        let answer = known.unwrap_or_else(|| {
+            let mut answer = answer(question);
+            let reason = answer.reason();
+            *reason = reason.take().map(|reason| short(&reason));
+            if let Some(id) = id {
+                self.put(id, answer.clone());
+            }
+            answer
+        });
+        serde_json::to_string(&answer).unwrap_or_default()
+    }
+}
+
 impl<T> Answered<T> {
     /// The answer that was given to a question of this name.
-    pub(super) fn get(&self, id: &str) -> Option<&T> {
+    fn get(&self, id: &str) -> Option<&T> {
         self.0.iter().find(|(known, _)| known == id).map(|(_, answer)| answer)
     }
 
     /// Remembers an answer; the oldest gives way.
-    pub(super) fn put(&mut self, id: String, answer: T) {
+    fn put(&mut self, id: String, answer: T) {
         if self.0.len() == ANSWERS_REMEMBERED {
             self.0.pop_front();
         }

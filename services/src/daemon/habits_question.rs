@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::asked::Question;
+use super::asked::{Answer, Question};
 use super::board::Board;
 use crate::habits_reason::HorizonLine;
 use roomcast_core::habits::BYTES_MAX;
@@ -100,6 +100,12 @@ pub struct HabitsAnswer {
     /// What was asked for by [`HabitsQuestion::Export`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub export: Option<String>,
+}
+
+impl Answer for HabitsAnswer {
+    fn reason(&mut self) -> &mut Option<String> {
+        &mut self.reason
+    }
 }
 
 /// What has come of an import so far.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::asked::Question;
+use super::asked::{Answer, Question};
 use crate::state_file;
 use roomcast_core::semantic_map::delta::MapChange;
 use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap};
@@ -75,6 +75,12 @@ pub struct MapAnswer {
     pub regrouped_in_ns: u64,
     /// Whether a restarted daemon will have the changed map: only with a state directory.
     pub kept: bool,
+}
+
+impl Answer for MapAnswer {
+    fn reason(&mut self) -> &mut Option<String> {
+        &mut self.reason
+    }
 }
 
 /// Keeps a changed map over a restart, as long as the configured scene stays the one that was changed.

@@ -793,28 +793,19 @@ impl<M: LanguageModel> Scoring<M> {
         let board = cycle.board_mut();
         let mut changed = false;
         map_changes.answer(|asked| {
-            let asked = asked::read::<MapQuestion>(asked);
-            let id = asked.as_ref().ok().and_then(Question::id).map(str::to_owned);
-            let known = id.as_ref().and_then(|id| answered.get(id)).cloned();
-            let answer = known.unwrap_or_else(|| {
+            answered.answer::<MapQuestion>(asked, |asked| {
                 lend_inbox(inbox, to_relief, busy);
-                let mut answer = answer_change(board, kept_map.as_ref(), asked);
-                answer.reason = answer.reason.map(|reason| asked::short(&reason));
+                let answer = answer_change(board, kept_map.as_ref(), asked);
                 if answer.outcome == Outcome::Applied {
                     changed = true;
                     tally.map_fingerprint = board.map().fingerprint();
                     sentence_tokens_max.store(board.sentence_tokens_max(), Ordering::Relaxed);
                 }
                 let MapAnswer { outcome, reason, items, new_labels, .. } = &answer;
-                // A reason may quote a question, which may be long.
-                let reason = reason.as_ref().map(|reason| reason.chars().take(200).collect::<String>());
+                let reason = reason.as_deref().map(for_the_log);
                 tracing::info!(?outcome, reason, items, new_labels, "map change");
-                if let Some(id) = id {
-                    answered.put(id, answer.clone());
-                }
                 answer
-            });
-            serde_json::to_string(&answer).unwrap_or_default()
+            })
         })?;
         Ok(changed)
     }
@@ -825,23 +816,19 @@ impl<M: LanguageModel> Scoring<M> {
         let board = cycle.board_mut();
         let mut changed = false;
         person_questions.answer(|asked| {
-            let asked = asked::read::<PersonQuestion>(asked);
-            let id = asked.as_ref().ok().and_then(Question::id).map(str::to_owned);
-            let known = id.as_ref().and_then(|id| answered_persons.get(id)).cloned();
-            let answer = known.unwrap_or_else(|| {
-                if id.is_some() {
+            answered_persons.answer::<PersonQuestion>(asked, |asked| {
+                let changes = asked.as_ref().is_ok_and(|asked| asked.id().is_some());
+                if changes {
                     lend_inbox(inbox, to_relief, busy);
                 }
-                let mut answer = answer_about_person(board, (journal.as_ref(), keeper.as_ref()), asked);
-                answer.reason = answer.reason.map(|reason| asked::short(&reason));
-                if let Some(id) = id {
+                let answer = answer_about_person(board, (journal.as_ref(), keeper.as_ref()), asked);
+                if changes {
                     changed |= answer.done;
-                    tracing::info!(done = answer.done, reason = answer.reason, kept = answer.kept, "person");
-                    answered_persons.put(id, answer.clone());
+                    let reason = answer.reason.as_deref().map(for_the_log);
+                    tracing::info!(done = answer.done, reason, kept = answer.kept, "person");
                 }
                 answer
-            });
-            serde_json::to_string(&answer).unwrap_or_default()
+            })
         })?;
         Ok(changed)
     }
@@ -851,10 +838,7 @@ impl<M: LanguageModel> Scoring<M> {
         let Self { cycle, answered_habits, importing, habits_questions, keeper, inbox, to_relief, busy, .. } = self;
         let board = cycle.board_mut();
         habits_questions.answer(|asked| {
-            let asked = asked::read::<HabitsQuestion>(asked);
-            let id = asked.as_ref().ok().and_then(Question::id).map(str::to_owned);
-            let known = id.as_ref().and_then(|id| answered_habits.get(id)).cloned();
-            let answer = known.unwrap_or_else(|| {
+            answered_habits.answer::<HabitsQuestion>(asked, |asked| {
                 lend_inbox(inbox, to_relief, busy);
                 let (mut answer, after) = habits_question::answer(board, importing, asked, clock::monotonic_ns());
                 answer.kept = keeper.is_some();
@@ -865,15 +849,11 @@ impl<M: LanguageModel> Scoring<M> {
                         ));
                         answer.kept = false;
                     }
-                    tracing::info!(reason = answer.reason, kept = answer.kept, "habits were forgotten or replaced");
-                }
-                answer.reason = answer.reason.map(|reason| asked::short(&reason));
-                if let Some(id) = id {
-                    answered_habits.put(id, answer.clone());
+                    let reason = answer.reason.as_deref().map(for_the_log);
+                    tracing::info!(reason, kept = answer.kept, "habits were forgotten or replaced");
                 }
                 answer
-            });
-            serde_json::to_string(&answer).unwrap_or_default()
+            })
         })?;
         Ok(())
     }
@@ -939,6 +919,11 @@ fn enter<M: LanguageModel>(cycle: &mut Cycle<M>, heard: Heard) {
         Heard::Entry(entry, number) => cycle.enter(entry, number),
         Heard::PassedOver { source, epoch, sequence } => cycle.pass_over(source, epoch, sequence),
     }
+}
+
+/// A reason as a line of the log has room for: it may quote a question, which may be long.
+fn for_the_log(reason: &str) -> String {
+    reason.chars().take(200).collect()
 }
 
 /// Gives the inbox to the relief thread, for as long as `busy` is set, if it does not have it already.

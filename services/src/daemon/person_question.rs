@@ -3,7 +3,7 @@
 use roomcast_core::narration::Presence;
 use serde::{Deserialize, Serialize};
 
-use super::asked::Question;
+use super::asked::{Answer, Question};
 
 /// A question. Changes have a name that no other question has: the same one asked again is answered again, and not done again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -70,4 +70,10 @@ pub struct PersonAnswer {
     pub kept: bool,
     /// Everybody who is known now.
     pub persons: Vec<PersonLine>,
+}
+
+impl Answer for PersonAnswer {
+    fn reason(&mut self) -> &mut Option<String> {
+        &mut self.reason
+    }
 }
