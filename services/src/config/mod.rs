@@ -20,6 +20,8 @@ use roomcast_core::scorer::{Method, Tokenisation};
 use roomcast_core::text::read_text_at_most;
 use roomcast_llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
 
+use crate::embedded;
+
 mod sections;
 
 pub use sections::{
@@ -270,7 +272,7 @@ impl Default for ScoringConfig {
 }
 
 impl Config {
-    /// Reads and checks a configuration file.
+    /// Reads and checks a configuration file. Relative paths in it begin at its folder, wherever a service is started.
     ///
     /// # Errors
     /// When it cannot be read, has unknown keys, or a value outside its limits.
@@ -280,10 +282,27 @@ impl Config {
             std::io::ErrorKind::FileTooLarge => ConfigError::TooLarge { path: path.to_owned() },
             _ => read(source),
         })?;
-        let config: Self = toml::from_str(&text)
+        let mut config: Self = toml::from_str(&text)
             .map_err(|source| ConfigError::Parse { path: path.to_owned(), source: Box::new(source) })?;
+        let file = std::path::absolute(path).map_err(read)?;
+        config.begin_paths_at(file.parent().unwrap_or(Path::new("/")));
         config.check().map_err(|fault| ConfigError::InFile { path: path.to_owned(), fault: Box::new(fault) })?;
         Ok(config)
+    }
+
+    /// Makes relative paths absolute. One key is left out: `ipc.root`, which is never relative.
+    fn begin_paths_at(&mut self, folder: &Path) {
+        // A shipped scene is named without a file.
+        let is_shipped = |path: &Path| !folder.join(path).exists() && path.to_str().and_then(embedded::scene).is_some();
+        let scene = Some(&mut self.scene.path).filter(|path| !path.as_deref().is_some_and(is_shipped));
+        let MqttConfig { credentials, ca, rules, .. } = &mut self.mqtt;
+        let others = [&mut self.model.path, &mut self.daemon.state, credentials, ca, rules];
+        for path in scene.into_iter().chain(others).filter_map(Option::as_mut) {
+            // An empty one is refused as such.
+            if !path.as_os_str().is_empty() {
+                *path = folder.join(&*path);
+            }
+        }
     }
 
     /// Checks every limit that the types do not hold by themselves.
@@ -523,6 +542,30 @@ mod tests {
         }
         let fits = "[model]\ncores = [1, 0]\n[daemon]\njournal_bytes = 8192\n[ipc]\ndomain = \"a-1\"";
         toml::from_str::<Config>(fits).unwrap().check().unwrap();
+    }
+
+    #[test]
+    fn relative_paths_begin_at_the_configurations_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("roomcast.toml");
+        let text = "[model]\npath = \"m.gguf\"\n[scene]\npath = \"maps/home.json\"\n[daemon]\nstate = \"state\"\n\
+            [mqtt]\ncredentials = \"/etc/secret\"\nca = \"ca.pem\"\nrules = \"../rules.toml\"\n";
+        std::fs::write(&file, text).unwrap();
+        let config = Config::load(&file).unwrap();
+        let at = |name: &str| Some(folder.path().join(name));
+        assert_eq!(
+            [config.model.path, config.scene.path, config.daemon.state],
+            ["m.gguf", "maps/home.json", "state"].map(at)
+        );
+        let MqttConfig { credentials, ca, rules, .. } = config.mqtt;
+        assert_eq!([credentials, ca, rules], ["/etc/secret", "ca.pem", "../rules.toml"].map(at));
+        // A shipped scene goes by its bare name, unless there is a file of that name.
+        std::fs::write(&file, "[scene]\npath = \"studio\"\n").unwrap();
+        assert_eq!(Config::load(&file).unwrap().scene.path, Some("studio".into()));
+        std::fs::write(folder.path().join("studio"), "{}").unwrap();
+        assert_eq!(Config::load(&file).unwrap().scene.path, at("studio"));
+        std::fs::write(&file, "[daemon]\nstate = \"\"\n").unwrap();
+        assert!(Config::load(&file).unwrap_err().to_string().contains("daemon.state is empty"));
     }
 
     #[test]
