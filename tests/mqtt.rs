@@ -11,7 +11,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{DecisionV1, Domain, ForecastV1, decision_flags};
+use roomcast_ipc::{DecisionV1, Domain, ForecastV1, NarrationV1, decision_flags};
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::Packet;
 use rumqttc::v5::{Client, Event, MqttOptions};
@@ -563,7 +563,7 @@ fn of_a_robot_that_has_not_spoken_it_is_said_where_it_is_listened_to_and_what_to
 }
 
 /// So many times faster the day is played.
-const DAY_SPEED: f64 = 300.0;
+const DAY_SPEED: f64 = 450.0;
 /// How long the driver waits until a robot that has left its work is done with it.
 const SETTLING_S: f64 = 3.0;
 /// How often the person's sensor says where they are, how long the broker is away, and how long the robot is stuck: in seconds of the day.
@@ -574,8 +574,15 @@ const STUCK_S: f64 = 900.0;
 const FLAT: [&str; 4] = ["bedroom-1", "hallway-2", "kitchen-3", "home-office-4"];
 const WHERE: &str = "home/ada/room";
 const FRIDGE: &str = "home/fridge/state";
+/// The light of each room of the day.
+const LIGHTS: [&str; 4] = ["home/light/bedroom", "home/light/hallway", "home/light/kitchen", "home/light/home_office"];
+const LIT: &str = "They turn on the light in the";
 
-/// A home whose map comes from the robot, with a sensor that says where Ada is, and one at the fridge. Every time is so much shorter as the day.
+/// What a sensor says: topic, payload, and whether the broker is to keep it.
+type SensorMessage = (&'static str, String, bool);
+
+/// A home whose map comes from the robot, with a sensor that says where Ada is, one at the fridge, and lights. Every time is so much shorter as the
+/// day.
 fn lived_home(world: &World, port: u16, policy: &str, seed: u64) -> String {
     let folder = world.directory.path();
     let (map, scene, rules, config) =
@@ -595,7 +602,8 @@ fn lived_home(world: &World, port: u16, policy: &str, seed: u64) -> String {
     let text = format!(
         "[[rule]]\ntopic = {WHERE:?}\nwhen = \"away\"\npresence = \"away\"\nperson = \"ada\"\nrepeats = true\n\
          [[rule]]\ntopic = {WHERE:?}\nunless = [\"away\"]\npresence = \"present\"\nroom = \"{{value}}\"\nperson = \"ada\"\nrepeats = true\n\
-         [[rule]]\ntopic = {FRIDGE:?}\nwhen = \"on\"\nsay = \"They open the fridge.\"\nperson = \"ada\"\nrepeats = true\n"
+         [[rule]]\ntopic = {FRIDGE:?}\nwhen = \"on\"\nsay = \"They open the fridge.\"\nperson = \"ada\"\nrepeats = true\n\
+         [[rule]]\ntopic = \"home/light/+\"\nwhen = \"on\"\nsay = \"{LIT} {{1}}.\"\nperson = \"ada\"\n"
     );
     std::fs::write(&rules, text).unwrap();
     let real = |day_s: f64| day_s / DAY_SPEED;
@@ -633,13 +641,17 @@ struct Lived {
     /// Why the stuck robot's room was given up, by the hour.
     stuck: Option<(f64, String)>,
     most_covered: u32,
+    /// Messages of the sensors that fell into the broker's absence, and narrations of the light that was turned on meanwhile.
+    held: usize,
+    lit: BTreeSet<u64>,
     /// Of the times after the restart at which the person was at home, the part at which the forecast had them in their room.
     known: f64,
 }
 
 /// A day of the whole chain, in processes of their own: the person's sensors, broker, narrator, daemon, planner, driver, fake robot. The robot does
-/// not hear its first two orders. The broker goes while the robot ends its first room, and has forgotten everything when it is back. In a room
-/// that is still to come the robot gets stuck, until somebody carries it home.
+/// not hear its first two orders. The broker goes while the robot ends its first room, and has forgotten everything when it is back. Meanwhile the
+/// sensors go on: where the person is, and that they turn on the light; what no broker takes they hold, and tell it in its order when one is there
+/// again. In a room that is still to come the robot gets stuck, until somebody carries it home.
 fn live(policy: &str, seed: u64) -> Lived {
     let mut broker = broker().unwrap();
     let port = broker.port;
@@ -653,12 +665,13 @@ fn live(policy: &str, seed: u64) -> Lived {
     world.start(&["robot", "--obey", "--config", &config]);
     let node = world.domain.open("test").unwrap();
     let (decisions, forecasts) = (node.subscriber::<DecisionV1>().unwrap(), node.subscriber::<ForecastV1>().unwrap());
-    let sense = |broker: &Mosquitto, place: Option<usize>, is_new: bool| {
-        let mut said = vec![(WHERE, place.map_or("away", |room| FLAT[room]).to_owned(), false)];
+    let narrations = node.subscriber::<NarrationV1>().unwrap();
+    let sense = |place: Option<usize>, is_new: bool| {
+        let mut said: Vec<SensorMessage> = vec![(WHERE, place.map_or("away", |room| FLAT[room]).to_owned(), true)];
         if is_new && place == Some(2) {
             said.push((FRIDGE, "on".to_owned(), false));
         }
-        broker.publish(&said);
+        said
     };
     let mut newest = ForecastV1::default();
     // Now is the first horizon.
@@ -668,16 +681,20 @@ fn live(policy: &str, seed: u64) -> Lived {
     };
     let mut place = person_at(HOURS.0 as f64);
     eventually("the forecast has the person in their room", || {
-        sense(&broker, place, false);
+        broker.publish(&sense(place, false));
         std::thread::sleep(Duration::from_millis(300));
         likely(place.unwrap()).then_some(())
     });
+    // A light that is first heard of when it is on may have been on before.
+    broker.publish(&LIGHTS.map(|light| (light, "off".to_owned(), true)));
     world.start(&["planner", "--config", &config]);
     let begin = Instant::now();
     let hour_of = |at: Instant| HOURS.0 as f64 + (at - begin).as_secs_f64() * DAY_SPEED / 3600.0;
     let (mut lived, mut sensed_at, mut home, mut known) = (Lived::default(), HOURS.0 as f64, 0, 0);
     let (mut gone_at, mut is_back, mut stuck_at) = (None, false, None);
     let mut is_carried = false;
+    // What sensors have to say and no broker has taken yet.
+    let (mut unsaid, mut is_lit) = (Vec::<SensorMessage>::new(), false);
     loop {
         let hour = hour_of(Instant::now());
         if hour >= HOURS.1 as f64 {
@@ -698,14 +715,27 @@ fn live(policy: &str, seed: u64) -> Lived {
                 lived.stuck = Some((hour, decision.reason().to_owned()));
             }
         }
-        // While the broker is away nobody hears the sensors.
+        while let Some(narration) = narrations.receive().unwrap() {
+            let narration = narration.unwrap();
+            // The narrator sends again what is not confirmed at once.
+            lived.lit.extend(narration.text().starts_with(LIT).then_some(narration.sequence));
+        }
         let is_away = gone_at.is_some() && !is_back;
         let now = person_at(hour);
         if now != place || (hour - sensed_at) * 3600.0 >= SENSED_S {
-            if !is_away {
-                sense(&broker, now, now != place);
-            }
+            unsaid.extend(sense(now, now != place));
             (place, sensed_at) = (now, hour);
+        }
+        let is_half_over = gone_at.is_some_and(|gone| (hour - gone) * 3600.0 >= 0.5 * AWAY_S);
+        if let Some(room) = place.filter(|_| is_away && is_half_over && !is_lit) {
+            unsaid.push((LIGHTS[room], "on".to_owned(), true));
+            is_lit = true;
+        }
+        if is_away {
+            lived.held = unsaid.len();
+        } else if !unsaid.is_empty() {
+            broker.publish(&unsaid);
+            unsaid.clear();
         }
         if let Some(room) = place.filter(|_| is_back) {
             home += 1;
@@ -778,6 +808,8 @@ fn over_a_day_with_a_person_and_trouble_the_robot_shares_less_than_others_and_do
     let (cleaned, orders) = own.before_restart;
     assert!(own.cleaned.len() > cleaned && own.orders.len() > orders, "after the broker's restart it obeys: {own:?}");
     assert!(own.known > 0.8, "after the broker's restart the sensors are heard: {own:?}");
+    assert!(own.held > 0, "no sensor had anything to say while the broker was away: {own:?}");
+    assert_eq!(own.lit.len(), 1, "the light that was turned on meanwhile is narrated, and once: {own:?}");
     let (_, why) = own.stuck.as_ref().unwrap_or_else(|| panic!("no decision says that it is stuck: {own:?}"));
     assert!(why.contains("could not do the"), "{why}");
 }
