@@ -76,7 +76,7 @@ use crate::narrator::Settled;
 use crate::rule::{Keys, Saying, Whereabouts};
 use crate::sensor_log::RULES_BYTES_MAX;
 use crate::stop::Stop;
-use roomcast_core::text::{read_at_most, read_text_at_most};
+use roomcast_core::text::{read_at_most, read_text_at_most, visible};
 use roomcast_ipc::clock;
 
 /// Messages that the broker may send before the first of them is acknowledged: MQTT's receive maximum.
@@ -135,7 +135,7 @@ pub enum MqttError {
         reason: String,
     },
     /// The broker's address is none.
-    #[error("{given:?} is no broker: give mqtt://HOST[:PORT], or mqtts://HOST[:PORT] with a CA file")]
+    #[error("{given:?} is no broker: {}", address_remedy(.given))]
     Address {
         /// What was given.
         given: String,
@@ -175,6 +175,18 @@ pub enum MqttError {
         /// Why.
         reason: String,
     },
+}
+
+/// What to write in place of an address that is none.
+fn address_remedy(given: &str) -> String {
+    let remedy = "give mqtt://HOST[:PORT], or mqtts://HOST[:PORT] with a CA file";
+    let meant = format!("mqtt://{given}");
+    let meant = Broker { address: if given.contains(':') { meant } else { meant + ":1883" }, ..Broker::default() };
+    // The most frequent mistake: an address as other programs have it.
+    match (given.contains("://"), meant.options()) {
+        (false, Ok(_)) => format!("{remedy}, here {}", meant.address),
+        _ => remedy.to_owned(),
+    }
 }
 
 /// How a broker is reached.
@@ -338,9 +350,12 @@ impl Rules {
     ///
     /// [`MqttError::Read`], [`MqttError::Rules`] with the rule's number.
     pub fn load(path: &Path) -> Result<Self, MqttError> {
-        let text = read_text_at_most(path, RULES_BYTES_MAX)
-            .map_err(|source| MqttError::Read { path: path.to_owned(), source })?;
-        Self::parse(&text).map_err(|reason| MqttError::Rules { path: path.to_owned(), reason })
+        // Of a relative path nobody knows from where it was tried.
+        let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        match read_text_at_most(&path, RULES_BYTES_MAX) {
+            Ok(text) => Self::parse(&text).map_err(|reason| MqttError::Rules { path, reason }),
+            Err(source) => Err(MqttError::Read { path, source }),
+        }
     }
 
     /// Reads and checks the text of a rules file.
@@ -390,6 +405,15 @@ impl Rules {
     #[must_use]
     pub fn reads(&self, topic: &str, payload: &[u8]) -> Vec<(usize, bool)> {
         self.readings(topic, payload).iter().map(|said| (said.number, said.line.is_some())).collect()
+    }
+
+    /// Why no rule can read a message although one listens to its topic: that rule's number, and what the payload lacks, as in
+    /// "is no JSON". None where a rule can, or where none listens.
+    #[must_use]
+    pub fn unreadable(&self, topic: &str, payload: &[u8]) -> Option<(usize, String)> {
+        let (number, rule) = (1..).zip(&self.0).find(|(_, rule)| matches(&rule.topic, topic).is_some())?;
+        let is_read = !self.readings(topic, payload).is_empty();
+        (!is_read).then(|| (number, rule.lack(&Reading::new(payload))))
     }
 
     /// Whether a topic is one that this rule, by its number, listens to.
@@ -474,6 +498,18 @@ impl Rule {
             judged.map(|_| line)
         });
         Some(Said { number, rule: self, line: Some(line), value })
+    }
+}
+
+impl Rule {
+    /// What a payload that this rule cannot read lacks.
+    fn lack(&self, reading: &Reading<'_>) -> String {
+        if self.field.is_none() && reading.value(None).is_none() {
+            return "is no text".to_owned();
+        }
+        let Some(json) = reading.json() else { return "is no JSON".to_owned() };
+        let missing = self.field.iter().chain(&self.pointers).find(|pointer| text_at(json, pointer).is_none());
+        missing.map_or_else(|| "does not fit".to_owned(), |pointer| format!("has nothing at {pointer}"))
     }
 }
 
@@ -959,42 +995,67 @@ pub fn listen_until_settled(
     runtime.block_on(connection.listen(stop))
 }
 
-/// Listens as [`listen`] does, and writes what becomes of each message, for people: the rule, and what it would say. Nothing is narrated,
-/// and the broker keeps nothing of it: the client has a name of its own, and its session ends with the connection.
+/// Listens as [`listen`] does, and writes what becomes of each message, for people: the rule, and what it would say, with what `remark` has to
+/// say of that line of JSON. Nothing is narrated, and the broker keeps nothing of it: the client has a name of its own, and its session ends
+/// with the connection.
 ///
 /// # Errors
 ///
 /// As [`listen`].
-pub fn rehearse(mut options: MqttOptions, rules: Rules, out: impl Write, stop: &Stop) -> Result<Heard, MqttError> {
+pub fn rehearse(
+    mut options: MqttOptions,
+    rules: Rules,
+    out: impl Write,
+    stop: &Stop,
+    remark: &mut dyn FnMut(&str) -> Option<String>,
+) -> Result<Heard, MqttError> {
     let client = format!("{}-dry-run-{}", options.client_id(), std::process::id());
     options.set_client_id(client).set_clean_start(true).set_session_expiry_interval(Some(0));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().map_err(failed)?;
     let mut connection = Connection::new(options, rules, out);
-    connection.rehearses = true;
+    connection.rehearsal = Some(remark);
     runtime.block_on(connection.listen(stop))
 }
 
-/// A text from outside on one line of a terminal.
+/// A text from outside on one line of a terminal: quotes as they are, so that JSON can be read.
 fn shown(bytes: &[u8]) -> String {
     const LONGEST: usize = 120;
     let text = String::from_utf8_lossy(bytes);
-    let short: String = text.chars().take(LONGEST).flat_map(char::escape_debug).collect();
-    if text.chars().count() > LONGEST { format!("{short}...") } else { short }
+    let mut chars = text.chars();
+    let start: String = chars.by_ref().take(LONGEST).collect();
+    let rest = if chars.next().is_some() { "..." } else { "" };
+    format!("{}{rest}", visible(&start))
+}
+
+/// What is beside a line that would be said; nothing where it needs no word.
+type Remark<'a> = dyn FnMut(&str) -> Option<String> + 'a;
+
+/// A line that would be said, with what there is to say of it.
+fn remarked(line: &str, remark: &mut Remark<'_>) -> String {
+    remark(line).map_or_else(|| line.to_owned(), |remark| format!("{line}\n    {}", visible(&remark)))
 }
 
 /// What becomes of a message, for people.
-fn report(rules: &Rules, topic: &[u8], payload: &[u8], retained: bool, outcomes: &[Outcome]) -> String {
+fn report(
+    rules: &Rules,
+    (topic, payload, retained): (&[u8], &[u8], bool),
+    outcomes: &[Outcome],
+    remark: &mut Remark<'_>,
+) -> String {
+    let quoted = |value: &Value| format!("\"{}\"", shown(value.text.as_bytes()));
     let mut text = format!("{}  {}{}", shown(topic), shown(payload), if retained { "  (retained)" } else { "" });
     for Outcome { number, value, what } in outcomes {
         let said = match what {
-            What::Said(line) => format!("says {line}"),
-            What::Waits(line, quiet) => format!("says after {} s of silence {line}", quiet.as_secs_f64()),
+            What::Said(line) => format!("says {}", remarked(line, remark)),
+            What::Waits(line, quiet) => {
+                format!("says after {} s of silence {}", quiet.as_secs_f64(), remarked(line, remark))
+            }
             What::Later => "is silent: a rule before it speaks of this value".to_owned(),
             What::OtherValue if rules.is_excepted(*number, &value.text) => {
-                format!("is silent: {:?} is in its `unless`", shown(value.text.as_bytes()))
+                format!("is silent: {} is in its `unless`", quoted(value))
             }
-            What::OtherValue => format!("is silent: {:?} is not its `when`", shown(value.text.as_bytes())),
-            What::Repeated => format!("is silent: {:?} is what the topic said before", shown(value.text.as_bytes())),
+            What::OtherValue => format!("is silent: {} is not its `when`", quoted(value)),
+            What::Repeated => format!("is silent: {} is what the topic said before", quoted(value)),
             What::Unfit(reason) => {
                 format!("is silent: what it would say is no narration: {}", shown(reason.as_bytes()))
             }
@@ -1003,7 +1064,11 @@ fn report(rules: &Rules, topic: &[u8], payload: &[u8], retained: bool, outcomes:
         text.push_str(&format!("\n  rule {number} {said}"));
     }
     if outcomes.is_empty() {
-        text.push_str("\n  no rule can read it");
+        let lacks = std::str::from_utf8(topic).ok().and_then(|topic| rules.unreadable(topic, payload));
+        text.push_str(&match lacks {
+            Some((number, lack)) => format!("\n  rule {number} cannot read it: the payload {}", visible(&lack)),
+            None => "\n  no rule can read it".to_owned(),
+        });
     }
     text
 }
@@ -1109,7 +1174,7 @@ impl Subscriptions {
 }
 
 /// The client, what it has heard and where it says it.
-struct Connection<W> {
+struct Connection<'a, W> {
     broker: String,
     client: AsyncClient,
     events: EventLoop,
@@ -1124,8 +1189,8 @@ struct Connection<W> {
     pause: Duration,
     /// What comes is left to the next session.
     leaves: bool,
-    /// Reports what would be said, in place of saying it.
-    rehearses: bool,
+    /// Reports what would be said, with a remark, in place of saying it.
+    rehearsal: Option<&'a mut Remark<'a>>,
     /// Keeps how often each rule fits.
     tally: Option<Tally>,
     out: W,
@@ -1148,7 +1213,7 @@ fn write_line(out: &mut impl Write, line: &str) -> std::io::Result<()> {
     writeln!(out, "{line}").and_then(|()| out.flush())
 }
 
-impl<W: Write> Connection<W> {
+impl<'a, W: Write> Connection<'a, W> {
     fn new(mut options: MqttOptions, rules: Rules, out: W) -> Self {
         options.set_manual_acks(true);
         let (host, port) = options.broker_address();
@@ -1169,7 +1234,7 @@ impl<W: Write> Connection<W> {
             greetings: Limiter::new(QUIET_NS),
             pause: RECONNECT,
             leaves: false,
-            rehearses: false,
+            rehearsal: None,
             tally: None,
             out,
         }
@@ -1209,7 +1274,7 @@ impl<W: Write> Connection<W> {
         is_over: impl Fn(&Acknowledgements) -> bool,
     ) -> std::io::Result<Option<Result<Event, ConnectionError>>> {
         let Self {
-            client, events, listener, subscriptions, acknowledgements, out, connected, leaves, rehearses, ..
+            client, events, listener, subscriptions, acknowledgements, out, connected, leaves, rehearsal, ..
         } = self;
         let mut poll = pin!(events.poll());
         loop {
@@ -1220,7 +1285,10 @@ impl<W: Write> Connection<W> {
             }
             // Without a connection nothing can be heard, which is no silence.
             let due = if *connected && !*leaves { listener.due(Instant::now()) } else { Vec::new() };
-            let shown = |line: &String| if *rehearses { format!("after silence\n  says {line}") } else { line.clone() };
+            let mut shown = |line: &String| match rehearsal {
+                Some(remark) => format!("after silence\n  says {}", remarked(line, *remark)),
+                None => line.clone(),
+            };
             due.iter().try_for_each(|line| write_line(out, &shown(line)))?;
             acknowledgements.written += due.len() as u64;
             tokio::select! {
@@ -1278,9 +1346,10 @@ impl<W: Write> Connection<W> {
     /// Writes what a message says, or what becomes of it.
     fn hear(&mut self, message: &Publish) -> std::io::Result<()> {
         let (topic, payload, retained, now) = (&message.topic, &message.payload, message.retain, Instant::now());
-        if self.rehearses {
+        if let Some(remark) = &mut self.rehearsal {
             let outcomes = self.listener.outcomes(topic, payload, retained, now);
-            return write_line(&mut self.out, &report(&self.listener.rules, topic, payload, retained, &outcomes));
+            let text = report(&self.listener.rules, (topic, payload, retained), &outcomes, *remark);
+            return write_line(&mut self.out, &text);
         }
         let lines = self.listener.hear(topic, payload, retained, now);
         self.acknowledgements.written += lines.len() as u64;
@@ -1455,13 +1524,16 @@ mod tests {
         let mut listener = Listener::new(Rules::parse(SEVERAL).unwrap());
         let mut told = |topic: &str, payload: &str, retained| {
             let outcomes = listener.outcomes(topic.as_bytes(), payload.as_bytes(), retained, Instant::now());
-            report(&listener.rules, topic.as_bytes(), payload.as_bytes(), retained, &outcomes)
+            let mut remark = |line: &str| line.contains("kitchen").then(|| "no kitchen\u{1b}".to_owned());
+            report(&listener.rules, (topic.as_bytes(), payload.as_bytes(), retained), &outcomes, &mut remark)
         };
         let on = r#"{"occupancy": true, "state": "ON"}"#;
         let text = told("z/hall", on, true);
         assert_eq!(text.matches("is silent: retained").count(), 3, "{text}");
         let text = told("z/kitchen", on, false);
-        assert!(text.contains("\n  rule 1 says {\"presence\":\"present\",\"room\":\"kitchen\"}"), "{text}");
+        assert!(text.starts_with(&format!("z/kitchen  {on}\n")), "JSON can be read: {text}");
+        let said = "\n  rule 1 says {\"presence\":\"present\",\"room\":\"kitchen\"}\n    no kitchen\\u001b\n";
+        assert!(text.contains(said), "{text}");
         assert!(text.contains("\n  rule 2 says {\"text\":\"They turn on the lamp.\"}"), "{text}");
         assert!(text.contains("\n  rule 3 is silent: a rule before it"), "{text}");
         assert_eq!(told("z/kitchen", on, false).matches("is what the topic said before").count(), 3);
@@ -1471,6 +1543,51 @@ mod tests {
         );
         let text = told("else\u{1b}[2J", "\u{7}", false);
         assert!(text.ends_with("no rule can read it") && !text.contains(['\u{1b}', '\u{7}']), "{text:?}");
+        // What turns the direction of a line, or makes it long, does neither.
+        let text = told("z/kitchen", &format!("{{\"state\": \"\u{202e}\u{9b}{}\"}}", "x".repeat(200)), false);
+        assert!(text.starts_with("z/kitchen  {\"state\": \"\\u202e\\u009bxxx") && text.contains("xxx..."), "{text:?}");
+        assert!(!text.contains(['\u{202e}', '\u{9b}']), "{text:?}");
+        for (payload, lacks) in [("ON", "is no JSON"), (r#"{"linkquality": 80}"#, "has nothing at /occupancy")] {
+            let text = told("z/hall", payload, false);
+            assert!(text.ends_with(&format!("\n  rule 1 cannot read it: the payload {lacks}")), "{text}");
+        }
+    }
+
+    #[test]
+    fn what_an_unread_payload_lacks_is_known() {
+        let rules = Rules::parse(
+            "[[rule]]\ntopic = \"lamp\"\nsay = \"the lamp is {value}\"\n[[rule]]\ntopic = \"face\"\n\
+            field = \"/event\"\npresence = \"present\"\nperson = \"{/name}\"",
+        );
+        let rules = rules.unwrap();
+        let lack = |topic, payload: &[u8]| rules.unreadable(topic, payload);
+        assert_eq!(lack("lamp", b"on"), None);
+        assert_eq!(lack("else", b"on"), None, "no rule listens there");
+        assert_eq!(lack("lamp", b"\xff"), Some((1, "is no text".to_owned())));
+        assert_eq!(lack("face", b"seen"), Some((2, "is no JSON".to_owned())));
+        assert_eq!(lack("face", br#"{"name": "ada"}"#), Some((2, "has nothing at /event".to_owned())));
+        assert_eq!(lack("face", br#"{"event": "seen"}"#), Some((2, "has nothing at /name".to_owned())));
+        assert_eq!(lack("face", br#"{"event": "seen", "name": "ada"}"#), None);
+    }
+
+    #[test]
+    fn an_address_without_a_scheme_is_told_with_one() {
+        let told = |address: &str| {
+            let broker = Broker { address: address.to_owned(), ..Broker::default() };
+            broker.options().unwrap_err().to_string()
+        };
+        assert!(told("192.168.1.5:1884").ends_with("with a CA file, here mqtt://192.168.1.5:1884"));
+        assert!(told("broker.lan").ends_with("with a CA file, here mqtt://broker.lan:1883"));
+        for address in ["tcp://broker.lan", "", "a:b:c"] {
+            assert!(told(address).ends_with("with a CA file"), "{}", told(address));
+        }
+    }
+
+    #[test]
+    fn missing_rules_are_told_with_the_whole_path() {
+        let told = Rules::load(Path::new("no-such-rules.toml")).unwrap_err().to_string();
+        let whole = std::path::absolute("no-such-rules.toml").unwrap();
+        assert!(told.contains(&whole.display().to_string()), "{told}");
     }
 
     /// What programs and devices of smart homes send, in their own shapes.
@@ -1597,7 +1714,10 @@ mod tests {
         let mut rehearsed =
             Listener::new(Rules::parse("[[rule]]\ntopic = \"a\"\nunless = [\"0\"]\npresence = \"present\"").unwrap());
         let outcomes = rehearsed.outcomes(b"a", b"0", false, Instant::now());
-        assert!(report(&rehearsed.rules, b"a", b"0", false, &outcomes).ends_with("\"0\" is in its `unless`"));
+        assert!(
+            report(&rehearsed.rules, (b"a", b"0", false), &outcomes, &mut |_| None)
+                .ends_with("\"0\" is in its `unless`")
+        );
     }
 
     #[test]
@@ -1933,7 +2053,8 @@ mod tests {
         let (reader, writer) = std::io::pipe().unwrap();
         let (stop, own) = (Stop::new(), Rules::parse(&rules).unwrap());
         let own_stop = stop.clone();
-        let rehearsal = std::thread::spawn(move || rehearse(to.options().unwrap(), own, writer, &own_stop));
+        let rehearsal =
+            std::thread::spawn(move || rehearse(to.options().unwrap(), own, writer, &own_stop, &mut |_| None));
         let mut lines = BufReader::new(reader).lines().map(Result::unwrap);
         assert_eq!(lines.next().unwrap(), "home/start  first  (retained)");
         assert_eq!(lines.next().unwrap(), r#"  rule 2 says {"text":"They do the first."}"#);

@@ -13,7 +13,10 @@ mod home;
 #[cfg(feature = "mqtt")]
 mod home_mqtt;
 
+pub(super) use finding::segment_of_no_room;
 use finding::{Finding, Place, Verdict};
+#[cfg(feature = "mqtt")]
+pub(super) use home_mqtt::remark;
 
 use super::{CommandResult, Failure, ranges, service};
 use crate::exit_code;

@@ -99,7 +99,7 @@ pub fn run(args: &Args) -> CommandResult {
             return Err(Failure::new(exit_code::USAGE, text));
         };
         if args.dry_run {
-            return narrate_mqtt::rehearse(&broker, rules, &stop);
+            return narrate_mqtt::rehearse(&broker, rules, &config, &stop);
         }
         let (lines, listener) = narrate_mqtt::listen(&broker, rules, person, &config, &stop)?;
         // First the broker is left, then what it is told to be done with is published.

@@ -4,10 +4,13 @@ use std::path::Path;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use roomcast_core::forecast::Mentions;
+use roomcast_core::grounding::Grounding;
 use roomcast_services::config::Config;
 use roomcast_services::mqtt::{self, Broker, Heard, MqttError, Rules};
 use roomcast_services::mqtt_tally::Tally;
 use roomcast_services::narrator::{Input, Who};
+use roomcast_services::setup;
 use roomcast_services::stop::Stop;
 
 use super::{CommandResult, Failure, broker, count, print};
@@ -42,11 +45,18 @@ pub(super) fn listen(
     Ok((Input::Lines { name, stream, person, settled: Some(settled) }, listener))
 }
 
-/// Prints what the broker's messages would say, until it is asked to stop. No daemon is needed.
-pub(super) fn rehearse(broker: &Broker, rules: &Path, stop: &Stop) -> CommandResult {
+/// Prints what the broker's messages would say, until it is asked to stop, and what of it the home's map does not have. No daemon is needed.
+pub(super) fn rehearse(broker: &Broker, rules: &Path, config: &Config, stop: &Stop) -> CommandResult {
     let rules = Rules::load(rules).map_err(broker::failure)?;
     let options = broker.options().map_err(broker::failure)?;
-    let heard = mqtt::rehearse(options, rules, std::io::stdout(), stop).map_err(broker::failure)?;
+    // The shipped studio is nobody's home: its rooms say nothing of the rules.
+    let map = config.scene.path.as_deref().map(|path| setup::load_map(Some(path))).transpose()?;
+    let grounding = map.as_ref().map(|map| Grounding::new(map, &config.grounding)).transpose();
+    let grounding = grounding.map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+    let home = map.as_ref().zip(grounding.as_ref());
+    let mut home = home.map(|(map, grounding)| (map, Mentions::new(map, grounding)));
+    let mut remark = |line: &str| home.as_mut().and_then(|(map, mentions)| super::doctor::remark(line, map, mentions));
+    let heard = mqtt::rehearse(options, rules, std::io::stdout(), stop, &mut remark).map_err(broker::failure)?;
     let Heard { said, unfit, silent, oversized } = heard;
     let summary = format!(
         "would be said: {}; messages that no rule fits: {unfit}, that say nothing new: {silent}, that are too large: {oversized}\n",

@@ -3,6 +3,8 @@
 use std::path::Path;
 use std::time::Duration;
 
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_services::config::Config;
 use serde::Serialize;
 
 /// How good a finding is.
@@ -62,6 +64,19 @@ pub(super) fn some_of<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
         0 => shown,
         more => format!("{shown} and {more} more"),
     }
+}
+
+/// What is wrong with the first room of `[robot.segments]` that the map does not have, and what to do.
+pub(in crate::cli) fn segment_of_no_room(config: &Config, map: &SemanticMap, file: &str) -> Option<(String, String)> {
+    let ids = || map.rooms().iter().map(|own| own.id.as_str());
+    let room = config.robot.segments.keys().find(|room| !ids().any(|own| own == room.as_str()))?;
+    let found = format!("[robot.segments] of {file} names the room {room:?}, which the map does not have");
+    let rooms = ids().collect::<Vec<_>>().join(", ");
+    let remedy = match nearest(room, ids()) {
+        Some(meant) => format!("write {meant:?}; the map's rooms are {rooms}"),
+        None => format!("write one of the map's rooms: {rooms}"),
+    };
+    Some((found, remedy))
 }
 
 /// Which of these a text was probably meant to be: the nearest by letters that differ, where those are few.

@@ -9,6 +9,7 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::names::Names;
 use roomcast_core::narration::{PresenceStatement, Sentence};
 use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::text::visible;
 use roomcast_services::config::{Config, RobotKind};
 use roomcast_services::logging::chain;
 use roomcast_services::mqtt::{Broker, MqttError, Rules};
@@ -16,7 +17,7 @@ use roomcast_services::mqtt_look::{self, LookError, Seen};
 use roomcast_services::mqtt_tally::Counted;
 use roomcast_services::vacuum::{Dialect, Sensed, Status, segment_of};
 
-use super::finding::{Finding, Place, nearest, some_of};
+use super::finding::{Finding, Place, nearest, segment_of_no_room, some_of};
 use crate::cli::count;
 
 /// Domains of Home Assistant whose states say something of people.
@@ -163,6 +164,18 @@ fn things_of_rules(path: &Path, rules: &Rules, map: &SemanticMap, grounding: &Gr
     Some(Finding::limited("things of rules", found, remedy))
 }
 
+/// What a line of narration speaks of and the map does not have, for people.
+pub(in crate::cli) fn remark(line: &str, map: &SemanticMap, mentions: &mut Mentions) -> Option<String> {
+    let line: serde_json::Value = serde_json::from_str(line).ok()?;
+    let of = |key: &str| line.get(key).and_then(serde_json::Value::as_str);
+    if let Some(room) = of("room").filter(|room| map.find_room(room).is_none()) {
+        let rooms: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
+        return Some(format!("the map has no room {room:?}; its rooms are {}", rooms.join(", ")));
+    }
+    let thing = missing_thing(of("text")?, map, mentions)?;
+    Some(format!("the map has no {thing:?}"))
+}
+
 /// The thing that a sentence is about, where neither it nor anything else in the sentence is on the map. None where the sentence names no thing,
 /// says only who is in the house or out of it, or has a placeholder, whose value nobody knows yet.
 fn missing_thing(said: &str, map: &SemanticMap, mentions: &mut Mentions) -> Option<String> {
@@ -261,6 +274,7 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
     let counted = state.and_then(|folder| Counted::of(&folder, &config.narrator.name));
     let fitted = counted.as_ref().map(|counted| counted.fitted(&rules.keys())).unwrap_or_default();
     let has_fitted = |number: usize| fitted.get(number - 1).copied().flatten().unwrap_or_default() > 0;
+    let is_fitted = |topic: &str| rules.about().any(|rule| rules.fits(rule.number, topic));
     let silent: Vec<_> = (rules.about())
         .filter(|rule| !has_fitted(rule.number) && !topics.iter().any(|(topic, _)| rules.fits(rule.number, topic)))
         .collect();
@@ -272,7 +286,7 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
         if rule.topic.contains(['+', '#']) {
             return None;
         }
-        let unread = topics.iter().filter(|(topic, _)| rules.reads(topic, b"").is_empty()).map(|(topic, _)| *topic);
+        let unread = topics.iter().map(|(topic, _)| *topic).filter(|topic| !is_fitted(topic));
         Some((rule, nearest(rule.topic, unread)?))
     });
     if let Some((rule, meant)) = misspelt {
@@ -320,11 +334,9 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
     if let Some(counted) = &counted {
         findings.push(never(rules, counted, &fitted, &shown.to_string()));
     }
-    let unnamed: Vec<&str> = topics
-        .iter()
-        .filter(|(topic, payload)| is_of_people(topic) && rules.reads(topic, payload).is_empty())
-        .map(|(topic, _)| *topic)
-        .collect();
+    findings.extend(payloads(rules, &topics, &shown.to_string()));
+    let unnamed: Vec<&str> =
+        topics.iter().map(|(topic, _)| *topic).filter(|topic| is_of_people(topic) && !is_fitted(topic)).collect();
     if !unnamed.is_empty() {
         let found = format!("{shown}: no rule reads {}: {}", count(unnamed.len(), "topic"), some_of(unnamed));
         findings.push(Finding::limited(
@@ -334,6 +346,42 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
         ));
     }
     findings
+}
+
+/// Topics that a rule listens to, with a last payload that no rule can read.
+fn payloads(rules: &Rules, topics: &[(&str, &[u8])], shown: &str) -> Option<Finding> {
+    // Nothing is what is left of a payload that was too large to be remembered.
+    let filled = topics.iter().filter(|(topic, payload)| !payload.is_empty() && is_of_people(topic));
+    let unread: Vec<_> = filled
+        .filter_map(|(topic, payload)| {
+            let (number, lack) = rules.unreadable(topic, payload)?;
+            Some((topic, payload, number, lack))
+        })
+        .collect();
+    let (topic, payload, number, lack) = unread.first()?;
+    let others = unread.iter().skip(1).map(|(topic, ..)| **topic);
+    let more = match unread.len() - 1 {
+        0 => String::new(),
+        _ => format!("; no rule can read the last payloads of {} either", some_of(others)),
+    };
+    let found =
+        format!("{shown}: rule {number} reads {topic}, but its last payload {lack}: {}{more}", beginning(payload));
+    let remedy = match lack.as_str() {
+        "is no JSON" => {
+            "leave `field` and pointers in braces out of the rule: then the payload is the value; or let the device say JSON"
+        }
+        _ => "roomcast narrate --mqtt --dry-run shows what comes; correct `field` and pointers in braces, or the topic",
+    };
+    Some(Finding::limited("payloads", found, remedy))
+}
+
+/// How a payload begins.
+fn beginning(payload: &[u8]) -> String {
+    const LONGEST: usize = 60;
+    let text = String::from_utf8_lossy(payload);
+    let mut chars = text.chars();
+    let start: String = chars.by_ref().take(LONGEST).collect();
+    format!("{}{}", visible(&start), if chars.next().is_some() { "..." } else { "" })
 }
 
 /// Rules that no message ever fitted.
@@ -486,13 +534,7 @@ fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, Stri
         let found = format!("[robot.segments] of {file} has {room:?} = {number:?}, and the robot has no such segment");
         return Finding::wrong(check, found, format!("write one of {}", some_of(known.iter().map(String::as_str))));
     }
-    if let Some(room) = table.keys().find(|room| !map.rooms().iter().any(|own| own.id == **room)) {
-        let ids = || map.rooms().iter().map(|own| own.id.as_str());
-        let found = format!("[robot.segments] of {file} names the room {room:?}, which the map does not have");
-        let remedy = match nearest(room, ids()) {
-            Some(meant) => format!("write {meant:?}"),
-            None => format!("write one of {}", some_of(ids())),
-        };
+    if let Some((found, remedy)) = segment_of_no_room(config, map, &file) {
         return Finding::wrong(check, found, remedy);
     }
     let Some((room, why)) = wrong.first() else {
@@ -537,6 +579,17 @@ mod tests {
         ] {
             assert_eq!(missing(said).as_deref(), Some(thing), "{said}");
         }
+        let mut beside = |line: &str| remark(line, &map, &mut mentions);
+        let rooms = map.rooms().iter().map(|room| room.id.as_str()).collect::<Vec<_>>().join(", ");
+        let unknown = format!("the map has no room \"attic\"; its rooms are {rooms}");
+        assert_eq!(beside(r#"{"presence":"present","room":"attic"}"#), Some(unknown));
+        assert_eq!(beside(r#"{"text":"They walk to the attic."}"#).as_deref(), Some("the map has no \"attic\""));
+        for line in
+            [r#"{"presence":"present","room":"kitchen"}"#, r#"{"presence":"away"}"#, r#"{"text":"They come home."}"#]
+        {
+            assert_eq!(beside(line), None, "{line}");
+        }
+        let mut missing = |said: &str| missing_thing(said, &map, &mut mentions);
         for said in [
             "They sit on the sofa.",
             "They sit on the settee.",
