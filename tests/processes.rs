@@ -1333,6 +1333,28 @@ fn a_configuration_is_held_to_what_this_machine_has() {
         let (fine, said) = check(text);
         assert!(!fine && said.contains(part), "{text}: {said}");
     }
+    // What a home names is held to what there is, too, and all is said at once.
+    let text = "[scene]\npath = \"studio\"\n[robot.segments]\nkichen = \"16\"\n";
+    let mqtt = "[mqtt]\nbroker = \"10.0.0.5\"\nrules = \"home.rules.toml\"\n";
+    let (fine, said) = check(&format!("{text}{mqtt}"));
+    let rules = folder.path().join("home.rules.toml");
+    for part in [
+        "names the room \"kichen\", which the map does not have: write \"kitchen\"; the map's rooms are kitchen, main-room, bathroom",
+        "mqtt.broker: \"10.0.0.5\" is no broker: give mqtt://HOST[:PORT]",
+        "here mqtt://10.0.0.5:1883",
+        &format!("mqtt.rules: failed to read {}: No such file", rules.display()),
+        "let roomcast init write rules",
+        "3 things are wrong",
+    ] {
+        assert!(!fine && said.contains(part), "{part} in {said}");
+    }
+    std::fs::write(rules, "[[rule]]\ntopic = \"a\"\nsay = \"They sit.\"\n").unwrap();
+    let good = format!("{text}{mqtt}").replace("kichen", "kitchen").replace("10.0.0.5", "mqtt://10.0.0.5");
+    assert_eq!(
+        check(&good),
+        (true, String::new()),
+        "rules lie beside their configuration, whatever the working folder"
+    );
 }
 
 #[test]
