@@ -373,7 +373,7 @@ fn password(home: &mut Home, wrong: bool) -> bool {
     true
 }
 
-const MISTAKES: [Mistake; 30] = [
+const MISTAKES: [Mistake; 33] = [
     Mistake {
         name: "the broker's port",
         make: |home| home.edit("roomcast.toml", &home.port.to_string(), &free_port().to_string()),
@@ -451,6 +451,47 @@ const MISTAKES: [Mistake; 30] = [
         found: "no rule reads 1 topic: homeassistant/light/desk/state",
         remedy: "write rules for those that say what people do",
         code: exit_code::OK,
+    },
+    Mistake {
+        name: "a payload that is no JSON",
+        make: |home| {
+            home.edit(
+                "home.rules.toml",
+                "[[rule]]",
+                "[[rule]]\ntopic = \"zigbee2mqtt/lamp\"\nfield = \"/state\"\nsay = \"the lamp is {value}\"\n\n[[rule]]",
+            );
+            home.say(&[("zigbee2mqtt/lamp".to_owned(), "ON \"now\"".to_owned(), true)]);
+        },
+        check: "payloads",
+        verdict: "limited",
+        found: "rule 1 reads zigbee2mqtt/lamp, but its last payload is no JSON: ON \"now\"",
+        remedy: "leave `field` and pointers in braces out of the rule",
+        code: exit_code::OK,
+    },
+    Mistake {
+        name: "a payload without the field",
+        make: |home| {
+            home.edit(
+                "home.rules.toml",
+                "[[rule]]",
+                "[[rule]]\ntopic = \"zigbee2mqtt/lamp\"\nfield = \"/sate\"\nsay = \"the lamp is {value}\"\n\n[[rule]]",
+            );
+            home.say(&[("zigbee2mqtt/lamp".to_owned(), "{\"state\": \"ON\"}".to_owned(), true)]);
+        },
+        check: "payloads",
+        verdict: "limited",
+        found: "rule 1 reads zigbee2mqtt/lamp, but its last payload has nothing at /sate: {\"state\": \"ON\"}",
+        remedy: "correct `field`",
+        code: exit_code::OK,
+    },
+    Mistake {
+        name: "a broker without a scheme",
+        make: |home| home.edit("roomcast.toml", "mqtt://127.0.0.1", "127.0.0.1"),
+        check: "broker",
+        verdict: "wrong",
+        found: "here mqtt://127.0.0.1:",
+        remedy: "correct mqtt.broker",
+        code: exit_code::CHECK,
     },
     Mistake {
         name: "a room in a rule",
@@ -594,7 +635,7 @@ const MISTAKES: [Mistake; 30] = [
     },
     Mistake {
         name: "a resident by another name",
-        make: |home| home.edit("roomcast.toml", "[mqtt]\n", "[persons]\nresidents = [\"Adah\"]\n\n[mqtt]\n"),
+        make: |home| home.edit("roomcast.toml", "residents = [\"Ada\"]", "residents = [\"Adah\"]"),
         check: "persons",
         verdict: "limited",
         found: "the rules name Ada, who is not among persons.residents",
@@ -916,6 +957,59 @@ fn init_finds_what_is_not_given() {
     let said = String::from_utf8(none.stderr).unwrap();
     assert!(said.contains("nothing tells of the home's rooms: give --home-assistant"), "{said}");
     assert!(!Path::new(&home.at("empty")).exists());
+}
+
+#[test]
+fn a_dry_run_says_what_the_map_does_not_have() {
+    let Some(mut home) = Home::new("dry") else { return };
+    home.good();
+    home.edit("home.rules.toml", "\"living-room-17\"", "\"attic\"");
+    // Beside the configuration, and from another working folder.
+    let rules = home.at("home/home.rules.toml");
+    home.edit("roomcast.toml", &rules, "home.rules.toml");
+    let (shown, config) = (home.path("shown"), home.at("home/roomcast.toml"));
+    let mut command = home.command(&["narrate", "--mqtt", "--dry-run", "--config", &config]);
+    command.stdout(std::fs::File::create(&shown).unwrap()).stderr(Stdio::null());
+    home.children.push(command.spawn().unwrap());
+    let start = Instant::now();
+    let (mut is_on, mut said) = (false, String::new());
+    let beside = "says {\"presence\":\"present\",\"room\":\"attic\"}\n    the map has no room \"attic\"; its rooms are kitchen-16, \
+        living-room-17, hallway-18\n";
+    while !said.contains(beside) {
+        assert!(start.elapsed() < Duration::from_secs(60), "{said}");
+        is_on = !is_on;
+        let state = if is_on { "on" } else { "off" };
+        home.say(&[("homeassistant/binary_sensor/living_room_motion/state".to_owned(), state.to_owned(), true)]);
+        std::thread::sleep(Duration::from_millis(200));
+        said = std::fs::read_to_string(&shown).unwrap();
+    }
+}
+
+/// Without questions those live here who would be offered at the question.
+#[test]
+fn residents_are_those_of_home_assistant_unless_they_are_given() {
+    let Some(home) = Home::new("persons") else { return };
+    let made = |more: &[&str]| {
+        let output = home.init(&[&["--replace", "--mqtt", "none", "--robot", "none"], more].concat());
+        let (said, error) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
+        assert!(output.status.success(), "{said}{error}");
+        (std::fs::read_to_string(home.path("home/roomcast.toml")).unwrap(), said)
+    };
+    let (config, said) = made(&[]);
+    assert!(config.contains("\nresidents = [\"Ada\"]\n"), "{config}");
+    assert!(said.contains("found Home Assistant's persons, who live here: Ada; --resident says otherwise"), "{said}");
+    assert!(config.contains("\n# not_persons = [\"Rocky\"]\n"), "pets and robots are thought of: {config}");
+    let (config, _) = made(&["--resident", "Mia, Jon ,", "--resident", " ,"]);
+    assert!(config.contains("\nresidents = [\"Mia\", \"Jon\"]\n"), "{config}");
+    let (config, _) = made(&["--resident", ","]);
+    assert!(config.contains("\nresidents = [\"Ada\"]\n"), "no name is none that is given: {config}");
+    let (config, _) = made(&["--resident", "none"]);
+    assert!(!config.contains("\nresidents"), "{config}");
+    // Persons that cannot all be told apart keep nobody from setting up.
+    let twice = r#"{"data": {"items": [{"id": "p-1", "name": "Ada"}, {"id": "p-2", "name": "ada"}]}}"#;
+    std::fs::write(home.path("config/.storage/person"), twice).unwrap();
+    let (config, said) = made(&[]);
+    assert!(!config.contains("\nresidents") && said.contains("Home Assistant's persons are no residents"), "{said}");
 }
 
 /// On a terminal it asks, says at once what is wrong with an answer, and asks again.

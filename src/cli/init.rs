@@ -77,8 +77,9 @@ pub struct Args {
     /// The robot: where it speaks at the broker, Valetudo's prefix and identifier; `none` for a home without.
     #[arg(long, value_name = "TOPIC|none")]
     robot: Option<String>,
-    /// Who lives here; once for each, or with commas between. Without it nobody counts as a visitor.
-    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    /// Who lives here; once for each, or with commas between: everybody else is a visitor. Without it, the persons that Home Assistant has;
+    /// `none` for nobody, so that nobody counts as a visitor.
+    #[arg(long, value_name = "NAME|none")]
     resident: Vec<String>,
     /// Which rooms get the usual furniture of their kind; ids of such things begin with "assumed". Of a home with a robot's map that is decided
     /// before Home Assistant's things are put there.
@@ -167,7 +168,7 @@ fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
     };
     let valetudo = find_map(args, robot.as_deref(), &seen, asker, &mut notes)?;
     let persons = home_assistant.as_ref().map_or(&[][..], |(_, home)| &home.persons);
-    let residents = find_residents(args, persons, asker)?;
+    let residents = find_residents(args, persons, asker, &mut notes)?;
     Ok(Found { broker, seen, home_assistant, robot, valetudo, residents, notes })
 }
 
@@ -367,29 +368,55 @@ fn find_map(
     Ok(map)
 }
 
-/// Who lives here; where it is asked, whom Home Assistant knows.
-fn find_residents(args: &Args, known: &[String], asker: &mut Asker) -> Result<Vec<String>, Failure> {
-    if !args.resident.is_empty() {
-        return Ok(args.resident.iter().map(|name| name.trim().to_owned()).collect());
+/// Who lives here: who is given, else whom Home Assistant knows; where it is asked, an answer may say otherwise.
+fn find_residents(
+    args: &Args,
+    known: &[String],
+    asker: &mut Asker,
+    notes: &mut Vec<String>,
+) -> Result<Vec<String>, Failure> {
+    let given = names_in(&args.resident.join(","));
+    if given == ["none"] {
+        return Ok(Vec::new());
     }
+    if !given.is_empty() {
+        checked_residents(&given)?;
+        return Ok(given);
+    }
+    // A comma would make two names of one.
+    let known = if known.iter().any(|name| name.contains(',')) { &[][..] } else { known };
     let question = "Who lives here: names with commas between, or none. With names, everybody else is a visitor.";
-    let known = if known.is_empty() || known.iter().any(|name| name.contains(',')) {
-        "none".to_owned()
-    } else {
-        known.join(", ")
-    };
-    let asked = asker.until(question, &known, |_, answer| {
-        if answer == "none" {
+    let shown = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+    let asked = asker.until(question, &shown, |_, answer| {
+        let names = names_in(answer);
+        if names == ["none"] {
             return Ok(Vec::new());
         }
-        let names = answer.split(',').map(str::trim).filter(|name| !name.is_empty());
-        let names: Vec<String> = names.map(str::to_owned).collect();
-        let mut config = Config::default();
-        config.persons.residents.clone_from(&names);
-        config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+        checked_residents(&names)?;
         Ok(names)
     })?;
-    Ok(asked.unwrap_or_default())
+    if asked.is_some() || known.is_empty() {
+        return Ok(asked.unwrap_or_default());
+    }
+    let names = names_in(&shown);
+    if let Err(failure) = checked_residents(&names) {
+        notes.push(format!("Home Assistant's persons are no residents: {failure}; or give --resident"));
+        return Ok(Vec::new());
+    }
+    notes.push(format!("found Home Assistant's persons, who live here: {shown}; --resident says otherwise"));
+    Ok(names)
+}
+
+/// The names in a text with commas between.
+fn names_in(text: &str) -> Vec<String> {
+    text.split(',').map(str::trim).filter(|name| !name.is_empty()).map(str::to_owned).collect()
+}
+
+/// Whether these may be residents.
+fn checked_residents(names: &[String]) -> CommandResult {
+    let mut config = Config::default();
+    config.persons.residents = names.to_vec();
+    config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))
 }
 
 /// What is to be written, and what to say of it.
@@ -624,10 +651,16 @@ fn configuration(folder: &Path, scene: &Path, rules: Option<&Path>, found: &Foun
         path(&folder.join("state"))
     );
     text.push_str("\n[narrator]\nname = \"home\"\n");
-    if !found.residents.is_empty() {
-        let names: Vec<String> = found.residents.iter().map(|name| quoted(name)).collect();
-        let _ = write!(text, "\n[persons]\n# Everybody else is a visitor.\nresidents = [{}]\n", names.join(", "));
-    }
+    let names: Vec<String> = found.residents.iter().map(|name| quoted(name)).collect();
+    let residents = match names.len() {
+        0 => "# Who lives here; with names, everybody else is a visitor.\n# residents = [\"Ada\", \"Ben\"]".to_owned(),
+        _ => format!("# Everybody else is a visitor.\nresidents = [{}]", names.join(", ")),
+    };
+    let _ = write!(
+        text,
+        "\n[persons]\n{residents}\n# Pets, robots and devices that have names: what a sentence says of one, it says of nobody.\n\
+         # not_persons = [\"Rocky\"]\n"
+    );
     if let Some(broker) = &found.broker {
         let _ = write!(text, "\n[mqtt]\nbroker = {}\n", quoted(&broker.address));
         for (key, file) in
