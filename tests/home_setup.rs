@@ -284,6 +284,9 @@ fn rooms_with_devices_alone_get_furniture_on_request() {
     let has = |thing: &str| things.iter().any(|own| own == thing);
     assert!(devices.iter().all(|device| has(device)) && has("assumed-stove") && has("assumed-sofa"), "{things:?}");
     assert!(!has("assumed-fridge"), "the kitchen has a fridge of its own: {things:?}");
+    let unused = init("names", &["--names", "/nowhere/names.toml"]);
+    let said = String::from_utf8(unused.stderr).unwrap();
+    assert!(said.contains("--names names the segments of a robot's map, and there is none"), "{said}");
     let both = init("both", &["--bare", "--furnish", "sparse"]);
     assert_eq!(both.status.code(), Some(i32::from(exit_code::USAGE)), "{both:?}");
 }
@@ -373,7 +376,7 @@ fn password(home: &mut Home, wrong: bool) -> bool {
     true
 }
 
-const MISTAKES: [Mistake; 33] = [
+const MISTAKES: [Mistake; 34] = [
     Mistake {
         name: "the broker's port",
         make: |home| home.edit("roomcast.toml", &home.port.to_string(), &free_port().to_string()),
@@ -550,6 +553,15 @@ const MISTAKES: [Mistake; 33] = [
         verdict: "wrong",
         found: "roomcast.toml is malformed",
         remedy: "roomcast config prints every key",
+        code: exit_code::CONFIG,
+    },
+    Mistake {
+        name: "a configuration that is not there",
+        make: |home| std::fs::remove_file(home.path("home/roomcast.toml")).unwrap(),
+        check: "configuration",
+        verdict: "wrong",
+        found: "failed to read the configuration",
+        remedy: "give --config the file that roomcast init has written",
         code: exit_code::CONFIG,
     },
     Mistake {
@@ -769,7 +781,31 @@ fn token(home: &Home, mode: u32) -> String {
 #[test]
 fn init_says_what_is_wrong_and_writes_nothing() {
     type Case = (&'static str, fn(&Home) -> Vec<String>, u8, &'static [&'static str]);
-    let cases: [Case; 18] = [
+    let cases: [Case; 22] = [
+        (
+            "a robot without a broker",
+            |_| vec!["--mqtt".into(), "none".into()],
+            exit_code::USAGE,
+            &["--robot is for a home with a broker, and there is none", "give --mqtt mqtt://HOST[:PORT]"],
+        ),
+        (
+            "a login for no broker",
+            |_| ["--mqtt", "none", "--robot", "none", "--mqtt-credentials", "login"].map(str::to_owned).to_vec(),
+            exit_code::USAGE,
+            &["--mqtt-credentials is for a home with a broker"],
+        ),
+        (
+            "a login that is not there",
+            |_| vec!["--mqtt-credentials".into(), "/nowhere/login".into()],
+            exit_code::USAGE,
+            &["failed to read /nowhere/login", "give --mqtt-credentials and --mqtt-ca files that are there"],
+        ),
+        (
+            "nobody and somebody",
+            |_| vec!["--resident".into(), "none, Mia".into()],
+            exit_code::USAGE,
+            &["none means nobody and stands alone"],
+        ),
         (
             "a token that is refused",
             |home| {
@@ -944,6 +980,10 @@ fn init_finds_what_is_not_given() {
     }
     let config = std::fs::read_to_string(home.path("home/roomcast.toml")).unwrap();
     assert!(config.contains("topic = \"valetudo/rocky\"") && config.contains("obey = false"), "{config}");
+    // One that is given is taken, and where it is not heard of, others that are.
+    let typed = ["init", "--replace", "--mqtt", &url, "--robot", "valetudo/roky", &folder];
+    let said = String::from_utf8(home.command(&typed).output().unwrap().stdout).unwrap();
+    assert!(said.contains("nothing was heard of a robot under valetudo/roky; heard of: valetudo/rocky"), "{said}");
     // A second robot is a question, and a second time is an overwriting.
     let again = home.command(&["init", "--mqtt", &url, &folder]).output().unwrap();
     assert_eq!(again.status.code(), Some(i32::from(exit_code::FAILURE)));

@@ -14,7 +14,7 @@ use roomcast_core::names::Names;
 use roomcast_core::semantic_map::import::{self, Home, Imported};
 use roomcast_core::semantic_map::{MAX_FILE_BYTES, RoomId, SemanticMap, delta};
 use roomcast_services::config::Config;
-use roomcast_services::mqtt::Broker;
+use roomcast_services::mqtt::{Broker, MqttError};
 use roomcast_services::mqtt_look::{self, LookError, Seen};
 use serde_json::json;
 
@@ -163,9 +163,12 @@ fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
     let (broker, seen) = find_broker(args, asker, &mut notes)?;
     let robot = match args.robot.as_deref() {
         Some("none") => None,
-        Some(given) => Some(given.trim_end_matches('/').to_owned()),
+        Some(given) => Some(given_robot(given, &seen, &mut notes)),
         None => find_robot(&seen, broker.is_some(), asker, &mut notes)?,
     };
+    if broker.is_none() {
+        of_no_broker(args, robot.is_some())?;
+    }
     let valetudo = find_map(args, robot.as_deref(), &seen, asker, &mut notes)?;
     let persons = home_assistant.as_ref().map_or(&[][..], |(_, home)| &home.persons);
     let residents = find_residents(args, persons, asker, &mut notes)?;
@@ -264,7 +267,7 @@ fn find_broker(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Resul
                         }
                         broker.credentials = Some(absolute(Path::new(&file)));
                     }
-                    Err(error @ LookError::Setup(_)) => return Err(Failure::new(exit_code::USAGE, error)),
+                    Err(error @ LookError::Setup(_)) => return Err(unusable(error)),
                     Err(error) => return Err(input(told(error))),
                 }
             }
@@ -279,8 +282,13 @@ fn find_broker(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Resul
     let broker = at(args.mqtt.as_deref().unwrap_or(LOCAL_BROKER));
     match look(&broker) {
         Ok(seen) => Ok((Some(broker), seen)),
-        Err(error @ LookError::Setup(_)) => Err(Failure::new(exit_code::USAGE, error)),
-        Err(_) if args.mqtt.is_none() => Ok((None, Seen::default())),
+        Err(error @ LookError::Setup(_)) => Err(unusable(error)),
+        Err(error) if args.mqtt.is_none() => {
+            notes.push(format!(
+                "{error}: without a broker no sensor is heard and no robot is driven; where there is one, give --mqtt"
+            ));
+            Ok((None, Seen::default()))
+        }
         Err(error) => {
             notes.push(told(error));
             Ok((Some(broker), Seen::default()))
@@ -292,6 +300,48 @@ fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
+/// Whether nothing is given that only a broker can be used for: it would be lost without a word.
+fn of_no_broker(args: &Args, robot: bool) -> CommandResult {
+    let given = [
+        ("--mqtt-credentials", args.mqtt_credentials.is_some()),
+        ("--mqtt-ca", args.mqtt_ca.is_some()),
+        ("--robot", robot),
+    ];
+    let Some((option, _)) = given.into_iter().find(|(_, is_given)| *is_given) else { return Ok(()) };
+    let text = format!(
+        "{option} is for a home with a broker, and there is none: give --mqtt mqtt://HOST[:PORT], or leave {option} out"
+    );
+    Err(Failure::new(exit_code::USAGE, text))
+}
+
+/// The failure that a broker's set-up is which cannot be used.
+fn unusable(error: LookError) -> Failure {
+    if matches!(&error, LookError::Setup(MqttError::Read { .. })) {
+        let text = format!("{error}; give --mqtt-credentials and --mqtt-ca files that are there, or leave them out");
+        return Failure::new(exit_code::USAGE, text);
+    }
+    Failure::new(exit_code::USAGE, error)
+}
+
+/// Where robots speak Valetudo at the broker.
+fn robots_at(seen: &Seen) -> Vec<&str> {
+    let mut robots: Vec<&str> = (seen.topics.keys())
+        .filter_map(|topic| topic.strip_suffix(STATUS).or_else(|| topic.strip_suffix(MAP)))
+        .collect();
+    robots.sort_unstable();
+    robots.dedup();
+    robots
+}
+
+/// The robot that is given, which may be switched off; where others speak, it may be another one that is meant.
+fn given_robot(given: &str, seen: &Seen, notes: &mut Vec<String>) -> String {
+    let (given, robots) = (given.trim_end_matches('/'), robots_at(seen));
+    if !robots.is_empty() && !robots.contains(&given) && !given.contains("/vacuum/") {
+        notes.push(format!("nothing was heard of a robot under {given}; heard of: {}", robots.join(", ")));
+    }
+    given.to_owned()
+}
+
 /// The robot that speaks Valetudo at the broker.
 fn find_robot(
     seen: &Seen,
@@ -299,11 +349,7 @@ fn find_robot(
     asker: &mut Asker,
     notes: &mut Vec<String>,
 ) -> Result<Option<String>, Failure> {
-    let mut robots: Vec<&str> = (seen.topics.keys())
-        .filter_map(|topic| topic.strip_suffix(STATUS).or_else(|| topic.strip_suffix(MAP)))
-        .collect();
-    robots.sort_unstable();
-    robots.dedup();
+    let robots = robots_at(seen);
     let shown = robots.join(", ");
     let Some(first) = robots.first() else {
         if is_broker {
@@ -414,6 +460,9 @@ fn names_in(text: &str) -> Vec<String> {
 
 /// Whether these may be residents.
 fn checked_residents(names: &[String]) -> CommandResult {
+    if names.iter().any(|name| name == "none") {
+        return Err(Failure::new(exit_code::USAGE, "none means nobody and stands alone: give names, or none"));
+    }
     let mut config = Config::default();
     config.persons.residents = names.to_vec();
     config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))
@@ -430,6 +479,10 @@ struct Made {
 fn make(args: &Args, folder: &Path, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failure> {
     let [scene, rules_file, config_file] = files;
     let plan = robot_map(args, found)?;
+    if plan.is_none() && args.names.is_some() {
+        let text = "--names names the segments of a robot's map, and there is none: give --valetudo FILE or mqtt, or leave --names out";
+        return Err(Failure::new(exit_code::USAGE, text));
+    }
     let (home_map, rules) = match &found.home_assistant {
         Some((_, home)) => (Some(home.imported.clone()), home.rules.clone()),
         None => (None, None),
