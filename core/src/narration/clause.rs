@@ -96,6 +96,7 @@ struct Words {
     past: List,
     no_verbs: List,
     ended: List,
+    verbs_with_after: List,
 }
 
 /// Words of one kind, found by the first of each: a sentence is looked at by many lists, and has something of few.
@@ -1029,10 +1030,29 @@ pub(super) fn is_of_a_pronoun(said: &str) -> bool {
 pub(super) fn begins_with_persons(said: &str, mut is_known: impl FnMut(&str) -> bool) -> bool {
     let subjects = cuts(said).filter(|(subject, _)| is_of_persons_alone(subject, &mut is_known));
     subjects.last().is_some_and(|(subject, rest)| {
-        let verb = rest.split([' ', ',']).next().unwrap_or_default();
+        let verb = first_word(rest);
         let is_several = parts(subject).nth(1).is_some();
         !has(&WORDS.no_verbs, verb) && (is_verb(verb) || is_several)
     })
+}
+
+/// Whether a plain text begins with a pronoun and what its person does.
+pub(super) fn begins_with_a_pronoun(said: &str) -> bool {
+    cuts(said).next().is_some_and(|(subject, rest)| {
+        let verb = first_word(rest);
+        has(&WORDS.pronouns, subject) && !verb.is_empty() && !has(&WORDS.no_verbs, verb)
+    })
+}
+
+/// Whether what a plain sentence says does not happen now: it is denied, planned, possible, or of another time.
+pub(super) fn is_not_so(said: &str) -> bool {
+    is_not_now(said) || cuts(said).take(NAME_WORDS_MAX).any(|(_, rest)| is_unreal(rest))
+}
+
+/// Whether a word behind a plain text belongs to its verb: "after" of "ada looks after".
+pub(super) fn goes_on_with(said: &str, word: &str) -> bool {
+    let verb = said.rsplit(' ').next().unwrap_or_default();
+    word.trim_start_matches([',', ' ']).eq_ignore_ascii_case("after") && has(&WORDS.verbs_with_after, verb)
 }
 
 /// Whether a plain text says by itself that somebody is away, in a room or comes home, of whom nobody may have told yet.

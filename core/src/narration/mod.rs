@@ -7,6 +7,7 @@ use crate::text::is_hidden;
 use std::fmt;
 
 use clause::{Clause, Subject};
+use several::Holds;
 
 mod about;
 pub mod action;
@@ -235,12 +236,20 @@ impl Said {
         if !Self::may_be_several(sentence) {
             return Vec::new();
         }
-        let (clauses, count) = several::clauses(sentence.as_str(), &mut is_known);
+        let (parts, count) = several::clauses(sentence.as_str(), &mut is_known);
+        let parts = &parts[..count];
+        let is_all = count == 1 && parts.iter().all(|part| part.holds == Holds::So);
         let mut said = Vec::new();
-        for clause in &clauses[..count] {
+        for part in parts.iter().filter(|part| part.holds != Holds::NotYet) {
+            let clause = &*part.named(&mut is_known);
             // Where its person is in the end: who comes back does something.
             let last =
                 several::sentences(clause).filter_map(|one| Some((one, PresenceStatement::of_sentence(one)?))).last();
+            if part.holds == Holds::AtHome
+                && last.as_ref().is_some_and(|(_, statement)| statement.presence() == Presence::Away)
+            {
+                continue;
+            }
             let with =
                 last.as_ref().filter(|(_, statement)| !statement.is_of_everybody()).and_then(|(one, statement)| {
                     let of = |names: Vec<&str>| {
@@ -258,7 +267,7 @@ impl Said {
             };
             match last.and_then(|(_, statement)| Self::stated(statement)).map(whose) {
                 Some(statement) => said.push(Self::Presence(statement)),
-                None if count > 1 || with.is_some() || guests.is_some() => {
+                None if !is_all || with.is_some() || guests.is_some() => {
                     said.push(Self::Sentence(sentence_or(clause, sentence)))
                 }
                 None => {}
@@ -591,6 +600,49 @@ mod tests {
             ("Tom lets sunlight in.", ""),
             ("Tom lets her in.", ""),
             ("Mia comes home from work and puts the groceries into the fridge.", ""),
+        ] {
+            assert_eq!(of(text), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn a_clause_that_says_when_is_of_its_own_person() {
+        let of = |text: &str| {
+            let said = Said::of(Sentence::new(text).unwrap());
+            let of_clause = |said: &Said| match said {
+                Said::Presence(statement) => format!("{}: {statement}", statement.subject().unwrap_or("-")),
+                Said::Sentence(sentence) => sentence.to_string(),
+            };
+            let clauses = said.clauses(|name| ["mia", "jon", "anna"].contains(&name));
+            clauses.iter().map(of_clause).collect::<Vec<_>>().join(" | ")
+        };
+        for (text, expected) in [
+            ("While Jon takes a shower, Mia leaves.", "Jon takes a shower. | mia: away"),
+            ("Mia leaves while Jon takes a shower.", "mia: away | Jon takes a shower."),
+            ("Before Jon leaves, he goes to the kitchen.", "Jon goes to the kitchen."),
+            ("Before Jon leaves, Mia goes to the kitchen.", "Mia goes to the kitchen."),
+            ("Before she leaves, Jon goes to the kitchen.", "Jon goes to the kitchen."),
+            ("Mia goes to the kitchen before Jon leaves the house.", "Mia goes to the kitchen."),
+            ("Mia goes to the kitchen before she leaves the house.", "Mia goes to the kitchen."),
+            ("Mia sings before Jon cooks and Anna leaves the house. Jon sits down.", "Mia sings. | Jon sits down."),
+            ("After Mia leaves, Jon goes to the office.", "mia: away | Jon goes to the office."),
+            ("Jon goes to the office after Mia leaves.", "Jon goes to the office. | mia: away"),
+            ("As Mia leaves, Jon and Anna sit down.", "mia: away | Jon and Anna sit down."),
+            ("Jon sings. While he cooks, Mia leaves the house.", "Jon sings. | mia: away"),
+            ("Mia stays in the kitchen until Jon leaves.", "mia: present in the kitchen"),
+            ("When Mia leaves, Jon goes to the office.", "Jon goes to the office."),
+            ("Once Mia comes home, Jon leaves the house.", "Mia comes home."),
+            ("As soon as Jon cooks, Mia sits down.", "Jon cooks. | Mia sits down."),
+            ("Mia leaves the house when Jon comes home.", "Jon comes home."),
+            ("After Mia leaves the house, Jon will cook.", "Jon will cook."),
+            ("After Jon and Mia leave the house, Anna sings.", "jon and mia: away | Anna sings."),
+            ("Jon looks after Mia and Anna leaves.", "Jon looks after Mia. | anna: away"),
+            ("When Mia leaves the house, the heating goes down.", ""),
+            ("When Mia leaves the house, lock the door.", ""),
+            ("After dinner, Jon cooks.", ""),
+            ("Jon is as tall as Mia.", ""),
+            ("Mia leaves. Jon leaves. Anna leaves.", "mia: away | jon: away | anna: away"),
+            ("Mia leaves! Jon cooks; Anna leaves the house.", "mia: away | Jon cooks. | anna: away"),
         ] {
             assert_eq!(of(text), expected, "{text}");
         }
