@@ -531,7 +531,7 @@ impl Recording {
             if !is_claimed && !is_contained {
                 continue;
             }
-            let clauses = observation.said.clauses(|name| self.named(name, scores.epoch).is_some());
+            let clauses = observation.said.clauses(|name| self.named(name, scores.epoch).is_some(), |_| false);
             let whole = clauses.is_empty().then_some(observation.said);
             for said in whole.into_iter().chain(clauses) {
                 let person = self.subject(&said, scores.epoch).unwrap_or(person);

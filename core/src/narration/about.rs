@@ -23,6 +23,14 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
     if clause::is(Word::Condition, first) || said.ends_with('?') {
         return About::Nobody;
     }
+    // Who only greets may be anywhere: "Hello!" is of nobody, and "Hi, Ada comes in." of Ada.
+    if clause::is(Word::Greeting, first.trim_end_matches(['!', '.'])) {
+        let rest = said.split_once([',', '!']).map_or("", |(_, rest)| rest.trim_start());
+        return match about(rest, is_known, is_name) {
+            named @ About::Named(_) if !rest.is_empty() => named,
+            _ => About::Nobody,
+        };
+    }
     // What stands before it was speech: "says Ada".
     if clause::is(Word::Report, first) {
         let name = rest.join(" ");
@@ -55,6 +63,11 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
     }
     if clause::is(Word::Determiner, first) {
         return of_a_noun(said, first, rest);
+    }
+    // "Ada's mother" is nobody who is known.
+    let verb = rest.get(1).copied().unwrap_or_default();
+    if first.ends_with("'s") && clause::is(Word::People, second) && clause::is_verb(verb) {
+        return About::Stranger(format!("{first} {second}"));
     }
     if clause::is(Word::Nothing, first) || first.ends_with("'s") || clause::is(Word::Group, first) {
         return About::Nobody;
@@ -147,6 +160,8 @@ mod tests {
             ("Grandma Ada opens the fridge.", "new grandma ada"),
             ("Will opens the fridge.", "new will"),
             ("The cleaner says goodbye.", "cleaner"),
+            ("Ada's mother sits down.", "new ada's mother"),
+            ("Hi, Ada opens the door.", "ada"),
             ("My husband sits on the bed.", "husband"),
             ("\"I will leave the house soon\", says Ada.", "ada"),
             ("Ada says: \"Ben, leave the house!\"", "ada"),
@@ -197,6 +212,10 @@ mod tests {
             "If Ada cooks, the light goes on.",
             "Yesterday Ben sat on the sofa.",
             "Dishwasher beeps.",
+            "Hello!",
+            "Good morning!",
+            "Hello Ada!",
+            "Spotify starts playing.",
             "Alexa turns on the light.",
             "Doorbell rings.",
             "Sensor reports motion.",

@@ -97,6 +97,9 @@ struct Words {
     no_verbs: List,
     ended: List,
     verbs_with_after: List,
+    perceives: List,
+    sends: List,
+    guests: List,
 }
 
 /// Words of one kind, found by the first of each: a sentence is looked at by many lists, and has something of few.
@@ -155,6 +158,7 @@ pub(super) enum Word {
     Condition,
     Determiner,
     Everybody,
+    Greeting,
     Group,
     Nothing,
     People,
@@ -171,6 +175,7 @@ pub(super) fn is(kind: Word, word: &str) -> bool {
         Word::Condition => &WORDS.conditions,
         Word::Determiner => &WORDS.determiners,
         Word::Everybody => &WORDS.everybody,
+        Word::Greeting => &WORDS.greetings,
         Word::Group => &WORDS.groups,
         Word::Nothing => &WORDS.nothing,
         Word::People => &WORDS.people,
@@ -447,9 +452,40 @@ pub(super) fn with_plain<T>(sentence: &str, read: impl FnOnce(&str) -> T) -> T {
             text.insert_str(nobody.len() - "in the ".len(), "is ");
         }
     }
+    write_as_usual(&mut text);
     let said = read(&text);
     PLAIN.set(text);
     said
+}
+
+/// Writes what is said in several ways in one: "they are both in", "has just left", "is no longer in", "ada/ben".
+fn write_as_usual(text: &mut String) {
+    const BOTH: &str = "they are both ";
+    if text.starts_with(BOTH) {
+        text.replace_range(..BOTH.len(), "both are ");
+    }
+    while let Some(at) = text.find(" no longer ") {
+        text.replace_range(at..at + " no longer ".len(), " not ");
+    }
+    let between = |text: &str| {
+        ["has ", "have ", "is ", "are "].iter().flat_map(|verb| text.match_indices(*verb)).find_map(|(at, verb)| {
+            let begin = at + verb.len();
+            let is_word = text[..at].ends_with(' ');
+            let end = WORDS.between.after(&text[begin..]).find(|after| after.starts_with(' '))?;
+            is_word.then(|| (begin, text.len() - end.len() + 1))
+        })
+    };
+    while let Some((begin, end)) = between(text) {
+        text.replace_range(begin..end, "");
+    }
+    let first = text.split(' ').next().unwrap_or_default();
+    let are_names = |(one, other): (&str, &str)| {
+        let is_name = |name: &str| !name.is_empty() && name.chars().all(char::is_alphabetic);
+        is_name(one) && is_name(other)
+    };
+    if let Some(at) = first.find('/').filter(|_| first.split_once('/').is_some_and(are_names)) {
+        text.replace_range(at..=at, " and ");
+    }
 }
 
 /// The parts of a sentence without quotation marks, and without what somebody says between them: a name alone is no speech.
@@ -593,7 +629,9 @@ fn first_predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     if is_out || is_outside_by(state, &["at", "in"]) {
         return Some((Presence::Away, None));
     }
-    if let Some(room) = in_the(state).map(room_of).filter(|room| is_room(room)) {
+    // Who is at the office may be at work.
+    let may_be_at_work = |room: &&str| *room == "office" && state.starts_with("at ");
+    if let Some(room) = in_the(state).map(room_of).filter(|room| is_room(room) && !may_be_at_work(room)) {
         return Some((Presence::Present, Some(room)));
     }
     let is_in = WORDS.r#in.after(state).any(ends_here);
@@ -616,7 +654,12 @@ fn is_said(words: &str) -> bool {
 /// house.
 fn last_of_all(subject: &str, rest: &str, are_several: bool) -> Option<(Presence, Option<&'static str>)> {
     let joins = || [" and then ", ", then ", " and ", " then "].iter().find_map(|join| rest.rsplit_once(join));
-    let joined = if are_several { joins() } else { None };
+    // "Leaves with ada and ben": what is joined are those who go along.
+    let are_along = |(before, last): &(&str, &str)| {
+        let with = LEAVES.iter().find_map(|verb| before.strip_prefix(verb)?.strip_prefix(" with "));
+        with.is_some_and(|with| names(with).is_some()) && names(last).is_some() && !is_verb(first_word(last))
+    };
+    let joined = if are_several { joins().filter(|joined| !are_along(joined)) } else { None };
     let last = joined.map_or(rest, |(_, last)| last);
     if !may_be_predicate(last) {
         return None;
@@ -833,7 +876,8 @@ fn is_a_way(name: &&str) -> bool {
 /// Whether a text may say who is taken along.
 pub(super) fn may_have_companions(text: &str) -> bool {
     with_plain(text, |text| {
-        text.contains(" with ") || WORDS.takes.is_in(text) || (text.contains(" in") && WORDS.lets.is_in(text))
+        let tells_of_others = [&WORDS.takes, &WORDS.perceives, &WORDS.sends].into_iter().any(|verbs| verbs.is_in(text));
+        text.contains(" with ") || tells_of_others || (text.contains(" in") && WORDS.lets.is_in(text))
     })
 }
 
@@ -891,13 +935,94 @@ pub(super) fn guests(said: &str) -> Vec<&str> {
 
 /// Whether a plain sentence says what both persons do who are there.
 pub(super) fn is_of_both(said: &str) -> bool {
+    is_of_a_group(said, &WORDS.both)
+}
+
+/// Whether a plain sentence says what everybody does who is there: "everybody goes to bed".
+pub(super) fn is_deed_of_all(said: &str) -> bool {
+    is_of_a_group(said, &WORDS.everybody)
+}
+
+/// Whether a plain sentence says what a group does now.
+fn is_of_a_group(said: &str, group: &List) -> bool {
     cuts(said).any(|(subject, rest)| {
         let verb = rest.split([' ', ',']).next().unwrap_or_default();
         let is_not_so = is_past_state(rest) || is_unreal(rest) || is_doubtful(rest) || is_not_now(said);
         // "Both lamps are on": no verb of several ends so.
-        let is_thing = verb.ends_with('s') && !verb.ends_with("ss");
-        has(&WORDS.both, subject) && !is_thing && !has(&WORDS.no_verbs, verb) && !has(&WORDS.groups, verb) && !is_not_so
+        let is_thing = match subject.starts_with("every") {
+            true => !is_verb(verb),
+            false => verb.ends_with('s') && !verb.ends_with("ss"),
+        };
+        let is_other = has(&WORDS.no_verbs, verb) || has(&WORDS.groups, verb) || has(&WORDS.except, verb);
+        // "Both are in bed" says it of them.
+        let is_said = is_said(verb) || matches!(verb, "is" | "are");
+        has(group, subject) && is_said && !is_thing && !is_other && !is_not_so
     })
+}
+
+/// Whether a plain sentence says that somebody goes home: who lives here comes then, and who does not goes.
+pub(super) fn goes_home(said: &str) -> bool {
+    let is_home =
+        |place: &str| ["home", "back home"].iter().any(|home| place.strip_prefix(home).is_some_and(ends_here));
+    let goes = |rest: &str| [&WORDS.goes, &WORDS.travels].iter().any(|verbs| after_verb(rest, verbs).any(is_home));
+    // "Ada lets Ben go home" is of Ben, and one alone "goes".
+    let is_own = |subject: &str, rest: &str| {
+        let are_several = has(&WORDS.pronouns, subject) || parts(subject).nth(1).is_some();
+        is_said(subject) && (are_several || is_verb(first_word(rest)))
+    };
+    let is_told = !is_not_so(said) && !is_reported(said);
+    is_told && cuts(said).take(NAME_WORDS_MAX).any(|(subject, rest)| is_own(subject, rest) && goes(rest))
+}
+
+/// Whether a plain sentence says that somebody is taken home, and not brought: "ada drives ben home".
+pub(super) fn takes_home(said: &str) -> bool {
+    let is_taken = |rest: &str| !rest.starts_with("br") && matches!(takes(rest), Some((_, Presence::Present)));
+    cuts(said).take(NAME_WORDS_MAX).any(|(_, rest)| is_taken(rest))
+}
+
+/// Whether a plain sentence says what somebody left behind, who may be anywhere now: "ada left the light on in the office". Who left the kitchen
+/// did so from there.
+pub(super) fn is_of_what_was_left(said: &str) -> bool {
+    const WHERE: [&str; 5] = [" on", " in ", " at ", " open", " running"];
+    let is_left = |rest: &str| {
+        let left = ["left ", "forgot "].iter().find_map(|verb| rest.strip_prefix(verb)).unwrap_or_default();
+        let thing = WHERE.iter().filter_map(|place| left.find(place)).min().map_or("", |at| &left[..at]);
+        let (first, noun) = thing.split_once(' ').unwrap_or_default();
+        has(&WORDS.determiners, first) && !is_room(noun)
+    };
+    cuts(said).take(NAME_WORDS_MAX).any(|(_, rest)| is_left(rest))
+}
+
+/// Whom somebody sees in a room or sends there, the room, and whether they are there already: "ben", "bedroom" of "ada sees ben in the bedroom". Those
+/// alone who are known.
+pub(super) fn seen(said: &str, mut is_known: impl FnMut(&str) -> bool) -> Option<(Vec<&str>, &str, bool)> {
+    if is_not_now(said) || said.ends_with('?') {
+        return None;
+    }
+    let mut known = |words| names(words).filter(|names| names.iter().all(|name| is_known(name)));
+    cuts(said).take(NAME_WORDS_MAX).filter(|(subject, _)| is_said(subject)).find_map(|(_, rest)| {
+        [(&WORDS.perceives, " in the ", true), (&WORDS.sends, " to the ", false)].into_iter().find_map(
+            |(verbs, to, is_there)| {
+                let (who, place) = after_verb(rest, verbs).find_map(|after| after.split_once(to))?;
+                let room = Some(room_of(place)).filter(|room| is_room(room))?;
+                Some((known(who)?, room, is_there))
+            },
+        )
+    })
+}
+
+/// Whether a plain sentence says that a guest is one more than those of whom was told: "a guest arrives".
+pub(super) fn is_of_a_new_guest(said: &str) -> bool {
+    let is_new = |part: &str| {
+        let noun = ["a ", "another "].iter().find_map(|article| part.strip_prefix(article));
+        noun.is_some_and(|noun| has(&WORDS.guests, noun))
+    };
+    cuts(said).take(NAME_WORDS_MAX).any(|(subject, _)| parts(subject).any(is_new))
+}
+
+/// Whether a name in lower case is what any guest is called.
+pub(super) fn is_guest(name: &str) -> bool {
+    has(&WORDS.guests, name)
 }
 
 /// What somebody is, in a sentence that says it: "is still away" is "away".
@@ -1017,8 +1142,21 @@ pub(super) fn is_from_afar(said: &str) -> bool {
         return false;
     }
     let is_outside = || said.match_indices(' ').any(|(at, _)| is_outside_by(&said[at + 1..], &["at", "in"]));
-    let is_afar = || WORDS.afar.is_in(said) || is_outside();
+    let is_afar = || WORDS.afar.is_in(said) || is_outside() || is_at_somebodys(said) || is_of_what_was_left(said);
     cuts(said).any(|(_, rest)| WORDS.from_afar.iter().any(|words| begins(rest, words))) || is_afar()
+}
+
+/// Whether a plain sentence has the house of somebody else as a place: "at his parents' house".
+fn is_at_somebodys(said: &str) -> bool {
+    let is_house = |of: &str, after: &str| {
+        (of.ends_with("'s") || of.ends_with("s'"))
+            && ["house", "home", "place", "flat", "apartment"].contains(&first_word(after))
+    };
+    said.match_indices(" at ").any(|(at, _)| {
+        let place = &said[at + " at ".len()..];
+        let mut spaces = place.match_indices(' ').map(|(at, _)| at).take(NAME_WORDS_MAX);
+        spaces.any(|at| is_house(&place[..at], &place[at + 1..]))
+    })
 }
 
 /// Whether a plain sentence begins with a pronoun.
@@ -1154,7 +1292,9 @@ fn parts(subject: &str) -> impl Iterator<Item = &str> {
 /// What the persons of a subject are called: "ada" and "plumber" of "ada and the plumber". None where one of them is a thing, or where it is
 /// not told whom it is of.
 fn names(subject: &str) -> Option<Vec<&str>> {
-    parts(subject).map(person_of).collect::<Option<Vec<_>>>().filter(|names| !names.is_empty())
+    // "Ada and the dog" is Ada.
+    let persons = parts(subject).filter(|part| !has(&WORDS.animals, part));
+    persons.map(person_of).collect::<Option<Vec<_>>>().filter(|names| !names.is_empty())
 }
 
 /// What a person is called in a part of a subject; none of a thing.
@@ -1320,6 +1460,16 @@ mod tests {
             ("Ada comes in.", "ada present"),
             ("Ben takes a walk.", "ben away"),
             ("Ben takes a stroll in the park.", "ben away"),
+            ("Ben has just left.", "ben away"),
+            ("Ben has already left the house.", "ben away"),
+            ("Ben has finally left.", "ben away"),
+            ("Ben is finally home.", "ben present"),
+            ("Ada/Ben leave.", "ada+ben away"),
+            ("Ada and the dog go out.", "ada away"),
+            ("They are both in the kitchen.", "both present kitchen"),
+            ("They are both away.", "both away"),
+            ("Ben is no longer home.", "ben away"),
+            ("Ben is no longer in the study.", "other present"),
         ] {
             assert_eq!(said(sentence), expected, "{sentence}");
         }
@@ -1451,6 +1601,9 @@ mod tests {
             "The daughter goes home.",
             "Ben takes a walk to the kitchen.",
             "Ben takes a shower.",
+            "Ada is at the office.",
+            "Ada leaves with a sigh and sits down.",
+            "Ada leaves with Ben and cooks.",
         ] {
             assert_eq!(said(sentence), "-", "{sentence}");
         }

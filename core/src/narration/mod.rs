@@ -229,9 +229,14 @@ impl Said {
     }
 
     /// What each clause of a text says, in their order, where it is more than one sentence of one person: "Mia goes to her room and Tom leaves
-    /// the house." is of Mia, and that Tom is away. `is_known` says whether a name is a person's. Empty where the text says what it is.
+    /// the house." is of Mia, and that Tom is away. `is_known` says whether a name is a person's, and `is_visitor` whether that of one with a home
+    /// elsewhere. Empty where the text says what it is.
     #[must_use]
-    pub fn clauses(&self, mut is_known: impl FnMut(&str) -> bool) -> Vec<Self> {
+    pub fn clauses(
+        &self,
+        mut is_known: impl FnMut(&str) -> bool,
+        mut is_visitor: impl FnMut(&str) -> bool,
+    ) -> Vec<Self> {
         let Self::Sentence(sentence) = self else { return Vec::new() };
         if !Self::may_be_several(sentence) {
             return Vec::new();
@@ -241,40 +246,82 @@ impl Said {
         let is_all = count == 1 && parts.iter().all(|part| part.holds == Holds::So);
         let mut said = Vec::new();
         for part in parts.iter().filter(|part| part.holds != Holds::NotYet) {
-            let clause = &*part.named(&mut is_known);
-            // Where its person is in the end: who comes back does something.
-            let last =
-                several::sentences(clause).filter_map(|one| Some((one, PresenceStatement::of_sentence(one)?))).last();
-            if part.holds == Holds::AtHome
-                && last.as_ref().is_some_and(|(_, statement)| statement.presence() == Presence::Away)
-            {
-                continue;
-            }
-            let with =
-                last.as_ref().filter(|(_, statement)| !statement.is_of_everybody()).and_then(|(one, statement)| {
-                    let of = |names: Vec<&str>| {
-                        (!names.is_empty()).then(|| statement.of_one(statement.presence()).with_subjects(&names))
-                    };
-                    clause::with_plain(one, |one| of(clause::companions(one, &mut is_known)))
-                });
-            let guests = Self::guests(clause, &mut is_known);
-            let whose = |statement: PresenceStatement| match statement.subject() {
-                None if !statement.is_of_everybody() => {
-                    let names = Self::Sentence(sentence_or(clause, sentence)).known_names(&mut is_known);
-                    if names.is_empty() { statement } else { statement.with_subjects(&names) }
-                }
-                _ => statement,
-            };
-            match last.and_then(|(_, statement)| Self::stated(statement)).map(whose) {
-                Some(statement) => said.push(Self::Presence(statement)),
-                None if !is_all || with.is_some() || guests.is_some() => {
-                    said.push(Self::Sentence(sentence_or(clause, sentence)))
-                }
-                None => {}
-            }
-            said.extend(with.into_iter().chain(guests).map(Self::Presence));
+            let of_part = Self::of_part(part, sentence, is_all, &mut is_known, &mut is_visitor);
+            said.extend(of_part.into_iter().flatten());
         }
         said
+    }
+
+    /// What one clause of a sentence says: of its own persons, of those who are with them, and of those whom they let in. `is_all` says that it is
+    /// the whole sentence, which then says what it is where it is of nobody else.
+    fn of_part(
+        part: &several::Part<'_>,
+        sentence: &Sentence,
+        is_all: bool,
+        is_known: &mut dyn FnMut(&str) -> bool,
+        is_visitor: &mut dyn FnMut(&str) -> bool,
+    ) -> [Option<Self>; 3] {
+        let clause = &*part.named(is_known);
+        // Where its person is in the end: who comes back does something.
+        let last =
+            several::sentences(clause).filter_map(|one| Some((one, PresenceStatement::of_sentence(one)?))).last();
+        if part.holds == Holds::AtHome
+            && last.as_ref().is_some_and(|(_, statement)| statement.presence() == Presence::Away)
+        {
+            return [None, None, None];
+        }
+        if let Some(seen) = Self::seen(clause, is_known) {
+            return seen;
+        }
+        let along = last.as_ref().filter(|(_, statement)| !statement.is_of_everybody()).and_then(|(one, statement)| {
+            clause::with_plain(one, |plain| {
+                let names = clause::companions(plain, &mut *is_known);
+                // A visitor is taken home out of this house.
+                let is_out = clause::takes_home(plain) && names.iter().any(|name| is_visitor(name));
+                let with = statement.of_one(if is_out { Presence::Away } else { statement.presence() });
+                (!names.is_empty()).then(|| (with.with_subjects(&names), is_out))
+            })
+        });
+        let (with, is_out) = along.map_or((None, false), |(with, is_out)| (Some(with), is_out));
+        let guests = Self::guests(clause, is_known);
+        let whose = |statement: PresenceStatement| match statement.subject() {
+            None if !statement.is_of_everybody() => {
+                let names = Self::Sentence(sentence_or(clause, sentence)).known_names(&mut *is_known);
+                if names.is_empty() { statement } else { statement.with_subjects(&names) }
+            }
+            _ => statement,
+        };
+        let stated = last.and_then(|(_, statement)| match is_out {
+            true => Some(statement.leaving()),
+            false => Self::stated(statement),
+        });
+        let own = match stated.map(whose) {
+            Some(statement) => Some(Self::Presence(statement)),
+            None if !is_all || with.is_some() || guests.is_some() => {
+                Some(Self::Sentence(sentence_or(clause, sentence)))
+            }
+            None => None,
+        };
+        [own, with.map(Self::Presence), guests.map(Self::Presence)]
+    }
+
+    /// What a clause says of those whom its person sees in a room, or sends there: of where its person is it says nothing.
+    fn seen(clause: &str, is_known: &mut dyn FnMut(&str) -> bool) -> Option<[Option<Self>; 3]> {
+        let who = clause::with_plain(clause, |plain| {
+            clause::longest_subject(plain, &mut *is_known).map_or_else(Vec::new, |(names, _)| names)
+        });
+        clause::with_plain(clause, |plain| {
+            let (names, room, is_there) = clause::seen(plain, is_known)?;
+            let own = if who.is_empty() { None } else { PresenceStatement::new(Presence::Present, None).ok() };
+            let other = match is_there {
+                true => {
+                    let there = PresenceStatement::new(Presence::Present, Some(room)).ok()?;
+                    Self::Presence(there.with_subjects(&names))
+                }
+                false => Self::Sentence(Sentence::new(&format!("{} goes to the {room}", names.join(" and "))).ok()?),
+            };
+            Some([own.map(|own| Self::Presence(own.with_subjects(&who))), Some(other), None])
+        })
     }
 
     /// That those are there whom somebody lets in: who is known, is called by what they are, or is written as a name.
@@ -356,6 +403,36 @@ impl Said {
             Self::Sentence(sentence) => clause::with_plain(sentence.as_str(), clause::is_of_both),
             Self::Presence(statement) => statement.is_of_both(),
         }
+    }
+
+    /// Whether it says what everybody does who is there: "Everybody goes to bed."
+    #[must_use]
+    pub fn is_of_all(&self) -> bool {
+        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_deed_of_all))
+    }
+
+    /// Whether it says that its person goes home: who does not live here leaves then.
+    #[must_use]
+    pub fn goes_home(&self) -> bool {
+        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::goes_home))
+    }
+
+    /// Whether it says what its person left behind, wherever they are now: "Ada left the light on in the office."
+    #[must_use]
+    pub fn is_of_what_was_left(&self) -> bool {
+        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_of_what_was_left))
+    }
+
+    /// Whether it tells of a guest beside those who are known: "A guest arrives."
+    #[must_use]
+    pub fn is_of_a_new_guest(&self) -> bool {
+        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_of_a_new_guest))
+    }
+
+    /// Whether any guest is called so: "guest", "visitor".
+    #[must_use]
+    pub fn is_guest(name: &str) -> bool {
+        clause::is_guest(&name.to_lowercase())
     }
 
     /// Whether it is about one person by a pronoun: "She opens the fridge."
@@ -554,7 +631,7 @@ mod tests {
                 Said::Presence(statement) => format!("{}: {statement}", statement.subject().unwrap_or("-")),
                 Said::Sentence(sentence) => sentence.to_string(),
             };
-            let clauses = said.clauses(|name| ["mia", "tom"].contains(&name));
+            let clauses = said.clauses(|name| ["mia", "tom"].contains(&name), |_| false);
             clauses.iter().map(of_clause).collect::<Vec<_>>().join(" | ")
         };
         for (text, expected) in [
@@ -613,7 +690,7 @@ mod tests {
                 Said::Presence(statement) => format!("{}: {statement}", statement.subject().unwrap_or("-")),
                 Said::Sentence(sentence) => sentence.to_string(),
             };
-            let clauses = said.clauses(|name| ["mia", "jon", "anna"].contains(&name));
+            let clauses = said.clauses(|name| ["mia", "jon", "anna"].contains(&name), |name| name == "anna");
             clauses.iter().map(of_clause).collect::<Vec<_>>().join(" | ")
         };
         for (text, expected) in [
@@ -642,9 +719,44 @@ mod tests {
             ("After dinner, Jon cooks.", ""),
             ("Jon is as tall as Mia.", ""),
             ("Mia leaves. Jon leaves. Anna leaves.", "mia: away | jon: away | anna: away"),
+            ("When Mia leaves, Jon leaves.", ""),
+            ("Before Mia leaves the house and Jon goes to work, Anna sings.", "Anna sings."),
+            ("Jon says that Mia leaves, Anna sings.", ""),
+            ("As Mia usually leaves the house, Jon cooks.", "Mia usually leaves the house. | Jon cooks."),
+            ("If Mia leaves the house, Jon leaves the house.", ""),
+            ("Jon takes Anna home.", "jon: away | anna: away"),
+            ("Jon brings Anna home.", "Jon brings Anna home. | anna: present"),
+            ("Anna takes Jon home.", "Anna takes Jon home. | jon: present"),
+            ("Mia leaves with Jon and Anna.", "mia: away | jon and anna: away"),
+            ("Mia and the dog go out and lock the door.", "mia: away"),
+            ("Mia sees Jon in the bedroom.", "mia: present | jon: present in the bedroom"),
+            ("Mia sends Jon to the bathroom.", "mia: present | Jon goes to the bathroom."),
+            ("Mia sees Jon in the mirror.", ""),
             ("Mia leaves! Jon cooks; Anna leaves the house.", "mia: away | Jon cooks. | anna: away"),
         ] {
             assert_eq!(of(text), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn who_goes_home_does_so_now() {
+        let goes_home = |text: &str| Said::of(Sentence::new(text).unwrap()).goes_home();
+        for text in ["Anna goes home.", "Anna and Igor go home.", "She drives home after dinner.", "They go back home."]
+        {
+            assert!(goes_home(text), "{text}");
+        }
+        for text in [
+            "Anna wants to go home.",
+            "Anna almost goes home.",
+            "Mia tells Anna to go home.",
+            "Anna lets Mia go home.",
+            "Anna does not go home.",
+            "Anna goes home tomorrow.",
+            "Jon asks whether Anna goes home.",
+            "Anna goes to the home office.",
+            "Anna will go home.",
+        ] {
+            assert!(!goes_home(text), "{text}");
         }
     }
 

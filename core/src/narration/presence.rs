@@ -196,6 +196,11 @@ impl PresenceStatement {
         Self { presence, room, subject: None, whose: Whose::Subject }
     }
 
+    /// The same of who goes out instead.
+    pub(super) fn leaving(self) -> Self {
+        Self { presence: Presence::Away, room: None, ..self }
+    }
+
     /// What it says of each of those whom it names; none where it says nothing of them.
     #[must_use]
     pub fn of_named(&self) -> Option<Self> {

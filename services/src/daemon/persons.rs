@@ -109,8 +109,9 @@ fn is_at_a_door(sentence: &str) -> bool {
     is_at_front_door(sentence) || (HOW.iter().any(|words| has_words(sentence, words)) && !is_of_a_thing())
 }
 
-/// Who told of somebody by name: whether that was a stranger, the source, and its epoch. What strangers say is kept apart.
-pub(super) type Teller = (bool, u64, u64);
+/// Who told of somebody by name: whether that was a stranger, and the source, which goes on with what it said before it was started again. What
+/// strangers say is kept apart.
+pub(super) type Teller = (bool, u64);
 
 /// All persons that the daemon knows.
 #[derive(Debug, Default)]
@@ -187,14 +188,25 @@ impl Persons {
         if self.is_name_known(name) {
             return Some(self.number_of(name));
         }
-        let mut numbers = self.alike(name).into_iter().chain(self.first_named(name));
+        let guests = if Said::is_guest(name) { self.guests() } else { BTreeSet::new() };
+        let mut numbers = self.alike(name).into_iter().chain(self.first_named(name)).chain(guests);
         let number = numbers.next().unwrap_or_else(|| self.number_of(name));
         numbers.next().is_none().then_some(number)
     }
 
+    /// Those who are known, do not live here and have a name: "the guest" is one of them.
+    fn guests(&self) -> BTreeSet<u32> {
+        let is_guest = |(number, known): &(u32, &Known)| known.presence != Presence::Gone && self.is_visitor(*number);
+        let named = self.iter().filter(|(_, known)| known.name.is_some());
+        named.filter(is_guest).map(|(number, _)| number).collect()
+    }
+
     /// Whether a sentence may call somebody so who is known, has the name here, or lives here.
     pub(super) fn is_called(&self, name: &str) -> bool {
-        self.is_name_known(name) || !self.alike(name).is_empty() || !self.first_named(name).is_empty()
+        self.is_name_known(name)
+            || !self.alike(name).is_empty()
+            || !self.first_named(name).is_empty()
+            || Said::is_guest(name) && !self.guests().is_empty()
     }
 
     /// A person's name; none where only a number is known.
@@ -240,6 +252,12 @@ impl Persons {
             others.extend(both.map(|person| Observation { person, said: said.clone(), ..observation.clone() }));
             return None.into_iter().chain(others);
         }
+        if is_open && observation.said.is_of_all() {
+            let candidates = self.candidates(is_strange).into_iter();
+            let here = candidates.filter(|(_, known)| known.presence == Presence::Present);
+            others.extend(here.map(|(person, _)| Observation { person, ..observation.clone() }));
+            return None.into_iter().chain(others);
+        }
         // Who is not understood may be anybody.
         let is_understood = |statement: &PresenceStatement| {
             statement
@@ -273,6 +291,16 @@ impl Persons {
         let is_several = is_group || names.len() > 1;
         others.extend(names.iter().filter(|_| is_several).map(of_name));
         (!is_several && !of_nobody).then_some(observation).into_iter().chain(others)
+    }
+
+    /// A visitor who goes home leaves this house.
+    pub(super) fn see_off(&self, observation: &mut Observation) {
+        if self.is_visitor(observation.person)
+            && observation.said.goes_home()
+            && let Ok(away) = PresenceStatement::new(Presence::Away, None)
+        {
+            observation.said = Said::Presence(away);
+        }
     }
 
     /// The two whom "both" means: who is in the house, or, of who comes home, who is away; none where these are not two. For a named narrator of those
@@ -368,6 +396,9 @@ impl Persons {
         if let Some(dropped) = dropped {
             self.known.remove(&dropped);
         }
+        // One who lives here is written as the home writes them.
+        let spelled = |name: &str| self.config.residents.iter().find(|resident| same_name(resident, name));
+        let name = observation.name.as_deref().map(|name| spelled(name).map_or(name, String::as_str));
         let known = self.known.entry(number).or_insert_with(|| Known {
             name: None,
             presence: Presence::Unknown,
@@ -383,8 +414,8 @@ impl Persons {
             restored: false,
             told: false,
         });
-        if observation.name.is_some() {
-            known.name.clone_from(&observation.name);
+        if name.is_some() && known.name.as_deref() != name {
+            known.name = name.map(Into::into);
         }
         if let Said::Sentence(sentence) = &observation.said {
             known.did_ns = at_ns.max(known.did_ns);
@@ -521,7 +552,7 @@ impl Persons {
     /// The names of those whom an observation is about that was given no name: of persons who are known by them, have them here, or live here; of
     /// who is called by what they are ("the plumber"); or of strangers, unless one alone comes where nobody goes by a name.
     pub(super) fn named(&self, said: &Said) -> Vec<String> {
-        self.names_in(self.about(said))
+        self.names_in(self.about(said), said.is_of_a_new_guest())
     }
 
     /// Whether the home says that a name is no person's.
@@ -541,7 +572,8 @@ impl Persons {
         }
     }
 
-    fn names_in(&self, about: About) -> Vec<String> {
+    /// The names in that; where a guest is new, "guest" is none of those who are known.
+    fn names_in(&self, about: About, is_new_guest: bool) -> Vec<String> {
         let names = match about {
             About::Named(names) => names,
             About::Stranger(name) => vec![name],
@@ -555,6 +587,9 @@ impl Persons {
             may_be_new && Said::may_be_new(name) && !begins_with_known(name) && check_name(name).is_ok()
         };
         let whose = |name: String| {
+            if is_new_guest && Said::is_guest(&name) {
+                return Some(name);
+            }
             // Who goes by a longer name is told of by that.
             let number = self.called(&name)?;
             let known = self.is_called(&name).then(|| self.name_of(number)).flatten();
@@ -567,8 +602,10 @@ impl Persons {
     pub(super) fn is_of_nobody(&self, said: &Said) -> bool {
         match self.about(said) {
             // "Only Rocky is home" is of all the others.
-            About::Nobody => !matches!(said, Said::Presence(statement) if statement.is_of_everybody()),
-            named @ About::Named(_) => self.has_names() && self.names_in(named).is_empty(),
+            About::Nobody => {
+                !said.is_of_all() && !matches!(said, Said::Presence(statement) if statement.is_of_everybody())
+            }
+            named @ About::Named(_) => self.has_names() && self.names_in(named, said.is_of_a_new_guest()).is_empty(),
             About::Stranger(_) | About::Somebody => false,
         }
     }
@@ -606,7 +643,7 @@ impl Persons {
     pub(super) fn remember(&mut self, teller: Teller, person: u32, at_ns: i64) {
         self.told_of.retain(|told| told.0 != teller);
         if self.told_of.len() == TOLD_OF_MAX {
-            let oldest = self.told_of.iter().position(|((is_strange, ..), ..)| *is_strange);
+            let oldest = self.told_of.iter().position(|((is_strange, _), ..)| *is_strange);
             if oldest.is_none() && teller.0 {
                 return;
             }

@@ -25,7 +25,8 @@ enum Place {
 impl<M: LanguageModel> Board<M> {
     /// The observations that one of several clauses stands for, each of those whom it names; itself where it has one.
     pub(super) fn clauses(&self, observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
-        let said = observation.said.clauses(|name| self.persons.is_called(name));
+        let is_visitor = |name: &str| self.persons.is_visitor(self.persons.number_of(name));
+        let said = observation.said.clauses(|name| self.persons.is_called(name), is_visitor);
         // What is keyed, or was found by fit, is so in the clauses that name nobody.
         let own = |said: Said| {
             let mut names = if said.is_of_a_pronoun() { Vec::new() } else { self.persons.named(&said) };
@@ -93,7 +94,7 @@ impl<M: LanguageModel> Board<M> {
     ) -> Option<Observation> {
         let noted_ns = at_ns.unwrap_or_default();
         // What a stranger says is not what a named narrator goes on with, whatever number it took.
-        let teller = (is_strange, observation.source, observation.epoch);
+        let teller = (is_strange, observation.source);
         match &observation.name {
             Some(name) => {
                 observation.person = self.persons.number_of(name);
@@ -126,6 +127,7 @@ impl<M: LanguageModel> Board<M> {
         if is_strange && self.persons.is_guarded(observation.person, noted_ns) {
             return None;
         }
+        self.persons.see_off(&mut observation);
         // After such a silence a visitor was gone, whether or not anybody looked meanwhile.
         if self.persons.has_expired(observation.person, noted_ns) {
             self.watch();
@@ -281,9 +283,11 @@ fn ways_out(grounding: &Grounding) -> Vec<f64> {
     near
 }
 
-/// The words of a sentence that say where its person is: none where a device that was found to be theirs has ended something.
+/// The words of a sentence that say where its person is: none where a device that was found to be theirs has ended something, where they
+/// speak, and where it is of what they left behind.
 pub(super) fn place_words<'a>(sentence: &'a str, observation: &Observation) -> &'a str {
-    let is_nowhere = observation.by_fit && observation.said.is_of_an_end() || observation.said.is_speech();
+    let Observation { by_fit, said, .. } = observation;
+    let is_nowhere = *by_fit && said.is_of_an_end() || said.is_speech() || said.is_of_what_was_left();
     if is_nowhere { "" } else { sentence }
 }
 
