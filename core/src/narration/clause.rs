@@ -232,7 +232,8 @@ pub(super) fn is_not_now(said: &str) -> bool {
     let mut begins = main.match_indices(' ').map(|(at, _)| at + 1).chain([0]);
     let is_at_another_time =
         begins.any(|at| WORDS.not_now.begin(&main[at..]).any(|(words, after)| is_other_time(at, words, after)));
-    is_at_another_time || is_ahead(main) || cuts(main).any(|(_, rest)| is_back_at_a_time(rest))
+    let is_ahead = is_ahead(main) || is_at_an_hour(main) || cuts(main).any(|(_, rest)| is_back_at_a_time(rest));
+    is_at_another_time || is_ahead
 }
 
 /// Whether a text has a time ahead: "in ten minutes".
@@ -249,15 +250,21 @@ fn is_ahead(text: &str) -> bool {
     })
 }
 
+/// Whether a text says at which hour something is done, which is then a plan, or what is done every day: "ada leaves at nine". What was done at an
+/// hour has happened, and so has what was noted to the minute: "leaves the house at 8:15".
+fn is_at_an_hour(text: &str) -> bool {
+    let is_done = |word: &str| word.ends_with("ed") || has(&WORDS.past, word) || matches!(word, "has" | "have" | "had");
+    text.match_indices(" at ").any(|(at, found)| {
+        has(&WORDS.hours, first_word(&text[at + found.len()..])) && !text[..at].split(' ').any(is_done)
+    })
+}
+
 /// Whether words after a subject say when it will be there: "is home at six", "is back by noon".
 fn is_back_at_a_time(rest: &str) -> bool {
     let Some(state) = state(rest) else { return false };
     let mut times =
         WORDS.r#in.after(state).filter_map(|after| after.strip_prefix(" at ").or_else(|| after.strip_prefix(" by ")));
-    times.any(|time| {
-        let first = time.split([' ', ',']).next().unwrap_or_default();
-        first.starts_with(|c: char| c.is_ascii_digit()) || has(&WORDS.hours, first)
-    })
+    times.any(|time| time.starts_with(|c: char| c.is_ascii_digit()) || has(&WORDS.hours, first_word(time)))
 }
 
 /// Whether a plain sentence says what somebody is, or where they go, and not that they are or come home: "ada is at the gym", "ada is late", "ada
@@ -1146,7 +1153,7 @@ pub(super) fn is_from_afar(said: &str) -> bool {
     cuts(said).any(|(_, rest)| WORDS.from_afar.iter().any(|words| begins(rest, words))) || is_afar()
 }
 
-/// Whether a plain sentence has the house of somebody else as a place: "at his parents' house".
+/// Whether a plain sentence has the house of somebody else as a place: "at his parents' house", "at vera's".
 fn is_at_somebodys(said: &str) -> bool {
     let is_house = |of: &str, after: &str| {
         (of.ends_with("'s") || of.ends_with("s'"))
@@ -1155,7 +1162,8 @@ fn is_at_somebodys(said: &str) -> bool {
     said.match_indices(" at ").any(|(at, _)| {
         let place = &said[at + " at ".len()..];
         let mut spaces = place.match_indices(' ').map(|(at, _)| at).take(NAME_WORDS_MAX);
-        spaces.any(|at| is_house(&place[..at], &place[at + 1..]))
+        let is_whole = (place.ends_with("'s") || place.ends_with("s'")) && place.split(' ').count() <= NAME_WORDS_MAX;
+        is_whole || spaces.any(|at| is_house(&place[..at], &place[at + 1..]))
     })
 }
 
@@ -1463,6 +1471,7 @@ mod tests {
             ("Ben has just left.", "ben away"),
             ("Ben has already left the house.", "ben away"),
             ("Ben has finally left.", "ben away"),
+            ("Ben left the house at nine.", "ben away"),
             ("Ben is finally home.", "ben present"),
             ("Ada/Ben leave.", "ada+ben away"),
             ("Ada and the dog go out.", "ada away"),
@@ -1525,6 +1534,9 @@ mod tests {
         for sentence in [
             "Ada is back in an hour.",
             "Ada is home at six.",
+            "Ada leaves at nine.",
+            "Everybody leaves at eight.",
+            "We are leaving at noon.",
             "Ada is back by noon.",
             "Ada comes home tomorrow.",
             "Ada comes home in ten minutes.",

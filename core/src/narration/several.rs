@@ -10,10 +10,15 @@ pub(super) const CLAUSES_MAX: usize = 8;
 /// What stands between two clauses of one sentence, beside [`WHEN`].
 const JOINS: [&str; 5] = [", and ", " and ", ", but ", " but ", ", "];
 /// Begin a clause that says when another one is so, and whether it is so itself; they stand before it or behind it.
-const WHEN: [(&str, Holds); 8] = [
+const WHEN: [(&str, Holds); 13] = [
     ("while ", Holds::So),
     ("as ", Holds::So),
     ("after ", Holds::So),
+    ("because ", Holds::So),
+    ("since ", Holds::So),
+    ("although ", Holds::So),
+    ("though ", Holds::So),
+    ("whenever ", Holds::AtHome),
     ("as soon as ", Holds::AtHome),
     ("when ", Holds::AtHome),
     ("once ", Holds::AtHome),
