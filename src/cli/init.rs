@@ -289,8 +289,16 @@ fn find_broker(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Resul
             ));
             Ok((None, Seen::default()))
         }
+        // The map was to come from there.
+        Err(error) if args.valetudo.as_deref() == Some(Path::new("mqtt")) => Err(input(told(error))),
         Err(error) => {
-            notes.push(told(error));
+            let no_robot = match args.robot {
+                None => {
+                    "; without it no robot is set up: give --robot PREFIX/IDENTIFIER, or --replace when the broker answers"
+                }
+                Some(_) => "",
+            };
+            notes.push(format!("{}{no_robot}", told(error)));
             Ok((Some(broker), Seen::default()))
         }
     }

@@ -302,7 +302,9 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
         let tail = |topic: &str| topic.split_once('/').map(|(_, tail)| tail.to_owned());
         let tails: Vec<String> = rules.about().filter_map(|rule| tail(rule.topic)).collect();
         let other = all_topics().find(|(topic, _)| tail(topic).is_some_and(|own| tails.contains(&own)));
-        let wanted = bases.first().map_or("homeassistant", String::as_str);
+        // Of Home Assistant are most rules, as `init` wrote them; what was added may be of anything.
+        let topics_of = |wanted: &str| rules.about().filter(|rule| base(rule.topic) == wanted).count();
+        let wanted = bases.iter().max_by_key(|base| topics_of(base)).map_or("homeassistant", String::as_str);
         let (found, remedy) = match other.map(|(topic, _)| base(topic)) {
             Some(other) => (
                 format!("{found}, and Home Assistant says its states under {other}/"),
@@ -548,7 +550,10 @@ fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, Stri
         "the robot cannot do {names}: {room}: {why}; its segments are {}",
         some_of(known.iter().map(String::as_str))
     );
-    let number = segments.keys().next().map_or("1", String::as_str);
+    // One that no room has yet: another would send the robot into the wrong room.
+    let done: Vec<String> =
+        (map.rooms().iter()).filter_map(|room| segment_of(&room.id, &config.robot.segments, segments).ok()).collect();
+    let number = segments.keys().find(|number| !done.contains(number)).map_or("NUMBER", String::as_str);
     let remedy = format!(
         "write each room's number into [robot.segments] of {}, such as {room:?} = {number:?}; or import the robot's own map",
         place.shown()
