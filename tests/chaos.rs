@@ -875,6 +875,8 @@ fn survives(household: bool) {
     for (index, seen) in world.seen.iter().enumerate() {
         let first_of_daemon = index == 0 || world.seen[index - 1].epoch != seen.epoch;
         let end = match seen.claim {
+            // The first scores after a start may wait for a record of the journal: they claim nothing, and contain what the journal had.
+            None if first_of_daemon => continue,
             None => 0,
             Some(claim) => match names.get(&(claim.source, claim.epoch, claim.sequence)) {
                 Some(at) => at + 1,
