@@ -876,8 +876,7 @@ fn survives(household: bool) {
         let first_of_daemon = index == 0 || world.seen[index - 1].epoch != seen.epoch;
         let end = match seen.claim {
             // The first scores after a start may wait for a record of the journal: they claim nothing, and contain what the journal had.
-            None if first_of_daemon => continue,
-            None => 0,
+            None => continue,
             Some(claim) => match names.get(&(claim.source, claim.epoch, claim.sequence)) {
                 Some(at) => at + 1,
                 None => {
