@@ -350,7 +350,7 @@ struct World {
     accepted: Vec<Observation>,
     /// Whose the daemon said that is which named nobody, and of these what the journal has.
     attributed: BTreeMap<(u64, u64, u64), u32>,
-    /// The same of all times: what lost that it had said so has said it anew, and may be given back the first.
+    /// The same of all times: a daemon that lost what it said may say it again of another, and a start may give back the first.
     ever_attributed: BTreeSet<((u64, u64, u64), u32)>,
     taken: BTreeSet<(u64, u64, u64)>,
     /// What damage to the journal took, which may be lost, and be taken again.
@@ -1529,7 +1529,7 @@ impl World {
         let damages = self.tally.damaged as usize + if self.disk.was_misread() { 12 } else { 0 };
         self.tally.misread += u64::from(self.disk.was_misread());
         ensure(lost.len() <= damages, || format!("{} narrations missing from the history: {lost:?}", lost.len()))?;
-        // Whose it is may be said anew, and is claimed again when it is.
+        // The daemon may say again whose it is, and claims it then.
         for unsaid in back.iter().filter(|back| !back.by_fit).map(name_of) {
             if self.attributed.remove(&unsaid).is_some() {
                 self.claimed.remove(&unsaid);
