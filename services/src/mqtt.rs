@@ -50,7 +50,7 @@
 //! again by the next one. MQTT 5 tells the broker how many messages it may send ahead, which bounds what is not acknowledged, and how large
 //! one may be; [`MESSAGES_AHEAD_MAX`] and its neighbours are all limits.
 
-use std::cell::OnceCell;
+use std::cell::{Cell, OnceCell};
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::fmt::Display;
 use std::io::Write;
@@ -60,11 +60,12 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use rumqttc::v5::mqttbytes::QoS;
-use rumqttc::v5::mqttbytes::v5::{ConnAck, Packet, Publish, SubAck, SubscribeReasonCode};
-use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, MqttState};
+use rumqttc::v5::mqttbytes::v5::{ConnAck, DisconnectReasonCode, Packet, Publish, SubAck, SubscribeReasonCode};
+use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, MqttState, StateError};
 use rumqttc::{Outgoing, TlsConfiguration, Transport};
 use rustls::pki_types::CertificateDer;
 use rustls::pki_types::pem::PemObject;
+use serde::de::IgnoredAny;
 use sha2::{Digest, Sha256};
 use tokio::sync::watch;
 use tokio::time::{sleep, timeout_at};
@@ -125,6 +126,14 @@ pub enum MqttError {
         path: PathBuf,
         /// The system's word.
         source: std::io::Error,
+    },
+    /// A file of credentials has no user name, or no second line.
+    #[error(
+        "{path} is no file of credentials: give the user name in the first line, and the password in the second, which may be empty"
+    )]
+    Credentials {
+        /// The file.
+        path: PathBuf,
     },
     /// The rules are malformed.
     #[error("the rules {path} are malformed: {reason}; docs/mqtt.md shows what they look like")]
@@ -487,11 +496,22 @@ impl Rule {
         if self.pointers.iter().any(|pointer| at(pointer).is_none()) {
             return None;
         }
+        let is_structure = Cell::new(false);
+        let of_payload = |text: String| {
+            let is_one = text.starts_with(['{', '[']) && serde_json::from_str::<IgnoredAny>(&text).is_ok();
+            is_structure.set(is_structure.get() || is_one);
+            text
+        };
         let line = self.saying.short_line(|name| match name.parse::<usize>() {
             Ok(number) => places.get(number.wrapping_sub(1)).map(|place| place.replace('_', " ")).unwrap_or_default(),
-            Err(_) if name.starts_with('/') => at(name).unwrap_or_default(),
-            Err(_) => text.clone(),
+            Err(_) if name.starts_with('/') => of_payload(at(name).unwrap_or_default()),
+            Err(_) => of_payload(text.clone()),
         });
+        if is_structure.get() {
+            let reason =
+                "what stands in braces is a JSON object or list: name one of its values, as in {/state} or by `field`";
+            return Some(Said { number, rule: self, line: Some(Err(reason.to_owned())), value });
+        }
         // What no line may be is refused here: it takes no place where lines wait.
         let line = line.ok_or_else(|| format!("it has more than {LINE_BYTES_MAX} bytes")).and_then(|line| {
             let judged = line_item(&line, &Who::Somebody).map_err(|error| error.to_string());
@@ -558,6 +578,8 @@ pub struct Heard {
     pub unfit: u64,
     /// Messages that said nothing new, or how things are.
     pub silent: u64,
+    /// Messages of which a rule would say what is no narration.
+    pub unsayable: u64,
     /// Messages that are larger than [`PAYLOAD_BYTES_MAX`].
     pub oversized: u64,
 }
@@ -690,7 +712,10 @@ impl Listener {
         }
         let acts = |outcome: &Outcome| matches!(outcome.what, What::Said(_) | What::Waits(..));
         let fits = |outcome: &Outcome| outcome.what != What::OtherValue;
-        self.heard.silent += u64::from(outcomes.iter().any(fits) && !outcomes.iter().any(acts));
+        if outcomes.iter().any(fits) && !outcomes.iter().any(acts) {
+            let is_unsayable = outcomes.iter().any(|outcome| matches!(outcome.what, What::Unfit(_)));
+            *(if is_unsayable { &mut self.heard.unsayable } else { &mut self.heard.silent }) += 1;
+        }
         outcomes
     }
 
@@ -936,7 +961,10 @@ impl Broker {
             let text = read_text_at_most(path, RULES_BYTES_MAX)
                 .map_err(|source| MqttError::Read { path: path.clone(), source })?;
             let mut lines = text.trim_start_matches('\u{feff}').lines();
-            options.set_credentials(lines.next().unwrap_or_default(), lines.next().unwrap_or_default());
+            let (Some(user), Some(password)) = (lines.next().filter(|user| !user.is_empty()), lines.next()) else {
+                return Err(MqttError::Credentials { path: path.clone() });
+            };
+            options.set_credentials(user, password);
         }
         match (&self.authority, secure) {
             (Some(path), true) => {
@@ -1017,8 +1045,9 @@ pub fn rehearse(
     runtime.block_on(connection.listen(stop))
 }
 
-/// A text from outside on one line of a terminal: quotes as they are, so that JSON can be read.
-fn shown(bytes: &[u8]) -> String {
+/// How a text from outside begins, on one line of a terminal: quotes as they are, so that JSON can be read.
+#[must_use]
+pub fn shown(bytes: &[u8]) -> String {
     const LONGEST: usize = 120;
     let text = String::from_utf8_lossy(bytes);
     let mut chars = text.chars();
@@ -1075,6 +1104,23 @@ fn report(
 
 fn failed(error: impl Display) -> MqttError {
     MqttError::Client { reason: error.to_string() }
+}
+
+/// What to say of a connection that broke. A broker that gives it to another client of the same name says so by MQTT 5, or closes it only, as
+/// mosquitto 2.0.11 does.
+pub(crate) fn broken(error: &ConnectionError) -> String {
+    const REMEDY: &str = "another client has this one's name: give each narrator a narrator.name of its own, and start one bridge, and one robot \
+        service for each robot";
+    match error {
+        ConnectionError::MqttState(StateError::ServerDisconnect {
+            reason_code: DisconnectReasonCode::SessionTakenOver,
+            ..
+        }) => format!("the broker gave the connection away: {REMEDY}"),
+        ConnectionError::MqttState(StateError::ConnectionAborted) => {
+            format!("the broker closed the connection; where it does that again and again, {REMEDY}")
+        }
+        error => error.to_string(),
+    }
 }
 
 /// Why a connection is of no use; none for one that is.
@@ -1252,7 +1298,7 @@ impl<'a, W: Write> Connection<'a, W> {
                     }
                     None => self.take(&event, &mut connections)?,
                 },
-                Ok(Some(Err(error))) => self.lost(&error, &mut connections, stop).await?,
+                Ok(Some(Err(error))) => self.lost(&broken(&error), &mut connections, stop).await?,
                 Ok(None) => break,
                 Err(_) => Turn::Unread,
             };
@@ -1505,7 +1551,7 @@ mod tests {
         );
         assert_eq!(said(r#"{"occupancy": false}"#), Vec::<String>::new());
         assert_eq!(said(r#"{"occupancy": true}"#).len(), 1);
-        assert_eq!(listener.heard, Heard { said: 5, unfit: 1, silent: 1, oversized: 0 });
+        assert_eq!(listener.heard, Heard { said: 5, unfit: 1, silent: 1, ..Heard::default() });
     }
 
     #[test]
@@ -1568,6 +1614,22 @@ mod tests {
         assert_eq!(lack("face", br#"{"name": "ada"}"#), Some((2, "has nothing at /event".to_owned())));
         assert_eq!(lack("face", br#"{"event": "seen"}"#), Some((2, "has nothing at /name".to_owned())));
         assert_eq!(lack("face", br#"{"event": "seen", "name": "ada"}"#), None);
+    }
+
+    /// Of a payload of JSON a rule names the values; all of it is no words of a sentence.
+    #[test]
+    fn an_object_in_braces_is_not_said() {
+        let rules = "[[rule]]\ntopic = \"lamp\"\nsay = \"the lamp is {value}\"\n[[rule]]\ntopic = \"plug\"\n\
+            field = \"/state\"\nsay = \"the plug is {value}, {/more}\"\n[[rule]]\ntopic = \"door\"\nsay = \"They use the door.\"";
+        let mut listener = Listener::new(Rules::parse(rules).unwrap());
+        let mut hear =
+            |topic: &str, payload: &str| listener.hear(topic.as_bytes(), payload.as_bytes(), false, Instant::now());
+        assert!(hear("lamp", r#"{"state": "on"}"#).is_empty() && hear("lamp", "[1, 2]").is_empty());
+        assert!(hear("plug", r#"{"state": "on", "more": {"a": 1}}"#).is_empty());
+        assert_eq!(hear("plug", r#"{"state": "off", "more": "idle"}"#), [r#"{"text":"the plug is off, idle"}"#]);
+        assert_eq!(hear("lamp", "{on"), [r#"{"text":"the lamp is {on"}"#], "no JSON");
+        assert_eq!(hear("door", r#"{"state": "on"}"#).len(), 1, "it says nothing of the value");
+        assert_eq!(listener.heard, Heard { said: 3, unsayable: 3, ..Heard::default() });
     }
 
     #[test]
@@ -1765,7 +1827,7 @@ mod tests {
         assert!(listener.hear(b"door", b"open", true, at(200_000)).is_empty());
         assert!(listener.hear(b"door", b"closed", true, at(200_000)).is_empty());
         assert_eq!(listener.due(at(300_000)).len(), 1, "ben's silence of before");
-        assert_eq!(listener.heard, Heard { said: 9, unfit: 4, silent: 2, oversized: 0 });
+        assert_eq!(listener.heard, Heard { said: 9, unfit: 4, silent: 2, ..Heard::default() });
     }
 
     #[test]
@@ -1817,7 +1879,7 @@ mod tests {
         let said =
             ["on", "on", "off", "on", "off", "on"].map(|value| hear(&mut listener, door, value, false).is_some());
         assert_eq!(said, [true, false, false, true, false, true]);
-        assert_eq!(listener.heard, Heard { said: 3, unfit: 2, silent: 1, oversized: 0 });
+        assert_eq!(listener.heard, Heard { said: 3, unfit: 2, silent: 1, ..Heard::default() });
     }
 
     #[test]
@@ -1832,7 +1894,7 @@ mod tests {
         // Retained again after a reconnection: changed while away, so it is an event; the same, so it is not.
         assert_eq!(hear(&mut listener, oven, r#"{"state": {"power": "on"}}"#, true), None);
         assert!(hear(&mut listener, oven, r#"{"state": {"power": "off"}}"#, true).unwrap().contains("the oven is off"));
-        assert_eq!(listener.heard, Heard { said: 2, unfit: 0, silent: 3, oversized: 0 });
+        assert_eq!(listener.heard, Heard { said: 2, unfit: 0, silent: 3, ..Heard::default() });
     }
 
     #[test]
@@ -1864,6 +1926,12 @@ mod tests {
         assert!(with("mqtt://hub", text.clone()).to_string().contains("with a CA file"));
         assert!(matches!(with("mqtts://hub", text), MqttError::Authority { .. }));
         assert!(matches!(with("mqtts://hub", Some(folder.path().join("nowhere"))), MqttError::Read { .. }));
+        for text in ["robot\n", "robot", "", "\nsecret\n"] {
+            let credentials = Some(pem(folder.path(), "short", text));
+            let broker = Broker { credentials, address: "mqtt://hub".to_owned(), ..Broker::default() };
+            let error = broker.options().unwrap_err();
+            assert!(matches!(error, MqttError::Credentials { .. }), "{text:?}: {error}");
+        }
     }
 
     /// A PEM file, and its path.
@@ -1944,6 +2012,28 @@ mod tests {
         assert!(line.contains("the oven is on"), "{line}");
         stop.request();
         assert_eq!(listening.join().unwrap().unwrap().said, 1);
+    }
+
+    /// Two clients of one name at a real broker: whoever loses its place is told what it may be.
+    #[tokio::test]
+    async fn a_client_whose_place_is_taken_says_so() {
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let Some(_broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+            skipped(NO_BROKER);
+            return;
+        };
+        let address = format!("mqtt://127.0.0.1:{port}");
+        let broker = Broker { address, client: "roomcast-home".to_owned(), credentials: None, authority: None };
+        let client = || AsyncClient::new(broker.options().unwrap(), 4);
+        let ((_one, mut first), (_other, mut second)) = (client(), client());
+        while !matches!(first.poll().await, Ok(Event::Incoming(Packet::ConnAck(_)))) {}
+        while !matches!(second.poll().await, Ok(Event::Incoming(Packet::ConnAck(_)))) {}
+        let error = loop {
+            if let Err(error) = first.poll().await {
+                break error;
+            }
+        };
+        assert!(broken(&error).contains("another client has this one's name"), "{error}");
     }
 
     /// A real broker with retained messages, restarted in the middle: the narration is complete and in order.

@@ -19,7 +19,7 @@ use rumqttc::v5::{AsyncClient, Event, EventLoop, MqttOptions};
 use tokio::time::timeout;
 
 use crate::logging::Limiter;
-use crate::mqtt::{Broker, MqttError, PAYLOAD_BYTES_MAX, correct_keep_alive, fault_of, renew};
+use crate::mqtt::{Broker, MqttError, PAYLOAD_BYTES_MAX, broken, correct_keep_alive, fault_of, renew};
 use crate::stop::Stop;
 
 /// Messages that may wait to be sent.
@@ -241,7 +241,7 @@ impl Turning {
                 Ok(event) => self.take(event),
                 // It closes the connection of whoever has said farewell.
                 Err(_) if lock(&self.shared).disconnected => return,
-                Err(error) => self.lost(&error).await,
+                Err(error) => self.lost(&broken(&error)).await,
             }
         }
     }

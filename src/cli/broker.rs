@@ -56,7 +56,10 @@ impl Args {
 pub fn failure(error: MqttError) -> Failure {
     let code = match error {
         MqttError::Address { .. } | MqttError::Scheme { .. } => exit_code::USAGE,
-        MqttError::Read { .. } | MqttError::Rules { .. } | MqttError::Authority { .. } => exit_code::INPUT,
+        MqttError::Read { .. }
+        | MqttError::Credentials { .. }
+        | MqttError::Rules { .. }
+        | MqttError::Authority { .. } => exit_code::INPUT,
         _ => exit_code::FAILURE,
     };
     Failure::new(code, error)

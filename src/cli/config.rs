@@ -2,18 +2,18 @@
 
 use std::path::{Path, PathBuf};
 
-use super::doctor::segment_of_no_room;
-use super::{CommandResult, Failure};
+use super::{CommandResult, Failure, doctor};
 use crate::exit_code;
+use roomcast_core::text::visible;
 use roomcast_llama::affinity;
 use roomcast_llama::gguf::Header;
 #[cfg(feature = "mqtt")]
 use roomcast_services::config::MqttConfig;
-use roomcast_services::config::{Config, DEFAULT_TOML};
+use roomcast_services::config::{Config, ConfigError, DEFAULT_TOML};
 #[cfg(feature = "mqtt")]
 use roomcast_services::logging::chain;
 #[cfg(feature = "mqtt")]
-use roomcast_services::mqtt::{Broker, MqttError, Rules};
+use roomcast_services::mqtt::{Broker, MqttError};
 use roomcast_services::setup;
 
 /// Arguments of `roomcast config`.
@@ -33,7 +33,7 @@ pub fn run(args: &Args) -> CommandResult {
     let text = match &args.check {
         None => DEFAULT_TOML.to_owned(),
         Some(path) => {
-            let config = Config::load(path).map_err(|e| Failure::new(exit_code::CONFIG, e))?;
+            let config = Config::read(path).map_err(|e| Failure::new(exit_code::CONFIG, e))?;
             check_names(&config, path)?;
             toml::to_string(&config).map_err(|e| Failure::new(exit_code::FAILURE, e))?
         }
@@ -41,24 +41,29 @@ pub fn run(args: &Args) -> CommandResult {
     super::print(&text)
 }
 
-/// Whether the services would find what the configuration names. All that is wrong is said at once.
+/// Whether the values are within their limits, and the services would find what the configuration names. All that is wrong is said at once;
+/// what works less well than it could is a remark.
 fn check_names(config: &Config, file: &Path) -> CommandResult {
+    let value = |fault: ConfigError| {
+        let fault = ConfigError::InFile { path: file.to_owned(), fault: Box::new(fault) };
+        Failure::new(exit_code::CONFIG, fault)
+    };
+    let mut failures: Vec<Failure> = config.faults().into_iter().map(value).collect();
     let map = setup::load_map(config.scene.path.as_deref());
-    let segments = map.as_ref().ok().and_then(|map| segment_of_no_room(config, map, &file.display().to_string()));
-    let segments = segments.map(|(found, remedy)| Failure::new(exit_code::CONFIG, format!("{found}: {remedy}")));
     let model = config.model.path.as_deref().map_or(Ok(()), |path| {
         Header::read_language_model(path).map(|_| ()).map_err(|error| Failure::new(exit_code::MODEL, error))
     });
     // Of a file that is no model the checksum says nothing more.
     let pin = if model.is_ok() { setup::check_pin(config).map_err(Failure::from) } else { Ok(()) };
     let cores = affinity::check(&config.model.cores).map_err(|error| Failure::new(exit_code::CONFIG, error));
-    let mut failures: Vec<Failure> = [map.map(|_| ()).map_err(Failure::from), model, pin, cores]
-        .into_iter()
-        .filter_map(Result::err)
-        .chain(segments)
-        .collect();
+    let (wrong, limited) = doctor::names(config, map.as_ref().ok(), file);
+    failures.extend([map.map(|_| ()).map_err(Failure::from), model, pin, cores].into_iter().filter_map(Result::err));
+    failures.extend(wrong.into_iter().map(|text| Failure::new(exit_code::CONFIG, text)));
     #[cfg(feature = "mqtt")]
-    failures.extend(check_mqtt(&config.mqtt));
+    failures.extend(check_broker(&config.mqtt));
+    for remark in limited {
+        eprintln!("roomcast: {}", visible(&remark));
+    }
     if failures.len() <= 1 {
         return failures.pop().map_or(Ok(()), Err);
     }
@@ -67,24 +72,19 @@ fn check_names(config: &Config, file: &Path) -> CommandResult {
     Err(Failure::new(failures[0].code, text))
 }
 
-/// What is wrong with the section `[mqtt]`: with the broker's address and its files, and with the rules.
+/// What is wrong with the broker's address and its files.
 #[cfg(feature = "mqtt")]
-fn check_mqtt(config: &MqttConfig) -> Vec<Failure> {
-    let broker = config.broker.as_ref().map(|address| Broker {
-        address: address.clone(),
+fn check_broker(config: &MqttConfig) -> Option<Failure> {
+    let broker = Broker {
+        address: config.broker.clone()?,
         client: "roomcast".to_owned(),
         credentials: config.credentials.clone(),
         authority: config.ca.clone(),
-    });
-    let broker = broker.and_then(|broker| broker.options().err()).map(|error| ("mqtt.broker", error));
-    let rules = config.rules.as_deref().and_then(|path| Rules::load(path).err()).map(|error| ("mqtt.rules", error));
-    let failed = |(key, error): (&str, MqttError)| {
-        let remedy = match &error {
-            MqttError::Read { .. } if key == "mqtt.rules" => "; correct the path, or let roomcast init write rules",
-            MqttError::Read { .. } => "; correct mqtt.credentials and mqtt.ca",
-            _ => "",
-        };
-        Failure::new(exit_code::CONFIG, format!("{key}: {}{remedy}", chain(&error)))
     };
-    broker.into_iter().chain(rules).map(failed).collect()
+    let error = broker.options().err()?;
+    let remedy = match &error {
+        MqttError::Read { .. } => "; correct mqtt.credentials and mqtt.ca",
+        _ => "",
+    };
+    Some(Failure::new(exit_code::CONFIG, format!("mqtt.broker: {}{remedy}", chain(&error))))
 }

@@ -13,10 +13,9 @@ mod home;
 #[cfg(feature = "mqtt")]
 mod home_mqtt;
 
-pub(super) use finding::segment_of_no_room;
 use finding::{Finding, Place, Verdict};
 #[cfg(feature = "mqtt")]
-pub(super) use home_mqtt::remark;
+pub(super) use home_mqtt::{no_person, remark};
 
 use super::{CommandResult, Failure, ranges, service};
 use crate::exit_code;
@@ -48,6 +47,22 @@ pub struct Args {
     /// Print JSON, for a report to the developers.
     #[arg(long)]
     json: bool,
+}
+
+/// What names in a configuration file and its rules lead to nothing: those with which it cannot run, and those with which it runs less well.
+pub(super) fn names(config: &Config, map: Option<&SemanticMap>, file: &Path) -> (Vec<String>, Vec<String>) {
+    let grounding = map.and_then(|map| Grounding::new(map, &config.grounding).ok());
+    let place = Place { config: file, wait: Duration::ZERO };
+    let (mut wrong, mut limited) = (Vec::new(), Vec::new());
+    for Finding { verdict, found, remedy, .. } in home::names(config, map.zip(grounding.as_ref()), &place) {
+        let text = format!("{found}: {}", remedy.unwrap_or_default());
+        match verdict {
+            Verdict::Good => {}
+            Verdict::Limited => limited.push(text),
+            Verdict::Wrong => wrong.push(text),
+        }
+    }
+    (wrong, limited)
 }
 
 /// Vector units that llama.cpp has kernels for: ggml's name, whether this processor has it, and whether its absence from the build

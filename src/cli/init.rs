@@ -24,7 +24,7 @@ use ask::Asker;
 
 use super::home_source::{check_rules, home_assistant, is_url};
 use super::scene::Furnish;
-use super::scene_files::{in_file, input, read, write};
+use super::scene_files::{in_file, in_map, input, read, write};
 use super::{CommandResult, Failure, count, print};
 use crate::exit_code;
 
@@ -341,10 +341,15 @@ fn robots_at(seen: &Seen) -> Vec<&str> {
     robots
 }
 
+/// Whether a robot's topic is that of a vacuum's states in Home Assistant.
+fn is_of_home_assistant(robot: &str) -> bool {
+    robot.contains("/vacuum/")
+}
+
 /// The robot that is given, which may be switched off; where others speak, it may be another one that is meant.
 fn given_robot(given: &str, seen: &Seen, notes: &mut Vec<String>) -> String {
     let (given, robots) = (given.trim_end_matches('/'), robots_at(seen));
-    if !robots.is_empty() && !robots.contains(&given) && !given.contains("/vacuum/") {
+    if !robots.is_empty() && !robots.contains(&given) && !is_of_home_assistant(given) {
         notes.push(format!("nothing was heard of a robot under {given}; heard of: {}", robots.join(", ")));
     }
     given.to_owned()
@@ -558,7 +563,7 @@ fn import_map(args: &Args, json: &str, from: &Path) -> Result<Imported, Failure>
         Some(path) => import::segment_names(&read("names", path)?).map_err(|error| in_file("names", path, &error))?,
         None => Default::default(),
     };
-    import::valetudo(json, "home", &names).map_err(|error| in_file("map", from, &error))
+    import::valetudo(json, "home", &names).map_err(|error| in_map(from, args.names.as_deref(), &error))
 }
 
 /// A map as the robot tells it: zlib, or plain.
@@ -736,8 +741,9 @@ fn configuration(folder: &Path, scene: &Path, rules: Option<&Path>, found: &Foun
         let _ = write!(
             text,
             "\n[planner]\n# A room is done when the robot says so, and never by the clock.\nreports = \"always\"\n\
-             # Every room once a day, from the planner's start on.\nround_s = 86400.0\n\n[robot]\ntopic = {}\n\
+             # Every room once a day, from the planner's start on.\nround_s = 86400.0\n\n[robot]\n{}topic = {}\n\
              # Only what it would be told is printed, until this is true.\nobey = false\n",
+            if is_of_home_assistant(robot) { "kind = \"home-assistant\"\n" } else { "" },
             quoted(robot)
         );
     }

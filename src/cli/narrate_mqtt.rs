@@ -45,7 +45,8 @@ pub(super) fn listen(
     Ok((Input::Lines { name, stream, person, settled: Some(settled) }, listener))
 }
 
-/// Prints what the broker's messages would say, until it is asked to stop, and what of it the home's map does not have. No daemon is needed.
+/// Prints what the broker's messages would say, until it is asked to stop, and what of it the home's map does not have, or is about no person. No
+/// daemon is needed.
 pub(super) fn rehearse(broker: &Broker, rules: &Path, config: &Config, stop: &Stop) -> CommandResult {
     let rules = Rules::load(rules).map_err(broker::failure)?;
     let options = broker.options().map_err(broker::failure)?;
@@ -55,11 +56,15 @@ pub(super) fn rehearse(broker: &Broker, rules: &Path, config: &Config, stop: &St
     let grounding = grounding.map_err(|error| Failure::new(exit_code::CONFIG, error))?;
     let home = map.as_ref().zip(grounding.as_ref());
     let mut home = home.map(|(map, grounding)| (map, Mentions::new(map, grounding)));
-    let mut remark = |line: &str| home.as_mut().and_then(|(map, mentions)| super::doctor::remark(line, map, mentions));
+    let mut remark = |line: &str| {
+        let nobody = super::doctor::no_person(line, &config.persons.not_persons);
+        nobody.or_else(|| home.as_mut().and_then(|(map, mentions)| super::doctor::remark(line, map, mentions)))
+    };
     let heard = mqtt::rehearse(options, rules, std::io::stdout(), stop, &mut remark).map_err(broker::failure)?;
-    let Heard { said, unfit, silent, oversized } = heard;
+    let Heard { said, unfit, silent, unsayable, oversized } = heard;
     let summary = format!(
-        "would be said: {}; messages that no rule fits: {unfit}, that say nothing new: {silent}, that are too large: {oversized}\n",
+        "would be said: {}; messages that no rule speaks of: {unfit}, that say nothing new: {silent}, whose words are no narration: {unsayable}, \
+         that are too large: {oversized}\n",
         count(usize::try_from(said).unwrap_or(usize::MAX), "line")
     );
     print(&summary)
@@ -87,7 +92,7 @@ pub(super) type Listener = JoinHandle<Result<Heard, MqttError>>;
 pub(super) fn join(listener: Listener) -> CommandResult {
     let heard = listener.join().map_err(|_| Failure::new(exit_code::FAILURE, "the mqtt thread ended unexpectedly"))?;
     let heard = heard.map_err(broker::failure)?;
-    let Heard { said, unfit, silent, oversized } = heard;
-    tracing::info!(said, unfit, silent, oversized, "left the broker");
+    let Heard { said, unfit, silent, unsayable, oversized } = heard;
+    tracing::info!(said, unfit, silent, unsayable, oversized, "left the broker");
     Ok(())
 }

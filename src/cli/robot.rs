@@ -6,8 +6,8 @@ use super::choice::choice;
 use super::{CommandResult, Failure, broker, service};
 use crate::exit_code;
 use roomcast_services::config::RobotKind;
-use roomcast_services::logging;
 use roomcast_services::vacuum::{self, DriveError, Way};
+use roomcast_services::{logging, setup};
 
 /// Arguments of `roomcast robot`.
 #[derive(Debug, clap::Args)]
@@ -49,6 +49,11 @@ pub fn run(args: &Args) -> CommandResult {
         config.planner.robot.clone_from(name);
     }
     config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+    // Rooms that are named in other words than the map's ids.
+    if !config.robot.segments.is_empty() {
+        let map = setup::load_map(config.scene.path.as_deref())?;
+        config.robot.segments = vacuum::by_ids(&config.robot.segments, &map);
+    }
     let client = format!("roomcast-robot-{}", config.robot.topic.replace('/', "-"));
     let broker = args.broker.broker(&config.mqtt, client)?;
     let mut show = |topic: &str, payload: &str| {

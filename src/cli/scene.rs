@@ -13,7 +13,7 @@ use super::choice::choice;
 #[cfg(feature = "lab")]
 use super::draw;
 use super::home_source::{home_assistant, write_rules};
-use super::scene_files::{in_file, input, load, read, write};
+use super::scene_files::{in_file, in_map, input, load, read, write};
 use super::{CommandResult, Failure, count, print, ranges, service};
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
@@ -220,7 +220,8 @@ fn import(args: &Import) -> CommandResult {
                 }
                 None => HashMap::new(),
             };
-            import::valetudo(&read("map", graph)?, &name, &names).map_err(in_first)?
+            import::valetudo(&read("map", graph)?, &name, &names)
+                .map_err(|error| in_map(graph, args.names.as_deref(), &error))?
         }
         Format::HomeAssistant => {
             let [folder] = &args.graph[..] else {

@@ -4,6 +4,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
+use roomcast_core::semantic_map::import::ImportError;
 use roomcast_core::semantic_map::{SceneError, SemanticMap, read_limited};
 use roomcast_services::{logging, setup};
 
@@ -16,6 +17,14 @@ pub(super) fn input(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) 
 
 pub(super) fn in_file(what: &str, path: &Path, error: &dyn std::error::Error) -> Failure {
     input(format!("{what} {}: {}", path.display(), logging::chain(error)))
+}
+
+/// A fault of a robot's map, or of the file with the names of its segments.
+pub(super) fn in_map(map: &Path, names: Option<&Path>, error: &ImportError) -> Failure {
+    match (error, names) {
+        (ImportError::Names { .. }, Some(names)) => in_file("names", names, error),
+        _ => in_file("map", map, error),
+    }
 }
 
 pub(super) fn read(what: &str, path: &Path) -> Result<String, Failure> {

@@ -21,6 +21,7 @@ use roomcast_core::text::read_text_at_most;
 use roomcast_llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
 
 use crate::embedded;
+use crate::person_name::check_name;
 
 mod sections;
 
@@ -86,6 +87,9 @@ pub enum ConfigError {
         /// What it may hold.
         remedy: String,
     },
+    /// Several of the faults above or below.
+    #[error("{} things are wrong:{}", .0.len(), .0.iter().map(|fault| format!("\n- {fault}")).collect::<String>())]
+    Several(Vec<Self>),
     /// The section `[ipc]` names no domain.
     #[error("the configuration's section [ipc] cannot be used: {0}")]
     Domain(#[from] IpcError),
@@ -277,6 +281,16 @@ impl Config {
     /// # Errors
     /// When it cannot be read, has unknown keys, or a value outside its limits.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let config = Self::read(path)?;
+        config.check().map_err(|fault| ConfigError::InFile { path: path.to_owned(), fault: Box::new(fault) })?;
+        Ok(config)
+    }
+
+    /// As [`Self::load`], without a look at the values' limits.
+    ///
+    /// # Errors
+    /// When it cannot be read, or has unknown keys.
+    pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let read = |source| ConfigError::Read { path: path.to_owned(), source };
         let text = read_text_at_most(path, FILE_BYTES_MAX).map_err(|source| match source.kind() {
             std::io::ErrorKind::FileTooLarge => ConfigError::TooLarge { path: path.to_owned() },
@@ -286,7 +300,6 @@ impl Config {
             .map_err(|source| ConfigError::Parse { path: path.to_owned(), source: Box::new(source) })?;
         let file = std::path::absolute(path).map_err(read)?;
         config.begin_paths_at(file.parent().unwrap_or(Path::new("/")));
-        config.check().map_err(|fault| ConfigError::InFile { path: path.to_owned(), fault: Box::new(fault) })?;
         Ok(config)
     }
 
@@ -308,14 +321,23 @@ impl Config {
     /// Checks every limit that the types do not hold by themselves.
     ///
     /// # Errors
-    /// The first value outside its limits.
+    /// All values outside their limits.
     pub fn check(&self) -> Result<(), ConfigError> {
-        if let Some(Limit { key, value, remedy, .. }) = self.limits().into_iter().find(|limit| !limit.holds) {
-            return Err(ConfigError::Value { key, value, remedy });
+        let mut faults = self.faults();
+        match faults.len() {
+            0 => Ok(()),
+            1 => Err(faults.remove(0)),
+            _ => Err(ConfigError::Several(faults)),
         }
-        self.binding()?;
-        self.ipc.domain()?;
-        Ok(())
+    }
+
+    /// All values outside their limits, one by one.
+    #[must_use]
+    pub fn faults(&self) -> Vec<ConfigError> {
+        let limits = self.limits().into_iter().filter(|limit| !limit.holds);
+        let values = limits.map(|Limit { key, value, remedy, .. }| ConfigError::Value { key, value, remedy });
+        let others = [self.binding().err(), self.ipc.domain().err().map(ConfigError::from)];
+        values.chain(others.into_iter().flatten()).collect()
     }
 
     /// Every limit, and whether it holds.
@@ -354,6 +376,8 @@ impl Config {
         let residents = format!("{:?}", persons.residents);
         let not_persons = format!("{:?}", persons.not_persons);
         let is_one_of = |name: &str, names: &[String]| names.iter().any(|other| same_name(other, name));
+        // By number, or by a name as `person rename` takes it.
+        let is_person = |name: &String| name.trim().parse::<u32>().is_ok() || check_name(name).is_ok();
         let each_name_once =
             (1..).zip(&persons.residents).all(|(next, name)| !is_one_of(name, &persons.residents[next..]));
         let are_no_residents =
@@ -400,7 +424,7 @@ impl Config {
             row("daemon.narrator.trust", &trust, known.iter().all(|known| (1..=100).contains(&known.trust)), "give 1 to 100"),
             row("daemon.narrator.share", &share, known.iter().all(|known| (1..=100).contains(&known.share)), "give 1 to 100"),
             row("daemon.narrator.rate_per_s", &rates, known.iter().all(|known| known.rate_per_s.is_none_or(is_rate)), "give 0 (no limit) or more"),
-            row("persons.residents", &residents, persons.residents.iter().all(|name| is_name(name)) && each_name_once, &format!("give each name or number once, {plain}")),
+            row("persons.residents", &residents, persons.residents.iter().all(is_person) && each_name_once, &format!("give each name or number once; a name is {plain}, with a letter or digit")),
             row("persons.not_persons", &not_persons, are_no_residents, &format!("give names that no resident has, {plain}")),
             within("persons.visitor_s", persons.visitor_s, 1.0..=SECONDS_MAX),
             within("persons.asleep_s", persons.asleep_s, seconds.clone()),

@@ -94,6 +94,27 @@ impl Dialect {
         }
     }
 
+    /// Whether a message should have said something, and says nothing that is known. Home Assistant's words for what it does not know are no fault.
+    #[must_use]
+    pub fn is_garbled(&self, topic: &str, payload: &[u8]) -> bool {
+        let part = topic.strip_prefix(&self.topic).and_then(|part| part.strip_prefix('/'));
+        let is_read = part.is_some_and(|part| match self.kind {
+            RobotKind::Valetudo => [
+                "StatusStateAttribute/status",
+                "StatusStateAttribute/flag",
+                "StatusStateAttribute/error_description",
+                "BatteryStateAttribute/level",
+                "MapData/segments",
+                "$state",
+            ]
+            .contains(&part),
+            RobotKind::HomeAssistant => ["state", "battery_level", "error"].contains(&part),
+        });
+        let is_unknown =
+            ["", "unknown", "unavailable", "None", "null"].map(str::as_bytes).contains(&payload.trim_ascii());
+        is_read && !is_unknown && self.hear(topic, payload).is_none()
+    }
+
     /// What a message says; nothing where it is not understood.
     #[must_use]
     pub fn hear(&self, topic: &str, payload: &[u8]) -> Option<Sensed> {
@@ -202,6 +223,11 @@ mod tests {
         assert_eq!(hear("$state", "lost"), Some(Sensed::Online(false)));
         assert_eq!(robot.hear("valetudo/rockrobo2/StatusStateAttribute/status", b"idle"), None);
         assert_eq!(robot.hear("valetudo/rockrobo/StatusStateAttribute/status", b"\xff"), None);
+        let is_garbled = |part: &str, payload: &[u8]| robot.is_garbled(&format!("valetudo/rockrobo/{part}"), payload);
+        assert!(is_garbled("StatusStateAttribute/status", b"dancing") && is_garbled("MapData/segments", b"[1]"));
+        assert!(is_garbled("BatteryStateAttribute/level", b"620") && is_garbled("$state", b"\xff"));
+        assert!(!is_garbled("BatteryStateAttribute/level", b"") && !is_garbled("StatusStateAttribute/status", b"idle"));
+        assert!(!is_garbled("StatusStateAttribute/detail", b"dancing"), "it is not read at all");
         let (topic, payload) = robot.order(&Order::Clean { segment: "16".into(), room: "kitchen".into() });
         assert_eq!(topic, "valetudo/rockrobo/MapSegmentationCapability/clean/set");
         assert_eq!(payload, r#"{"customOrder":true,"iterations":1,"segment_ids":["16"]}"#);
@@ -218,6 +244,9 @@ mod tests {
         assert_eq!(hear("state", "unavailable"), Some(Sensed::Online(false)));
         assert_eq!(hear("battery_level", "80"), Some(Sensed::Battery(0.8)));
         assert_eq!(hear("error", "\"main brush\""), Some(Sensed::Fault("main brush".into())));
+        let is_garbled =
+            |part: &str, payload: &[u8]| robot.is_garbled(&format!("homeassistant/vacuum/dusty/{part}"), payload);
+        assert!(is_garbled("battery_level", b"full") && !is_garbled("battery_level", b"unknown"));
         let (topic, payload) = robot.order(&Order::Clean { segment: "2".into(), room: "a\"b".into() });
         assert_eq!(
             (topic.as_str(), payload.as_str()),

@@ -10,5 +10,5 @@ mod run;
 
 pub use dialect::{Dialect, Order, Sensed, Status};
 pub use driver::{Act, Driver};
-pub use rooms::segment_of;
+pub use rooms::{by_ids, segment_of};
 pub use run::{DriveError, Way, run};

@@ -3,6 +3,14 @@
 use std::collections::BTreeMap;
 
 use roomcast_core::names::Names;
+use roomcast_core::semantic_map::SemanticMap;
+
+/// The configured segments by their rooms' ids, for rooms may be configured by any name that the map has for them. Rooms that it does not have
+/// stay as they are.
+pub fn by_ids(configured: &BTreeMap<String, String>, map: &SemanticMap) -> BTreeMap<String, String> {
+    let id = |room: &str| map.find_room(room).map_or(room, |known| &map.rooms()[known.0 as usize].id).to_owned();
+    configured.iter().map(|(room, segment)| (id(room), segment.clone())).collect()
+}
 
 /// The segment of a room: the one that is configured, else the one whose number the room's id ends with, as an imported map has it, else
 /// the only one whose name means the room.
@@ -58,6 +66,9 @@ mod tests {
         assert_eq!(of("living-room").unwrap(), "2");
         assert!(of("bathroom").unwrap_err().contains("several"));
         assert!(of("garage").unwrap_err().contains("no segment"));
+        let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
+        let by_names = by_ids(&table(&[("living room", "17"), ("kitchen", "1"), ("attic", "3")]), &map);
+        assert_eq!(by_names, table(&[("living-room", "17"), ("kitchen", "1"), ("attic", "3")]));
         assert!(segment_of("kitchen", &configured, &BTreeMap::new()).unwrap_err().contains("told of no segments"));
     }
 }

@@ -11,7 +11,7 @@ use super::dialect::{Dialect, Order};
 use super::driver::{Act, Driver};
 use crate::config::{Config, RobotKind};
 use crate::logging::Limiter;
-use crate::mqtt::{Broker, MqttError};
+use crate::mqtt::{Broker, MqttError, shown};
 use crate::mqtt_link::Link;
 use crate::notify::notify;
 use crate::reporter::{Report, Reporter};
@@ -132,6 +132,7 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
         log_reports: Limiter::with_burst(QUIET_NS, REPORTS_AT_ONCE),
     };
     let mut plan = Vec::new();
+    let mut garbled = Limiter::new(QUIET_NS);
     let (mut hearing, mut told) = (Hearing::Nothing { since: Instant::now() }, Instant::now());
     notify(&[NotifyState::Ready]);
     while !stop.requested() {
@@ -144,6 +145,16 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
             if let Some(sensed) = mouth.dialect.hear(&heard.topic, &heard.payload) {
                 let acts = driver.sense(sensed, now_ns);
                 mouth.act(acts)?;
+            } else if mouth.dialect.is_garbled(&heard.topic, &heard.payload)
+                && let Some(held_back) = garbled.pass(now_ns)
+            {
+                let payload = shown(&heard.payload);
+                tracing::warn!(
+                    topic = heard.topic,
+                    payload,
+                    held_back,
+                    "the robot says what is not understood, and it is passed over"
+                );
             }
         }
         while let Some(received) = decisions.receive()? {

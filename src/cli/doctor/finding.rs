@@ -67,9 +67,9 @@ pub(super) fn some_of<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
 }
 
 /// What is wrong with the first room of `[robot.segments]` that the map does not have, and what to do.
-pub(in crate::cli) fn segment_of_no_room(config: &Config, map: &SemanticMap, file: &str) -> Option<(String, String)> {
+pub(super) fn segment_of_no_room(config: &Config, map: &SemanticMap, file: &str) -> Option<(String, String)> {
     let ids = || map.rooms().iter().map(|own| own.id.as_str());
-    let room = config.robot.segments.keys().find(|room| !ids().any(|own| own == room.as_str()))?;
+    let room = config.robot.segments.keys().find(|room| map.find_room(room).is_none())?;
     let found = format!("[robot.segments] of {file} names the room {room:?}, which the map does not have");
     let rooms = ids().collect::<Vec<_>>().join(", ");
     let remedy = match nearest(room, ids()) {

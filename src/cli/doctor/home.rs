@@ -12,7 +12,7 @@ use roomcast_services::config::Config;
 use roomcast_services::logging::chain;
 use roomcast_services::planner;
 
-use super::finding::{Finding, Place, some_of};
+use super::finding::{Finding, Place, segment_of_no_room, some_of};
 #[cfg(feature = "mqtt")]
 use super::home_mqtt;
 use crate::cli::count;
@@ -38,6 +38,19 @@ pub(super) fn checks(
     findings.extend(home_mqtt::checks(config, map, place));
     findings.push(persons(config, place));
     findings.extend(services(config, map.map(|(map, _)| map), domain, place));
+    findings
+}
+
+/// What is wrong with the names that a configuration file and its rules have, without a look at what runs.
+pub(super) fn names(config: &Config, home: Option<(&SemanticMap, &Grounding)>, place: &Place<'_>) -> Vec<Finding> {
+    let segment = home.and_then(|(map, _)| segment_of_no_room(config, map, &place.shown()));
+    let mut findings: Vec<Finding> =
+        segment.map(|(found, remedy)| Finding::wrong("robot", found, remedy)).into_iter().collect();
+    #[cfg(feature = "mqtt")]
+    if let Some(path) = config.mqtt.rules.as_deref() {
+        findings.extend(home_mqtt::rules(path, home).0);
+    }
+    findings.push(persons(config, place));
     findings
 }
 

@@ -7,15 +7,14 @@ use std::path::Path;
 use roomcast_core::forecast::Mentions;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::names::Names;
-use roomcast_core::narration::{PresenceStatement, Sentence};
+use roomcast_core::narration::{About, PresenceStatement, Said, Sentence, same_name};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_core::text::visible;
 use roomcast_services::config::{Config, RobotKind};
 use roomcast_services::logging::chain;
-use roomcast_services::mqtt::{Broker, MqttError, Rules};
+use roomcast_services::mqtt::{self, Broker, MqttError, Rules};
 use roomcast_services::mqtt_look::{self, LookError, Seen};
 use roomcast_services::mqtt_tally::Counted;
-use roomcast_services::vacuum::{Dialect, Sensed, Status, segment_of};
+use roomcast_services::vacuum::{Dialect, Sensed, Status, by_ids, segment_of};
 
 use super::finding::{Finding, Place, nearest, segment_of_no_room, some_of};
 use crate::cli::count;
@@ -25,13 +24,14 @@ const OF_PEOPLE: [&str; 8] = ["binary_sensor", "light", "switch", "media_player"
 
 /// Home Assistant's states under another base topic than the rules'.
 const STATES: [&str; 4] = ["+/binary_sensor/+/state", "+/light/+/state", "+/switch/+/state", "+/person/+/state"];
+/// How long rules are counted before one that never fitted is named, in hours: nobody opens every door within minutes.
+const COUNTED_H_MIN: f64 = 1.0;
 /// Robots under another prefix than the configured one.
 const ROBOTS: [&str; 2] = ["+/+/$state", "+/+/StatusStateAttribute/status"];
 
 /// Broker, rules, topics and robot.
 pub(super) fn checks(config: &Config, home: Option<(&SemanticMap, &Grounding)>, place: &Place<'_>) -> Vec<Finding> {
     let mut findings = Vec::new();
-    let map = home.map(|(map, _)| map);
     let rules = match config.mqtt.rules.as_deref() {
         None if config.mqtt.broker.is_some() => {
             let found =
@@ -45,11 +45,8 @@ pub(super) fn checks(config: &Config, home: Option<(&SemanticMap, &Grounding)>, 
         }
         None => None,
         Some(path) => {
-            let (checked, rules) = rules(path, map);
-            findings.push(checked);
-            if let (Some(rules), Some((map, grounding))) = (&rules, home) {
-                findings.extend(things_of_rules(path, rules, map, grounding));
-            }
+            let (found, rules) = rules(path, home);
+            findings.extend(found);
             rules
         }
     };
@@ -80,7 +77,7 @@ pub(super) fn checks(config: &Config, home: Option<(&SemanticMap, &Grounding)>, 
         findings.extend(topics(rules, path, &seen, config, place));
     }
     if has_robot(config) {
-        findings.extend(robot(config, map, &seen, place));
+        findings.extend(robot(config, home.map(|(map, _)| map), &seen, place));
     }
     findings
 }
@@ -99,8 +96,8 @@ pub(super) fn persons_of_rules(config: &Config) -> Vec<String> {
     names
 }
 
-/// Whether the rules can be read, and name rooms that there are.
-fn rules(path: &Path, map: Option<&SemanticMap>) -> (Finding, Option<Rules>) {
+/// Whether the rules can be read, and name rooms and things that there are.
+pub(super) fn rules(path: &Path, home: Option<(&SemanticMap, &Grounding)>) -> (Vec<Finding>, Option<Rules>) {
     let check = "rules";
     let rules = match Rules::load(path) {
         Ok(rules) => rules,
@@ -111,29 +108,33 @@ fn rules(path: &Path, map: Option<&SemanticMap>) -> (Finding, Option<Rules>) {
                     "correct the line that it names; docs/mqtt.md shows every key; roomcast init --replace writes new rules"
                 }
             };
-            return (Finding::wrong(check, chain(&error), remedy), None);
+            return (vec![Finding::wrong(check, chain(&error), remedy)], None);
         }
     };
-    let shown = path.display();
-    if let Some(map) = map {
-        let known: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
-        let named = rules.about().filter_map(|rule| Some((rule.number, rule.room?)));
-        let unknown: Vec<_> = named.filter(|(_, room)| !room.contains('{') && map.find_room(room).is_none()).collect();
-        if let Some((number, room)) = unknown.first() {
-            let more = if unknown.len() > 1 {
-                format!(", and {} more rules do alike", unknown.len() - 1)
-            } else {
-                String::new()
-            };
-            let found = format!("{shown}: rule {number} names the room {room:?}, which the map does not have{more}");
-            let remedy = match nearest(room, known.iter().copied()) {
-                Some(meant) => format!("write room = {meant:?}"),
-                None => format!("write one of the map's rooms: {}", known.join(", ")),
-            };
-            return (Finding::wrong(check, found, remedy), Some(rules));
-        }
-    }
-    (Finding::good(check, format!("{shown}: {}", count(rules.about().count(), "rule"))), Some(rules))
+    let rooms = home.and_then(|(map, _)| rooms_of_rules(path, &rules, map));
+    let good = || Finding::good(check, format!("{}: {}", path.display(), count(rules.about().count(), "rule")));
+    let mut findings = vec![rooms.unwrap_or_else(good)];
+    findings.extend(home.and_then(|(map, grounding)| things_of_rules(path, &rules, map, grounding)));
+    (findings, Some(rules))
+}
+
+/// Rules with a room that the map does not have.
+fn rooms_of_rules(path: &Path, rules: &Rules, map: &SemanticMap) -> Option<Finding> {
+    let known: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
+    let named = rules.about().filter_map(|rule| Some((rule.number, rule.room?)));
+    let unknown: Vec<_> = named.filter(|(_, room)| !room.contains('{') && map.find_room(room).is_none()).collect();
+    let (number, room) = unknown.first()?;
+    let more = match unknown.len() {
+        1 => String::new(),
+        2 => ", and one more rule does alike".to_owned(),
+        several => format!(", and {} more rules do alike", several - 1),
+    };
+    let found = format!("{}: rule {number} names the room {room:?}, which the map does not have{more}", path.display());
+    let remedy = match nearest(room, known.iter().copied()) {
+        Some(meant) => format!("write room = {meant:?}"),
+        None => format!("write one of the map's rooms: {}", known.join(", ")),
+    };
+    Some(Finding::wrong("rules", found, remedy))
 }
 
 /// Rules whose sentence speaks of a thing or a room that the map does not have.
@@ -162,6 +163,16 @@ fn things_of_rules(path: &Path, rules: &Rules, map: &SemanticMap, grounding: &Gr
         }
     };
     Some(Finding::limited("things of rules", found, remedy))
+}
+
+/// Whom a line of narration is about and who is no person, for people.
+pub(in crate::cli) fn no_person(line: &str, not_persons: &[String]) -> Option<String> {
+    let line: serde_json::Value = serde_json::from_str(line).ok()?;
+    let said = Said::of(Sentence::new(line.get("text")?.as_str()?).ok()?);
+    let is_none = |name: &str| not_persons.iter().any(|other| same_name(other, name));
+    let About::Named(names) = said.about(is_none) else { return None };
+    let name = names.iter().find(|name| is_none(name))?;
+    Some(format!("{name:?} is no person (persons.not_persons), so this is said of nobody"))
 }
 
 /// What a line of narration speaks of and the map does not have, for people.
@@ -367,7 +378,7 @@ fn payloads(rules: &Rules, topics: &[(&str, &[u8])], shown: &str) -> Option<Find
         _ => format!("; no rule can read the last payloads of {} either", some_of(others)),
     };
     let found =
-        format!("{shown}: rule {number} reads {topic}, but its last payload {lack}: {}{more}", beginning(payload));
+        format!("{shown}: rule {number} reads {topic}, but its last payload {lack}: {}{more}", mqtt::shown(payload));
     let remedy = match lack.as_str() {
         "is no JSON" => {
             "leave `field` and pointers in braces out of the rule: then the payload is the value; or let the device say JSON"
@@ -375,15 +386,6 @@ fn payloads(rules: &Rules, topics: &[(&str, &[u8])], shown: &str) -> Option<Find
         _ => "roomcast narrate --mqtt --dry-run shows what comes; correct `field` and pointers in braces, or the topic",
     };
     Some(Finding::limited("payloads", found, remedy))
-}
-
-/// How a payload begins.
-fn beginning(payload: &[u8]) -> String {
-    const LONGEST: usize = 60;
-    let text = String::from_utf8_lossy(payload);
-    let mut chars = text.chars();
-    let start: String = chars.by_ref().take(LONGEST).collect();
-    format!("{}{}", visible(&start), if chars.next().is_some() { "..." } else { "" })
 }
 
 /// Rules that no message ever fitted.
@@ -395,6 +397,15 @@ fn never(rules: &Rules, counted: &Counted, fitted: &[Option<u64>], shown: &str) 
     let hours = hours.saturating_sub(counted.since_unix_s) as f64 / 3600.0;
     if never.is_empty() {
         return Finding::good(check, format!("every rule that was counted fitted a message, in {hours:.1} h"));
+    }
+    if hours < COUNTED_H_MIN {
+        let found = format!(
+            "{} of {} fitted a message in the {:.0} minutes that they are counted; ask again after a day",
+            count(fitted.len() - never.len(), "rule"),
+            fitted.len(),
+            60.0 * hours
+        );
+        return Finding::good(check, found);
     }
     let names: Vec<String> = never
         .iter()
@@ -519,9 +530,10 @@ fn robot(config: &Config, map: Option<&SemanticMap>, seen: &Seen, place: &Place<
 /// Whether each room is a segment of the robot's own map.
 fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, String>, place: &Place<'_>) -> Finding {
     let check = "segments";
+    let own = by_ids(&config.robot.segments, map);
     let rooms = map.rooms().iter().map(|room| room.id.as_str());
     let wrong: Vec<(&str, String)> =
-        rooms.filter_map(|room| Some((room, segment_of(room, &config.robot.segments, segments).err()?))).collect();
+        rooms.filter_map(|room| Some((room, segment_of(room, &own, segments).err()?))).collect();
     if segments.is_empty() && config.robot.segments.is_empty() {
         let found =
             format!("the robot under {} has told of no segments, so it can be sent to no room", config.robot.topic);
@@ -551,8 +563,7 @@ fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, Stri
         some_of(known.iter().map(String::as_str))
     );
     // One that no room has yet: another would send the robot into the wrong room.
-    let done: Vec<String> =
-        (map.rooms().iter()).filter_map(|room| segment_of(&room.id, &config.robot.segments, segments).ok()).collect();
+    let done: Vec<String> = (map.rooms().iter()).filter_map(|room| segment_of(&room.id, &own, segments).ok()).collect();
     let number = segments.keys().find(|number| !done.contains(number)).map_or("NUMBER", String::as_str);
     let remedy = format!(
         "write each room's number into [robot.segments] of {}, such as {room:?} = {number:?}; or import the robot's own map",
@@ -593,6 +604,12 @@ mod tests {
             [r#"{"presence":"present","room":"kitchen"}"#, r#"{"presence":"away"}"#, r#"{"text":"They come home."}"#]
         {
             assert_eq!(beside(line), None, "{line}");
+        }
+        let nobody = |line: &str| no_person(line, &["Rex".to_owned()]);
+        let rex = "\"rex\" is no person (persons.not_persons), so this is said of nobody";
+        assert_eq!(nobody(r#"{"text":"Rex lies on the sofa."}"#).as_deref(), Some(rex));
+        for line in [r#"{"text":"Ada lies on the sofa."}"#, r#"{"text":"They feed Rex."}"#, r#"{"presence":"away"}"#] {
+            assert_eq!(nobody(line), None, "{line}");
         }
         let mut missing = |said: &str| missing_thing(said, &map, &mut mentions);
         for said in [

@@ -52,6 +52,14 @@ pub enum ImportError {
         /// What to do.
         remedy: &'static str,
     },
+    /// The names of segments name one that the map does not have.
+    #[error("name the segment {unknown:?}, but the map has {}", .there.join(", "))]
+    Names {
+        /// The segment that is not there.
+        unknown: String,
+        /// Those that are.
+        there: Vec<String>,
+    },
     /// The scene that came out breaks a rule of scenes.
     #[error(transparent)]
     Scene(#[from] SceneError),

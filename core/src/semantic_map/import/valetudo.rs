@@ -534,8 +534,7 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
     };
     let numbers: Vec<String> = (0..segments.len()).map(number_of).collect();
     if let Some(unknown) = names.keys().filter(|number| !numbers.contains(number)).min() {
-        let message = format!("the names name segment {unknown:?}, but the map has {}", numbers.join(", "));
-        return Err(fault("layers", message));
+        return Err(ImportError::Names { unknown: unknown.clone(), there: numbers });
     }
 
     let mut traced = Vec::new();
