@@ -34,8 +34,6 @@ use skipped::skipped;
 const PATIENCE: Duration = Duration::from_secs(60);
 const DEFAULT_FAULTS: u64 = 12;
 const LINES: usize = 6;
-/// How Rust ends a process whose main thread panicked.
-const PANICKED: i32 = 101;
 
 /// What fails, and how. Not `fcntl`, most of whose commands cannot fail on an open descriptor, and strace does not tell them apart.
 const CALLS: [(&str, &[&str]); 32] = [
@@ -107,14 +105,10 @@ enum Ended {
     InWords,
     /// Rust's runtime or its allocator had no memory for itself, and ended the process: nothing in a program can do better.
     OutOfMemory,
-    /// iceoryx2 could not remove a socket's file, and ended the process: it has no error to return from there.
-    SocketFileStays,
 }
 
 /// What these say then.
 const OUT_OF_MEMORY: [&str; 2] = ["memory allocation of", "failed to allocate an alternative stack"];
-/// What iceoryx2 0.10 says when it panics over a socket's file that it cannot remove. docs/reliability.md tells users.
-const SOCKET_FILE_STAYS: &str = "Failed to remove socket file.";
 /// What tokio says when the counter by which it wakes itself cannot be written. The kernel never refuses that; strace does not tell such a
 /// counter from a file.
 const NO_FAULT_OF_A_KERNEL: &str = "failed to wake I/O driver";
@@ -418,12 +412,6 @@ impl World {
         if let Some(signal) = status.signal() {
             return Err(format!("it ended by signal {signal}"));
         }
-        if status.code() == Some(PANICKED)
-            && said.contains(SOCKET_FILE_STAYS)
-            && prefix.iter().any(|word| word.contains("inject=unlink:"))
-        {
-            return Ok(Ended::SocketFileStays);
-        }
         if said.contains("panicked") && !said.contains(NO_FAULT_OF_A_KERNEL) {
             return Err(format!("it panicked, {status}"));
         }
@@ -571,7 +559,7 @@ fn whatever_fails(role: Role) {
     let kinds: Vec<_> =
         CALLS.iter().filter(|(call, _)| counted.get(call).is_some_and(|(all, own)| all > own)).collect();
 
-    let (mut injected, mut in_words, mut out_of_memory, mut sockets, mut wrong) = (0, 0, 0, 0, Vec::new());
+    let (mut injected, mut in_words, mut out_of_memory, mut wrong) = (0, 0, 0, Vec::new());
     for trial in 0..faults {
         let &(call, errors) = kinds[usize::try_from(trial).unwrap() % kinds.len()];
         let (most, loader) = counted[&call];
@@ -587,7 +575,6 @@ fn whatever_fails(role: Role) {
             Ok(Ended::WentOn) => {}
             Ok(Ended::InWords) => (in_words, world.ended) = (in_words + 1, world.ended + 1),
             Ok(Ended::OutOfMemory) => (out_of_memory, world.ended) = (out_of_memory + 1, world.ended + 1),
-            Ok(Ended::SocketFileStays) => (sockets, world.ended) = (sockets + 1, world.ended + 1),
             Err(error) => {
                 println!("--- {role:?} {fault:?} after {:?}: {error}\n{}", start.elapsed(), world.log("tested"));
                 wrong.push((fault, error));
@@ -597,7 +584,7 @@ fn whatever_fails(role: Role) {
     }
     world.check();
     println!(
-        "{role:?}: {faults} runs, {injected} with a fault, {in_words} ended with an error, {out_of_memory} by the runtime, {sockets} by iceoryx2 over a socket's file, {} wrong; {} kinds, seed {seed}",
+        "{role:?}: {faults} runs, {injected} with a fault, {in_words} ended with an error, {out_of_memory} by the runtime, {} wrong; {} kinds, seed {seed}",
         wrong.len(),
         kinds.len()
     );

@@ -64,6 +64,7 @@ struct File {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    roomcast_ipc::end_where_iceoryx2_panics("roomcast-bridge", FAILURE);
     let filter = EnvFilter::try_from_env("ROOMCAST_LOG").unwrap_or_else(|_| EnvFilter::new(LOG));
     let colours = io::stderr().is_terminal();
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr).with_ansi(colours).init();

@@ -65,6 +65,7 @@ pub mod bare;
 pub mod clock;
 mod domain;
 mod error;
+mod give_up;
 mod message;
 mod port;
 pub mod question;
@@ -73,6 +74,7 @@ pub mod text;
 
 pub use domain::{Domain, Node};
 pub use error::{IpcError, MessageError};
+pub use give_up::end_where_iceoryx2_panics;
 pub use message::{
     ALL_PERSONS, ByteImage, DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1,
     LEARNED_SHARE_S, Layout, MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES,

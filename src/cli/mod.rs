@@ -297,6 +297,7 @@ pub fn main() -> ExitCode {
         Ok(cli) => cli.command,
         Err(error) => error.format(&mut commands()).exit(),
     };
+    roomcast_ipc::end_where_iceoryx2_panics("roomcast", exit_code::IPC);
     if command.only_prints() {
         // Output into a pipe that closes (`| head -1`) ends the command as it ends any other.
         sigpipe::reset();

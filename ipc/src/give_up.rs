@@ -1,0 +1,59 @@
+//! What a program does where iceoryx2 panics: it has no error to return where a socket's file cannot be removed, or where a participant that it
+//! took for dead turns out to live.
+
+use std::io::Write;
+use std::panic::{self, PanicHookInfo};
+use std::path::{Component, Path};
+
+/// Most characters of iceoryx2's reason, behind the participant that it prints first.
+const REASON_CHARS_MAX: usize = 200;
+
+/// From now on a panic of iceoryx2's ends this process with an error of one line and this exit code, like any other error of shared memory. What
+/// was confirmed is kept, and others remove what the process leaves, as after a kill. Other panics stay what they are.
+pub fn end_where_iceoryx2_panics(program: &'static str, code: u8) {
+    let before = panic::take_hook();
+    panic::set_hook(Box::new(move |panicked| {
+        let Some(place) = panicked.location().filter(|place| is_of_iceoryx2(place.file())) else {
+            return before(panicked);
+        };
+        let (reason, file, line) = (reason(panicked), place.file(), place.line());
+        let _told = writeln!(
+            std::io::stderr(),
+            "{program}: iceoryx2 gave up in shared memory: {reason} ({file}:{line}); start it again: what was confirmed is kept"
+        );
+        std::process::exit(code.into());
+    }));
+}
+
+/// Whether a source file is one of iceoryx2's crates, wherever cargo has put them.
+fn is_of_iceoryx2(file: &str) -> bool {
+    let folders: Vec<_> = Path::new(file).components().collect();
+    let is_own = |name: &Component<'_>| name.as_os_str().to_string_lossy().starts_with("iceoryx2");
+    folders.windows(2).any(|pair| is_own(&pair[0]) && pair[1].as_os_str() == "src")
+}
+
+/// What iceoryx2 says, without the participant that it says it of, which fills a screen.
+fn reason(panicked: &PanicHookInfo<'_>) -> String {
+    let said = panicked.payload_as_str().unwrap_or("it does not say why");
+    said.rsplit(" ::: ").next().unwrap_or(said).chars().take(REASON_CHARS_MAX).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn iceoryx2_is_told_from_others() {
+        for file in [
+            "/home/robot/.cargo/registry/src/index/iceoryx2-0.10.0/src/node/mod.rs",
+            "vendor/iceoryx2-bb-posix/src/unix_datagram_socket.rs",
+        ] {
+            assert!(is_of_iceoryx2(file), "{file}");
+        }
+        for file in
+            ["ipc/src/give_up.rs", "/home/iceoryx2/roomcast/services/src/lib.rs", "/vendor/tokio-1.0/src/lib.rs"]
+        {
+            assert!(!is_of_iceoryx2(file), "{file}");
+        }
+    }
+}
