@@ -1688,7 +1688,10 @@ impl World {
                 })?;
             }
         }
-        if before.or(self.robot.resumes).is_some_and(|before| before.covered & !decision.covered != 0) {
+        // A planner that has started and knows no rooms yet covers none: what it covers next is compared with what the one before it did.
+        let is_blind = |decision: &DecisionV1| decision.has(decision_flags::FALLBACK) && decision.covered == 0;
+        let known = before.filter(|before| !is_blind(before) || self.robot.resumes.is_none()).or(self.robot.resumes);
+        if !is_blind(decision) && known.is_some_and(|known| known.covered & !decision.covered != 0) {
             // Another round or map: what counts is what is said from now on.
             body.failed.clear();
         }
@@ -1802,6 +1805,9 @@ impl World {
         }
         robot.free = !decision.has(decision_flags::FALLBACK);
         robot.last = Some(decision);
+        if !decision.has(decision_flags::FALLBACK) {
+            robot.resumes = None;
+        }
         self.obey(&decision);
         self.note(|| format!("planner decides {:?}: {}", decision.to(), decision.reason()));
         Ok(())

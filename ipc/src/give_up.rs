@@ -34,7 +34,9 @@ fn is_of_iceoryx2(file: &str) -> bool {
 
 /// What iceoryx2 says, without the participant that it says it of, which fills a screen.
 fn reason(panicked: &PanicHookInfo<'_>) -> String {
-    let said = panicked.payload_as_str().unwrap_or("it does not say why");
+    let payload = panicked.payload();
+    let text = payload.downcast_ref::<String>().map(String::as_str).or_else(|| payload.downcast_ref::<&str>().copied());
+    let said = text.unwrap_or("it does not say why");
     said.rsplit(" ::: ").next().unwrap_or(said).chars().take(REASON_CHARS_MAX).collect()
 }
 
