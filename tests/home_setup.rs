@@ -789,7 +789,7 @@ fn token(home: &Home, mode: u32) -> String {
 #[test]
 fn init_says_what_is_wrong_and_writes_nothing() {
     type Case = (&'static str, fn(&Home) -> Vec<String>, u8, &'static [&'static str]);
-    let cases: [Case; 24] = [
+    let cases: [Case; 25] = [
         (
             "a robot without a broker",
             |_| vec!["--mqtt".into(), "none".into()],
@@ -936,6 +936,21 @@ fn init_says_what_is_wrong_and_writes_nothing() {
             |_| vec!["--valetudo".into(), "mqtt".into()],
             exit_code::INPUT,
             &["no map of valetudo/rocky is at the broker", "save http://ROBOT/api/v2/robot/state/map"],
+        ),
+        (
+            "a map of a broker that there is not",
+            |_| {
+                vec![
+                    "--mqtt".into(),
+                    "none".into(),
+                    "--robot".into(),
+                    "none".into(),
+                    "--valetudo".into(),
+                    "mqtt".into(),
+                ]
+            },
+            exit_code::USAGE,
+            &["--valetudo mqtt is the map that the robot tells a broker, and there is none"],
         ),
         (
             "a name for no segment",

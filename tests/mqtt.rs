@@ -216,6 +216,12 @@ fn what_is_known_stands_at_the_broker_over_restarts_and_goes_with_its_rooms() {
     let now = kept_with(port, "what an earlier run left goes", |kept| !kept.contains_key("roomcast/rooms/attic"));
     assert!(now.contains_key(FOREIGN) && is(&now, NEIGHBOUR, "keep me"));
 
+    // Somebody overwrites what the bridge has said, or takes it away: it is said again.
+    let lost = config_of("sensor.person_ada");
+    broker.publish(&[("roomcast/status", "offline".into(), true), (&lost, String::new(), true)]);
+    kept_with(port, "it is gone", |kept| is(kept, "roomcast/status", "offline") && !kept.contains_key(&lost));
+    kept_with(port, "it is there again", |kept| is(kept, "roomcast/status", "online") && kept.contains_key(&lost));
+
     // The daemon goes: the bridge says so, and keeps what was known.
     world.signal(daemon, Signal::KILL);
     let now = kept_with(port, "the daemon is gone", |kept| is(kept, "roomcast/daemon", "offline"));

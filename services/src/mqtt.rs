@@ -316,7 +316,8 @@ impl<'a> Reading<'a> {
     /// The whole payload, or what it has at a pointer.
     fn value(&self, field: Option<&str>) -> Option<Rc<Value>> {
         let text = match field {
-            None => std::str::from_utf8(self.payload).ok()?.trim().to_owned(),
+            // An empty payload is what a broker sends when a retained message is taken away: nobody has said anything.
+            None => std::str::from_utf8(self.payload).ok().map(str::trim).filter(|text| !text.is_empty())?.to_owned(),
             Some(field) => text_at(self.json()?, field)?,
         };
         let own = fingerprint(text.as_bytes());
@@ -525,7 +526,7 @@ impl Rule {
     /// What a payload that this rule cannot read lacks.
     fn lack(&self, reading: &Reading<'_>) -> String {
         if self.field.is_none() && reading.value(None).is_none() {
-            return "is no text".to_owned();
+            return if reading.payload.trim_ascii().is_empty() { "is empty" } else { "is no text" }.to_owned();
         }
         let Some(json) = reading.json() else { return "is no JSON".to_owned() };
         let missing = self.field.iter().chain(&self.pointers).find(|pointer| text_at(json, pointer).is_none());
@@ -1610,10 +1611,22 @@ mod tests {
         assert_eq!(lack("lamp", b"on"), None);
         assert_eq!(lack("else", b"on"), None, "no rule listens there");
         assert_eq!(lack("lamp", b"\xff"), Some((1, "is no text".to_owned())));
+        assert_eq!(lack("lamp", b" "), Some((1, "is empty".to_owned())));
         assert_eq!(lack("face", b"seen"), Some((2, "is no JSON".to_owned())));
         assert_eq!(lack("face", br#"{"name": "ada"}"#), Some((2, "has nothing at /event".to_owned())));
         assert_eq!(lack("face", br#"{"event": "seen"}"#), Some((2, "has nothing at /name".to_owned())));
         assert_eq!(lack("face", br#"{"event": "seen", "name": "ada"}"#), None);
+    }
+
+    /// A retained message that is taken away comes as an empty one: it says of nobody that they are away.
+    #[test]
+    fn an_empty_payload_says_nothing() {
+        let rules =
+            "[[rule]]\ntopic = \"person\"\nunless = [\"home\", \"unknown\"]\npresence = \"away\"\nperson = \"ada\"";
+        let mut listener = Listener::new(Rules::parse(rules).unwrap());
+        for (payload, lines) in [("", 0), (" \n", 0), ("home", 0), ("not_home", 1)] {
+            assert_eq!(listener.hear(b"person", payload.as_bytes(), false, Instant::now()).len(), lines, "{payload:?}");
+        }
     }
 
     /// Of a payload of JSON a rule names the values; all of it is no words of a sentence.

@@ -31,6 +31,8 @@ use outbox::{FOUND_MAX, Outbox, Picture, list_topic, listed};
 const TICK: Duration = Duration::from_millis(100);
 /// How often the daemon is asked for its counters, and how long it has to answer.
 const ASK_AGAIN: Duration = Duration::from_secs(10);
+/// What somebody else has overwritten is said again at most so often.
+const HEAL_EVERY: Duration = Duration::from_secs(10);
 /// A broker that does not give back what it keeps is told everything after so long; a later run may find topics then that no list names.
 const LISTEN: Duration = Duration::from_secs(5);
 /// How often it is looked which planners there are.
@@ -151,8 +153,10 @@ impl Ears {
                 own.for_each(|topic| outbox.find(topic));
                 outbox.hear_all();
             }
-        } else if !retained || payload.is_empty() || self.all {
-            // What comes now is new, and what comes after the marker is not from before.
+        } else if self.all {
+            outbox.hear(&topic, &payload);
+        } else if !retained || payload.is_empty() {
+            // What comes now is new.
         } else if topic == list_topic(&self.base) {
             self.listed = listed(&payload, &self.base, &self.node);
             self.kept.retain(|topic| self.listed.contains(topic));
@@ -246,7 +250,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
     let interval = Duration::from_secs_f64(config.bridge.interval_s);
     let start = Instant::now();
     let (mut connection, mut drawn, mut asked, mut told) = (0, None::<Instant>, None::<Instant>, Instant::now());
-    let (mut looked, mut connected) = (None::<Instant>, start);
+    let (mut looked, mut connected, mut healed) = (None::<Instant>, start, start);
     while !stop.requested() {
         ports.scores.wait(TICK)?;
         ports.take(&mut known)?;
@@ -266,6 +270,10 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
             let now = listen(link, connection, &mut ears, &mut outbox);
             connected = if connection == now { connected } else { Instant::now() };
             connection = now;
+        }
+        if healed.elapsed() >= HEAL_EVERY {
+            healed = Instant::now();
+            outbox.heal();
         }
         if drawn.is_none_or(|drawn| drawn.elapsed() >= interval) {
             drawn = Some(Instant::now());

@@ -20,6 +20,8 @@ pub(super) struct Outbox {
     wanted: Picture,
     /// What was said over this connection.
     said: Picture,
+    /// Of what was said, topics where something else was heard last: somebody has overwritten it or taken it away.
+    foreign: BTreeSet<String>,
     /// Topics of ours that the broker has kept from before.
     found: BTreeSet<String>,
     /// Whether the picture has everything, so that what is not in it may go.
@@ -114,10 +116,28 @@ impl Outbox {
         }
     }
 
+    /// The broker tells what stands under a topic now: it tells its own of what we say, too.
+    pub(super) fn hear(&mut self, topic: &str, payload: &[u8]) {
+        match self.said.get(topic) {
+            Some(said) if said.as_bytes() != payload => _ = self.foreign.insert(topic.to_owned()),
+            _ => _ = self.foreign.remove(topic),
+        }
+    }
+
+    /// What somebody has overwritten or taken away is to be said again.
+    pub(super) fn heal(&mut self) {
+        for topic in std::mem::take(&mut self.foreign) {
+            if self.said.remove(&topic).is_some() && !self.wanted.contains_key(&topic) {
+                self.find(topic);
+            }
+        }
+    }
+
     /// What was said may not have arrived, and what the broker keeps may be lost: all of it is to be said again.
     pub(super) fn lose(&mut self) {
         let said = std::mem::take(&mut self.said);
         said.into_keys().for_each(|topic| self.find(topic));
+        self.foreign.clear();
         if let Some(list) = &mut self.list {
             (list.heard, list.said) = (false, None);
         }
@@ -155,6 +175,7 @@ impl Outbox {
             return;
         }
         self.found.remove(topic);
+        self.foreign.remove(topic);
         match self.wanted.get(topic) {
             Some(payload) => self.said.insert(topic.to_owned(), payload.clone()),
             None => {
@@ -197,6 +218,30 @@ mod tests {
         assert_eq!(send(&mut outbox), [("a".to_owned(), "2".to_owned())]);
         outbox.want(picture(&[("b", "1")]), true);
         assert_eq!(send(&mut outbox), [("a".to_owned(), String::new())]);
+        assert_eq!(outbox.next(), None);
+    }
+
+    #[test]
+    fn what_somebody_overwrites_is_said_again() {
+        let mut outbox = Outbox::default();
+        outbox.want(picture(&[("a", "1"), ("b", "1"), ("c", "1")]), true);
+        send(&mut outbox);
+        // What we say comes back, and a change that was said since has not come back yet.
+        outbox.hear("a", b"1");
+        outbox.hear("b", b"offline");
+        outbox.hear("c", b"");
+        outbox.hear("z", b"of somebody else's");
+        outbox.heal();
+        assert_eq!(send(&mut outbox), [("b".to_owned(), "1".to_owned()), ("c".to_owned(), "1".to_owned())]);
+        outbox.heal();
+        assert_eq!(outbox.next(), None, "once");
+        // Meanwhile it is not wanted any more.
+        outbox.hear("b", b"offline");
+        outbox.want(picture(&[("a", "1"), ("c", "1")]), true);
+        outbox.heal();
+        assert_eq!(send(&mut outbox), [("b".to_owned(), String::new())]);
+        outbox.hear("b", b"");
+        outbox.heal();
         assert_eq!(outbox.next(), None);
     }
 

@@ -65,7 +65,13 @@ pub fn run(args: &Args) -> CommandResult {
         let client = format!("roomcast-bridge-{}", config.bridge.topic.replace('/', "-"));
         let broker = args.broker.broker(&config.mqtt, client)?;
         match args.remove {
-            true => bridge::remove(&config, &broker, &stop),
+            true => {
+                let runs = domain.open("roomcast-remove").and_then(|node| node.participants());
+                if runs.is_ok_and(|names| names.iter().any(|name| name.starts_with("roomcast-bridge"))) {
+                    eprintln!("roomcast: a bridge runs in this domain: end it first, or it says everything again");
+                }
+                bridge::remove(&config, &broker, &stop)
+            }
             false => bridge::run(&config, &domain, Way::Broker(&broker), &stop),
         }
     };

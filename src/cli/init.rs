@@ -543,6 +543,10 @@ fn robot_map(args: &Args, found: &Found) -> Result<Option<Imported>, Failure> {
                 let robot = PathBuf::from(format!("{}{MAP}", found.robot.as_deref().unwrap_or_default()));
                 (unpacked(&said.payload).map_err(|fault| input(format!("map {}: {fault}", robot.display())))?, robot)
             }
+            None if over_broker && found.broker.is_none() => {
+                let text = "--valetudo mqtt is the map that the robot tells a broker, and there is none: give --mqtt, or --valetudo FILE";
+                return Err(Failure::new(exit_code::USAGE, text));
+            }
             None if over_broker => {
                 let robot = found.robot.as_deref().unwrap_or("any robot");
                 let text = format!(

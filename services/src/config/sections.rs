@@ -367,6 +367,8 @@ pub struct RobotConfig {
     pub on_pause: OnPause,
     /// Seconds after which an order that the robot does not follow is given again; the third time it has failed.
     pub start_s: f64,
+    /// How long a robot is at a room at least, in seconds: one that leaves sooner has not done it.
+    pub least_s: f64,
     /// Seconds that the robot may take for a room.
     pub most_s: f64,
     /// Segments by the ids of rooms, where names and numbers do not tell.
@@ -381,6 +383,7 @@ impl Default for RobotConfig {
             obey: false,
             on_pause: OnPause::default(),
             start_s: 20.0,
+            least_s: 20.0,
             most_s: 7200.0,
             segments: BTreeMap::new(),
         }

@@ -58,6 +58,7 @@ pub struct Driver {
     obeys: bool,
     on_pause: OnPause,
     start_ns: u64,
+    least_ns: u64,
     most_ns: u64,
     configured: BTreeMap<String, String>,
     segments: BTreeMap<String, String>,
@@ -101,6 +102,7 @@ impl Driver {
             obeys: config.obey,
             on_pause: config.on_pause,
             start_ns: nanoseconds(config.start_s),
+            least_ns: nanoseconds(config.least_s),
             most_ns: nanoseconds(config.most_s),
             configured: config.segments.clone(),
             segments: BTreeMap::new(),
@@ -148,7 +150,7 @@ impl Driver {
     fn segment(&self, room: &str) -> Result<String, String> {
         match self.kind {
             RobotKind::Valetudo if !self.is_heard && !self.configured.contains_key(room) => Err(UNHEARD.to_owned()),
-            RobotKind::Valetudo => segment_of(room, &self.configured, &self.segments),
+            RobotKind::Valetudo => segment_of(room, &self.rooms, &self.configured, &self.segments),
             // Its automation knows rooms by their ids.
             RobotKind::HomeAssistant => Ok(self.configured.get(room).map_or(room, String::as_str).to_owned()),
         }
@@ -417,6 +419,14 @@ impl Driver {
             if self.resumes {
                 self.forgets = true;
                 return self.end(Kind::Failed, "the robot has to charge before it can go on", acts);
+            }
+            let worked_ns = left.unwrap_or(now_ns).saturating_sub(since_ns);
+            if worked_ns < self.least_ns {
+                let why = format!(
+                    "the robot left after {} s: somebody has called it home, or robot.least_s is too long",
+                    worked_ns / 1_000_000_000
+                );
+                return self.end(Kind::Cancelled, &why, acts);
             }
             return self.end(Kind::Finished, "", acts);
         }

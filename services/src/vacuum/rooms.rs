@@ -13,12 +13,30 @@ pub fn by_ids(configured: &BTreeMap<String, String>, map: &SemanticMap) -> BTree
 }
 
 /// The segment of a room: the one that is configured, else the one whose number the room's id ends with, as an imported map has it, else
-/// the only one whose name means the room.
+/// the only one whose name means the room. `rooms` are all of the map's: no segment is that of two of them, and one that is configured for another
+/// room is not this one's.
 ///
 /// # Errors
 ///
 /// Why there is none, in words for the planner's log.
 pub fn segment_of(
+    room: &str,
+    rooms: &[impl AsRef<str>],
+    configured: &BTreeMap<String, String>,
+    segments: &BTreeMap<String, String>,
+) -> Result<String, String> {
+    let own = unshared_segment(room, configured, segments)?;
+    let is_other = |other: &&str| *other != room && unshared_segment(other, configured, segments).as_ref() == Ok(&own);
+    let mut others = rooms.iter().map(AsRef::as_ref).filter(is_other);
+    let wins = |one: &str, other: &str| configured.contains_key(one) && !configured.contains_key(other);
+    match others.find(|other| !wins(room, other)) {
+        Some(other) => Err(format!("the segment {own} is that of {other}, too; give each its own in [robot.segments]")),
+        None => Ok(own),
+    }
+}
+
+/// The segment of a room, whatever the other rooms have.
+fn unshared_segment(
     room: &str,
     configured: &BTreeMap<String, String>,
     segments: &BTreeMap<String, String>,
@@ -29,19 +47,26 @@ pub fn segment_of(
     if segments.is_empty() {
         return Err("the robot has told of no segments; name them in [robot.segments]".to_owned());
     }
-    if let Some(number) =
-        room.rsplit_once('-').map(|(_, number)| number).filter(|number| segments.contains_key(*number))
-    {
-        return Ok(number.to_owned());
-    }
+    let numbered = room.rsplit_once('-').filter(|(_, number)| number.bytes().all(|byte| byte.is_ascii_digit()));
+    let stem = numbered.map_or(room, |(stem, _)| stem);
     let means = |name: &str| {
         let plain = name.to_lowercase().split([' ', '_', '-']).collect::<Vec<_>>().join("-");
         let kind = Names::built_in().room(name).map(|kind| kind.replace(' ', "-"));
-        plain == room || kind.as_deref() == Some(room)
+        plain == room || plain == stem || kind.as_deref() == Some(stem)
     };
-    let mut named = segments.iter().filter(|(_, name)| means(name)).map(|(number, _)| number.clone());
+    let mut named = segments.iter().filter(|(_, name)| means(name));
+    if let Some((number, name)) = numbered.and_then(|(_, number)| segments.get_key_value(number)) {
+        // A robot that divides its map again gives out its numbers again, too.
+        return match named.next() {
+            Some((other, known)) if other != number && !name.is_empty() && !means(name) => Err(format!(
+                "its number {number} is now {name:?} to the robot, and {known:?} is {other}: the robot has divided its map again; import that again, \
+                 or name the segment in [robot.segments]"
+            )),
+            _ => Ok(number.clone()),
+        };
+    }
     match (named.next(), named.next()) {
-        (Some(segment), None) => Ok(segment),
+        (Some((segment, _)), None) => Ok(segment.clone()),
         (Some(_), Some(_)) => Err("several segments have its name; name one in [robot.segments]".to_owned()),
         _ => Err("no segment of the robot's map has its name; name one in [robot.segments]".to_owned()),
     }
@@ -58,7 +83,7 @@ mod tests {
         };
         let configured = table(&[("office", "9")]);
         let segments = table(&[("1", "Küche"), ("2", "Living Room"), ("3", "Bad"), ("4", "Bathroom"), ("17", "")]);
-        let of = |room: &str| segment_of(room, &configured, &segments);
+        let of = |room: &str| segment_of(room, &[""; 0], &configured, &segments);
         assert_eq!(of("office").unwrap(), "9");
         assert_eq!(of("room-17").unwrap(), "17");
         assert_eq!(of("kitchen").unwrap(), "1");
@@ -69,6 +94,48 @@ mod tests {
         let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
         let by_names = by_ids(&table(&[("living room", "17"), ("kitchen", "1"), ("attic", "3")]), &map);
         assert_eq!(by_names, table(&[("living-room", "17"), ("kitchen", "1"), ("attic", "3")]));
-        assert!(segment_of("kitchen", &configured, &BTreeMap::new()).unwrap_err().contains("told of no segments"));
+        assert!(
+            segment_of("kitchen", &[""; 0], &configured, &BTreeMap::new()).unwrap_err().contains("told of no segments")
+        );
+    }
+    #[test]
+    fn a_segment_is_one_rooms() {
+        let table = |pairs: &[(&str, &str)]| -> BTreeMap<String, String> {
+            pairs.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())).collect()
+        };
+        let segments = table(&[("1", "Bad"), ("2", "Schlafzimmer"), ("3", "Küche")]);
+        let rooms = ["bathroom-1", "bedroom-2", "kitchen-3"];
+        // What is configured stands before what a number says.
+        let configured = table(&[("kitchen-3", "2")]);
+        let of = |room: &str, configured: &_| segment_of(room, &rooms, configured, &segments);
+        assert_eq!(of("kitchen-3", &configured).unwrap(), "2");
+        assert!(of("bedroom-2", &configured).unwrap_err().contains("the segment 2 is that of kitchen-3, too"));
+        let twice = table(&[("kitchen-3", "2"), ("bathroom-1", "2")]);
+        for room in ["kitchen-3", "bathroom-1", "bedroom-2"] {
+            assert!(of(room, &twice).unwrap_err().contains("is that of"), "{room}");
+        }
+    }
+
+    #[test]
+    fn a_robot_that_divided_its_map_again_is_noticed() {
+        let names = |pairs: &[(&str, &str)]| -> BTreeMap<String, String> {
+            pairs.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())).collect()
+        };
+        let rooms = ["bathroom-1", "bedroom-2", "kitchen-3", "hallway-4"];
+        let of = |room: &str, segments: &_| segment_of(room, &rooms, &BTreeMap::new(), segments);
+        let again = names(&[("1", "Flur"), ("2", "Küche"), ("3", "Bad")]);
+        for (room, known) in [("bathroom-1", "\"Bad\" is 3"), ("kitchen-3", "\"Küche\" is 2")] {
+            let why = of(room, &again).unwrap_err();
+            assert!(why.contains("divided its map again") && why.contains(known), "{why}");
+        }
+        // Nothing else is the bedroom: it may be named otherwise on purpose.
+        assert_eq!(of("bedroom-2", &again).unwrap(), "2");
+        // A number that is gone: by its name.
+        assert_eq!(of("hallway-4", &again).unwrap(), "1");
+        assert_eq!(
+            of("kitchen-3", &names(&[("3", ""), ("4", "Küche")])).unwrap(),
+            "3",
+            "without a name nothing is known"
+        );
     }
 }

@@ -531,9 +531,9 @@ fn robot(config: &Config, map: Option<&SemanticMap>, seen: &Seen, place: &Place<
 fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, String>, place: &Place<'_>) -> Finding {
     let check = "segments";
     let own = by_ids(&config.robot.segments, map);
-    let rooms = map.rooms().iter().map(|room| room.id.as_str());
-    let wrong: Vec<(&str, String)> =
-        rooms.filter_map(|room| Some((room, segment_of(room, &own, segments).err()?))).collect();
+    let rooms: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
+    let segment = |room: &str| segment_of(room, &rooms, &own, segments);
+    let wrong: Vec<(&str, String)> = rooms.iter().filter_map(|room| Some((*room, segment(room).err()?))).collect();
     if segments.is_empty() && config.robot.segments.is_empty() {
         let found =
             format!("the robot under {} has told of no segments, so it can be sent to no room", config.robot.topic);
@@ -563,7 +563,7 @@ fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, Stri
         some_of(known.iter().map(String::as_str))
     );
     // One that no room has yet: another would send the robot into the wrong room.
-    let done: Vec<String> = (map.rooms().iter()).filter_map(|room| segment_of(&room.id, &own, segments).ok()).collect();
+    let done: Vec<String> = rooms.iter().filter_map(|room| segment(room).ok()).collect();
     let number = segments.keys().find(|number| !done.contains(number)).map_or("NUMBER", String::as_str);
     let remedy = format!(
         "write each room's number into [robot.segments] of {}, such as {room:?} = {number:?}; or import the robot's own map",
