@@ -914,7 +914,7 @@ fn init_says_what_is_wrong_and_writes_nothing() {
                 Vec::new()
             },
             exit_code::INPUT,
-            &["config/.storage", "expected a registry of Home Assistant"],
+            &["config/.storage: core.entity_registry", "expected a registry of Home Assistant"],
         ),
         (
             "a map that is no map",

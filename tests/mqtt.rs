@@ -459,7 +459,7 @@ fn home_with_a_robot(world: &World) -> String {
     let config = world.directory.path().join("robot.toml");
     let text = format!(
         "[planner]\nroom_time_s = 10.0\nreports = \"always\"\nrepeat = false\npolicy = \"uncovered-first\"\n\
-        [robot]\ntopic = \"{FAKE}\"\nstart_s = 1.0\n[robot.segments]\nmain-room = \"1\"\nkitchen = \"2\"\nbathroom = \"3\"\n"
+        [robot]\ntopic = \"{FAKE}\"\nstart_s = 1.0\nleast_s = 0.1\n[robot.segments]\nmain-room = \"1\"\nkitchen = \"2\"\nbathroom = \"3\"\n"
     );
     std::fs::write(&config, text).unwrap();
     config.to_str().unwrap().to_owned()
@@ -618,7 +618,7 @@ fn lived_home(world: &World, port: u16, policy: &str, seed: u64) -> String {
          [mqtt]\nbroker = \"mqtt://127.0.0.1:{port}\"\nrules = {rules:?}\n\
          [forecast]\nobject_s = {:?}\nstay_s = {:?}\naction_s = {:?}\naway_s = {:?}\n\
          [planner]\npolicy = {policy:?}\nseed = {seed}\nroom_time_s = {:?}\nround_s = {:?}\nreports = \"always\"\nreport_timeout_s = 10.0\n\
-         interrupt_after_s = {:?}\n[robot]\ntopic = {FAKE:?}\nstart_s = 1.0\n",
+         interrupt_after_s = {:?}\n[robot]\ntopic = {FAKE:?}\nstart_s = 1.0\nleast_s = 0.1\n",
         folder.join("state"),
         real(40.0),
         real(120.0),

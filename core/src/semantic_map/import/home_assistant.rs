@@ -56,7 +56,7 @@ struct Registry<T> {
     data: T,
 }
 
-#[derive(Deserialize)]
+#[derive(Default, Deserialize)]
 struct Areas {
     areas: Vec<Area>,
 }
@@ -149,9 +149,17 @@ struct Person {
     name: String,
 }
 
-fn registry<'a, T: Deserialize<'a> + Default>(text: Option<&'a str>) -> Result<T, ImportError> {
+/// A registry that may be missing; a fault names its file.
+fn registry<'a, T: Deserialize<'a> + Default>(file: &str, text: Option<&'a str>) -> Result<T, ImportError> {
     let Some(text) = text else { return Ok(T::default()) };
-    parse::<Registry<T>>(text, EXPECTED).map(|registry| registry.data)
+    let named = |error| match error {
+        ImportError::Json { element, message, expected } => {
+            let within = if ["?", "."].contains(&&*element) { String::new() } else { format!(": {element}") };
+            ImportError::Json { element: format!("{file}{within}"), message, expected }
+        }
+        other => other,
+    };
+    parse::<Registry<T>>(text, EXPECTED).map(|registry| registry.data).map_err(named)
 }
 
 /// What an entity's states say.
@@ -423,15 +431,15 @@ fn rooms(
 /// # Errors
 /// When a text is no registry, there is no area, or the scene breaks a rule of scenes.
 pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, ImportError> {
-    let Areas { areas } = parse::<Registry<Areas>>(registries.areas, EXPECTED)?.data;
+    let Areas { areas } = registry("core.area_registry", Some(registries.areas))?;
     if areas.is_empty() {
         let remedy = "make areas in Home Assistant (Settings, Areas) and assign devices to them";
         return Err(ImportError::NoRooms { remedy });
     }
-    let floors: Floors = registry(registries.floors)?;
-    let Devices { devices } = registry(registries.devices)?;
-    let Entities { entities } = registry(registries.entities)?;
-    let Persons { items: persons } = registry(registries.persons)?;
+    let floors: Floors = registry("core.floor_registry", registries.floors)?;
+    let Devices { devices } = registry("core.device_registry", registries.devices)?;
+    let Entities { entities } = registry("core.entity_registry", registries.entities)?;
+    let Persons { items: persons } = registry("person", registries.persons)?;
     let mut notes = Vec::new();
     let (rooms, doors, aliases) = rooms(&areas, &floors, &mut notes);
 
@@ -794,6 +802,7 @@ mod tests {
         let message =
             |areas: &str| home_assistant(&Registries { areas, ..Registries::default() }, "x").unwrap_err().to_string();
         assert!(message("{}").contains("expected a registry of Home Assistant"));
+        assert!(message("{").starts_with("core.area_registry: "), "{}", message("{"));
         assert!(message(r#"{"data": {"areas": []}}"#).contains("make areas in Home Assistant"));
         assert!(
             message(r#"{"data": {"areas": [{"id": "a", "name": "A"}, {"id": "a", "name": "B"}]}}"#)
