@@ -541,7 +541,9 @@ impl Recording {
                     Said::Presence(statement) if statement.is_of_everybody() => {
                         let named = statement.names().chain(statement.excepted());
                         let stay: Vec<u32> = named.filter_map(|name| self.named(name, scores.epoch)).collect();
-                        if statement.of_others().is_some_and(|others| others.presence() != Presence::Present) {
+                        // Who a guest is, only the daemon knows.
+                        let others = statement.of_others().filter(|_| !statement.is_of_guests());
+                        if others.is_some_and(|others| others.presence() != Presence::Present) {
                             narration.retain(|(of, _)| stay.contains(of));
                         }
                     }

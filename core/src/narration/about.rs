@@ -1,6 +1,7 @@
 //! Whom a plain sentence is about. What is not understood is about nobody: nobody is moved by it.
 
 use super::clause::{self, NAME_WORDS_MAX, Word};
+use super::deeds;
 
 /// Whom a plain sentence is about.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -20,7 +21,7 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
     let said = clause::without_first(said);
     let words: Vec<&str> = said.split(' ').map(|word| word.trim_matches([',', ':', ';'])).collect();
     let Some((&first, rest)) = words.split_first() else { return About::Somebody };
-    if clause::is(Word::Condition, first) || said.ends_with('?') {
+    if clause::is(Word::Condition, first) || said.ends_with('?') || clause::is_order(said) {
         return About::Nobody;
     }
     // Who only greets may be anywhere: "Hello!" is of nobody, and "Hi, Ada comes in." of Ada.
@@ -80,6 +81,11 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
         false => (first.to_owned(), second),
     };
     if (is_name(first) || clause::is(Word::Title, first)) && clause::is_verb(verb) && clause::may_be_a_person(&name) {
+        // A show or a club is no person.
+        let is_event = said.find(verb).is_some_and(|at| deeds::is_an_event(&said[at..]));
+        if is_event {
+            return About::Nobody;
+        }
         return About::Stranger(name);
     }
     // The dishwasher by its name alone is no person.

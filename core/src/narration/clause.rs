@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 
 use serde::Deserialize;
 
-use super::Presence;
+use super::{Presence, deeds};
 use crate::names::Names;
 
 static WORDS: LazyLock<Words> = LazyLock::new(|| {
@@ -17,7 +17,18 @@ static WORDS: LazyLock<Words> = LazyLock::new(|| {
 /// What may begin a predicate: the first words of all verbs that say where somebody is or goes. Most of what is narrated is something else,
 /// and is passed over by a look at one word.
 static PREDICATES: LazyLock<HashSet<&'static str>> = LazyLock::new(|| {
-    let verbs = [&WORDS.leaves, &WORDS.goes, &WORDS.travels, &WORDS.takes, &WORDS.comes];
+    let verbs = [
+        &WORDS.leaves,
+        &WORDS.goes,
+        &WORDS.travels,
+        &WORDS.moves,
+        &WORDS.vehicles,
+        &WORDS.takes,
+        &WORDS.comes,
+        &WORDS.drops_in,
+        &WORDS.stays,
+        &WORDS.visits,
+    ];
     let verbs = verbs.into_iter().flat_map(List::iter).map(|verb| first_word(verb));
     verbs.chain(STATE_VERBS.iter().map(|verb| verb.trim_end())).chain(["just"]).collect()
 });
@@ -33,7 +44,7 @@ fn first_word(words: &str) -> &str {
 
 /// Whether words may say where somebody is or goes.
 fn may_be_predicate(rest: &str) -> bool {
-    PREDICATES.contains(first_word(rest))
+    PREDICATES.contains(first_word(rest)) || deeds::carrier(rest).is_some()
 }
 
 /// The table of words; see there.
@@ -47,6 +58,17 @@ struct Words {
     nobody: List,
     everybody: List,
     both: List,
+    numbers: Vec<String>,
+    two: List,
+    orders: List,
+    moves: List,
+    vehicles: List,
+    stays: List,
+    farewells: List,
+    purposes: List,
+    relatives: List,
+    visits: List,
+    drops_in: List,
     except: List,
     takes: List,
     lets: List,
@@ -396,8 +418,10 @@ pub(super) enum Subject<'a> {
     /// Persons by what they are called.
     Named(Vec<&'a str>),
     Everybody,
-    /// The two who are there.
-    Both,
+    /// So many who are there, and no others are.
+    SoMany(usize),
+    /// All who do not live here.
+    Guests,
     /// Everybody but these.
     Others(Vec<&'a str>),
     /// These and nobody else.
@@ -425,6 +449,11 @@ const NAME_BYTES_MAX: usize = 48;
 const SUBJECT_WORDS_MAX: usize = 24;
 /// The name of somebody who is known has at most so many words.
 pub(super) const NAME_WORDS_MAX: usize = 4;
+/// So many words stand between an article and the place that it is of.
+const MODIFIERS_MAX: usize = 2;
+/// The least number of persons in `numbers` of the table, and the greatest.
+const COUNT_MIN: usize = 2;
+pub(super) const COUNT_MAX: usize = 8;
 /// The name of somebody of whom nobody has told yet has at most so many words.
 const NEW_NAME_WORDS_MAX: usize = 2;
 
@@ -467,10 +496,14 @@ pub(super) fn with_plain<T>(sentence: &str, read: impl FnOnce(&str) -> T) -> T {
 
 /// Writes what is said in several ways in one: "they are both in", "has just left", "is no longer in", "ada/ben".
 fn write_as_usual(text: &mut String) {
-    const BOTH: &str = "they are both ";
-    if text.starts_with(BOTH) {
-        text.replace_range(..BOTH.len(), "both are ");
+    // "They have both gone out", "they are all in bed".
+    for (verb, group) in [("are ", "both "), ("have ", "both "), ("are ", "all "), ("have ", "all ")] {
+        let said = text.strip_prefix("they ").and_then(|rest| rest.strip_prefix(verb)?.strip_prefix(group));
+        if let Some(rest) = said {
+            *text = format!("{group}{verb}{rest}");
+        }
     }
+    write_neither(text);
     while let Some(at) = text.find(" no longer ") {
         text.replace_range(at..at + " no longer ".len(), " not ");
     }
@@ -492,6 +525,25 @@ fn write_as_usual(text: &mut String) {
     };
     if let Some(at) = first.find('/').filter(|_| first.split_once('/').is_some_and(are_names)) {
         text.replace_range(at..=at, " and ");
+    }
+}
+
+/// Writes what is denied of each of two as denied of both: "neither ada nor ben is home" is "ada and ben are not home", "neither of them is home" is
+/// "both are not home".
+fn write_neither(text: &mut String) {
+    let Some(rest) = text.strip_prefix("neither ") else { return };
+    let denied = |rest: &str| {
+        let verbs = [("is ", "are not "), ("are ", "are not "), ("has ", "have not "), ("have ", "have not ")];
+        verbs.iter().find_map(|(verb, denied)| Some(format!("{denied}{}", rest.strip_prefix(verb)?)))
+    };
+    let of_both = || WORDS.two.after(rest).find_map(|rest| Some(format!("both {}", denied(rest.strip_prefix(' ')?)?)));
+    let of_two = || {
+        let (one, rest) = rest.split_once(" nor ")?;
+        let mut spaces = rest.match_indices(' ').take(NAME_WORDS_MAX);
+        spaces.find_map(|(at, _)| Some(format!("{one} and {} {}", &rest[..at], denied(&rest[at + 1..])?)))
+    };
+    if let Some(written) = of_both().or_else(of_two) {
+        *text = written;
     }
 }
 
@@ -588,7 +640,16 @@ fn is_outside_by(words: &str, to: &[&str]) -> bool {
     places.any(|place| {
         let noun =
             place.split_once(' ').filter(|(first, _)| has(&WORDS.determiners, first)).map_or(place, |(_, noun)| noun);
-        WORDS.outside.after(noun).any(ends)
+        // "The new cinema", "football practice".
+        let mut nouns = std::iter::successors(Some(noun), |noun| {
+            let (first, rest) = noun.split_once(' ')?;
+            let is_modifier = first.chars().all(|c| c.is_alphanumeric() || c == '-' || c == '\'')
+                && ![&WORDS.goes_on, &WORDS.no_verbs, &WORDS.rooms, &WORDS.determiners, &WORDS.not_said]
+                    .iter()
+                    .any(|words| has(words, first));
+            is_modifier.then_some(rest)
+        });
+        nouns.by_ref().take(1 + MODIFIERS_MAX).any(|noun| WORDS.outside.after(noun).any(ends))
     })
 }
 
@@ -616,9 +677,12 @@ fn first_predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     if after_verb(rest, &WORDS.comes).any(arrives_outside) {
         return Some((Presence::Away, None));
     }
+    let leaves_for = |said: &str| is_outside_by(said, &["for"]) || is_a_town(said, &["for "]);
     if follows(rest, &WORDS.leaves, &WORDS.house, ends)
-        || after_verb(rest, &WORDS.leaves).any(|said| is_outside_by(said, &["for"]))
+        || after_verb(rest, &WORDS.leaves).any(leaves_for)
         || goes_out(rest)
+        || rides_out(rest)
+        || stays_elsewhere(rest)
         || has_left()
     {
         return Some((Presence::Away, None));
@@ -630,6 +694,9 @@ fn first_predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
         return Some((Presence::Present, None));
     }
     let state = state(rest)?;
+    if is_in_doubt(state) {
+        return None;
+    }
     // Who is not home alone is home.
     let is_with_others = state.starts_with("not ") && crate::text::has_words(state, "alone");
     let is_out = !is_with_others && WORDS.out.after(state).any(ends_away);
@@ -682,11 +749,13 @@ fn last_of_all(subject: &str, rest: &str, are_several: bool) -> Option<(Presence
     if !is_person || !does || is_reported(rest) || is_past_state(rest) {
         return None;
     }
-    let leaves = LEAVES.iter().any(|verb| last.strip_prefix(verb).is_some_and(ends_away));
     // Who only works here has a home elsewhere.
     let goes_home =
-        ["goes home", "drives home", "heads home", "goes"].iter().any(|verb| last.strip_prefix(verb).is_some_and(ends));
-    if leaves || (joined.is_some() && role && goes_home) {
+        || ["goes home", "drives home", "heads home"].iter().any(|verb| last.strip_prefix(verb).is_some_and(ends));
+    let goes = || ["goes", "go", "went"].iter().any(|verb| last.strip_prefix(verb).is_some_and(ends));
+    let takes_leave = || joined.is_some_and(|(before, _)| WORDS.farewells.begin(before).any(|(_, more)| ends(more)));
+    let is_off = joined.is_some() && (role && (goes_home() || goes()) || takes_leave() && goes());
+    if leaves_the_house(last) || is_off {
         return Some((Presence::Away, None));
     }
     predicate(last)
@@ -696,7 +765,14 @@ fn last_of_all(subject: &str, rest: &str, are_several: bool) -> Option<(Presence
 }
 
 /// Verbs of who leaves, and nobody says what.
-const LEAVES: [&str; 5] = ["leaves", "leave", "left", "is leaving", "are leaving"];
+const LEAVES: [&str; 3] = ["leaves", "leave", "left"];
+
+/// Whether somebody leaves, and nobody says what. Who leaves after dinner may only plan to, and who is leaving has not left yet.
+fn leaves_the_house(rest: &str) -> bool {
+    let is_plan =
+        |verb: &str, more: &str| verb != "left" && [" after ", " before "].iter().any(|when| more.starts_with(when));
+    LEAVES.iter().any(|verb| rest.strip_prefix(verb).is_some_and(|more| ends_away(more) && !is_plan(verb, more)))
+}
 
 /// Whether a subject is all, or all but a few.
 fn is_of_all(subject: &str) -> bool {
@@ -706,9 +782,31 @@ fn is_of_all(subject: &str) -> bool {
 
 /// What words say of all, that would not tell which place one person leaves: "everybody leaves".
 fn all_leave(subject: &str, rest: &str) -> Option<(Presence, Option<&'static str>)> {
-    let is_of_all = is_of_all(subject) || has(&WORDS.both, subject);
-    let leave = || LEAVES.iter().any(|verb| rest.strip_prefix(verb).is_some_and(ends_away));
-    (is_of_all && leave()).then_some((Presence::Away, None))
+    let is_of_all = || is_of_all(subject) || so_many(subject).is_some() || is_of_guests(subject);
+    (leaves_the_house(rest) && is_of_all()).then_some((Presence::Away, None))
+}
+
+/// How many persons a subject is by their number: "both", "all three", "the two of them".
+fn so_many(subject: &str) -> Option<usize> {
+    if has(&WORDS.both, subject) || has(&WORDS.two, subject.strip_prefix("the ").unwrap_or(subject)) {
+        return Some(2);
+    }
+    // The number alone may be that of others.
+    let count = subject
+        .strip_prefix("all ")
+        .or_else(|| subject.strip_prefix("the "))
+        .or_else(|| subject.strip_prefix("they all "))?;
+    let (count, of) = count.split_once(' ').unwrap_or((count, ""));
+    let is_whole = matches!(of, "of them" | "of us") || of.is_empty() && !subject.starts_with("the ");
+    let place = WORDS.numbers.iter().position(|number| number == count).filter(|_| is_whole)?;
+    Some(place + COUNT_MIN)
+}
+
+/// Whether a subject is all who do not live here: "the guests", "all our visitors".
+fn is_of_guests(subject: &str) -> bool {
+    let guests = ["all of ", "all "].iter().find_map(|all| subject.strip_prefix(all)).unwrap_or(subject);
+    let noun = guests.split_once(' ').filter(|(first, _)| has(&WORDS.determiners, first)).map(|(_, noun)| noun);
+    noun.and_then(|noun| noun.strip_suffix('s')).is_some_and(|noun| has(&WORDS.guests, noun))
 }
 
 /// What words say of all that do something in one room: "everybody goes to the kitchen", "everybody sits down in the living room".
@@ -720,6 +818,11 @@ fn all_in_a_room<'a>(subject: &str, rest: &'a str) -> Option<(Presence, Option<&
         [" to the ", " into the ", " in the "].iter().filter_map(|to| rest.rsplit_once(to)).next_back()?;
     let is_done = !is_unreal(rest) && !at.contains([',', ' ']) || at.split(' ').count() <= 2 && !is_unreal(rest);
     (is_room(place) && is_done && !is_doubtful(rest)).then_some((Presence::Present, Some(place)))
+}
+
+/// What is said of a group without that it is denied, which is said of all of it: "both are not home".
+fn denied(rest: &str) -> &str {
+    ["are not ", "is not "].iter().find_map(|verb| rest.strip_prefix(verb)).unwrap_or(rest)
 }
 
 /// Whether what is said of a group may not be so, or not of all of it: "everybody leaves tonight", "nobody is home, is it?".
@@ -824,21 +927,117 @@ fn follows(rest: &str, verbs: &List, places: &List, ends: fn(&str) -> bool) -> b
 fn arrives(rest: &str) -> bool {
     let is_back =
         |state: &str| ["back home", "back"].iter().any(|back| state.strip_prefix(back).is_some_and(ends_here));
+    // "Comes to visit Ada", "drops by".
+    let comes_to = |said: &str| {
+        said.strip_prefix("to ")
+            .is_some_and(|to| WORDS.purposes.begin(to).any(|(_, more)| more.is_empty() || more.starts_with(' ')))
+    };
     follows(rest, &WORDS.comes, &WORDS.at_house, ends_here)
+        || after_verb(rest, &WORDS.comes).any(comes_to)
+        || follows(rest, &WORDS.drops_in, &WORDS.at_house, ends_here)
         || state(rest).is_some_and(is_back)
         || matches!(takes(rest), Some((_, Presence::Present)))
 }
 
+/// Whether words name a place by nothing but its name, which is none of a home: "for Berlin", "in rome".
+fn is_a_town(words: &str, to: &[&str]) -> bool {
+    let mut places = to.iter().filter_map(|to| words.strip_prefix(to));
+    places.any(|place| {
+        let name = first_word(place);
+        let is_word = |words: &List| words.iter().any(|own| own.split(' ').any(|word| word == name));
+        let is_name = name.len() > 3 && name.chars().all(char::is_alphabetic) && !has(&WORDS.determiners, name);
+        is_name
+            && ends(&place[name.len()..])
+            && !Names::built_in().knows(name)
+            && ![&WORDS.rooms, &WORDS.house, &WORDS.not_said, &WORDS.goes_on, &WORDS.away_for, &WORDS.pronouns]
+                .into_iter()
+                .any(is_word)
+            && !name.ends_with("ing")
+    })
+}
+
+/// Whether somebody goes by a vehicle, which no home has room for, or takes what carries many: "drives to the lake", "takes the bus to town".
+fn rides_out(rest: &str) -> bool {
+    let is_in_the_house = |to: &str| {
+        let place = to.split_once(' ').filter(|(first, _)| has(&WORDS.determiners, first)).map_or(to, |(_, noun)| noun);
+        // Of the places at home, only an office may be driven to.
+        WORDS.house.after(to).any(ends) || (is_room(room_of(place)) && first_word(place) != "office")
+    };
+    let drives = |said: &str| {
+        let off = ["away", "off"].iter().any(|way| said.strip_prefix(way).is_some_and(ends_out));
+        off || said.strip_prefix("to ").is_some_and(|to| !is_in_the_house(to) && !to.is_empty())
+    };
+    let boards = |more: &str| {
+        let home = ["home", "back"].iter().any(|way| more.starts_with(way));
+        home || more.is_empty()
+            || ends(&format!(" {more}"))
+            || more.strip_prefix("to ").is_some_and(|to| !is_in_the_house(to))
+    };
+    let is_missed = ["change", "gets off", "get off"].iter().any(|verb| rest.starts_with(verb));
+    after_verb(rest, &WORDS.vehicles).any(drives) || (!is_missed && deeds::carrier(rest).is_some_and(boards))
+}
+
+/// Whether somebody stays where others live: "is at vera's", "sleeps at his mother's", "is visiting her parents".
+fn stays_elsewhere(rest: &str) -> bool {
+    let at = |said: &str| said.starts_with("at ") && is_at_somebodys(&format!(" {said}"));
+    let is_others = |whom: &str| {
+        let (first, noun) = whom.split_once(' ').unwrap_or_default();
+        let is_one = || {
+            WORDS
+                .people
+                .after(noun)
+                .chain(WORDS.relatives.after(noun))
+                .any(|more| ends(more.strip_prefix('s').unwrap_or(more)))
+        };
+        has(&WORDS.determiners, first) && first != "the" && is_one()
+    };
+    after_verb(rest, &WORDS.stays).any(at)
+        || state(rest).is_some_and(at)
+        || after_verb(rest, &WORDS.visits).any(is_others)
+}
+
+/// Whether it is not told which of several things somebody is: "either in the kitchen or out", "out of milk".
+fn is_in_doubt(state: &str) -> bool {
+    [" or ", " nor "].iter().any(|or| state.contains(or)) || is_not_in(state)
+}
+
+/// What somebody is out of who is not in it, or has none of it: "out of the shower", "out of milk". Who is out of the house is away.
+fn is_not_in(state: &str) -> bool {
+    let of = state.strip_prefix("out of ");
+    of.is_some_and(|of| {
+        !WORDS.house.after(of).any(ends)
+            && !["town", "home"].iter().any(|place| of.strip_prefix(place).is_some_and(ends))
+    })
+}
+
 /// Whether a sentence's words after its subject say that somebody goes where they are out of the house: "has gone to work".
 fn goes_out(rest: &str) -> bool {
-    let is_to_outside = |said: &str| is_outside_by(said, &["to", "into"]);
+    let is_to_outside = |said: &str| is_outside_by(said, &["to", "into", "for"]);
     let mut ways = after_verb(rest, &WORDS.goes).chain(after_verb(rest, &WORDS.travels));
-    let takes_a_walk = || follows(rest, &WORDS.takes, &WORDS.outings, ends_out);
+    let takes_a_walk = || {
+        let is_animal = |said: &str| WORDS.animals.after(said).any(ends_out);
+        follows(rest, &WORDS.takes, &WORDS.outings, ends_out)
+            || ["walks ", "walk ", "walked "].iter().any(|walks| rest.strip_prefix(walks).is_some_and(is_animal))
+    };
+    // "Steps out", "slips out of the house".
+    let moves_out = || {
+        let is_out = |said: &str| {
+            let more = said.strip_prefix("out")?;
+            Some(
+                ends_out(more) && !more.starts_with(" to ")
+                    || more.strip_prefix(" of ").is_some_and(|of| WORDS.house.after(of).any(ends)),
+            )
+        };
+        [&WORDS.moves, &WORDS.travels]
+            .iter()
+            .any(|verbs| after_verb(rest, verbs).any(|said| is_out(said) == Some(true)))
+    };
     let is_by_the_door = || {
         let mut ways = [&WORDS.goes, &WORDS.travels].into_iter();
         ways.any(|verbs| follows(rest, verbs, &WORDS.ways_out, ends_out))
     };
     (follows(rest, &WORDS.goes, &WORDS.errands, ends_out)
+        || moves_out()
         || takes_a_walk()
         || is_by_the_door()
         || ways.any(is_to_outside))
@@ -940,31 +1139,46 @@ pub(super) fn guests(said: &str) -> Vec<&str> {
         .unwrap_or_default()
 }
 
-/// Whether a plain sentence says what both persons do who are there.
-pub(super) fn is_of_both(said: &str) -> bool {
-    is_of_a_group(said, &WORDS.both)
+/// Whether a plain sentence tells somebody to do something: "ada, come to the kitchen".
+pub(super) fn is_order(said: &str) -> bool {
+    said.split_once(", ").is_some_and(|(whom, order)| {
+        let is_one = !whom.contains(" and ") && whom.split(' ').count() <= NEW_NAME_WORDS_MAX && bare(whom).is_some();
+        is_one && has(&WORDS.orders, first_word(order))
+    })
+}
+
+/// Of how many persons who are there a plain sentence says what they do.
+pub(super) fn is_of_so_many(said: &str) -> Option<usize> {
+    cuts(said).find_map(|(subject, rest)| so_many(subject).filter(|_| is_deed_of_a_group(said, subject, rest)))
+}
+
+/// Whether a plain sentence says what all do who do not live here.
+pub(super) fn is_deed_of_guests(said: &str) -> bool {
+    cuts(said).any(|(subject, rest)| is_of_guests(subject) && is_deed_of_a_group(said, subject, rest))
 }
 
 /// Whether a plain sentence says what everybody does who is there: "everybody goes to bed".
 pub(super) fn is_deed_of_all(said: &str) -> bool {
-    is_of_a_group(said, &WORDS.everybody)
+    cuts(said).any(|(subject, rest)| has(&WORDS.everybody, subject) && is_deed_of_a_group(said, subject, rest))
 }
 
-/// Whether a plain sentence says what a group does now.
-fn is_of_a_group(said: &str, group: &List) -> bool {
-    cuts(said).any(|(subject, rest)| {
-        let verb = rest.split([' ', ',']).next().unwrap_or_default();
-        let is_not_so = is_past_state(rest) || is_unreal(rest) || is_doubtful(rest) || is_not_now(said);
-        // "Both lamps are on": no verb of several ends so.
-        let is_thing = match subject.starts_with("every") {
-            true => !is_verb(verb),
-            false => verb.ends_with('s') && !verb.ends_with("ss"),
-        };
-        let is_other = has(&WORDS.no_verbs, verb) || has(&WORDS.groups, verb) || has(&WORDS.except, verb);
-        // "Both are in bed" says it of them.
-        let is_said = is_said(verb) || matches!(verb, "is" | "are");
-        has(group, subject) && is_said && !is_thing && !is_other && !is_not_so
-    })
+/// Whether words after a group say what it does now.
+fn is_deed_of_a_group(said: &str, subject: &str, rest: &str) -> bool {
+    let verb = rest.split([' ', ',']).next().unwrap_or_default();
+    let is_not_so = is_past_state(rest) || is_unreal(rest) || is_doubtful(rest) || is_not_now(said);
+    // "Both lamps are on": no verb of several ends so.
+    let is_thing = match subject.starts_with("every") {
+        true => !is_verb(verb),
+        false => verb.ends_with('s') && !verb.ends_with("ss"),
+    };
+    // "Of them" belongs to the subject.
+    let is_other = has(&WORDS.no_verbs, verb)
+        || has(&WORDS.groups, verb)
+        || has(&WORDS.except, verb)
+        || WORDS.numbers.iter().any(|number| number == verb);
+    // "Both are in bed" says it of them.
+    let is_said = is_said(verb) || matches!(verb, "is" | "are");
+    is_said && !is_thing && !is_other && !is_not_so
 }
 
 /// Whether a plain sentence says that somebody goes home: who lives here comes then, and who does not goes.
@@ -1061,7 +1275,7 @@ impl<'a> Clause<'a> {
     /// Reads a sentence in plain form ([`with_plain`]); none where it does not say where somebody or something is.
     pub(super) fn read(said: &'a str) -> Option<Self> {
         let of = |subject, presence, room| Self { subject, presence, room, is_state: true, is_arrival: false };
-        if is_not_now(said) {
+        if is_not_now(said) || is_order(said) {
             return Some(of(Subject::Other, Presence::Present, None));
         }
         if let Some(place) =
@@ -1083,7 +1297,8 @@ impl<'a> Clause<'a> {
         let is_nobody = |subject: &str| has(&WORDS.nobody, subject);
         let said = without_too(said).0;
         if let Some((_, rest)) = cuts(said).find(|(subject, rest)| is_nobody(subject) && state(rest).is_some()) {
-            let room = state(rest).and_then(in_the).map(room_of).filter(|room| is_said(room));
+            let is_house = |state: &&str| !WORDS.r#in.after(state).any(ends_here);
+            let room = state(rest).filter(is_house).and_then(in_the).map(room_of).filter(|room| is_said(room));
             let presence = predicate(rest).map(|(presence, _)| presence);
             let presence = if room.is_some() { Presence::Present } else { presence? };
             let is_told = |word: &str| crate::text::has_words(rest, word);
@@ -1096,9 +1311,13 @@ impl<'a> Clause<'a> {
             return Some(of(subject, presence, room));
         }
         let Some((subject, rest, (presence, room))) = where_to(said) else {
-            // What somebody is not, in other words, moves nobody.
-            let is_denied = cuts(said)
-                .any(|(_, rest)| state(rest).and_then(|state| state.strip_prefix("not ")).and_then(in_the).is_some());
+            // What somebody is not, in other words, moves nobody; nor what they are or are not.
+            let is_denied = cuts(said).any(|(_, rest)| {
+                state(rest).is_some_and(|state| {
+                    let is_elsewhere = state.strip_prefix("not ").and_then(in_the).is_some();
+                    is_elsewhere || is_in_doubt(state) || state.starts_with("neither ")
+                })
+            });
             return is_denied.then_some(of(Subject::Other, Presence::Present, None));
         };
         let subject = match subject {
@@ -1107,7 +1326,8 @@ impl<'a> Clause<'a> {
                 Some((_, names)) => names.map_or(Subject::Other, Subject::Others),
                 None => Subject::Everybody,
             },
-            _ if has(&WORDS.both, subject) => Subject::Both,
+            _ if let Some(count) = so_many(subject) => Subject::SoMany(count),
+            _ if is_of_guests(subject) => Subject::Guests,
             _ if has(&WORDS.pronouns, subject) || is_anybody(subject) => Subject::Unnamed,
             _ => of_some(subject)
                 .or_else(|| {
@@ -1121,7 +1341,9 @@ impl<'a> Clause<'a> {
         }
         let is_told = |word: &str| crate::text::has_words(rest, word);
         let subject = match subject {
-            Subject::Everybody | Subject::Both | Subject::Others(_) | Subject::Nobody if is_doubtful(rest) => {
+            Subject::Everybody | Subject::SoMany(_) | Subject::Guests | Subject::Others(_) | Subject::Nobody
+                if is_doubtful(denied(rest)) =>
+            {
                 Subject::Other
             }
             Subject::Only(_) if is_doubtful(rest) || is_told("with") || is_told("back") => Subject::Other,
@@ -1150,7 +1372,23 @@ pub(super) fn is_from_afar(said: &str) -> bool {
     }
     let is_outside = || said.match_indices(' ').any(|(at, _)| is_outside_by(&said[at + 1..], &["at", "in"]));
     let is_afar = || WORDS.afar.is_in(said) || is_outside() || is_at_somebodys(said) || is_of_what_was_left(said);
-    cuts(said).any(|(_, rest)| WORDS.from_afar.iter().any(|words| begins(rest, words))) || is_afar()
+    // What somebody does last tells where they are: "takes the bus home and opens the fridge".
+    let last = [" and then ", ", then ", " and "].iter().find_map(|join| said.rsplit_once(join)).map(|(_, last)| last);
+    let is_back = last.is_some_and(|last| is_verb(first_word(last)) && (arrives(last) || !may_be_from_afar(last)));
+    let is_elsewhere =
+        || !is_back && cuts(said).take(NAME_WORDS_MAX).any(|(_, rest)| deeds::may_be_done_elsewhere(rest));
+    let begins_afar = || {
+        !last.is_some_and(arrives)
+            && cuts(said).any(|(_, rest)| WORDS.from_afar.iter().any(|words| begins(rest, words)))
+    };
+    begins_afar() || is_afar() || is_elsewhere()
+}
+
+/// Whether words after a subject say what may be done from elsewhere.
+fn may_be_from_afar(rest: &str) -> bool {
+    deeds::may_be_done_elsewhere(rest)
+        || has(&WORDS.speaks, first_word(rest))
+        || predicate(rest).is_some_and(|(presence, _)| presence == Presence::Away)
 }
 
 /// Whether a plain sentence has the house of somebody else as a place: "at his parents' house", "at vera's".
@@ -1377,7 +1615,9 @@ mod tests {
             Subject::Unnamed => "they".to_owned(),
             Subject::Named(names) => names.join("+"),
             Subject::Everybody => "all".to_owned(),
-            Subject::Both => "both".to_owned(),
+            Subject::SoMany(2) => "both".to_owned(),
+            Subject::SoMany(count) => format!("all {count}"),
+            Subject::Guests => "guests".to_owned(),
             Subject::Others(names) => format!("all but {}", names.join("+")),
             Subject::Only(names) => format!("only {}", names.join("+")),
             Subject::Nobody => "nobody".to_owned(),
@@ -1448,7 +1688,6 @@ mod tests {
             ("The plumber leaves.", "plumber away"),
             ("She leaves.", "they away"),
             ("Ada is leaving the house.", "ada away"),
-            ("Ada is leaving.", "ada away"),
             ("Ada goes out the door.", "ada away"),
             ("Ada walks out of the front door.", "ada away"),
             ("Igor leaves.", "igor away"),
@@ -1479,6 +1718,43 @@ mod tests {
             ("They are both away.", "both away"),
             ("Ben is no longer home.", "ben away"),
             ("Ben is no longer in the study.", "other present"),
+            ("Neither Ada nor Ben is home.", "ada+ben away"),
+            ("Neither of them is home.", "both away"),
+            ("Neither of us is at home.", "both away"),
+            ("They have both gone out.", "both away"),
+            ("They are all out.", "all away"),
+            ("All three leave.", "all 3 away"),
+            ("The three of them go out.", "all 3 away"),
+            ("The two of them leave the house.", "both away"),
+            ("The visitors leave.", "guests away"),
+            ("The guests are gone.", "guests away"),
+            ("All our guests have left.", "guests away"),
+            ("The guests are in the kitchen.", "guests present kitchen"),
+            ("No one is in the house.", "nobody present"),
+            ("Ben walks the dog.", "ben away"),
+            ("Ben moved out.", "ben away"),
+            ("Ben steps out for a moment.", "ben away"),
+            ("Ben slips out of the house.", "ben away"),
+            ("Ben goes on vacation.", "ben away"),
+            ("Ben goes on holiday for a week.", "ben away"),
+            ("Ben drives away.", "ben away"),
+            ("Ben closes the front door and drives away.", "ben away"),
+            ("Ben drives to the lake.", "ben away"),
+            ("Ben flies to Rome.", "ben away"),
+            ("Ben sets off for the airport.", "ben away"),
+            ("Ben has left for Berlin.", "ben away"),
+            ("Ben takes the bus to town.", "ben away"),
+            ("Ben takes the train home.", "ben away"),
+            ("Ben is at football practice.", "ben away"),
+            ("Ben is at the new cinema.", "ben away"),
+            ("Ben is back at the hotel.", "ben away"),
+            ("Ben is staying at a friend's house.", "ben away"),
+            ("Ben sleeps at his mother's.", "ben away"),
+            ("Ben is visiting his parents.", "ben away"),
+            ("Ben says goodbye and goes.", "ben away"),
+            ("Igor comes to visit Ada.", "igor present"),
+            ("Igor drops by.", "igor present"),
+            ("Igor comes over for dinner.", "igor present"),
         ] {
             assert_eq!(said(sentence), expected, "{sentence}");
         }
@@ -1586,6 +1862,14 @@ mod tests {
             "Power is out.",
             "The dishwasher is out.",
             "Ada and the robot are in the kitchen.",
+            "Ada is neither in the kitchen nor in the bathroom.",
+            "Ada is either in the kitchen or in the bathroom.",
+            "Ada is in the kitchen or in the bathroom.",
+            "Both are out of milk.",
+            "Ada is out of the shower.",
+            "Ada, come to the kitchen!",
+            "Ada, leave the house!",
+            "Neither Ada nor Ben, says Tom, is home.",
         ] {
             assert!(said(sentence).starts_with("other "), "{sentence} {}", said(sentence));
         }
@@ -1596,8 +1880,8 @@ mod tests {
             "Ada is in the bath.",
             "They open the fridge.",
             "The oven is on.",
-            "Ada is back at the hotel.",
-            "Ada comes back to the hotel.",
+            "Ada is back at the lodge.",
+            "Ada comes back to the lodge.",
             "Ada goes out to the balcony.",
             "Ada is in the waiting room.",
             "Ada is at home in the kitchen.",
@@ -1616,6 +1900,25 @@ mod tests {
             "Ada is at the office.",
             "Ada leaves with a sigh and sits down.",
             "Ada leaves with Ben and cooks.",
+            "Ada is leaving.",
+            "We are leaving.",
+            "We leave after dinner.",
+            "All leave before lunch.",
+            "Ada leaves for bed.",
+            "Ada drives the robot to the kitchen.",
+            "Ada drives to the kitchen.",
+            "Ada rides into the hall.",
+            "Ada takes the train set to the kitchen.",
+            "Ada misses the bus.",
+            "Ada visits Ben.",
+            "Ada walks the dog to the kitchen.",
+            "Ada moves out the chair.",
+            "Ada steps out to the balcony.",
+            "Ada runs out of milk.",
+            "Ada sleeps at the table.",
+            "Ada is at the school desk.",
+            "The three lamps are on.",
+            "Three leave.",
         ] {
             assert_eq!(said(sentence), "-", "{sentence}");
         }

@@ -12,6 +12,7 @@ use several::Holds;
 mod about;
 pub mod action;
 mod clause;
+mod deeds;
 pub mod history;
 mod person;
 mod presence;
@@ -396,12 +397,21 @@ impl Said {
         self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_of_a_pronoun))
     }
 
-    /// Whether it is about the two who are there: "They both go to bed.", "Both leave."
+    /// Whether it is about so many who are there and no others, and how many: "They both go to bed." is of two, "All three leave." of three.
     #[must_use]
-    pub fn is_of_both(&self) -> bool {
+    pub fn is_of_so_many(&self) -> Option<usize> {
         match self {
-            Self::Sentence(sentence) => clause::with_plain(sentence.as_str(), clause::is_of_both),
-            Self::Presence(statement) => statement.is_of_both(),
+            Self::Sentence(sentence) => clause::with_plain(sentence.as_str(), clause::is_of_so_many),
+            Self::Presence(statement) => statement.is_of_so_many(),
+        }
+    }
+
+    /// Whether it is about all who do not live here: "The guests sit down.", "The visitors leave."
+    #[must_use]
+    pub fn is_of_guests(&self) -> bool {
+        match self {
+            Self::Sentence(sentence) => clause::with_plain(sentence.as_str(), clause::is_deed_of_guests),
+            Self::Presence(statement) => statement.is_of_guests(),
         }
     }
 
@@ -659,7 +669,7 @@ mod tests {
             ("They leave the house.", ""),
             ("Mia gets up, showers and leaves for work.", "mia: away"),
             ("Tom eats, dresses and goes to work.", "tom: away"),
-            ("Mia gets up, showers, leaves the house and drives off.", ""),
+            ("Mia gets up, showers, leaves the house and drives off.", "mia: away"),
             ("Mia wakes up, stretches and is in the kitchen.", ""),
             ("Mia leaves the house, and so does Tom.", "mia: away | tom: away"),
             ("Mia leaves the house and Tom too.", "mia: away | tom: away"),
@@ -768,16 +778,28 @@ mod tests {
     }
 
     #[test]
-    fn both_are_two() {
-        let of_both = |text: &str| Said::of(Sentence::new(text).unwrap()).is_of_both();
+    fn so_many_are_counted() {
+        let count = |text: &str| Said::of(Sentence::new(text).unwrap()).is_of_so_many();
         for text in
             ["Both leave.", "They both go to bed.", "Both of them leave the house.", "They both sit on the sofa."]
         {
-            assert!(of_both(text), "{text}");
+            assert_eq!(count(text), Some(2), "{text}");
         }
-        for text in ["Both parents go to work.", "They open both doors.", "They both will leave.", "Both lamps are on."]
+        for (text, expected) in
+            [("All three leave.", 3), ("All four of them go to bed.", 4), ("The three of us sit on the sofa.", 3)]
         {
-            assert!(!of_both(text), "{text}");
+            assert_eq!(count(text), Some(expected), "{text}");
+        }
+        for text in [
+            "Both parents go to work.",
+            "They open both doors.",
+            "They both will leave.",
+            "Both lamps are on.",
+            "All three lamps are on.",
+            "All leave.",
+            "Three leave.",
+        ] {
+            assert_eq!(count(text), None, "{text}");
         }
     }
 
@@ -825,9 +847,22 @@ mod tests {
             assert_eq!(afar(sentence), !sentence.starts_with("They"), "{sentence}");
         }
         for sentence in [
+            "Ada forgot her umbrella.",
+            "Ada takes the bus home.",
+            "Ada lands in Berlin.",
+            "Ada buys milk and pays.",
+            "Ada sees Jon.",
+            "Ada is leaving.",
+        ] {
+            assert!(afar(sentence), "{sentence}");
+        }
+        for sentence in [
             "They come home.",
             "Ada opens the fridge.",
             "Ada willingly washes the dishes.",
+            "Ada takes the bus home and opens the fridge.",
+            "Ada buys bread and puts it into the fridge.",
+            "Ada rings and comes in.",
             "Ada comes home from work and puts the groceries into the fridge.",
         ] {
             assert!(!afar(sentence), "{sentence}");

@@ -56,8 +56,10 @@ enum Whose {
     /// The subject's, or that of whom the narrator names.
     Subject,
     Everybody,
-    /// That of the two who are there.
-    Both,
+    /// That of so many who are there, and no others are.
+    SoMany(usize),
+    /// That of all who do not live here.
+    Guests,
     /// That of everybody but the subject.
     Others,
     /// The subject's; everybody else is away.
@@ -69,11 +71,26 @@ enum Whose {
 /// What stands before the presence of everybody, and before a room that nobody is in.
 const EVERYBODY: &str = "everybody ";
 const BOTH: &str = "both ";
+const GUESTS: &str = "guests ";
+/// What stands before a number of persons, from three to what a number in words is read of.
+const ALL: &str = "all ";
+const SO_MANY: std::ops::RangeInclusive<usize> = 3..=clause::COUNT_MAX;
 const OTHERS: &str = "everybody else ";
 const ALONE: &str = "alone ";
 const NOBODY: &str = "nobody in the ";
 /// What stands between the names in a subject.
 const AND: &str = " and ";
+
+/// The group that a written statement begins with, and what it says of it.
+fn group(text: &str) -> Option<(&str, Whose)> {
+    let groups = [(EVERYBODY, Whose::Everybody), (BOTH, Whose::SoMany(2)), (GUESTS, Whose::Guests)];
+    let so_many = || {
+        let (count, rest) = text.strip_prefix(ALL)?.split_once(' ')?;
+        let count = count.parse().ok().filter(|count| SO_MANY.contains(count))?;
+        Some((rest, Whose::SoMany(count)))
+    };
+    groups.into_iter().find_map(|(group, whose)| Some((text.strip_prefix(group)?, whose))).or_else(so_many)
+}
 
 impl PresenceStatement {
     /// A statement; a room is kept only for who is present.
@@ -93,7 +110,7 @@ impl PresenceStatement {
     }
 
     /// Reads what [`fmt::Display`] writes: `present`, `present in the kitchen`, `nobody in the kitchen`, `away`, `everybody away`,
-    /// `everybody present`, `everybody present in the kitchen`, `both away`, `gone`.
+    /// `everybody present`, `everybody present in the kitchen`, `both away`, `all 3 away`, `guests away`, `gone`.
     ///
     /// # Errors
     /// Anything else.
@@ -112,10 +129,8 @@ impl PresenceStatement {
             "present in the" | "nobody in the" => (Presence::Unknown, None),
             "present" => (Presence::Present, None),
             "away" => (Presence::Away, None),
-            _ if text.starts_with(EVERYBODY) || text.starts_with(BOTH) => {
-                let (group, whose) =
-                    if text.starts_with(BOTH) { (BOTH, Whose::Both) } else { (EVERYBODY, Whose::Everybody) };
-                let all = Self::parse(&text[group.len()..])?;
+            _ if let Some((rest, whose)) = group(text) => {
+                let all = Self::parse(rest)?;
                 // Nobody but a visitor is gone.
                 let is_of_all = all.whose == Whose::Subject && all.presence != Presence::Gone;
                 let error = || PresenceError { text: text.chars().take(80).collect() };
@@ -149,7 +164,8 @@ impl PresenceStatement {
             Subject::Nobody if room.is_some() => of(Whose::Nobody),
             Subject::Nobody => Some(Self { presence: Presence::Away, ..of(Whose::Everybody)? }),
             Subject::Everybody => of(Whose::Everybody),
-            Subject::Both => of(Whose::Both),
+            Subject::SoMany(count) => of(Whose::SoMany(count)),
+            Subject::Guests => of(Whose::Guests),
             Subject::Others(names) => of_names(Whose::Others, &names),
             // Where only one is, others may be elsewhere in the house.
             Subject::Only(names) if presence == Presence::Present && is_state && room.is_none() => {
@@ -211,7 +227,7 @@ impl PresenceStatement {
     #[must_use]
     pub fn of_others(&self) -> Option<Self> {
         match self.whose {
-            Whose::Everybody | Whose::Both | Whose::Others => Some(self.of_one(self.presence)),
+            Whose::Everybody | Whose::SoMany(_) | Whose::Guests | Whose::Others => Some(self.of_one(self.presence)),
             Whose::SubjectAlone => Some(self.of_one(Presence::Away)),
             Whose::Subject | Whose::Nobody => None,
         }
@@ -237,10 +253,16 @@ impl PresenceStatement {
         self.whose != Whose::Subject
     }
 
-    /// Whether it is said of the two who are there.
+    /// Of how many who are there it is said, where no others are.
     #[must_use]
-    pub fn is_of_both(&self) -> bool {
-        self.whose == Whose::Both
+    pub fn is_of_so_many(&self) -> Option<usize> {
+        if let Whose::SoMany(count) = self.whose { Some(count) } else { None }
+    }
+
+    /// Whether it is said of all who do not live here.
+    #[must_use]
+    pub fn is_of_guests(&self) -> bool {
+        self.whose == Whose::Guests
     }
 
     /// What is said.
@@ -284,7 +306,9 @@ impl fmt::Display for PresenceStatement {
         }
         f.write_str(match self.whose {
             Whose::Everybody => EVERYBODY,
-            Whose::Both => BOTH,
+            Whose::SoMany(2) => BOTH,
+            Whose::SoMany(count) => return write!(f, "{ALL}{count} {}", self.of_one(self.presence)),
+            Whose::Guests => GUESTS,
             Whose::Others => OTHERS,
             Whose::SubjectAlone => ALONE,
             Whose::Subject | Whose::Nobody => "",
@@ -310,6 +334,9 @@ mod tests {
             "everybody present in the kitchen",
             "both away",
             "both present in the kitchen",
+            "all 3 away",
+            "all 4 present in the kitchen",
+            "guests away",
             "gone",
         ] {
             assert_eq!(PresenceStatement::parse(text).unwrap().to_string(), text);
@@ -327,6 +354,11 @@ mod tests {
             "asleep",
             "away in the kitchen",
             "everybody gone",
+            "guests gone",
+            "all 1 away",
+            "all 2 away",
+            "all 99 away",
+            "all away",
             "everybody else away",
             "everybody everybody away",
             "everybody nobody in the kitchen",

@@ -243,13 +243,19 @@ impl Persons {
         let of_nobody = statement.is_some_and(|statement| statement.empty_room().is_some());
         let of_group = statement.filter(|statement| is_open && statement.is_of_everybody() && !of_nobody);
         let (mut others, mut of_named) = (Vec::new(), None);
-        if is_open && observation.said.is_of_both() {
+        let so_many = observation.said.is_of_so_many();
+        if is_open && (so_many.is_some() || observation.said.is_of_guests()) {
             let said = match statement.and_then(PresenceStatement::of_others) {
                 Some(said) => Said::Presence(said),
                 None => observation.said.clone(),
             };
-            let both = self.both(&observation.said, is_strange).into_iter().flatten();
-            others.extend(both.map(|person| Observation { person, said: said.clone(), ..observation.clone() }));
+            let meant = match so_many {
+                Some(count) => self.so_many(count, &observation.said, is_strange),
+                None => self.guests_meant(&said, is_strange),
+            };
+            let each =
+                meant.into_iter().map(|person| Observation { person, said: said.clone(), ..observation.clone() });
+            others.extend(each);
             return None.into_iter().chain(others);
         }
         if is_open && observation.said.is_of_all() {
@@ -303,31 +309,42 @@ impl Persons {
         }
     }
 
-    /// The two whom "both" means: who is in the house, or, of who comes home, who is away; none where these are not two. For a named narrator of those
-    /// alone of whom one has told.
-    fn both(&self, said: &Said, is_strange: bool) -> Option<[u32; 2]> {
+    /// Those whom a number means, as "both" does: who is in the house, or, of who comes home, who is away; nobody where these are not so many. For a
+    /// named narrator of those alone of whom one has told.
+    fn so_many(&self, count: usize, said: &Said, is_strange: bool) -> Vec<u32> {
         let is_arrival = |sentence: &str| {
             PresenceStatement::of_sentence(sentence)
-                .is_some_and(|statement| statement.is_of_both() && statement.room().is_none())
+                .is_some_and(|statement| statement.is_of_so_many().is_some() && statement.room().is_none())
         };
         let comes = match said {
             Said::Sentence(sentence) => is_arrival(sentence.as_str()),
             Said::Presence(statement) => statement.presence() == Presence::Present && statement.room().is_none(),
         };
         let candidates = self.candidates(is_strange);
-        let of = |presence: Presence| {
-            let mut found =
-                candidates.iter().filter(|(_, known)| known.presence == presence).map(|(number, _)| *number);
-            let two = [found.next()?, found.next()?];
-            found.next().is_none().then_some(two)
+        let of = |is_meant: &dyn Fn(Presence) -> bool| {
+            let meant = candidates.iter().filter(|(_, known)| is_meant(known.presence));
+            let found: Vec<u32> = meant.map(|(number, _)| *number).collect();
+            Some(found).filter(|found| found.len() == count)
         };
-        let all = || {
-            let mut found =
-                candidates.iter().filter(|(_, known)| known.presence != Presence::Gone).map(|(number, _)| *number);
-            let two = [found.next()?, found.next()?];
-            found.next().is_none().then_some(two)
+        let found = match comes {
+            true => of(&|presence| presence == Presence::Away).or_else(|| of(&|presence| presence != Presence::Gone)),
+            false => of(&|presence| presence == Presence::Present),
         };
-        if comes { of(Presence::Away).or_else(all) } else { of(Presence::Present) }
+        found.unwrap_or_default()
+    }
+
+    /// Those whom "the guests" means: who does not live here and is in the house, or, of who comes, was.
+    fn guests_meant(&self, said: &Said, is_strange: bool) -> Vec<u32> {
+        let comes = matches!(said, Said::Presence(statement)
+            if statement.presence() == Presence::Present && statement.room().is_none());
+        let is_meant = |presence: Presence| match presence {
+            Presence::Present => true,
+            Presence::Away => comes,
+            Presence::Gone | Presence::Unknown => false,
+        };
+        let candidates = self.candidates(is_strange).into_iter();
+        let meant = candidates.filter(|(number, known)| is_meant(known.presence) && self.is_visitor(*number));
+        meant.map(|(number, _)| number).collect()
     }
 
     /// Whom an observation that names nobody may be of: for a named narrator, who does not follow what strangers invent, only those of whom one
@@ -603,7 +620,9 @@ impl Persons {
         match self.about(said) {
             // "Only Rocky is home" is of all the others.
             About::Nobody => {
-                !said.is_of_all() && !matches!(said, Said::Presence(statement) if statement.is_of_everybody())
+                !said.is_of_all()
+                    && !said.is_of_guests()
+                    && !matches!(said, Said::Presence(statement) if statement.is_of_everybody())
             }
             named @ About::Named(_) => self.has_names() && self.names_in(named, said.is_of_a_new_guest()).is_empty(),
             About::Stranger(_) | About::Somebody => false,
