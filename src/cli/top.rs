@@ -181,6 +181,9 @@ fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>, robot: String) -> Com
         let is_new = taken.is_none_or(|taken| (taken.epoch, taken.sequence) != (snapshot.epoch, snapshot.sequence));
         taken = Some(snapshot);
         count += u64::from(is_new);
+        if is_new {
+            others.receive_behind(&snapshot).map_err(ipc)?;
+        }
         if is_new || !others.decisions.is_empty() {
             print_line(&snapshot, &mut others)?;
         }
@@ -206,6 +209,9 @@ fn print_line(snapshot: &RoomScoresV1, others: &mut Others) -> CommandResult {
     super::print(&format!("{line}\n"))
 }
 
+/// What goes with scores is sent right behind them: at most so long it is waited for.
+const BEHIND: Duration = Duration::from_millis(200);
+
 /// The services that a line tells of beside the room scores.
 struct Ports {
     persons: Subscriber<PersonScoresV1>,
@@ -225,6 +231,8 @@ struct Others {
     decisions: Vec<DecisionV1>,
     /// The configured robot, whose number decisions bear.
     robot: String,
+    /// Nothing came behind the scores before.
+    is_waited_for_in_vain: bool,
 }
 
 impl Others {
@@ -243,6 +251,7 @@ impl Others {
             narration: Vec::new(),
             decisions: Vec::new(),
             robot,
+            is_waited_for_in_vain: false,
         })
     }
 
@@ -260,8 +269,26 @@ impl Others {
         Ok(())
     }
 
-    /// Persons and forecasts that go with the scores of this epoch and sequence (they come before them; whoever has just joined may lack the
-    /// first ones), and the narration and the decisions that came since the last line.
+    /// Receives until what comes behind the scores has come: persons and forecasts, of which those of the persons are the last. Who publishes scores
+    /// alone is waited for once.
+    fn receive_behind(&mut self, scores: &RoomScoresV1) -> Result<(), roomcast_ipc::IpcError> {
+        let until = Instant::now() + BEHIND;
+        loop {
+            self.receive()?;
+            let has_come = self
+                .forecasts
+                .as_ref()
+                .is_some_and(|told| told.epoch == scores.epoch && told.sequence >= scores.sequence);
+            let left = until.saturating_duration_since(Instant::now());
+            if has_come || self.is_waited_for_in_vain || left.is_zero() {
+                self.is_waited_for_in_vain = !has_come;
+                return Ok(());
+            }
+            self.ports.forecasts.wait(left)?;
+        }
+    }
+
+    /// Persons and forecasts that go with the scores of this epoch and sequence, and the narration and the decisions that came since the last line.
     fn since_the_last_line(&mut self, scores: &RoomScoresV1) -> [(&'static str, Value); 5] {
         let of = (scores.epoch, scores.sequence);
         let decisions = std::mem::take(&mut self.decisions);
@@ -369,5 +396,36 @@ mod tests {
         // Of another robot, and of another daemon's rooms, the names are not known.
         let other = decision_json(&DecisionV1 { scores_epoch: 6, ..told }, &scores, "rusty");
         assert_eq!((&other["robot_name"], &other["covered"]), (&Value::Null, &Value::Null));
+    }
+
+    /// A line waits for what belongs to its scores, and only once for what never comes.
+    #[test]
+    fn what_comes_behind_scores_is_waited_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let domain = Domain::new(folder.path().join("d"), &format!("top-{}", std::process::id())).unwrap();
+        let node = domain.open("daemon").unwrap();
+        let forecasts = node.publisher::<PersonForecastsV1>().unwrap();
+        let mut others = Others::open(&node, String::new()).unwrap();
+        let scores = RoomScoresV1 { epoch: 5, sequence: 2, ..Default::default() };
+        others.receive_behind(&scores).unwrap();
+        assert!(others.forecasts.is_none() && others.is_waited_for_in_vain);
+        let begun = Instant::now();
+        others.receive_behind(&scores).unwrap();
+        assert!(begun.elapsed() < BEHIND / 2);
+        let told = |sequence| PersonForecastsV1 { epoch: 5, sequence, ..Default::default() };
+        forecasts.send(&told(2)).unwrap();
+        others.receive_behind(&scores).unwrap();
+        assert!(!others.is_waited_for_in_vain);
+        let next = RoomScoresV1 { sequence: 3, ..scores };
+        let line = std::thread::scope(|scope| {
+            let line = scope.spawn(|| {
+                others.receive_behind(&next).unwrap();
+                others.since_the_last_line(&next)
+            });
+            std::thread::sleep(BEHIND / 4);
+            forecasts.send(&told(3)).unwrap();
+            line.join().unwrap()
+        });
+        assert!(line[2].0 == "person_forecasts" && line[2].1.is_object(), "{:?}", line[2]);
     }
 }

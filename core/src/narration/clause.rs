@@ -65,6 +65,7 @@ struct Words {
     vehicles: List,
     stays: List,
     farewells: List,
+    on_leaving: List,
     purposes: List,
     relatives: List,
     visits: List,
@@ -735,7 +736,8 @@ fn last_of_all(subject: &str, rest: &str, are_several: bool) -> Option<(Presence
     };
     let joined = if are_several { joins().filter(|joined| !are_along(joined)) } else { None };
     let last = joined.map_or(rest, |(_, last)| last);
-    if !may_be_predicate(last) {
+    let leaves_first = joined.is_some_and(|(before, last)| leaves_first(before, last));
+    if !leaves_first && !may_be_predicate(last) {
         return None;
     }
     let role = bare(subject).is_some_and(|name| has(&WORDS.people, name));
@@ -755,7 +757,7 @@ fn last_of_all(subject: &str, rest: &str, are_several: bool) -> Option<(Presence
     let goes = || ["goes", "go", "went"].iter().any(|verb| last.strip_prefix(verb).is_some_and(ends));
     let takes_leave = || joined.is_some_and(|(before, _)| WORDS.farewells.begin(before).any(|(_, more)| ends(more)));
     let is_off = joined.is_some() && (role && (goes_home() || goes()) || takes_leave() && goes());
-    if leaves_the_house(last) || is_off {
+    if leaves_the_house(last) || is_off || leaves_first {
         return Some((Presence::Away, None));
     }
     predicate(last)
@@ -771,7 +773,20 @@ const LEAVES: [&str; 3] = ["leaves", "leave", "left"];
 fn leaves_the_house(rest: &str) -> bool {
     let is_plan =
         |verb: &str, more: &str| verb != "left" && [" after ", " before "].iter().any(|when| more.starts_with(when));
-    LEAVES.iter().any(|verb| rest.strip_prefix(verb).is_some_and(|more| ends_away(more) && !is_plan(verb, more)))
+    // What somebody leaves at home is a thing.
+    let is_of_a_thing = |more: &str| {
+        more.strip_prefix(" at ")
+            .is_some_and(|place| WORDS.house.after(place).next().is_some() || is_a_place(more.trim_start()))
+    };
+    let leaves = |verb: &str, more: &str| ends_away(more) && !is_plan(verb, more) && !is_of_a_thing(more);
+    LEAVES.iter().any(|verb| rest.strip_prefix(verb).is_some_and(|more| leaves(verb, more)))
+}
+
+/// Whether the first of two deeds is that somebody leaves, and the other one what is done on the way out: "leaves and takes the dog with her".
+fn leaves_first(before: &str, last: &str) -> bool {
+    LEAVES.contains(&before)
+        && has(&WORDS.on_leaving, first_word(last))
+        && predicate(last).is_none_or(|(presence, _)| presence == Presence::Away)
 }
 
 /// Whether a subject is all, or all but a few.
@@ -959,22 +974,24 @@ fn is_a_town(words: &str, to: &[&str]) -> bool {
 /// Whether somebody goes by a vehicle, which no home has room for, or takes what carries many: "drives to the lake", "takes the bus to town".
 fn rides_out(rest: &str) -> bool {
     let is_in_the_house = |to: &str| {
-        let place = to.split_once(' ').filter(|(first, _)| has(&WORDS.determiners, first)).map_or(to, |(_, noun)| noun);
+        let noun = to.split_once(' ').filter(|(first, _)| has(&WORDS.determiners, first)).map_or(to, |(_, noun)| noun);
         // Of the places at home, only an office may be driven to.
-        WORDS.house.after(to).any(ends) || (is_room(room_of(place)) && first_word(place) != "office")
+        let is_thing = Names::built_in().knows(room_of(noun)) || is_room(room_of(to));
+        WORDS.house.after(to).any(ends) || (is_thing && first_word(noun) != "office")
     };
-    let drives = |said: &str| {
-        let off = ["away", "off"].iter().any(|way| said.strip_prefix(way).is_some_and(ends_out));
-        off || said.strip_prefix("to ").is_some_and(|to| !is_in_the_house(to) && !to.is_empty())
+    let goes_to = |said: &str| said.strip_prefix("to ").is_some_and(|to| !to.is_empty() && !is_in_the_house(to));
+    let drives =
+        |said: &str| ["away", "off"].iter().any(|way| said.strip_prefix(way).is_some_and(ends_out)) || goes_to(said);
+    // A toy is taken from a shelf.
+    let from = |more: &str| is_outside_by(more, &["from"]) || is_a_town(more, &["from "]);
+    let boards = |more: &str| match first_word(more) {
+        "" | "home" | "back" => true,
+        "to" => goes_to(more),
+        "from" => from(more),
+        _ => ends(&format!(" {more}")) && !crate::text::has_words(more, "it"),
     };
-    let boards = |more: &str| {
-        let home = ["home", "back"].iter().any(|way| more.starts_with(way));
-        home || more.is_empty()
-            || ends(&format!(" {more}"))
-            || more.strip_prefix("to ").is_some_and(|to| !is_in_the_house(to))
-    };
-    let is_missed = ["change", "gets off", "get off"].iter().any(|verb| rest.starts_with(verb));
-    after_verb(rest, &WORDS.vehicles).any(drives) || (!is_missed && deeds::carrier(rest).is_some_and(boards))
+    let is_left = ["change", "gets off", "get off"].iter().any(|verb| rest.starts_with(verb));
+    after_verb(rest, &WORDS.vehicles).any(drives) || (!is_left && deeds::carrier(rest).is_some_and(boards))
 }
 
 /// Whether somebody stays where others live: "is at vera's", "sleeps at his mother's", "is visiting her parents".
@@ -1069,7 +1086,12 @@ fn takes(rest: &str) -> Option<(&str, Presence)> {
         let spaces = said.match_indices(' ').take(SUBJECT_WORDS_MAX);
         let mut cuts = spaces.map(|(at, _)| (&said[..at], &said[at + 1..]));
         cuts.find_map(|(taken, place)| Some((taken, where_to(place)?))).filter(|(taken, _)| {
-            has(&WORDS.animals, taken) || names(taken).is_some_and(|names| !names.iter().any(is_a_way))
+            let is_group = || {
+                taken
+                    .split_once(' ')
+                    .is_some_and(|(first, noun)| has(&WORDS.determiners, first) && has(&WORDS.groups, noun))
+            };
+            has(&WORDS.animals, taken) || is_group() || names(taken).is_some_and(|names| !names.iter().any(is_a_way))
         })
     })
 }
@@ -1206,7 +1228,10 @@ pub(super) fn takes_home(said: &str) -> bool {
 pub(super) fn is_of_what_was_left(said: &str) -> bool {
     const WHERE: [&str; 5] = [" on", " in ", " at ", " open", " running"];
     let is_left = |rest: &str| {
-        let left = ["left ", "forgot "].iter().find_map(|verb| rest.strip_prefix(verb)).unwrap_or_default();
+        let left = ["left ", "leaves ", "leave ", "forgot "]
+            .iter()
+            .find_map(|verb| rest.strip_prefix(verb))
+            .unwrap_or_default();
         let thing = WHERE.iter().filter_map(|place| left.find(place)).min().map_or("", |at| &left[..at]);
         let (first, noun) = thing.split_once(' ').unwrap_or_default();
         has(&WORDS.determiners, first) && !is_room(noun)
@@ -1350,7 +1375,10 @@ impl<'a> Clause<'a> {
             _ if rest.ends_with('?') => Subject::Other,
             subject => subject,
         };
-        Some(Self { subject, presence, room, is_state: state(rest).is_some(), is_arrival: arrives(rest) })
+        // "I am home" is said by who has come.
+        let tells_of_oneself = presence == Presence::Present && room.is_none() && rest.starts_with("am ");
+        let is_arrival = arrives(rest) || tells_of_oneself;
+        Some(Self { subject, presence, room, is_state: state(rest).is_some(), is_arrival })
     }
 }
 
@@ -1437,6 +1465,12 @@ pub(super) fn is_not_so(said: &str) -> bool {
 pub(super) fn goes_on_with(said: &str, word: &str) -> bool {
     let verb = said.rsplit(' ').next().unwrap_or_default();
     word.trim_start_matches([',', ' ']).eq_ignore_ascii_case("after") && has(&WORDS.verbs_with_after, verb)
+}
+
+/// Whether a plain text says where persons are of whom `is_known` says so.
+pub(super) fn is_of_persons(said: &str, mut is_known: impl FnMut(&str) -> bool) -> bool {
+    let names = Clause::read(said).map(|clause| clause.subject);
+    matches!(names, Some(Subject::Named(names) | Subject::Only(names)) if names.iter().all(|name| is_known(name)))
 }
 
 /// Whether a plain text says by itself that somebody is away, in a room or comes home, of whom nobody may have told yet.
@@ -1754,6 +1788,12 @@ mod tests {
             ("Ben says goodbye and goes.", "ben away"),
             ("Igor comes to visit Ada.", "igor present"),
             ("Igor drops by.", "igor present"),
+            ("Ada is in the store room.", "ada present store room"),
+            ("Igor stops by.", "igor present"),
+            ("Ada takes the train from Berlin.", "ada away"),
+            ("Ben leaves and takes Rocky with him.", "ben away"),
+            ("Ben leaves and locks the door.", "ben away"),
+            ("Ben picks up the kids from school.", "ben away"),
             ("Igor comes over for dinner.", "igor present"),
         ] {
             assert_eq!(said(sentence), expected, "{sentence}");
@@ -1910,6 +1950,15 @@ mod tests {
             "Ada rides into the hall.",
             "Ada takes the train set to the kitchen.",
             "Ada misses the bus.",
+            "Ada takes the train from the shelf.",
+            "Ada takes the train and puts it into the box.",
+            "Ada drives to the sofa.",
+            "Ada steps out of the shower.",
+            "Ada moves out of the way.",
+            "Ada walks out onto the balcony.",
+            "Ada leaves at home what she does not need.",
+            "Ada leaves at the table what she does not need.",
+            "Ada leaves and sits down.",
             "Ada visits Ben.",
             "Ada walks the dog to the kitchen.",
             "Ada moves out the chair.",

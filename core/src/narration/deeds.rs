@@ -121,7 +121,7 @@ pub(super) fn carrier(rest: &str) -> Option<&str> {
 
 /// Whether what is said of a name that nobody has is what a show, a club or a device does: "starts on TV", "plays against Ajax".
 pub(super) fn is_an_event(rest: &str) -> bool {
-    const BEHIND: [&str; 8] = ["at", "in", "on", "against", "for", "after", "with", "by"];
+    const BEHIND: [&str; 7] = ["at", "in", "on", "against", "for", "after", "with"];
     let ends = |more: &str| more.is_empty() || BEHIND.contains(&more.split(' ').next().unwrap_or_default());
     let has_object = |more: &str| !more.is_empty() && !ends(more);
     let is_event = CLASSES.happens.after(rest).is_some_and(|more| !has_object(more) || is_against(rest));
@@ -199,9 +199,15 @@ mod tests {
         ] {
             assert!(is_an_event(rest), "{rest}");
         }
-        for rest in
-            ["starts cooking", "plays with lena", "sits on the sofa", "arrives", "loses her keys", "stops the oven"]
-        {
+        for rest in [
+            "starts cooking",
+            "plays with lena",
+            "sits on the sofa",
+            "arrives",
+            "stops by",
+            "loses her keys",
+            "stops the oven",
+        ] {
             assert!(!is_an_event(rest), "{rest}");
         }
     }

@@ -185,7 +185,10 @@ fn subordinate<'a>(text: &'a str, is_person: &mut dyn FnMut(&str) -> bool) -> Op
             return None;
         }
         let is_of_a_pronoun = plain(main, clause::begins_with_a_pronoun);
-        if &rest[end..next] != ", " || !(is_of_a_pronoun || begins(main, is_person)) {
+        // "Although Ada is out, the light is on" tells of Ada alone.
+        let tells_of_persons =
+            *holds == Holds::So && clause::with_plain(clause, |clause| clause::is_of_persons(clause, &mut *is_person));
+        if &rest[end..next] != ", " || !(is_of_a_pronoun || tells_of_persons || begins(main, is_person)) {
             continue;
         }
         // Of a pronoun it does not tell whose it is.

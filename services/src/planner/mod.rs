@@ -322,13 +322,13 @@ impl Planner {
                 return Ok(Some(DecisionV1 { action, flags: decision.flags | flags, ..decision }));
             }
             if !self.round.goes_on(now_ns) {
-                self.round.forget();
+                self.round.begin_again();
             }
         } else if self.round.slots_left(now_ns) == Some(0) {
             let next = if self.repeat { "a round of all rooms begins" } else { "another round for them begins" };
             ended = format!("the round's deadline came with {undone} of {rooms} rooms undone, {next}: ");
             if self.repeat {
-                self.round.forget();
+                self.round.begin_again();
             } else {
                 self.round.end();
             }

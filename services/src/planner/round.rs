@@ -20,6 +20,8 @@ pub(super) struct Round {
     length_ns: Option<u64>,
     /// When it began; none between two rounds.
     pub(super) began_ns: Option<u64>,
+    /// When the round before was due, of a given length: so long after that this one is.
+    pub(super) due_ns: Option<u64>,
     covered: Vec<bool>,
     /// When the robot last could not do the room.
     failed_ns: Vec<Option<u64>>,
@@ -31,6 +33,7 @@ impl Round {
             stay_ns: nanoseconds(config.room_time_s),
             length_ns: config.round_s.map(nanoseconds),
             began_ns: None,
+            due_ns: None,
             covered: Vec::new(),
             failed_ns: Vec::new(),
         }
@@ -88,8 +91,15 @@ impl Round {
             (0..rooms).map(|room| at(room).and_then(|old| self.failed_ns.get(old).copied().flatten())).collect();
     }
 
+    /// The round has come to its deadline, and another one of all rooms begins. No stay fits before the deadline any more, so it begins a little
+    /// before it; its own deadline is where it would be otherwise, and rounds do not drift.
+    pub(super) fn begin_again(&mut self) {
+        self.due_ns = self.length_ns.and(self.end_ns());
+        self.forget();
+    }
+
     /// The round is over, and nothing of it counts.
-    pub(super) fn forget(&mut self) {
+    fn forget(&mut self) {
         self.covered.fill(false);
         self.end();
     }
@@ -100,12 +110,19 @@ impl Round {
         self.failed_ns.fill(None);
     }
 
+    /// The round's deadline.
+    fn end_ns(&self) -> Option<u64> {
+        let began_ns = self.began_ns?;
+        let default_ns = || self.stay_ns.saturating_mul(STAYS_PER_ROOM.saturating_mul(self.covered.len() as u64));
+        let length_ns = self.length_ns.unwrap_or_else(default_ns);
+        // A planner that paused for longer begins afresh.
+        let due_ns = self.due_ns.filter(|due_ns| began_ns.abs_diff(*due_ns) <= self.stay_ns);
+        Some(due_ns.unwrap_or(began_ns).saturating_add(length_ns))
+    }
+
     /// How many stays fit before the round's deadline. A robot that stays nowhere has no round to plan.
     pub(super) fn slots_left(&self, now_ns: u64) -> Option<usize> {
-        let rooms = self.covered.len() as u64;
-        let default_ns = || self.stay_ns.saturating_mul(STAYS_PER_ROOM.saturating_mul(rooms));
-        let end_ns = self.began_ns?.saturating_add(self.length_ns.unwrap_or_else(default_ns));
-        let left_ns = end_ns.saturating_add(self.stay_ns / OVERTIME).saturating_sub(now_ns);
+        let left_ns = self.end_ns()?.saturating_add(self.stay_ns / OVERTIME).saturating_sub(now_ns);
         left_ns.checked_div(self.stay_ns).map(|slots| slots.min(SLOTS_MAX) as usize)
     }
 
@@ -136,6 +153,31 @@ mod tests {
         round.fail(9, 5);
         round.cover(9);
         assert!(!round.has_failed(9) && !round.is_done(9));
+    }
+
+    #[test]
+    fn rounds_of_a_given_length_do_not_drift() {
+        const S: u64 = 1_000_000_000;
+        let config = PlannerConfig { room_time_s: 10.0, round_s: Some(36.0), ..PlannerConfig::default() };
+        let mut round = Round::new(&config);
+        round.move_rooms(2, |_| None);
+        let mut now_ns = 100 * S;
+        let mut begun = Vec::new();
+        for _ in 0..20 {
+            begun.push(now_ns);
+            round.began_ns = Some(now_ns);
+            while round.slots_left(now_ns) != Some(0) {
+                now_ns += 10 * S;
+            }
+            round.begin_again();
+        }
+        for (place, began_ns) in begun.iter().enumerate() {
+            let due_ns = 100 * S + 36 * S * place as u64;
+            assert!(began_ns.abs_diff(due_ns) <= 10 * S, "round {place} begins at {began_ns}, due at {due_ns}");
+        }
+        // After a long pause the round has its whole length.
+        round.began_ns = Some(now_ns + 1000 * S);
+        assert_eq!(round.slots_left(now_ns + 1000 * S), Some(3));
     }
 
     #[test]

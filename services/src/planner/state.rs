@@ -28,6 +28,9 @@ pub struct KeptRound {
     /// The map that the rooms are of, in hexadecimal.
     map: String,
     began_ns: Option<u64>,
+    /// When the round before was due.
+    #[serde(default)]
+    due_ns: Option<u64>,
     done: Vec<String>,
     /// Rooms that the robot could not do, and when.
     #[serde(default)]
@@ -71,6 +74,7 @@ impl Planner {
             boot: boot.to_owned(),
             map: hex::encode(scores.map_fingerprint),
             began_ns: self.round.began_ns,
+            due_ns: self.round.due_ns,
             done: done.map(|(room, _)| id(room)).collect(),
             failed: self.round.failed().map(|(room, failed_ns)| (id(room), failed_ns)).collect(),
             held: held.map(|(room, _)| id(room)).collect(),
@@ -107,7 +111,7 @@ impl Planner {
             room(failed).into_iter().for_each(|room| self.round.fail(room, *failed_ns));
         }
         kept.held.iter().filter_map(|id| room(id)).for_each(|room| self.interruption.hold(room));
-        self.round.began_ns = kept.began_ns;
+        (self.round.began_ns, self.round.due_ns) = (kept.began_ns, kept.due_ns);
         let robot = &mut self.robot;
         robot.room = kept.room.as_deref().and_then(room);
         // A robot that only waits is told again where: it is not to work there.

@@ -795,6 +795,71 @@ fn people_come_and_go_in_many_words() {
     assert_eq!((house.presence("jon's mother"), house.presence("jon")), (here, away));
 }
 
+/// A sentence, and who is where after it, of two who live here, are there or not, and two visitors.
+#[test]
+fn groups_plans_and_shows_are_told_from_persons() {
+    let mut house = House::new(&["Lena", "Paul"]);
+    let all = ["Lena", "Paul", "Igor", "Vera"];
+    let [here, away] = [presence::PRESENT, presence::AWAY].map(Some);
+    for (said, expected) in [
+        ("The visitors leave.", [here, here, away, away]),
+        ("The guests are gone.", [here, here, away, away]),
+        ("All the guests have left.", [here, here, away, away]),
+        ("The guests go to the bathroom.", [here; 4]),
+        ("All four leave.", [away; 4]),
+        ("All three leave.", [here; 4]),
+        ("Neither Lena nor Paul is home.", [away, away, here, here]),
+        ("Lena is neither in the kitchen nor in the bathroom.", [here; 4]),
+        ("Both are out of milk.", [here; 4]),
+        ("Paul walks the dog.", [here, away, here, here]),
+        ("Paul moved out.", [here, away, here, here]),
+        ("Lena goes on vacation.", [away, here, here, here]),
+        ("Paul closes the door behind him and drives away.", [here, away, here, here]),
+        ("Although Lena is out, the fridge is open.", [away, here, here, here]),
+        ("Lena is leaving.", [here; 4]),
+        ("We leave after dinner.", [here; 4]),
+        ("Lena, leave the house!", [here; 4]),
+        ("Bayern plays against Dortmund on TV.", [here; 4]),
+        ("Tatort starts on TV.", [here; 4]),
+        ("Schalke wins.", [here; 4]),
+        ("Lena leaves and takes Rocky with her.", [away, here, here, here]),
+    ] {
+        for who in all {
+            house.after(2, who, "They open the fridge.");
+        }
+        house.after(2, "somebody", said);
+        assert_eq!(all.map(|who| house.presence(who)), expected, "{said}");
+        assert_eq!(house.known(), 4, "{said}");
+        house.restart();
+        assert_eq!(all.map(|who| house.presence(who)), expected, "{said}, restarted");
+    }
+    house.after(2, "somebody", "The guests come back.");
+    assert_eq!(["Igor", "Vera"].map(|who| house.presence(who)), [here; 2]);
+    for who in all {
+        house.after(2, who, "away");
+    }
+    for said in [
+        "Lena forgot her umbrella.",
+        "Lena takes the bus home.",
+        "Lena lands in Berlin.",
+        "Lena buys milk.",
+        "Lena sees Paul.",
+        "Lena is leaving.",
+        "Lena visits Zoe.",
+        "The visitors leave.",
+    ] {
+        house.after(2, "somebody", said);
+        assert_eq!(all.map(|who| house.presence(who)), [away; 4], "{said}");
+    }
+    for said in ["Lena takes the bus home and opens the fridge.", "Lena rings and comes in."] {
+        house.after(2, "lena", "away");
+        house.after(2, "somebody", said);
+        assert_eq!(house.presence("lena"), here, "{said}");
+    }
+    house.after(2, "somebody", "Zoe comes to visit Lena.");
+    assert_eq!((house.presence("zoe"), house.known()), (here, 5));
+}
+
 /// Where somebody is by what another one does, and by what all do.
 #[test]
 fn a_room_is_that_of_whom_it_is_told() {
