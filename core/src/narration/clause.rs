@@ -947,7 +947,10 @@ fn arrives(rest: &str) -> bool {
         said.strip_prefix("to ")
             .is_some_and(|to| WORDS.purposes.begin(to).any(|(_, more)| more.is_empty() || more.starts_with(' ')))
     };
+    // Who visits, and nobody says whom, comes here.
+    let visits = || WORDS.visits.after(rest).any(|more| ends_here(more) && !more.starts_with(" at "));
     follows(rest, &WORDS.comes, &WORDS.at_house, ends_here)
+        || visits()
         || after_verb(rest, &WORDS.comes).any(comes_to)
         || follows(rest, &WORDS.drops_in, &WORDS.at_house, ends_here)
         || state(rest).is_some_and(is_back)
@@ -1215,6 +1218,13 @@ pub(super) fn goes_home(said: &str) -> bool {
     };
     let is_told = !is_not_so(said) && !is_reported(said);
     is_told && cuts(said).take(NAME_WORDS_MAX).any(|(subject, rest)| is_own(subject, rest) && goes(rest))
+}
+
+/// Whether a plain sentence says that somebody visits whom it calls by name, or nobody in particular: who does not live here comes then.
+pub(super) fn is_visit(said: &str) -> bool {
+    let is_named = |whom: &str| !has(&WORDS.determiners, first_word(whom));
+    let is_visit = |rest| after_verb(rest, &WORDS.visits).any(is_named) || has(&WORDS.visits, rest);
+    !is_not_so(said) && cuts(said).take(NAME_WORDS_MAX).any(|(_, rest)| is_visit(rest))
 }
 
 /// Whether a plain sentence says that somebody is taken home, and not brought: "ada drives ben home".
@@ -1752,6 +1762,14 @@ mod tests {
             ("They are both away.", "both away"),
             ("Ben is no longer home.", "ben away"),
             ("Ben is no longer in the study.", "other present"),
+        ] {
+            assert_eq!(said(sentence), expected, "{sentence}");
+        }
+    }
+
+    #[test]
+    fn groups_ways_out_and_visits_are_told() {
+        for (sentence, expected) in [
             ("Neither Ada nor Ben is home.", "ada+ben away"),
             ("Neither of them is home.", "both away"),
             ("Neither of us is at home.", "both away"),
@@ -1788,6 +1806,7 @@ mod tests {
             ("Ben says goodbye and goes.", "ben away"),
             ("Igor comes to visit Ada.", "igor present"),
             ("Igor drops by.", "igor present"),
+            ("Igor visits.", "igor present"),
             ("Ada is in the store room.", "ada present store room"),
             ("Igor stops by.", "igor present"),
             ("Ada takes the train from Berlin.", "ada away"),

@@ -427,6 +427,12 @@ impl Said {
         self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::goes_home))
     }
 
+    /// Whether it says that its person visits somebody by name: who does not live here comes then, and who does goes.
+    #[must_use]
+    pub fn is_visit(&self) -> bool {
+        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_visit))
+    }
+
     /// Whether it says what its person left behind, wherever they are now: "Ada left the light on in the office."
     #[must_use]
     pub fn is_of_what_was_left(&self) -> bool {

@@ -688,7 +688,11 @@ impl Persons {
     pub(super) fn is_heard_from_afar(&self, observation: &Observation) -> bool {
         let is_here = |known: &Known| known.presence == Presence::Present;
         let by_name = observation.name.is_some() || self.known.contains_key(&observation.person);
-        by_name && !self.known.get(&observation.person).is_some_and(is_here) && observation.said.is_from_afar()
+        let is_guest = || self.is_visitor(observation.person) && observation.said.is_visit();
+        by_name
+            && !self.known.get(&observation.person).is_some_and(is_here)
+            && observation.said.is_from_afar()
+            && !is_guest()
     }
 
     /// Whether anybody goes by a name here.

@@ -858,6 +858,8 @@ fn groups_plans_and_shows_are_told_from_persons() {
     }
     house.after(2, "somebody", "Zoe comes to visit Lena.");
     assert_eq!((house.presence("zoe"), house.known()), (here, 5));
+    house.after(2, "somebody", "Kim visits Lena.");
+    assert_eq!((house.presence("kim"), house.known()), (here, 6));
 }
 
 /// Where somebody is by what another one does, and by what all do.
