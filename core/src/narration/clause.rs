@@ -988,7 +988,9 @@ fn rides_out(rest: &str) -> bool {
     // A toy is taken from a shelf.
     let from = |more: &str| is_outside_by(more, &["from"]) || is_a_town(more, &["from "]);
     let boards = |more: &str| match first_word(more) {
-        "" | "home" | "back" => true,
+        "" => true,
+        // Who does something more has come home.
+        "home" | "back" => ![" and ", " then "].iter().any(|join| more.contains(join)),
         "to" => goes_to(more),
         "from" => from(more),
         _ => ends(&format!(" {more}")) && !crate::text::has_words(more, "it"),
@@ -1972,6 +1974,7 @@ mod tests {
             "Ada takes the train from the shelf.",
             "Ada takes the train and puts it into the box.",
             "Ada drives to the sofa.",
+            "Ada takes the bus home and opens the fridge.",
             "Ada steps out of the shower.",
             "Ada moves out of the way.",
             "Ada walks out onto the balcony.",
