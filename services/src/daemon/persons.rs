@@ -622,6 +622,7 @@ impl Persons {
             About::Nobody => {
                 !said.is_of_all()
                     && !said.is_of_guests()
+                    && said.is_of_so_many().is_none()
                     && !matches!(said, Said::Presence(statement) if statement.is_of_everybody())
             }
             named @ About::Named(_) => self.has_names() && self.names_in(named, said.is_of_a_new_guest()).is_empty(),

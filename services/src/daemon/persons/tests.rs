@@ -822,6 +822,7 @@ fn groups_plans_and_shows_are_told_from_persons() {
         ("Bayern plays against Dortmund on TV.", [here; 4]),
         ("Tatort starts on TV.", [here; 4]),
         ("Schalke wins.", [here; 4]),
+        ("All three of them leave.", [here; 4]),
         ("Lena leaves and takes Rocky with her.", [away, here, here, here]),
     ] {
         for who in all {
@@ -832,6 +833,14 @@ fn groups_plans_and_shows_are_told_from_persons() {
         assert_eq!(house.known(), 4, "{said}");
         house.restart();
         assert_eq!(all.map(|who| house.presence(who)), expected, "{said}, restarted");
+    }
+    house.after(2, "igor", "away");
+    house.after(2, "lena", "They sit on the sofa.");
+    house.after(2, "vera", "They sit on the sofa.");
+    house.after(2, "paul", "They sit on the sofa.");
+    house.after(2, "somebody", "The three of them lie on the bed.");
+    for who in ["Lena", "Paul", "Vera"] {
+        assert_eq!(house.person(who).map(|own| own.observed_ns), Some(house.now_ns), "{who}");
     }
     house.after(2, "somebody", "The guests come back.");
     assert_eq!(["Igor", "Vera"].map(|who| house.presence(who)), [here; 2]);
