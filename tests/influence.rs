@@ -1,6 +1,6 @@
 //! What one narrator alone does to a room's probability, with the shipped model: beside an honest narrator that tells of the same person it
 //! says one sentence, or floods the window, and then the honest one goes on. Places in the window are bounded, and that is held here;
-//! what a language model makes of them is not, and is measured.
+//! what a language model makes of them is not: it is measured, and SECURITY.md has the figures.
 //!
 //!     ROOMCAST_INFLUENCE_SEEDS=1000 cargo test --release --test influence -- --nocapture
 
@@ -20,6 +20,10 @@ use roomcast_services::setup::load_model;
 const SEEDS: u64 = 12;
 /// What the honest one says after a flood, sentence by sentence.
 const AFTER: usize = 12;
+/// How many seeds the table of SECURITY.md is of, and how far a figure of it may be from what is measured: it has two digits, and processors round
+/// differently.
+const TOLD_SEEDS: u64 = 300;
+const ROUNDED: f64 = 0.015;
 /// Places of a window of twelve that each of two narrators keeps.
 const PLACES: usize = 6;
 
@@ -44,8 +48,12 @@ impl Moved {
         (self.worst, self.sum, self.count) = (self.worst.max(moved), self.sum + moved, self.count + 1);
     }
 
+    fn mean(self) -> f64 {
+        self.sum / f64::from(self.count.max(1))
+    }
+
     fn shown(self) -> String {
-        format!("worst {:.2}, mean {:.2}", self.worst, self.sum / f64::from(self.count.max(1)))
+        format!("worst {:.2}, mean {:.2}", self.worst, self.mean())
     }
 }
 
@@ -137,4 +145,28 @@ fn one_narrator_alone_keeps_to_its_places() {
     for (count, moved) in (1..).zip(after) {
         println!("after {count} more of the honest one: {}", moved.shown());
     }
+    let measured = [one, flood, after[0], after[3], after[7], after[11]];
+    for (moved, (row, worst, mean)) in measured.into_iter().zip(told()) {
+        // Of fewer seeds the worst is no worse.
+        if seeds <= TOLD_SEEDS {
+            assert!(moved.worst < worst + ROUNDED, "SECURITY.md: {row}: {}", moved.shown());
+        }
+        if seeds == TOLD_SEEDS {
+            let is_told = (moved.worst - worst).abs() < ROUNDED && (moved.mean() - mean).abs() < ROUNDED;
+            assert!(is_told, "SECURITY.md: {row}: {}", moved.shown());
+        }
+    }
+}
+
+/// The rows of SECURITY.md's table: what the other narrator does, what it moves at worst, and on average.
+fn told() -> Vec<(String, f64, f64)> {
+    let text = include_str!("../SECURITY.md");
+    let table = text.split_once("| the other narrator |").unwrap().1.lines().skip(2);
+    let rows = table.take_while(|line| line.starts_with('|')).map(|line| {
+        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+        (cells[1].to_owned(), cells[2].parse().unwrap(), cells[3].parse().unwrap())
+    });
+    let rows: Vec<_> = rows.collect();
+    assert_eq!(rows.len(), 6, "{rows:?}");
+    rows
 }

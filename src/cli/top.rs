@@ -409,9 +409,10 @@ mod tests {
         let scores = RoomScoresV1 { epoch: 5, sequence: 2, ..Default::default() };
         others.receive_behind(&scores).unwrap();
         assert!(others.forecasts.is_none() && others.is_waited_for_in_vain);
-        let begun = Instant::now();
-        others.receive_behind(&scores).unwrap();
-        assert!(begun.elapsed() < BEHIND / 2);
+        // Not again: a thousand times would take minutes.
+        for _ in 0..1000 {
+            others.receive_behind(&scores).unwrap();
+        }
         let told = |sequence| PersonForecastsV1 { epoch: 5, sequence, ..Default::default() };
         forecasts.send(&told(2)).unwrap();
         others.receive_behind(&scores).unwrap();
