@@ -3,8 +3,6 @@
 //!
 //! `PROPTEST_CASES=20000` tries so many of each kind, by a seed of its own; what fails is printed.
 
-#![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
-
 use std::fs;
 
 use proptest::prelude::*;
