@@ -1342,8 +1342,8 @@ fn a_configuration_is_held_to_what_this_machine_has() {
         "names the room \"kichen\", which the map does not have: write \"kitchen\"; the map's rooms are kitchen, main-room, bathroom",
         "mqtt.broker: \"10.0.0.5\" is no broker: give mqtt://HOST[:PORT]",
         "here mqtt://10.0.0.5:1883",
-        &format!("mqtt.rules: failed to read {}: No such file", rules.display()),
-        "let roomcast init write rules",
+        &format!("failed to read {}: No such file", rules.display()),
+        "correct mqtt.rules in the configuration; roomcast init writes rules",
         "3 things are wrong",
     ] {
         assert!(!fine && said.contains(part), "{part} in {said}");
