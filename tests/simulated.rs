@@ -1736,6 +1736,7 @@ impl World {
             robot.planner.take_forecast(&forecast);
             robot.forecast = forecast;
         }
+        let mut just_failed = Vec::new();
         while robot.planner.knows_rooms()
             && let Some(report) = self.body.wire.pop_front()
         {
@@ -1747,6 +1748,7 @@ impl World {
                 report_kind::STARTED if report.decision_epoch != robot.epoch => _ = self.body.begun.insert(room),
                 report_kind::STARTED => {}
                 report_kind::FAILED | report_kind::BLOCKED | report_kind::CANCELLED => {
+                    just_failed.push(room.clone());
                     self.tally.failed_rooms += u64::from(self.body.failed.insert(room));
                 }
                 _ => {
@@ -1772,7 +1774,9 @@ impl World {
         ensure(free || again || given_up || decision.cancels != 0, || {
             format!("a robot that is not free is sent: {decision:?}")
         })?;
+        // What was just said to have failed has, also where this decision begins another round or knows another map.
         self.check_robot(&decision)?;
+        self.body.failed.extend(just_failed);
         let robot = &mut self.robot;
         let deadline_ns = DEADLINE_MS * MS;
         self.tally.decisions += 1;
