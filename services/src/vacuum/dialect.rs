@@ -82,34 +82,32 @@ impl Dialect {
         Self { kind: config.kind, topic: config.topic.clone(), orders: format!("{base}/robots/{name}/order") }
     }
 
+    /// Below the robot's topic, what it says something by.
+    fn parts(&self) -> &'static [&'static str] {
+        match self.kind {
+            RobotKind::Valetudo => &[
+                "$state",
+                "StatusStateAttribute/status",
+                "StatusStateAttribute/flag",
+                "StatusStateAttribute/error_description",
+                "BatteryStateAttribute/level",
+                "MapData/segments",
+            ],
+            RobotKind::HomeAssistant => &["state", "battery_level", "error"],
+        }
+    }
+
     /// What to subscribe to.
     #[must_use]
     pub fn filters(&self) -> Vec<String> {
-        let own = |part: &str| format!("{}/{part}", self.topic);
-        match self.kind {
-            RobotKind::Valetudo => {
-                ["$state", "StatusStateAttribute/+", "BatteryStateAttribute/level", "MapData/segments"].map(own).into()
-            }
-            RobotKind::HomeAssistant => ["state", "battery_level", "error"].map(own).into(),
-        }
+        self.parts().iter().map(|part| format!("{}/{part}", self.topic)).collect()
     }
 
     /// Whether a message should have said something, and says nothing that is known. Home Assistant's words for what it does not know are no fault.
     #[must_use]
     pub fn is_garbled(&self, topic: &str, payload: &[u8]) -> bool {
         let part = topic.strip_prefix(&self.topic).and_then(|part| part.strip_prefix('/'));
-        let is_read = part.is_some_and(|part| match self.kind {
-            RobotKind::Valetudo => [
-                "StatusStateAttribute/status",
-                "StatusStateAttribute/flag",
-                "StatusStateAttribute/error_description",
-                "BatteryStateAttribute/level",
-                "MapData/segments",
-                "$state",
-            ]
-            .contains(&part),
-            RobotKind::HomeAssistant => ["state", "battery_level", "error"].contains(&part),
-        });
+        let is_read = part.is_some_and(|part| self.parts().contains(&part));
         let is_unknown =
             ["", "unknown", "unavailable", "None", "null"].map(str::as_bytes).contains(&payload.trim_ascii());
         is_read && !is_unknown && self.hear(topic, payload).is_none()

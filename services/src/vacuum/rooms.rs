@@ -47,18 +47,21 @@ fn unshared_segment(
     if segments.is_empty() {
         return Err("the robot has told of no segments; name them in [robot.segments]".to_owned());
     }
-    let numbered = room.rsplit_once('-').filter(|(_, number)| number.bytes().all(|byte| byte.is_ascii_digit()));
+    let is_number = |number: &str| segments.contains_key(number) || number.bytes().all(|byte| byte.is_ascii_digit());
+    let numbered = room.rsplit_once('-').filter(|(_, number)| is_number(number));
     let stem = numbered.map_or(room, |(stem, _)| stem);
+    let kind = |name: &str| Names::built_in().room(name).map(|kind| kind.replace(' ', "-"));
     let means = |name: &str| {
         let plain = name.to_lowercase().split([' ', '_', '-']).collect::<Vec<_>>().join("-");
-        let kind = Names::built_in().room(name).map(|kind| kind.replace(' ', "-"));
-        plain == room || plain == stem || kind.as_deref() == Some(stem)
+        plain == room || plain == stem || kind(name).as_deref() == Some(stem)
     };
+    // A name that is in no table may well be this room's: "Lenas Zimmer" is a bedroom.
+    let means_another = |name: &str| !means(name) && kind(name).is_some();
     let mut named = segments.iter().filter(|(_, name)| means(name));
     if let Some((number, name)) = numbered.and_then(|(_, number)| segments.get_key_value(number)) {
         // A robot that divides its map again gives out its numbers again, too.
         return match named.next() {
-            Some((other, known)) if other != number && !name.is_empty() && !means(name) => Err(format!(
+            Some((other, known)) if other != number && means_another(name) => Err(format!(
                 "its number {number} is now {name:?} to the robot, and {known:?} is {other}: the robot has divided its map again; import that again, \
                  or name the segment in [robot.segments]"
             )),
@@ -98,6 +101,7 @@ mod tests {
             segment_of("kitchen", &[""; 0], &configured, &BTreeMap::new()).unwrap_err().contains("told of no segments")
         );
     }
+
     #[test]
     fn a_segment_is_one_rooms() {
         let table = |pairs: &[(&str, &str)]| -> BTreeMap<String, String> {
@@ -130,6 +134,9 @@ mod tests {
         }
         // Nothing else is the bedroom: it may be named otherwise on purpose.
         assert_eq!(of("bedroom-2", &again).unwrap(), "2");
+        let own_words = names(&[("2", "Bei Lena"), ("4", "Schlafzimmer")]);
+        assert_eq!(of("bedroom-2", &own_words).unwrap(), "2", "what nobody knows contradicts nothing");
+        assert_eq!(of("room-3a", &names(&[("3a", "")])).unwrap(), "3a", "a number may have letters");
         // A number that is gone: by its name.
         assert_eq!(of("hallway-4", &again).unwrap(), "1");
         assert_eq!(
