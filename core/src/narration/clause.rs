@@ -1,9 +1,9 @@
 //! What a plain sentence says of where its persons are: its subject, and what the words after it mean. The words are in `clause.toml`.
 
-use std::cell::Cell;
-use std::collections::{HashMap, HashSet};
+use std::cell::RefCell;
 use std::sync::LazyLock;
 
+use foldhash::{HashMap, HashSet};
 use serde::Deserialize;
 
 use super::{Presence, deeds};
@@ -129,17 +129,51 @@ struct Words {
 #[derive(Debug, Deserialize)]
 #[serde(from = "Vec<String>")]
 struct List {
+    /// What most words are not in, told without a look at the tables, which are seldom in the processor's cache when an event comes.
+    maybe: Filter,
+    maybe_first: Filter,
     all: HashSet<String>,
     by_first: HashMap<String, Vec<String>>,
 }
 
+/// Words by their length, first and last letter: says of most others that they are none of them.
+#[derive(Debug, Default)]
+struct Filter([u64; 4]);
+
+impl Filter {
+    fn of<'a>(words: impl Iterator<Item = &'a str>) -> Self {
+        let mut filter = Self::default();
+        for word in words {
+            let (place, bit) = Self::place(word);
+            filter.0[place] |= bit;
+        }
+        filter
+    }
+
+    fn may_have(&self, word: &str) -> bool {
+        let (place, bit) = Self::place(word);
+        self.0[place] & bit != 0
+    }
+
+    fn place(word: &str) -> (usize, u64) {
+        let end = |byte: Option<&u8>| byte.map_or(0, |byte| usize::from(*byte));
+        let number = end(word.as_bytes().first()) + 11 * end(word.as_bytes().last()) + 29 * word.len();
+        (number / 64 % 4, 1 << (number % 64))
+    }
+}
+
 impl From<Vec<String>> for List {
     fn from(words: Vec<String>) -> Self {
-        let mut by_first = HashMap::<_, Vec<_>>::new();
+        let mut by_first = HashMap::<_, Vec<_>>::default();
         for word in &words {
             by_first.entry(first_word(word).to_owned()).or_default().push(word.clone());
         }
-        Self { all: words.into_iter().collect(), by_first }
+        Self {
+            maybe: Filter::of(words.iter().map(String::as_str)),
+            maybe_first: Filter::of(by_first.keys().map(String::as_str)),
+            all: words.into_iter().collect(),
+            by_first,
+        }
     }
 }
 
@@ -150,7 +184,8 @@ impl List {
 
     /// Those that a text begins with, which may go on within a word behind them, and what follows.
     fn begin<'a>(&self, text: &'a str) -> impl Iterator<Item = (&str, &'a str)> {
-        let found = self.by_first.get(first_word(text)).into_iter().flatten();
+        let first = Some(first_word(text)).filter(|first| self.maybe_first.may_have(first));
+        let found = first.and_then(|first| self.by_first.get(first)).into_iter().flatten();
         found.filter_map(move |word| Some((word.as_str(), text.strip_prefix(word.as_str())?)))
     }
 
@@ -170,7 +205,7 @@ impl List {
 }
 
 fn has(words: &List, word: &str) -> bool {
-    words.all.contains(word)
+    words.maybe.may_have(word) && words.all.contains(word)
 }
 
 /// A kind of words in the table.
@@ -458,14 +493,48 @@ pub(super) const COUNT_MAX: usize = 8;
 /// The name of somebody of whom nobody has told yet has at most so many words.
 const NEW_NAME_WORDS_MAX: usize = 2;
 
+/// So many texts are kept with what was made of them: a sentence is asked about many things, and so are its clauses.
+const KEPT: usize = 8;
+
+/// The last texts, each with its plain form. Nothing is allocated once warm.
+#[derive(Debug, Default)]
+struct Plain {
+    kept: [(String, String); KEPT],
+    /// The place that is used next.
+    next: usize,
+}
+
 thread_local! {
-    /// Memory for a sentence in plain form, so that reading one allocates nothing once warm.
-    static PLAIN: Cell<String> = const { Cell::new(String::new()) };
+    static PLAIN: RefCell<Plain> = RefCell::default();
+    /// The last plain forms that say of nobody where they are, as most do, and the place that is used next.
+    static SILENT: RefCell<([String; KEPT], usize)> = RefCell::default();
+}
+
+impl Plain {
+    /// Takes a text with its plain form out of its place, so that another text may be read meanwhile.
+    fn take(&mut self, text: &str) -> (usize, (String, String)) {
+        if let Some(place) = self.kept.iter().position(|(kept, _)| kept == text) {
+            return (place, std::mem::take(&mut self.kept[place]));
+        }
+        self.next = (self.next + 1) % KEPT;
+        let (mut kept, mut plain) = std::mem::take(&mut self.kept[self.next]);
+        kept.clear();
+        kept.push_str(text);
+        write_plain(text, &mut plain);
+        (self.next, (kept, plain))
+    }
 }
 
 /// Reads a sentence in lower case, with short forms written out: "Ada isn't home." is "ada is not home".
 pub(super) fn with_plain<T>(sentence: &str, read: impl FnOnce(&str) -> T) -> T {
-    let mut text = PLAIN.take();
+    let (place, own) = PLAIN.with_borrow_mut(|plain| plain.take(sentence));
+    let said = read(&own.1);
+    PLAIN.with_borrow_mut(|plain| plain.kept[place] = own);
+    said
+}
+
+/// Writes a sentence in plain form.
+fn write_plain(sentence: &str, text: &mut String) {
     text.clear();
     for part in unquoted(sentence.trim()) {
         text.extend(part.chars().flat_map(char::to_lowercase).map(|c| if c == '’' { '\'' } else { c }));
@@ -474,7 +543,7 @@ pub(super) fn with_plain<T>(sentence: &str, read: impl FnOnce(&str) -> T) -> T {
     // Behind speech: ", says ada".
     text.drain(..text.len() - text.trim_start_matches([' ', ',']).len());
     if text.contains(['\'', ':']) {
-        write_out(&mut text);
+        write_out(text);
     }
     while let Some(at) = text.find(" & ") {
         text.replace_range(at..at + " & ".len(), " and ");
@@ -489,10 +558,7 @@ pub(super) fn with_plain<T>(sentence: &str, read: impl FnOnce(&str) -> T) -> T {
             text.insert_str(nobody.len() - "in the ".len(), "is ");
         }
     }
-    write_as_usual(&mut text);
-    let said = read(&text);
-    PLAIN.set(text);
-    said
+    write_as_usual(text);
 }
 
 /// Writes what is said in several ways in one: "they are both in", "has just left", "is no longer in", "ada/ben".
@@ -1218,15 +1284,15 @@ pub(super) fn goes_home(said: &str) -> bool {
         let are_several = has(&WORDS.pronouns, subject) || parts(subject).nth(1).is_some();
         is_said(subject) && (are_several || is_verb(first_word(rest)))
     };
-    let is_told = !is_not_so(said) && !is_reported(said);
-    is_told && cuts(said).take(NAME_WORDS_MAX).any(|(subject, rest)| is_own(subject, rest) && goes(rest))
+    let is_told = || !is_not_so(said) && !is_reported(said);
+    cuts(said).take(NAME_WORDS_MAX).any(|(subject, rest)| goes(rest) && is_own(subject, rest)) && is_told()
 }
 
 /// Whether a plain sentence says that somebody visits whom it calls by name, or nobody in particular: who does not live here comes then.
 pub(super) fn is_visit(said: &str) -> bool {
     let is_named = |whom: &str| !has(&WORDS.determiners, first_word(whom));
     let is_visit = |rest| after_verb(rest, &WORDS.visits).any(is_named) || has(&WORDS.visits, rest);
-    !is_not_so(said) && cuts(said).take(NAME_WORDS_MAX).any(|(_, rest)| is_visit(rest))
+    cuts(said).take(NAME_WORDS_MAX).any(|(_, rest)| is_visit(rest)) && !is_not_so(said)
 }
 
 /// Whether a plain sentence says that somebody is taken home, and not brought: "ada drives ben home".
@@ -1311,6 +1377,21 @@ fn where_to(said: &str) -> Option<(&str, &str, Whereabouts<'_>)> {
 impl<'a> Clause<'a> {
     /// Reads a sentence in plain form ([`with_plain`]); none where it does not say where somebody or something is.
     pub(super) fn read(said: &'a str) -> Option<Self> {
+        if SILENT.with_borrow(|silent| silent.0.iter().any(|kept| kept == said)) {
+            return None;
+        }
+        let clause = Self::parse(said);
+        if clause.is_none() {
+            SILENT.with_borrow_mut(|(kept, next)| {
+                *next = (*next + 1) % KEPT;
+                kept[*next].clear();
+                kept[*next].push_str(said);
+            });
+        }
+        clause
+    }
+
+    fn parse(said: &'a str) -> Option<Self> {
         let of = |subject, presence, room| Self { subject, presence, room, is_state: true, is_arrival: false };
         if is_not_now(said) || is_order(said) {
             return Some(of(Subject::Other, Presence::Present, None));
@@ -1555,6 +1636,11 @@ fn cuts(said: &str) -> impl Iterator<Item = (&str, &str)> {
 fn without_too(said: &str) -> (&str, Option<&str>) {
     const SO: [&str; 5] = ["so does ", "so do ", "so is ", "so are ", "so did "];
     const TOO: [&str; 5] = [" too", " does too", " do too", " is too", " as well"];
+    // Most have neither.
+    let ends_too = || TOO.iter().any(|too| said.trim_end_matches(',').ends_with(too));
+    if !said.contains(" so ") && !ends_too() {
+        return (said, None);
+    }
     let joined = [", and ", " and ", ", "].iter().find_map(|join| said.rsplit_once(join));
     // "And so do ben and igor".
     let so =

@@ -1,8 +1,8 @@
 //! What the verb of a deed tells of where its person is, by classes of verbs and what they are done to. The words are in `deeds.toml`.
 
-use std::collections::HashMap;
 use std::sync::LazyLock;
 
+use foldhash::HashMap;
 use serde::Deserialize;
 
 static DEEDS: LazyLock<Deeds> = LazyLock::new(|| {
@@ -13,7 +13,7 @@ static DEEDS: LazyLock<Deeds> = LazyLock::new(|| {
 /// Every form of every verb of the classes.
 static CLASSES: LazyLock<Classes> = LazyLock::new(|| {
     let forms = |verbs: &[String]| {
-        let mut forms = HashMap::<_, Vec<_>>::new();
+        let mut forms = HashMap::<_, Vec<_>>::default();
         for verb in verbs {
             let (first, behind) = verb.split_once(' ').unwrap_or((verb, ""));
             for form in all_forms(first) {
