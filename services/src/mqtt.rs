@@ -72,6 +72,7 @@ use tokio::time::{sleep, timeout_at};
 
 use crate::line::{LINE_BYTES_MAX, Who, line_item};
 use crate::logging::Limiter;
+use crate::mqtt_link::{FAREWELL, POLL, RECONNECT, RECONNECT_BROKEN_MAX};
 use crate::mqtt_tally::Tally;
 use crate::narrator::Settled;
 use crate::rule::{Keys, Saying, Whereabouts};
@@ -96,20 +97,12 @@ const NO_STATE: [&str; 2] = ["unknown", "unavailable"];
 pub const WAITING_MAX: usize = 4_096;
 /// Bytes of all lines that wait for silence; further ones are not said.
 pub const WAITING_BYTES_MAX: usize = 1 << 20;
-/// How long the connection is listened to before the wish to stop is looked at.
-const POLL: Duration = Duration::from_millis(200);
-/// Pause before a lost connection is tried again.
-const RECONNECT: Duration = Duration::from_secs(1);
-/// The longest pause where the broker itself is broken: it doubles until then.
-const RECONNECT_BROKEN_MAX: Duration = Duration::from_secs(64);
 /// How often the broker is asked whether it is there.
 pub(crate) const KEEP_ALIVE: Duration = Duration::from_secs(30);
 /// Complaints about the connection come at most so often.
 const QUIET_NS: u64 = 30_000_000_000;
 /// How long, at the end, what was read may take to be settled. A narrator has a little longer to publish it.
 const SETTLING: Duration = Duration::from_secs(4);
-/// How long the broker has at the end to take the last acknowledgements.
-const FAREWELL: Duration = Duration::from_secs(2);
 /// A broker whose identifiers have gone up so far takes them all in turn, and none again before.
 const RISEN_LONG: u64 = 8 * MESSAGES_AHEAD_MAX as u64;
 /// How long the broker keeps what arrives while this process is away: for ever, as far as the broker agrees.

@@ -8,14 +8,14 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, Message, MessageError, PersonForecastsV1, RoomScoresV1, Subscriber,
-    clock, sequence,
+    DecisionV1, Domain, ForecastV1, IpcError, PersonForecastsV1, RoomScoresV1, Subscriber, clock, sequence,
 };
 use roomcast_services::config::Config;
 use roomcast_services::logging::Limiter;
 use roomcast_services::mqtt::{Broker, MqttError};
 use roomcast_services::mqtt_link::{Heard, Link, Will};
 use roomcast_services::notify::notify;
+use roomcast_services::receive::receive;
 use roomcast_services::stop::Stop;
 use sd_notify::NotifyState;
 
@@ -198,23 +198,6 @@ impl Ports {
             known.take_decision(decision);
         }
         Ok(())
-    }
-}
-
-/// Takes the next good message that waits, if any.
-fn receive<M: Message>(port: &Subscriber<M>, message: &mut M, log: &mut Limiter) -> Result<bool, IpcError> {
-    while let Some(checked) = port.receive_into(message)? {
-        match checked {
-            Ok(()) => return Ok(true),
-            Err(error) => malformed::<M>(&error, log),
-        }
-    }
-    Ok(false)
-}
-
-fn malformed<M: Message>(error: &MessageError, log: &mut Limiter) {
-    if let Some(held_back) = log.pass(clock::monotonic_ns()) {
-        tracing::warn!(%error, held_back, service = M::SERVICE.name, "malformed message");
     }
 }
 

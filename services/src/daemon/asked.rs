@@ -32,7 +32,7 @@ pub(super) trait Answer: Clone + Serialize {
 fn read<Q: Question>(asked: Result<&str, impl Display>) -> Result<Q, String> {
     let text = asked.map_err(|error| error.to_string())?;
     let parser = &mut serde_json::Deserializer::from_str(text);
-    let question: Q = serde_path_to_error::deserialize(parser).map_err(|error| short(&error.to_string()))?;
+    let question: Q = serde_path_to_error::deserialize(parser).map_err(|error| error.to_string())?;
     match question.id().map(str::len) {
         Some(bytes) if bytes > QUESTION_NAME_BYTES_MAX => {
             Err(format!("id has {bytes} bytes, and at most {QUESTION_NAME_BYTES_MAX} are allowed: give a shorter one"))
@@ -98,7 +98,7 @@ impl<T> Answered<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::{HabitsQuestion, MapQuestion, PersonQuestion};
+    use crate::daemon::{HabitsQuestion, MapQuestion, PersonAnswer, PersonQuestion};
 
     #[test]
     fn an_answer_is_remembered_until_64_others_are() {
@@ -118,11 +118,22 @@ mod tests {
             assert_eq!(refused(with(QUESTION_NAME_BYTES_MAX)), None, "{question}");
             let reason = refused(with(QUESTION_NAME_BYTES_MAX + 1)).unwrap();
             assert_eq!(reason, "id has 129 bytes, and at most 128 are allowed: give a shorter one");
-            let reason = refused(format!("{{\"{}\": 1}}", "x".repeat(1 << 20))).unwrap();
-            assert!(reason.len() <= REASON_CHARS_MAX);
         }
         of::<MapQuestion>(r#"{"id": "NAME", "changes": []}"#);
         of::<PersonQuestion>(r#"{"ask": "forget", "id": "NAME", "who": "ada"}"#);
         of::<HabitsQuestion>(r#"{"ask": "forget", "id": "NAME"}"#);
+    }
+
+    #[test]
+    fn a_reason_that_quotes_a_long_question_is_cut() {
+        let long = format!("{{\"ask\": \"{}\"}}", "x".repeat(1 << 20));
+        let why = |asked: Result<PersonQuestion, String>| PersonAnswer {
+            done: false,
+            reason: asked.err(),
+            kept: false,
+            persons: Vec::new(),
+        };
+        let answer = Answered::default().answer(Ok::<_, String>(long.as_str()), why);
+        assert!(answer.contains("xxx") && answer.len() < REASON_CHARS_MAX + 100, "{} bytes", answer.len());
     }
 }

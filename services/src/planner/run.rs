@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, Message, MessageError, PersonForecastsV1, Publisher, RobotReportV1,
-    RoomScoresV1, Subscriber, clock, decision_flags, sequence,
+    DecisionV1, Domain, ForecastV1, IpcError, Message, PersonForecastsV1, Publisher, RobotReportV1, RoomScoresV1,
+    clock, decision_flags, sequence,
 };
 use sd_notify::NotifyState;
 
@@ -14,6 +14,7 @@ use super::state::RoundFile;
 use crate::config::Config;
 use crate::logging::Limiter;
 use crate::notify::notify;
+use crate::receive::receive;
 use crate::setup;
 use crate::stop::Stop;
 
@@ -122,23 +123,6 @@ pub fn participant(robot: &str) -> String {
 #[must_use]
 pub fn robot_of(participant: &str) -> Option<&str> {
     participant.strip_prefix(PARTICIPANT)?.rsplit_once(' ').map(|(robot, _)| robot)
-}
-
-/// Takes the next good message that waits, if any; malformed ones are logged and left out.
-fn receive<M: Message>(port: &Subscriber<M>, message: &mut M, log: &mut Limiter) -> Result<bool, IpcError> {
-    while let Some(checked) = port.receive_into(message)? {
-        match checked {
-            Ok(()) => return Ok(true),
-            Err(error) => malformed::<M>(&error, log),
-        }
-    }
-    Ok(false)
-}
-
-fn malformed<M: Message>(error: &MessageError, log: &mut Limiter) {
-    if let Some(held_back) = log.pass(clock::monotonic_ns()) {
-        tracing::warn!(%error, held_back, service = M::SERVICE.name, "malformed message");
-    }
 }
 
 fn take_report(planner: &mut Planner, report: &RobotReportV1, log: &mut Limiter) {

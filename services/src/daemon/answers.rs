@@ -1,0 +1,144 @@
+//! What the daemon answers to questions about its map and about persons: what is done, and what is said of it.
+
+use std::time::Duration;
+
+use roomcast_core::narration::{Observation, SOMEBODY, Said};
+use roomcast_core::pipeline::Prepared;
+use roomcast_core::scorer::LanguageModel;
+use roomcast_core::text::has_words;
+use roomcast_ipc::clock;
+
+use super::board::Board;
+use super::habits_file::Keeper;
+use super::journal::JournalHandle;
+use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
+use super::person_question::{PersonAnswer, PersonQuestion};
+
+/// A question to forget somebody waits at most this long for the journal.
+const FORGET_PATIENCE: Duration = Duration::from_secs(5);
+
+/// Applies a change to the board, if it can be, and says what became of it.
+pub(super) fn answer_change<M: LanguageModel>(
+    board: &mut Board<M>,
+    kept_map: Option<&KeptMap>,
+    asked: Result<MapQuestion, String>,
+) -> MapAnswer {
+    let start_ns = clock::monotonic_ns();
+    let in_use = hex::encode(board.map().fingerprint());
+    let result = asked.map_err(|reason| (Outcome::Refused, reason)).and_then(|question| {
+        if let Some(expected) = question.expected_map.filter(|expected| !expected.eq_ignore_ascii_case(&in_use)) {
+            return Err((Outcome::OtherMap, format!("the map in use is {in_use}, not {expected}")));
+        }
+        let refused = |error: &dyn std::error::Error| (Outcome::Refused, crate::logging::chain(error));
+        let map = board.map().changed(question.changes).map_err(|error| refused(&error))?;
+        board.change_map(map).map_err(|error| refused(&error))
+    });
+    let regrouped_in_ns = clock::monotonic_ns().saturating_sub(start_ns);
+    let kept = result.is_ok()
+        && kept_map.is_some_and(|kept_map| {
+            kept_map
+                .keep(board.map())
+                .inspect_err(|error| tracing::error!(%error, "the changed map cannot be kept for a restart"))
+                .is_ok()
+        });
+    let (outcome, reason, prepared) = match result {
+        Ok(prepared) => (Outcome::Applied, None, prepared),
+        Err((outcome, reason)) => (outcome, Some(reason), Prepared::default()),
+    };
+    MapAnswer {
+        outcome,
+        reason,
+        map: hex::encode(board.map().fingerprint()),
+        epoch: format!("{:016x}", board.snapshot().epoch),
+        sequence: board.snapshot().sequence,
+        rooms: board.map().rooms().len(),
+        items: board.map().items().len(),
+        outside: board.pipeline().grounding().unassigned().len(),
+        new_labels: prepared.new_labels,
+        prepared_again: prepared.again,
+        regrouped_in_ns,
+        kept,
+    }
+}
+
+/// Does what was asked about persons, and says who is known then.
+pub(super) fn answer_about_person<M: LanguageModel>(
+    board: &mut Board<M>,
+    kept: (Option<&JournalHandle>, Option<&Keeper>),
+    asked: Result<PersonQuestion, String>,
+) -> PersonAnswer {
+    let find = |board: &Board<M>, who: &str| {
+        board
+            .persons()
+            .find(who)
+            .ok_or_else(|| format!("nobody is known as {who:?}: `roomcast person list` says who is"))
+    };
+    let result = asked.and_then(|question| match question {
+        PersonQuestion::List => Ok(None),
+        PersonQuestion::Rename { who, name, .. } => {
+            let person = find(board, &who)?;
+            board.rename(person, &name).map(|()| None)
+        }
+        PersonQuestion::Forget { who, .. } => {
+            // Of somebody who is known no more the files may still tell.
+            let (is_known, person) = (find(board, &who), board.persons().meant(&who));
+            let (left, records) = forget(board, kept, person, &who);
+            if records == 0 { is_known.map(|_| left) } else { Ok(left) }
+        }
+    });
+    let now_ns = i64::try_from(clock::monotonic_ns()).unwrap_or(i64::MAX);
+    let (done, left) = (result.is_ok(), result.unwrap_or_else(Some));
+    let kept = done && left.is_none() && board.persons().file().is_kept();
+    PersonAnswer { done, reason: left, kept, persons: board.persons().lines(now_ns) }
+}
+
+/// Forgets a person, also on the disk; gives what could not be forgotten there, and how many records of the journal were theirs.
+fn forget<M: LanguageModel>(
+    board: &mut Board<M>,
+    (journal, keeper): (Option<&JournalHandle>, Option<&Keeper>),
+    person: u32,
+    who: &str,
+) -> (Option<String>, usize) {
+    let file = board.persons().file().clone();
+    let mut names = board.persons().names_of(person);
+    names.extend(Some(who.trim().to_lowercase()).filter(|who| who.parse::<u32>().is_err()));
+    let is_theirs = move |observation: &Observation, found: Option<u32>| {
+        let is_name = |name: &str| file.number_of(name) == person || names.iter().any(|own| Said::may_mean(own, name));
+        let own = match (&observation.name, found) {
+            (Some(name), _) => file.number_of(name) == person || names.iter().any(|own| Said::may_be_one(own, name)),
+            (None, Some(found)) => found == person,
+            (None, None) if observation.person == SOMEBODY => observation.said.may_name(is_name),
+            (None, None) => observation.person == person,
+        };
+        let text = || match &observation.said {
+            Said::Sentence(sentence) => sentence.as_str().to_lowercase(),
+            Said::Presence(statement) => {
+                format!("{statement}, {}", statement.subject().unwrap_or_default()).to_lowercase()
+            }
+        };
+        let names_them = || match &observation.said {
+            Said::Presence(statement) => statement.names().any(is_name),
+            Said::Sentence(_) => false,
+        };
+        // What others did to them, and rooms that are called after them, tell of them, too.
+        own || names_them() || names.iter().any(|name| has_words(&text(), name))
+    };
+    board.forget(person);
+    let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, FORGET_PATIENCE));
+    let records = *in_journal.as_ref().unwrap_or(&1);
+    let in_file = board.persons_mut().file_mut().remove(person);
+    let in_habits = write_habits(board, keeper);
+    let error = in_journal.err().or(in_file.err()).or(in_habits.err());
+    let left = error.map(|error| {
+        format!("they are forgotten until the daemon starts again: the state directory cannot be written: {error}")
+    });
+    (left, records)
+}
+
+/// Writes what is left of what was learned after somebody was forgotten, and waits for it.
+pub(super) fn write_habits<M: LanguageModel>(board: &mut Board<M>, keeper: Option<&Keeper>) -> std::io::Result<()> {
+    let Some(keeper) = keeper else { return Ok(()) };
+    let habits = board.habits_mut();
+    let Some(memory) = habits.memory_if_changed() else { return Ok(()) };
+    keeper.forget(memory, FORGET_PATIENCE).inspect_err(|_| habits.keep_changed())
+}

@@ -1,0 +1,265 @@
+//! What hears narrators: the port, the intake and the journal. It belongs to one thread at a time.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use crossbeam::channel::{Receiver, Sender, bounded};
+use crossbeam::select;
+use roomcast_ipc::{IpcError, NarrationV1, Subscriber, clock};
+
+use super::board::Entry;
+use super::intake::{Intake, IntakeCounters, Taken};
+use super::journal::Journal;
+use super::{LOG_INTERVAL_NS, Progress};
+use crate::logging::Limiter;
+use crate::stop::Stop;
+
+/// Observations that may wait for the scorer.
+const QUEUE: usize = 65_536;
+/// Messages taken from the port at once: a flood of them must not keep the scorer from its steps.
+const AT_ONCE: usize = 2048;
+/// The relief thread has the inbox at most so long after a step; an event that comes meanwhile wakes both threads.
+const RELIEF: Duration = Duration::from_millis(5);
+
+/// Counters of the intake, and sources known.
+pub(super) type Counters = Arc<Mutex<(IntakeCounters, usize)>>;
+
+/// Hears narrators, for whoever has it.
+pub(super) struct Inbox {
+    narration: Subscriber<NarrationV1>,
+    /// What the port gave last.
+    message: Box<NarrationV1>,
+    intake: Intake,
+    journal: Option<Journal>,
+    counters: Counters,
+    /// The port was not emptied the last time.
+    more: bool,
+    log_refused: Limiter,
+    log_costly: Limiter,
+    log_port: Limiter,
+}
+
+impl Inbox {
+    pub(super) fn new(
+        narration: Subscriber<NarrationV1>,
+        intake: Intake,
+        journal: Option<Journal>,
+        counters: Counters,
+    ) -> Self {
+        let limiter = || Limiter::new(LOG_INTERVAL_NS);
+        Self {
+            narration,
+            message: Box::default(),
+            intake,
+            journal,
+            counters,
+            more: false,
+            log_refused: limiter(),
+            log_costly: limiter(),
+            log_port: limiter(),
+        }
+    }
+
+    /// Sleeps until there is narration or `patience` has passed; gives what is there to `take`.
+    fn listen(&mut self, patience: Duration, take: impl FnMut(Heard)) {
+        // The port wakes once for all that came, so nothing would wake for what was left there.
+        let waited = if self.more { Ok(true) } else { self.narration.wait(patience) };
+        let received = waited.and_then(|_| self.drain(take));
+        if let Err(error) = received {
+            // A port that fails may recover, when file descriptors become free for instance.
+            if let Some(held_back) = self.log_port.pass(clock::monotonic_ns()) {
+                tracing::error!(%error, held_back, "cannot receive narration");
+            }
+            std::thread::sleep(patience);
+        }
+    }
+
+    fn drain(&mut self, mut take: impl FnMut(Heard)) -> Result<(), IpcError> {
+        let mut messages = 0;
+        while messages < AT_ONCE
+            && let Some((checked, sender)) = self.narration.receive_from(&mut self.message)?
+        {
+            messages += 1;
+            let now_ns = clock::monotonic_ns();
+            let received = checked.map(|()| &*self.message);
+            let source = received.as_ref().map_or(0, |received| received.source);
+            if !self.intake.knows_port(sender) {
+                self.intake.note_alive(self.narration.senders());
+            }
+            // A killed narrator's successor has its voice at once.
+            let epoch = received.as_ref().map_or(0, |received| received.epoch);
+            if self.intake.is_contested(source, epoch, sender) {
+                self.intake.note_alive(self.narration.senders().into_iter().filter(|sender| sender.is_running()));
+            }
+            let name = self.message.source_name();
+            let refused = match self.intake.receive(received, sender, now_ns) {
+                Taken::Accepted { observation, missed, voice, leaves, binds } => {
+                    let number = self.journal.as_mut().map_or(0, |journal| {
+                        if binds {
+                            journal.bind((observation.source, observation.epoch), sender);
+                        }
+                        journal.append(&observation)
+                    });
+                    let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0, voice, leaves };
+                    take(Heard::Entry(entry, number));
+                    (missed > 0).then(|| format!("{missed} narrations before it were lost"))
+                }
+                Taken::Duplicate => None,
+                Taken::Limited => Some("it comes faster than daemon.intake allows, and is dropped".to_owned()),
+                Taken::Forged => Some(
+                    "another process speaks in its name, and is not heard: end one of the two, or restart the narrator"
+                        .to_owned(),
+                ),
+                Taken::Costly { tokens, most, first } => {
+                    take(Heard::PassedOver { source, epoch: self.message.epoch, sequence: self.message.sequence });
+                    // Sources may be invented.
+                    if first && let Some(held_back) = self.log_costly.pass(now_ns) {
+                        tracing::warn!(
+                            source,
+                            name,
+                            tokens,
+                            most,
+                            held_back,
+                            "a sentence costs more tokens than a window holds, and is dropped, as others of this source will be: shorten it, or raise model.context_tokens and history.tokens"
+                        );
+                    }
+                    None
+                }
+                Taken::Malformed(why) => Some(why),
+            };
+            if let Some(why) = refused
+                && let Some(held_back) = self.log_refused.pass(now_ns)
+            {
+                tracing::warn!(source, why, held_back, "narration");
+            }
+        }
+        self.more = messages == AT_ONCE;
+        if messages > 0 {
+            let counters = (self.intake.counters(), self.intake.sources());
+            *self.counters.lock().unwrap_or_else(PoisonError::into_inner) = counters;
+        }
+        Ok(())
+    }
+}
+
+/// What the inbox gives the scorer.
+pub(super) enum Heard {
+    /// An accepted observation, with its number in the journal.
+    Entry(Entry, u64),
+    /// One that was refused for good.
+    PassedOver { source: u64, epoch: u64, sequence: u64 },
+}
+
+/// The scoring thread's side of the inbox: it has it, or has lent it to the relief thread.
+pub(super) struct Lending {
+    own: Option<Box<Inbox>>,
+    /// The relief thread has ended, and the inbox with it.
+    is_lost: bool,
+    to_relief: Sender<Box<Inbox>>,
+    from_relief: Receiver<Box<Inbox>>,
+    /// What the relief thread received.
+    queue: Receiver<Heard>,
+    /// The relief thread is to keep the inbox.
+    busy: Arc<AtomicBool>,
+}
+
+impl Lending {
+    /// With the inbox, and the relief thread's side of it.
+    pub(super) fn new(inbox: Inbox, progress: Progress, stop: Stop) -> (Self, Relief) {
+        // There is one inbox: sending it never waits.
+        let ((to_relief, from_scoring), (to_scoring, from_relief)) = (bounded(1), bounded(1));
+        let (queue_in, queue) = bounded(QUEUE);
+        let busy = Arc::new(AtomicBool::new(false));
+        let relief = Relief { from_scoring, to_scoring, queue: queue_in, busy: Arc::clone(&busy), progress, stop };
+        (Self { own: Some(Box::new(inbox)), is_lost: false, to_relief, from_relief, queue, busy }, relief)
+    }
+
+    /// Gives the inbox to the relief thread until [`Lending::call_back`], if it does not have it already.
+    pub(super) fn lend(&mut self) {
+        self.busy.store(true, Ordering::Release);
+        if let Some(inbox) = self.own.take() {
+            // It fails only when the relief thread is gone, and the main thread sees that too.
+            let _handed = self.to_relief.send(inbox);
+        }
+    }
+
+    /// Lets the relief thread return the inbox.
+    pub(super) fn call_back(&self) {
+        self.busy.store(false, Ordering::Release);
+    }
+
+    /// Whether the inbox is at hand.
+    pub(super) fn is_here(&self) -> bool {
+        self.own.is_some()
+    }
+
+    /// Whether it will never come back.
+    pub(super) fn is_lost(&self) -> bool {
+        self.is_lost
+    }
+
+    /// Observations that the relief thread received.
+    pub(super) fn waiting(&self) -> usize {
+        self.queue.len()
+    }
+
+    /// Whether more was received, or lies in the port, than was taken.
+    pub(super) fn has_more(&self) -> bool {
+        !self.queue.is_empty() || self.own.as_ref().is_some_and(|inbox| inbox.more)
+    }
+
+    /// Sleeps until there is narration or `patience` has passed, and gives all that was received to `take`, which says how much waits
+    /// for the scorer.
+    pub(super) fn listen(&mut self, patience: Duration, mut take: impl FnMut(Option<Heard>) -> usize) {
+        if self.own.is_none() {
+            select! {
+                recv(self.from_relief) -> inbox => {
+                    self.is_lost = inbox.is_err();
+                    self.own = inbox.ok();
+                }
+                recv(self.queue) -> received => if let Ok(heard) = received { take(Some(heard)); },
+                default(patience) => {}
+            }
+        }
+        // First what the relief thread received, while it had the inbox.
+        for heard in self.queue.try_iter() {
+            take(Some(heard));
+        }
+        let patience = if take(None) > 0 { Duration::ZERO } else { patience };
+        if let Some(inbox) = &mut self.own {
+            inbox.listen(patience, |heard| _ = take(Some(heard)));
+        }
+    }
+}
+
+/// Listens while the scoring thread is busy.
+pub(super) struct Relief {
+    from_scoring: Receiver<Box<Inbox>>,
+    to_scoring: Sender<Box<Inbox>>,
+    queue: Sender<Heard>,
+    busy: Arc<AtomicBool>,
+    progress: Progress,
+    stop: Stop,
+}
+
+impl Relief {
+    pub(super) fn run(self) {
+        let moved = |now_ns| self.progress.relief_ns.store(now_ns, Ordering::Relaxed);
+        loop {
+            // Without the inbox it has nothing to do, and so cannot stand still. It ends with the scoring thread.
+            moved(u64::MAX);
+            let Ok(mut inbox) = self.from_scoring.recv() else { return };
+            loop {
+                moved(clock::monotonic_ns());
+                // It fails only when the scoring thread is gone, and the main thread sees that too.
+                inbox.listen(RELIEF, |heard| drop(self.queue.send(heard)));
+                if !self.busy.load(Ordering::Acquire) || self.stop.requested() {
+                    break;
+                }
+            }
+            // It fails only when the scoring thread is gone, and the main thread sees that too.
+            let _given = self.to_scoring.send(inbox);
+        }
+    }
+}

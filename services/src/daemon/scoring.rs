@@ -1,0 +1,434 @@
+//! The scoring thread: takes narration in, scores, sends, and answers questions.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, PoisonError};
+use std::time::Duration;
+
+use hdrhistogram::Histogram;
+use roomcast_ipc::{
+    AnswerPort, ForecastV1, IpcError, ItemScoresPublisher, Node, PersonForecastsV1, PersonScoresV1, Publisher,
+    RoomScoresV1, StatusResponseV1, StatusServer, clock, question, score_flags,
+};
+use sd_notify::NotifyState;
+
+use super::answers::{answer_about_person, answer_change, write_habits};
+use super::asked::{Answered, Question};
+use super::cycle::Cycle;
+use super::habits_file::Keeper;
+use super::habits_question::{self, After, HabitsAnswer, HabitsQuestion, Importing};
+use super::inbox::{Counters, Heard, Lending};
+use super::journal::JournalHandle;
+use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
+use super::person_question::{PersonAnswer, PersonQuestion};
+use super::{LOG_INTERVAL_NS, Progress};
+use crate::logging::Limiter;
+use crate::notify::notify;
+use crate::stop::Stop;
+use roomcast_core::scorer::LanguageModel;
+
+/// How often connections are renewed at least. Whoever joins or asks by this contract's crate wakes the daemon by itself.
+const TICK: Duration = Duration::from_millis(250);
+/// While a step that takes less runs, the port holds what comes: waking another thread would take longer than most of it.
+const SHORT_STEP_NS: u64 = 200_000;
+/// Scores wait at most this long for the journal; after that they are sent without claiming what it does not hold yet.
+const JOURNAL_PATIENCE: Duration = Duration::from_millis(5);
+
+/// What the daemon sends and answers through.
+pub(super) struct Ports {
+    scores: Publisher<RoomScoresV1>,
+    items: ItemScoresPublisher,
+    forecasts: Publisher<ForecastV1>,
+    persons: Publisher<PersonScoresV1>,
+    person_forecasts: Publisher<PersonForecastsV1>,
+    status: StatusServer,
+    map_changes: AnswerPort,
+    moments: AnswerPort,
+    person_questions: AnswerPort,
+    habits_questions: AnswerPort,
+}
+
+impl Ports {
+    /// Opens all of them, the one that only one daemon can hold first.
+    pub(super) fn open(node: &Node) -> Result<Self, IpcError> {
+        Ok(Self {
+            scores: node.publisher()?,
+            items: node.item_scores_publisher()?,
+            forecasts: node.publisher()?,
+            persons: node.publisher()?,
+            person_forecasts: node.publisher()?,
+            status: node.status_server()?,
+            map_changes: node.answer_port(question::MAP_CHANGE)?,
+            moments: node.answer_port(question::MOMENT)?,
+            person_questions: node.answer_port(question::PERSON)?,
+            habits_questions: node.answer_port(question::HABITS)?,
+        })
+    }
+}
+
+pub(super) struct Scoring<M> {
+    cycle: Cycle<M>,
+    ready: bool,
+    ports: Ports,
+    answered: Answered<MapAnswer>,
+    answered_persons: Answered<PersonAnswer>,
+    answered_habits: Answered<HabitsAnswer>,
+    importing: Importing,
+    kept_map: Option<KeptMap>,
+    /// Writes what was learned; none without a state directory.
+    keeper: Option<Keeper>,
+    save_ns: u64,
+    saved_ns: u64,
+    inbox: Lending,
+    /// What the last step took, as a guess at the next.
+    step_ns: u64,
+    /// What a sentence may cost with the map in use, for the intake.
+    sentence_tokens_max: Arc<AtomicUsize>,
+    journal: Option<JournalHandle>,
+    counters: Counters,
+    progress: Progress,
+    latency_ns: Option<Histogram<u64>>,
+    tally: StatusResponseV1,
+    log: Limiter,
+    stop: Stop,
+}
+
+/// What the scoring thread works with beside its ports and the board.
+pub(super) struct Tools {
+    pub(super) kept_map: Option<KeptMap>,
+    pub(super) keeper: Option<Keeper>,
+    pub(super) save_ns: u64,
+    pub(super) sentence_tokens_max: Arc<AtomicUsize>,
+    pub(super) journal: Option<JournalHandle>,
+    pub(super) counters: Counters,
+    pub(super) progress: Progress,
+    pub(super) stop: Stop,
+}
+
+impl<M: LanguageModel> Scoring<M> {
+    /// `tally` is what the status answer says from the start.
+    pub(super) fn new(cycle: Cycle<M>, ports: Ports, inbox: Lending, tools: Tools, tally: StatusResponseV1) -> Self {
+        let Tools { kept_map, keeper, save_ns, sentence_tokens_max, journal, counters, progress, stop } = tools;
+        Self {
+            cycle,
+            ready: false,
+            ports,
+            answered: Answered::default(),
+            answered_persons: Answered::default(),
+            answered_habits: Answered::default(),
+            importing: Importing::default(),
+            kept_map,
+            keeper,
+            save_ns,
+            saved_ns: clock::monotonic_ns(),
+            inbox,
+            step_ns: u64::MAX,
+            sentence_tokens_max,
+            journal,
+            counters,
+            progress,
+            latency_ns: Histogram::new_with_max(60_000_000_000, 3).ok(),
+            tally,
+            log: Limiter::new(LOG_INTERVAL_NS),
+            stop,
+        }
+    }
+
+    pub(super) fn run(&mut self) -> Result<(), IpcError> {
+        loop {
+            let last = self.inbox.is_lost() || (self.stop.requested() && self.inbox.is_here());
+            // A changed map is scored at once.
+            let wait = !last && !self.cycle.step_due(clock::monotonic_ns());
+            let idle = || Duration::from_nanos(self.cycle.idle_ns(clock::monotonic_ns())).min(TICK);
+            self.take(if wait { idle() } else { Duration::ZERO });
+            let now_ns = clock::monotonic_ns();
+            self.progress.scoring_ns.store(now_ns, Ordering::Relaxed);
+            let events = self.cycle.waiting() as u64;
+            if self.cycle.step_due(now_ns) {
+                if !last && self.step_ns >= SHORT_STEP_NS {
+                    self.inbox.lend();
+                }
+                self.step(now_ns);
+                self.step_ns = clock::monotonic_ns().saturating_sub(now_ns);
+            }
+            self.send(events)?;
+            if last {
+                self.finish_habits();
+                return Ok(());
+            }
+            // What comes after may wait for the scores: looking for questions alone takes as long as a small step.
+            self.renew_connections()?;
+            if self.change_map()? || self.answer_about_persons()? {
+                self.cycle.score_again();
+            }
+            self.answer_about_habits()?;
+            self.ports.status.answer(|| self.tally())?;
+            // Whoever asks meanwhile waits for the first scores of a changed map.
+            if self.cycle.board().is_scored() {
+                let board = self.cycle.board_mut();
+                let mut moment = || serde_json::to_string(&board.moment(clock::monotonic_ns())).unwrap_or_default();
+                self.ports.moments.answer(|_| moment())?;
+            }
+            if self.inbox.waiting() == 0 {
+                self.cycle.tidy();
+                self.look_after_habits(now_ns);
+            }
+            self.inbox.call_back();
+        }
+    }
+
+    /// Sleeps until there is narration or `patience` has passed, and takes in all that was received.
+    fn take(&mut self, patience: Duration) {
+        let cycle = &mut self.cycle;
+        self.inbox.listen(patience, |heard| {
+            match heard {
+                Some(Heard::Entry(entry, number)) => cycle.enter(entry, number),
+                Some(Heard::PassedOver { source, epoch, sequence }) => cycle.pass_over(source, epoch, sequence),
+                None => {}
+            }
+            cycle.waiting()
+        });
+    }
+
+    /// Hands the newest messages to whoever has joined since.
+    fn renew_connections(&mut self) -> Result<(), IpcError> {
+        self.ports.scores.tick()?;
+        if self.ports.items.tick()? && self.cycle.board().snapshot().sequence > 0 {
+            self.send_items()?;
+        }
+        if self.ports.forecasts.tick()? && self.cycle.board().snapshot().sequence > 0 {
+            self.ports.forecasts.send(self.cycle.board_mut().forecast(clock::monotonic_ns()))?;
+        }
+        if self.ports.persons.tick()? && self.cycle.board().snapshot().sequence > 0 {
+            self.ports.persons.send(self.cycle.board_mut().person_scores(clock::monotonic_ns()))?;
+        }
+        if self.ports.person_forecasts.tick()? && self.cycle.board().snapshot().sequence > 0 {
+            self.ports.person_forecasts.send(self.cycle.board_mut().person_forecasts(clock::monotonic_ns()))?;
+        }
+        Ok(())
+    }
+
+    fn send_items(&self) -> Result<(), IpcError> {
+        let Some((header, items)) = self.cycle.board().items() else { return Ok(()) };
+        self.ports.items.send(header, items)
+    }
+
+    fn step(&mut self, now_ns: u64) {
+        self.tally.steps += 1;
+        self.tally.merged += (self.cycle.waiting() as u64).saturating_sub(1);
+        if let Err(error) = self.cycle.step(now_ns, clock::unix_ns()) {
+            self.tally.failed_steps += 1;
+            if let Some(held_back) = self.log.pass(now_ns) {
+                tracing::error!(%error, held_back, "scoring failed; the narration is kept and scored with the next step");
+            }
+            return;
+        }
+        let (journal, mut attributed) = (&self.journal, 0);
+        self.cycle.board_mut().tell_outcomes(|outcome| {
+            let number = journal.as_ref().map_or(0, |journal| journal.append(outcome));
+            attributed = if outcome.by_fit { number } else { attributed };
+        });
+        self.cycle.rests_on(attributed);
+        if let Some(journal) = &self.journal
+            && !journal.wait_for(self.cycle.scored_record(), JOURNAL_PATIENCE)
+            && let Some(held_back) = self.log.pass(now_ns)
+        {
+            tracing::warn!(
+                held_back,
+                "the journal is slower than the scorer; narration is confirmed when it is written"
+            );
+        }
+    }
+
+    /// Sends what is to be sent now; `events` narrations came since the last time.
+    fn send(&mut self, events: u64) -> Result<(), IpcError> {
+        let before_ns = clock::monotonic_ns();
+        let written = self.journal.as_ref().map_or(u64::MAX, JournalHandle::written);
+        if !self.cycle.message_due(before_ns, written) {
+            return Ok(());
+        }
+        let behind = self.inbox.has_more();
+        let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
+        self.ports.scores.send(message)?;
+        let (is_heartbeat, after_ns) = (message.has(score_flags::HEARTBEAT), clock::monotonic_ns());
+        // Behind the scores, which wait for nothing; a planner waits for the forecast that belongs to them. Time alone changes where a
+        // person may be, so a heartbeat has a new one too. All are sent, whoever listens: who joins later is given the last one, which is
+        // no older than the scores, and names nobody who is forgotten.
+        self.send_about_persons(before_ns)?;
+        if is_heartbeat {
+            self.tally.heartbeats += 1;
+            return Ok(());
+        }
+        self.tally.published += 1;
+        // Also what a step before took in that failed: its wait was the longest.
+        if let Some(received_ns) = self.cycle.newly_received_ns()
+            && let Some(latency_ns) = &mut self.latency_ns
+        {
+            latency_ns.saturating_record(after_ns.saturating_sub(received_ns));
+        }
+        let message = self.cycle.board().snapshot();
+        self.tally.sequence = message.sequence;
+        if self.ports.items.wanted() {
+            self.send_items()?;
+        }
+        // Every event has one of these: metrics and the status answer tell the same in sum.
+        tracing::debug!(
+            sequence = message.sequence,
+            events,
+            wait_us = message.wait_ns / 1000,
+            tokenise_us = message.tokenise_ns / 1000,
+            prefix_us = message.prefix_ns / 1000,
+            trie_us = message.trie_ns / 1000,
+            ground_us = message.ground_ns / 1000,
+            publish_us = (after_ns - before_ns) / 1000,
+            label_mass = message.label_mass,
+            "step"
+        );
+        if !self.ready {
+            self.ready = true;
+            let board = self.cycle.board();
+            let (model, map) = (board.pipeline().model().name.as_str(), board.map().name());
+            let (labels, rooms) = (board.pipeline().prepared().labels().len(), message.rooms().len());
+            tracing::info!(model, map, labels, rooms, "ready: the first scores are out");
+            notify(&[NotifyState::Ready]);
+        }
+        Ok(())
+    }
+
+    /// Sends the forecast, the persons' scores and their forecasts.
+    fn send_about_persons(&mut self, now_ns: u64) -> Result<(), IpcError> {
+        self.ports.forecasts.send(self.cycle.board_mut().forecast(now_ns))?;
+        self.ports.persons.send(self.cycle.board_mut().person_scores(now_ns))?;
+        self.ports.person_forecasts.send(self.cycle.board_mut().person_forecasts(now_ns))
+    }
+
+    /// Does what was asked of the map; returns whether it changed.
+    fn change_map(&mut self) -> Result<bool, IpcError> {
+        let Self { cycle, answered, kept_map, ports, tally, inbox, sentence_tokens_max, .. } = self;
+        let board = cycle.board_mut();
+        let mut changed = false;
+        ports.map_changes.answer(|asked| {
+            answered.answer::<MapQuestion>(asked, |asked| {
+                inbox.lend();
+                let answer = answer_change(board, kept_map.as_ref(), asked);
+                if answer.outcome == Outcome::Applied {
+                    changed = true;
+                    tally.map_fingerprint = board.map().fingerprint();
+                    sentence_tokens_max.store(board.sentence_tokens_max(), Ordering::Relaxed);
+                }
+                let MapAnswer { outcome, reason, items, new_labels, .. } = &answer;
+                let reason = reason.as_deref().map(for_the_log);
+                tracing::info!(?outcome, reason, items, new_labels, "map change");
+                answer
+            })
+        })?;
+        Ok(changed)
+    }
+
+    /// Answers questions about persons; returns whether somebody was forgotten or has another name.
+    fn answer_about_persons(&mut self) -> Result<bool, IpcError> {
+        let Self { cycle, answered_persons, ports, journal, keeper, inbox, .. } = self;
+        let board = cycle.board_mut();
+        let mut changed = false;
+        ports.person_questions.answer(|asked| {
+            answered_persons.answer::<PersonQuestion>(asked, |asked| {
+                let changes = asked.as_ref().is_ok_and(|asked| asked.id().is_some());
+                if changes {
+                    inbox.lend();
+                }
+                let answer = answer_about_person(board, (journal.as_ref(), keeper.as_ref()), asked);
+                if changes {
+                    changed |= answer.done;
+                    let reason = answer.reason.as_deref().map(for_the_log);
+                    tracing::info!(done = answer.done, reason, kept = answer.kept, "person");
+                }
+                answer
+            })
+        })?;
+        Ok(changed)
+    }
+
+    /// Answers questions about habits.
+    fn answer_about_habits(&mut self) -> Result<(), IpcError> {
+        let Self { cycle, answered_habits, importing, ports, keeper, inbox, .. } = self;
+        let board = cycle.board_mut();
+        ports.habits_questions.answer(|asked| {
+            answered_habits.answer::<HabitsQuestion>(asked, |asked| {
+                inbox.lend();
+                let (mut answer, after) = habits_question::answer(board, importing, asked, clock::monotonic_ns());
+                answer.kept = keeper.is_some();
+                if after == After::Forget {
+                    if let Err(error) = write_habits(board, keeper.as_ref()) {
+                        answer.reason = Some(format!(
+                            "it holds until the daemon starts again: the habits file cannot be written: {error}"
+                        ));
+                        answer.kept = false;
+                    }
+                    let reason = answer.reason.as_deref().map(for_the_log);
+                    tracing::info!(reason, kept = answer.kept, "habits were forgotten or replaced");
+                }
+                answer
+            })
+        })?;
+        Ok(())
+    }
+
+    /// Lets habits count time, and has them written now and then.
+    fn look_after_habits(&mut self, now_ns: u64) {
+        let board = self.cycle.board_mut();
+        board.tick(now_ns, clock::unix_ns());
+        let is_due = now_ns.saturating_sub(self.saved_ns) >= self.save_ns;
+        let Some(keeper) = self.keeper.as_ref().filter(|_| is_due) else { return };
+        self.saved_ns = now_ns;
+        if let Some(memory) = board.habits_mut().memory_if_changed()
+            && !keeper.write(memory)
+        {
+            board.habits_mut().keep_changed();
+        }
+    }
+
+    /// Writes what was learned, before the end.
+    fn finish_habits(&mut self) {
+        // What was observed last, too.
+        self.cycle.tidy();
+        let memory = self.cycle.board_mut().habits_mut().memory_if_changed();
+        if let Some(keeper) = &mut self.keeper {
+            keeper.finish(memory);
+        }
+    }
+
+    fn tally(&self) -> StatusResponseV1 {
+        let (counters, sources) = *self.counters.lock().unwrap_or_else(PoisonError::into_inner);
+        let quantile = |q| self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.value_at_quantile(q));
+        let habits = self.cycle.board().habits().learned();
+        StatusResponseV1 {
+            learned: habits.observations as u64,
+            habits_bytes: habits.bytes as u64,
+            habits_counts: habits.counts as u64,
+            habits_names: habits.names as u32,
+            habits_persons: habits.persons as u32,
+            answered_ns: clock::monotonic_ns(),
+            received: counters.received,
+            accepted: counters.accepted,
+            duplicates: counters.duplicates,
+            missed: counters.missed,
+            malformed: counters.malformed,
+            limited: counters.limited,
+            forged: counters.forged,
+            costly: counters.costly,
+            sources: sources as u32,
+            persons: self.cycle.board().snapshot().persons,
+            waiting: self.inbox.waiting() as u64,
+            latency_p50_ns: quantile(0.5),
+            latency_p99_ns: quantile(0.99),
+            latency_max_ns: self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.max()),
+            journal_bytes: self.journal.as_ref().map_or(0, JournalHandle::bytes),
+            journal_failures: self.journal.as_ref().map_or(0, JournalHandle::failures),
+            ..self.tally
+        }
+    }
+}
+
+/// A reason as a line of the log has room for: it may quote a question, which may be long.
+fn for_the_log(reason: &str) -> String {
+    reason.chars().take(200).collect()
+}

@@ -1,0 +1,19 @@
+//! Messages from a port, one after the other; what is malformed is logged.
+
+use roomcast_ipc::{IpcError, Message, Subscriber, clock};
+
+use crate::logging::Limiter;
+
+/// Takes the next good message that waits, if any; malformed ones are left out, and logged as often as `log` lets through.
+///
+/// # Errors
+/// [`IpcError::Port`] when the port fails.
+pub fn receive<M: Message>(port: &Subscriber<M>, message: &mut M, log: &mut Limiter) -> Result<bool, IpcError> {
+    while let Some(checked) = port.receive_into(message)? {
+        let Err(error) = checked else { return Ok(true) };
+        if let Some(held_back) = log.pass(clock::monotonic_ns()) {
+            tracing::warn!(%error, held_back, service = M::SERVICE.name, "malformed message");
+        }
+    }
+    Ok(false)
+}
