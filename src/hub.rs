@@ -184,6 +184,27 @@ fn is_private(address: &Uri) -> bool {
     }
 }
 
+/// The address of a file, and the checksum that was asked for; refuses names that could lead anywhere else.
+fn asked(endpoint: &str, request: &Request<'_>) -> Result<(Uri, Option<String>), HubError> {
+    let &Request { repository, file, sha256 } = request;
+    let name = |given: &str, expected| HubError::Name { given: given.into(), expected };
+    if !repository.split_once('/').is_some_and(|(owner, name)| is_name(owner) && is_name(name)) {
+        return Err(name(repository, "repository (owner/name)"));
+    }
+    let plain = Path::new(file).components().all(|part| matches!(part, Component::Normal(_)));
+    if !plain || !file.split('/').all(is_name) {
+        return Err(name(file, "file in a repository"));
+    }
+    let pinned = match sha256 {
+        Some(text) => Some(checksum(text).ok_or_else(|| name(text, "SHA-256 (64 hexadecimal digits)"))?),
+        None => None,
+    };
+    let url = format!("{endpoint}/{repository}/resolve/main/{file}").parse::<Uri>();
+    let url = url.ok().filter(is_private);
+    let url = url.ok_or_else(|| name(endpoint, "address of a hub (https://...; http only on this machine)"))?;
+    Ok((url, pinned))
+}
+
 /// What the answer to the one request says about the file, and the bytes themselves.
 struct Answer {
     /// The SHA-256 that the endpoint states.
@@ -197,53 +218,21 @@ struct Answer {
     body: Box<dyn Read>,
 }
 
-impl Hub {
-    /// Downloads a file, or continues an interrupted download, and checks what arrived. Draws on `progress`, which may be hidden.
-    ///
-    /// # Errors
-    ///
-    /// [`HubError`]; what an interrupted download left is continued by the next call.
-    pub fn pull(&self, request: &Request<'_>, progress: &indicatif::ProgressBar) -> Result<Pulled, HubError> {
-        let &Request { repository, file, sha256 } = request;
-        let name = |given: &str, expected| HubError::Name { given: given.into(), expected };
-        if !repository.split_once('/').is_some_and(|(owner, name)| is_name(owner) && is_name(name)) {
-            return Err(name(repository, "repository (owner/name)"));
-        }
-        let plain = Path::new(file).components().all(|part| matches!(part, Component::Normal(_)));
-        if !plain || !file.split('/').all(is_name) {
-            return Err(name(file, "file in a repository"));
-        }
-        let pinned = match sha256 {
-            Some(text) => Some(checksum(text).ok_or_else(|| name(text, "SHA-256 (64 hexadecimal digits)"))?),
-            None => None,
-        };
-        let endpoint = self.endpoint.as_deref().unwrap_or(ENDPOINT_DEFAULT).trim_end_matches('/');
-        let url = format!("{endpoint}/{repository}/resolve/main/{file}").parse::<Uri>();
-        let url = url.ok().filter(is_private);
-        let url = url.ok_or_else(|| name(endpoint, "address of a hub (https://...; http only on this machine)"))?;
+/// Bytes that are read at once.
+const BUFFER: usize = 1 << 16;
 
-        let cache = self.cache.clone().or_else(cache_default);
-        let cache = cache.ok_or_else(|| HubError::Cache {
-            path: PathBuf::from("~/.cache"),
-            error: std::io::Error::new(std::io::ErrorKind::NotFound, "there is no home folder"),
-        })?;
-        let path = cache.join(repository).join(file);
-        let folder = path.parent().unwrap_or(&cache);
-        private_folder(folder)?;
+/// What is kept of a file until all of it is here, by a name that is ours alone; one process at a time has it.
+struct Partial {
+    path: PathBuf,
+    content: File,
+    /// Of the bytes that are kept.
+    hasher: Sha256,
+    kept: u64,
+}
 
-        if let Some(wanted) = &pinned
-            && file_sha256(&path).is_ok_and(|found| hex::encode(found) == *wanted)
-        {
-            let header = Header::read_language_model(&path)?;
-            return Ok(Pulled { path, sha256: wanted.clone(), pinned: true, header });
-        }
-
-        let failed = |path: &Path| {
-            let path = path.to_owned();
-            move |error| HubError::Cache { path, error }
-        };
-        // The name is ours alone: what the server says decides neither the name nor the folder.
-        let part = folder.join(format!(".{}.part", hex::encode(Sha256::digest(format!("{url}\n{sha256:?}")))));
+impl Partial {
+    /// Takes up what an interrupted download left, or begins.
+    fn open(path: PathBuf) -> Result<Self, HubError> {
         let mut content = OpenOptions::new()
             .read(true)
             .write(true)
@@ -251,71 +240,52 @@ impl Hub {
             .truncate(false)
             .mode(0o600)
             .custom_flags(rustix::fs::OFlags::NOFOLLOW.bits().cast_signed())
-            .open(&part)
-            .map_err(failed(&part))?;
+            .open(&path)
+            .map_err(failed(&path))?;
         match content.try_lock() {
             Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Err(HubError::Locked(part)),
-            Err(TryLockError::Error(error)) => return Err(HubError::Cache { path: part, error }),
+            Err(TryLockError::WouldBlock) => return Err(HubError::Locked(path)),
+            Err(TryLockError::Error(error)) => return Err(HubError::Cache { path, error }),
         }
         // Whoever had the lock may have given the file its final name meanwhile.
         let same = |there: std::fs::Metadata| {
             content.metadata().is_ok_and(|ours| (ours.dev(), ours.ino()) == (there.dev(), there.ino()))
         };
-        if !part.symlink_metadata().is_ok_and(same) {
-            return Err(HubError::Locked(part));
+        if !path.symlink_metadata().is_ok_and(same) {
+            return Err(HubError::Locked(path));
         }
-        let mut hasher = Sha256::new();
-        let mut buffer = vec![0; 1 << 16];
-        let mut kept = 0;
+        let (mut hasher, mut kept, mut buffer) = (Sha256::new(), 0, vec![0; BUFFER]);
         loop {
-            let length = content.read(&mut buffer).map_err(failed(&part))?;
+            let length = content.read(&mut buffer).map_err(failed(&path))?;
             if length == 0 {
-                break;
+                return Ok(Self { path, content, hasher, kept });
             }
             hasher.update(&buffer[..length]);
             kept += length as u64;
         }
+    }
 
-        let answer = self.ask(endpoint, &url, kept, request)?;
-        if answer.nothing_more {
-            // What is kept is at least as long as the file: it is all of it, or it cannot be continued.
-            let whole = hex::encode(hasher.clone().finalize());
-            if pinned.as_ref().or(answer.stated.as_ref()) != Some(&whole) {
-                std::fs::remove_file(&part).map_err(failed(&part))?;
-                return Err(refused(endpoint, StatusCode::RANGE_NOT_SATISFIABLE, request));
-            }
-        }
-        let wanted = match (&pinned, &answer.stated) {
-            (Some(pinned), Some(stated)) if pinned != stated => {
-                let remedy = "the hub has another file by this name";
-                std::fs::remove_file(&part).map_err(failed(&part))?;
-                return Err(HubError::Checksum {
-                    file: file.into(),
-                    found: stated.clone(),
-                    wanted: pinned.clone(),
-                    remedy,
-                });
-            }
-            (Some(sum), _) | (None, Some(sum)) => sum.clone(),
-            (None, None) => return Err(HubError::NoChecksum { endpoint: endpoint.into(), file: file.into() }),
-        };
-        if file_sha256(&path).is_ok_and(|found| hex::encode(found) == wanted) {
-            // It is here already; what was begun of it is of no use.
-            let header = Header::read_language_model(&path)?;
-            std::fs::remove_file(&part).map_err(failed(&part))?;
-            return Ok(Pulled { path, sha256: wanted, pinned: pinned.is_some(), header });
-        }
+    fn remove(&self) -> Result<(), HubError> {
+        std::fs::remove_file(&self.path).map_err(failed(&self.path))
+    }
+
+    /// The checksum of what is kept, in hexadecimal.
+    fn sha256(&self) -> String {
+        hex::encode(self.hasher.clone().finalize())
+    }
+
+    /// Takes the answer's bytes in, from where it has them.
+    fn take_in(&mut self, answer: Answer, endpoint: &str, progress: &indicatif::ProgressBar) -> Result<(), HubError> {
         if answer.from == 0 {
-            hasher = Sha256::new();
-            content.set_len(0).map_err(failed(&part))?;
+            self.hasher = Sha256::new();
+            self.content.set_len(0).map_err(failed(&self.path))?;
         }
-        content.seek(SeekFrom::Start(answer.from)).map_err(failed(&part))?;
+        self.content.seek(SeekFrom::Start(answer.from)).map_err(failed(&self.path))?;
         progress.set_length(answer.size_bytes);
         progress.set_position(answer.from);
         let missing = answer.size_bytes - answer.from;
         let mut body = answer.body.take(missing);
-        let mut arrived = 0;
+        let (mut arrived, mut buffer) = (0, vec![0; BUFFER]);
         loop {
             let lost =
                 |error: std::io::Error| HubError::Unreachable { endpoint: endpoint.into(), reason: error.to_string() };
@@ -323,8 +293,8 @@ impl Hub {
             if length == 0 {
                 break;
             }
-            content.write_all(&buffer[..length]).map_err(failed(&part))?;
-            hasher.update(&buffer[..length]);
+            self.content.write_all(&buffer[..length]).map_err(failed(&self.path))?;
+            self.hasher.update(&buffer[..length]);
             arrived += length as u64;
             progress.inc(length as u64);
         }
@@ -337,25 +307,88 @@ impl Hub {
             return Err(HubError::Unreachable { endpoint: endpoint.into(), reason });
         }
         progress.finish_and_clear();
+        Ok(())
+    }
 
-        let found = hex::encode(hasher.finalize());
+    /// Gives it its own name, for good. A rename replaces a link instead of following it.
+    fn settle(self, path: &Path, folder: &Path) -> Result<(), HubError> {
+        self.content.sync_all().map_err(failed(&self.path))?;
+        std::fs::rename(&self.path, path).map_err(failed(path))?;
+        File::open(folder).and_then(|folder| folder.sync_all()).map_err(failed(folder))
+    }
+}
+
+/// What went wrong in the cache, at a path.
+fn failed(path: &Path) -> impl Fn(std::io::Error) -> HubError + use<> {
+    let path = path.to_owned();
+    move |error| HubError::Cache { path: path.clone(), error }
+}
+
+impl Hub {
+    /// Downloads a file, or continues an interrupted download, and checks what arrived. Draws on `progress`, which may be hidden.
+    ///
+    /// # Errors
+    ///
+    /// [`HubError`]; what an interrupted download left is continued by the next call.
+    pub fn pull(&self, request: &Request<'_>, progress: &indicatif::ProgressBar) -> Result<Pulled, HubError> {
+        let &Request { repository, file, sha256 } = request;
+        let endpoint = self.endpoint.as_deref().unwrap_or(ENDPOINT_DEFAULT).trim_end_matches('/');
+        let (url, pinned) = asked(endpoint, request)?;
+        let cache = self.cache.clone().or_else(cache_default);
+        let cache = cache.ok_or_else(|| HubError::Cache {
+            path: PathBuf::from("~/.cache"),
+            error: std::io::Error::new(std::io::ErrorKind::NotFound, "there is no home folder"),
+        })?;
+        let path = cache.join(repository).join(file);
+        let folder = path.parent().unwrap_or(&cache);
+        private_folder(folder)?;
+        let is_here = |wanted: &str| file_sha256(&path).is_ok_and(|found| hex::encode(found) == wanted);
+        if let Some(wanted) = pinned.as_ref().filter(|wanted| is_here(wanted)) {
+            let header = Header::read_language_model(&path)?;
+            return Ok(Pulled { path, sha256: wanted.clone(), pinned: true, header });
+        }
+
+        // The name is ours alone: what the server says decides neither the name nor the folder.
+        let name = format!(".{}.part", hex::encode(Sha256::digest(format!("{url}\n{sha256:?}"))));
+        let mut part = Partial::open(folder.join(name))?;
+        let answer = self.ask(endpoint, &url, part.kept, request)?;
+        // What is kept is at least as long as the file: it is all of it, or it cannot be continued.
+        if answer.nothing_more && pinned.as_ref().or(answer.stated.as_ref()) != Some(&part.sha256()) {
+            part.remove()?;
+            return Err(refused(endpoint, StatusCode::RANGE_NOT_SATISFIABLE, request));
+        }
+        let unlike =
+            |found: String, wanted: String, remedy| HubError::Checksum { file: file.into(), found, wanted, remedy };
+        let wanted = match (&pinned, &answer.stated) {
+            (Some(pinned), Some(stated)) if pinned != stated => {
+                part.remove()?;
+                return Err(unlike(stated.clone(), pinned.clone(), "the hub has another file by this name"));
+            }
+            (Some(sum), _) | (None, Some(sum)) => sum.clone(),
+            (None, None) => return Err(HubError::NoChecksum { endpoint: endpoint.into(), file: file.into() }),
+        };
+        if is_here(&wanted) {
+            // What was begun of it is of no use.
+            let header = Header::read_language_model(&path)?;
+            part.remove()?;
+            return Ok(Pulled { path, sha256: wanted, pinned: pinned.is_some(), header });
+        }
+        part.take_in(answer, endpoint, progress)?;
+        let found = part.sha256();
         let checked = if found == wanted {
-            Header::read_language_model(&part).map_err(HubError::Model)
+            Header::read_language_model(&part.path).map_err(HubError::Model)
         } else {
             let remedy = "it arrived damaged or was exchanged on the way; nothing of it is kept, run the command again";
-            Err(HubError::Checksum { file: file.into(), found: found.clone(), wanted, remedy })
+            Err(unlike(found.clone(), wanted, remedy))
         };
         let header = match checked {
             Ok(header) => header,
             Err(error) => {
-                std::fs::remove_file(&part).map_err(failed(&part))?;
+                part.remove()?;
                 return Err(error);
             }
         };
-        content.sync_all().map_err(failed(&part))?;
-        // A rename replaces a link instead of following it.
-        std::fs::rename(&part, &path).map_err(failed(&path))?;
-        File::open(folder).and_then(|folder| folder.sync_all()).map_err(failed(folder))?;
+        part.settle(&path, folder)?;
         Ok(Pulled { path, sha256: found, pinned: pinned.is_some(), header })
     }
 
