@@ -387,8 +387,9 @@ impl World {
     fn look(&mut self) {
         let Some(observer) = &self.observer else { return };
         observer.scores.wait(Duration::from_millis(4)).unwrap();
-        let scores: Vec<_> = std::iter::from_fn(|| observer.scores.receive().unwrap()).collect();
+        // Decisions first: the scores that they rest on were sent before them, and are here then.
         let decisions: Vec<_> = std::iter::from_fn(|| observer.decisions.receive().unwrap()).collect();
+        let scores: Vec<_> = std::iter::from_fn(|| observer.scores.receive().unwrap()).collect();
         for scores in scores {
             self.look_at_scores(&scores.unwrap());
         }
