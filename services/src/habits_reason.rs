@@ -83,7 +83,7 @@ pub struct PersonHabits {
 impl PersonHabits {
     /// What a published forecast says of it, of everybody of whom anything was learned.
     #[must_use]
-    pub fn of_published(forecasts: &PersonForecastsV1) -> Vec<Self> {
+    pub(crate) fn of_published(forecasts: &PersonForecastsV1) -> Vec<Self> {
         let learned = forecasts.persons().iter().filter(|own| own.set_coverage > 0.0 || own.observations > 0.0);
         learned.map(|own| Self::of_person(forecasts, own)).collect()
     }

@@ -110,7 +110,7 @@ impl Limiter {
 
     /// One message per `interval_ns` over time, of which `burst` may come at once.
     #[must_use]
-    pub fn with_burst(interval_ns: u64, burst: u64) -> Self {
+    pub(crate) fn with_burst(interval_ns: u64, burst: u64) -> Self {
         Self { interval_ns, ahead_ns: interval_ns.saturating_mul(burst.saturating_sub(1)), next_ns: 0, held: 0 }
     }
 

@@ -20,7 +20,7 @@ impl TokenBucket {
     }
 
     /// Whether a token is there.
-    pub fn has_one(&mut self, now_ns: u64) -> bool {
+    pub(crate) fn has_one(&mut self, now_ns: u64) -> bool {
         let IntakeLimits { rate_per_s, burst } = self.limits;
         if rate_per_s <= 0.0 {
             return true;

@@ -600,7 +600,7 @@ impl Observation {
     /// Seconds from `earlier` to this observation by the clock that both have, the monotonic one first; none where there is none, 0 where
     /// they come in the other order. Where the monotonic clock goes back and the wall clock does not, the machine was started between them.
     #[must_use]
-    pub fn seconds_after(&self, earlier: &Self) -> Option<f64> {
+    pub(crate) fn seconds_after(&self, earlier: &Self) -> Option<f64> {
         let between = |from_ns: u64, to_ns: u64| (from_ns > 0 && to_ns > 0).then(|| to_ns.checked_sub(from_ns));
         let monotonic = between(earlier.observed_ns, self.observed_ns);
         let unix = between(earlier.observed_unix_ns, self.observed_unix_ns);

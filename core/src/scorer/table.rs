@@ -21,7 +21,7 @@ impl TableModel {
     /// Tokens that the next one depends on.
     pub const MEMORY: usize = 8;
     /// Bytes, and the start token.
-    pub const VOCABULARY: usize = 257;
+    pub(crate) const VOCABULARY: usize = 257;
     const START: Token = Token(256);
 
     /// A model over bytes; another seed gives other probabilities.

@@ -186,7 +186,7 @@ pub fn load_programs(folder: &Path) -> Result<(Vec<NamedProgram>, Vec<String>), 
 
 /// A title as manifests and groups of activities have it.
 #[must_use]
-pub fn plain_title(title: &str) -> String {
+pub(crate) fn plain_title(title: &str) -> String {
     title.split_whitespace().map(str::to_lowercase).collect::<Vec<_>>().join(" ")
 }
 

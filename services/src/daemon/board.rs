@@ -250,13 +250,13 @@ impl<M: LanguageModel> Board<M> {
     ///
     /// [`PersonsConfig::guard_s`]: crate::config::PersonsConfig::guard_s
     #[must_use]
-    pub fn with_named(self, named: impl IntoIterator<Item = u64>) -> Self {
+    pub(crate) fn with_named(self, named: impl IntoIterator<Item = u64>) -> Self {
         Self { named: named.into_iter().collect(), ..self }
     }
 
     /// The same with other assumptions about how long people stay.
     #[must_use]
-    pub fn with_forecast(self, options: ForecastOptions) -> Self {
+    pub(crate) fn with_forecast(self, options: ForecastOptions) -> Self {
         Self { options, ..self }
     }
 
@@ -519,7 +519,7 @@ impl<M: LanguageModel> Board<M> {
 
     /// How many tokens a sentence may cost with the map in use.
     #[must_use]
-    pub fn sentence_tokens_max(&self) -> usize {
+    pub(crate) fn sentence_tokens_max(&self) -> usize {
         self.pipeline.options().history.tokens
     }
 

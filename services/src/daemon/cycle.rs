@@ -135,7 +135,7 @@ impl<M: LanguageModel> Cycle<M> {
     /// Whether there is something to send: new scores, a heartbeat, or claims that had to wait for the journal. `written` is how far the
     /// journal is.
     #[must_use]
-    pub fn message_due(&self, now_ns: u64, written: u64) -> bool {
+    pub(crate) fn message_due(&self, now_ns: u64, written: u64) -> bool {
         let confirmation =
             now_ns.saturating_sub(self.sent_ns) >= self.heartbeat_ns || (self.held_back && self.durable(written));
         self.board.snapshot().sequence > 0 && (self.fresh || confirmation)
@@ -144,7 +144,7 @@ impl<M: LanguageModel> Cycle<M> {
     /// How long there is nothing to do unless something arrives: until the next heartbeat, or until a failed step is tried again. What waits
     /// for the journal is looked after every few milliseconds.
     #[must_use]
-    pub fn idle_ns(&self, now_ns: u64) -> u64 {
+    pub(crate) fn idle_ns(&self, now_ns: u64) -> u64 {
         const JOURNAL_NS: u64 = 50_000_000;
         // Without scores there is nothing to confirm.
         let heartbeat_ns = match self.board.snapshot().sequence {
@@ -183,7 +183,7 @@ impl<M: LanguageModel> Cycle<M> {
     }
 
     /// When the first narration was received that the newest scores contain and those before them did not; given once.
-    pub fn newly_received_ns(&mut self) -> Option<u64> {
+    pub(crate) fn newly_received_ns(&mut self) -> Option<u64> {
         self.received_ns.take()
     }
 

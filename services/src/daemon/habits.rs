@@ -547,7 +547,7 @@ impl HomeHabits {
 
     /// Whether anything is learned.
     #[must_use]
-    pub fn learns_now(&self) -> bool {
+    pub(crate) fn learns_now(&self) -> bool {
         self.learn
     }
 

@@ -89,7 +89,7 @@ impl HabitsFile {
     ///
     /// # Errors
     /// When the state directory cannot be written.
-    pub fn remove_aside(&self) -> io::Result<()> {
+    pub(crate) fn remove_aside(&self) -> io::Result<()> {
         match fs::remove_file(self.directory.join(ASIDE)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
             _ => Ok(()),

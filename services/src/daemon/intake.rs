@@ -170,7 +170,7 @@ impl Intake {
 
     /// Knows these narrators by name. Whoever is not among them then counts as one voice with all others.
     #[must_use]
-    pub fn with_narrators(mut self, narrators: &[KnownNarrator]) -> Self {
+    pub(crate) fn with_narrators(mut self, narrators: &[KnownNarrator]) -> Self {
         self.narrators = narrators.iter().map(|known| (source_of_name(&known.name), known.clone())).collect();
         self
     }
@@ -195,7 +195,7 @@ impl Intake {
     }
 
     /// Takes note of whose a start of a source is, by its number and epoch, where it is still remembered.
-    pub fn restore_port(&mut self, name: (u64, u64), port: Sender) {
+    pub(crate) fn restore_port(&mut self, name: (u64, u64), port: Sender) {
         if let Some(source) = self.sources.get_mut(&name).or_else(|| self.former.get_mut(&name)) {
             (source.port, source.bound) = (Some(port), true);
         }
@@ -215,7 +215,7 @@ impl Intake {
     /// Whether a port uses the name of a configured narrator for which another one speaks, or a start of a relayed one that another began, as
     /// far as is known. Then [`Intake::note_alive`] is to say whether that one is still there.
     #[must_use]
-    pub fn is_contested(&self, source: u64, epoch: u64, sender: Sender) -> bool {
+    pub(crate) fn is_contested(&self, source: u64, epoch: u64, sender: Sender) -> bool {
         let holder = self.holders.get(&source);
         let owner =
             self.followed((source, epoch)).and_then(|known| known.port.as_ref()).filter(|_| self.is_relayed(source));

@@ -101,7 +101,7 @@ impl PersonsFile {
 
     /// The person of a number.
     #[must_use]
-    pub fn of_number(&self, number: u32) -> Option<&KeptPerson> {
+    pub(crate) fn of_number(&self, number: u32) -> Option<&KeptPerson> {
         self.persons.iter().find(|kept| kept.number == number)
     }
 

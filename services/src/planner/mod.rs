@@ -165,7 +165,7 @@ impl Planner {
 
     /// With the map that reports' positions and names of rooms mean; the daemon's scores are of the partitions at `level`.
     #[must_use]
-    pub fn with_map(mut self, map: SemanticMap, level: PartitionLevel) -> Self {
+    pub(crate) fn with_map(mut self, map: SemanticMap, level: PartitionLevel) -> Self {
         self.places = Some(Places::new(map, level));
         self
     }
@@ -228,7 +228,7 @@ impl Planner {
 
     /// Whether the newest scores are of narration that the newest forecast does not know yet.
     #[must_use]
-    pub fn lacks_forecast(&self) -> bool {
+    pub(crate) fn lacks_forecast(&self) -> bool {
         let belongs = |scores: &RoomScoresV1, forecast: &ForecastV1| {
             forecast.epoch == scores.epoch && forecast.sequence >= scores.sequence
         };
@@ -238,7 +238,7 @@ impl Planner {
     }
 
     /// Takes each person's checked forecast: rooms of their sets are not entered, where the configuration says so.
-    pub fn take_sets(&mut self, forecasts: &PersonForecastsV1) {
+    pub(crate) fn take_sets(&mut self, forecasts: &PersonForecastsV1) {
         if self.avoid_sets {
             self.sets = Some(Box::new(*forecasts));
         }
@@ -251,7 +251,7 @@ impl Planner {
     }
 
     /// Takes note of what another robot is told, where rooms of others are not entered.
-    pub fn take_other(&mut self, decision: &DecisionV1, now_ns: u64) {
+    pub(crate) fn take_other(&mut self, decision: &DecisionV1, now_ns: u64) {
         if let Some(others) = &mut self.others {
             others.hear(decision, now_ns);
         }

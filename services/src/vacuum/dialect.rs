@@ -105,7 +105,7 @@ impl Dialect {
 
     /// Whether a message should have said something, and says nothing that is known. Home Assistant's words for what it does not know are no fault.
     #[must_use]
-    pub fn is_garbled(&self, topic: &str, payload: &[u8]) -> bool {
+    pub(crate) fn is_garbled(&self, topic: &str, payload: &[u8]) -> bool {
         let part = topic.strip_prefix(&self.topic).and_then(|part| part.strip_prefix('/'));
         let is_read = part.is_some_and(|part| self.parts().contains(&part));
         let is_unknown =

@@ -126,19 +126,19 @@ impl Driver {
     }
 
     /// Takes the ids of the map's rooms, in the order of scores.
-    pub fn know_rooms<'a>(&mut self, rooms: impl Iterator<Item = &'a str> + Clone) {
+    pub(crate) fn know_rooms<'a>(&mut self, rooms: impl Iterator<Item = &'a str> + Clone) {
         if !rooms.clone().eq(self.rooms.iter().map(String::as_str)) {
             self.rooms = rooms.map(str::to_owned).collect();
         }
     }
 
     /// Whether the robot has said anything.
-    pub fn is_heard(&self) -> bool {
+    pub(crate) fn is_heard(&self) -> bool {
         self.is_heard
     }
 
     /// Whether it is known what each room is to the robot.
-    pub fn knows_segments(&self) -> bool {
+    pub(crate) fn knows_segments(&self) -> bool {
         self.kind == RobotKind::HomeAssistant || !self.segments.is_empty()
     }
 

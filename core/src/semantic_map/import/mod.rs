@@ -18,7 +18,7 @@ mod virtualhome;
 
 pub use home_assistant::{Home, Registries, home_assistant};
 pub use open_vocabulary::{Up, combine, open_vocabulary};
-pub use valetudo::{MAX_PIXELS, MAX_ROOM_PIXELS, TOLERANCE_M, segment_names, valetudo};
+pub use valetudo::{MAX_PIXELS, MAX_ROOM_PIXELS, segment_names, valetudo};
 pub use virtualhome::virtualhome;
 
 /// A map and what the import has to say about it.

@@ -23,7 +23,7 @@ pub const MAX_PIXELS: usize = 4_000_000;
 /// Most pixels of the rectangles around all rooms: rooms of a home lie side by side, and hardly in one another's rectangle.
 pub const MAX_ROOM_PIXELS: usize = 4 * MAX_PIXELS;
 /// How far a room's outline may lie from its pixels, in metres.
-pub const TOLERANCE_M: f64 = 0.1;
+pub(crate) const TOLERANCE_M: f64 = 0.1;
 /// Most corners of all outlines before they are simplified.
 const MAX_STEPS: usize = 50_000;
 /// How often pixels that meet at a corner are looked for.

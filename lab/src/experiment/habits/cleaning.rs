@@ -13,7 +13,7 @@ use super::trace::Trace;
 use roomcast_core::policy::{CoverageAware, Policy, RobotState};
 
 /// Seconds of work in each room.
-pub const STAY_S: f64 = 300.0;
+pub(crate) const STAY_S: f64 = 300.0;
 /// Stays of a round for each room.
 const STAYS: usize = 2;
 /// How often days are drawn for an interval.
