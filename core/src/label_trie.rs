@@ -74,7 +74,7 @@ impl LabelTrie {
     /// The trie of the paths that tell labels apart: a label ends where it parts from all others, and one that begins another has the
     /// child `END`. Labels of equal tokens, which nothing tells apart, keep all of them.
     #[must_use]
-    pub(crate) fn distinct_prefixes<L: AsRef<[Token]>>(labels: &[L]) -> Self {
+    pub fn distinct_prefixes<L: AsRef<[Token]>>(labels: &[L]) -> Self {
         let whole = Self::new(labels);
         let ended: Vec<Vec<Token>> = (labels.iter().zip(&whole.label_end))
             .map(|(label, &end)| {

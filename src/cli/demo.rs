@@ -157,11 +157,11 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
     }
     // The narrator waits for what is observed: it is there before the person's time begins.
     let failed = |error: io::Error| Failure::new(exit_code::FAILURE, format!("cannot speak to the narrator: {error}"));
-    let (ear, mouth) = io::pipe().map_err(failed)?;
+    let (reading, writing) = io::pipe().map_err(failed)?;
     stage.start_with(
         "narrate",
         &["-".into(), "--name".into(), "person".into(), "--person".into(), "0".into()],
-        Stdio::from(ear),
+        Stdio::from(reading),
         Stdio::null(),
     )?;
     let (policy, seed) = (args.policy.to_string().into(), args.seed.to_string().into());
@@ -178,7 +178,7 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
         stage.check()?;
         show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))?;
     }
-    act(stage, show, mouth, stop)?;
+    act(stage, show, writing, stop)?;
     while !stop.requested() && !show.unheard && !stage.ended("narrate")? {
         show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))?;
     }
@@ -187,7 +187,7 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
 }
 
 /// Tells the narrator what the person does, when it is observed, to the end of the person's time.
-fn act(stage: &mut Stage, show: &mut Show<'_>, mut mouth: PipeWriter, stop: &Stop) -> CommandResult {
+fn act(stage: &mut Stage, show: &mut Show<'_>, mut input: PipeWriter, stop: &Stop) -> CommandResult {
     let timeline = show.timeline;
     let lines = timeline.done.iter().map(|done| (done.at_s, Some(done.sentence.as_str())));
     for (at_s, line) in lines.chain([(timeline.len() as f64, None)]) {
@@ -204,7 +204,7 @@ fn act(stage: &mut Stage, show: &mut Show<'_>, mut mouth: PipeWriter, stop: &Sto
             show.poll(wait).map_err(|error| Failure::new(exit_code::IPC, error))?;
         }
         if let Some(line) = line
-            && let Err(error) = writeln!(mouth, "{line}")
+            && let Err(error) = writeln!(input, "{line}")
         {
             // It has ended: what it said is the better word.
             stage.check()?;

@@ -15,7 +15,7 @@ pub const WEIGHT_DEFAULT_S: f64 = 42.0;
 pub const WEIGHT_DEFAULT_SLOTS: f64 = 0.4;
 
 /// Nor less than this share of the stay: a room that is empty with 70 % or more is done rather than left to the next round.
-pub(crate) const WEIGHT_DEFAULT_STAY: f64 = 0.3;
+pub const WEIGHT_DEFAULT_STAY: f64 = 0.3;
 
 /// A difference of less than this share of a slot counts as none: where the chance to meet the person rounds to 0 %, the robot
 /// works at no cost.
@@ -23,7 +23,7 @@ pub(crate) const FREE_SHARE: f64 = 0.005;
 
 /// A room in which somebody is during a slot with at most this probability counts as empty: no forecast of a home with people in it says 0 of
 /// any room, and time makes it less certain.
-pub(crate) const EMPTY_SHARE: f64 = 0.05;
+pub const EMPTY_SHARE: f64 = 0.05;
 
 /// What later slots are said to cost counts with this share against seconds of the stay in hand: a room that is dearer now is done first
 /// only where that saves later at least twice of what it costs more now.

@@ -15,7 +15,10 @@ mod informed_avoidance;
 mod naive;
 mod uncovered_first;
 
-pub use coverage_aware::{CoverageAware, DP_PARTITIONS_MAX, Plan, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS, plan};
+pub use coverage_aware::{
+    CoverageAware, DP_PARTITIONS_MAX, EMPTY_SHARE, Plan, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS, WEIGHT_DEFAULT_STAY,
+    plan,
+};
 pub use greedy_avoidance::GreedyAvoidance;
 pub use informed_avoidance::InformedAvoidance;
 pub use naive::Naive;

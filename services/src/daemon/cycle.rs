@@ -160,7 +160,7 @@ impl<M: LanguageModel> Cycle<M> {
         written >= self.scored_record
     }
 
-    /// The message that is to be sent now, if [one is due](Self::message_due).
+    /// The message that is to be sent now, if one is due.
     ///
     /// Scores that contain narration beyond `written` are sent all the same, but do not claim it: a claim is what lets a narrator forget,
     /// and must survive a killed daemon.

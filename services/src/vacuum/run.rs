@@ -59,8 +59,8 @@ pub enum Way<'a> {
     Show(&'a mut dyn FnMut(&str, &str) -> std::io::Result<()>),
 }
 
-/// What was said or not.
-struct Mouth<'a> {
+/// The robot at the broker, with what is told of it.
+struct RobotLink<'a> {
     dialect: Dialect,
     link: Link,
     reporter: Reporter,
@@ -70,7 +70,7 @@ struct Mouth<'a> {
     log_reports: Limiter,
 }
 
-impl Mouth<'_> {
+impl RobotLink<'_> {
     fn act(&mut self, acts: Vec<Act>) -> Result<(), DriveError> {
         acts.into_iter().try_for_each(|act| match act {
             Act::Order(order) => self.order(&order),
@@ -122,7 +122,7 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
     let reporter = Reporter::new(robot, sequence::random_epoch())?;
     let reports = node.publisher()?;
     let mut driver = Driver::new(&config.robot, number);
-    let mut mouth = Mouth {
+    let mut robot = RobotLink {
         dialect,
         link,
         reporter,
@@ -141,11 +141,11 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
             driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::RoomV1::id));
         }
         let now_ns = clock::monotonic_ns();
-        for heard in mouth.link.heard() {
-            if let Some(sensed) = mouth.dialect.hear(&heard.topic, &heard.payload) {
+        for heard in robot.link.heard() {
+            if let Some(sensed) = robot.dialect.hear(&heard.topic, &heard.payload) {
                 let acts = driver.sense(sensed, now_ns);
-                mouth.act(acts)?;
-            } else if mouth.dialect.is_garbled(&heard.topic, &heard.payload)
+                robot.act(acts)?;
+            } else if robot.dialect.is_garbled(&heard.topic, &heard.payload)
                 && let Some(held_back) = garbled.pass(now_ns)
             {
                 let payload = shown(&heard.payload);
@@ -160,24 +160,24 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
         while let Some(received) = decisions.receive()? {
             if let Ok(decision) = received {
                 let acts = driver.decide(&decision, now_ns);
-                mouth.act(acts)?;
+                robot.act(acts)?;
             }
         }
         let acts = driver.tick(now_ns);
-        mouth.act(acts)?;
-        mouth.reports.tick()?;
-        hearing = hearing.go_on(&driver, mouth.link.connection() > 0, config, broker);
+        robot.act(acts)?;
+        robot.reports.tick()?;
+        hearing = hearing.go_on(&driver, robot.link.connection() > 0, config, broker);
         if hearing.is_settled(&driver) {
             show_plan(&driver, &mut plan);
         }
-        let turned_ns = now_ns.saturating_sub(mouth.link.turned_ns());
+        let turned_ns = now_ns.saturating_sub(robot.link.turned_ns());
         if told.elapsed() >= WATCHDOG && turned_ns <= TURN_MAX_NS {
             told = Instant::now();
             notify(&[NotifyState::Watchdog]);
         }
     }
     notify(&[NotifyState::Stopping]);
-    mouth.link.leave();
+    robot.link.leave();
     Ok(())
 }
 
