@@ -49,10 +49,11 @@ mod tests {
         assert!(error.contains("say `present`"), "{error}");
     }
 
-    /// Somebody has one number in messages and in the core.
+    /// Somebody has one number in messages and in the core, and a name one length.
     #[test]
     fn somebody_is_somebody() {
         assert_eq!(narration::SOMEBODY, roomcast_ipc::ALL_PERSONS);
+        assert_eq!(narration::PERSON_NAME_BYTES_MAX, roomcast_ipc::NAME_BYTES);
     }
 
     /// Row "bidirectional and zero-width labels" of the attacks: what messages refuse, maps and sentences refuse, and no other character.

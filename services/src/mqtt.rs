@@ -72,7 +72,6 @@ use tokio::time::{sleep, timeout_at};
 
 use crate::line::{LINE_BYTES_MAX, Who, line_item};
 use crate::logging::Limiter;
-use crate::mqtt_link::{FAREWELL, POLL, RECONNECT, RECONNECT_BROKEN_MAX};
 use crate::mqtt_tally::Tally;
 use crate::narrator::Settled;
 use crate::rule::{Keys, Saying, Whereabouts};
@@ -97,6 +96,14 @@ const NO_STATE: [&str; 2] = ["unknown", "unavailable"];
 pub const WAITING_MAX: usize = 4_096;
 /// Bytes of all lines that wait for silence; further ones are not said.
 pub const WAITING_BYTES_MAX: usize = 1 << 20;
+/// How long the connection is listened to before the wish to stop is looked at.
+pub(crate) const POLL: Duration = Duration::from_millis(200);
+/// Pause before a lost connection is tried again.
+pub(crate) const RECONNECT: Duration = Duration::from_secs(1);
+/// The longest pause where the broker itself is broken: it doubles until then.
+pub(crate) const RECONNECT_BROKEN_MAX: Duration = Duration::from_secs(64);
+/// How long the broker has at the end to confirm what was said last, or to take the last acknowledgements.
+pub(crate) const FAREWELL: Duration = Duration::from_secs(2);
 /// How often the broker is asked whether it is there.
 pub(crate) const KEEP_ALIVE: Duration = Duration::from_secs(30);
 /// Complaints about the connection come at most so often.

@@ -19,7 +19,10 @@ use rumqttc::v5::{AsyncClient, Event, EventLoop, MqttOptions};
 use tokio::time::timeout;
 
 use crate::logging::Limiter;
-use crate::mqtt::{Broker, MqttError, PAYLOAD_BYTES_MAX, broken, correct_keep_alive, fault_of, renew};
+use crate::mqtt::{
+    Broker, FAREWELL, MqttError, PAYLOAD_BYTES_MAX, POLL, RECONNECT, RECONNECT_BROKEN_MAX, broken, correct_keep_alive,
+    fault_of, renew,
+};
 use crate::stop::Stop;
 
 /// Messages that may wait to be sent.
@@ -28,14 +31,6 @@ pub const SAYING_MAX: usize = 128;
 pub const HEARING_BYTES_MAX: usize = 4 << 20;
 /// Messages on their way whose receipt the broker has not confirmed.
 const UNCONFIRMED_MAX: u16 = 32;
-/// How long the connection is listened to before the wish to stop is looked at.
-pub(crate) const POLL: Duration = Duration::from_millis(200);
-/// Pause before a lost connection is tried again.
-pub(crate) const RECONNECT: Duration = Duration::from_secs(1);
-/// The longest pause where the broker itself is broken: it doubles until then.
-pub(crate) const RECONNECT_BROKEN_MAX: Duration = Duration::from_secs(64);
-/// How long the broker has at the end to confirm what was said last, or to take the last acknowledgements.
-pub(crate) const FAREWELL: Duration = Duration::from_secs(2);
 /// Complaints about the broker come at most so often.
 const QUIET_NS: u64 = 30_000_000_000;
 

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use roomcast_ipc::{
-    Domain, IpcError, Message, MessageError, NarrationV1, Node, Publisher, RoomScoresV1, Subscriber, clock,
+    Domain, IpcError, Message, MessageError, NAME_BYTES, NarrationV1, Node, Publisher, RoomScoresV1, Subscriber, clock,
     narration_kind, sequence, text,
 };
 use sd_notify::NotifyState;
@@ -157,7 +157,7 @@ pub struct Outcome {
 #[derive(Debug, Clone)]
 pub struct Account {
     source: u64,
-    source_name: [u8; 48],
+    source_name: [u8; NAME_BYTES],
     epoch: u64,
     outcome: Outcome,
     /// The newest that scores named: their epoch, the highest number dealt with, and how many narrations of this epoch they contain.

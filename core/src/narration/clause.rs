@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 use foldhash::{HashMap, HashSet};
 use serde::Deserialize;
 
-use super::{Presence, deeds};
+use super::{PERSON_NAME_BYTES_MAX, Presence, deeds};
 use crate::names::Names;
 
 static WORDS: LazyLock<Words> = LazyLock::new(|| {
@@ -479,8 +479,6 @@ pub(super) struct Clause<'a> {
     pub(super) is_arrival: bool,
 }
 
-/// Somebody's name has at most so many bytes.
-const NAME_BYTES_MAX: usize = 48;
 /// A subject has at most so many words, all its persons together.
 const SUBJECT_WORDS_MAX: usize = 24;
 /// The name of somebody who is known has at most so many words.
@@ -1685,7 +1683,8 @@ fn person_of(part: &str) -> Option<&str> {
     let is_group = || has(&WORDS.groups, name.rsplit(' ').next().unwrap_or_default());
     let is_nothing = has(&WORDS.nothing, first) || is_had || is_group();
     // "2 people" is a count, and no name fits into a message that is longer.
-    let is_nothing = is_nothing || first.starts_with(|c: char| c.is_ascii_digit()) || name.len() > NAME_BYTES_MAX;
+    let is_nothing =
+        is_nothing || first.starts_with(|c: char| c.is_ascii_digit()) || name.len() > PERSON_NAME_BYTES_MAX;
     // "Her friend igor" is igor.
     let named = || {
         let is_had = part.split(' ').next().is_some_and(|first| has(&WORDS.possessives, first));

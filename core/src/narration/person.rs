@@ -1,5 +1,8 @@
 //! Who is who: the number of a person who is known by name.
 
+/// Most bytes of a person's name; messages have as many.
+pub const PERSON_NAME_BYTES_MAX: usize = 48;
+
 /// The number of an observation that names nobody.
 pub const SOMEBODY: u32 = u32::MAX;
 

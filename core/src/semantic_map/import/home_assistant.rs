@@ -350,10 +350,11 @@ fn is_object(text: &str) -> bool {
     !text.is_empty() && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
 }
 
-/// Whether a rule can name a person so: messages have this many bytes for a name, and braces are placeholders.
+/// Whether a rule can name a person so: not too long, and braces are placeholders.
 fn is_person(name: &str) -> bool {
-    const NAME_BYTES: usize = 48;
-    name.len() <= NAME_BYTES && name.chars().any(char::is_alphabetic) && !name.contains(['{', '}'])
+    name.len() <= crate::narration::PERSON_NAME_BYTES_MAX
+        && name.chars().any(char::is_alphabetic)
+        && !name.contains(['{', '}'])
 }
 
 /// Whether a rule can name a room so.
