@@ -136,7 +136,7 @@ pub struct Recovered {
     pub carried_before: Vec<usize>,
     /// The port that speaks for a start of a source, by the source's number and epoch.
     pub ports: BTreeMap<(u64, u64), Port>,
-    /// What the model said of a person after one of the observations, whose index comes first.
+    /// What the model said of a person after one of the observations, whose index comes first; without rooms of one who was out.
     pub expectations: Vec<(usize, u32, Expectation)>,
     /// Who was forgotten, after the index of the observation that came next.
     pub forgotten: Vec<(usize, u32)>,
@@ -968,7 +968,8 @@ impl Recovered {
             let observation = &mut observations[index];
             (observation.person, observation.by_fit) = (person, true);
         }
-        if !expectation.probability.is_empty() {
+        // Of whom an observation is that named nobody was told beside it.
+        if !by_fit {
             expectations.push((index, person, expectation));
         }
     }
@@ -1087,6 +1088,7 @@ fn take_u32(bytes: &mut &[u8]) -> Option<u32> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use roomcast_core::narration::person_number;
     use std::path::Path;
 
     /// A folder on a disk that fails as it is told.
@@ -1384,6 +1386,59 @@ mod tests {
             for _ in 0..700 {
                 sequence += 1;
                 journal.append(&observation(sequence));
+            }
+        }
+    }
+
+    /// A daemon that was killed before it scored what it had taken, or lost with the power what it told of it: the next rotation knows whose that is all
+    /// the same, and drops nobody.
+    #[test]
+    fn of_whom_nothing_was_told_is_kept_too() {
+        let directory = tempfile::tempdir().unwrap();
+        let options = options(directory.path(), 16_384);
+        let away = Said::Presence(PresenceStatement::parse("away").unwrap());
+        let of = |sequence: u64, name: &str, said: Said| Observation {
+            source: 99,
+            person: u32::MAX,
+            name: Some(name.into()),
+            said,
+            ..observation(sequence)
+        };
+        let mut sequence = 0;
+        for run in 0..4 {
+            let (mut journal, recovered) = Journal::open(&options).unwrap();
+            let recovered = recovered.join();
+            if run == 0 {
+                let told = of(1, "ada", observation(1).said);
+                journal.append(&told);
+                let (source, epoch, person) = (99, 1, person_number("ada"));
+                let probability = &[0.5, 0.5];
+                journal.handle().append(&Outcome {
+                    source,
+                    epoch,
+                    sequence: 1,
+                    person,
+                    by_fit: false,
+                    map: 7,
+                    probability,
+                });
+                journal.append(&of(2, "ada", away.clone()));
+                journal.append(&of(3, "ben", away.clone()));
+                journal.append(&Observation { source: 99, person: 5, ..observation(4) });
+            } else {
+                let kept: Vec<_> =
+                    recovered.observations.iter().filter(|o| o.source == 99).map(|o| o.sequence).collect();
+                assert_eq!(kept, [1, 2, 3, 4], "{run}");
+            }
+            for _ in 0..700 {
+                sequence += 1;
+                let number = journal.append(&observation(sequence));
+                let (source, epoch, person, map) = (7, 1, 3, 7);
+                let probability = &[0.5, 0.5];
+                let outcome = Outcome { source, epoch, sequence, person, by_fit: false, map, probability };
+                assert!(
+                    journal.handle().wait_for(number.max(journal.handle().append(&outcome)), Duration::from_secs(30))
+                );
             }
         }
     }

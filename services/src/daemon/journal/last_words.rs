@@ -6,7 +6,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 
-use roomcast_core::narration::SOMEBODY;
+use roomcast_core::narration::{SOMEBODY, person_number};
 
 use super::forget::each_record;
 use super::{Disk, Half, MAGIC, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Record, Writer, encode_forgotten};
@@ -77,16 +77,30 @@ fn in_order<'a>(older: &'a [u8], current: &'a [u8]) -> Vec<Raw<'a>> {
 }
 
 /// Of each person the newest observations that changed something; among them the newest that was of that person alone, by which they are known
-/// when what is said of all is read again.
+/// when what is said of all is read again. And the newest of those of which nothing was told since: a daemon that was killed, or lost it with the
+/// power, did not come to that.
 fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeMap<u32, Vec<Name>> {
     let mut newest = BTreeMap::<u32, Vec<Name>>::new();
-    let (mut keyed, mut of_themselves) = (BTreeSet::new(), BTreeMap::<u32, Name>::new());
+    let (mut keyed, mut of_themselves) = (BTreeMap::new(), BTreeMap::<u32, Name>::new());
+    // By the number that they were named with, which may be another one to the home.
+    let mut untold = BTreeMap::<u32, Vec<Name>>::new();
     for record in records {
+        if let Record::Outcome { name, by_fit: false, .. } = record
+            && let Some(untold) = keyed.get(name).and_then(|number| untold.get_mut(number))
+        {
+            let told = untold.iter().position(|untold| untold == name).map_or(0, |place| place + 1);
+            untold.drain(..told);
+        }
         match record {
             Record::Observation(own) | Record::Kept(own) if own.name.is_some() || own.person != SOMEBODY => {
-                keyed.insert((own.source, own.epoch, own.sequence));
+                let name = (own.source, own.epoch, own.sequence);
+                let number = own.name.as_deref().map_or(own.person, person_number);
+                keyed.insert(name, number);
+                let untold = untold.entry(number).or_default();
+                untold.push(name);
+                untold.drain(..untold.len().saturating_sub(words));
             }
-            Record::Outcome { name, person, by_fit: false, .. } if keyed.contains(name) => {
+            Record::Outcome { name, person, by_fit: false, .. } if keyed.contains_key(name) => {
                 of_themselves.insert(*person, *name);
                 let own = newest.entry(*person).or_default();
                 own.retain(|known| known != name);
@@ -102,6 +116,7 @@ fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeM
             Record::Forgotten { person, .. } => {
                 newest.remove(person);
                 of_themselves.remove(person);
+                untold.remove(person);
             }
             _ => {}
         }
@@ -111,12 +126,15 @@ fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeM
             own.insert(0, *name);
         }
     }
+    for (number, untold) in untold {
+        newest.entry(number).or_default().extend(untold);
+    }
     newest
 }
 
 /// The records to keep: each observation with what became of it, and who was forgotten.
 fn chosen(goes: &[Raw<'_>], stays: &[Raw<'_>], needed: &BTreeMap<u32, Vec<Name>>) -> Vec<Vec<u8>> {
-    let needed: BTreeSet<Name> = needed.values().flatten().copied().collect();
+    let mut needed: BTreeSet<Name> = needed.values().flatten().copied().collect();
     // Of each kind the newest.
     let mut outcomes = BTreeMap::<Name, BTreeMap<(u32, bool), &[u8]>>::new();
     for (raw, record) in goes.iter().chain(stays) {
@@ -135,7 +153,10 @@ fn chosen(goes: &[Raw<'_>], stays: &[Raw<'_>], needed: &BTreeMap<u32, Vec<Name>>
         match record {
             Record::Observation(observation) | Record::Kept(observation) => {
                 let name = (observation.source, observation.epoch, observation.sequence);
-                let Some(outcomes) = outcomes.remove(&name) else { continue };
+                if !needed.remove(&name) {
+                    continue;
+                }
+                let outcomes = outcomes.remove(&name).unwrap_or_default();
                 let is_named = raw.starts_with(&MAGIC_NAMED) || raw.starts_with(&MAGIC_NAMED_KEPT);
                 let mut words = if is_named { MAGIC_NAMED_KEPT.to_vec() } else { MAGIC_KEPT.to_vec() };
                 words.extend_from_slice(&raw[MAGIC.len()..]);

@@ -1406,6 +1406,29 @@ fn a_restart_tells_what_the_model_makes_of_what_is_left() {
     assert_eq!(tell(&[&other, &now]), [[0.0; 0]; 0]);
 }
 
+/// Of who is out the journal is told whose the word was. A restart tells it where a daemon that was killed, or the power, took that; and not twice.
+#[test]
+fn a_restart_tells_who_is_out_where_nothing_says_it() {
+    let mut house = House::new(&["ada"]);
+    let observation = house.observation("ada", "away");
+    let tell = |journal: &mut Vec<u8>| {
+        let mut recovered = Recovered::default();
+        read_records(journal, &BOOT, &mut recovered);
+        let mut again = board(&house.config);
+        again.restore(recovered, house.now_ns, 1_000_000 * S + house.now_ns);
+        again.step([], house.now_ns, 1_000_000 * S + house.now_ns).unwrap();
+        let mut told = Vec::new();
+        again.tell_outcomes(|outcome| {
+            told.push((outcome.sequence, outcome.person, outcome.by_fit, outcome.probability.len()));
+            journal.extend(encode_outcome(outcome));
+        });
+        told
+    };
+    let mut journal = encode(&observation, &BOOT);
+    assert_eq!(tell(&mut journal), [(1, person_number("ada"), false, 0)]);
+    assert_eq!(tell(&mut journal), []);
+}
+
 /// Who comes back after they were gone is known afresh, whether or not it was told in between that they were gone: a restart cannot know that.
 #[test]
 fn who_comes_back_is_known_afresh() {
