@@ -338,13 +338,17 @@ impl Disk for SimulatedDisk {
         Ok(())
     }
 
-    fn rewrite(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+    fn rewrite(&mut self, pieces: &[(u64, Vec<u8>)]) -> io::Result<()> {
         let machine = &mut *self.0.borrow_mut();
         let fails = machine.fails();
-        let written = if fails { machine.rng.random_range(0..=bytes.len()) } else { bytes.len() };
+        let bytes = pieces.iter().map(|(_, piece)| piece.len()).sum();
+        let mut left = if fails { machine.rng.random_range(0..=bytes) } else { bytes };
         let file = &mut machine.files[machine.open];
-        let at = usize::try_from(at).unwrap_or(usize::MAX);
-        file.overwrite(at, &bytes[..written]);
+        for (at, piece) in pieces {
+            let written = piece.len().min(left);
+            left -= written;
+            file.overwrite(usize::try_from(*at).unwrap_or(usize::MAX), &piece[..written]);
+        }
         if fails {
             return Err(refused());
         }

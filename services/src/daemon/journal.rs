@@ -37,7 +37,7 @@ use std::time::{Duration, Instant};
 
 use self::disk::Folder;
 pub use self::disk::{Disk, Half};
-use self::forget::IsTheirs;
+use self::forget::{IsTheirs, each_record};
 use crate::state_file;
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use roomcast_core::narration::{Observation, PresenceStatement, Said, Sentence};
@@ -380,10 +380,9 @@ pub struct Writer<D> {
     older_length: u64,
     /// Records that the disk refused, tried again with the next ones: a full disk may have room again.
     unwritten: Vec<u8>,
-    /// What the current half has had since the last sync. The system takes for written what a sync has failed with, so it is written again.
-    unsynced: Vec<u8>,
-    /// Where that begins.
-    synced: u64,
+    /// What the current half has had since the last sync, in pieces, each with where it begins. The system takes for written what a sync has
+    /// failed with, so it is written again.
+    unsynced: Vec<(u64, Vec<u8>)>,
     /// A sync has failed, and what it lost is not written again yet.
     lacks_pages: bool,
     /// An append has failed, and what it left behind is not cut off yet.
@@ -437,8 +436,7 @@ impl<D: Disk> Writer<D> {
             older_length,
             unwritten: Vec::new(),
             // A process before may have been killed before it synced.
-            unsynced: current,
-            synced: 0,
+            unsynced: sound_pieces(&older, &current),
             lacks_pages: false,
             is_torn: false,
             names_synced: false,
@@ -542,7 +540,6 @@ impl<D: Disk> Writer<D> {
             self.rewrite()?;
             return Err(error);
         }
-        self.synced = self.length;
         self.unsynced.clear();
         Ok(())
     }
@@ -551,7 +548,7 @@ impl<D: Disk> Writer<D> {
     /// says nothing.
     fn rewrite(&mut self) -> io::Result<()> {
         if self.lacks_pages {
-            self.disk.rewrite(self.synced, &self.unsynced)?;
+            self.disk.rewrite(&self.unsynced)?;
             self.lacks_pages = false;
         }
         Ok(())
@@ -623,10 +620,10 @@ impl<D: Disk> Writer<D> {
             self.cut_torn()?;
             return Err(error);
         }
-        self.length += bytes as u64;
         let written: Vec<u8> = self.unwritten.drain(..bytes).collect();
         self.take_note(&written);
-        self.unsynced.extend_from_slice(&written);
+        add_piece(&mut self.unsynced, self.length, &written);
+        self.length += bytes as u64;
         self.progress.bytes.store(self.older_length + self.length, Ordering::Relaxed);
         Ok(())
     }
@@ -687,7 +684,7 @@ impl<D: Disk> Writer<D> {
             self.older_length = self.length;
         }
         self.disk.place(Half::Current)?;
-        (self.length, self.synced) = (carried.len() as u64, carried.len() as u64);
+        self.length = carried.len() as u64;
         (self.lacks_pages, self.is_torn) = (false, false);
         self.unsynced.clear();
         self.kept.clear();
@@ -841,6 +838,32 @@ fn source_of(record: &[u8]) -> (u64, u64) {
 fn record_bytes(records: &[u8]) -> usize {
     let length = records.get(4..).and_then(|mut rest| take_u32(&mut rest));
     length.map_or(records.len(), |length| (HEADER_BYTES + length as usize).min(records.len()))
+}
+
+/// Adds bytes to pieces of a file, to the last one where they begin at its end.
+fn add_piece(pieces: &mut Vec<(u64, Vec<u8>)>, at: u64, bytes: &[u8]) {
+    match pieces.last_mut().filter(|(from, piece)| from + piece.len() as u64 == at) {
+        Some((_, piece)) => piece.extend_from_slice(bytes),
+        None => pieces.push((at, bytes.to_vec())),
+    }
+}
+
+/// Of the current half as a start has read it the pieces that are surely what the disk has there: whole records in a row, which say something that
+/// the halves say nowhere else. A disk that gives a block of elsewhere, or of before, may have something else in its place, and nobody is to
+/// write over that what it gave.
+fn sound_pieces(older: &[u8], current: &[u8]) -> Vec<(u64, Vec<u8>)> {
+    let mut found = HashMap::<&[u8], usize>::new();
+    for half in [older, current] {
+        each_record(half, |raw, _| *found.entry(raw).or_default() += 1);
+    }
+    let (begin, mut pieces) = (current.as_ptr().addr(), Vec::new());
+    each_record(current, |raw, _| add_piece(&mut pieces, (raw.as_ptr().addr() - begin) as u64, raw));
+    pieces.retain(|(_, piece)| {
+        let mut says_more = false;
+        each_record(piece, |raw, _| says_more |= found.get(raw) == Some(&1));
+        says_more
+    });
+    pieces
 }
 
 /// Bytes of the first of some whole records, as many of them as have so much room.
@@ -1107,14 +1130,20 @@ mod tests {
         keeps_faults: bool,
         /// Nothing can be read.
         unreadable: bool,
+        /// What is read of the current half from a byte on, in place of what is there.
+        misread: Option<(usize, Vec<u8>)>,
     }
 
     impl Disk for Failing {
         fn read(&self, half: Half) -> io::Result<Vec<u8>> {
-            match self.unreadable {
-                true => Err(io::Error::other("cannot be read")),
-                false => self.folder.read(half),
+            if self.unreadable {
+                return Err(io::Error::other("cannot be read"));
             }
+            let mut bytes = self.folder.read(half)?;
+            if let Some((at, given)) = self.misread.as_ref().filter(|_| half == Half::Current) {
+                bytes[*at..*at + given.len()].copy_from_slice(given);
+            }
+            Ok(bytes)
         }
 
         fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
@@ -1131,17 +1160,17 @@ mod tests {
             }
         }
 
-        fn rewrite(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        fn rewrite(&mut self, pieces: &[(u64, Vec<u8>)]) -> io::Result<()> {
             match self.keeps_faults {
                 true => Err(io::ErrorKind::StorageFull.into()),
-                false => self.folder.rewrite(at, bytes),
+                false => self.folder.rewrite(pieces),
             }
         }
 
         fn sync(&mut self) -> io::Result<()> {
             if self.loses {
                 let length = self.folder.read(Half::Current)?.len();
-                self.folder.rewrite(0, &vec![0; length])?;
+                self.folder.rewrite(&[(0, vec![0; length])])?;
                 return Err(io::ErrorKind::StorageFull.into());
             }
             self.folder.sync()
@@ -1308,6 +1337,7 @@ mod tests {
             names_fail: false,
             keeps_faults: false,
             unreadable: false,
+            misread: None,
         };
         Writer::open(disk, half_bytes, &[0; 16]).unwrap().0
     }
@@ -1831,6 +1861,36 @@ mod tests {
         let mut recovered = Recovered::default();
         read_records(&second.disk.read(Half::Current).unwrap(), &[7; 16], &mut recovered);
         assert_eq!((recovered.observations.len(), recovered.damaged_bytes), (1, 0));
+    }
+
+    /// A disk that gives a start a block of elsewhere, or of before, and then fails a sync: what it gave is not written over what it has.
+    #[test]
+    fn what_was_misread_is_not_written_over_the_disk() {
+        let boot = [7; 16];
+        for is_stale in [false, true] {
+            let folder = tempfile::tempdir().unwrap();
+            let mut first = writer(folder.path(), 1 << 16);
+            for sequence in 1..=20 {
+                first.write(&encode(&observation(sequence), &boot)).unwrap();
+            }
+            first.sync().unwrap();
+            let mut disk = first.disk;
+            let whole = disk.read(Half::Current).unwrap();
+            disk.misread = Some((512, if is_stale { vec![0; 512] } else { whole[1024..1536].to_vec() }));
+            let (mut second, recovered) = Writer::open(disk, 1 << 16, &boot).unwrap();
+            assert!((10..18).contains(&recovered.observations.len()), "{}", recovered.observations.len());
+            second.write(&encode(&observation(21), &boot)).unwrap();
+            // The sync loses what others had not brought to the disk: of where the block came from, too, and what is new.
+            let length = second.disk.folder.read(Half::Current).unwrap().len();
+            second.disk.folder.rewrite(&[(1152, vec![0; length - 1152])]).unwrap();
+            second.lacks_pages = true;
+            second.sync().unwrap();
+            second.disk.misread = None;
+            let mut recovered = Recovered::default();
+            read_records(&second.disk.read(Half::Current).unwrap(), &boot, &mut recovered);
+            let sequences: Vec<_> = recovered.observations.iter().map(|observation| observation.sequence).collect();
+            assert_eq!((sequences, recovered.damaged_bytes), ((1..=21).collect(), 0), "{is_stale}");
+        }
     }
 
     /// A disk that gives a block twice, or a daemon that was told again what its disk hid from it, makes nobody say anything twice.

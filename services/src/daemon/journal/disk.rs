@@ -43,11 +43,11 @@ pub trait Disk: Debug {
     /// When the disk refuses.
     fn cut(&mut self, length: u64) -> io::Result<()>;
 
-    /// Writes over what the open file has from this byte on.
+    /// Writes pieces over what the open file has from the byte on that comes before each of them.
     ///
     /// # Errors
-    /// When the disk refuses.
-    fn rewrite(&mut self, at: u64, bytes: &[u8]) -> io::Result<()>;
+    /// When the disk refuses; some of them may be written.
+    fn rewrite(&mut self, pieces: &[(u64, Vec<u8>)]) -> io::Result<()>;
 
     /// Brings the open file to the disk. What that fails with is lost with the power, also when a later call succeeds, unless it is written again.
     ///
@@ -206,10 +206,11 @@ impl Disk for Folder {
         self.file.set_len(length)
     }
 
-    fn rewrite(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+    fn rewrite(&mut self, pieces: &[(u64, Vec<u8>)]) -> io::Result<()> {
         // The file appends, so it is written to through another descriptor.
         let again = format!("/proc/self/fd/{}", self.file.as_raw_fd());
-        OpenOptions::new().write(true).open(again)?.write_all_at(bytes, at)
+        let file = OpenOptions::new().write(true).open(again)?;
+        pieces.iter().try_for_each(|(at, bytes)| file.write_all_at(bytes, *at))
     }
 
     fn sync(&mut self) -> io::Result<()> {

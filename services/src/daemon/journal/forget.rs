@@ -37,7 +37,7 @@ impl<D: Disk> Writer<D> {
         self.names_synced = false;
         self.disk.prepare(&kept)?;
         self.disk.place(Half::Current)?;
-        (self.length, self.synced) = (kept.len() as u64, kept.len() as u64);
+        self.length = kept.len() as u64;
         (self.lacks_pages, self.is_torn) = (false, false);
         self.unsynced.clear();
         self.unwritten = forgets.without(&self.unwritten);
