@@ -18,7 +18,7 @@ pub enum About {
 
 /// Reads a sentence in plain form; `is_known` says whether a name is a person's, `is_name` whether a word is written as a name.
 pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name: &dyn Fn(&str) -> bool) -> About {
-    let said = clause::without_first(said);
+    let said = clause::without_opening(clause::without_first(said));
     let words: Vec<&str> = said.split(' ').map(|word| word.trim_matches([',', ':', ';'])).collect();
     let Some((&first, rest)) = words.split_first() else { return About::Somebody };
     if clause::is(Word::Condition, first) || said.ends_with('?') || clause::is_order(said) {
@@ -74,16 +74,17 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
         return About::Nobody;
     }
     // A word that ends like a verb begins what somebody does: "Opens the fridge."
-    let is_name = |word: &str| word.chars().all(|c| c.is_alphabetic() || c == '-') && !word.ends_with('s');
+    let is_plain = |word: &str| word.chars().all(|c| c.is_alphabetic() || c == '-') && !word.ends_with('s');
     let first = first.trim_end_matches('.');
     let (name, verb) = match clause::is(Word::Title, first) {
         true => (format!("{first} {second}"), rest.get(1).copied().unwrap_or_default()),
         false => (first.to_owned(), second),
     };
-    if (is_name(first) || clause::is(Word::Title, first)) && clause::is_verb(verb) && clause::may_be_a_person(&name) {
+    if (is_plain(first) || clause::is(Word::Title, first)) && clause::is_verb(verb) && clause::may_be_a_person(&name) {
         // A show or a club is no person.
-        let is_event = said.find(verb).is_some_and(|at| deeds::is_an_event(&said[at..]));
-        if is_event {
+        let deed = said.find(verb).map_or("", |at| &said[at..]);
+        let is_club = |other: &str| !other.is_empty() && !is_known(other) && is_name(other);
+        if deeds::is_an_event(deed) || deeds::defeated(deed).is_some_and(is_club) {
             return About::Nobody;
         }
         return About::Stranger(name);

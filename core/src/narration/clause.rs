@@ -6,7 +6,8 @@ use std::sync::LazyLock;
 use foldhash::{HashMap, HashSet};
 use serde::Deserialize;
 
-use super::{PERSON_NAME_BYTES_MAX, Presence, deeds};
+use super::presence::Pronoun;
+use super::{PERSON_NAME_BYTES_MAX, Presence, SENTENCE_BYTES_MAX, deeds};
 use crate::names::Names;
 
 static WORDS: LazyLock<Words> = LazyLock::new(|| {
@@ -44,7 +45,7 @@ fn first_word(words: &str) -> &str {
 
 /// Whether words may say where somebody is or goes.
 fn may_be_predicate(rest: &str) -> bool {
-    PREDICATES.contains(first_word(rest)) || deeds::carrier(rest).is_some()
+    PREDICATES.contains(first_word(rest)) || deeds::moves(rest).is_some() || deeds::carrier(rest).is_some()
 }
 
 /// The table of words; see there.
@@ -74,6 +75,16 @@ struct Words {
     takes: List,
     lets: List,
     ways_out: List,
+    ways_to: List,
+    postures: List,
+    delayed: List,
+    near_the_house: List,
+    openings: List,
+    calls: List,
+    trackers: List,
+    tracked: List,
+    tracked_states: List,
+    zones: List,
     possessives: List,
     outside: List,
     rooms_elsewhere: List,
@@ -328,12 +339,11 @@ fn is_back_at_a_time(rest: &str) -> bool {
 /// Whether a plain sentence says what somebody is, or where they go, and not that they are or come home: "ada is at the gym", "ada is late", "ada
 /// flies to rome". Whether that is in the house, only who knows the map can tell.
 pub(super) fn may_be_elsewhere(said: &str) -> bool {
+    const WAYS: [&str; 10] = ["at ", "in ", "on ", "to ", "into ", "along ", "around ", "through ", "across ", "past "];
     let is_going = |rest: &str| {
-        let mut ways =
-            [&WORDS.goes, &WORDS.comes, &WORDS.travels].into_iter().flat_map(|verbs| after_verb(rest, verbs));
-        ways.any(|way| {
-            ["at ", "in ", "on ", "to ", "into "].iter().any(|to| way.trim_start_matches("back ").starts_with(to))
-        })
+        let ways = [&WORDS.goes, &WORDS.comes, &WORDS.travels].into_iter().flat_map(|verbs| after_verb(rest, verbs));
+        let mut ways = ways.chain(deeds::moves(rest));
+        ways.any(|way| WAYS.iter().any(|to| way.trim_start_matches("back ").starts_with(to)))
     };
     // Who "is cooking" does something.
     let is_something = |rest: &str| {
@@ -370,6 +380,15 @@ pub(super) fn without_first(said: &str) -> &str {
         said = rest.trim_start();
     }
     said
+}
+
+/// A plain sentence without what it begins with of no person: "lena goes jogging" of "although it rains, lena goes jogging".
+pub(super) fn without_opening(said: &str) -> &str {
+    let opens = WORDS.openings.after(said).any(|more| more.starts_with(' '));
+    let Some((opening, main)) = said.split_once(", ").filter(|_| opens) else { return said };
+    // What "we leave after dinner" may only plan.
+    let is_of_oneself = matches!(first_word(main), "i" | "we" | "you");
+    if is_of_oneself || is_reported(opening) { said } else { main }
 }
 
 /// The longest subject of which each part is a person, and what is said of it.
@@ -494,18 +513,29 @@ const NEW_NAME_WORDS_MAX: usize = 2;
 /// So many texts are kept with what was made of them: a sentence is asked about many things, and so are its clauses.
 const KEPT: usize = 8;
 
-/// The last texts, each with its plain form. Nothing is allocated once warm.
-#[derive(Debug, Default)]
+/// The last texts, each with its plain form. Their memory is as large from the start as the longest sentence wants.
+#[derive(Debug)]
 struct Plain {
     kept: [(String, String); KEPT],
     /// The place that is used next.
     next: usize,
 }
 
+impl Default for Plain {
+    fn default() -> Self {
+        Self { kept: std::array::from_fn(|_| (long_text(), long_text())), next: 0 }
+    }
+}
+
+/// Memory for a sentence; written out it is seldom longer than this.
+fn long_text() -> String {
+    String::with_capacity(SENTENCE_BYTES_MAX + SENTENCE_BYTES_MAX / 4)
+}
+
 thread_local! {
     static PLAIN: RefCell<Plain> = RefCell::default();
     /// The last plain forms that say of nobody where they are, as most do, and the place that is used next.
-    static SILENT: RefCell<([String; KEPT], usize)> = RefCell::default();
+    static SILENT: RefCell<([String; KEPT], usize)> = RefCell::new((std::array::from_fn(|_| long_text()), 0));
 }
 
 impl Plain {
@@ -569,6 +599,8 @@ fn write_as_usual(text: &mut String) {
         }
     }
     write_neither(text);
+    write_call(text);
+    write_tracked(text);
     while let Some(at) = text.find(" no longer ") {
         text.replace_range(at..at + " no longer ".len(), " not ");
     }
@@ -590,6 +622,35 @@ fn write_as_usual(text: &mut String) {
     };
     if let Some(at) = first.find('/').filter(|_| first.split_once('/').is_some_and(are_names)) {
         text.replace_range(at..=at, " and ");
+    }
+}
+
+/// Leaves out whom somebody speaks to who has come home: "honey, i am home" is "i am home".
+fn write_call(text: &mut String) {
+    let own = WORDS.calls.after(text).find_map(|more| {
+        let own = more.strip_prefix(", ").or_else(|| more.strip_prefix("! "))?;
+        own.starts_with("i am ").then_some(text.len() - own.len())
+    });
+    if let Some(at) = own {
+        text.drain(..at);
+    }
+}
+
+/// Writes where somebody's phone is, as far as it tells whether they are in the house, as where they are: "paul's phone left the home zone" is
+/// "paul left the home zone".
+fn write_tracked(text: &mut String) {
+    let Some(at) = text.find("'s ") else { return };
+    let rest = &text[at + "'s ".len()..];
+    let tracked = WORDS.trackers.after(rest).filter_map(|more| more.strip_prefix(' ')).find(|said| {
+        WORDS
+            .tracked
+            .after(said)
+            .any(|place| place.strip_prefix(' ').is_some_and(|place| WORDS.zones.after(place).any(ends)))
+            || WORDS.tracked_states.after(said).any(ends)
+    });
+    if let Some(said) = tracked {
+        let end = text.len() - said.len() - 1;
+        text.replace_range(at..end, "");
     }
 }
 
@@ -663,7 +724,15 @@ fn ends(more: &str) -> bool {
 /// The same after words that say that somebody is away: "leaves for bed" and "gone from the kitchen" are in the house.
 fn ends_away(more: &str) -> bool {
     let to = more.trim_start().split_once(' ').map_or("", |(_, to)| to);
-    let is_out = || WORDS.away_for.iter().any(|place| to.starts_with(place.as_str())) || is_outside(more.trim_start());
+    let is_out = || {
+        WORDS.away_for.iter().any(|place| to.starts_with(place.as_str()))
+            || is_outside(more.trim_start())
+            || is_a_town(more, &[" to ", " from ", " for "])
+    };
+    // "On a business trip in Rome".
+    if is_a_town(more, &[" in "]) {
+        return true;
+    }
     let is_a_time =
         || more.trim_start().split_once(' ').is_some_and(|(_, rest)| rest.starts_with(|c: char| c.is_ascii_digit()));
     let goes_on = [" from ", " for ", " to ", " by "].iter().any(|word| more.starts_with(word));
@@ -700,22 +769,40 @@ fn is_outside(words: &str) -> bool {
 
 /// The same behind one of `to`.
 fn is_outside_by(words: &str, to: &[&str]) -> bool {
-    let words = words.strip_prefix("back ").unwrap_or(words);
+    let words = ["back ", "off ", "over ", "down "].iter().find_map(|way| words.strip_prefix(way)).unwrap_or(words);
     let mut places = to.iter().filter_map(|to| words.strip_prefix(to)?.strip_prefix(' '));
-    places.any(|place| {
-        let noun =
-            place.split_once(' ').filter(|(first, _)| has(&WORDS.determiners, first)).map_or(place, |(_, noun)| noun);
-        // "The new cinema", "football practice".
-        let mut nouns = std::iter::successors(Some(noun), |noun| {
-            let (first, rest) = noun.split_once(' ')?;
-            let is_modifier = first.chars().all(|c| c.is_alphanumeric() || c == '-' || c == '\'')
-                && ![&WORDS.goes_on, &WORDS.no_verbs, &WORDS.rooms, &WORDS.determiners, &WORDS.not_said]
-                    .iter()
-                    .any(|words| has(words, first));
-            is_modifier.then_some(rest)
-        });
-        nouns.by_ref().take(1 + MODIFIERS_MAX).any(|noun| WORDS.outside.after(noun).any(ends))
-    })
+    places.any(is_outside_place)
+}
+
+/// A place without its article: "new cinema" of "the new cinema".
+fn noun_of(place: &str) -> &str {
+    place.split_once(' ').filter(|(first, _)| has(&WORDS.determiners, first)).map_or(place, |(_, noun)| noun)
+}
+
+/// Whether words begin with a place that no home has: "the new cinema", "football practice".
+fn is_outside_place(place: &str) -> bool {
+    let mut nouns = std::iter::successors(Some(noun_of(place)), |noun| {
+        let (first, rest) = noun.split_once(' ')?;
+        let is_modifier = first.chars().all(|c| c.is_alphanumeric() || c == '-' || c == '\'')
+            && ![&WORDS.goes_on, &WORDS.no_verbs, &WORDS.rooms, &WORDS.determiners, &WORDS.not_said]
+                .iter()
+                .any(|words| has(words, first));
+        is_modifier.then_some(rest)
+    });
+    nouns.by_ref().take(1 + MODIFIERS_MAX).any(|noun| WORDS.outside.after(noun).any(ends))
+}
+
+/// Whether a place is one of the house or may be; of the places at home, only an office may be driven to.
+fn is_in_the_house(place: &str) -> bool {
+    let noun = noun_of(place);
+    let is_thing = Names::built_in().knows(room_of(noun)) || is_room(room_of(place));
+    let is_near = || room_of(noun).split(' ').any(|word| has(&WORDS.near_the_house, word));
+    WORDS.house.after(place).any(ends) || ((is_thing || is_near()) && first_word(noun) != "office")
+}
+
+/// Whether words behind "to" or "for" name a place with an article, or one that no home has, which is not in the house: "the lake", "work".
+fn is_elsewhere(place: &str) -> bool {
+    is_outside_place(place) || (noun_of(place) != place && !is_in_the_house(place))
 }
 
 /// What a sentence's words after its subject say of where somebody is: presence, and the room where it is one.
@@ -764,8 +851,12 @@ fn first_predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     }
     // Who is not home alone is home.
     let is_with_others = state.starts_with("not ") && crate::text::has_words(state, "alone");
-    let is_out = !is_with_others && WORDS.out.after(state).any(ends_away);
-    if is_out || is_outside_by(state, &["at", "in"]) {
+    let is_out = |state: &str| WORDS.out.after(state).any(ends_away) || is_outside_by(state, &["at", "in"]);
+    // "Sitting in a café", "in a meeting at work".
+    let is_waiting = || after_verb(state, &WORDS.postures).any(is_out);
+    let is_delayed = || after_verb(state, &WORDS.delayed).any(|at| is_out(at) || at.starts_with("at the office"));
+    if !is_with_others && (is_out(state) || is_waiting() || is_delayed() || is_out_doing(state) || is_on_the_way(state))
+    {
         return Some((Presence::Away, None));
     }
     // Who is at the office may be at work.
@@ -775,6 +866,19 @@ fn first_predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     }
     let is_in = WORDS.r#in.after(state).any(ends_here);
     is_in.then_some((Presence::Present, None))
+}
+
+/// Whether somebody is out to do something: "out running errands".
+fn is_out_doing(state: &str) -> bool {
+    state.strip_prefix("out ").is_some_and(|what| {
+        let is_near = |word: &str| has(&WORDS.near_the_house, word) || has(&WORDS.rooms, word);
+        first_word(what).ends_with("ing") && !what.split([' ', ',']).any(is_near)
+    })
+}
+
+/// Whether somebody is on the way to where no room is: "on her way to the office". Who is on the way home, or out of a room, may be anywhere.
+fn is_on_the_way(state: &str) -> bool {
+    WORDS.ways_to.after(state).any(|to| to.strip_prefix(" to ").is_some_and(is_elsewhere))
 }
 
 /// Whether a home may have a room that is called so.
@@ -1040,12 +1144,6 @@ fn is_a_town(words: &str, to: &[&str]) -> bool {
 
 /// Whether somebody goes by a vehicle, which no home has room for, or takes what carries many: "drives to the lake", "takes the bus to town".
 fn rides_out(rest: &str) -> bool {
-    let is_in_the_house = |to: &str| {
-        let noun = to.split_once(' ').filter(|(first, _)| has(&WORDS.determiners, first)).map_or(to, |(_, noun)| noun);
-        // Of the places at home, only an office may be driven to.
-        let is_thing = Names::built_in().knows(room_of(noun)) || is_room(room_of(to));
-        WORDS.house.after(to).any(ends) || (is_thing && first_word(noun) != "office")
-    };
     let goes_to = |said: &str| said.strip_prefix("to ").is_some_and(|to| !to.is_empty() && !is_in_the_house(to));
     let drives =
         |said: &str| ["away", "off"].iter().any(|way| said.strip_prefix(way).is_some_and(ends_out)) || goes_to(said);
@@ -1060,7 +1158,9 @@ fn rides_out(rest: &str) -> bool {
         _ => ends(&format!(" {more}")) && !crate::text::has_words(more, "it"),
     };
     let is_left = ["change", "gets off", "get off"].iter().any(|verb| rest.starts_with(verb));
-    after_verb(rest, &WORDS.vehicles).any(drives) || (!is_left && deeds::carrier(rest).is_some_and(boards))
+    after_verb(rest, &WORDS.vehicles).any(drives)
+        || (!is_left && deeds::carrier(rest).is_some_and(boards))
+        || deeds::vehicle(rest).is_some_and(goes_to)
 }
 
 /// Whether somebody stays where others live: "is at vera's", "sleeps at his mother's", "is visiting her parents".
@@ -1098,8 +1198,24 @@ fn is_not_in(state: &str) -> bool {
 
 /// Whether a sentence's words after its subject say that somebody goes where they are out of the house: "has gone to work".
 fn goes_out(rest: &str) -> bool {
-    let is_to_outside = |said: &str| is_outside_by(said, &["to", "into", "for"]);
-    let mut ways = after_verb(rest, &WORDS.goes).chain(after_verb(rest, &WORDS.travels));
+    const WHERE: [&str; 8] = ["to", "into", "for", "in", "around", "through", "across", "along"];
+    // "Has gone to pick up a pizza": who has only set out says from where.
+    let is_gone = ["has gone ", "have gone ", "went out "].iter().any(|gone| rest.starts_with(gone));
+    let is_errand = |said: &str| {
+        let what = ["to ", "off to ", "out to "].iter().find_map(|to| said.strip_prefix(to));
+        what.is_some_and(|what| {
+            deeds::is_errand(what, is_gone) || deeds::fetched_from(what).is_some_and(is_outside_place)
+        })
+    };
+    let is_off =
+        |said: &str| ["off to ", "off for "].iter().any(|off| said.strip_prefix(off).is_some_and(is_elsewhere));
+    let is_to_outside = |said: &str| is_outside_by(said, &WHERE) || is_off(said) || is_errand(said);
+    let mut ways = after_verb(rest, &WORDS.goes).chain(after_verb(rest, &WORDS.travels)).chain(deeds::moves(rest));
+    let is_off_to = || {
+        ["is ", "are ", "goes ", "go ", "went ", "sets ", "set "]
+            .iter()
+            .any(|verb| rest.strip_prefix(verb).is_some_and(is_off))
+    };
     let takes_a_walk = || {
         let is_animal = |said: &str| WORDS.animals.after(said).any(ends_out);
         follows(rest, &WORDS.takes, &WORDS.outings, ends_out)
@@ -1126,6 +1242,8 @@ fn goes_out(rest: &str) -> bool {
         || moves_out()
         || takes_a_walk()
         || is_by_the_door()
+        || is_off_to()
+        || deeds::moves(rest).is_some_and(|said| WORDS.errands.after(said).any(ends_out) && said.contains(' '))
         || ways.any(is_to_outside))
         && !works_here(rest)
 }
@@ -1142,7 +1260,8 @@ fn takes(rest: &str) -> Option<(&str, Presence)> {
     let mut taken = after_verb(rest, &WORDS.takes);
     let is_errand = |place: &str| WORDS.errands.begin(place).any(|(own, after)| own.contains(' ') && ends(after));
     let where_to = |place: &str| {
-        let place = ["off ", "up "].iter().find_map(|word| place.strip_prefix(word)).unwrap_or(place);
+        let place =
+            ["off ", "up ", "a lift ", "a ride "].iter().find_map(|word| place.strip_prefix(word)).unwrap_or(place);
         let is_home = ["home", "back home", "back"].iter().any(|home| place.strip_prefix(home).is_some_and(ends));
         let is_out = is_outside_by(place, &["to", "into", "at"]) && !works_here(place);
         match is_home && !is_out {
@@ -1173,9 +1292,52 @@ fn is_a_way(name: &&str) -> bool {
 /// Whether a text may say who is taken along.
 pub(super) fn may_have_companions(text: &str) -> bool {
     with_plain(text, |text| {
-        let tells_of_others = [&WORDS.takes, &WORDS.perceives, &WORDS.sends].into_iter().any(|verbs| verbs.is_in(text));
-        text.contains(" with ") || tells_of_others || (text.contains(" in") && WORDS.lets.is_in(text))
+        // One look at each word: all these verbs are one. "Her hands" are none.
+        let mut before = "";
+        let mut tells_of_others = |word| {
+            let is_noun = has(&WORDS.determiners, std::mem::replace(&mut before, word));
+            [&WORDS.takes, &WORDS.perceives, &WORDS.sends, &WORDS.lets].into_iter().any(|verbs| has(verbs, word))
+                || !is_noun && deeds::may_touch(word)
+        };
+        text.contains(" with ") || text.split(|c: char| !c.is_alphanumeric()).any(&mut tells_of_others)
     })
+}
+
+/// Who is known and there, as somebody touches them: "lena" of "paul hugs lena".
+pub(super) fn touched(said: &str, mut is_known: impl FnMut(&str) -> bool) -> Vec<&str> {
+    if is_not_so(said) || is_reported(said) || WORDS.afar.is_in(said) {
+        return Vec::new();
+    }
+    let mut of = |more: &str| -> Option<usize> {
+        let ends = more.match_indices([' ', ',']).map(|(at, _)| at).take(NAME_WORDS_MAX).chain([more.len()]);
+        ends.filter(|at| names(&more[..*at]).is_some_and(|names| names.iter().all(|name| is_known(name)))).last()
+    };
+    let touched = cuts(said).take(NAME_WORDS_MAX).filter(|(subject, _)| is_said(subject)).find_map(|(_, rest)| {
+        let more = deeds::touched(rest)?;
+        names(&more[..of(more)?])
+    });
+    touched.unwrap_or_default()
+}
+
+/// Whether a plain sentence is what somebody says who has come home: "i am home".
+pub(super) fn is_own_arrival(said: &str) -> bool {
+    said.strip_prefix("i am ").is_some_and(|state| WORDS.r#in.after(state).any(ends_here))
+}
+
+/// Whether a plain sentence says that its person goes to an office by that name alone: "ada goes to the office".
+pub(super) fn goes_to_an_office(said: &str) -> bool {
+    let is_office = |way: &str| {
+        ["to the office", "to his office", "to her office", "to their office", "to my office"]
+            .iter()
+            .any(|to| way.strip_prefix("off ").unwrap_or(way).strip_prefix(to).is_some_and(ends))
+    };
+    let goes = |rest: &str| {
+        after_verb(rest, &WORDS.goes).chain(after_verb(rest, &WORDS.travels)).chain(deeds::moves(rest)).any(is_office)
+    };
+    let mut found = cuts(said).take(NAME_WORDS_MAX);
+    found.any(|(subject, rest)| is_said(subject) && goes(rest) && !works_here(rest))
+        && !is_not_so(said)
+        && !is_reported(said)
 }
 
 /// Who is where the persons of a plain sentence are, as it says of where they are: "ben" of "ada leaves the house with ben", "lily" of "ada takes
@@ -1411,7 +1573,7 @@ impl<'a> Clause<'a> {
             };
         }
         let is_nobody = |subject: &str| has(&WORDS.nobody, subject);
-        let said = without_too(said).0;
+        let said = without_too(without_opening(said)).0;
         if let Some((_, rest)) = cuts(said).find(|(subject, rest)| is_nobody(subject) && state(rest).is_some()) {
             let is_house = |state: &&str| !WORDS.r#in.after(state).any(ends_here);
             let room = state(rest).filter(is_house).and_then(in_the).map(room_of).filter(|room| is_said(room));
@@ -1494,8 +1656,7 @@ pub(super) fn is_from_afar(said: &str) -> bool {
     // What somebody does last tells where they are: "takes the bus home and opens the fridge".
     let last = [" and then ", ", then ", " and "].iter().find_map(|join| said.rsplit_once(join)).map(|(_, last)| last);
     let is_back = last.is_some_and(|last| is_verb(first_word(last)) && (arrives(last) || !may_be_from_afar(last)));
-    let is_elsewhere =
-        || !is_back && cuts(said).take(NAME_WORDS_MAX).any(|(_, rest)| deeds::may_be_done_elsewhere(rest));
+    let is_elsewhere = || !is_back && cuts(said).take(NAME_WORDS_MAX).any(|(_, rest)| may_be_done_elsewhere(rest));
     let begins_afar = || {
         !last.is_some_and(arrives)
             && cuts(said).any(|(_, rest)| WORDS.from_afar.iter().any(|words| begins(rest, words)))
@@ -1505,9 +1666,21 @@ pub(super) fn is_from_afar(said: &str) -> bool {
 
 /// Whether words after a subject say what may be done from elsewhere.
 fn may_be_from_afar(rest: &str) -> bool {
-    deeds::may_be_done_elsewhere(rest)
+    may_be_done_elsewhere(rest)
         || has(&WORDS.speaks, first_word(rest))
         || predicate(rest).is_some_and(|(presence, _)| presence == Presence::Away)
+}
+
+/// Whether what is said of a subject may be done by somebody who is not in the house.
+fn may_be_done_elsewhere(rest: &str) -> bool {
+    deeds::may_be_done_elsewhere(rest) || leaves_elsewhere(rest)
+}
+
+/// Whether somebody leaves where they can only have been out of the house: "leaves work", "left the gym". An office is rather the one out of it.
+fn leaves_elsewhere(rest: &str) -> bool {
+    // "Leaves the house. Then she comes home."
+    let sentence = rest.split(['.', '!', '?', ';']).next().unwrap_or_default();
+    after_verb(sentence, &WORDS.leaves).any(is_elsewhere)
 }
 
 /// Whether a plain sentence has the house of somebody else as a place: "at his parents' house", "at vera's".
@@ -1522,6 +1695,24 @@ fn is_at_somebodys(said: &str) -> bool {
         let is_whole = (place.ends_with("'s") || place.ends_with("s'")) && place.split(' ').count() <= NAME_WORDS_MAX;
         is_whole || spaces.any(|at| is_house(&place[..at], &place[at + 1..]))
     })
+}
+
+/// By which pronoun a plain sentence is of one person: "she opens the fridge".
+pub(super) fn pronoun(said: &str) -> Option<Pronoun> {
+    pronoun_of(first_word(without_first(said)))
+}
+
+fn pronoun_of(word: &str) -> Option<Pronoun> {
+    match word {
+        "he" | "his" | "himself" => Some(Pronoun::He),
+        "she" | "her" | "herself" => Some(Pronoun::She),
+        _ => None,
+    }
+}
+
+/// What a plain sentence calls its own person by, as far as it tells: "ada brushes her teeth".
+pub(super) fn own_pronoun(said: &str) -> Option<Pronoun> {
+    said.split([' ', ',']).find_map(pronoun_of)
 }
 
 /// Whether a plain sentence begins with a pronoun.

@@ -16,8 +16,13 @@ static CLASSES: LazyLock<Classes> = LazyLock::new(|| {
         let mut forms = HashMap::<_, Vec<_>>::default();
         for verb in verbs {
             let (first, behind) = verb.split_once(' ').unwrap_or((verb, ""));
+            // "One's" is that of whoever does it.
+            let behind: Vec<String> = match behind.contains("one's") {
+                true => ["his", "her", "their", "the"].iter().map(|whose| behind.replace("one's", whose)).collect(),
+                false => vec![behind.to_owned()],
+            };
             for form in all_forms(first) {
-                forms.entry(form).or_default().push(behind.to_owned());
+                forms.entry(form).or_default().extend(behind.iter().cloned());
             }
         }
         Forms(forms)
@@ -27,6 +32,13 @@ static CLASSES: LazyLock<Classes> = LazyLock::new(|| {
         anywhere: forms(&DEEDS.anywhere),
         boards: forms(&DEEDS.boards),
         happens: forms(&DEEDS.happens),
+        moves: forms(&DEEDS.moves),
+        errands: forms(&DEEDS.errands),
+        fetches: forms(&DEEDS.fetches),
+        alights: forms(&DEEDS.alights),
+        defeats: forms(&DEEDS.defeats),
+        touches: forms(&DEEDS.touches),
+        gives: forms(&["give".to_owned()]),
     }
 });
 
@@ -38,6 +50,14 @@ struct Deeds {
     anywhere: Vec<String>,
     boards: Vec<String>,
     carriers: Vec<String>,
+    vehicles: Vec<String>,
+    moves: Vec<String>,
+    errands: Vec<String>,
+    fetches: Vec<String>,
+    alights: Vec<String>,
+    defeats: Vec<String>,
+    touches: Vec<String>,
+    given: Vec<String>,
     happens: Vec<String>,
     broadcast: Vec<String>,
     irregular: HashMap<String, Vec<String>>,
@@ -49,6 +69,13 @@ struct Classes {
     anywhere: Forms,
     boards: Forms,
     happens: Forms,
+    moves: Forms,
+    errands: Forms,
+    fetches: Forms,
+    alights: Forms,
+    defeats: Forms,
+    touches: Forms,
+    gives: Forms,
 }
 
 /// Forms of verbs, and the words that make one verb of them with each: "check" and "into".
@@ -100,7 +127,45 @@ fn plain(rest: &str) -> &str {
 /// Whether what is said of a subject may be done by somebody who is not in the house.
 pub(super) fn may_be_done_elsewhere(rest: &str) -> bool {
     let rest = plain(rest);
-    [&CLASSES.elsewhere, &CLASSES.anywhere].iter().any(|class| class.after(rest).is_some()) || carrier(rest).is_some()
+    [&CLASSES.elsewhere, &CLASSES.anywhere].iter().any(|class| class.after(rest).is_some())
+        || carrier(rest).is_some()
+        || carried(CLASSES.alights.after(rest), &DEEDS.carriers).is_some()
+}
+
+/// What follows a verb of going: "off to the gym" of "dashes off to the gym".
+pub(super) fn moves(rest: &str) -> Option<&str> {
+    CLASSES.moves.after(plain(rest))
+}
+
+/// Whether what somebody goes to do is done out of the house: "buy bread", "pick up a pizza". Of who has only set out, it has to say from where.
+pub(super) fn is_errand(what: &str, is_gone: bool) -> bool {
+    CLASSES.errands.after(what).is_some() || (is_gone && CLASSES.fetches.after(what).is_some())
+}
+
+/// Where from somebody fetches something: "school" of "fetch the kids from school".
+pub(super) fn fetched_from(what: &str) -> Option<&str> {
+    CLASSES.fetches.after(what)?.split_once(" from ").map(|(_, place)| place)
+}
+
+/// What one club is said to have won against, or so, which another one may be: "dortmund" of "beats dortmund".
+pub(super) fn defeated(rest: &str) -> Option<&str> {
+    CLASSES.defeats.after(plain(rest)).map(|more| more.split([' ', ',']).next().unwrap_or_default())
+}
+
+/// Whom somebody touches who is there, and what follows: "lena in the hall" of "hugs lena in the hall".
+pub(super) fn touched(rest: &str) -> Option<&str> {
+    let rest = plain(rest);
+    let given = || {
+        let more = CLASSES.gives.after(rest)?;
+        let is_one = |word: &str| DEEDS.given.iter().any(|given| given == word);
+        more.split([' ', ',']).any(is_one).then_some(more)
+    };
+    CLASSES.touches.after(rest).or_else(given)
+}
+
+/// Whether a word may begin such a deed.
+pub(super) fn may_touch(word: &str) -> bool {
+    CLASSES.touches.0.contains_key(word) || CLASSES.gives.0.contains_key(word)
 }
 
 /// What may follow what carries many people.
@@ -109,14 +174,24 @@ const BEHIND_CARRIERS: [&str; 14] =
 
 /// What follows what carries many people, where somebody boards it: "to town" of "takes the bus to town".
 pub(super) fn carrier(rest: &str) -> Option<&str> {
-    let object = CLASSES.boards.after(plain(rest))?;
+    carried(CLASSES.boards.after(plain(rest)), &DEEDS.carriers)
+}
+
+/// The same of somebody's own vehicle: "to work" of "takes her bike to work".
+pub(super) fn vehicle(rest: &str) -> Option<&str> {
+    carried(CLASSES.boards.after(plain(rest)), &DEEDS.vehicles)
+}
+
+/// What follows one of `things` with an article.
+fn carried<'a>(object: Option<&'a str>, things: &[String]) -> Option<&'a str> {
+    let object = object?;
     let (article, thing) = object.split_once(' ')?;
     let is_one = ["the", "a", "an", "his", "her", "their"].contains(&article);
     let (thing, more) = thing.split_once([' ', ',']).unwrap_or((thing, ""));
     // A train set is none.
     let next = more.split([' ', ',']).next().unwrap_or_default();
     let is_whole = next.is_empty() || BEHIND_CARRIERS.contains(&next);
-    (is_one && is_whole && DEEDS.carriers.iter().any(|carrier| carrier == thing)).then_some(more)
+    (is_one && is_whole && things.iter().any(|own| own == thing)).then_some(more)
 }
 
 /// Whether what is said of a name that nobody has is what a show, a club or a device does: "starts on TV", "plays against Ajax".

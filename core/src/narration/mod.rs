@@ -25,7 +25,7 @@ pub use action::{
 };
 pub use history::{Histories, History, HistoryLimits, PERSONS_MAX, Voice};
 pub use person::{PERSON_NAME_BYTES_MAX, SOMEBODY, person_number, same_name};
-pub use presence::{Presence, PresenceError, PresenceStatement};
+pub use presence::{Presence, PresenceError, PresenceStatement, Pronoun};
 pub use program::{PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
 
 /// Longest sentence of one observation, in bytes of UTF-8; the narration message holds as many.
@@ -276,7 +276,12 @@ impl Said {
         }
         let along = last.as_ref().filter(|(_, statement)| !statement.is_of_everybody()).and_then(|(one, statement)| {
             clause::with_plain(one, |plain| {
-                let names = clause::companions(plain, &mut *is_known);
+                // Who comes along may be somebody new.
+                let comes = statement.presence() == Presence::Present && statement.room().is_none();
+                let is_new = |name: &str| {
+                    comes && !name.contains(' ') && clause::may_be_a_person(name) && is_written_as_a_name(one, name)
+                };
+                let names = clause::companions(plain, |name| is_known(name) || is_new(name));
                 // A visitor is taken home out of this house.
                 let is_out = clause::takes_home(plain) && names.iter().any(|name| is_visitor(name));
                 let with = statement.of_one(if is_out { Presence::Away } else { statement.presence() });
@@ -325,7 +330,7 @@ impl Said {
         })
     }
 
-    /// That those are there whom somebody lets in: who is known, is called by what they are, or is written as a name.
+    /// That those are there whom somebody touches, or lets in: who is known, is called by what they are, or is written as a name.
     fn guests(clause: &str, is_known: &mut dyn FnMut(&str) -> bool) -> Option<PresenceStatement> {
         clause::with_plain(clause, |plain| {
             let names = clause::guests(plain);
@@ -335,7 +340,9 @@ impl Said {
                     || clause::may_be_a_person(name) && clause::may_be_new(name) && is_written_as_a_name(clause, name)
             };
             let are_persons = !names.is_empty() && names.iter().all(&mut is_person);
-            are_persons.then(|| PresenceStatement::parse("present").ok())?.map(|here| here.with_subjects(&names))
+            let names = if are_persons { names } else { clause::touched(plain, &mut *is_known) };
+            let here = if names.is_empty() { None } else { PresenceStatement::parse("present").ok() };
+            here.map(|here| here.with_subjects(&names))
         })
     }
 
@@ -451,11 +458,31 @@ impl Said {
         clause::is_guest(&name.to_lowercase())
     }
 
-    /// Whether it is about one person by a pronoun: "She opens the fridge."
+    /// By which pronoun it is about one person: "She opens the fridge."
     #[must_use]
-    pub fn is_of_one_pronoun(&self) -> bool {
-        let of_one = |said: &str| ["he ", "she "].iter().any(|pronoun| said.starts_with(pronoun));
-        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), of_one))
+    pub fn pronoun(&self) -> Option<Pronoun> {
+        match self {
+            Self::Sentence(sentence) => clause::with_plain(sentence.as_str(), clause::pronoun),
+            Self::Presence(statement) => statement.pronoun(),
+        }
+    }
+
+    /// By which pronoun a sentence goes on about whom it names: "Ada brushes her teeth."
+    #[must_use]
+    pub fn own_pronoun(&self) -> Option<Pronoun> {
+        self.sentence().and_then(|sentence| clause::with_plain(sentence.as_str(), clause::own_pronoun))
+    }
+
+    /// Whether it is what somebody says who has come home: "I'm home!"
+    #[must_use]
+    pub fn is_own_arrival(&self) -> bool {
+        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_own_arrival))
+    }
+
+    /// Whether it says that its person goes to an office: where the map has none by that name, to the one out of the house.
+    #[must_use]
+    pub fn goes_to_an_office(&self) -> bool {
+        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::goes_to_an_office))
     }
 
     /// Whether it says where something is that is no person, or does not tell whose place it says: "The robot is in the kitchen.", "Somebody else

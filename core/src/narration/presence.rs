@@ -48,6 +48,16 @@ pub struct PresenceStatement {
     room: Option<String>,
     subject: Option<String>,
     whose: Whose,
+    pronoun: Option<Pronoun>,
+}
+
+/// What somebody is called by who is not named.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Pronoun {
+    /// "He".
+    He,
+    /// "She".
+    She,
 }
 
 /// Whose presence a statement is.
@@ -102,7 +112,8 @@ impl PresenceStatement {
         let named = room.is_none_or(|room| {
             room.contains(char::is_alphanumeric) && !room.contains(is_hidden) && room.len() <= SENTENCE_BYTES_MAX / 2
         });
-        let statement = Self { presence, room: room.map(str::to_owned), subject: None, whose: Whose::Subject };
+        let statement =
+            Self { presence, room: room.map(str::to_owned), subject: None, whose: Whose::Subject, pronoun: None };
         if presence == Presence::Unknown || !named {
             return Err(PresenceError { text: statement.to_string() });
         }
@@ -172,7 +183,7 @@ impl PresenceStatement {
                 of_names(Whose::SubjectAlone, &names)
             }
             Subject::Only(names) | Subject::Named(names) => of_names(Whose::Subject, &names),
-            Subject::Unnamed => of(Whose::Subject),
+            Subject::Unnamed => Some(Self { pronoun: clause::pronoun(said), ..of(Whose::Subject)? }),
         }
     }
 
@@ -209,7 +220,7 @@ impl PresenceStatement {
     /// The same of one person, who may be said to be elsewhere.
     pub(super) fn of_one(&self, presence: Presence) -> Self {
         let room = self.room.clone().filter(|_| presence == Presence::Present);
-        Self { presence, room, subject: None, whose: Whose::Subject }
+        Self { presence, room, subject: None, whose: Whose::Subject, pronoun: self.pronoun }
     }
 
     /// The same of who goes out instead.
@@ -275,6 +286,12 @@ impl PresenceStatement {
     #[must_use]
     pub fn subject(&self) -> Option<&str> {
         self.subject.as_deref()
+    }
+
+    /// The pronoun of the plain sentence that said it, where it is of one person by that.
+    #[must_use]
+    pub fn pronoun(&self) -> Option<Pronoun> {
+        self.pronoun
     }
 
     /// The names of those whom it is about.

@@ -5,7 +5,7 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use roomcast_core::narration::{
-    About, Observation, PERSONS_MAX, Presence, PresenceStatement, SOMEBODY, Said, Voice, same_name,
+    About, Observation, PERSONS_MAX, Presence, PresenceStatement, Pronoun, SOMEBODY, Said, Voice, same_name,
 };
 use roomcast_core::text::has_words;
 use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
@@ -64,6 +64,8 @@ pub(super) struct Known {
     guarded_ns: i64,
     /// When they were last observed at a door of the house; the least number where they never were.
     door_ns: i64,
+    /// How often they were called "she" more than "he"; below zero where it is the other way round.
+    she: i8,
     /// It named nobody.
     by_fit: bool,
     /// The last thing mentioned is one to sleep on, or they were said to sleep.
@@ -78,6 +80,11 @@ impl Known {
     /// Whether one has told of them whose word is guarded.
     fn is_trusted(&self) -> bool {
         self.guarded_ns > i64::MIN
+    }
+
+    /// Whether they are called by a pronoun, as far as is known; none where nothing is.
+    fn is_called_by(&self, pronoun: Pronoun) -> Option<bool> {
+        (self.she != 0).then_some((self.she > 0) == (pronoun == Pronoun::She))
     }
 
     fn is_asleep(&self, asleep_ns: i64, now_ns: i64) -> bool {
@@ -355,6 +362,11 @@ impl Persons {
         self.iter().filter(|(_, known)| is_all || known.is_trusted()).collect()
     }
 
+    /// Whether more than one whom an observation may be of is away: whose arrival nobody names, is not known then.
+    pub(super) fn are_several_away(&self, is_strange: bool) -> bool {
+        self.candidates(is_strange).iter().filter(|(_, known)| known.presence == Presence::Away).nth(1).is_some()
+    }
+
     /// Whether anybody whom an observation may be of is in the house.
     pub(super) fn is_anybody_here(&self, is_strange: bool) -> bool {
         self.candidates(is_strange).iter().any(|(_, known)| known.presence == Presence::Present)
@@ -426,6 +438,7 @@ impl Persons {
             voice: voice.number,
             guarded_ns: i64::MIN,
             door_ns: i64::MIN,
+            she: 0,
             by_fit: false,
             on_bed: false,
             restored: false,
@@ -544,7 +557,14 @@ impl Persons {
         let is_out = leaves || said.sentence().is_some_and(|sentence| is_at_front_door(sentence.as_str()));
         // Who comes home is none of those who are there.
         let comes = said.sentence().is_some_and(|sentence| PresenceStatement::is_arrival(sentence.as_str()));
-        let candidates = self.candidates(is_strange);
+        let mut candidates = self.candidates(is_strange);
+        // Who is called "she" is not "he", if anybody else is there.
+        if let Some(pronoun) = said.pronoun() {
+            let rank = |known: &Known| known.is_called_by(pronoun).map_or(1, |is_so| if is_so { 2 } else { 0 });
+            let here = candidates.iter().filter(|(_, known)| known.presence == Presence::Present);
+            let best = here.map(|(_, known)| rank(known)).max().unwrap_or_default();
+            candidates.retain(|(_, known)| known.presence != Presence::Present || rank(known) == best);
+        }
         let present = candidates.iter().filter(|(_, known)| known.presence == Presence::Present);
         let at_door =
             |known: &Known| known.door_ns > i64::MIN && (0..=DOOR_NS).contains(&now_ns.saturating_sub(known.door_ns));
@@ -672,11 +692,27 @@ impl Persons {
         self.told_of.push_back((teller, person, at_ns));
     }
 
-    /// Whom a source means by "he" or "she" that has told of somebody by name shortly before: none where they are not in the house.
-    pub(super) fn antecedent(&self, teller: Teller, at_ns: i64) -> Option<u32> {
+    /// Whom a source means by "he" or "she" that has told of somebody by name shortly before: none where they are not in the house, or are called by
+    /// the other one, or where others are called by this one and of them it is not known.
+    pub(super) fn antecedent(&self, teller: Teller, pronoun: Pronoun, at_ns: i64) -> Option<u32> {
         let (_, person, told_ns) = self.told_of.iter().find(|told| told.0 == teller)?;
-        let is_here = self.known.get(person).is_some_and(|known| known.presence == Presence::Present);
-        (is_here && (0..=PRONOUN_NS).contains(&(at_ns - told_ns))).then_some(*person)
+        let known = self.known.get(person).filter(|known| known.presence == Presence::Present)?;
+        let is_others = || {
+            self.known
+                .values()
+                .any(|known| known.presence == Presence::Present && known.is_called_by(pronoun) == Some(true))
+        };
+        let is_meant = known.is_called_by(pronoun).unwrap_or_else(|| !is_others());
+        (is_meant && (0..=PRONOUN_NS).contains(&(at_ns - told_ns))).then_some(*person)
+    }
+
+    /// Takes note that somebody was called by a pronoun.
+    pub(super) fn call(&mut self, number: u32, pronoun: Pronoun) {
+        const MOST: i8 = 8;
+        if let Some(known) = self.known.get_mut(&number) {
+            let step = if pronoun == Pronoun::She { 1 } else { -1 };
+            known.she = (known.she + step).clamp(-MOST, MOST);
+        }
     }
 
     /// Whether somebody who is known goes by a name, has it here, or lives here.

@@ -78,7 +78,8 @@ impl<M: LanguageModel> Board<M> {
         // What has ended brings nobody home.
         let is_over = || is_open && said.is_of_an_end() && !self.persons.is_anybody_here(is_strange);
         let is_of_none = || is_open && self.persons.is_of_nobody(said);
-        let is_of_nobody = is_of_things || is_over() || is_of_none() || is_unknown();
+        let is_anybodys = || is_open && self.persons.are_several_away(is_strange) && said.is_own_arrival();
+        let is_of_nobody = is_of_things || is_over() || is_of_none() || is_unknown() || is_anybodys();
         (!is_of_nobody).then(|| self.persons.each(observation, is_strange)).into_iter().flatten()
     }
 
@@ -102,11 +103,17 @@ impl<M: LanguageModel> Board<M> {
             }
             None if observation.person == SOMEBODY => {
                 observation.name = self.persons.named(&observation.said).pop().map(Into::into);
-                let is_meant = || observation.said.is_of_one_pronoun();
-                let meant = || self.persons.antecedent(teller, noted_ns).filter(|_| is_meant());
+                let pronoun = observation.said.pronoun();
+                let meant = || self.persons.antecedent(teller, pronoun?, noted_ns);
                 let person = match &observation.name {
                     Some(name) => self.persons.number_of(name),
-                    None => meant().unwrap_or_else(|| self.fitting(&observation.said, noted_ns, is_strange)),
+                    None => match meant() {
+                        Some(person) => {
+                            pronoun.into_iter().for_each(|pronoun| self.persons.call(person, pronoun));
+                            person
+                        }
+                        None => self.fitting(&observation.said, noted_ns, is_strange),
+                    },
                 };
                 if observation.name.is_some() {
                     self.persons.remember(teller, person, noted_ns);
@@ -128,6 +135,15 @@ impl<M: LanguageModel> Board<M> {
             return None;
         }
         self.persons.see_off(&mut observation);
+        // Where the map has no office by that name, it is the one that people go to work at.
+        let has_office =
+            || self.pipeline.grounding().partitions().iter().any(|own| own.id == "office" || own.label == "office");
+        if observation.said.goes_to_an_office()
+            && !has_office()
+            && let Ok(away) = PresenceStatement::new(Presence::Away, None)
+        {
+            observation.said = Said::Presence(away);
+        }
         // After such a silence a visitor was gone, whether or not anybody looked meanwhile.
         if self.persons.has_expired(observation.person, noted_ns) {
             self.watch();
@@ -140,6 +156,11 @@ impl<M: LanguageModel> Board<M> {
         }
         if let Some(dropped) = self.persons.note(&observation, voice, noted_ns) {
             self.drop_person(dropped);
+        }
+        if observation.name.is_some()
+            && let Some(pronoun) = observation.said.own_pronoun()
+        {
+            self.persons.call(observation.person, pronoun);
         }
         if !is_strange {
             self.persons.guard(observation.person, noted_ns);
