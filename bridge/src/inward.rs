@@ -4,6 +4,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
 use roomcast_ipc::{Domain, IpcError, NarrationV1, Publisher, RoomScoresV1, Subscriber, clock, sequence};
+use roomcast_ros2::types;
 use zenoh::bytes::ZBytes;
 
 use crate::config::Config;
@@ -13,9 +14,8 @@ use crate::limiter::Limiter;
 use crate::line::line;
 use crate::link::Link;
 use crate::relay::{Offered, Relay};
-use crate::ros2::types;
 use crate::stop::Stop;
-use crate::wire::{self, Arrived, Confirmed, Hex, Narrated};
+use crate::wire::{self, Arrived, Confirmed, Fault, Hex, Narrated};
 
 /// Messages that wait to be looked at; more are dropped, and sent again by their hub.
 pub const HEARD_MAX: usize = 256;
@@ -166,7 +166,8 @@ impl Narrator {
     }
 
     fn hear_ros2(&mut self, heard: &Heard, (epoch, sequence): (u64, u64), log: &mut Limiter) {
-        let observed = types::decode_string(&heard.bytes).and_then(|text| line(&text, clock::unix_ns()));
+        let observed = types::decode_string(&heard.bytes).map_err(|error| Fault(error.to_string()));
+        let observed = observed.and_then(|text| line(&text, clock::unix_ns()));
         let message = observed.and_then(|(observation, age_ns)| {
             let narrated =
                 Narrated { epoch: Hex(epoch), sequence, first: 1, age_ns, sent_ns: 0, clock: Hex(0), observation };

@@ -10,10 +10,10 @@ use roomcast_bridge::config::Config;
 use roomcast_bridge::delivery::Delivery;
 use roomcast_bridge::line::line;
 use roomcast_bridge::relay::{Offered, Relay};
-use roomcast_bridge::ros2::types::{Text, decode_string, encode};
 use roomcast_bridge::spool::Spool;
 use roomcast_bridge::wire::{Arrived, BYTES_MAX, Confirmed, Hex, Kind, Narrated, Observation, Person, read};
 use roomcast_ipc::Message;
+use roomcast_ros2::types::{Text, decode_string, encode};
 
 /// One change of some bytes: at a part of their length, what it does, and with which byte.
 type Damage = (f64, u8, u8);

@@ -5,8 +5,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use roomcast_core::grounding::Partition;
-
-use super::types::{ColorRgba, Header, MapMetaData, Marker, MarkerArray, OccupancyGrid, Point, Pose, Quaternion};
+use roomcast_ros2::types::{Header, MapMetaData, OccupancyGrid, Point, Pose, Quaternion};
 
 /// A certain person's room. Nav2's keepout filter makes 100 a lethal cost of 254; this is 249, below those that a robot's body must not
 /// touch.
@@ -140,33 +139,6 @@ impl Mask {
 pub fn value(probability: f64) -> i8 {
     let steps = (probability.clamp(0.0, 1.0) * 20.0).round() as i8;
     (steps * 5).min(MOST)
-}
-
-/// Each room's outline and its name with a probability, redder where somebody is likelier.
-#[must_use]
-pub fn markers(rooms: &[(&Partition, f64)], header: &Header) -> MarkerArray {
-    let mut markers = Vec::new();
-    for (room, probability) in rooms {
-        let share = probability.clamp(0.0, 1.0) as f32;
-        let color = ColorRgba { r: share, g: 1.0 - share, b: 0.2, a: 0.9 };
-        let mut add = |kind: i32, marker: Marker| {
-            let id = i32::try_from(markers.len()).unwrap_or(i32::MAX);
-            let ns = "rooms".to_owned();
-            markers.push(Marker { header: header.clone(), ns, id, r#type: kind, color, ..marker });
-        };
-        for ring in room.spaces.iter().flat_map(|space| space.rings()) {
-            let corner = |corner: &[f64; 2]| Point { x: corner[0], y: corner[1], z: 0.02 };
-            let points = ring.iter().chain(ring.first()).map(corner).collect();
-            add(4, Marker { scale: Point { x: 0.05, y: 0.0, z: 0.0 }, points, ..Marker::default() });
-        }
-        if let Some(space) = room.spaces.first() {
-            let [x, y, _] = space.centre_m();
-            let pose = Pose { position: Point { x, y, z: 0.3 }, orientation: Quaternion::default() };
-            let text = format!("{} {:.0} %", room.label, probability * 100.0);
-            add(9, Marker { pose, scale: Point { x: 0.0, y: 0.0, z: 0.3 }, text, ..Marker::default() });
-        }
-    }
-    MarkerArray { markers }
 }
 
 #[cfg(test)]

@@ -3,4 +3,3 @@
 pub mod mask;
 pub mod node;
 pub mod run;
-pub mod types;

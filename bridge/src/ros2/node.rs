@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 
 use roomcast_ipc::clock;
+use roomcast_ros2::types::{self, Message};
 use serde::Serialize;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
@@ -11,8 +12,6 @@ use zenoh::qos::CongestionControl;
 use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig};
-
-use super::types::{self, Message};
 
 /// How a topic is kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

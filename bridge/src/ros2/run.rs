@@ -5,14 +5,13 @@ use std::time::{Duration, Instant};
 
 use roomcast_core::grounding::{Partition, partitions};
 use roomcast_core::semantic_map::{SceneError, SemanticMap};
-use roomcast_ipc::{Domain, ForecastV1, IpcError, PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, clock, sequence};
+use roomcast_ipc::{Domain, ForecastV1, IpcError, PersonScoresV1, RoomScoresV1, Subscriber, clock};
+use roomcast_ros2::content::{diagnostics, of_all, of_one, slug};
+use roomcast_ros2::markers::markers;
+use roomcast_ros2::types::{CostmapFilterInfo, Header, Message, Text};
 
 use super::mask::{self, Grid, MapError, Mask};
 use super::node::{Kept, Node};
-use super::types::{
-    Classification, CostmapFilterInfo, DiagnosticArray, DiagnosticStatus, Header, KeyValue, ObjectHypothesis, Text,
-    Time,
-};
 use crate::config::Ros2;
 use crate::inward::Ear;
 use crate::limiter::Limiter;
@@ -22,8 +21,6 @@ use crate::stop::Stop;
 const TICK: Duration = Duration::from_millis(100);
 /// How often diagnostics are published, and markers at most.
 const SECOND: Duration = Duration::from_secs(1);
-/// A daemon that was silent for so long is an error.
-const SILENCE_NS: u64 = 2_000_000_000;
 /// The node's name.
 const NAME: &str = "roomcast";
 
@@ -110,7 +107,7 @@ impl Voice<'_> {
     }
 
     /// Publishes below the prefix, or at an absolute name.
-    fn say<M: super::types::Message + serde::Serialize>(&mut self, topic: &str, kept: Kept, message: &M) {
+    fn say<M: Message + serde::Serialize>(&mut self, topic: &str, kept: Kept, message: &M) {
         let topic = if topic.starts_with('/') { topic.to_owned() } else { format!("{}/{topic}", self.config.prefix) };
         let said = self.node.as_mut().map(|(_, node)| node.publish(&topic, kept, message));
         if let Some(Err(error)) = said {
@@ -120,8 +117,7 @@ impl Voice<'_> {
 
     /// A header for content of this age.
     fn header(&self, age_ns: u64) -> Header {
-        let stamp = Time::of_unix_ns(clock::unix_ns().saturating_sub(age_ns));
-        Header { stamp, frame_id: self.config.frame.clone() }
+        Header::of_unix_ns(clock::unix_ns().saturating_sub(age_ns), &self.config.frame)
     }
 }
 
@@ -199,7 +195,7 @@ pub fn run(
             };
             let shown: Vec<_> = places.rooms.iter().map(|room| (room, probability(room))).collect();
             let header = voice.header(scores.age_ns(now_ns));
-            voice.say("markers", Kept::Last, &mask::markers(&shown, &header));
+            voice.say("markers", Kept::Last, &markers(&shown, &header));
         }
         if told.is_none_or(|told| told.elapsed() >= SECOND) {
             told = Some(Instant::now());
@@ -215,33 +211,6 @@ fn filter(config: &Ros2, header: Header) -> CostmapFilterInfo {
     CostmapFilterInfo { header, r#type: 0, filter_mask_topic, base: 0.0, multiplier: 1.0 }
 }
 
-fn of_all(scores: &RoomScoresV1, header: Header) -> Classification {
-    let rooms = scores.rooms().iter();
-    let results = rooms.map(|room| ObjectHypothesis { class_id: room.id().to_owned(), score: room.probability });
-    Classification { header, results: results.collect() }
-}
-
-fn of_one(message: &PersonScoresV1, person: &PersonV1, header: Header) -> Classification {
-    let rooms = message.probabilities(person).map(|(id, score)| ObjectHypothesis { class_id: id.to_owned(), score });
-    let elsewhere = ObjectHypothesis { class_id: "elsewhere".to_owned(), score: person.elsewhere };
-    Classification { header, results: rooms.chain([elsewhere]).collect() }
-}
-
-/// A person's part of a topic: ROS 2 has small letters, digits and underscores there. Who has another name in them has a number behind.
-fn slug(person: &PersonV1) -> String {
-    let name = person.name();
-    let plain = |letter: char| letter.is_ascii_lowercase() || letter.is_ascii_digit();
-    let lower = name.to_lowercase();
-    if !name.is_empty() && lower.chars().all(plain) && lower == name.to_ascii_lowercase() {
-        return format!("p_{lower}");
-    }
-    if name.is_empty() {
-        return format!("number_{}", person.person);
-    }
-    let safe: String = lower.chars().map(|letter| if plain(letter) { letter } else { '_' }).collect();
-    format!("p_{safe}_{:08x}", sequence::source_of_name(name) >> 32)
-}
-
 /// How likely somebody is in each room of the scene at the likeliest moment within a horizon.
 fn likely<'a>(forecast: &'a ForecastV1, rooms: &'a [Partition], horizon_s: f64) -> impl Iterator<Item = f64> + 'a {
     let within = forecast.horizon_s.iter().take(forecast.horizon_count as usize);
@@ -251,59 +220,4 @@ fn likely<'a>(forecast: &'a ForecastV1, rooms: &'a [Partition], horizon_s: f64) 
         let row = row.filter(|(id, _)| *id == room.id).flat_map(|(_, row)| row.iter().take(within));
         row.fold(0.0, |most, probability| f64::from(*probability).max(most))
     })
-}
-
-fn diagnostics(scores: Option<&RoomScoresV1>, now_ns: u64, header: Header) -> DiagnosticArray {
-    let silence_ns = scores.map(|scores| scores.silence_ns(now_ns));
-    let (level, message) = match silence_ns {
-        None => (3, "no daemon has said anything yet"),
-        Some(silence_ns) if silence_ns > SILENCE_NS => (2, "the daemon is silent"),
-        Some(_) => (0, "rooms are scored"),
-    };
-    let mut values = Vec::new();
-    let mut add = |key: &str, value: String| values.push(KeyValue { key: key.to_owned(), value });
-    if let (Some(scores), Some(silence_ns)) = (scores, silence_ns) {
-        add("silence_s", format!("{:.3}", silence_ns as f64 / 1e9));
-        add("scores_age_s", format!("{:.3}", scores.age_ns(now_ns) as f64 / 1e9));
-        add("persons", scores.persons.to_string());
-        add("window", scores.window.to_string());
-        add("label_mass", format!("{:.6}", scores.label_mass));
-    }
-    let name = "roomcast: daemon".to_owned();
-    let status = DiagnosticStatus { level, name, message: message.to_owned(), hardware_id: String::new(), values };
-    DiagnosticArray { header, status: vec![status] }
-}
-
-#[cfg(test)]
-mod tests {
-    use roomcast_ipc::text;
-
-    use super::*;
-
-    fn person(name: &str) -> PersonV1 {
-        PersonV1 { person: 7, name: text::encode("name", name).unwrap(), ..Default::default() }
-    }
-
-    #[test]
-    fn every_person_has_a_topic_that_ros2_takes() {
-        assert_eq!(slug(&person("Ada")), "p_ada");
-        assert_eq!(slug(&person("")), "number_7");
-        let names = ["José", "Jos_", "Ada B", "ada-b", "🙂", "7/x"];
-        let slugs: Vec<_> = names.iter().map(|name| slug(&person(name))).collect();
-        for (index, one) in slugs.iter().enumerate() {
-            assert!(
-                one.bytes().all(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'_'),
-                "{one}"
-            );
-            assert!(!slugs[..index].contains(one), "{slugs:?}");
-        }
-    }
-
-    #[test]
-    fn a_silent_daemon_is_an_error_and_none_at_all_is_stale() {
-        let level =
-            |scores: Option<&RoomScoresV1>| diagnostics(scores, 10_000_000_000, Header::default()).status[0].level;
-        let scores = |published_ns| RoomScoresV1 { published_ns, ..Default::default() };
-        assert_eq!((level(None), level(Some(&scores(1))), level(Some(&scores(9_900_000_000)))), (3, 2, 0));
-    }
 }

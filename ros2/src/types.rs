@@ -1,16 +1,19 @@
 //! The ROS 2 messages that are used, field by field in the order of their definitions, with the names and hashes by which rmw_zenoh
-//! tells types apart. `tests/ros2.py` computes every hash from the definition and decodes every message by another implementation.
+//! tells types apart. A test computes every hash from the definition in [`crate::schema`]; the bridge's tests compute them, and decode every
+//! message, by other implementations.
 
-use cdr_encoding::{Error, from_bytes, to_vec};
+pub use cdr_encoding::Error as CdrError;
+use cdr_encoding::{from_bytes, to_vec};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-
-use crate::wire::Fault;
 
 /// Before each message in CDR: little endian, no options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
 /// A message that is published or heard.
 pub trait Message {
+    /// Its name for people and in recordings.
+    const NAME: &'static str;
     /// Its name in keys.
     const TYPE: &'static str;
     /// The hash of its definition (REP 2016).
@@ -22,30 +25,49 @@ pub trait Message {
 /// # Errors
 ///
 /// For what CDR cannot hold: a sequence of 2^32 elements or more.
-pub fn encode<M: Message + Serialize>(message: &M) -> Result<Vec<u8>, Error> {
+pub fn encode<M: Message + Serialize>(message: &M) -> Result<Vec<u8>, CdrError> {
     let mut bytes = ENCAPSULATION.to_vec();
     bytes.extend(to_vec::<M, byteorder::LittleEndian>(message)?);
     Ok(bytes)
+}
+
+/// Why bytes are no message.
+#[derive(Debug, thiserror::Error)]
+#[error("no {kind} in CDR: {reason}")]
+pub struct Malformed {
+    kind: &'static str,
+    reason: String,
+}
+
+/// The message of some bytes, in either byte order.
+///
+/// # Errors
+///
+/// [`Malformed`] for bytes that are none.
+pub fn decode<M: Message + DeserializeOwned>(bytes: &[u8]) -> Result<M, Malformed> {
+    let malformed = |reason: String| Malformed { kind: M::NAME, reason };
+    let decoded = match bytes {
+        [0, 1, _, _, rest @ ..] => from_bytes::<M, byteorder::LittleEndian>(rest),
+        [0, 0, _, _, rest @ ..] => from_bytes::<M, byteorder::BigEndian>(rest),
+        _ => return Err(malformed("its first four bytes name no encoding".to_owned())),
+    };
+    decoded.map(|(message, _)| message).map_err(|error| malformed(error.to_string()))
 }
 
 /// The text of a peer's `std_msgs/String`, in either byte order.
 ///
 /// # Errors
 ///
-/// [`Fault`] for bytes that are none.
-pub fn decode_string(bytes: &[u8]) -> Result<String, Fault> {
-    let decoded = match bytes {
-        [0, 1, _, _, rest @ ..] => from_bytes::<Text, byteorder::LittleEndian>(rest),
-        [0, 0, _, _, rest @ ..] => from_bytes::<Text, byteorder::BigEndian>(rest),
-        _ => return Err(Fault("no CDR".to_owned())),
-    };
-    decoded.map(|(text, _)| text.data).map_err(|error| Fault(error.to_string()))
+/// [`Malformed`] for bytes that are none.
+pub fn decode_string(bytes: &[u8]) -> Result<String, Malformed> {
+    decode::<Text>(bytes).map(|text| text.data)
 }
 
 macro_rules! message {
-    ($name:ident, $kind:literal, $hash:literal) => {
+    ($name:ident, $package:literal, $kind:literal, $hash:literal) => {
         impl Message for $name {
-            const TYPE: &'static str = $kind;
+            const NAME: &'static str = concat!($package, "/msg/", $kind);
+            const TYPE: &'static str = concat!($package, "::msg::dds_::", $kind, "_");
             const HASH: &'static str = concat!("RIHS01_", $hash);
         }
     };
@@ -57,10 +79,10 @@ pub struct Text {
     /// The text.
     pub data: String,
 }
-message!(Text, "std_msgs::msg::dds_::String_", "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18");
+message!(Text, "std_msgs", "String", "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18");
 
 /// `builtin_interfaces/Time` and `Duration`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Time {
     /// Seconds.
     pub sec: i32,
@@ -79,7 +101,7 @@ impl Time {
 }
 
 /// `std_msgs/Header`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Header {
     /// When the content was made.
     pub stamp: Time,
@@ -87,8 +109,16 @@ pub struct Header {
     pub frame_id: String,
 }
 
+impl Header {
+    /// A header for content that was made at a wall clock's time.
+    #[must_use]
+    pub fn of_unix_ns(unix_ns: u64, frame: &str) -> Self {
+        Self { stamp: Time::of_unix_ns(unix_ns), frame_id: frame.to_owned() }
+    }
+}
+
 /// `geometry_msgs/Point` and `Vector3`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Point {
     /// Metres.
     pub x: f64,
@@ -99,7 +129,7 @@ pub struct Point {
 }
 
 /// `geometry_msgs/Quaternion`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Quaternion {
     /// First imaginary part.
     pub x: f64,
@@ -118,7 +148,7 @@ impl Default for Quaternion {
 }
 
 /// `geometry_msgs/Pose`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
     /// Where.
     pub position: Point,
@@ -127,7 +157,7 @@ pub struct Pose {
 }
 
 /// `nav_msgs/MapMetaData`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct MapMetaData {
     /// When the map was loaded.
     pub map_load_time: Time,
@@ -142,7 +172,7 @@ pub struct MapMetaData {
 }
 
 /// `nav_msgs/OccupancyGrid`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct OccupancyGrid {
     /// When, and in which frame.
     pub header: Header,
@@ -153,12 +183,13 @@ pub struct OccupancyGrid {
 }
 message!(
     OccupancyGrid,
-    "nav_msgs::msg::dds_::OccupancyGrid_",
+    "nav_msgs",
+    "OccupancyGrid",
     "8d348150c12913a31ee0ec170fbf25089e4745d17035792a1ba94d6f0bc0cfc7"
 );
 
 /// `nav2_msgs/CostmapFilterInfo`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct CostmapFilterInfo {
     /// When, and in which frame.
     pub header: Header,
@@ -173,12 +204,13 @@ pub struct CostmapFilterInfo {
 }
 message!(
     CostmapFilterInfo,
-    "nav2_msgs::msg::dds_::CostmapFilterInfo_",
+    "nav2_msgs",
+    "CostmapFilterInfo",
     "61ce391bf7690f76a331c01c9d5ce8ca71e6c99273b9fb75e48380f05c6dfdc8"
 );
 
 /// `vision_msgs/ObjectHypothesis`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct ObjectHypothesis {
     /// The room.
     pub class_id: String,
@@ -187,7 +219,7 @@ pub struct ObjectHypothesis {
 }
 
 /// `vision_msgs/Classification`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Classification {
     /// When, and in which frame.
     pub header: Header,
@@ -196,12 +228,13 @@ pub struct Classification {
 }
 message!(
     Classification,
-    "vision_msgs::msg::dds_::Classification_",
+    "vision_msgs",
+    "Classification",
     "f74db28d0eaef3afb78f48bf2161cd709a1383a0309d3454383b25be11345143"
 );
 
 /// `std_msgs/ColorRGBA`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ColorRgba {
     /// Red, 0 to 1.
     pub r: f32,
@@ -214,7 +247,7 @@ pub struct ColorRgba {
 }
 
 /// `sensor_msgs/CompressedImage`, which is empty here.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct CompressedImage {
     /// Empty.
     pub header: Header,
@@ -225,7 +258,7 @@ pub struct CompressedImage {
 }
 
 /// `visualization_msgs/UVCoordinate`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct UvCoordinate {
     /// Zero.
     pub u: f32,
@@ -234,7 +267,7 @@ pub struct UvCoordinate {
 }
 
 /// `visualization_msgs/MeshFile`, which is empty here.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MeshFile {
     /// Empty.
     pub filename: String,
@@ -243,7 +276,7 @@ pub struct MeshFile {
 }
 
 /// `visualization_msgs/Marker`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Marker {
     /// When, and in which frame.
     pub header: Header,
@@ -286,19 +319,20 @@ pub struct Marker {
 }
 
 /// `visualization_msgs/MarkerArray`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MarkerArray {
     /// The markers.
     pub markers: Vec<Marker>,
 }
 message!(
     MarkerArray,
-    "visualization_msgs::msg::dds_::MarkerArray_",
+    "visualization_msgs",
+    "MarkerArray",
     "86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf"
 );
 
 /// `diagnostic_msgs/KeyValue`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct KeyValue {
     /// What.
     pub key: String,
@@ -307,7 +341,7 @@ pub struct KeyValue {
 }
 
 /// `diagnostic_msgs/DiagnosticStatus`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct DiagnosticStatus {
     /// 0 good, 1 a warning, 2 an error, 3 stale.
     pub level: u8,
@@ -322,7 +356,7 @@ pub struct DiagnosticStatus {
 }
 
 /// `diagnostic_msgs/DiagnosticArray`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct DiagnosticArray {
     /// When.
     pub header: Header,
@@ -331,7 +365,8 @@ pub struct DiagnosticArray {
 }
 message!(
     DiagnosticArray,
-    "diagnostic_msgs::msg::dds_::DiagnosticArray_",
+    "diagnostic_msgs",
+    "DiagnosticArray",
     "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e"
 );
 
