@@ -9,10 +9,12 @@ use roomcast_ipc::{
     Subscriber, clock, question, score_flags,
 };
 
+use super::choice::choice;
 use super::{CommandResult, Failure, ranges, service};
 use roomcast_services::logging;
 use roomcast_services::moment::Moment;
-use roomcast_services::recording::{Recorded, Recorder, RecordingError};
+use roomcast_services::recording::ros2::{Received, Ros2Recorder};
+use roomcast_services::recording::{Profile, Recorded, Recorder, RecordingError};
 
 use crate::exit_code;
 
@@ -24,6 +26,9 @@ pub struct Args {
     /// The file to write; it must not exist yet.
     #[arg(value_name = "FILE")]
     file: PathBuf,
+    /// For whom the file is written.
+    #[arg(long, value_parser = choice::<Profile>(), default_value_t)]
+    profile: Profile,
     /// Record scores that the daemon only repeats to show that it lives, too.
     #[arg(long)]
     heartbeats: bool,
@@ -39,6 +44,58 @@ const FLUSH: Duration = Duration::from_secs(5);
 /// How long the daemon may take to tell its map.
 const PATIENCE: Duration = Duration::from_secs(5);
 
+/// The recorder of a profile.
+enum Output {
+    Roomcast(Recorder),
+    Ros2(Box<Ros2Recorder>),
+}
+
+impl Output {
+    fn create(args: &Args, robot: &str) -> Result<Self, RecordingError> {
+        Ok(match args.profile {
+            Profile::Roomcast => Self::Roomcast(Recorder::create(&args.file)?),
+            Profile::Ros2 => Self::Ros2(Box::new(Ros2Recorder::create(&args.file, robot)?)),
+        })
+    }
+
+    fn write(&mut self, message: &Recorded, received: Received) -> Result<(), RecordingError> {
+        match self {
+            Self::Roomcast(recorder) => recorder.write(message, received.unix_ns),
+            Self::Ros2(recorder) => recorder.write(message, received),
+        }
+    }
+
+    fn tell(&mut self, moment: &Moment, received: Received) -> Result<(), RecordingError> {
+        match self {
+            Self::Roomcast(recorder) => recorder.attach(moment, received.unix_ns),
+            Self::Ros2(recorder) => recorder.tell(moment),
+        }
+    }
+
+    fn flush(&mut self) -> Result<(), RecordingError> {
+        match self {
+            Self::Roomcast(recorder) => recorder.flush(),
+            Self::Ros2(recorder) => recorder.flush(),
+        }
+    }
+
+    /// Ends the file; how many messages it has.
+    fn finish(&mut self) -> Result<u64, RecordingError> {
+        match self {
+            Self::Roomcast(recorder) => recorder.finish().map(|()| recorder.written()),
+            Self::Ros2(recorder) => recorder.finish().map(|()| recorder.written()),
+        }
+    }
+
+    /// What the file lacks when the daemon does not tell its map.
+    fn without_map(&self) -> &'static str {
+        match self {
+            Self::Roomcast(_) => "the daemon did not tell its map; explaining this recording will need the scene file",
+            Self::Ros2(_) => "the daemon did not tell its map; the recording has no markers of its rooms",
+        }
+    }
+}
+
 /// Records until it is asked to stop.
 ///
 /// # Errors
@@ -51,7 +108,7 @@ pub fn run(args: &Args) -> CommandResult {
     }
     let stop = service::stop()?;
     let _log = logging::init();
-    let (_, domain) = args.service.load()?;
+    let (config, domain) = args.service.load()?;
     let ipc = |error| Failure::new(exit_code::IPC, error);
     let node = domain.open("roomcast-record").map_err(ipc)?;
     let narration = node.subscriber::<NarrationV1>().map_err(ipc)?;
@@ -68,7 +125,7 @@ pub fn run(args: &Args) -> CommandResult {
         };
         Failure::new(code, error)
     };
-    let mut recorder = Recorder::create(&args.file).map_err(output)?;
+    let mut recorder = Output::create(args, &config.planner.robot).map_err(output)?;
     // The daemon is asked by a thread of its own, so that nothing is missed meanwhile.
     let port = node.question_port(question::MOMENT).map_err(ipc)?;
     let (ask, asked) = bounded(1);
@@ -99,7 +156,7 @@ pub fn run(args: &Args) -> CommandResult {
         take(&forecasts, &mut news, &mut malformed, |message| Recorded::PersonForecasts(Box::new(message)))?;
         take(&decisions, &mut news, &mut malformed, |message| Recorded::Decision(Box::new(message)))?;
         take(&reports, &mut news, &mut malformed, |message| Recorded::RobotReport(Box::new(message)))?;
-        let received_unix_ns = clock::unix_ns();
+        let received = Received { unix_ns: clock::unix_ns(), monotonic_ns: clock::monotonic_ns() };
         for message in &news {
             let repeated = match message {
                 // Scores that claim more, because the journal has it now, or whose scorer has failed since, say something new.
@@ -121,7 +178,7 @@ pub fn run(args: &Args) -> CommandResult {
                 _ => false,
             };
             if args.heartbeats || !repeated {
-                recorder.write(message, received_unix_ns).map_err(output)?;
+                recorder.write(message, received).map_err(output)?;
             }
         }
         for message in &news {
@@ -134,11 +191,8 @@ pub fn run(args: &Args) -> CommandResult {
             }
         }
         match told.try_recv() {
-            Ok(Ok(moment)) => recorder.attach(&moment, received_unix_ns).map_err(output)?,
-            Ok(Err(error)) => tracing::warn!(
-                error,
-                "the daemon did not tell its map; explaining this recording will need the scene file"
-            ),
+            Ok(Ok(moment)) => recorder.tell(&moment, received).map_err(output)?,
+            Ok(Err(error)) => tracing::warn!(error, "{}", recorder.without_map()),
             Err(_) => {}
         }
         if flushed.elapsed() > FLUSH {
@@ -153,12 +207,8 @@ pub fn run(args: &Args) -> CommandResult {
             narration.wait_with(&scores, POLL).map_err(ipc)?;
         }
     }
-    recorder.finish().map_err(output)?;
-    super::tell(format_args!(
-        "{} messages in {}; {malformed} malformed ones left out",
-        recorder.written(),
-        args.file.display()
-    ));
+    let written = recorder.finish().map_err(output)?;
+    super::tell(format_args!("{written} messages in {}; {malformed} malformed ones left out", args.file.display()));
     Ok(())
 }
 

@@ -3,22 +3,27 @@
 //! Every message is a JSON object under a JSON schema, so that Foxglove and other tools of robotics read it; its field `bytes` holds the
 //! message as it lay in shared memory, in hexadecimal, so that what is replayed is what was recorded, bit for bit. Numbers that
 //! JavaScript cannot hold (epochs, sources) are hexadecimal texts. Attachments hold what the daemon told of itself: the map in use,
-//! and the narration that came before the recording ([`crate::moment`]).
+//! and the narration that came before the recording ([`crate::moment`]). This is the profile [`Profile::Roomcast`], the only one that is
+//! read back; what other programs of ROS 2 read is written by [`ros2`].
+
+pub mod ros2;
+mod tape;
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use mcap::{Attachment, McapError, WriteOptions, Writer};
+use mcap::{Attachment, McapError};
 use roomcast_ipc::{
     ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, PersonV1,
     RobotReportV1, RoomScoresV1, Sender, person_flags, presence,
 };
+use roomcast_ros2::types::CdrError;
 use serde_json::{Value, json};
+use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
+use self::tape::{Form, Tape};
 use crate::config::IntakeLimits;
 use crate::daemon::{Intake, Taken, presence_word};
 use crate::habits_reason::PersonHabits;
@@ -33,6 +38,17 @@ pub const RECORD_BYTES_MAX: usize = 64 << 20;
 
 /// Attachments that hold a moment have names that begin so.
 const MOMENT_FILES: &str = "moment-";
+
+/// For whom a recording is written.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Display, EnumMessage, EnumString, IntoStaticStr, VariantArray)]
+#[strum(serialize_all = "kebab-case")]
+pub enum Profile {
+    /// For `replay`, `explain` and `view`: every message bit for bit, as JSON with schemas.
+    #[default]
+    Roomcast,
+    /// For `ros2 bag` and other programs of ROS 2: standard messages in CDR.
+    Ros2,
+}
 
 /// Why a recording cannot be written or read.
 #[derive(Debug, thiserror::Error)]
@@ -65,6 +81,24 @@ pub enum RecordingError {
         path: PathBuf,
         /// What the reader said.
         source: Box<McapError>,
+    },
+    /// The file was written for other programs.
+    #[error(
+        "the recording {path} has the profile {profile:?}, and only those of the profile \"roomcast\" are read: record without --profile"
+    )]
+    Profile {
+        /// The file.
+        path: PathBuf,
+        /// Its profile.
+        profile: String,
+    },
+    /// A message is longer than CDR allows.
+    #[error("failed to write a message of the topic {topic}: {source}")]
+    Cdr {
+        /// The topic.
+        topic: String,
+        /// What the serialiser said.
+        source: CdrError,
     },
     /// A message in it is none of Roomcast's.
     #[error(
@@ -339,10 +373,8 @@ fn schemas() -> [(&'static str, &'static str, Value); 7] {
 /// Writes a recording.
 #[expect(missing_debug_implementations, reason = "the writer of mcap has none")]
 pub struct Recorder {
-    writer: Writer<BufWriter<File>>,
+    tape: Tape,
     channels: BTreeMap<&'static str, u16>,
-    path: PathBuf,
-    written: u64,
 }
 
 impl Recorder {
@@ -350,25 +382,18 @@ impl Recorder {
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Io`], [`RecordingError::Mcap`].
+    /// [`RecordingError::Exists`], [`RecordingError::Io`], [`RecordingError::Mcap`].
     pub fn create(path: &Path) -> Result<Self, RecordingError> {
-        let file = File::create_new(path).map_err(|source| match source.kind() {
-            std::io::ErrorKind::AlreadyExists => RecordingError::Exists { path: path.to_owned() },
-            _ => RecordingError::Io { path: path.to_owned(), source },
-        })?;
-        let library = concat!("roomcast ", env!("CARGO_PKG_VERSION"));
-        let fail = |source| RecordingError::Mcap { path: path.to_owned(), source: Box::new(source) };
-        let mut writer = WriteOptions::new().profile("").library(library).create(BufWriter::new(file)).map_err(fail)?;
+        // MCAP's own profiles say how messages are to be read; these have none.
+        let mut tape = Tape::create(path, "")?;
         let mut channels = BTreeMap::new();
         for (topic, name, schema) in schemas() {
-            let schema = writer.add_schema(name, "jsonschema", schema.to_string().as_bytes()).map_err(fail)?;
-            channels.insert(topic, writer.add_channel(schema, topic, "json", &BTreeMap::new()).map_err(fail)?);
+            let schema = &schema.to_string();
+            let (schema_encoding, message_encoding) = ("jsonschema", "json");
+            let form = Form { name, schema_encoding, schema, message_encoding, metadata: BTreeMap::new() };
+            channels.insert(topic, tape.channel(topic, &form)?);
         }
-        Ok(Self { writer, channels, path: path.to_owned(), written: 0 })
-    }
-
-    fn mcap(&self, source: McapError) -> RecordingError {
-        RecordingError::Mcap { path: self.path.clone(), source: Box::new(source) }
+        Ok(Self { tape, channels })
     }
 
     /// Appends a message that was received at `received_unix_ns`.
@@ -386,10 +411,7 @@ impl Recorder {
             log_time: received_unix_ns,
             publish_time: received_unix_ns,
         };
-        let written = self.writer.write_to_known_channel(&header, data.to_string().as_bytes());
-        written.map_err(|error| self.mcap(error))?;
-        self.written += 1;
-        Ok(())
+        self.tape.write(&header, data.to_string().as_bytes())
     }
 
     /// Keeps what the daemon told of a moment (its JSON), as an attachment.
@@ -399,20 +421,19 @@ impl Recorder {
     /// [`RecordingError::Mcap`].
     pub fn attach(&mut self, moment: &Moment, received_unix_ns: u64) -> Result<(), RecordingError> {
         let data = serde_json::to_vec(moment).unwrap_or_default();
-        let attached = self.writer.attach(&Attachment {
+        self.tape.attach(&Attachment {
             log_time: received_unix_ns,
             create_time: received_unix_ns,
             name: format!("{MOMENT_FILES}{}-{}.json", moment.epoch, moment.sequence),
             media_type: "application/json".to_owned(),
             data: data.into(),
-        });
-        attached.map_err(|error| self.mcap(error))
+        })
     }
 
     /// Messages written.
     #[must_use]
     pub fn written(&self) -> u64 {
-        self.written
+        self.tape.written()
     }
 
     /// Brings what was written so far to the file, so that a crash loses nothing older.
@@ -421,8 +442,7 @@ impl Recorder {
     ///
     /// [`RecordingError::Mcap`].
     pub fn flush(&mut self) -> Result<(), RecordingError> {
-        let flushed = self.writer.flush();
-        flushed.map_err(|error| self.mcap(error))
+        self.tape.flush()
     }
 
     /// Ends the file with its index.
@@ -431,8 +451,7 @@ impl Recorder {
     ///
     /// [`RecordingError::Mcap`].
     pub fn finish(&mut self) -> Result<(), RecordingError> {
-        let finished = self.writer.finish();
-        finished.map(|_| ()).map_err(|error| self.mcap(error))
+        self.tape.finish()
     }
 }
 
@@ -690,7 +709,10 @@ pub fn decode(path: &Path, bytes: &[u8]) -> Result<Recording, RecordingError> {
             return Err(RecordingError::TooLarge { path: path.to_owned() });
         }
         match opcode {
-            op::CHANNEL | op::MESSAGE => match mcap::parse_record(opcode, data).map_err(mcap)? {
+            op::HEADER | op::CHANNEL | op::MESSAGE => match mcap::parse_record(opcode, data).map_err(mcap)? {
+                Record::Header(header) if !header.profile.is_empty() => {
+                    return Err(RecordingError::Profile { path: path.to_owned(), profile: header.profile });
+                }
                 Record::Channel(channel) => {
                     topics.insert(channel.id, channel.topic);
                 }
@@ -864,7 +886,7 @@ mod tests {
             log_time: 0,
             publish_time: 0,
         };
-        recorder.writer.write_to_known_channel(&header, br#"{"bytes": "00ff"}"#).unwrap();
+        recorder.tape.write(&header, br#"{"bytes": "00ff"}"#).unwrap();
         recorder.finish().unwrap();
         let error = read(&path).unwrap_err().to_string();
         assert!(error.contains("2 bytes are no roomcast.NarrationV1"), "{error}");

@@ -1,0 +1,391 @@
+//! Recordings as ROS 2 has them: CDR messages of standard types under their definitions, on the topics of the bridge, so that `ros2 bag` and
+//! Foxglove read them as their own.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use mcap::records::{MessageHeader, Metadata};
+use roomcast_core::grounding::{Partition, partitions};
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_ipc::{NarrationV1, PersonScoresV1, RobotReportV1, RoomScoresV1, sequence};
+use roomcast_ros2::types::{Classification, Header, MarkerArray, Message, Text, encode};
+use roomcast_ros2::{content, markers, schema, words};
+
+use super::tape::{Form, Tape};
+use super::{Recorded, RecordingError};
+use crate::message_text::said_of;
+use crate::moment::Moment;
+
+/// The profile in the file's header.
+pub(super) const PROFILE: &str = "ros2";
+/// The frame of the map's coordinates, as the bridge has it unless it is told another.
+const FRAME: &str = "map";
+
+/// What of a topic is kept for who subscribes later, when it is played back.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kept {
+    /// The last message: transient-local, depth 1.
+    Last,
+    /// Nothing: volatile, depth 10.
+    Not,
+}
+
+impl Kept {
+    /// The quality of service as rosbag2 writes it, by the numbers that all its versions read: history 1 keeps the last ones, reliability 1 is
+    /// reliable, durability 1 transient-local and 2 volatile, liveliness 1 automatic; times without an end.
+    fn profile(self) -> String {
+        let (depth, durability) = match self {
+            Self::Last => (1, 1),
+            Self::Not => (10, 2),
+        };
+        let endless = "\n    sec: 9223372036\n    nsec: 854775807";
+        format!(
+            "- history: 1\n  depth: {depth}\n  reliability: 1\n  durability: {durability}\n  deadline:{endless}\n  lifespan:{endless}\n  \
+             liveliness: 1\n  liveliness_lease_duration:{endless}\n  avoid_ros_namespace_conventions: false"
+        )
+    }
+}
+
+/// When a message came.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Received {
+    /// By the wall clock.
+    pub unix_ns: u64,
+    /// By the monotonic clock, at the same time.
+    pub monotonic_ns: u64,
+}
+
+impl Received {
+    /// The wall clock's time of something that the monotonic clock saw before.
+    fn before(self, monotonic_ns: u64) -> u64 {
+        self.unix_ns.saturating_sub(self.monotonic_ns.saturating_sub(monotonic_ns))
+    }
+
+    /// A message's own time, or when it came where it has none.
+    fn or(self, unix_ns: u64) -> u64 {
+        if unix_ns == 0 { self.unix_ns } else { unix_ns }
+    }
+}
+
+/// When a message came and was made, by the wall clock, and its number.
+#[derive(Debug, Clone, Copy)]
+struct Stamp {
+    received_unix_ns: u64,
+    made_unix_ns: u64,
+    sequence: u64,
+}
+
+impl Stamp {
+    fn header(self) -> Header {
+        Header::of_unix_ns(self.made_unix_ns, FRAME)
+    }
+}
+
+/// Writes a recording as ROS 2 has them.
+#[expect(missing_debug_implementations, reason = "the writer of mcap has none")]
+pub struct Ros2Recorder {
+    tape: Tape,
+    channels: BTreeMap<String, u16>,
+    persons: BTreeMap<u32, String>,
+    robots: BTreeMap<u64, String>,
+    /// The map's fingerprint, and its rooms.
+    map: Option<(String, Vec<Partition>)>,
+    /// Scores that wait for their map.
+    undrawn: Option<(Box<RoomScoresV1>, Stamp)>,
+}
+
+impl Ros2Recorder {
+    /// Creates the file; one that exists is not overwritten. `robot` is the name of the planner's own robot.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Exists`], [`RecordingError::Io`], [`RecordingError::Mcap`].
+    pub fn create(path: &Path, robot: &str) -> Result<Self, RecordingError> {
+        let mut tape = Tape::create(path, PROFILE)?;
+        // Versions of rosbag2 between 9 and today's take the numbers of qualities for words, unless this record is there and says nothing.
+        let metadata = [("serialized_metadata".to_owned(), String::new())].into();
+        tape.tell(&Metadata { name: "rosbag2".to_owned(), metadata })?;
+        let mut recorder = Self {
+            tape,
+            channels: BTreeMap::new(),
+            persons: BTreeMap::new(),
+            robots: [(sequence::source_of_name(robot), robot.to_owned())].into(),
+            map: None,
+            undrawn: None,
+        };
+        recorder.channel::<Text>("narration", Kept::Not)?;
+        recorder.channel::<Classification>("rooms", Kept::Last)?;
+        recorder.channel::<MarkerArray>("markers", Kept::Last)?;
+        recorder.channel::<Text>("decision", Kept::Last)?;
+        recorder.channel::<Text>("report", Kept::Not)?;
+        Ok(recorder)
+    }
+
+    fn channel<M: Message>(&mut self, topic: &str, kept: Kept) -> Result<u16, RecordingError> {
+        if let Some(channel) = self.channels.get(topic) {
+            return Ok(*channel);
+        }
+        let metadata = [("offered_qos_profiles", kept.profile()), ("topic_type_hash", M::HASH.to_owned())];
+        let form = Form {
+            name: M::NAME,
+            schema_encoding: "ros2msg",
+            schema: &schema::of::<M>(),
+            message_encoding: "cdr",
+            metadata: metadata.map(|(key, value)| (key.to_owned(), value)).into(),
+        };
+        let channel = self.tape.channel(&format!("/roomcast/{topic}"), &form)?;
+        self.channels.insert(topic.to_owned(), channel);
+        Ok(channel)
+    }
+
+    fn say<M: Message + serde::Serialize>(
+        &mut self,
+        topic: &str,
+        kept: Kept,
+        stamp: Stamp,
+        message: &M,
+    ) -> Result<(), RecordingError> {
+        let channel_id = self.channel::<M>(topic, kept)?;
+        let header = MessageHeader {
+            channel_id,
+            // The file's field has 32 bits.
+            sequence: stamp.sequence as u32,
+            log_time: stamp.received_unix_ns,
+            publish_time: stamp.made_unix_ns,
+        };
+        let data = encode(message).map_err(|source| RecordingError::Cdr { topic: topic.to_owned(), source })?;
+        self.tape.write(&header, &data)
+    }
+
+    /// Appends what a message says. Forecasts have no topic.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Mcap`], [`RecordingError::Cdr`].
+    pub fn write(&mut self, message: &Recorded, received: Received) -> Result<(), RecordingError> {
+        let sequence = message.sequence();
+        let at = |made_unix_ns| Stamp { received_unix_ns: received.unix_ns, made_unix_ns, sequence };
+        match message {
+            Recorded::Narration(message) => {
+                let said = self.narrated(message);
+                self.say("narration", Kept::Not, at(received.or(message.observed_unix_ns)), &said)
+            }
+            Recorded::RoomScores(scores) => {
+                let stamp = at(received.or(scores.computed_unix_ns));
+                self.say("rooms", Kept::Last, stamp, &content::of_all(scores, stamp.header()))?;
+                self.undrawn = Some((scores.clone(), stamp));
+                self.draw()
+            }
+            Recorded::PersonScores(scores) => self.persons(scores, at(received.before(scores.computed_ns))),
+            Recorded::Decision(decision) => {
+                let said = words::decision(decision, &self.robot(decision.robot));
+                self.say("decision", Kept::Last, at(received.or(decision.decided_unix_ns)), &said)
+            }
+            Recorded::RobotReport(report) => {
+                let said = self.reported(report);
+                self.say("report", Kept::Not, at(received.or(report.reported_unix_ns)), &said)
+            }
+            Recorded::Forecast(_) | Recorded::PersonForecasts(_) => Ok(()),
+        }
+    }
+
+    /// The sentence as the daemon reads it, with the person's name where it is known.
+    fn narrated(&self, message: &NarrationV1) -> Text {
+        let said = said_of(message.kind, message.text()).map(|said| said.to_string());
+        let own = Some(message.person_name()).filter(|name| !name.is_empty());
+        let name = own.or_else(|| self.persons.get(&message.person).map(String::as_str));
+        words::narration(said.as_deref().unwrap_or(message.text()), name)
+    }
+
+    fn reported(&mut self, report: &RobotReportV1) -> Text {
+        let name = report.robot_name();
+        if !name.is_empty() {
+            self.robots.insert(report.robot, name.to_owned());
+        }
+        words::report(report, &self.robot(report.robot))
+    }
+
+    /// A robot's name, or its number where nobody has said it.
+    fn robot(&self, number: u64) -> String {
+        self.robots.get(&number).cloned().unwrap_or_else(|| format!("robot {number:016x}"))
+    }
+
+    fn persons(&mut self, scores: &PersonScoresV1, stamp: Stamp) -> Result<(), RecordingError> {
+        for person in scores.persons() {
+            if !person.name().is_empty() {
+                self.persons.insert(person.person, person.name().to_owned());
+            }
+            let topic = format!("person/{}", content::slug(person));
+            self.say(&topic, Kept::Last, stamp, &content::of_one(scores, person, stamp.header()))?;
+        }
+        Ok(())
+    }
+
+    /// Takes the map and the names of persons from what the daemon told of itself. Scores that waited for it are drawn.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Mcap`], [`RecordingError::Cdr`].
+    pub fn tell(&mut self, moment: &Moment) -> Result<(), RecordingError> {
+        self.persons.extend(moment.names.clone());
+        match SemanticMap::from_json(&moment.scene.to_string()) {
+            Ok(map) => self.map = Some((moment.map_fingerprint.clone(), partitions(&map, moment.grounding.level))),
+            Err(error) => tracing::warn!(%error, "the daemon told a map that is none; markers are left out"),
+        }
+        self.draw()
+    }
+
+    /// Draws the last scores, where their map is known.
+    fn draw(&mut self) -> Result<(), RecordingError> {
+        let (Some((scores, stamp)), Some((fingerprint, rooms))) = (&self.undrawn, &self.map) else { return Ok(()) };
+        if *fingerprint != hex::encode(scores.map_fingerprint) {
+            return Ok(());
+        }
+        let probability =
+            |id: &str| scores.rooms().iter().find(|own| own.id() == id).map_or(0.0, |own| own.probability);
+        let shown: Vec<_> = rooms.iter().map(|room| (room, probability(&room.id))).collect();
+        let (stamp, drawn) = (*stamp, markers::markers(&shown, &stamp.header()));
+        self.undrawn = None;
+        self.say("markers", Kept::Last, stamp, &drawn)
+    }
+
+    /// Messages written.
+    #[must_use]
+    pub fn written(&self) -> u64 {
+        self.tape.written()
+    }
+
+    /// Brings what was written so far to the file, so that a crash loses nothing older.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Mcap`].
+    pub fn flush(&mut self) -> Result<(), RecordingError> {
+        self.tape.flush()
+    }
+
+    /// Ends the file with its index.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Mcap`].
+    pub fn finish(&mut self) -> Result<(), RecordingError> {
+        self.tape.finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_core::grounding::{Grounding, GroundingOptions};
+    use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+    use roomcast_core::scorer::table::TableModel;
+    use roomcast_ipc::{DecisionV1, PersonV1, action, narration_kind, text};
+    use roomcast_ros2::types::decode;
+
+    use super::*;
+
+    const NOW: Received = Received { unix_ns: 1_700_000_000_000_000_000, monotonic_ns: 50_000_000_000 };
+
+    fn map() -> SemanticMap {
+        SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap()
+    }
+
+    /// What a daemon on this map would tell.
+    fn moment() -> Moment {
+        let options = GroundingOptions::default();
+        let grounding = Grounding::new(&map(), &options).unwrap();
+        let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+        Moment { names: [(4, "Ben".to_owned())].into(), ..Moment::of(&pipeline, &map(), &options, None) }
+    }
+
+    fn scores(sequence: u64, map_fingerprint: [u8; 32]) -> Recorded {
+        let (computed_unix_ns, room_count) = (NOW.unix_ns - 7, 2);
+        let mut scores =
+            RoomScoresV1 { epoch: 3, sequence, computed_unix_ns, room_count, map_fingerprint, ..Default::default() };
+        for (room, id) in scores.room.iter_mut().zip(["kitchen", "bathroom"]) {
+            room.id = text::encode("id", id).unwrap();
+            room.probability = 0.5;
+        }
+        Recorded::RoomScores(Box::new(scores))
+    }
+
+    /// Each message: topic, type, when it came and was made, its bytes.
+    fn messages(path: &Path) -> Vec<(String, String, u64, u64, Vec<u8>)> {
+        let bytes = std::fs::read(path).unwrap();
+        let messages = mcap::MessageStream::new(&bytes).unwrap().map(|message| {
+            let message = message.unwrap();
+            let schema = message.channel.schema.as_ref().unwrap();
+            assert_eq!((schema.encoding.as_str(), message.channel.message_encoding.as_str()), ("ros2msg", "cdr"));
+            let (topic, data) = (message.channel.topic.clone(), message.data.to_vec());
+            (topic, schema.name.clone(), message.log_time, message.publish_time, data)
+        });
+        messages.collect()
+    }
+
+    #[test]
+    fn messages_lie_on_the_bridges_topics_and_markers_wait_for_their_map() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("day.mcap");
+        let mut recorder = Ros2Recorder::create(&path, "robo").unwrap();
+        let fingerprint = map().fingerprint();
+        let narration =
+            NarrationV1 { person: 4, ..NarrationV1::new(narration_kind::ACTION, "[Grab] <mug> (1)").unwrap() };
+        let narration = Recorded::Narration(Box::new(narration));
+        let mut persons =
+            PersonScoresV1 { computed_ns: NOW.monotonic_ns - 5, room_count: 1, person_count: 1, ..Default::default() };
+        persons.id[0] = text::encode("id", "kitchen").unwrap();
+        persons.person[0] = PersonV1 { person: 9, name: text::encode("name", "Ada").unwrap(), ..Default::default() };
+        let robot = sequence::source_of_name("robo");
+        let decision =
+            DecisionV1 { robot, action: action::GO, to: text::encode("to", "kitchen").unwrap(), ..Default::default() };
+        recorder.write(&narration, NOW).unwrap();
+        recorder.write(&scores(1, fingerprint), NOW).unwrap();
+        recorder.write(&scores(2, fingerprint), NOW).unwrap();
+        recorder.tell(&moment()).unwrap();
+        recorder.write(&narration, NOW).unwrap();
+        recorder.write(&Recorded::PersonScores(Box::new(persons)), NOW).unwrap();
+        recorder.write(&scores(3, [1; 32]), NOW).unwrap();
+        recorder.write(&Recorded::Decision(Box::new(decision)), NOW).unwrap();
+        recorder.write(&Recorded::Decision(Box::new(DecisionV1 { robot: 5, ..decision })), NOW).unwrap();
+        assert_eq!(recorder.written(), 9);
+        recorder.finish().unwrap();
+
+        let written = messages(&path);
+        let topics: Vec<_> = written.iter().map(|message| message.0.trim_start_matches("/roomcast/")).collect();
+        let expected =
+            ["narration", "rooms", "rooms", "markers", "narration", "person/p_ada", "rooms", "decision", "decision"];
+        assert_eq!(topics, expected, "none of the first scores, and none of another map's");
+        let said = |at: usize| decode::<Text>(&written[at].4).unwrap().data;
+        assert_eq!(said(0), "They grab the mug.");
+        assert_eq!(said(4), "Ben: They grab the mug.", "the daemon told the name meanwhile");
+        assert_eq!(
+            (said(7), said(8)),
+            ("robo goes to kitchen".into(), "robot 0000000000000005 goes to kitchen".into())
+        );
+        let made = |at: usize| (NOW.unix_ns - written[at].2, NOW.unix_ns - written[at].3);
+        assert_eq!((made(0), made(1), made(5)), ((0, 0), (0, 7), (0, 5)));
+        let drawn: MarkerArray = decode(&written[3].4).unwrap();
+        assert!(!drawn.markers.is_empty() && drawn.markers[0].header == Header::of_unix_ns(NOW.unix_ns - 7, "map"));
+        assert_eq!(written[5].1, "vision_msgs/msg/Classification");
+
+        let refused = super::super::read(&path).unwrap_err().to_string();
+        assert!(refused.contains("\"ros2\", and only those of the profile \"roomcast\" are read"), "{refused}");
+        assert!(matches!(Ros2Recorder::create(&path, ""), Err(RecordingError::Exists { .. })));
+    }
+
+    #[test]
+    fn channels_say_what_rosbag2_asks_of_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("day.mcap");
+        Ros2Recorder::create(&path, "").unwrap().finish().unwrap();
+        let summary = mcap::Summary::read(&std::fs::read(&path).unwrap()).unwrap().unwrap();
+        assert_eq!((summary.channels.len(), summary.metadata_indexes.len()), (5, 1));
+        for channel in summary.channels.values() {
+            let kept = ["/roomcast/rooms", "/roomcast/markers", "/roomcast/decision"].contains(&channel.topic.as_str());
+            let qualities = &channel.metadata["offered_qos_profiles"];
+            assert_eq!(qualities.contains("durability: 1"), kept, "{}", channel.topic);
+            assert!(qualities.starts_with("- history: 1\n  depth: ") && qualities.contains("  reliability: 1\n"));
+            assert!(channel.metadata["topic_type_hash"].starts_with("RIHS01_"));
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! An MCAP file that is being written, whatever its messages are.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{Attachment, McapError, WriteOptions, Writer};
+
+use super::RecordingError;
+
+/// How a channel's messages are to be read.
+pub(super) struct Form<'a> {
+    /// The type's name.
+    pub name: &'a str,
+    /// How its schema is written.
+    pub schema_encoding: &'a str,
+    /// Its schema.
+    pub schema: &'a str,
+    /// How its messages are written.
+    pub message_encoding: &'a str,
+    /// What else is told of the channel.
+    pub metadata: BTreeMap<String, String>,
+}
+
+/// The file.
+pub(super) struct Tape {
+    writer: Writer<BufWriter<File>>,
+    path: PathBuf,
+    written: u64,
+}
+
+impl Tape {
+    /// Creates the file; one that exists is not overwritten.
+    pub(super) fn create(path: &Path, profile: &str) -> Result<Self, RecordingError> {
+        let file = File::create_new(path).map_err(|source| match source.kind() {
+            std::io::ErrorKind::AlreadyExists => RecordingError::Exists { path: path.to_owned() },
+            _ => RecordingError::Io { path: path.to_owned(), source },
+        })?;
+        let library = concat!("roomcast ", env!("CARGO_PKG_VERSION"));
+        let writer = WriteOptions::new().profile(profile).library(library).create(BufWriter::new(file));
+        let writer =
+            writer.map_err(|source| RecordingError::Mcap { path: path.to_owned(), source: Box::new(source) })?;
+        Ok(Self { writer, path: path.to_owned(), written: 0 })
+    }
+
+    fn done<T>(&self, result: Result<T, McapError>) -> Result<T, RecordingError> {
+        result.map_err(|source| RecordingError::Mcap { path: self.path.clone(), source: Box::new(source) })
+    }
+
+    /// A channel for a topic.
+    pub(super) fn channel(&mut self, topic: &str, form: &Form<'_>) -> Result<u16, RecordingError> {
+        let schema = self.writer.add_schema(form.name, form.schema_encoding, form.schema.as_bytes());
+        let schema = self.done(schema)?;
+        let channel = self.writer.add_channel(schema, topic, form.message_encoding, &form.metadata);
+        self.done(channel)
+    }
+
+    /// Appends a message.
+    pub(super) fn write(&mut self, header: &MessageHeader, data: &[u8]) -> Result<(), RecordingError> {
+        let written = self.writer.write_to_known_channel(header, data);
+        self.done(written)?;
+        self.written += 1;
+        Ok(())
+    }
+
+    pub(super) fn attach(&mut self, attachment: &Attachment<'_>) -> Result<(), RecordingError> {
+        let attached = self.writer.attach(attachment);
+        self.done(attached)
+    }
+
+    pub(super) fn tell(&mut self, metadata: &Metadata) -> Result<(), RecordingError> {
+        let told = self.writer.write_metadata(metadata);
+        self.done(told)
+    }
+
+    pub(super) fn written(&self) -> u64 {
+        self.written
+    }
+
+    pub(super) fn flush(&mut self) -> Result<(), RecordingError> {
+        let flushed = self.writer.flush();
+        self.done(flushed)
+    }
+
+    pub(super) fn finish(&mut self) -> Result<(), RecordingError> {
+        let finished = self.writer.finish();
+        self.done(finished).map(|_| ())
+    }
+}
