@@ -64,8 +64,8 @@ bridge: setup ## Builds and checks roomcast-bridge: lints, tests with a real rou
 	test -x $(TARGET)/release/roomcast || cargo build --release --locked
 	cargo clippy $(BRIDGE) --all-targets -- -D warnings
 	@test -x $(ZENOH)/bin/python || python3 -m venv $(ZENOH); \
-	if ! $(ZENOH)/bin/python -c 'import rosbags, zenoh, zenoh_ros2_sdk' 2>/dev/null; then \
-	    $(ZENOH)/bin/python -m pip install --quiet --disable-pip-version-check 'eclipse-zenoh==1.10.2' 'rosbags==0.11.9' 'zenoh-ros2-sdk==0.1.8' || true; \
+	if ! $(ZENOH)/bin/python -c 'import mcap_ros2, rosbags, zenoh, zenoh_ros2_sdk' 2>/dev/null; then \
+	    $(ZENOH)/bin/python -m pip install --quiet --disable-pip-version-check 'eclipse-zenoh==1.10.2' 'mcap-ros2-support==0.6.0' 'rosbags==0.11.9' 'zenoh-ros2-sdk==0.1.8' || true; \
 	fi
 	cargo test $(BRIDGE)
 	RUSTDOCFLAGS="-D warnings" cargo doc $(BRIDGE) --no-deps

@@ -1306,9 +1306,18 @@ fn recordings_that_cannot_be_are_refused_before_anything_is_written() {
     let (code, said) = ended(&["record", "-", "--seconds", "1"]);
     assert_eq!(code, Some(i32::from(exit_code::USAGE)), "{said}");
     assert!(said.contains("not to standard output") && !world.directory.path().join("-").exists(), "{said}");
+    let (code, said) = ended(&["record", "night.mcap", "--profile", "nonsense"]);
+    assert_eq!(code, Some(i32::from(exit_code::USAGE)), "{said}");
+    assert!(
+        said.contains("roomcast") && said.contains("ros2") && !world.directory.path().join("night.mcap").exists(),
+        "{said}"
+    );
     std::fs::write(world.directory.path().join("day.mcap"), "precious").unwrap();
     let (there, said) = ended(&["record", "day.mcap", "--seconds", "1"]);
     assert!(said.contains("exists already"), "{said}");
+    let (also, said) = ended(&["record", "day.mcap", "--profile", "ros2", "--seconds", "1"]);
+    assert!(also == there && said.contains("exists already"), "{said}");
+    assert_eq!(std::fs::read(world.directory.path().join("day.mcap")).unwrap(), b"precious");
     let (missing, said) = ended(&["replay", "night.mcap"]);
     assert!(said.contains("night.mcap"), "{said}");
     assert_eq!((there, missing), (Some(i32::from(exit_code::INPUT)), Some(i32::from(exit_code::INPUT))));
@@ -1403,10 +1412,7 @@ fn the_examples_of_json_lines_are_narrated() {
 
 /// Waits until the recorder has its last port; a narrator that has just left may count as a listener for a while.
 fn recorder_listens(node: &Node) {
-    let reports = node.publisher::<RobotReportV1>().unwrap();
-    eventually("the recorder listens", || {
-        reports.listeners().iter().any(|name| name == "roomcast-record").then_some(())
-    });
+    recorders_listen(node, 1);
 }
 
 /// How far recorded scores are from those that were computed again, as `explain --recording` says it.
@@ -1494,6 +1500,142 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     let twice = other.command(&["replay", file.to_str().unwrap(), "--speed", "50"]).output().unwrap();
     let said = String::from_utf8(twice.stderr).unwrap();
     assert!(said.contains("the daemon has taken in 4 of them before and takes none twice"), "{said}");
+}
+
+/// Waits until so many recorders have their last port.
+fn recorders_listen(node: &Node, count: usize) {
+    let reports = node.publisher::<RobotReportV1>().unwrap();
+    eventually("the recorders listen", || {
+        let listeners = reports.listeners();
+        (listeners.iter().filter(|name| *name == "roomcast-record").count() == count).then_some(())
+    });
+}
+
+/// The messages of a file that was written for ROS 2, by topic: type, when it was made, bytes.
+fn of_ros2(bytes: &[u8]) -> std::collections::BTreeMap<String, Vec<(String, u64, Vec<u8>)>> {
+    let mut topics = std::collections::BTreeMap::<_, Vec<_>>::new();
+    for message in mcap::MessageStream::new(bytes).unwrap() {
+        let message = message.unwrap();
+        let schema = message.channel.schema.as_ref().unwrap();
+        assert_eq!((schema.encoding.as_str(), message.channel.message_encoding.as_str()), ("ros2msg", "cdr"));
+        assert!(message.channel.metadata["topic_type_hash"].starts_with("RIHS01_"));
+        assert!(message.channel.metadata["offered_qos_profiles"].contains("reliability: 1"));
+        let entry = (schema.name.clone(), message.publish_time, message.data.to_vec());
+        topics.entry(message.channel.topic.clone()).or_default().push(entry);
+    }
+    topics
+}
+
+/// Two recorders hear the same: what ROS 2 reads in the one file is what the other, which is replayed, has.
+#[test]
+fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
+    use roomcast_ros2::content::{of_all, of_one};
+    use roomcast_ros2::types::{Classification, Header, MarkerArray, Text, decode};
+    use roomcast_ros2::words;
+    use roomcast_services::recording::Recorded;
+
+    let mut world = World::new("record-ros2");
+    let daemon = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let path = |name: &str| world.directory.path().join(name).to_str().unwrap().to_owned();
+    let (own, theirs) = (path("own.mcap"), path("theirs.mcap"));
+    let recorders = [world.start(&["record", &own]), world.start(&["record", "--profile", "ros2", &theirs])];
+    recorders_listen(&node, 2);
+    let planner = world.start(&["planner", "--room-time", "0.2"]);
+    let lines = [
+        r#"{"person": "Ada", "text": "They walk to the kitchen."}"#,
+        r#"{"person": "Ada", "text": "[Grab] <mug> (1)"}"#,
+        "Ada opens the fridge.",
+    ];
+    let lines: String = lines.iter().map(|line| format!("{line}\n")).collect();
+    assert_eq!(world.narrate("camera", &lines).0, 0);
+    let reported = world.command(&["report", "started", "--room", "kitchen", "--note", "all well"]).output().unwrap();
+    assert!(reported.status.success(), "{reported:?}");
+    // Whoever speaks ends first, so that both hear the same end.
+    for process in [planner, daemon].into_iter().chain(recorders) {
+        world.signal(process, Signal::TERM);
+        let (status, log) = world.wait(process);
+        assert!(status.success(), "{log}");
+    }
+
+    let bytes = std::fs::read(&theirs).unwrap();
+    let profile = mcap::read::LinearReader::new(&bytes).unwrap().find_map(|record| match record.unwrap() {
+        mcap::records::Record::Header(header) => Some(header.profile),
+        _ => None,
+    });
+    assert_eq!(profile.as_deref(), Some("ros2"));
+    let topics = of_ros2(&bytes);
+    let kinds: Vec<_> = topics.iter().map(|(topic, messages)| (topic.as_str(), messages[0].0.as_str())).collect();
+    let (text, rooms) = ("std_msgs/msg/String", "vision_msgs/msg/Classification");
+    assert_eq!(
+        kinds,
+        [
+            ("/roomcast/decision", text),
+            ("/roomcast/markers", "visualization_msgs/msg/MarkerArray"),
+            ("/roomcast/narration", text),
+            ("/roomcast/person/p_ada", rooms),
+            ("/roomcast/report", text),
+            ("/roomcast/rooms", rooms),
+        ]
+    );
+    let texts = |topic: &str| -> Vec<String> {
+        topics[topic].iter().map(|(_, _, bytes)| decode::<Text>(bytes).unwrap().data).collect()
+    };
+    let narrated = ["Ada: They walk to the kitchen.", "Ada: They grab the mug.", "Ada opens the fridge."];
+    assert_eq!(texts("/roomcast/narration"), narrated);
+    assert_eq!(texts("/roomcast/report"), ["robot has begun to work in kitchen: all well"]);
+
+    let own = roomcast_services::recording::read(Path::new(&own)).unwrap();
+    let decided = own.messages.iter().filter_map(|(_, message)| match message {
+        Recorded::Decision(decision) => Some(words::decision(decision, "robot").data),
+        _ => None,
+    });
+    let decided: Vec<_> = decided.collect();
+    assert_eq!(texts("/roomcast/decision"), decided);
+    assert!(decided[0].starts_with("robot goes to ") && decided[0].contains(": "), "{decided:?}");
+    let classified = |topic: &str| -> Vec<Classification> {
+        let messages = topics[topic].iter();
+        messages
+            .map(|(_, made, bytes)| {
+                let told: Classification = decode(bytes).unwrap();
+                assert_eq!(told.header, Header::of_unix_ns(*made, "map"));
+                told
+            })
+            .collect()
+    };
+    let scored = own.messages.iter().filter_map(|(_, message)| match message {
+        Recorded::RoomScores(scores) => Some(of_all(scores, Header::of_unix_ns(scores.computed_unix_ns, "map"))),
+        _ => None,
+    });
+    assert_eq!(classified("/roomcast/rooms"), scored.collect::<Vec<_>>());
+    let of_persons = own.messages.iter().filter_map(|(_, message)| match message {
+        Recorded::PersonScores(scores) => Some(scores),
+        _ => None,
+    });
+    let of_persons = of_persons
+        .flat_map(|scores| scores.persons().iter().map(|person| of_one(scores, person, Header::default()).results));
+    let ada: Vec<_> = classified("/roomcast/person/p_ada").into_iter().map(|told| told.results).collect();
+    assert_eq!(ada, of_persons.collect::<Vec<_>>());
+    let rooms = classified("/roomcast/rooms");
+    for (_, made, bytes) in &topics["/roomcast/markers"] {
+        let drawn: MarkerArray = decode(bytes).unwrap();
+        let of = rooms.iter().rfind(|rooms| rooms.header == Header::of_unix_ns(*made, "map")).unwrap();
+        let names = drawn.markers.iter().filter(|marker| !marker.text.is_empty());
+        assert_eq!(names.count(), of.results.len());
+    }
+
+    // It is for others: nothing here reads it as its own.
+    for arguments in [&["replay", &theirs][..], &["explain", "--recording", &theirs]] {
+        let output = roomcast(arguments).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(i32::from(exit_code::INPUT)), "{said}");
+        assert!(
+            said.contains("has the profile \"ros2\", and only those of the profile \"roomcast\" are read"),
+            "{said}"
+        );
+    }
 }
 
 /// Several persons, one of whom only a presence is known, one who left, and a window that an hour's silence ended.

@@ -40,7 +40,7 @@ pub fn python() -> Option<PathBuf> {
 }
 
 /// The robot's program, which `make bridge` builds before.
-fn roomcast() -> PathBuf {
+pub fn roomcast() -> PathBuf {
     let program = std::env::var_os("ROOMCAST_BINARY").map_or_else(|| target().join("release/roomcast"), PathBuf::from);
     assert!(program.exists(), "{} is not there: build it first (cargo build --release)", program.display());
     program

@@ -1,0 +1,138 @@
+"""What two other implementations read in a recording for ROS 2: recording.py ROS2.mcap OWN.mcap
+
+mcap-ros2-support decodes each message by the schema in the file. rosbags registers the schemas, computes each type's hash from them, and reads the
+file as rosbag2's folder has it. Both have to see the same, and what Roomcast's own recording of the same time says. It prints how many messages each
+topic has, as JSON.
+"""
+
+import json
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from ruamel.yaml import YAML
+
+THEIRS, OWN = Path(sys.argv[1]), Path(sys.argv[2])
+
+
+def plain(value):
+    """A message as JSON, whoever decoded it."""
+    names = getattr(value, "__dataclass_fields__", None) or getattr(value, "__slots__", None)
+    if names:
+        return {name: plain(getattr(value, name)) for name in names if not name.startswith("_")}
+    if isinstance(value, bytes):
+        return list(value)
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return [plain(one) for one in value] if isinstance(value, list) else value
+
+
+# mcap-ros2-support, by the file alone.
+by_schema = []
+with THEIRS.open("rb") as file:
+    reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+    assert reader.get_header().profile == "ros2", reader.get_header()
+    for schema, channel, message, decoded in reader.iter_decoded_messages():
+        assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr"), schema
+        by_schema.append((channel.topic, message.log_time, plain(decoded)))
+    summary = reader.get_summary()
+    channels = [(channel, summary.schemas[channel.schema_id]) for channel in summary.channels.values()]
+    statistics = summary.statistics
+    assert statistics.message_count == len(by_schema)
+
+# rosbags, by a folder as rosbag2 makes it, with types from the schemas in the file.
+store = get_typestore(Stores.EMPTY)
+for _, schema in channels:
+    store.register(get_types_from_msg(schema.data.decode(), schema.name))
+# Types that ROS 2 itself defines are as ROS 2 defines them.
+jazzy = get_typestore(Stores.ROS2_JAZZY)
+for channel, schema in channels:
+    assert channel.metadata["topic_type_hash"] == store.hash_rihs01(schema.name), schema.name
+    if schema.name in jazzy.types:
+        assert channel.metadata["topic_type_hash"] == jazzy.hash_rihs01(schema.name), schema.name
+    (profile,) = YAML(typ="safe").load(channel.metadata["offered_qos_profiles"])
+    kept = channel.topic.split("/")[2] in {"rooms", "person", "markers", "decision"}
+    assert profile["reliability"] == 1 and profile["durability"] == (1 if kept else 2), profile
+with tempfile.TemporaryDirectory() as folder:
+    folder = Path(folder)
+    (folder / "bag.mcap").write_bytes(THEIRS.read_bytes())
+    topics = [
+        {
+            "topic_metadata": {
+                "name": channel.topic,
+                "type": schema.name,
+                "serialization_format": channel.message_encoding,
+                "offered_qos_profiles": channel.metadata["offered_qos_profiles"],
+                "type_description_hash": channel.metadata["topic_type_hash"],
+            },
+            "message_count": statistics.channel_message_counts.get(channel.id, 0),
+        }
+        for channel, schema in channels
+    ]
+    information = {
+        "version": 8,
+        "storage_identifier": "mcap",
+        "relative_file_paths": ["bag.mcap"],
+        "duration": {"nanoseconds": statistics.message_end_time - statistics.message_start_time},
+        "starting_time": {"nanoseconds_since_epoch": statistics.message_start_time},
+        "message_count": statistics.message_count,
+        "topics_with_message_count": topics,
+        "compression_format": "",
+        "compression_mode": "",
+        "custom_data": {},
+        "ros_distro": "jazzy",
+        "files": [],
+    }
+    with (folder / "metadata.yaml").open("w") as file:
+        YAML(typ="safe").dump({"rosbag2_bagfile_information": information}, file)
+    with AnyReader([folder], default_typestore=store) as reader:
+        by_bag = [(connection.topic, time, plain(store.deserialize_cdr(data, connection.msgtype))) for connection, time, data in reader.messages()]
+
+
+def key(message):
+    return message[1], message[0], json.dumps(message[2], sort_keys=True)
+
+
+assert sorted(by_schema, key=key) == sorted(by_bag, key=key), "the two implementations read different things"
+
+# What Roomcast's own recording of the same time says.
+own = {}
+with OWN.open("rb") as file:
+    for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+        own.setdefault(channel.topic.rsplit("/", 1)[1], []).append(json.loads(message.data))
+
+
+def of(topic):
+    return [message for name, _, message in by_schema if name == topic]
+
+
+def scored(message):
+    return [(result["class_id"], result["score"]) for result in message["results"]]
+
+
+def stamp(message):
+    return message["header"]["stamp"]["sec"], message["header"]["stamp"]["nanosec"]
+
+
+rooms = [([(room["id"], room["probability"]) for room in scores["rooms"]], (scores["computed"]["sec"], scores["computed"]["nsec"])) for scores in own["room-scores"]]
+assert [(scored(message), stamp(message)) for message in of("/roomcast/rooms")] == rooms
+persons = [
+    [(room["id"], room["probability"]) for room in person["rooms"]] + [("elsewhere", person["elsewhere"])]
+    for scores in own["person-scores"]
+    for person in scores["person"]
+]
+assert [scored(message) for message in of("/roomcast/person/p_ada")] == persons
+for said, narration in zip(of("/roomcast/narration"), own["narration"], strict=True):
+    assert said["data"] == f"{narration['person_name']}: {narration['text']}", said
+for said, decision in zip(of("/roomcast/decision"), own["decision"], strict=True):
+    assert decision["to"] in said["data"] and decision["reason"] in said["data"], said
+for message in of("/roomcast/markers"):
+    texts = [marker["text"] for marker in message["markers"] if marker["type"] == 9]
+    likely = [f"{probability * 100:.0f} %" for _, probability in dict((at, one) for one, at in rooms)[stamp(message["markers"][0])]]
+    assert sorted(text.rsplit(" ", 2)[1] + " %" for text in texts) == sorted(likely), texts
+print(json.dumps(Counter(topic for topic, _, _ in by_schema)))
