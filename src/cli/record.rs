@@ -46,14 +46,14 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 /// The recorder of a profile.
 enum Output {
-    Roomcast(Recorder),
+    Roomcast(Box<Recorder>),
     Ros2(Box<Ros2Recorder>),
 }
 
 impl Output {
     fn create(args: &Args, robot: &str) -> Result<Self, RecordingError> {
         Ok(match args.profile {
-            Profile::Roomcast => Self::Roomcast(Recorder::create(&args.file)?),
+            Profile::Roomcast => Self::Roomcast(Box::new(Recorder::create(&args.file)?)),
             Profile::Ros2 => Self::Ros2(Box::new(Ros2Recorder::create(&args.file, robot)?)),
         })
     }
