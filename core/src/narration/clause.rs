@@ -6,8 +6,7 @@ use std::sync::LazyLock;
 use foldhash::{HashMap, HashSet};
 use serde::Deserialize;
 
-use super::presence::Pronoun;
-use super::{PERSON_NAME_BYTES_MAX, Presence, SENTENCE_BYTES_MAX, deeds};
+use super::{PERSON_NAME_BYTES_MAX, Presence, Pronoun, SENTENCE_BYTES_MAX, deeds};
 use crate::names::Names;
 
 static WORDS: LazyLock<Words> = LazyLock::new(|| {

@@ -6,6 +6,15 @@ pub const PERSON_NAME_BYTES_MAX: usize = 48;
 /// The number of an observation that names nobody.
 pub const SOMEBODY: u32 = u32::MAX;
 
+/// What somebody is called by who is not named.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Pronoun {
+    /// "He".
+    He,
+    /// "She".
+    She,
+}
+
 /// A name without what does not count: case, more space than one between its words, and "the" before it.
 fn bare(name: &str) -> String {
     let name = name.split_whitespace().collect::<Vec<_>>().join(" ").to_lowercase();

@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-use super::SENTENCE_BYTES_MAX;
 use super::clause::{self, Clause, Subject};
+use super::{Pronoun, SENTENCE_BYTES_MAX};
 use crate::text::is_hidden;
 
 /// Whether a person is in the house.
@@ -49,15 +49,6 @@ pub struct PresenceStatement {
     subject: Option<String>,
     whose: Whose,
     pronoun: Option<Pronoun>,
-}
-
-/// What somebody is called by who is not named.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Pronoun {
-    /// "He".
-    He,
-    /// "She".
-    She,
 }
 
 /// Whose presence a statement is.
