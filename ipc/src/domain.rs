@@ -16,7 +16,8 @@ use iceoryx2::prelude::{
 };
 use iceoryx2::service::ipc_threadsafe;
 use rustix::fs::{Mode, OFlags};
-use rustix::process::geteuid;
+use rustix::io::Errno;
+use rustix::process::{Pid, geteuid, test_kill_process};
 
 use crate::{IpcError, clock};
 
@@ -228,23 +229,18 @@ impl Domain {
     /// seconds, of nanoseconds, of the process id, of a counter), and no port outlives its participant's entry, which is cleaned up last. A
     /// connection has two participants, and is of no use to one without the other.
     fn repair_ports(&self, participants: &BTreeSet<String>) {
-        let process = |number: &str| {
-            let process = (number.parse::<u128>().ok()? >> 64) as u32;
-            // A small number counts something else: memory that grows has a file `PORT__0` for its first segment.
-            (process != 0).then_some(process)
-        };
-        let known: BTreeSet<u32> = participants.iter().filter_map(|id| process(id)).collect();
+        let known: BTreeSet<u32> = participants.iter().filter_map(|id| process_of(id)).collect();
         let sockets = fs::read_dir(&self.root).into_iter().flatten().flatten().map(|entry| entry.path());
         for file in self.shared_memory().unwrap_or_default().into_iter().chain(sockets) {
             let Some(name) = file.file_name().map(|name| name.to_string_lossy().into_owned()) else { continue };
             let Some((stem, suffix)) = name.strip_prefix(&self.prefix()).and_then(|name| name.split_once('.')) else {
                 continue;
             };
-            // Numbers only: between them stands the service's hash.
-            let owners: Vec<u32> = stem.split('_').filter(|part| part.len() < 40).filter_map(process).collect();
+            let owners = processes_of(stem);
             let of_a_port = PORT_FILES.contains(&suffix) && !owners.is_empty();
+            // A process that runs may take part in a domain of this name in another root.
             if of_a_port
-                && owners.iter().any(|owner| !known.contains(owner))
+                && owners.iter().any(|owner| !known.contains(owner) && !is_running(*owner))
                 && age(&file).is_some_and(|age| age >= JOINED_WITHIN)
             {
                 let _removed = fs::remove_file(file);
@@ -373,7 +369,21 @@ impl Domain {
         Ok(ours.map(fs::DirEntry::path).collect())
     }
 
+    /// Whether another process uses files of this domain's name. Of this root nobody does when this is asked: it takes part in a domain of the
+    /// same name in another root.
+    fn is_used_elsewhere(&self) -> bool {
+        let (prefix, own) = (self.prefix(), std::process::id());
+        self.shared_memory().unwrap_or_default().iter().any(|file| {
+            let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+            let stem = name.strip_prefix(&prefix).and_then(|name| name.split_once('.')).map_or("", |(stem, _)| stem);
+            processes_of(stem).into_iter().any(|process| process != own && is_running(process))
+        })
+    }
+
     fn remove_shared_memory(&self) -> io::Result<()> {
+        if self.is_used_elsewhere() {
+            return Ok(());
+        }
         for file in self.shared_memory()? {
             match fs::remove_file(file) {
                 Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
@@ -405,8 +415,7 @@ impl Domain {
             let Some((open, about)) = open_own(&file, OFlags::WRONLY) else { continue };
             let bytes = about.len();
             if bytes > 0
-                && let Err(rustix::io::Errno::NOSPC) =
-                    rustix::fs::fallocate(&open, rustix::fs::FallocateFlags::KEEP_SIZE, 0, bytes)
+                && let Err(Errno::NOSPC) = rustix::fs::fallocate(&open, rustix::fs::FallocateFlags::KEEP_SIZE, 0, bytes)
             {
                 return Err(IpcError::SharedMemoryFull { free_bytes: 0, needed_bytes: bytes });
             }
@@ -464,6 +473,24 @@ impl Domain {
         config.global.prefix = FileName::new(self.prefix().as_bytes()).map_err(bad_name)?;
         Ok(config)
     }
+}
+
+/// The process in the number of a participant or port; none in a small number, which counts something else: memory that grows has a file
+/// `PORT__0` for its first segment.
+fn process_of(number: &str) -> Option<u32> {
+    let process = (number.parse::<u128>().ok()? >> 64) as u32;
+    (process != 0).then_some(process)
+}
+
+/// The processes in a port's file name. Numbers only: between them stands the service's hash.
+fn processes_of(stem: &str) -> Vec<u32> {
+    stem.split('_').filter(|part| part.len() < 40).filter_map(process_of).collect()
+}
+
+/// Whether a process runs; where that cannot be known it counts as one that does.
+fn is_running(process: u32) -> bool {
+    let process = Pid::from_raw(process.cast_signed());
+    process.is_none_or(|process| test_kill_process(process) != Err(Errno::SRCH))
 }
 
 /// Opens a file of the domain's in shared memory, where anybody may put a pipe, on which opening would wait, or a link to somewhere else: none

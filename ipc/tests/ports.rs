@@ -342,6 +342,32 @@ fn a_service_without_memory_keeps_nobody_out() {
     drop((publisher, subscriber, node));
 }
 
+/// Two domains of one name in two roots share the names of their files in shared memory. Each took the other's participants for gone, and
+/// removed their ports after some seconds: daemons that went deaf without a word.
+#[test]
+fn what_a_running_process_uses_stays_whatever_root_it_has() {
+    let private = Private::new("two-roots");
+    let mut other = std::process::Command::new("sleep").arg("60").spawn().unwrap();
+    let number = (u128::from(other.id()) << 64) | 5;
+    let file = std::path::PathBuf::from(format!("/dev/shm/{}{number}.data", private.domain.prefix()));
+    std::fs::write(&file, [0; 64]).unwrap();
+    let content = std::fs::File::options().write(true).open(&file).unwrap();
+    content.set_permissions(std::fs::Permissions::from_mode(0o600)).unwrap();
+    content.set_modified(std::time::SystemTime::now() - Duration::from_secs(60)).unwrap();
+    let node = private.domain.open("one").unwrap();
+    node.clean_up_dead();
+    assert!(file.exists(), "its owner runs");
+    drop(node);
+    private.domain.clean_up().unwrap();
+    assert!(file.exists(), "its owner runs, and takes part elsewhere");
+    other.kill().unwrap();
+    other.wait().unwrap();
+    let node = private.domain.open("two").unwrap();
+    node.clean_up_dead();
+    assert!(!file.exists(), "its owner is gone");
+    drop(node);
+}
+
 #[test]
 fn cleaning_up_spares_what_is_not_the_domains() {
     let private = Private::new("spares");

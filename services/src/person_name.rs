@@ -34,5 +34,18 @@ pub fn check_name(name: &str) -> Result<(), String> {
 /// Whether a text is a number rather than a name, also one that no person has.
 pub(crate) fn is_number(text: &str) -> bool {
     let digits = text.trim_start_matches('-');
-    !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit())
+    !digits.is_empty() && digits.chars().all(char::is_numeric)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_in_any_digits_is_no_name() {
+        for number in ["7", "-3", "٣"] {
+            check_name(number).unwrap_err();
+        }
+        check_name("R2").unwrap();
+    }
 }

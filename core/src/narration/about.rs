@@ -227,6 +227,7 @@ mod tests {
             "Merry Christmas everybody.",
             "Roborock cleans the living room.",
             "Unless Nora is out, do not vacuum.",
+            "Apparently Nora has left.",
             "Whenever Nora is out, do not vacuum.",
             "Alexa turns on the light.",
             "Doorbell rings.",

@@ -1331,7 +1331,8 @@ pub(super) fn goes_to_an_office(said: &str) -> bool {
             .any(|to| way.strip_prefix("off ").unwrap_or(way).strip_prefix(to).is_some_and(ends))
     };
     let goes = |rest: &str| {
-        after_verb(rest, &WORDS.goes).chain(after_verb(rest, &WORDS.travels)).chain(deeds::moves(rest)).any(is_office)
+        let ways = [&WORDS.goes, &WORDS.travels, &WORDS.comes].into_iter().flat_map(|verbs| after_verb(rest, verbs));
+        ways.chain(deeds::moves(rest)).any(is_office)
     };
     let mut found = cuts(said).take(NAME_WORDS_MAX);
     found.any(|(subject, rest)| is_said(subject) && goes(rest) && !works_here(rest))

@@ -56,6 +56,16 @@ impl Interruption {
         self.since_ns = None;
     }
 
+    /// Whether who is in the room of its stay came after the robot; of another room, whether whoever comes will have.
+    pub(super) fn is_alone(&self, room: usize) -> bool {
+        self.stay.is_none_or(|(same, came)| same != room || came)
+    }
+
+    /// The robot goes on with a stay that began before a restart.
+    pub(super) fn go_on(&mut self, room: usize, alone: bool) {
+        self.stay = Some((room, alone));
+    }
+
     /// Takes how likely somebody is in each room now, while the robot works in `room`; whether that interrupts it. Only somebody who comes
     /// does.
     pub(super) fn look(&mut self, now_ns: u64, likely: &[f64], room: Option<usize>) -> bool {

@@ -60,6 +60,14 @@ struct KeptWork {
     ends_ns: u64,
     waits: bool,
     started: bool,
+    /// Nobody was likely there when it began, or they have left since: who is there came after it.
+    #[serde(default = "yes")]
+    alone: bool,
+}
+
+/// An older version did not keep it: who is there then interrupts.
+fn yes() -> bool {
+    true
 }
 
 impl Planner {
@@ -87,6 +95,7 @@ impl Planner {
                 ends_ns: work.ends_ns,
                 waits: work.waits,
                 started: work.started,
+                alone: self.interruption.is_alone(work.room),
             }),
             reports_work: self.robot.reports_work,
             battery: self.robot.battery,
@@ -117,9 +126,12 @@ impl Planner {
         // A robot that only waits is told again where: it is not to work there.
         robot.work = kept.work.as_ref().filter(|work| !work.waits).and_then(|work| {
             let KeptWork { decisions, began_ns, ends_ns, waits, started, .. } = work.clone();
-
             Some(Work { room: room(&work.room)?, decisions, began_ns, ends_ns, waits, started })
         });
+        if let (Some(work), Some(kept)) = (&robot.work, &kept.work) {
+            // Whoever came while nobody looked is noticed too.
+            self.interruption.go_on(work.room, kept.alone);
+        }
         self.asks_again = robot.work.is_some();
         robot.reports_work = kept.reports_work;
         robot.restore_told(&kept.told);

@@ -954,6 +954,29 @@ fn a_restarted_planner_goes_on_with_the_round() {
     }
 }
 
+/// A robot worked on among people who had come into its room while its planner was down.
+#[test]
+fn who_came_while_the_planner_was_down_interrupts_and_who_was_there_before_does_not() {
+    let config = PlannerConfig { room_time_s: 100.0, ..Default::default() };
+    for (likely_before, by_hand) in [(0.0, false), (0.0, true), (0.9, true)] {
+        let mut home = Home::new(2, &config);
+        let first = home.decision(1);
+        if by_hand {
+            home.likely = vec![0.0, likely_before];
+            home.report(2, report_kind::STARTED, |report| report.room = text::encode_cut("room-1"));
+        } else {
+            home.answer(2, report_kind::STARTED, &first);
+        }
+        home.look(3);
+        let kept = home.planner.kept("boot").unwrap();
+        let kept: KeptRound = serde_json::from_str(&serde_json::to_string(&kept).unwrap()).unwrap();
+        home.planner = Planner::new(&config, 2).with_kept(kept);
+        home.likely = if by_hand { vec![0.0, 0.9] } else { vec![0.9, 0.0] };
+        let stops = (31..35).filter_map(|at_s| home.look(at_s)).filter(|told| told.has(decision_flags::INTERRUPTED));
+        assert_eq!(stops.count(), usize::from(likely_before < 0.5), "{likely_before} {by_hand}");
+    }
+}
+
 /// A robot that somebody starts by hand leaves a person alone also when its own round is over.
 #[test]
 fn work_after_the_last_round_is_interrupted_too() {
