@@ -475,11 +475,15 @@ impl Domain {
     }
 }
 
-/// The process in the number of a participant or port; none in a small number, which counts something else: memory that grows has a file
-/// `PORT__0` for its first segment.
+/// The process in the number of a participant or port (iceoryx2's `UniqueSystemId`): above 64 bits of time.
+pub(crate) fn process_in(number: u128) -> u32 {
+    (number >> 64) as u32
+}
+
+/// The same of a number in a file's name; none in a small one, which counts something else: memory that grows has a file `PORT__0` for its
+/// first segment.
 fn process_of(number: &str) -> Option<u32> {
-    let process = (number.parse::<u128>().ok()? >> 64) as u32;
-    (process != 0).then_some(process)
+    Some(process_in(number.parse().ok()?)).filter(|process| *process != 0)
 }
 
 /// The processes in a port's file name. Numbers only: between them stands the service's hash.
@@ -487,10 +491,16 @@ fn processes_of(stem: &str) -> Vec<u32> {
     stem.split('_').filter(|part| part.len() < 40).filter_map(process_of).collect()
 }
 
-/// Whether a process runs; where that cannot be known it counts as one that does.
-fn is_running(process: u32) -> bool {
+/// Whether a process runs; where that cannot be known it counts as one that does. One that has ended does not, also where nobody has asked how it
+/// ended: a container's first process may never do that.
+pub(crate) fn is_running(process: u32) -> bool {
+    let has_ended = || {
+        let stat = fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
+        // Behind its name, which may have anything in it.
+        stat.rsplit_once(") ").is_some_and(|(_, state)| state.starts_with(['Z', 'X']))
+    };
     let process = Pid::from_raw(process.cast_signed());
-    process.is_none_or(|process| test_kill_process(process) != Err(Errno::SRCH))
+    process.is_none_or(|process| test_kill_process(process) != Err(Errno::SRCH)) && !has_ended()
 }
 
 /// Opens a file of the domain's in shared memory, where anybody may put a pipe, on which opening would wait, or a link to somewhere else: none

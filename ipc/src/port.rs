@@ -26,9 +26,8 @@ use iceoryx2::service::builder::request_response::{RequestResponseOpenError, Req
 use iceoryx2::service::port_factory::publish_subscribe;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
-use rustix::process::{Pid, test_kill_process};
 
-use crate::domain::{Flavour, Node, OpenFailure, shown};
+use crate::domain::{Flavour, Node, OpenFailure, is_running, process_in, shown};
 use crate::message::{
     DecisionV1, ItemScoreV1, ItemScoresHeaderV1, Layout, MAX_ITEMS, Message, NarrationV1, RobotReportV1, RoomScoresV1,
     StatusRequestV1, StatusResponseV1,
@@ -233,12 +232,11 @@ impl Sender {
         self.0.to_le_bytes()
     }
 
-    /// Whether its process runs; a port of a killed one is listed until somebody cleans up after it. iceoryx2 writes the process into the
-    /// numbers of ports, above 64 bits of time. Where that cannot be known it counts as one that runs.
+    /// Whether its process runs; a port of a killed one is listed until somebody cleans up after it. Where that cannot be known it counts as one
+    /// that runs.
     #[must_use]
     pub fn is_running(self) -> bool {
-        let process = Pid::from_raw(((self.0 >> 64) as u32).cast_signed());
-        process.is_none_or(|process| test_kill_process(process) != Err(Errno::SRCH))
+        is_running(process_in(self.0))
     }
 
     /// From what [`Sender::to_bytes`] gave.

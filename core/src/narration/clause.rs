@@ -1679,8 +1679,8 @@ fn may_be_done_elsewhere(rest: &str) -> bool {
 /// Whether somebody leaves where they can only have been out of the house: "leaves work", "left the gym". An office is rather the one out of it.
 fn leaves_elsewhere(rest: &str) -> bool {
     // "Leaves the house. Then she comes home."
-    let sentence = rest.split(['.', '!', '?', ';']).next().unwrap_or_default();
-    after_verb(sentence, &WORDS.leaves).any(is_elsewhere)
+    let is_house = |place: &str| WORDS.house.after(place).any(|more| !more.starts_with(char::is_alphanumeric));
+    after_verb(rest, &WORDS.leaves).any(|place| !is_house(place) && is_elsewhere(place))
 }
 
 /// Whether a plain sentence has the house of somebody else as a place: "at his parents' house", "at vera's".

@@ -482,7 +482,9 @@ impl Said {
     /// Whether it says that its person goes to an office: where the map has none by that name, to the one out of the house.
     #[must_use]
     pub fn goes_to_an_office(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::goes_to_an_office))
+        self.sentence().map(Sentence::as_str).is_some_and(|sentence| {
+            sentence.contains("office") && clause::with_plain(sentence, clause::goes_to_an_office)
+        })
     }
 
     /// Whether it says where something is that is no person, or does not tell whose place it says: "The robot is in the kitchen.", "Somebody else

@@ -209,26 +209,29 @@ impl Lending {
         !self.queue.is_empty() || self.own.as_ref().is_some_and(|inbox| inbox.more)
     }
 
-    /// Sleeps until there is narration or `patience` has passed, and gives all that was received to `take`, which says how much waits
-    /// for the scorer.
-    pub(super) fn listen(&mut self, patience: Duration, mut take: impl FnMut(Option<Heard>) -> usize) {
+    /// Sleeps until there is narration or `patience` has passed, and gives all that was received to `take`.
+    pub(super) fn listen(&mut self, patience: Duration, mut take: impl FnMut(Heard)) {
+        let mut has_taken = false;
         if self.own.is_none() {
             select! {
                 recv(self.from_relief) -> inbox => {
                     self.is_lost = inbox.is_err();
                     self.own = inbox.ok();
                 }
-                recv(self.queue) -> received => if let Ok(heard) = received { take(Some(heard)); },
+                recv(self.queue) -> received => if let Ok(heard) = received {
+                    has_taken = true;
+                    take(heard);
+                },
                 default(patience) => {}
             }
         }
         // First what the relief thread received, while it had the inbox.
         for heard in self.queue.try_iter() {
-            take(Some(heard));
+            has_taken = true;
+            take(heard);
         }
-        let patience = if take(None) > 0 { Duration::ZERO } else { patience };
         if let Some(inbox) = &mut self.own {
-            inbox.listen(patience, |heard| _ = take(Some(heard)));
+            inbox.listen(if has_taken { Duration::ZERO } else { patience }, take);
         }
     }
 }

@@ -179,13 +179,9 @@ impl<M: LanguageModel> Scoring<M> {
     /// Sleeps until there is narration or `patience` has passed, and takes in all that was received.
     fn take(&mut self, patience: Duration) {
         let cycle = &mut self.cycle;
-        self.inbox.listen(patience, |heard| {
-            match heard {
-                Some(Heard::Entry(entry, number)) => cycle.enter(entry, number),
-                Some(Heard::PassedOver { source, epoch, sequence }) => cycle.pass_over(source, epoch, sequence),
-                None => {}
-            }
-            cycle.waiting()
+        self.inbox.listen(patience, |heard| match heard {
+            Heard::Entry(entry, number) => cycle.enter(entry, number),
+            Heard::PassedOver { source, epoch, sequence } => cycle.pass_over(source, epoch, sequence),
         });
     }
 

@@ -12,6 +12,7 @@ use super::*;
 const S: u64 = 1_000_000_000;
 const BOOT: [u8; 16] = [5; 16];
 const STUDIO: &str = include_str!("../../../../scenes/studio.json");
+const FLAT: &str = include_str!("../../../../scenes/flat.json");
 
 /// A daemon without threads, and its journal.
 struct House {
@@ -23,7 +24,11 @@ struct House {
 }
 
 fn board(config: &PersonsConfig) -> Board<TableModel> {
-    let map = SemanticMap::from_json(STUDIO).unwrap();
+    board_of(STUDIO, config)
+}
+
+fn board_of(scene: &str, config: &PersonsConfig) -> Board<TableModel> {
+    let map = SemanticMap::from_json(scene).unwrap();
     let options = GroundingOptions::default();
     let grounding = Grounding::new(&map, &options).unwrap();
     let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
@@ -1456,5 +1461,145 @@ fn who_comes_back_is_known_afresh() {
         }
         house.enter(goes_again);
         assert_eq!(house.presence("guest"), Some(presence::GONE), "{is_told}");
+    }
+}
+
+/// What people narrate at home: who of Lena and Paul is in before it, and who is after it, with the visitors.
+#[test]
+fn people_come_and_go_as_is_narrated() {
+    for (before, text, after) in [
+        ("LP", "Lena rushes off to work.", "P"),
+        ("LP", "Paul rides his bike to the lake.", "L"),
+        ("LP", "Paul has gone to pick up a pizza.", "L"),
+        ("LP", "Lena is on the road.", "P"),
+        ("LP", "Paul is stuck at the office.", "L"),
+        ("LP", "Lena is on her way to the office.", "P"),
+        ("LP", "Although it rains, Lena goes jogging.", "P"),
+        ("P", "Lena gets off the bus.", "P"),
+        ("P", "Lena leaves the office.", "P"),
+        ("P", "Lena left work.", "P"),
+        ("P", "Lena remembers the milk and turns around.", "P"),
+        ("LP", "Leipzig beats Hamburg.", "LP"),
+        ("-", "Paul comes home with Igor.", "P+igor"),
+        ("P", "Paul opens the door for Lena.", "LP"),
+        ("P", "Lena gives Paul a kiss.", "LP"),
+        ("P", "Paul gives Lena a kiss.", "LP"),
+        ("P", "Honey, I'm home!", "LP"),
+        ("P", "I'm home!", "LP"),
+        ("-", "Honey, I'm home!", "-"),
+        ("-", "I'm home!", "-"),
+        ("LP", "Lena opens the fridge.;;She sits down.;;He leaves the house.", "L"),
+        ("LP", "Lena puts on her shoes.", "LP"),
+        ("P", "Lena is taking a bath.", "LP"),
+        ("LP", "Paul's phone left the home zone.", "L"),
+        ("L", "Paul's phone is back in the home zone.", "LP"),
+        ("LP", "Paul sits in the office.", "LP"),
+        ("LP", "We leave after dinner.", "LP"),
+        ("LP", "Everybody has left for the weekend.", "-"),
+        ("LP", "Lena brushes her teeth.;;He leaves the house.", "L"),
+        ("LP", "Paul shaves himself.;;Lena opens the fridge.;;He leaves the house.", "L"),
+        ("LP", "Paul goes to the office.", "L"),
+        ("LP", "Lena goes to the office to work at her desk.", "LP"),
+        ("P", "Lena walks in through the front door.", "LP"),
+        ("P", "Paul hugs Lena in the hallway.", "LP"),
+        ("P", "Paul greets Lena at the door.", "LP"),
+        ("LP", "Lena dashes off to the gym.", "P"),
+        ("LP", "Paul jogs around the park.", "L"),
+        ("LP", "Lena went to buy bread.", "P"),
+        ("LP", "Lena goes to fetch the kids from school.", "P"),
+        ("LP", "Lena has gone to collect a parcel.", "P"),
+        ("LP", "Lena gives Paul a lift to the airport.", "-"),
+        ("LP", "Paul rides his motorcycle to the mountains.", "L"),
+        ("LP", "Lena takes her bike to work.", "P"),
+        ("LP", "Lena is stuck in traffic.", "P"),
+        ("LP", "Lena is still on the train.", "P"),
+        ("LP", "Paul is sitting in a café.", "L"),
+        ("LP", "Lena is standing at the bus stop.", "P"),
+        ("LP", "Paul is out running errands.", "L"),
+        ("LP", "Lena is in a meeting at work.", "P"),
+        ("LP", "Lena is on a business trip in Berlin.", "P"),
+        ("LP", "Paul is on his way to work.", "L"),
+        ("P", "Lena gets out of the taxi.", "P"),
+        ("P", "Lena steps off the plane.", "P"),
+        ("P", "Lena leaves the gym.", "P"),
+        ("P", "Lena left the supermarket.", "P"),
+        ("P", "Lena leaves school.", "P"),
+        ("P", "Lena finishes work.", "P"),
+        ("P", "Lena starts her shift.", "P"),
+        ("P", "Lena realizes that she forgot her wallet and turns back.", "P"),
+        ("P", "Lena walks along the river.", "P"),
+        ("P", "Lena crosses the street.", "P"),
+        ("P", "Lena changes trains in Cologne.", "P"),
+        ("L", "Paul leaves the stadium.", "L"),
+        ("LP", "Bayern beats Dortmund.", "LP"),
+        ("LP", "Hamburg defeats Bremen 2:1.", "LP"),
+        ("LP", "Germany ties with Spain.", "LP"),
+        ("-", "Lena comes home with her friend Igor.", "L+igor"),
+        ("P", "Paul opens the front door for Lena.", "LP"),
+        ("P", "Paul helps Lena out of her coat.", "LP"),
+        ("P", "Paul hands Lena a cup of tea.", "LP"),
+        ("P", "Hi, I'm back!", "LP"),
+        ("P", "Hello, I'm home!", "LP"),
+        ("LP", "Lena's phone left home.", "P"),
+        ("L", "Paul's phone arrived home.", "LP"),
+        ("LP", "Lena's phone is away.", "P"),
+        ("LP", "Despite the rain, Paul goes for a run.", "L"),
+        ("LP", "Because of the sun, Lena goes swimming.", "P"),
+        ("LP", "Since it is Sunday, Paul goes to church.", "L"),
+        ("LP", "As the sun shines, Lena goes for a walk.", "P"),
+        ("LP", "The whole family is on vacation.", "-"),
+        ("P", "Lena arrives home from work.", "LP"),
+        ("P", "Lena unlocks the front door and comes inside.", "LP"),
+        ("P", "Paul lets Lena in.", "LP"),
+        ("LP", "Paul has left for the airport.", "L"),
+        ("LP", "Paul heads for the supermarket.", "L"),
+        ("P", "Lena misses her stop.", "P"),
+        ("P", "Lena has lunch with a colleague.", "P"),
+        ("LP", "Amazon delivers a parcel.", "LP"),
+        ("LP", "Siri answers.", "LP"),
+        ("LP", "The babysitter arrives.", "LP+babysitter"),
+        ("P", "Lena kisses Paul.", "LP"),
+        ("P", "Paul cooks dinner for Lena.", "P"),
+        ("LP", "Lena cooks.;;She leaves the house.", "P"),
+        ("LP", "Lena grabs her keys.", "LP"),
+        ("LP", "Motion in the corridor.", "LP"),
+        ("LP", "Lena wants to leave the house.", "LP"),
+        ("LP", "Lena almost left the house.", "LP"),
+        ("LP", "Paul heard that Lena left the company.", "LP"),
+        ("LP", "Paul snores.", "LP"),
+        ("LP", "Everyone has gone on holiday.", "-"),
+        ("LP", "Paul walks the dog.", "L"),
+        ("LP", "Lena cooks and Paul goes jogging.", "L"),
+        ("LP", "Paul works in the home office.", "LP"),
+    ] {
+        let mut house = House::new(&["Lena", "Paul"]);
+        house.board = board_of(FLAT, &house.config);
+        for (letter, who) in [('L', "Lena"), ('P', "Paul")] {
+            house.after(1, who, "They stand up.");
+            if !before.contains(letter) {
+                house.after(1, who, "away");
+            }
+        }
+        for visitor in before.split('+').skip(1) {
+            house.after(1, visitor, "They stand up.");
+        }
+        house.wait(300);
+        for sentence in text.split(";;") {
+            house.after(10, "somebody", sentence);
+        }
+        let told = *house.board.person_scores(house.now_ns);
+        let here = told.persons().iter().filter(|person| person.presence == presence::PRESENT);
+        let mut here: Vec<&str> = here.map(PersonV1::name).collect();
+        here.sort_unstable();
+        let (mut residents, mut visitors) = (String::new(), String::new());
+        for name in here {
+            match name {
+                "Lena" => residents.push('L'),
+                "Paul" => residents.push('P'),
+                other => visitors.extend(["+", other]),
+            }
+        }
+        let residents = if residents.is_empty() { "-" } else { &residents };
+        assert_eq!(format!("{residents}{visitors}"), after, "{text}");
     }
 }
