@@ -1466,9 +1466,11 @@ impl World {
             ensure(self.ever.get(&name).is_some_and(|said| *said == as_it_came(again)), || {
                 format!("the journal gives back what was never accepted: {again:?}")
             })?;
-            // What was claimed was said to be somebody's; damage may have taken that.
+            // What was claimed was said to be somebody's; damage may have taken that, or a sync that failed.
             let forgotten = !again.by_fit && self.claimed.contains(&name) && self.attributed.contains_key(&name);
-            let may_be = self.tally.is_hurt() || self.lost_power || self.is_refused || self.disk.was_misread();
+            // A kill between a failed sync and the next write loses what that sync did.
+            let is_lost = self.lost_power || self.is_refused || self.disk.lacks_pages();
+            let may_be = self.tally.is_hurt() || is_lost || self.disk.was_misread();
             ensure(!forgotten || may_be, || format!("whose {name:?} is was claimed and is forgotten"))?;
             let other = again.by_fit && self.attributed.get(&name).is_some_and(|person| *person != again.person);
             let was_said = may_be && self.ever_attributed.contains(&(name, again.person));
