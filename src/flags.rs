@@ -20,6 +20,7 @@ pub fn score_flag_names(flags: u32) -> Vec<&'static str> {
             (score_flags::SOURCES_CUT, "sources-cut"),
             (score_flags::SCORER_FAILED, "scorer-failed"),
             (score_flags::NOBODY_HOME, "nobody-home"),
+            (score_flags::PREPARED, "prepared"),
         ],
     )
 }

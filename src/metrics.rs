@@ -129,6 +129,10 @@ struct Metrics {
     habits_bytes: Gauge,
     habits_counts: Gauge,
     habits_names: Gauge,
+    asked: Counter,
+    prepared: Counter,
+    prepared_used: Counter,
+    prepare_s: Counter<f64, AtomicU64>,
     habits_observations: Family<Person, Ratio>,
     habits_shares: Family<ForecastPart, Ratio>,
     versions: Family<Versions, Gauge>,
@@ -174,6 +178,10 @@ impl Metrics {
             habits_bytes: Gauge::default(),
             habits_counts: Gauge::default(),
             habits_names: Gauge::default(),
+            asked: Counter::default(),
+            prepared: Counter::default(),
+            prepared_used: Counter::default(),
+            prepare_s: Counter::default(),
             habits_observations: Family::default(),
             habits_shares: Family::default(),
             versions: Family::default(),
@@ -248,6 +256,10 @@ impl Metrics {
         r.register("habits_size_bytes", "Bytes of memory that habits take", self.habits_bytes.clone());
         r.register("habits_counts", "Counts that habits hold", self.habits_counts.clone());
         r.register("habits_names", "Names of things that habits hold", self.habits_names.clone());
+        r.register("answers_asked", "Prompts that scoring steps asked the model about", self.asked.clone());
+        r.register("answers_prepared", "Answers that were prepared while nobody waited", self.prepared.clone());
+        r.register("answers_used", "Prepared answers that a step used", self.prepared_used.clone());
+        r.register("prepare_seconds", "Time of the processor spent preparing answers", self.prepare_s.clone());
         r.register(
             "habits_observations",
             "Observations that a person's habits rest on; older ones count less",
@@ -328,6 +340,10 @@ impl Metrics {
         set(&self.merged, status.merged);
         set(&self.heartbeats, status.heartbeats);
         set(&self.journal_failures, status.journal_failures);
+        set(&self.asked, status.asked);
+        set(&self.prepared, status.prepared);
+        set(&self.prepared_used, status.prepared_used);
+        self.prepare_s.inner().store(seconds(status.prepare_ns).to_bits(), Ordering::Relaxed);
         gauge(&self.waiting, status.waiting);
         gauge(&self.journal_bytes, status.journal_bytes);
         gauge(&self.sources, status.sources.into());

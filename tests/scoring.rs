@@ -491,3 +491,49 @@ fn a_prompt_that_does_not_fit_is_refused_and_the_next_one_works() {
     scorer.score(&prepared, "They walk. Next, they go to the", Method::Trie, &mut scores).unwrap();
     assert!(scores.log_prob_nats.iter().all(|p| p.is_finite() && *p < 0.0));
 }
+
+/// What was scored ahead of the event is what the event would have been given, on the real model, within what the cache's arithmetic
+/// allows: hits, misses and cut windows mixed.
+fn prepared_answers_are_those_computed_afterwards(weights: Weights) {
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(26);
+    let map = &maps()[0];
+    let pipeline = || {
+        let grounding = Grounding::new(map, &GroundingOptions::default()).unwrap();
+        Pipeline::new(weights.load(&options(64)), grounding, PipelineOptions::default()).unwrap()
+    };
+    let (mut ahead, mut behind) = (pipeline(), pipeline());
+    let sentences = sentences();
+    let (mut used, mut compared) = (0, Compared::with(weights));
+    for sequence in 1..=60 {
+        let said = sentences.choose(&mut rng).unwrap();
+        if sequence > 1 {
+            ahead.tidy();
+            ahead.drop_answers(0);
+            let mut guesses: Vec<&String> = sentences.sample(&mut rng, 6).collect();
+            if rng.random_bool(0.5) {
+                guesses.insert(rng.random_range(0..guesses.len()), said);
+            }
+            for guess in guesses {
+                ahead.prepare_answer(0, &Sentence::new(guess).unwrap()).unwrap();
+            }
+        }
+        used += ahead.step([observation(sequence, said)]).unwrap().prepared;
+        behind.tidy();
+        behind.step([observation(sequence, said)]).unwrap();
+        let tokens = ahead.prepared().tokens();
+        let nats = apart(tokens, &ahead.scores().label_log_prob_nats, &behind.scores().label_log_prob_nats);
+        compared.add(nats, &format!("sentence {sequence}"));
+    }
+    assert!(used >= 20, "{used} of 60 were prepared");
+    compared.finish();
+}
+
+#[test]
+fn prepared_answers_of_the_shipped_model_are_those_computed_afterwards() {
+    prepared_answers_are_those_computed_afterwards(Weights::Shipped);
+}
+
+#[test]
+fn prepared_answers_in_single_precision_are_the_same_to_the_last_digits() {
+    prepared_answers_are_those_computed_afterwards(Weights::SinglePrecision);
+}

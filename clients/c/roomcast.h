@@ -69,6 +69,9 @@
 // Everybody who is known or lives here is away: no room is likely, and their scores are -inf.
 #define ROOMCAST_SCORE_FLAGS_NOBODY_HOME (1 << 6)
 
+// All that the model was asked for these scores it had answered before the narration came: timing_ns has no decoder in it.
+#define ROOMCAST_SCORE_FLAGS_PREPARED (1 << 7)
+
 // Most persons in one message; the longest silent ones are left out, and PersonScoresV1::persons says how many there are.
 #define ROOMCAST_MAX_PERSONS 8
 
@@ -883,9 +886,21 @@ typedef struct RoomcastStatusResponseV1 {
   // Persons of whom something was learned.
   // (Offset 444.)
   uint32_t habits_persons;
-  // Zero.
+  // Prompts that steps asked the model about.
   // (Offset 448.)
-  uint8_t reserved[64];
+  uint64_t asked;
+  // Answers that were prepared while nobody waited.
+  // (Offset 456.)
+  uint64_t prepared;
+  // Prepared answers that a step used.
+  // (Offset 464.)
+  uint64_t prepared_used;
+  // Nanoseconds spent preparing.
+  // (Offset 472.)
+  uint64_t prepare_ns;
+  // Zero.
+  // (Offset 480.)
+  uint8_t reserved[32];
 } RoomcastStatusResponseV1;
 
 // How far ahead the entries of PersonForecastV1::learned_share look, in seconds.
@@ -1167,5 +1182,9 @@ _Static_assert(offsetof(RoomcastStatusResponseV1, habits_bytes) == 424, "Roomcas
 _Static_assert(offsetof(RoomcastStatusResponseV1, habits_counts) == 432, "RoomcastStatusResponseV1.habits_counts");
 _Static_assert(offsetof(RoomcastStatusResponseV1, habits_names) == 440, "RoomcastStatusResponseV1.habits_names");
 _Static_assert(offsetof(RoomcastStatusResponseV1, habits_persons) == 444, "RoomcastStatusResponseV1.habits_persons");
-_Static_assert(offsetof(RoomcastStatusResponseV1, reserved) == 448, "RoomcastStatusResponseV1.reserved");
+_Static_assert(offsetof(RoomcastStatusResponseV1, asked) == 448, "RoomcastStatusResponseV1.asked");
+_Static_assert(offsetof(RoomcastStatusResponseV1, prepared) == 456, "RoomcastStatusResponseV1.prepared");
+_Static_assert(offsetof(RoomcastStatusResponseV1, prepared_used) == 464, "RoomcastStatusResponseV1.prepared_used");
+_Static_assert(offsetof(RoomcastStatusResponseV1, prepare_ns) == 472, "RoomcastStatusResponseV1.prepare_ns");
+_Static_assert(offsetof(RoomcastStatusResponseV1, reserved) == 480, "RoomcastStatusResponseV1.reserved");
 #endif

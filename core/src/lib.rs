@@ -78,6 +78,8 @@ pub mod label_trie;
 
 pub mod scorer;
 
+pub mod prepared;
+
 pub mod semantic_map;
 
 pub mod grounding;
@@ -87,6 +89,8 @@ pub mod forecast;
 pub mod habits;
 
 pub mod policy;
+
+pub mod guess;
 
 pub mod pipeline;
 

@@ -13,7 +13,8 @@ use std::collections::BTreeMap;
 
 use crate::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions, Regrouped};
 use crate::narration::history::{Histories, History, HistoryLimits, Voice};
-use crate::narration::{Observation, Presence};
+use crate::narration::{Observation, Presence, Said, Sentence};
+use crate::prepared::PreparedAnswers;
 use crate::prompt::{BindingSequence, write_prompt};
 use crate::scorer::certified::{Bounds, Certified, Effort};
 use crate::scorer::correction::{Correction, CorrectionChoice};
@@ -150,6 +151,10 @@ pub struct Scores {
     pub upper_log_score_nats: Vec<f64>,
     /// Tokens of the prompts scored in this step.
     pub prompt_tokens: usize,
+    /// How many prompts the model was asked about in this step.
+    pub asked: usize,
+    /// How many were answered before they were asked ([`Pipeline::prepare_answer`]).
+    pub prepared: usize,
     /// What was decoded in this step.
     pub stats: DecodeStats,
     /// Where the time of this step went.
@@ -334,6 +339,7 @@ pub struct Pipeline<M> {
     turns: u64,
     /// Per start of a source up to which sequence a former run has dealt with it, and does not tell of it any more.
     settled: BTreeMap<(u64, u64), u64>,
+    answers: PreparedAnswers,
     scores: Scores,
 }
 
@@ -361,6 +367,7 @@ impl<M: LanguageModel> Pipeline<M> {
             read: None,
             turns: 0,
             settled: BTreeMap::new(),
+            answers: PreparedAnswers::default(),
             scores: Scores::default(),
         })
     }
@@ -408,6 +415,7 @@ impl<M: LanguageModel> Pipeline<M> {
             self.histories.limit_tokens(self.options.history.tokens);
             self.prepared = labels;
             self.grounding = grounding;
+            self.answers.clear();
             // Scores of the old list, in the old order.
             self.scores.label_log_prob_nats.clear();
         }
@@ -640,6 +648,8 @@ impl<M: LanguageModel> Pipeline<M> {
 
     /// Forgets a person, for instance one who has left the map.
     pub fn forget_person(&mut self, person: u32) {
+        // Their prompts hold what they did.
+        self.answers.clear();
         self.histories.remove(person);
         self.persons.retain(|p| p.id != person);
     }
@@ -654,7 +664,8 @@ impl<M: LanguageModel> Pipeline<M> {
         let start = now();
         let mut timing = Timing::default();
         self.scores.stats = DecodeStats::default();
-        self.scores.prompt_tokens = 0;
+        (self.scores.prompt_tokens, self.scores.asked, self.scores.prepared) = (0, 0, 0);
+        let is_exact = self.options.method == Method::Trie && self.options.effort == Effort::Exact;
         let persons = match self.persons.as_mut_slice() {
             [] => std::slice::from_mut(&mut self.nobody),
             persons => persons,
@@ -663,6 +674,19 @@ impl<M: LanguageModel> Pipeline<M> {
             let writing = now();
             person.write_prompt(self.histories.get(person.id), &self.options);
             timing.tokenise_ns += now().saturating_sub(writing);
+            self.scores.asked += 1;
+            let is_prepared = is_exact
+                && self.answers.take(&person.prompt, |answer| {
+                    std::mem::swap(&mut person.scores, &mut answer.scores);
+                    self.scorer.recall(&mut answer.node_log_prob_nats);
+                });
+            if is_prepared {
+                person.due = Due::Grounding;
+                self.read = Some(person.id);
+                self.scores.prompt_tokens += person.scores.prompt_tokens;
+                self.scores.prepared += 1;
+                continue;
+            }
             if self.options.method == Method::Trie && self.options.effort != Effort::Exact {
                 let state =
                     (person.certified).get_or_insert_with(|| Certified::new(&self.prepared, &self.grounding.weights));
@@ -696,6 +720,40 @@ impl<M: LanguageModel> Pipeline<M> {
         timing.total_ns = now().saturating_sub(start);
         self.scores.timing = timing;
         Ok(&self.scores)
+    }
+
+    /// Scores what a person may do next before they do it: the prompt that `sentence` would make, told by the voice that spoke last.
+    /// Gives whether there was anything to score: who is away or unknown has no next prompt, what is not exact is not prepared, and
+    /// at most [`crate::prepared::ANSWERS_MAX`] answers are kept.
+    ///
+    /// # Errors
+    /// When the model fails. Nothing is lost but time.
+    pub fn prepare_answer(&mut self, person: u32, sentence: &Sentence) -> Result<bool, PipelineError> {
+        let is_exact = self.options.method == Method::Trie && self.options.effort == Effort::Exact;
+        let is_here = |own: &&Person| own.id == person && own.at_home && own.due == Due::Nothing;
+        if !is_exact || self.answers.is_full() || !self.persons.iter().any(|own| is_here(&own)) {
+            return Ok(false);
+        }
+        let tokens = self.tokens_of(sentence.as_str());
+        let Some(history) = self.histories.get(person) else { return Ok(false) };
+        let Some((mut next, voice)) = history.newest() else { return Ok(false) };
+        next.said = Said::Sentence(sentence.clone());
+        let mut history = history.clone();
+        history.hear(next, voice, tokens);
+        let mut own = Person::new(person);
+        own.write_prompt(Some(&history), &self.options);
+        if self.answers.contains(&own.prompt) {
+            return Ok(false);
+        }
+        let mut answer = self.answers.begin();
+        self.scorer.score_aside(&self.prepared, &own.prompt, &mut answer.scores, &mut answer.node_log_prob_nats)?;
+        self.answers.keep(person, &own.prompt, answer);
+        Ok(true)
+    }
+
+    /// A person's prepared answers are of no use any more: they did something else than was guessed, or left.
+    pub fn drop_answers(&mut self, person: u32) {
+        self.answers.drop_person(person);
     }
 
     /// Observes, then scores.
@@ -812,18 +870,63 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::label_trie::TokenTree;
     use crate::narration::{PresenceStatement, Said, Sentence};
     use crate::scorer::correction::Continuation;
     use crate::scorer::table::TableModel;
+    use crate::scorer::{ModelError, Token};
     use crate::semantic_map::delta::MapChange;
 
     const TWO_ROOMS: &str = include_str!("../../tests/data/two_rooms.json");
     const CORRECTED: CorrectionChoice = CorrectionChoice { continuation: Some(Continuation::Labels), prior: Some(0.4) };
 
     fn pipeline(map: &SemanticMap, effort: Effort, correction: CorrectionChoice) -> Pipeline<TableModel> {
+        pipeline_of(TableModel::new(7), map, effort, correction)
+    }
+
+    fn pipeline_of<M: LanguageModel>(
+        model: M,
+        map: &SemanticMap,
+        effort: Effort,
+        correction: CorrectionChoice,
+    ) -> Pipeline<M> {
         let grounding = Grounding::new(map, &GroundingOptions::default()).unwrap();
         let options = PipelineOptions { effort, correction, ..PipelineOptions::default() };
-        Pipeline::new(TableModel::new(7), grounding, options).unwrap()
+        Pipeline::new(model, grounding, options).unwrap()
+    }
+
+    /// A fake whose rows depend on all of the prompt, where the table's depend on its last tokens.
+    struct WholePrompt(TableModel);
+
+    impl LanguageModel for WholePrompt {
+        fn info(&self) -> &ModelInfo {
+            self.0.info()
+        }
+
+        fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
+            self.0.tokenise(text, start, out)
+        }
+
+        fn token_text(&self, token: Token) -> String {
+            self.0.token_text(token)
+        }
+
+        fn forget(&mut self) {}
+
+        fn decode(
+            &mut self,
+            prompt: &[Token],
+            tree: &TokenTree,
+            want_prompt_row: bool,
+            visit: &mut dyn FnMut(usize, &[f32]),
+        ) -> Result<DecodeStats, ModelError> {
+            let seed = prompt
+                .iter()
+                .fold(7, |seed: u64, token| (seed ^ u64::from(token.0.cast_unsigned())).wrapping_mul(0x100_0000_01b3));
+            TableModel::new(seed).decode(prompt, tree, want_prompt_row, visit)
+        }
+
+        fn tidy(&mut self, _keep: usize) {}
     }
 
     fn observation(sequence: u64, person: u32) -> Observation {
@@ -851,6 +954,80 @@ mod tests {
                 }
             }
         }
+    }
+
+    proptest! {
+        /// Whatever was prepared, and whether it is what comes: the scores are those of a pipeline that prepares nothing.
+        #[test]
+        fn prepared_scores_are_those_computed_afterwards(
+            acts in proptest::collection::vec((0_u32..3, 0_u64..4, 0_u32..4, 0_u64..4, 0_u8..8), 1..40)
+        ) {
+            let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+            let fewer = map.changed(vec![MapChange::RemoveItem { id: map.items[0].id.clone() }]).unwrap();
+            for correction in [CorrectionChoice::EQUATION_1, CORRECTED] {
+                let fresh = || pipeline_of(WholePrompt(TableModel::new(7)), &map, Effort::Exact, correction);
+                let (mut ahead, mut behind) = (fresh(), fresh());
+                ahead.score().unwrap();
+                behind.score().unwrap();
+                let (mut used, mut is_whole) = (0, true);
+                for &(person, does, guessed, guess, event) in &acts {
+                    let guess = Sentence::new(&format!("They touch thing {guess}.")).unwrap();
+                    let was_new = ahead.prepare_answer(guessed, &guess).unwrap();
+                    prop_assert!(!was_new || ahead.person(guessed).is_some());
+                    match event {
+                        0 => {
+                            is_whole = !is_whole;
+                            let map = if is_whole { &map } else { &fewer };
+                            ahead.change_map(map, &GroundingOptions::default()).unwrap();
+                            behind.change_map(map, &GroundingOptions::default()).unwrap();
+                        }
+                        1 => ahead.tidy(),
+                        2 => {
+                            ahead.end_window(person);
+                            behind.end_window(person);
+                        }
+                        3 => ahead.drop_answers(guessed),
+                        _ => {}
+                    }
+                    if event == 1 {
+                        behind.tidy();
+                    }
+                    used += ahead.step([observation(does, person)]).unwrap().prepared;
+                    behind.step([observation(does, person)]).unwrap();
+                    let pairs = [
+                        (&ahead.scores().label_log_prob_nats, &behind.scores().label_log_prob_nats),
+                        (&ahead.scores().grounded.partition_probability, &behind.scores().grounded.partition_probability),
+                    ];
+                    for (ahead, behind) in pairs {
+                        prop_assert_eq!(ahead.len(), behind.len());
+                        prop_assert!(ahead.iter().zip(behind).all(|(a, b)| a == b || (a - b).abs() < 1e-9), "{ahead:?} {behind:?}");
+                    }
+                    for label in 0..ahead.grounding().scored_labels().len() {
+                        prop_assert_eq!(ahead.token_log_prob_nats(label), behind.token_log_prob_nats(label));
+                    }
+                }
+                prop_assert!(used <= acts.len());
+            }
+        }
+    }
+
+    #[test]
+    fn what_was_guessed_is_answered_without_the_model() {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let mut ahead = pipeline(&map, Effort::Exact, CORRECTED);
+        ahead.step([observation(1, 0)]).unwrap();
+        let said = observation(2, 0);
+        let guess = Sentence::new(said.sentence().unwrap()).unwrap();
+        assert!(ahead.prepare_answer(0, &guess).unwrap());
+        assert!(!ahead.prepare_answer(0, &guess).unwrap(), "it is there");
+        assert!(!ahead.prepare_answer(9, &guess).unwrap(), "nobody knows them");
+        let scores = ahead.step([said.clone()]).unwrap();
+        assert_eq!((scores.asked, scores.prepared, scores.stats.calls), (1, 1, 0));
+        // Forgetting leaves nothing of it.
+        assert!(ahead.prepare_answer(0, &guess).unwrap());
+        ahead.forget_person(0);
+        ahead.step([said]).unwrap();
+        assert_eq!(ahead.scores().prepared, 0);
     }
 
     /// A map of many labels leaves the histories fewer tokens; a smaller one gives them back.

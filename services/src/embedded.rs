@@ -15,6 +15,9 @@ pub const MODEL_NAME: &str = "household (embedded)";
 /// Statistics of the training split that the forecast's baselines are fitted on, JSON.
 pub const STATISTICS: &str = include_str!("../models/household-statistics.json");
 
+/// What the training split's programs narrate after what, for guesses at the next sentence, JSON.
+pub const FORMS: &str = include_str!("../models/household-forms.json");
+
 /// A text file in the binary.
 #[derive(Debug, Clone, Copy)]
 pub struct EmbeddedText {

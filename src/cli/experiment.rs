@@ -24,6 +24,7 @@ use roomcast_services::setup;
 
 mod card;
 mod folds;
+mod guesses;
 mod habits;
 mod study;
 
@@ -58,6 +59,8 @@ enum Experiment {
     Horizon(study::StudyArgs),
     /// How well a home is learned, day by day: every forecast is made first and learned from then.
     Habits(habits::HabitsArgs),
+    /// How often the next sentence is among those that are scored ahead.
+    Guesses(guesses::GuessesArgs),
 }
 
 /// What all experiments share: model, window and cache.
@@ -195,6 +198,7 @@ pub fn run(args: &Args) -> CommandResult {
         Experiment::Pareto(args) => study::run_pareto(args),
         Experiment::Horizon(args) => study::run_horizon(args),
         Experiment::Habits(args) => habits::run(args),
+        Experiment::Guesses(args) => guesses::run(args),
     }
 }
 

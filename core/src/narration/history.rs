@@ -134,6 +134,11 @@ impl History {
         ended + self.cut()
     }
 
+    /// The newest observation, and the voice that it was heard as.
+    pub(crate) fn newest(&self) -> Option<(Observation, Voice)> {
+        self.window.back().map(|held| (held.observation.clone(), held.voice))
+    }
+
     /// Empties the window: what comes next does not follow from it. Gives how many observations left.
     pub fn end(&mut self) -> usize {
         let left = self.window.len();

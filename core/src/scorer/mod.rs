@@ -576,6 +576,26 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(())
     }
 
+    /// As [`Scorer::score`] by [`Method::Trie`], beside what the last score left behind: `nodes` takes what an explanation of this one
+    /// shows, and [`Scorer::token_log_prob_nats`] still explains the last.
+    pub(crate) fn score_aside(
+        &mut self,
+        prepared: &PreparedLabels,
+        prompt: &str,
+        out: &mut LabelScores,
+        nodes: &mut Vec<f64>,
+    ) -> Result<(), ScoreError> {
+        std::mem::swap(&mut self.node_log_prob_nats, nodes);
+        let scored = self.score(prepared, prompt, Method::Trie, out);
+        std::mem::swap(&mut self.node_log_prob_nats, nodes);
+        scored
+    }
+
+    /// Makes what [`Scorer::score_aside`] left in `nodes` the last score's.
+    pub(crate) fn recall(&mut self, nodes: &mut Vec<f64>) {
+        std::mem::swap(&mut self.node_log_prob_nats, nodes);
+    }
+
     /// How many tokens `sentence` has within a prompt. It is cut once: the prompt that it becomes part of finds its tokens.
     ///
     /// # Errors

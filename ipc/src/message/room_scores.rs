@@ -40,6 +40,8 @@ pub mod score_flags {
     pub const SCORER_FAILED: u32 = 1 << 5;
     /// Everybody who is known or lives here is away: no room is likely, and their scores are `-inf`.
     pub const NOBODY_HOME: u32 = 1 << 6;
+    /// All that the model was asked for these scores it had answered before the narration came: `timing_ns` has no decoder in it.
+    pub const PREPARED: u32 = 1 << 7;
 }
 
 layout! {

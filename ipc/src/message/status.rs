@@ -94,8 +94,16 @@ layout! {
         440 => habits_names: u32,
         /// Persons of whom something was learned.
         444 => habits_persons: u32,
+        /// Prompts that steps asked the model about.
+        448 => asked: u64,
+        /// Answers that were prepared while nobody waited.
+        456 => prepared: u64,
+        /// Prepared answers that a step used.
+        464 => prepared_used: u64,
+        /// Nanoseconds spent preparing.
+        472 => prepare_ns: u64,
         /// Zero.
-        448 => reserved: [u8; 64],
+        480 => reserved: [u8; 32],
     }
 }
 

@@ -11,6 +11,7 @@ use roomcast_core::narration::SentenceError;
 
 pub mod baselines;
 pub mod chart;
+pub mod guesses;
 pub mod habits;
 pub mod losses;
 pub mod prediction;

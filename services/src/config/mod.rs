@@ -13,6 +13,7 @@ use roomcast_core::grounding::GroundingOptions;
 use roomcast_core::narration::history::{HistoryLimits, OBSERVATIONS_MAX};
 use roomcast_core::narration::same_name;
 use roomcast_core::pipeline::PipelineOptions;
+use roomcast_core::prepared::ANSWERS_MAX;
 use roomcast_core::prompt::{BINDING_BYTES_MAX, BindingSequence};
 use roomcast_core::scorer::certified::Effort;
 use roomcast_core::scorer::correction::{Continuation, PRIOR_WEIGHTS};
@@ -259,6 +260,10 @@ pub struct ScoringConfig {
     pub effort: Effort,
     /// The time that a step may take under `effort = "deadline"`, in milliseconds.
     pub deadline_ms: u64,
+    /// So many likely next sentences are scored ahead; 0 for none.
+    pub prepare: usize,
+    /// The share of one core that this may take while it runs.
+    pub prepare_share: f64,
 }
 
 impl Default for ScoringConfig {
@@ -271,6 +276,8 @@ impl Default for ScoringConfig {
             prior: None,
             effort: Effort::default(),
             deadline_ms: PipelineOptions::default().deadline_ns / 1_000_000,
+            prepare: 32,
+            prepare_share: 0.25,
         }
     }
 }
@@ -413,6 +420,8 @@ impl Config {
             row("history.gap_s", &history.gap_s, history.gap_s as f64 <= SECONDS_MAX, &format!("give 0 (no limit) to {SECONDS_MAX}")),
             within("scoring.deadline_ms", scoring.deadline_ms, 1..=DEADLINE_MS_MAX),
             within("scoring.prior", prior, PRIOR_WEIGHTS),
+            within("scoring.prepare", scoring.prepare, 0..=ANSWERS_MAX),
+            within("scoring.prepare_share", scoring.prepare_share, 0.01..=1.0),
             row("scoring.effort", &effort, scoring.method.allows(effort), "give \"exact\", or scoring.method = \"trie\", which alone can end early"),
             row("daemon.state", &"empty", daemon.state.as_ref().is_none_or(is_free), "give a directory, or leave the key out for no journal"),
             row("daemon.journal_bytes", &daemon.journal_bytes, daemon.journal_bytes >= JOURNAL_BYTES_MIN, &format!("give {JOURNAL_BYTES_MIN} or more")),

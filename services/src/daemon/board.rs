@@ -14,6 +14,8 @@ use super::journal::{Outcome, Recovered};
 use super::persons::{Persons, is_bed, may_be_done_lying, sleeps};
 use crate::habits_reason::{ELSEWHERE, HorizonLine, PersonHabits, RoomReason, ThingReason};
 use crate::moment::Moment;
+use ahead::Ahead;
+pub use ahead::PreparedTally;
 use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
 use roomcast_core::grounding::{Grounding, GroundingOptions, partitions};
 use roomcast_core::habits::{Place as Whereabouts, WhenShares};
@@ -25,6 +27,7 @@ use roomcast_core::semantic_map::SemanticMap;
 use messages::{NamedRooms, named_rooms};
 use whose::place_words;
 
+mod ahead;
 mod messages;
 mod whose;
 
@@ -173,6 +176,9 @@ pub struct Board<M> {
     recalled: bool,
     /// What the model has said after each person's newest restored observation, as far as the journal knows; nothing of who was out.
     said: BTreeMap<u32, Vec<f64>>,
+    /// What is scored while nobody waits; none where that is turned off.
+    ahead: Option<Box<Ahead>>,
+    prepared: PreparedTally,
 }
 
 /// Names of rooms that the map does not have which are logged, until the map changes.
@@ -237,6 +243,8 @@ impl<M: LanguageModel> Board<M> {
             home: HomeHabits::default(),
             recalled: false,
             said: BTreeMap::new(),
+            ahead: None,
+            prepared: PreparedTally::default(),
         })
     }
 
@@ -310,6 +318,7 @@ impl<M: LanguageModel> Board<M> {
         self.rescored.extend(self.persons.iter().map(|(person, _)| person));
         self.mentions = Mentions::new(&map, self.pipeline.grounding());
         self.map = map;
+        self.relabel_ahead();
         Ok(prepared)
     }
 
@@ -537,6 +546,7 @@ impl<M: LanguageModel> Board<M> {
         self.watch();
         self.lose(person);
         self.home.forget(person);
+        self.forget_ahead();
     }
 
     /// Knows nothing of a person any more, but for what was learned.
@@ -739,6 +749,7 @@ impl<M: LanguageModel> Board<M> {
         self.snapshot.received_ns = received_ns.unwrap_or(self.snapshot.received_ns);
         self.snapshot.wait_ns = received_ns.map_or(0, |received_ns| now_ns.saturating_sub(received_ns));
         self.snapshot.flags = if std::mem::take(&mut self.unscored_gap) { score_flags::GAP } else { 0 };
+        self.count_prepared();
         self.fill();
         Ok(received_ns)
     }

@@ -23,6 +23,7 @@ use roomcast_ipc::{Domain, IpcError, NarrationV1, Node, StatusResponseV1, clock,
 use sd_notify::NotifyState;
 
 use crate::config::{Config, DaemonConfig};
+use crate::embedded;
 use crate::no_model::NoModel;
 use crate::notify::notify;
 use crate::setup::{self, SetupError};
@@ -30,6 +31,7 @@ use crate::stop::Stop;
 use habits_file::Keeper;
 use inbox::{Counters, Inbox, Lending};
 
+use roomcast_core::guess::Counts;
 use roomcast_core::scorer::{LanguageModel, TokenCounter};
 use roomcast_llama::affinity::{self, AffinityError};
 use scoring::{Ports, Scoring, Tools};
@@ -172,6 +174,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
         journal: journal.as_ref().map(Journal::handle),
         counters: Arc::clone(&counters),
         progress: progress.clone(),
+        prepare_share: config.scoring.prepare_share,
         stop: stop.clone(),
     };
     let inbox = Inbox::new(narration, intake, journal, counters);
@@ -219,11 +222,15 @@ fn load<M: LanguageModel + Send + 'static>(
         }
         None => (None, Memory::new(config.habits.options())),
     };
+    let counts = Counts::from_json(embedded::FORMS).unwrap_or_default();
+    // Without a model there is nothing to wait for.
+    let prepare = if pipeline.model().parameters > 0 { config.scoring.prepare } else { 0 };
     let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?
         .with_persons(Persons::new(config.persons.clone(), names))
         .with_forecast(config.forecast)
         .with_named(named.map(|known| sequence::source_of_name(&known.name)))
-        .with_habits(HomeHabits::new(memory, Zone::local()));
+        .with_habits(HomeHabits::new(memory, Zone::local()))
+        .with_prepared(counts, prepare);
     Ok(Loaded { board, kept_map, keeper, token_counter })
 }
 

@@ -30,6 +30,12 @@ use roomcast_core::scorer::LanguageModel;
 const TICK: Duration = Duration::from_millis(250);
 /// While a step that takes less runs, the port holds what comes: waking another thread would take longer than most of it.
 const SHORT_STEP_NS: u64 = 200_000;
+/// Silence before answers are prepared: a burst of narration is not held up by them.
+const QUIET_NS: u64 = 50_000_000;
+/// Where one answer takes longer, none is prepared: an event that comes meanwhile waits for its end.
+const PREPARE_STEP_NS_MAX: u64 = 5_000_000;
+/// So many in a row are no accident of a busy machine.
+const SLOW_ANSWERS_MAX: u32 = 8;
 /// Scores wait at most this long for the journal; after that they are sent without claiming what it does not hold yet.
 const JOURNAL_PATIENCE: Duration = Duration::from_millis(5);
 
@@ -81,6 +87,11 @@ pub(super) struct Scoring<M> {
     inbox: Lending,
     /// What the last step took, as a guess at the next.
     step_ns: u64,
+    /// When the next answer is prepared, none where they take too long; and what that may take of a core.
+    prepare_at_ns: Option<u64>,
+    prepare_share: f64,
+    /// Answers in a row that took too long.
+    slow_answers: u32,
     /// What a sentence may cost with the map in use, for the intake.
     sentence_tokens_max: Arc<AtomicUsize>,
     journal: Option<JournalHandle>,
@@ -101,13 +112,15 @@ pub(super) struct Tools {
     pub(super) journal: Option<JournalHandle>,
     pub(super) counters: Counters,
     pub(super) progress: Progress,
+    pub(super) prepare_share: f64,
     pub(super) stop: Stop,
 }
 
 impl<M: LanguageModel> Scoring<M> {
     /// `tally` is what the status answer says from the start.
     pub(super) fn new(cycle: Cycle<M>, ports: Ports, inbox: Lending, tools: Tools, tally: StatusResponseV1) -> Self {
-        let Tools { kept_map, keeper, save_ns, sentence_tokens_max, journal, counters, progress, stop } = tools;
+        let Tools { kept_map, keeper, save_ns, sentence_tokens_max, journal, counters, progress, prepare_share, stop } =
+            tools;
         Self {
             cycle,
             ready: false,
@@ -122,6 +135,9 @@ impl<M: LanguageModel> Scoring<M> {
             saved_ns: clock::monotonic_ns(),
             inbox,
             step_ns: u64::MAX,
+            prepare_at_ns: Some(0),
+            prepare_share,
+            slow_answers: 0,
             sentence_tokens_max,
             journal,
             counters,
@@ -138,7 +154,10 @@ impl<M: LanguageModel> Scoring<M> {
             let last = self.inbox.is_lost() || (self.stop.requested() && self.inbox.is_here());
             // A changed map is scored at once.
             let wait = !last && !self.cycle.step_due(clock::monotonic_ns());
-            let idle = || Duration::from_nanos(self.cycle.idle_ns(clock::monotonic_ns())).min(TICK);
+            let idle = || {
+                let now_ns = clock::monotonic_ns();
+                Duration::from_nanos(self.cycle.idle_ns(now_ns).min(self.until_prepare_ns(now_ns))).min(TICK)
+            };
             self.take(if wait { idle() } else { Duration::ZERO });
             let now_ns = clock::monotonic_ns();
             self.progress.scoring_ns.store(now_ns, Ordering::Relaxed);
@@ -171,6 +190,7 @@ impl<M: LanguageModel> Scoring<M> {
             if self.inbox.waiting() == 0 {
                 self.cycle.tidy();
                 self.look_after_habits(now_ns);
+                self.prepare(events > 0);
             }
             self.inbox.call_back();
         }
@@ -232,6 +252,39 @@ impl<M: LanguageModel> Scoring<M> {
                 held_back,
                 "the journal is slower than the scorer; narration is confirmed when it is written"
             );
+        }
+    }
+
+    /// How long until the next answer is prepared.
+    fn until_prepare_ns(&self, now_ns: u64) -> u64 {
+        let at_ns = self.prepare_at_ns.filter(|_| self.cycle.board().is_preparing());
+        at_ns.map_or(u64::MAX, |at_ns| at_ns.saturating_sub(now_ns))
+    }
+
+    /// Prepares one answer, if it is time; after an event there is silence first.
+    fn prepare(&mut self, is_after_event: bool) {
+        let Some(at_ns) = self.prepare_at_ns else { return };
+        let start_ns = clock::monotonic_ns();
+        if is_after_event {
+            self.prepare_at_ns = Some(start_ns.saturating_add(QUIET_NS));
+            return;
+        }
+        if start_ns < at_ns || !self.cycle.board().is_preparing() || self.inbox.has_more() {
+            return;
+        }
+        let before = self.cycle.board().prepared().prepared;
+        if let Err(error) = self.cycle.board_mut().prepare() {
+            tracing::debug!(%error, "an answer cannot be prepared; the event will be scored when it comes");
+        }
+        let end_ns = clock::monotonic_ns();
+        let took_ns = end_ns.saturating_sub(start_ns);
+        self.tally.prepare_ns += took_ns;
+        self.prepare_at_ns = Some(end_ns.saturating_add((took_ns as f64 * (1.0 / self.prepare_share - 1.0)) as u64));
+        let is_answer = self.cycle.board().prepared().prepared > before;
+        self.slow_answers = if is_answer && took_ns > PREPARE_STEP_NS_MAX { self.slow_answers + 1 } else { 0 };
+        if self.slow_answers >= SLOW_ANSWERS_MAX {
+            tracing::info!(took_ns, "no answers are prepared: with this model one takes longer than an event may wait");
+            self.prepare_at_ns = None;
         }
     }
 
@@ -396,12 +449,16 @@ impl<M: LanguageModel> Scoring<M> {
         let (counters, sources) = *self.counters.lock().unwrap_or_else(PoisonError::into_inner);
         let quantile = |q| self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.value_at_quantile(q));
         let habits = self.cycle.board().habits().learned();
+        let prepared = self.cycle.board().prepared();
         StatusResponseV1 {
             learned: habits.observations as u64,
             habits_bytes: habits.bytes as u64,
             habits_counts: habits.counts as u64,
             habits_names: habits.names as u32,
             habits_persons: habits.persons as u32,
+            asked: prepared.asked,
+            prepared: prepared.prepared,
+            prepared_used: prepared.used,
             answered_ns: clock::monotonic_ns(),
             received: counters.received,
             accepted: counters.accepted,

@@ -521,7 +521,11 @@ class StatusResponseV1(Layout):
         ("habits_counts", ctypes.c_uint64),
         ("habits_names", ctypes.c_uint32),
         ("habits_persons", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint8 * 64),
+        ("asked", ctypes.c_uint64),
+        ("prepared", ctypes.c_uint64),
+        ("prepared_used", ctypes.c_uint64),
+        ("prepare_ns", ctypes.c_uint64),
+        ("reserved", ctypes.c_uint8 * 32),
     ]
 
 

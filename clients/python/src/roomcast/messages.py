@@ -36,6 +36,7 @@ class ScoreFlags(enum.IntFlag):
     SCORER_FAILED = 32
     #: Everybody who is known or lives here is away: no room is likely, and their scores are `-inf`.
     NOBODY_HOME = 64
+    PREPARED = 128
 
 
 class Presence(enum.IntEnum):
@@ -632,6 +633,11 @@ class Status:
     habits_counts: int
     habits_names: int
     habits_persons: int
+    #: Prompts that steps asked about, answers prepared, those that a step used, and the nanoseconds that preparing took.
+    asked: int
+    prepared: int
+    prepared_used: int
+    prepare_ns: int
 
     @staticmethod
     def from_message(message: layouts.StatusResponseV1) -> Status:
@@ -674,4 +680,8 @@ class Status:
             habits_counts=message.habits_counts,
             habits_names=message.habits_names,
             habits_persons=message.habits_persons,
+            asked=message.asked,
+            prepared=message.prepared,
+            prepared_used=message.prepared_used,
+            prepare_ns=message.prepare_ns,
         )

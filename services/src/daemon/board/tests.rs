@@ -3,6 +3,7 @@ use std::rc::Rc;
 
 use proptest::prelude::*;
 use roomcast_core::grounding::Grounding;
+use roomcast_core::guess::Counts;
 use roomcast_core::label_trie::TokenTree;
 use roomcast_core::narration::{SOMEBODY, Sentence};
 use roomcast_core::pipeline::PipelineOptions;
@@ -439,4 +440,39 @@ fn a_persons_forecast_is_that_of_the_person_alone() {
         let expected = 1.0 - (1.0 - p) * (1.0 - q);
         assert!((f64::from(both[room][horizon]) - expected).abs() < 1e-6, "{room} {horizon}: {p} {q}");
     }
+}
+
+/// The loop of a quiet daemon: guesses are scored, what comes is among them, and the message says so with the scores of one that guesses
+/// nothing.
+#[test]
+fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
+    let counts = Counts::from_json(crate::embedded::FORMS).unwrap();
+    let mut ahead = board().with_prepared(counts, 64);
+    let mut behind = board();
+    let mut flagged = 0;
+    let round =
+        ["They walk to the fridge.", "They open the fridge.", "They close the fridge.", "They serenade the sofa."];
+    for (n, sentence) in (1..).zip(round.iter().cycle().take(24)) {
+        for board in [&mut ahead, &mut behind] {
+            board.step([entry(1, n * S, sentence)], n * S, 1_000_000 * S + n * S).unwrap();
+        }
+        flagged += u64::from(ahead.snapshot().has(score_flags::PREPARED));
+        assert!(!behind.snapshot().has(score_flags::PREPARED));
+        let told = |board: &Board<TableModel>| {
+            board.snapshot().rooms().iter().map(|room| room.probability).collect::<Vec<_>>()
+        };
+        assert_eq!(told(&ahead), told(&behind));
+        let mut rounds = 0;
+        while ahead.prepare().unwrap() {
+            rounds += 1;
+            assert!(rounds <= 65, "it ends");
+        }
+        assert!(!ahead.is_preparing() && !behind.is_preparing());
+    }
+    assert_eq!(ahead.prepared().used, flagged);
+    assert!(flagged >= 16, "{flagged} of 24 were prepared");
+    // What is forgotten is guessed no more.
+    assert!(format!("{:?}", ahead.ahead).contains("serenade"));
+    ahead.forget(1);
+    assert!(!format!("{:?}", ahead.ahead).contains("serenade"));
 }
