@@ -9,6 +9,7 @@
 //! | `unix-socket` | a sequenced packet of a narration's size | one of the scores' size |
 //! | `bare-iceoryx2` | publish, notify, receive, of a narration's layout | the same of the scores' layout |
 //! | `event-to-scores` | narration to the daemon | its scores, with all that it does for them |
+//! | `event-to-scores-prepared` | the same, of those scores that were ready before the narration came (`scoring.prepare`) | |
 //! | `event-to-decision` | narration to the daemon | the decision of the planner that its scores woke |
 
 use std::os::fd::{AsFd, OwnedFd};
@@ -18,7 +19,7 @@ use hdrhistogram::Histogram;
 use roomcast_ipc::bare::{BareReceiver, BareSender};
 use roomcast_ipc::{
     DecisionV1, IpcError, MessageError, NarrationV1, Node, Publisher, RoomScoresV1, Subscriber, clock, narration_kind,
-    sequence,
+    score_flags, sequence,
 };
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::io::Errno;
@@ -40,6 +41,8 @@ const REPLY: &str = "roomcast/latency/reply";
 pub enum Path {
     /// Narration published to scores received.
     EventToScores,
+    /// The same, of scores that were ready before.
+    EventToScoresPrepared,
     /// Narration published to decision received.
     EventToDecision,
     /// Two messages over iceoryx2 by itself.
@@ -134,6 +137,15 @@ impl Narrator {
     }
 }
 
+/// One round trip.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sample {
+    /// From before the one message to after the other.
+    pub elapsed_ns: u64,
+    /// The answer was ready before.
+    pub prepared: bool,
+}
+
 impl Probe {
     /// The path that it measures.
     #[must_use]
@@ -180,17 +192,18 @@ impl Probe {
         Ok(Self::BareIceoryx2(Box::new((BareSender::open(node, REQUEST)?, BareReceiver::open(node, REPLY)?))))
     }
 
-    /// Sends once and waits for the answer; gives the nanoseconds from before the one to after the other.
+    /// Sends once and waits for the answer.
     ///
     /// # Errors
     /// When a path fails, or nothing comes back.
-    pub fn measure(&mut self) -> Result<u64, LatencyError> {
+    pub fn measure(&mut self) -> Result<Sample, LatencyError> {
+        let of = |start| Sample { elapsed_ns: nanoseconds(start), prepared: false };
         match self {
             Self::Eventfd(there, back) => {
                 let start = Instant::now();
                 wake(there)?;
                 await_wake(back, PATIENCE)?.ok_or(LatencyError::NoAnswer { path: "eventfd" })?;
-                Ok(nanoseconds(start))
+                Ok(of(start))
             }
             Self::UnixSocket(socket) => {
                 let failed = |source| LatencyError::System { path: "unix-socket", source };
@@ -198,8 +211,8 @@ impl Probe {
                 let start = Instant::now();
                 send(&*socket, &[1; size_of::<NarrationV1>()], SendFlags::empty()).map_err(failed)?;
                 let (_, bytes) = recv(&*socket, reply.as_mut_slice(), RecvFlags::empty()).map_err(failed)?;
-                let elapsed_ns = nanoseconds(start);
-                if bytes == reply.len() { Ok(elapsed_ns) } else { Err(LatencyError::NoAnswer { path: "unix-socket" }) }
+                let sample = of(start);
+                if bytes == reply.len() { Ok(sample) } else { Err(LatencyError::NoAnswer { path: "unix-socket" }) }
             }
             Self::BareIceoryx2(ports) => {
                 let (there, back) = &**ports;
@@ -207,24 +220,24 @@ impl Probe {
                 let start = Instant::now();
                 there.send(&message)?;
                 back.receive(PATIENCE)?.ok_or(LatencyError::NoAnswer { path: "bare-iceoryx2" })?;
-                Ok(nanoseconds(start))
+                Ok(of(start))
             }
             Self::Scores(narrator, scores) => {
                 let message = narrator.next();
                 let key = (message.source, message.epoch);
                 let start = Instant::now();
                 narrator.port.send(&message)?;
-                wait_for(scores, "event-to-scores", |scores| {
+                let scores = wait_for(scores, "event-to-scores", |scores| {
                     scores.included().iter().any(|i| (i.source, i.epoch) == key && i.sequence >= message.sequence)
                 })?;
-                Ok(nanoseconds(start))
+                Ok(Sample { prepared: scores.has(score_flags::PREPARED), ..of(start) })
             }
             Self::Decision(narrator, decisions) => {
                 let message = narrator.next();
                 let start = Instant::now();
                 narrator.port.send(&message)?;
                 wait_for(decisions, "event-to-decision", |decision| decision.observed_ns >= message.observed_ns)?;
-                Ok(nanoseconds(start))
+                Ok(of(start))
             }
         }
     }
@@ -235,13 +248,13 @@ fn wait_for<M: roomcast_ipc::Message>(
     port: &Subscriber<M>,
     path: &'static str,
     is_it: impl Fn(&M) -> bool,
-) -> Result<(), LatencyError> {
+) -> Result<M, LatencyError> {
     let end = Instant::now() + PATIENCE;
     let mut message = M::default();
     loop {
         while let Some(checked) = port.receive_into(&mut message)? {
             if checked.is_ok() && is_it(&message) {
-                return Ok(());
+                return Ok(message);
             }
         }
         let left = end.saturating_duration_since(Instant::now());
@@ -312,7 +325,7 @@ pub fn echo(path: Path, node: &Node, stop: &Stop) -> Result<(), LatencyError> {
                 send(&input, &reply, SendFlags::empty()).map_err(failed)?;
             }
         }
-        Path::BareIceoryx2 | Path::EventToScores | Path::EventToDecision => {
+        Path::BareIceoryx2 | Path::EventToScores | Path::EventToScoresPrepared | Path::EventToDecision => {
             let (requests, replies) =
                 (BareReceiver::<NarrationV1>::open(node, REQUEST)?, BareSender::open(node, REPLY)?);
             let reply = RoomScoresV1::default();
@@ -387,7 +400,8 @@ impl Row {
     }
 }
 
-/// Measures the probes in turn, `samples` times each after `warm_up`, with a pause before every sample; gives a histogram per probe.
+/// Measures the probes in turn, `samples` times each after `warm_up`, with a pause before every sample; gives a histogram per probe, and one
+/// of what was prepared.
 ///
 /// Interleaved, so that whatever else the machine does meets all paths alike.
 ///
@@ -400,25 +414,27 @@ pub fn interleaved(
     pause: Duration,
     stop: &Stop,
     mut progress: impl FnMut(),
-) -> Result<Vec<Histogram<u64>>, LatencyError> {
-    let mut histograms = Vec::new();
-    for _ in probes.iter() {
-        histograms.push(Histogram::new_with_max(60_000_000_000, 3)?);
-    }
+) -> Result<(Vec<Histogram<u64>>, Histogram<u64>), LatencyError> {
+    let histogram = || Histogram::new_with_max(60_000_000_000, 3);
+    let mut prepared = histogram()?;
+    let mut histograms = probes.iter().map(|_| histogram()).collect::<Result<Vec<_>, _>>()?;
     for round in 0..warm_up + samples {
         for (probe, histogram) in probes.iter_mut().zip(&mut histograms) {
             if stop.requested() {
-                return Ok(histograms);
+                return Ok((histograms, prepared));
             }
             std::thread::sleep(pause);
-            let elapsed_ns = probe.measure()?;
+            let sample = probe.measure()?;
             if round >= warm_up {
-                histogram.saturating_record(elapsed_ns);
+                histogram.saturating_record(sample.elapsed_ns);
+                if sample.prepared {
+                    prepared.saturating_record(sample.elapsed_ns);
+                }
             }
         }
         progress();
     }
-    Ok(histograms)
+    Ok((histograms, prepared))
 }
 
 fn nanoseconds(since: Instant) -> u64 {
@@ -449,7 +465,7 @@ mod tests {
             assert_eq!(bytes, request.len());
             send(&there, &[2; size_of::<RoomScoresV1>()], SendFlags::empty()).unwrap();
         });
-        assert!(probe.measure().unwrap() > 0);
+        assert!(probe.measure().unwrap().elapsed_ns > 0);
         answer.join().unwrap();
 
         let (mut probe, input, output) = Probe::eventfd().unwrap();
@@ -457,7 +473,7 @@ mod tests {
             await_wake(&input, PATIENCE).unwrap().unwrap();
             wake(&output).unwrap();
         });
-        assert!(probe.measure().unwrap() > 0);
+        assert!(probe.measure().unwrap().elapsed_ns > 0);
         answer.join().unwrap();
     }
 }

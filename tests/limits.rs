@@ -11,7 +11,7 @@ use std::path::Path;
 use roomcast_core::narration::history::{KEPT_NS, OBSERVATIONS_MAX};
 use roomcast_core::narration::{self, PERSONS_MAX, PROGRAM_BYTES_MAX, SENTENCE_BYTES_MAX, STEPS_MAX};
 use roomcast_core::pipeline::SOURCES_MAX;
-use roomcast_core::{grounding, habits, prompt, semantic_map};
+use roomcast_core::{grounding, guess, habits, prepared, prompt, semantic_map};
 use roomcast_ipc::{
     DecisionV1, MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES, NarrationV1,
     RoomScoresV1, question, sequence,
@@ -96,6 +96,15 @@ fn page() -> String {
                 "the oldest goes first",
             ),
             ("narrators named in the configuration", &config::KNOWN_NARRATORS_MAX, "is refused"),
+        ],
+    );
+    table(
+        "Prepared answers",
+        &[
+            ("answers kept at once, of all persons", &prepared::ANSWERS_MAX, "no further one is prepared"),
+            ("bytes of a sentence that is guessed", &guess::SENTENCE_BYTES_MAX, "is not learned for guesses"),
+            ("forms of sentences", &guess::FORMS_MAX, "is not learned for guesses"),
+            ("counts of what follows what, and of things", &guess::COUNTS_MAX, "is not learned for guesses"),
         ],
     );
     let options = Config::default().habits.options();

@@ -25,7 +25,8 @@ pub struct Args {
     /// Samples per path.
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = ranges::some())]
     samples: u64,
-    /// Milliseconds of silence before each sample, in which the processes fall asleep.
+    /// Milliseconds of silence before each sample, in which the processes fall asleep. From a few hundred on, as people pace what they do,
+    /// answers are prepared, and have a row of their own.
     #[arg(long, value_name = "MS", default_value_t = 5, value_parser = ranges::any())]
     pause: u64,
     /// Which scorer: the model, none (every word is as likely), or both in turn.
@@ -197,8 +198,11 @@ fn on_stage(
         latency::interleaved(probes, args.samples, args.warm_up(), pause, stop, || progress.inc(1))
     };
     let row = |probe: &Probe, samples_ns: &Histogram<u64>| Row::new(probe.path(), scorer, load, samples_ns);
-    let histograms = take(&mut probes)?;
+    let (histograms, prepared) = take(&mut probes)?;
     let mut rows: Vec<Row> = probes.iter().zip(&histograms).rev().map(|(probe, samples)| row(probe, samples)).collect();
+    if !prepared.is_empty() {
+        rows.insert(1, Row::new(Path::EventToScoresPrepared, scorer, load, &prepared));
+    }
 
     // The scores' subscriber goes, and the planner takes its place: each path wakes the processes that lie on it, no others.
     let narrator = match probes.pop() {
@@ -209,9 +213,10 @@ fn on_stage(
     stage.start("planner", &["--room-time".into(), "0".into()])?;
     wait_for(stage, stop, || decisions.newest().map(|decision| decision.is_some()).map_err(ipc))?;
     probes.push(Probe::Decision(narrator, decisions));
-    let histograms = take(&mut probes)?;
+    let (histograms, _) = take(&mut probes)?;
     if let (Some(probe), Some(samples)) = (probes.last(), histograms.last()) {
-        rows.insert(1, row(probe, samples));
+        let behind_scores = rows.iter().take_while(|row| row.path != Path::BareIceoryx2).count();
+        rows.insert(behind_scores, row(probe, samples));
     }
     Ok(rows)
 }

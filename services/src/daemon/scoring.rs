@@ -28,8 +28,8 @@ use roomcast_core::scorer::LanguageModel;
 
 /// How often connections are renewed at least. Whoever joins or asks by this contract's crate wakes the daemon by itself.
 const TICK: Duration = Duration::from_millis(250);
-/// While a step that takes less runs, the port holds what comes: waking another thread would take longer than most of it.
-const SHORT_STEP_NS: u64 = 200_000;
+/// While a step that takes less runs, the port holds what comes: another thread that is woken for it takes a core from the step.
+const SHORT_STEP_NS: u64 = 5_000_000;
 /// Silence before answers are prepared: a burst of narration is not held up by them.
 const QUIET_NS: u64 = 50_000_000;
 /// Where one answer takes longer, none is prepared: an event that comes meanwhile waits for its end.
