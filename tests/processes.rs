@@ -1957,6 +1957,13 @@ fn imported_habits_change_the_forecast_until_they_are_forgotten() {
     let (_, answer, _) = habits(&world, &["show", "--json"]);
     let shipped = answer["persons"][0]["forecast"][1]["shipped"].as_f64().unwrap();
     assert!(shipped < 0.5, "{answer}");
+    // Every twenty minutes of four days both rooms were left once; a visit of before counts nearly as much as one of now.
+    let visits = |room: usize| {
+        let line = &answer["visits"][room];
+        (line["room"].as_str().unwrap(), line["by_part"].as_array().unwrap().iter().map(|n| n.as_f64().unwrap()).sum())
+    };
+    let rooms: [(&str, f64); 3] = [visits(0), visits(1), visits(2)];
+    assert!(rooms.iter().all(|(room, count)| (270.0..=292.0).contains(count) == (*room != "bathroom")), "{rooms:?}");
     let copy = world.directory.path().join("copy.json");
     assert_eq!(habits(&world, &["export", copy.to_str().unwrap()]).0, 0);
     assert!(std::fs::read_to_string(&copy).unwrap().contains("living room"));

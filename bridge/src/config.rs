@@ -74,6 +74,8 @@ pub struct Config {
     pub ipc: Ipc,
     /// What is told.
     pub tell: Tell,
+    /// What is told of habits.
+    pub habits: Habits,
     /// What may be asked.
     pub ask: Ask,
     /// Other robots.
@@ -176,6 +178,14 @@ impl Default for Tell {
     fn default() -> Self {
         Self { scores: true, forecast: true, persons: true, decision: true, repeat_s: 5.0 }
     }
+}
+
+/// What is told of habits.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Habits {
+    /// Whether counts of visits leave the robot; nothing else of habits does.
+    pub share: bool,
 }
 
 /// Other robots of the site.

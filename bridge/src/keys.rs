@@ -13,7 +13,7 @@ impl Keys {
         Self { base: format!("roomcast/{site}/{robot}") }
     }
 
-    /// What the robot tells: `scores`, `forecast`, `persons`, `decision`, `status`.
+    /// What the robot tells: `scores`, `forecast`, `persons`, `decision`, `status`, `habits`.
     #[must_use]
     pub fn told(&self, topic: &str) -> String {
         format!("{}/told/{topic}", self.base)

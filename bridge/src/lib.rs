@@ -29,6 +29,8 @@ pub mod inward;
 pub mod outward;
 pub mod peers;
 
+pub mod habits;
+
 pub mod hub;
 pub mod robot;
 pub mod watch;

@@ -57,6 +57,19 @@ impl Last {
         Teller { start: self.start.load(Ordering::Relaxed), number, clock: self.clock }
     }
 
+    /// Keeps a topic's value for who asks later; gives its bytes of now.
+    pub fn keep(&self, key: &str, told: Told) -> Vec<u8> {
+        let bytes = told.bytes(self.teller());
+        self.told().insert(key.to_owned(), told);
+        bytes
+    }
+
+    /// The bytes of now of a value that is kept.
+    #[must_use]
+    pub fn again(&self, key: &str) -> Option<Vec<u8>> {
+        self.told().get(key).map(|told| told.bytes(self.teller()))
+    }
+
     /// Answers a query with all values that it asks for, each with its age of now.
     pub fn answer(&self, query: &Query) {
         for (key, told) in self.told().iter() {
@@ -135,16 +148,14 @@ impl Mouth<'_> {
         let Some((_, at)) = &mut topic.said else { return };
         if at.elapsed() >= self.repeat {
             *at = Instant::now();
-            let bytes = self.last.told().get(&topic.key).map(|told| told.bytes(self.last.teller()));
-            if let Some(bytes) = bytes {
+            if let Some(bytes) = self.last.again(&topic.key) {
                 self.put(&topic.key, bytes);
             }
         }
     }
 
     fn say(&self, key: &str, told: Told) {
-        self.put(key, told.bytes(self.last.teller()));
-        self.last.told().insert(key.to_owned(), told);
+        self.put(key, self.last.keep(key, told));
     }
 
     fn put(&self, key: &str, bytes: Vec<u8>) {

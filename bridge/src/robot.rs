@@ -17,7 +17,7 @@ use crate::link::{Declare, Link, LinkError};
 use crate::outward::{self, Last};
 use crate::ros2::run::{Places, Ros2Error};
 use crate::stop::Stop;
-use crate::{ask, inward, peers, ros2};
+use crate::{ask, habits, inward, peers, ros2};
 
 /// Why a bridge ends.
 #[derive(Debug, thiserror::Error)]
@@ -61,7 +61,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
         Some(router) => Some((Places::load(&config.ros2)?, Link::start(&router, Box::new(|_| Ok(Vec::new())))?)),
         None => None,
     };
-    let (link, ros2, stopper) = (link.as_ref(), ros2.as_ref(), stop);
+    let (link, ros2, stopper, last_told) = (link.as_ref(), ros2.as_ref(), stop, &last);
     thread::scope(|scope| {
         let start = |name: &str| thread::Builder::new().name(name.to_owned());
         // Those that run already have to end, too.
@@ -90,6 +90,13 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
         } else {
             None
         };
+        let sharing = match link.filter(|_| config.habits.share) {
+            Some(link) => {
+                let share = move || ending(habits::run(config, domain, link, last_told, stopper));
+                Some(start("habits").spawn_scoped(scope, share).map_err(failed)?)
+            }
+            None => None,
+        };
         let spoken = match ros2 {
             Some((places, link)) => {
                 let speak = move || ending(ros2::run::run(&config.ros2, places, domain, link, ros2_ear, stopper));
@@ -108,7 +115,8 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
         notify(&[NotifyState::Stopping]);
         let ended = |thread: thread::ScopedJoinHandle<'_, Result<(), IpcError>>| thread.join().unwrap_or(Ok(()));
         let inward = ended(inward);
-        let others = [answering, spoken, listening].into_iter().flatten().map(ended).collect::<Result<Vec<()>, _>>();
+        let others =
+            [answering, spoken, listening, sharing].into_iter().flatten().map(ended).collect::<Result<Vec<()>, _>>();
         outward.and(inward).and(others.map(drop)).map_err(BridgeError::Ipc)
     })
 }

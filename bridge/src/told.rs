@@ -3,6 +3,7 @@
 //! A time of a monotonic clock means nothing elsewhere. So each message says how old its content is when it is sent, and when that was by
 //! the sender's own clock, which lets a receiver know how much longer than others it was on its way ([`crate::delay`]).
 
+use roomcast_core::habits::{PART_HOURS, PARTS};
 use roomcast_ipc::{
     DecisionV1, ForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, action, clock, decision_flags, presence,
 };
@@ -164,6 +165,13 @@ pub fn decision(decision: &DecisionV1) -> Told {
         "scores_age_ns": decision.scores_age_ns,
     });
     Told::new(content, decision.decided_ns)
+}
+
+/// How often each room was visited, by part of the day.
+#[must_use]
+pub fn habits(visits: &[(String, [f64; PARTS])]) -> Told {
+    let rooms: Map<String, Value> = visits.iter().map(|(room, counts)| (room.clone(), json!(counts))).collect();
+    Told::new(json!({ "part_hours": PART_HOURS, "rooms": rooms }), clock::monotonic_ns())
 }
 
 /// Whether the daemon lives, and its counters where it has told them.

@@ -6,15 +6,16 @@ use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
 use roomcast_ipc::clock;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
 
 use crate::config::{Config, ConfigError};
 use crate::delay::Delay;
+use crate::habits;
 use crate::link::{Declare, Link, LinkError};
 use crate::stop::Stop;
-use crate::wire::Hex;
+use crate::wire::{Fault, Hex};
 
 /// Messages that wait to be printed; more are dropped.
 const WAITING_MAX: usize = 1024;
@@ -64,14 +65,14 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
         };
         let line = match heard {
             Heard::Alive { key, alive } => json!({ "key": key, "alive": alive }),
-            Heard::Said { key, bytes, now_ns } => match serde_json::from_slice::<Value>(&bytes) {
-                Ok(Value::Object(mut message)) => {
+            Heard::Said { key, bytes, now_ns } => match read(&key, &bytes) {
+                Ok(mut message) => {
                     aged(&mut message, &mut delays, now_ns);
                     message.insert("key".to_owned(), key.into());
                     message.insert("received_ns".to_owned(), now_ns.into());
                     Value::Object(message)
                 }
-                _ => json!({ "key": key, "fault": "no JSON object" }),
+                Err(fault) => json!({ "key": key, "fault": fault.to_string() }),
             },
         };
         writeln!(out, "{line}").and_then(|()| out.flush()).map_err(WatchError::Print)?;
@@ -79,8 +80,19 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
     Ok(())
 }
 
+/// A robot's message: a JSON object, and of habits nothing but counts that can be.
+fn read(key: &str, bytes: &[u8]) -> Result<Map<String, Value>, Fault> {
+    if key.rsplit('/').next() == Some(habits::TOPIC) {
+        habits::read(bytes)?;
+    }
+    match serde_json::from_slice(bytes) {
+        Ok(Value::Object(message)) => Ok(message),
+        _ => Err(Fault("no JSON object".to_owned())),
+    }
+}
+
 /// Adds to a message's age what it was held up for; `held_up_ns` is null while that is not known.
-fn aged(message: &mut serde_json::Map<String, Value>, delays: &mut BTreeMap<u64, Delay>, now_ns: u64) {
+fn aged(message: &mut Map<String, Value>, delays: &mut BTreeMap<u64, Delay>, now_ns: u64) {
     let id = message.get("clock").and_then(|id| serde_json::from_value::<Hex>(id.clone()).ok());
     let number = |key: &str| message.get(key).and_then(Value::as_u64);
     let (Some(Hex(id)), Some(sent_ns), Some(age_ns)) = (id, number("sent_ns"), number("age_ns")) else {

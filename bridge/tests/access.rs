@@ -136,7 +136,9 @@ fn each_reads_and_writes_its_own_keys_alone() {
     let by_operator = heard(&operator_ear, "roomcast/home/*/told/**");
     let by_robot = heard(&robot_ear, "roomcast/home/robot-1/narration/*");
     let by_hub = heard(&hub_ear, "roomcast/home/*/confirmed/hall-camera");
-    let unheard = [heard(&stranger_ear, "roomcast/**"), heard(&hub_ear, "roomcast/home/*/told/**")];
+    let of_robots = "roomcast/home/*/told/**";
+    let unheard = [(&stranger_ear, "roomcast/**"), (&hub_ear, of_robots), (&robot_ear, of_robots)];
+    let unheard = unheard.map(|(session, key)| heard(session, key));
     let put = |session: &Session, key: &str, text: &str| session.put(key, text).wait().unwrap();
     // What each may not: into others' keys, and in others' names.
     for (who, session, keys) in [
@@ -149,7 +151,7 @@ fn each_reads_and_writes_its_own_keys_alone() {
         (
             "operator",
             &operator,
-            ["robot-1/told/decision", "robot-1/narration/hall-camera", "robot-1/confirmed/hall-camera"],
+            ["robot-1/told/habits", "robot-1/narration/hall-camera", "robot-1/confirmed/hall-camera"],
         ),
         (
             "stranger",
@@ -164,6 +166,7 @@ fn each_reads_and_writes_its_own_keys_alone() {
     // What each may, until it arrives: a session's messages keep their order, so that what it sent before has been judged.
     eventually("what is allowed arrives", || {
         put(&robot, "roomcast/home/robot-1/told/decision", "own");
+        put(&robot, "roomcast/home/robot-1/told/habits", "own");
         put(&robot, "roomcast/home/robot-1/confirmed/hall-camera", "own");
         put(&hub, "roomcast/home/robot-1/narration/hall-camera", "own");
         let all = [&by_operator, &by_robot, &by_hub].map(|heard| heard.lock().unwrap().len());
@@ -173,6 +176,10 @@ fn each_reads_and_writes_its_own_keys_alone() {
         let heard = heard.lock().unwrap();
         assert!(heard.iter().all(|said| said.ends_with(" own")), "{heard:?}");
     }
+    eventually("the operator hears of habits, where a robot shares them", || {
+        let heard = by_operator.lock().unwrap();
+        heard.iter().any(|said| said == "roomcast/home/robot-1/told/habits own").then_some(())
+    });
     for heard in &unheard {
         assert!(heard.lock().unwrap().is_empty(), "{heard:?}");
     }

@@ -11,8 +11,9 @@ use roomcast_bridge::delivery::Delivery;
 use roomcast_bridge::line::line;
 use roomcast_bridge::relay::{Offered, Relay};
 use roomcast_bridge::spool::Spool;
+use roomcast_bridge::told::Teller;
 use roomcast_bridge::wire::{Arrived, BYTES_MAX, Confirmed, Hex, Kind, Narrated, Observation, Person, read};
-use roomcast_ipc::Message;
+use roomcast_ipc::{Message, NAME_BYTES};
 use roomcast_ros2::types::{Text, decode_string, encode};
 
 /// One change of some bytes: at a part of their length, what it does, and with which byte.
@@ -56,6 +57,17 @@ fn observation(kind: u8) -> Observation {
 }
 
 proptest! {
+    /// What a robot tells of habits: refused, or counts of rooms that can be.
+    #[test]
+    fn counts_of_habits_are_refused_or_can_be(room in ".{0,60}", count in any::<f64>(), damage in damage()) {
+        let good = roomcast_bridge::told::habits(&[(room, [count, 1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 7.25])]);
+        let bytes = damaged(&good.bytes(Teller { start: 1, number: 2, clock: 3 }), &damage);
+        for (room, counts) in roomcast_bridge::habits::read(&bytes).unwrap_or_default() {
+            prop_assert!(!room.is_empty() && room.len() <= NAME_BYTES && !room.chars().any(char::is_control));
+            prop_assert!(counts.iter().all(|count| count.is_finite() && *count >= 0.0));
+        }
+    }
+
     /// What a hub says: refused, or a message that the daemon would take, whose number is taken once.
     #[test]
     fn a_damaged_narration_is_refused_or_is_one(kind in any::<u8>(), sequence in 1..u64::MAX, changes in damage()) {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use roomcast_bridge::{ask, config, inward, line, peers, relay, wire};
+use roomcast_bridge::{ask, config, habits, inward, line, peers, relay, wire};
 
 #[test]
 fn the_page_states_the_limits_of_the_code() {
@@ -17,6 +17,7 @@ fn the_page_states_the_limits_of_the_code() {
         ),
         ("robots of a hub", config::ROBOTS_MAX.to_string()),
         ("other robots that are followed", peers::PEERS_MAX.to_string()),
+        ("bytes of a robot's counts of habits", habits::BYTES_MAX.to_string()),
         ("questions that wait", ask::WAITING_MAX.to_string()),
         ("bytes of a line of a hub", line::LINE_BYTES_MAX.to_string()),
     ] {

@@ -233,7 +233,7 @@ impl Watch {
     }
 
     /// Waits for a line that fits.
-    pub fn find(&self, what: &str, fits: impl Fn(&serde_json::Value) -> bool) -> serde_json::Value {
+    pub fn find(&self, what: &str, mut fits: impl FnMut(&serde_json::Value) -> bool) -> serde_json::Value {
         let start = Instant::now();
         loop {
             let left = PATIENCE.saturating_sub(start.elapsed());

@@ -36,6 +36,7 @@ mod smoothing;
 mod stays;
 mod stored;
 mod together;
+mod visits;
 mod whose;
 mod words;
 
@@ -52,6 +53,7 @@ use words::{Numbered, Words};
 
 pub use sets::{AdaptiveSets, Issued, SetOptions};
 pub use stored::{BYTES_MAX, StoredError};
+pub use visits::{PART_HOURS, PARTS};
 
 /// Persons that are learned of, at most; of further ones, he or she who was learned least of gives way.
 pub const PERSONS_MAX: usize = 64;

@@ -20,6 +20,7 @@ use super::key::{Kind, NONE, key};
 use super::mixture::FixedShare;
 use super::moment;
 use super::sets::{AdaptiveSets, Issued, SetOptions};
+use super::visits::PART_HOURS;
 use super::whose::Whose;
 
 /// Horizons at which is learned how good each forecast is, in seconds.
@@ -193,7 +194,7 @@ impl Stays {
 
     fn add_stay(&self, counts: &mut Counts, slot: u8, bucket: usize, at_s: f64, symbol: u16, weight: f64) {
         let (bucket, now_min) = (bucket as u16, moment::minute(at_s));
-        let part = moment::part_of_day(at_s, 3);
+        let part = moment::part_of_day(at_s, PART_HOURS);
         for (kind, after) in [
             (Kind::Stay, [NONE, bucket, NONE]),
             (Kind::StayPlace, [self.place, bucket, NONE]),
@@ -212,7 +213,7 @@ impl Stays {
         }
         if self.place != NONE && learn {
             self.add_stay(counts, slot, dwell(now_s - self.entered_s), now_s, EXITS, 1.0);
-            let (now_min, part) = (moment::minute(now_s), moment::part_of_day(now_s, 3));
+            let (now_min, part) = (moment::minute(now_s), moment::part_of_day(now_s, PART_HOURS));
             counts.add(key(Kind::Exit, slot, [self.place, NONE, NONE]), number, 1.0, now_min);
             counts.add(key(Kind::ExitHour, slot, [self.place, part, NONE]), number, 1.0, now_min);
         }
@@ -503,7 +504,7 @@ impl Stays {
         let Some(here) = frame.place(self.place) else { return false };
         let places = frame.places();
         let Scratch { mass, hazard, lead, leaving, leave, semi, .. } = scratch;
-        let part = moment::part_of_day(now_s, 3);
+        let part = moment::part_of_day(now_s, PART_HOURS);
         hazard.clear();
         lead.clear();
         for place in 0..places {

@@ -391,6 +391,31 @@ fn several_times_at_once_are_as_each_by_itself() {
 
 /// Setting the clock is no time spent, and nothing is learned of time that nobody watched.
 #[test]
+fn visits_are_counted_by_room_and_part_of_the_day_of_all_persons_together() {
+    let mut habits = home(HabitsOptions { half_life_days: 0.0, ..HabitsOptions::default() });
+    assert_eq!(habits.visits(MONDAY_S), [[0.0; PARTS]; 3]);
+    let at_s = |hour: f64| MONDAY_S + 3_600.0 * hour;
+    for person in [3, 8] {
+        habits.be(person, Place::Room(0), at_s(0.0));
+        habits.be(person, Place::Room(1), at_s(7.0));
+        habits.be(person, Place::Room(2), at_s(7.5));
+    }
+    habits.be(3, Place::Elsewhere, at_s(10.0));
+    habits.be(3, Place::Room(2), at_s(22.0));
+    habits.be(3, Place::Room(0), at_s(23.9));
+    let mut visits = [[0.0; PARTS]; 3];
+    // Both left bedroom and bathroom between six and nine; who is still in the kitchen has not left it.
+    (visits[0][2], visits[1][2], visits[2][3], visits[2][7]) = (2.0, 2.0, 1.0, 1.0);
+    assert_eq!(habits.visits(at_s(24.0)), visits);
+    habits.forget(8);
+    (visits[0][2], visits[1][2]) = (1.0, 1.0);
+    assert_eq!(habits.visits(at_s(24.0)), visits);
+    // A map with other rooms has none of them; what was counted waits for its rooms.
+    habits.bind(words(&LABELS), words(&["hall"]), vec![0.0; LABELS.len()]);
+    assert_eq!(habits.visits(at_s(24.0)), [[0.0; PARTS]]);
+}
+
+#[test]
 fn time_that_nobody_watched_is_not_learned() {
     let mut habits = home(HabitsOptions::default());
     watched_days(&mut habits, 0..3);

@@ -275,6 +275,11 @@ impl<M: LanguageModel> Board<M> {
         Self { home, ..self }
     }
 
+    /// The ids of the map's rooms, in the order in which habits have them.
+    pub(super) fn room_ids(&self) -> impl Iterator<Item = &str> {
+        self.pipeline.grounding().partitions().iter().map(|room| room.id.as_str())
+    }
+
     /// What is learned of the home.
     #[must_use]
     pub fn habits(&self) -> &HomeHabits {

@@ -15,7 +15,9 @@ use std::collections::BTreeMap;
 
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
-use roomcast_core::habits::{Habits, HabitsOptions, Learned, Place, RoomShares, Shares, StoredError, Turn, WhenShares};
+use roomcast_core::habits::{
+    Habits, HabitsOptions, Learned, PARTS, Place, RoomShares, Shares, StoredError, Turn, WhenShares,
+};
 use roomcast_core::narration::Observation;
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_ipc::{MAX_HORIZONS, MAX_ROOMS};
@@ -537,6 +539,11 @@ impl HomeHabits {
     #[must_use]
     pub fn learned(&self) -> Learned {
         self.memory.habits.learned()
+    }
+
+    /// Per room of the map, how many visits ended in each part of the day.
+    pub(super) fn visits(&self) -> Vec<[f64; PARTS]> {
+        self.clock.map_or_else(Vec::new, |(_, now_s)| self.memory.habits.visits(now_s))
     }
 
     /// How many observations were learned since the start.

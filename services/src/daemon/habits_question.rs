@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::asked::{Answer, Question};
 use super::board::Board;
 use crate::habits_reason::HorizonLine;
-use roomcast_core::habits::BYTES_MAX;
+use roomcast_core::habits::{BYTES_MAX, PARTS};
 use roomcast_core::scorer::LanguageModel;
 
 /// Most bytes of one part of what is imported: a question has a limit.
@@ -70,6 +70,15 @@ pub struct HabitsLine {
     pub forecast: Vec<HorizonLine>,
 }
 
+/// How often a room was visited, by anybody.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct VisitsLine {
+    /// The room's id.
+    pub room: String,
+    /// How many visits ended in each part of the day, from midnight on, to a hundredth: older ones count less.
+    pub by_part: [f64; PARTS],
+}
+
 /// The answer.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct HabitsAnswer {
@@ -97,6 +106,9 @@ pub struct HabitsAnswer {
     pub learned_meanwhile: bool,
     /// Persons of whom something is known.
     pub persons: Vec<HabitsLine>,
+    /// How often each room of the map was visited, of all persons together; it names nobody.
+    #[serde(default)]
+    pub visits: Vec<VisitsLine>,
     /// What was asked for by [`HabitsQuestion::Export`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub export: Option<String>,
@@ -208,9 +220,18 @@ pub(super) fn answer<M: LanguageModel>(
         taken: habits.taken(),
         learned_meanwhile,
         persons: habits.persons().into_iter().map(line).collect(),
+        visits: visits(board),
         export,
     };
     (answer, after)
+}
+
+/// How often each room was visited.
+fn visits<M: LanguageModel>(board: &Board<M>) -> Vec<VisitsLine> {
+    let hundredth = |count: f64| (count * 100.0).round() / 100.0;
+    let line =
+        |(room, by_part): (&str, [f64; PARTS])| VisitsLine { room: room.to_owned(), by_part: by_part.map(hundredth) };
+    board.room_ids().zip(board.habits().visits()).map(line).collect()
 }
 
 #[cfg(test)]

@@ -1,0 +1,28 @@
+//! How often each room was visited, by part of the day: of all persons together, so that nothing says whose visits they were.
+
+use super::Habits;
+use super::key::{Kind, NONE, key};
+use super::moment;
+
+/// Hours of one part of the day, from midnight on, in local time.
+pub const PART_HOURS: u16 = 3;
+/// Parts of a day.
+pub const PARTS: usize = 24 / PART_HOURS as usize;
+
+impl Habits {
+    /// Per room of the map that is bound, how many visits ended in each part of the day. Older ones count less, as everywhere.
+    #[must_use]
+    pub fn visits(&self, now_s: f64) -> Vec<[f64; PARTS]> {
+        let now_min = moment::minute(now_s);
+        let ended = |place: u16, part: u16| -> f64 {
+            let of = |slot| self.counts.get(key(Kind::ExitHour, slot, [place, part, NONE]), now_min);
+            let seen = self.persons.iter().filter_map(|person| of(person.slot));
+            seen.map(|seen| seen.symbols().map(|(_, count)| count).sum::<f64>()).sum()
+        };
+        let room = |room| {
+            let place = self.frame.place_number(room);
+            std::array::from_fn(|part| place.map_or(0.0, |place| ended(place, part as u16)))
+        };
+        (0..self.frame.rooms.len()).map(room).collect()
+    }
+}
