@@ -341,14 +341,14 @@ impl Planner {
             Next::Pause { .. } if waiting.is_some() => Ok(None),
             Next::Pause { why, reason } => Ok(self.pause(why, &format!("{ended}{reason}"), now_ns, now_unix_ns)),
             Next::Go { room, reason, flags: forced } => {
-                let idle = self.round.is_done(room) && self.plans_coverage();
+                let idle = self.is_idle_in(room);
                 if let Some(waiting) = waiting {
                     if idle {
                         return Ok(None);
                     }
                     self.notice.cancels = self.own_decision(&waiting);
                 }
-                let room = self.better_stay(idle, room, &outlook).unwrap_or(room);
+                let room = self.better_stay(idle, room, &outlook, now_ns).unwrap_or(room);
                 let likely = outlook.over_stay(room, self.stay_s()).filter(|_| self.plans());
                 let likely = likely.or_else(|| outlook.likely.get(room).copied());
                 let decision = self.go(room, self.round.stay_ns, &format!("{ended}{reason}"), now_ns, now_unix_ns);
@@ -409,16 +409,17 @@ impl Planner {
         }
     }
 
-    /// Ends the work in a room that another robot has, too, and keeps.
+    /// Ends the work, or the wait, in a room that another robot has, too, and keeps.
     fn look_for_robots(&mut self, scores: &RoomScoresV1, now_ns: u64) {
-        let Some(work) = self.robot.work.as_ref().filter(|work| !work.waits) else { return };
+        let Some(work) = self.robot.work.as_ref() else { return };
         let room = scores.rooms().get(work.room).map(|room| room.id);
-        if !room.zip(self.others.as_ref()).is_some_and(|(room, others)| others.go_before(&room, now_ns)) {
+        if !room.zip(self.others.as_ref()).is_some_and(|(room, others)| others.go_before(&room, work.waits, now_ns)) {
             return;
         }
         let (id, cancels) = (self.id_of(work.room).to_owned(), self.own_decision(work));
+        let what = if work.waits { "it waits no longer there" } else { "its work there stops" };
         self.robot.work = None;
-        let why = format!("another robot has the {id}, so its work there stops: ");
+        let why = format!("another robot has the {id}, so {what}: ");
         self.notice = Notice { cancels, flags: 0, why };
     }
 
@@ -439,6 +440,17 @@ impl Planner {
         }
     }
 
+    /// Rooms that other robots work in, or also wait in; none where they are not looked at.
+    fn taken(&self, waiting_too: bool, now_ns: u64) -> Vec<bool> {
+        let known = self.scores.as_ref().zip(self.others.as_ref());
+        known.map_or_else(Vec::new, |(scores, others)| others.taken(scores, waiting_too, now_ns))
+    }
+
+    /// Whether the robot would have nothing to do in a room.
+    fn is_idle_in(&self, room: usize) -> bool {
+        self.round.is_done(room) && self.plans_coverage()
+    }
+
     /// The policy's choice, among the rooms that the robot may go to.
     fn next(&mut self, outlook: &Outlook, here: Option<&[f64]>, now_ns: u64) -> Result<Next, PolicyError> {
         let (occupied, empty) = self.occupied;
@@ -446,10 +458,10 @@ impl Planner {
         let mut closed = self.interruption.held().to_vec();
         closed.resize(closed.len().max(avoided.len()), false);
         closed.iter_mut().zip(&avoided).for_each(|(closed, avoided)| *closed |= avoided);
-        let taken = self.scores.as_ref().zip(self.others.as_ref());
-        let taken = taken.map_or_else(Vec::new, |(scores, others)| others.taken(scores, now_ns));
+        let taken = self.taken(false, now_ns);
         closed.resize(closed.len().max(taken.len()), false);
         closed.iter_mut().zip(&taken).for_each(|(closed, taken)| *closed |= taken);
+        let shared = self.taken(true, now_ns);
         let mut left = Vec::new();
         // What is scarce is time only if every stay that is left is needed.
         let scarce = self.plans()
@@ -461,6 +473,11 @@ impl Planner {
                 return Ok(Next::Pause { why: Pause::NoRoom, reason });
             };
             let room = partition.0 as usize;
+            // Where it has nothing to do it waits in no room of another robot's.
+            if self.is_idle_in(room) && shared.get(room) == Some(&true) && closed.get(room) == Some(&false) {
+                closed[room] = true;
+                continue;
+            }
             let likely = outlook.over_stay(room, self.stay_s()).filter(|_| scarce && !self.round.is_done(room));
             if likely.is_some_and(|likely| likely >= occupied) && self.forced == Forced::Skip {
                 left.push(room);
@@ -522,9 +539,10 @@ impl Planner {
     }
 
     /// The room that the robot is in, where it has nothing to do and nothing is gained by another.
-    fn better_stay(&self, idle: bool, chosen: usize, outlook: &Outlook) -> Option<usize> {
+    fn better_stay(&self, idle: bool, chosen: usize, outlook: &Outlook, now_ns: u64) -> Option<usize> {
         let here = self.robot.room.filter(|here| idle && self.round.is_done(*here) && *here != chosen)?;
-        let open = !self.interruption.held().get(here).copied().unwrap_or(false);
+        let closed = |rooms: &[bool]| rooms.get(here).copied().unwrap_or(false);
+        let open = !closed(self.interruption.held()) && !closed(&self.taken(true, now_ns));
         let (own, other) = (outlook.over_stay(here, self.stay_s())?, outlook.over_stay(chosen, self.stay_s())?);
         (open && own <= other + WORTH_MOVING).then_some(here)
     }

@@ -1,8 +1,9 @@
 //! Rooms that other robots are in or on their way to, by what their planners decide. Pure: time comes in as a number.
 //!
-//! No robot goes into a room that another has. Where two have decided for one room before they heard of one another, the one with the
-//! smaller number keeps it and the other leaves: both see the same two numbers, so that they agree without asking. Whom a planner does not
-//! hear, it does not make way for.
+//! No robot goes into a room in which another works, nor waits where another waits; one that waits makes way for one that comes to work, so
+//! that no room stays undone for it. Where two have decided for one room before they heard of one another, the one with the smaller number
+//! keeps it and the other leaves: both see the same two numbers, so that they agree without asking. Whom a planner does not hear, it does not
+//! make way for.
 
 use std::collections::BTreeMap;
 
@@ -18,6 +19,8 @@ const LATE_NS: u64 = 10_000_000_000;
 struct Claim {
     decision: (u64, u64),
     room: [u8; NAME_BYTES],
+    /// It has nothing to do there.
+    waits: bool,
     /// 0 where it has no room.
     until_ns: u64,
 }
@@ -42,10 +45,11 @@ impl Others {
         if decision.robot == self.own || self.robots.get(&decision.robot).is_some_and(old) {
             return;
         }
-        let goes = decision.action == action::GO && !decision.to().is_empty();
+        let is_somewhere = decision.action != action::PAUSE && !decision.to().is_empty();
         let end_ns = decision.decided_ns.min(now_ns).saturating_add(decision.stay_ns).saturating_add(LATE_NS);
-        let until_ns = if goes { end_ns } else { 0 };
-        self.robots.insert(decision.robot, Claim { decision: name, room: decision.to, until_ns });
+        let until_ns = if is_somewhere { end_ns } else { 0 };
+        let waits = decision.action != action::GO;
+        self.robots.insert(decision.robot, Claim { decision: name, room: decision.to, waits, until_ns });
         if self.robots.len() > ROBOTS_MAX
             && let Some(first) = self.robots.iter().min_by_key(|(_, claim)| claim.until_ns).map(|(robot, _)| *robot)
         {
@@ -53,15 +57,17 @@ impl Others {
         }
     }
 
-    /// Whether each room of the scores is another robot's now.
-    pub(super) fn taken(&self, scores: &RoomScoresV1, now_ns: u64) -> Vec<bool> {
-        let taken = |id: &[u8; NAME_BYTES]| self.claims(now_ns).any(|(_, claim)| claim.room == *id);
+    /// Whether each room of the scores is another robot's now: of one that works there, or also of one that waits there.
+    pub(super) fn taken(&self, scores: &RoomScoresV1, waiting_too: bool, now_ns: u64) -> Vec<bool> {
+        let counts = |claim: &Claim| waiting_too || !claim.waits;
+        let taken = |id: &[u8; NAME_BYTES]| self.claims(now_ns).any(|(_, claim)| claim.room == *id && counts(claim));
         scores.rooms().iter().map(|room| taken(&room.id)).collect()
     }
 
-    /// Whether a room that this robot has is another's that comes before it.
-    pub(super) fn go_before(&self, room: &[u8; NAME_BYTES], now_ns: u64) -> bool {
-        self.claims(now_ns).any(|(robot, claim)| *robot < self.own && claim.room == *room)
+    /// Whether a room in which this robot works or waits is another's that comes before it: work before waiting, then the smaller number.
+    pub(super) fn go_before(&self, room: &[u8; NAME_BYTES], waits: bool, now_ns: u64) -> bool {
+        let before = |robot: u64, claim: &Claim| (claim.waits, robot) < (waits, self.own);
+        self.claims(now_ns).any(|(robot, claim)| claim.room == *room && before(*robot, claim))
     }
 
     fn claims(&self, now_ns: u64) -> impl Iterator<Item = (&u64, &Claim)> {
@@ -91,6 +97,26 @@ mod tests {
     }
 
     #[test]
+    fn who_waits_makes_way_for_who_works_and_waits_where_nobody_is() {
+        let mut scores = RoomScoresV1 { room_count: 1, ..Default::default() };
+        scores.room[0].id = text::encode("id", "kitchen").unwrap();
+        let kitchen = scores.room[0].id;
+        let mut others = Others::new(5);
+        others.hear(&DecisionV1 { action: action::STAY, ..decision(9, 1, "kitchen") }, S);
+        let taken = |others: &Others| [false, true].map(|waiting_too| others.taken(&scores, waiting_too, 2 * S)[0]);
+        assert_eq!(taken(&others), [false, true], "open to work, and not to wait in");
+        let goes = |others: &Others| [false, true].map(|waits| others.go_before(&kitchen, waits, 2 * S));
+        assert_eq!(goes(&others), [false, false], "its number is the greater one");
+        others.hear(&decision(9, 2, "kitchen"), S);
+        assert_eq!((taken(&others), goes(&others)), ([true, true], [false, true]), "it works now");
+        others.hear(&DecisionV1 { action: action::PAUSE, ..decision(9, 3, "") }, S);
+        others.hear(&DecisionV1 { action: action::STAY, ..decision(3, 1, "kitchen") }, S);
+        assert_eq!((taken(&others), goes(&others)), ([false, true], [false, true]));
+        others.hear(&DecisionV1 { action: action::STAY, ..decision(3, 2, "") }, S);
+        assert_eq!(taken(&others), [false, false], "where it waits is not said");
+    }
+
+    #[test]
     fn a_room_is_taken_until_its_robot_goes_elsewhere_or_its_time_is_over() {
         let mut scores = RoomScoresV1 { room_count: 2, ..Default::default() };
         scores.room[0].id = text::encode("id", "kitchen").unwrap();
@@ -99,16 +125,22 @@ mod tests {
         let mut others = Others::new(5);
         others.hear(&decision(5, 1, "hall"), S);
         others.hear(&decision(9, 2, "kitchen"), S);
-        assert_eq!((others.taken(&scores, 2 * S), others.go_before(&kitchen, 2 * S)), (vec![true, false], false));
+        assert_eq!(
+            (others.taken(&scores, false, 2 * S), others.go_before(&kitchen, false, 2 * S)),
+            (vec![true, false], false)
+        );
         others.hear(&decision(9, 1, "hall"), S);
-        assert_eq!(others.taken(&scores, 2 * S), [true, false], "it was older");
-        assert_eq!(others.taken(&scores, 71 * S), [false, false]);
+        assert_eq!(others.taken(&scores, false, 2 * S), [true, false], "it was older");
+        assert_eq!(others.taken(&scores, false, 71 * S), [false, false]);
         others.hear(&decision(3, 1, "kitchen"), S);
         others.hear(&DecisionV1 { action: action::PAUSE, ..decision(9, 3, "") }, S);
-        assert_eq!((others.taken(&scores, 2 * S), others.go_before(&kitchen, 2 * S)), (vec![true, false], true));
+        assert_eq!(
+            (others.taken(&scores, false, 2 * S), others.go_before(&kitchen, false, 2 * S)),
+            (vec![true, false], true)
+        );
         // A time in the future is of now.
         others.hear(&DecisionV1 { decided_ns: u64::MAX, ..decision(3, 2, "hall") }, S);
-        assert_eq!(others.taken(&scores, 72 * S), [false, false]);
+        assert_eq!(others.taken(&scores, false, 72 * S), [false, false]);
         (10..1000).for_each(|robot| others.hear(&decision(robot, 1, "hall"), S));
         assert!(others.robots.len() <= ROBOTS_MAX);
     }

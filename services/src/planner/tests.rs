@@ -1050,6 +1050,37 @@ fn a_room_to_wait_in_is_no_room_to_work_in() {
     assert_eq!((home.decision(120).action, home.planner.room()), (action::GO, Some(2)));
 }
 
+/// Who waits makes way for a robot that comes to work, and waits where no other does.
+#[test]
+fn a_robot_waits_where_no_other_robot_is() {
+    let other = |action, sequence, to: &str, at_s: u64| DecisionV1 {
+        robot: u64::MAX,
+        epoch: 1,
+        sequence,
+        decided_ns: at_s * S,
+        stay_ns: 100 * S,
+        action,
+        to: text::encode("to", to).unwrap(),
+        ..Default::default()
+    };
+    let mut home = Home::new(3, &PlannerConfig { avoid_robots: true, ..Default::default() });
+    // Somebody is in room-0, which is left to do; the others are done.
+    home.likely = vec![0.9, 0.0, 0.0];
+    assert_eq!((home.decision(1).to(), home.decision(101).to()), ("room-1", "room-2"));
+    home.planner.take_other(&other(action::STAY, 1, "room-2", 200), 200 * S);
+    let waits = home.decision(201);
+    assert_eq!((waits.action, waits.to()), (action::STAY, "room-1"), "{}", waits.reason());
+    assert_eq!(home.look(210), None);
+    home.planner.take_other(&other(action::GO, 2, "room-1", 220), 220 * S);
+    let leaves = home.decision(221);
+    assert_eq!((leaves.action, leaves.to(), leaves.cancels), (action::STAY, "room-2", waits.sequence));
+    assert!(leaves.reason().starts_with("another robot has the room-1, so it waits no longer there: "), "{leaves:?}");
+    // Work comes before the other one's wait.
+    home.planner.take_other(&other(action::STAY, 3, "room-0", 230), 230 * S);
+    home.likely = vec![0.0, 0.0, 0.0];
+    assert_eq!((home.decision(231).action, home.planner.room()), (action::GO, Some(0)));
+}
+
 /// One person is on the sofa; no other room is ever quite empty by the forecast. What is likely empty is done, one room after the other.
 #[test]
 fn rooms_that_are_likely_empty_are_done_without_waiting() {
@@ -1219,7 +1250,7 @@ fn day_of_two(avoid: bool, delay_s: u64) -> (u64, u64, [usize; 2]) {
             }
         }
         let room = |robot: usize| {
-            let last = last[robot].filter(|last| last.action == action::GO)?;
+            let last = last[robot].filter(|last| last.action != action::PAUSE && !last.to().is_empty())?;
             Some(last.to().to_owned())
         };
         if room(0).is_some() && room(0) == room(1) {
