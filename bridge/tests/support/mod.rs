@@ -9,6 +9,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
@@ -169,9 +170,6 @@ impl Robot {
 
     /// As [`Robot::start`], with a scene of its own.
     pub fn start_in(name: &str, way: &str, narrators: &[&str], more: &str, scene: Option<&Path>) -> Self {
-        let folder = tempfile::Builder::new().prefix("rcb-").tempdir_in("/tmp").unwrap();
-        let path = folder.path().to_owned();
-        let domain = Domain::new(path.join("d"), &format!("{name}-{}", std::process::id())).unwrap();
         let known: String = narrators
             .iter()
             .map(|narrator| format!("[[daemon.narrator]]\nname = {narrator:?}\nrelayed = true\nrate_per_s = 0.0\n"))
@@ -180,11 +178,21 @@ impl Robot {
         let robot = format!(
             "{scene}[planner]\nrobot = {name:?}\nroom_time_s = 1.0\n[daemon]\njournal_bytes = 67108864\n[model]\nthreads = 1\n{known}"
         );
-        std::fs::write(path.join("roomcast.toml"), robot).unwrap();
         let heard: String = narrators.iter().map(|narrator| format!("[[narrator]]\nname = {narrator:?}\n")).collect();
+        Self::start_with(name, way, &robot, &format!("{more}\n{heard}"))
+    }
+
+    /// As [`Robot::start`], with a configuration of daemon and planner of its own.
+    pub fn start_with(name: &str, way: &str, robot: &str, more: &str) -> Self {
+        static DOMAINS: AtomicU32 = AtomicU32::new(0);
+        let folder = tempfile::Builder::new().prefix("rcb-").tempdir_in("/tmp").unwrap();
+        let path = folder.path().to_owned();
+        let number = DOMAINS.fetch_add(1, Ordering::Relaxed);
+        let domain = Domain::new(path.join("d"), &format!("{name}-{}-{number}", std::process::id())).unwrap();
+        std::fs::write(path.join("roomcast.toml"), robot).unwrap();
         let (root, own) = (domain.root().display(), domain.name());
         let config = format!(
-            "{way}\n[robot]\nname = {name:?}\n[ipc]\nroot = \"{root}\"\ndomain = {own:?}\n[tell]\nrepeat_s = 3600.0\n{more}\n{heard}"
+            "{way}\n[robot]\nname = {name:?}\n[ipc]\nroot = \"{root}\"\ndomain = {own:?}\n[tell]\nrepeat_s = 3600.0\n{more}\n"
         );
         std::fs::write(path.join("bridge.toml"), config).unwrap();
         let service = |role: &'static str, more: Vec<String>| {
