@@ -23,7 +23,7 @@ const UNITS: [&str; 9] = [
     "roomcast-robot.service",
     "roomcast-metrics.service",
     "roomcast-view.service",
-    "zenoh/roomcast-zenoh.service",
+    "roomcast-zenoh.service",
 ];
 
 /// Keys that make the delay between restarts grow. Older versions pass over them, with a warning.
@@ -37,7 +37,6 @@ fn installed() -> Option<tempfile::TempDir> {
     }
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd");
     let directory = tempfile::tempdir().unwrap();
-    std::fs::create_dir(directory.path().join("zenoh")).unwrap();
     for unit in UNITS.iter().chain(&["roomcast.target"]) {
         let text = std::fs::read_to_string(source.join(unit)).unwrap();
         // The bridge is built apart from this.
