@@ -1,7 +1,7 @@
 //! What a person will be narrated to do next, as sentences with chances: what [`crate::pipeline::Pipeline::prepare_answer`] is asked to
 //! score ahead.
 //!
-//! A sentence is taken apart into its form and its things: "They put the mug on the table." is "They put the <1> on the <n>." where the
+//! A sentence is taken apart into its form and its things: "They put the mug on the table." is `They put the <1> on the <n>.` where the
 //! mug was mentioned last but one, and the table not lately. Which form follows which is counted ([`Guesser::hear`]), over activity
 //! programs to begin with ([`Guesser::new`]) and then over what this home's narrators say. The things not mentioned lately are the
 //! model's: it has just said what the person turns to next.
