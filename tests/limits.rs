@@ -103,8 +103,8 @@ fn page() -> String {
         &[
             ("answers kept at once, of all persons", &prepared::ANSWERS_MAX, "no further one is prepared"),
             ("bytes of a sentence that is guessed", &guess::SENTENCE_BYTES_MAX, "is not learned for guesses"),
-            ("forms of sentences", &guess::FORMS_MAX, "is not learned for guesses"),
-            ("counts of what follows what, and of things", &guess::COUNTS_MAX, "is not learned for guesses"),
+            ("forms of sentences", &guess::FORMS_MAX, "learning for guesses begins again"),
+            ("counts of what follows what, and of things", &guess::COUNTS_MAX, "learning for guesses begins again"),
         ],
     );
     let options = Config::default().habits.options();

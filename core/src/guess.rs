@@ -17,9 +17,9 @@ use crate::names::Names;
 
 /// How many things mentioned last a sentence can mention again; `training/forms_file.py` has the same.
 pub const RECENT_MAX: usize = 5;
-/// Most forms that are told apart; later ones are not learned.
+/// Most forms that are told apart; whoever has learned as many begins again ([`Guesser::is_full`]).
 pub const FORMS_MAX: usize = 4096;
-/// Most counts of each kind that are kept; what is new then is not learned.
+/// Most counts of each kind that are kept; as [`FORMS_MAX`].
 pub const COUNTS_MAX: usize = 65_536;
 /// Sentences longer than this are not guessed.
 pub const SENTENCE_BYTES_MAX: usize = 200;
@@ -174,6 +174,16 @@ impl Guesser {
         guesser
     }
 
+    /// Whether it can learn nothing new: time to begin again, or whoever says many different sentences would end all learning for good.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        self.forms.len() >= FORMS_MAX || self.counts >= COUNTS_MAX || self.contexts() >= COUNTS_MAX
+    }
+
+    fn contexts(&self) -> usize {
+        self.after.len() + self.after_two.len()
+    }
+
     /// Takes the labels of a changed map.
     pub fn set_labels(&mut self, labels: &[&str]) {
         let places: HashMap<&str, usize> = labels.iter().enumerate().map(|(place, label)| (*label, place)).collect();
@@ -284,9 +294,8 @@ impl Guesser {
             && let Some(next) = self.number(typed)
         {
             let [before, last] = thread.forms;
-            let known = self.after.len() + self.after_two.len();
             self.any.add(next, HOME_WEIGHT);
-            if known < COUNTS_MAX {
+            if self.contexts() < COUNTS_MAX {
                 self.after.entry(last).or_default().add(next, HOME_WEIGHT);
                 self.after_two.entry((before, last)).or_default().add(next, HOME_WEIGHT);
             }
@@ -466,8 +475,9 @@ mod tests {
             guesser.hear(&mut thread, &format!("They do {n} with the mug and the <b> of {n}."));
             guesser.hear(&mut thread, &format!("They do {n} with the mug."));
         }
+        assert!(guesser.is_full());
         assert!(guesser.forms.len() <= FORMS_MAX);
-        assert!(guesser.after.len() + guesser.after_two.len() <= COUNTS_MAX + 2);
+        assert!(guesser.contexts() <= COUNTS_MAX + 2);
         assert!(guesser.guess(&thread, &evenly(), 64).len() <= 64);
     }
 }

@@ -120,6 +120,10 @@ impl<M: LanguageModel> Board<M> {
         }
         let Some(ahead) = &mut self.ahead else { return Ok(false) };
         if ahead.planned != self.snapshot.sequence {
+            if ahead.guesser.is_full() {
+                self.forget_ahead();
+            }
+            let Some(ahead) = &mut self.ahead else { return Ok(false) };
             ahead.planned = self.snapshot.sequence;
             ahead.plan(&mut self.pipeline);
             return Ok(!ahead.waiting.is_empty());
@@ -171,7 +175,7 @@ impl<M: LanguageModel> Board<M> {
         ahead.waiting.clear();
     }
 
-    /// Somebody is forgotten: what was learned holds their sentences.
+    /// Begins again with the training programs: somebody is forgotten, whose sentences it holds, or it can learn no more.
     pub(super) fn forget_ahead(&mut self) {
         let Some(ahead) = &mut self.ahead else { return };
         **ahead = Ahead {

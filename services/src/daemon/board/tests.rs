@@ -471,6 +471,17 @@ fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
     }
     assert_eq!(ahead.prepared().used, flagged);
     assert!(flagged >= 16, "{flagged} of 24 were prepared");
+    // Whoever says ever new sentences does not end it for the others.
+    for n in 100..100 + roomcast_core::guess::FORMS_MAX as u64 {
+        ahead.step([entry(2, n * S, &format!("They do it {n} times."))], n * S, 1_000_000 * S + n * S).unwrap();
+        ahead.prepare().unwrap();
+    }
+    let used = ahead.prepared().used;
+    for (n, sentence) in (10_000..).zip(round.iter().cycle().take(12)) {
+        ahead.step([entry(1, n * S, sentence)], n * S, 1_000_000 * S + n * S).unwrap();
+        while ahead.prepare().unwrap() {}
+    }
+    assert!(ahead.prepared().used > used + 3, "{:?}", ahead.prepared());
     // What is forgotten is guessed no more.
     assert!(format!("{:?}", ahead.ahead).contains("serenade"));
     ahead.forget(1);
