@@ -262,7 +262,7 @@ impl Guesser {
             match run {
                 Some((length, name, run)) => {
                     let rank = thread.recent.iter().position(|known| *known == name);
-                    let end = &run[name.len().min(run.len())..];
+                    let end = &run[bare_word(&run)..];
                     match rank {
                         Some(rank) => typed.push_str(&format!("<{rank}>{end}")),
                         None => typed.push_str(&format!("<n>{end}")),
@@ -465,6 +465,18 @@ mod tests {
             assert!(ways.iter().any(|(way, _)| way == sentence), "{sentence}: {} {ways:?}", parts.typed);
             guesser.follow(&mut thread, sentence);
         }
+    }
+
+    /// A letter whose small form has another length: the mark behind it stays whole.
+    #[test]
+    fn letters_that_change_their_length_are_survived() {
+        let counts = Counts::from_json(include_str!("../../models/household-forms.json")).unwrap();
+        let mut guesser = Guesser::new(&counts, &["İ", "ẞİé"]);
+        let mut thread = Thread::default();
+        for sentence in ["They grab the İ.", "They grab the ẞİé!", "They grab the İé."] {
+            guesser.hear(&mut thread, sentence);
+        }
+        assert!(!guesser.guess(&thread, &[-0.7, -0.7], 8).is_empty());
     }
 
     #[test]
