@@ -274,6 +274,8 @@ struct Body {
     /// Rooms of which it has said since the round's begin that they are done, and that it could not do them.
     finished: BTreeSet<String>,
     failed: BTreeSet<String>,
+    /// Of these, since the last decision.
+    just_failed: Vec<String>,
     /// Rooms that a planner before this one asked for, and of which this one has heard that they were begun, and not how that ended.
     begun: BTreeSet<String>,
     /// The planner has heard that the battery is low, and nothing else since.
@@ -473,6 +475,7 @@ impl World {
                 silent: false,
                 finished: BTreeSet::new(),
                 failed: BTreeSet::new(),
+                just_failed: Vec::new(),
                 begun: BTreeSet::new(),
                 charges: false,
             },
@@ -1627,6 +1630,7 @@ impl World {
             self.tally.kept += 1;
         } else {
             self.body.failed.clear();
+            self.body.just_failed.clear();
         }
         self.body.begun.clear();
         self.body.wire = self.body.history.clone();
@@ -1762,7 +1766,6 @@ impl World {
             robot.planner.take_forecast(&forecast);
             robot.forecast = forecast;
         }
-        let mut just_failed = Vec::new();
         while robot.planner.knows_rooms()
             && let Some(report) = self.body.wire.pop_front()
         {
@@ -1774,14 +1777,15 @@ impl World {
                 report_kind::STARTED if report.decision_epoch != robot.epoch => _ = self.body.begun.insert(room),
                 report_kind::STARTED => {}
                 report_kind::FAILED | report_kind::BLOCKED | report_kind::CANCELLED => {
-                    just_failed.push(room.clone());
+                    self.body.just_failed.push(room.clone());
                     self.tally.failed_rooms += u64::from(self.body.failed.insert(room));
                 }
                 _ => {
                     // A planner that has just started and knows no rooms yet sends it nowhere: it does what the one before sent it to do.
                     let sent = robot.last.filter(|last| !last.to().is_empty()).or(robot.resumes);
-                    self.body.failed.extend(sent.map(|last| last.to().to_owned()));
-                    self.body.failed.append(&mut self.body.begun);
+                    self.body.just_failed.extend(sent.map(|last| last.to().to_owned()));
+                    self.body.just_failed.extend(std::mem::take(&mut self.body.begun));
+                    self.body.failed.extend(self.body.just_failed.iter().cloned());
                 }
             }
             if let Some(battery) = report.battery() {
@@ -1802,9 +1806,9 @@ impl World {
         ensure(free || again || given_up || decision.cancels != 0, || {
             format!("a robot that is not free is sent: {decision:?}")
         })?;
-        // What was just said to have failed has, also where this decision begins another round or knows another map.
+        // What was said since the last decision to have failed has, also where this one begins another round or knows another map.
         self.check_robot(&decision)?;
-        self.body.failed.extend(just_failed);
+        self.body.failed.extend(self.body.just_failed.drain(..));
         let robot = &mut self.robot;
         let deadline_ns = DEADLINE_MS * MS;
         self.tally.decisions += 1;

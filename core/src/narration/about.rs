@@ -1,7 +1,7 @@
 //! Whom a plain sentence is about. What is not understood is about nobody: nobody is moved by it.
 
 use super::clause::{self, NAME_WORDS_MAX, Word};
-use super::deeds;
+use super::{deeds, reading};
 
 /// Whom a plain sentence is about.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -137,7 +137,7 @@ mod tests {
     fn of(sentence: &str) -> String {
         let mut known = |name: &str| ["ada", "ben", "tom", "mr. klein", "lucas"].contains(&name);
         let is_name = |name: &str| sentence.to_lowercase() != sentence && name == "igor";
-        match clause::with_plain(sentence, |plain| about(plain, &mut known, &is_name)) {
+        match reading::with_plain(sentence, |plain| about(plain, &mut known, &is_name)) {
             About::Named(names) => names.join("+"),
             About::Stranger(name) => format!("new {name}"),
             About::Somebody => "somebody".to_owned(),

@@ -1,12 +1,11 @@
 //! What a plain sentence says of where its persons are: its subject, and what the words after it mean. The words are in `clause.toml`.
 
-use std::cell::RefCell;
 use std::sync::LazyLock;
 
 use foldhash::{HashMap, HashSet};
 use serde::Deserialize;
 
-use super::{PERSON_NAME_BYTES_MAX, Presence, Pronoun, SENTENCE_BYTES_MAX, deeds};
+use super::{PERSON_NAME_BYTES_MAX, Presence, Pronoun, deeds};
 use crate::names::Names;
 
 static WORDS: LazyLock<Words> = LazyLock::new(|| {
@@ -509,55 +508,11 @@ pub(super) const COUNT_MAX: usize = 8;
 /// The name of somebody of whom nobody has told yet has at most so many words.
 const NEW_NAME_WORDS_MAX: usize = 2;
 
-/// So many texts are kept with what was made of them: a sentence is asked about many things, and so are its clauses.
-const KEPT: usize = 8;
-
-/// The last texts, each with its plain form. Their memory is as large from the start as the longest sentence wants.
-#[derive(Debug)]
-struct Plain {
-    kept: [(String, String); KEPT],
-    /// The place that is used next.
-    next: usize,
-}
-
-impl Default for Plain {
-    fn default() -> Self {
-        Self { kept: std::array::from_fn(|_| (long_text(), long_text())), next: 0 }
-    }
-}
-
-/// Memory for a sentence; written out it is seldom longer than this.
-fn long_text() -> String {
-    String::with_capacity(SENTENCE_BYTES_MAX + SENTENCE_BYTES_MAX / 4)
-}
-
-thread_local! {
-    static PLAIN: RefCell<Plain> = RefCell::default();
-    /// The last plain forms that say of nobody where they are, as most do, and the place that is used next.
-    static SILENT: RefCell<([String; KEPT], usize)> = RefCell::new((std::array::from_fn(|_| long_text()), 0));
-}
-
-impl Plain {
-    /// Takes a text with its plain form out of its place, so that another text may be read meanwhile.
-    fn take(&mut self, text: &str) -> (usize, (String, String)) {
-        if let Some(place) = self.kept.iter().position(|(kept, _)| kept == text) {
-            return (place, std::mem::take(&mut self.kept[place]));
-        }
-        self.next = (self.next + 1) % KEPT;
-        let (mut kept, mut plain) = std::mem::take(&mut self.kept[self.next]);
-        kept.clear();
-        kept.push_str(text);
-        write_plain(text, &mut plain);
-        (self.next, (kept, plain))
-    }
-}
-
-/// Reads a sentence in lower case, with short forms written out: "Ada isn't home." is "ada is not home".
-pub(super) fn with_plain<T>(sentence: &str, read: impl FnOnce(&str) -> T) -> T {
-    let (place, own) = PLAIN.with_borrow_mut(|plain| plain.take(sentence));
-    let said = read(&own.1);
-    PLAIN.with_borrow_mut(|plain| plain.kept[place] = own);
-    said
+/// A sentence in plain form: in lower case, with short forms written out.
+pub(super) fn plain(sentence: &str) -> String {
+    let mut text = String::with_capacity(sentence.len() + sentence.len() / 4);
+    write_plain(sentence, &mut text);
+    text
 }
 
 /// Writes a sentence in plain form.
@@ -1289,17 +1244,25 @@ fn is_a_way(name: &&str) -> bool {
 }
 
 /// Whether a text may say who is taken along.
-pub(super) fn may_have_companions(text: &str) -> bool {
-    with_plain(text, |text| {
-        // One look at each word: all these verbs are one. "Her hands" are none.
-        let mut before = "";
-        let mut tells_of_others = |word| {
-            let is_noun = has(&WORDS.determiners, std::mem::replace(&mut before, word));
-            [&WORDS.takes, &WORDS.perceives, &WORDS.sends, &WORDS.lets].into_iter().any(|verbs| has(verbs, word))
-                || !is_noun && deeds::may_touch(word)
-        };
-        text.contains(" with ") || text.split(|c: char| !c.is_alphanumeric()).any(&mut tells_of_others)
-    })
+pub(super) fn may_have_companions(said: &str) -> bool {
+    // One look at each word: all these verbs are one. "Her hands" are none.
+    let mut before = "";
+    let mut tells_of_others = |word| {
+        let is_noun = has(&WORDS.determiners, std::mem::replace(&mut before, word));
+        [&WORDS.takes, &WORDS.perceives, &WORDS.sends, &WORDS.lets].into_iter().any(|verbs| has(verbs, word))
+            || !is_noun && deeds::may_touch(word)
+    };
+    said.contains(" with ") || said.split(|c: char| !c.is_alphanumeric()).any(&mut tells_of_others)
+}
+
+/// Whether it says that its person comes home.
+pub(super) fn is_arrival(said: &str) -> bool {
+    Clause::read(said).is_some_and(|clause| clause.is_arrival)
+}
+
+/// Whether it says where something is that is no person, or does not tell whose place it says.
+pub(super) fn moves_nobody(said: &str) -> bool {
+    Clause::read(said).is_some_and(|clause| clause.subject == Subject::Other)
 }
 
 /// Who is known and there, as somebody touches them: "lena" of "paul hugs lena".
@@ -1535,23 +1498,8 @@ fn where_to(said: &str) -> Option<(&str, &str, Whereabouts<'_>)> {
 }
 
 impl<'a> Clause<'a> {
-    /// Reads a sentence in plain form ([`with_plain`]); none where it does not say where somebody or something is.
+    /// Reads a sentence in plain form ([`plain`]); none where it does not say where somebody or something is.
     pub(super) fn read(said: &'a str) -> Option<Self> {
-        if SILENT.with_borrow(|silent| silent.0.iter().any(|kept| kept == said)) {
-            return None;
-        }
-        let clause = Self::parse(said);
-        if clause.is_none() {
-            SILENT.with_borrow_mut(|(kept, next)| {
-                *next = (*next + 1) % KEPT;
-                kept[*next].clear();
-                kept[*next].push_str(said);
-            });
-        }
-        clause
-    }
-
-    fn parse(said: &'a str) -> Option<Self> {
         let of = |subject, presence, room| Self { subject, presence, room, is_state: true, is_arrival: false };
         if is_not_now(said) || is_order(said) {
             return Some(of(Subject::Other, Presence::Present, None));
@@ -1928,7 +1876,7 @@ mod tests {
 
     /// What a sentence says, in one word.
     fn said(sentence: &str) -> String {
-        with_plain(sentence, in_words)
+        in_words(&plain(sentence))
     }
 
     fn in_words(plain: &str) -> String {

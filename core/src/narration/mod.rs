@@ -6,7 +6,7 @@
 use crate::text::is_hidden;
 use std::fmt;
 
-use clause::{Clause, Subject};
+use reading::Fact;
 use several::Holds;
 
 mod about;
@@ -17,6 +17,7 @@ pub mod history;
 mod person;
 mod presence;
 pub mod program;
+mod reading;
 mod several;
 
 pub use about::About;
@@ -213,7 +214,11 @@ impl Said {
 
     /// Whether a sentence may say things of several persons who are not all in its subject.
     fn may_be_several(sentence: &Sentence) -> bool {
-        several::may_be_several(sentence.as_str()) || clause::may_have_companions(sentence.as_str())
+        [Fact::MaybeSeveral, Fact::MayHaveCompanions].into_iter().any(|fact| reading::is(fact, sentence.as_str()))
+    }
+
+    fn is(&self, fact: Fact) -> bool {
+        self.sentence().is_some_and(|sentence| reading::is(fact, sentence.as_str()))
     }
 
     /// The statement that a sentence is, if it is one.
@@ -275,7 +280,7 @@ impl Said {
             return seen;
         }
         let along = last.as_ref().filter(|(_, statement)| !statement.is_of_everybody()).and_then(|(one, statement)| {
-            clause::with_plain(one, |plain| {
+            reading::with_plain(one, |plain| {
                 // Who comes along may be somebody new.
                 let comes = statement.presence() == Presence::Present && statement.room().is_none();
                 let is_new = |name: &str| {
@@ -313,10 +318,10 @@ impl Said {
 
     /// What a clause says of those whom its person sees in a room, or sends there: of where its person is it says nothing.
     fn seen(clause: &str, is_known: &mut dyn FnMut(&str) -> bool) -> Option<[Option<Self>; 3]> {
-        let who = clause::with_plain(clause, |plain| {
+        let who = reading::with_plain(clause, |plain| {
             clause::longest_subject(plain, &mut *is_known).map_or_else(Vec::new, |(names, _)| names)
         });
-        clause::with_plain(clause, |plain| {
+        reading::with_plain(clause, |plain| {
             let (names, room, is_there) = clause::seen(plain, is_known)?;
             let own = if who.is_empty() { None } else { PresenceStatement::new(Presence::Present, None).ok() };
             let other = match is_there {
@@ -332,7 +337,7 @@ impl Said {
 
     /// That those are there whom somebody touches, or lets in: who is known, is called by what they are, or is written as a name.
     fn guests(clause: &str, is_known: &mut dyn FnMut(&str) -> bool) -> Option<PresenceStatement> {
-        clause::with_plain(clause, |plain| {
+        reading::with_plain(clause, |plain| {
             let names = clause::guests(plain);
             let mut is_person = |name: &&str| {
                 is_known(name)
@@ -360,7 +365,7 @@ impl Said {
     #[must_use]
     pub fn known_names(&self, mut is_known: impl FnMut(&str) -> bool) -> Vec<String> {
         let Self::Sentence(sentence) = self else { return Vec::new() };
-        clause::with_plain(sentence.as_str(), |said| {
+        reading::with_plain(sentence.as_str(), |said| {
             clause::longest_subject(said, &mut is_known).map_or_else(Vec::new, |(names, _)| names)
         })
     }
@@ -371,8 +376,9 @@ impl Said {
         match self {
             Self::Sentence(sentence) => {
                 let text = sentence.as_str();
-                let mut may_name =
-                    |part| clause::with_plain(part, |said| clause::possible_subjects(said).flatten().any(&mut is_them));
+                let mut may_name = |part| {
+                    reading::with_plain(part, |said| clause::possible_subjects(said).flatten().any(&mut is_them))
+                };
                 may_name(text) || several::parts(text).any(may_name)
             }
             Self::Presence(statement) => statement.all_names().any(&mut is_them),
@@ -382,33 +388,33 @@ impl Said {
     /// Whether it says of a device that something has ended, which anything may have ended: "The light is off."
     #[must_use]
     pub fn is_of_an_end(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_of_an_end))
+        self.is(Fact::IsOfAnEnd)
     }
 
     /// Whether it says what somebody may do who is not there: "Ada calls.", "Ben is on his way.", "They will be home soon."
     #[must_use]
     pub fn is_from_afar(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_from_afar))
+        self.is(Fact::IsFromAfar)
     }
 
     /// Whether it says what somebody is, or where they go, and not that they are or come home: "Ada is at the gym.", "Ben flies to Rome.", "Ada is
     /// late." Whether that is in the house, only who knows the map can tell.
     #[must_use]
     pub fn may_be_elsewhere(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::may_be_elsewhere))
+        self.is(Fact::MayBeElsewhere)
     }
 
     /// Whether it is about somebody by a pronoun: "They open the fridge."
     #[must_use]
     pub fn is_of_a_pronoun(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_of_a_pronoun))
+        self.is(Fact::IsOfAPronoun)
     }
 
     /// Whether it is about so many who are there and no others, and how many: "They both go to bed." is of two, "All three leave." of three.
     #[must_use]
     pub fn is_of_so_many(&self) -> Option<usize> {
         match self {
-            Self::Sentence(sentence) => clause::with_plain(sentence.as_str(), clause::is_of_so_many),
+            Self::Sentence(sentence) => reading::with_plain(sentence.as_str(), clause::is_of_so_many),
             Self::Presence(statement) => statement.is_of_so_many(),
         }
     }
@@ -417,7 +423,7 @@ impl Said {
     #[must_use]
     pub fn is_of_guests(&self) -> bool {
         match self {
-            Self::Sentence(sentence) => clause::with_plain(sentence.as_str(), clause::is_deed_of_guests),
+            Self::Sentence(_) => self.is(Fact::IsDeedOfGuests),
             Self::Presence(statement) => statement.is_of_guests(),
         }
     }
@@ -425,31 +431,31 @@ impl Said {
     /// Whether it says what everybody does who is there: "Everybody goes to bed."
     #[must_use]
     pub fn is_of_all(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_deed_of_all))
+        self.is(Fact::IsDeedOfAll)
     }
 
     /// Whether it says that its person goes home: who does not live here leaves then.
     #[must_use]
     pub fn goes_home(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::goes_home))
+        self.is(Fact::GoesHome)
     }
 
     /// Whether it says that its person visits somebody by name: who does not live here comes then, and who does goes.
     #[must_use]
     pub fn is_visit(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_visit))
+        self.is(Fact::IsVisit)
     }
 
     /// Whether it says what its person left behind, wherever they are now: "Ada left the light on in the office."
     #[must_use]
     pub fn is_of_what_was_left(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_of_what_was_left))
+        self.is(Fact::IsOfWhatWasLeft)
     }
 
     /// Whether it tells of a guest beside those who are known: "A guest arrives."
     #[must_use]
     pub fn is_of_a_new_guest(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_of_a_new_guest))
+        self.is(Fact::IsOfANewGuest)
     }
 
     /// Whether any guest is called so: "guest", "visitor".
@@ -462,7 +468,7 @@ impl Said {
     #[must_use]
     pub fn pronoun(&self) -> Option<Pronoun> {
         match self {
-            Self::Sentence(sentence) => clause::with_plain(sentence.as_str(), clause::pronoun),
+            Self::Sentence(sentence) => reading::with_plain(sentence.as_str(), clause::pronoun),
             Self::Presence(statement) => statement.pronoun(),
         }
     }
@@ -470,39 +476,33 @@ impl Said {
     /// By which pronoun a sentence goes on about whom it names: "Ada brushes her teeth."
     #[must_use]
     pub fn own_pronoun(&self) -> Option<Pronoun> {
-        self.sentence().and_then(|sentence| clause::with_plain(sentence.as_str(), clause::own_pronoun))
+        self.sentence().and_then(|sentence| reading::with_plain(sentence.as_str(), clause::own_pronoun))
     }
 
     /// Whether it is what somebody says who has come home: "I'm home!"
     #[must_use]
     pub fn is_own_arrival(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_own_arrival))
+        self.is(Fact::IsOwnArrival)
     }
 
     /// Whether it says that its person goes to an office: where the map has none by that name, to the one out of the house.
     #[must_use]
     pub fn goes_to_an_office(&self) -> bool {
-        self.sentence().map(Sentence::as_str).is_some_and(|sentence| {
-            sentence.contains("office") && clause::with_plain(sentence, clause::goes_to_an_office)
-        })
+        self.is(Fact::GoesToAnOffice)
     }
 
     /// Whether it says where something is that is no person, or does not tell whose place it says: "The robot is in the kitchen.", "Somebody else
     /// is in the kitchen.", "Tom is not in the study."
     #[must_use]
     pub fn moves_nobody(&self) -> bool {
-        let is_other = |sentence: &Sentence| {
-            let first = several::sentences(sentence.as_str()).next().unwrap_or_default();
-            clause::with_plain(first, |said| Clause::read(said).is_some_and(|clause| clause.subject == Subject::Other))
-        };
-        self.sentence().is_some_and(is_other)
+        self.is(Fact::MovesNobody)
     }
 
     /// Whom a sentence is about; `is_known` says whether a name is a person's. A statement has names of its own.
     #[must_use]
     pub fn about(&self, mut is_known: impl FnMut(&str) -> bool) -> About {
         match self {
-            Self::Sentence(sentence) => clause::with_plain(sentence.as_str(), |said| {
+            Self::Sentence(sentence) => reading::with_plain(sentence.as_str(), |said| {
                 about::about(said, &mut is_known, &|name| is_written_as_a_name(sentence.as_str(), name))
             }),
             Self::Presence(statement) => match statement.names().map(str::to_owned).collect::<Vec<_>>() {
@@ -540,7 +540,7 @@ impl Said {
     /// Whether it tells what somebody says to others, whatever place that mentions.
     #[must_use]
     pub fn is_speech(&self) -> bool {
-        self.sentence().is_some_and(|sentence| clause::with_plain(sentence.as_str(), clause::is_speech))
+        self.is(Fact::IsSpeech)
     }
 
     /// Whether somebody of whom nobody has told yet may go by a name in a sentence.

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::clause::{self, Clause, Subject};
+use super::reading::{self, Fact};
 use super::{Pronoun, SENTENCE_BYTES_MAX};
 use crate::text::is_hidden;
 
@@ -152,10 +153,11 @@ impl PresenceStatement {
     /// everybody: "Nobody is home." None where it says something else.
     #[must_use]
     pub fn of_sentence(sentence: &str) -> Option<Self> {
-        clause::with_plain(sentence, Self::of_plain)
+        reading::statement(sentence)
     }
 
-    fn of_plain(said: &str) -> Option<Self> {
+    /// What a sentence in plain form says.
+    pub(super) fn of_plain(said: &str) -> Option<Self> {
         let Clause { subject, presence, room, is_state, .. } = Clause::read(said)?;
         let of = |whose| Some(Self { whose, ..Self::new(presence, room).ok()? });
         let of_names = |whose, names: &[&str]| Some(of(whose)?.with_subjects(names));
@@ -181,7 +183,7 @@ impl PresenceStatement {
     /// Whether a plain sentence says that its person comes home: who is there already is not meant.
     #[must_use]
     pub fn is_arrival(sentence: &str) -> bool {
-        clause::with_plain(sentence, |said| Clause::read(said).is_some_and(|clause| clause.is_arrival))
+        reading::is(Fact::IsArrival, sentence)
     }
 
     fn with_subject(self, subject: &str) -> Self {

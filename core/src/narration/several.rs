@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::clause;
+use super::{clause, reading};
 
 /// A text has at most so many clauses of their own; what follows belongs to the last.
 pub(super) const CLAUSES_MAX: usize = 8;
@@ -55,7 +55,7 @@ impl Part<'_> {
     /// Its text, with the names of those whom its pronoun means.
     pub(super) fn named(&self, is_known: &mut dyn FnMut(&str) -> bool) -> Cow<'_, str> {
         let names = self.whose.map(|whose| {
-            clause::with_plain(whose, |whose| {
+            reading::with_plain(whose, |whose| {
                 let is_person = |name: &str| is_known(name) || clause::is(clause::Word::People, name);
                 clause::longest_subject(whose, is_person).map_or_else(Vec::new, |(names, _)| names)
             })
@@ -142,14 +142,14 @@ fn is_cut(holds: Holds, head: &str, join: &str, tail: &str, is_person: &mut dyn 
         || is_end && subordinate(tail, is_person).is_some();
     // A comma alone joins what two persons do, and parts of much else.
     let begins = begins
-        && (join != ", " || clause::with_plain(head, |head| clause::begins_with_persons(head, &mut *is_person)))
-        && !(when.is_some() && clause::with_plain(head, |head| clause::goes_on_with(head, join.trim())));
+        && (join != ", " || reading::with_plain(head, |head| clause::begins_with_persons(head, &mut *is_person)))
+        && !(when.is_some() && reading::with_plain(head, |head| clause::goes_on_with(head, join.trim())));
     let ends = || match is_end {
         true => !ends_with_short_form(head) && !clause::is_quoted(head),
         // What somebody says or sees of two others is one clause.
-        false => !clause::with_plain(head, clause::is_reported),
+        false => !reading::with_plain(head, clause::is_reported),
     };
-    begins && ends() && clause::with_plain(head, |head| !clause::is_begin_of_a_list(head, &mut *is_person))
+    begins && ends() && reading::with_plain(head, |head| !clause::is_begin_of_a_list(head, &mut *is_person))
 }
 
 /// Whether a text begins with persons and what they do.
@@ -162,7 +162,7 @@ fn begins(text: &str, is_person: &mut dyn FnMut(&str) -> bool) -> bool {
 
 /// Reads the first sentence of a text in plain form.
 fn plain<T>(text: &str, read: impl FnOnce(&str) -> T) -> T {
-    clause::with_plain(begin_of(sentences(text).next().unwrap_or_default()), read)
+    reading::with_plain(begin_of(sentences(text).next().unwrap_or_default()), read)
 }
 
 /// What stands between clauses and says when one of them is so makes of the one behind it.
@@ -187,14 +187,14 @@ fn subordinate<'a>(text: &'a str, is_person: &mut dyn FnMut(&str) -> bool) -> Op
         let is_of_a_pronoun = plain(main, clause::begins_with_a_pronoun);
         // "Although Ada is out, the light is on" tells of Ada alone.
         let tells_of_persons =
-            *holds == Holds::So && clause::with_plain(clause, |clause| clause::is_of_persons(clause, &mut *is_person));
+            *holds == Holds::So && reading::with_plain(clause, |clause| clause::is_of_persons(clause, &mut *is_person));
         if &rest[end..next] != ", " || !(is_of_a_pronoun || tells_of_persons || begins(main, is_person)) {
             continue;
         }
         // Of a pronoun it does not tell whose it is.
-        let is_named = clause::with_plain(clause, |clause| clause::begins_with_persons(clause, &mut *is_person));
-        let is_pronouns = !is_named && clause::with_plain(clause, clause::begins_with_a_pronoun);
-        if clause::with_plain(clause, clause::is_reported) || !(is_named || (is_pronouns && !is_of_a_pronoun)) {
+        let is_named = reading::with_plain(clause, |clause| clause::begins_with_persons(clause, &mut *is_person));
+        let is_pronouns = !is_named && reading::with_plain(clause, clause::begins_with_a_pronoun);
+        if reading::with_plain(clause, clause::is_reported) || !(is_named || (is_pronouns && !is_of_a_pronoun)) {
             continue;
         }
         // "After Ada leaves, Ben will sing": what is not so does not tell whether the other is.
