@@ -9,13 +9,16 @@ use std::time::{Duration, Instant, SystemTime};
 use std::{env, fs, io};
 
 use iceoryx2::config::Config;
+use iceoryx2::identifiers::UniqueNodeId;
 use iceoryx2::node::{NodeDetails, NodeView};
 use iceoryx2::prelude::{
     CallbackProgression, FileName, LogLevel, NodeBuilder, NodeName, NodeState, SemanticString, Service,
     SignalHandlingMode,
 };
+use iceoryx2::service::internal::ServiceInternal;
 use iceoryx2::service::ipc_threadsafe;
-use rustix::fs::{Mode, OFlags};
+use iceoryx2::service::service_hash::ServiceHash;
+use rustix::fs::{FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use rustix::process::{Pid, geteuid, test_kill_process};
 
@@ -716,6 +719,38 @@ impl Node {
         }
     }
 
+    /// Frees the places of a service whose holders are no participants any more, dead or alive. iceoryx2 removes a dead one's port tag before its
+    /// place: who is killed between leaves a place without a tag, which it passes over (`PortCleanupAction::SkipPort`), and takes the
+    /// participant away all the same. The place would be taken for ever.
+    pub(crate) fn free_places_of_nobody(&self, places: &[Place], service: &ServiceHash) {
+        // One at a time: iceoryx2 guards this by the participant's entry, which is gone.
+        let Ok(root) = fs::File::open(&self.domain.root) else { return };
+        if rustix::fs::flock(&root, FlockOperation::NonBlockingLockExclusive).is_err() {
+            return;
+        }
+        // A participant is there before it takes a place, and as long as it has one: those listed now are all that may hold any of these.
+        let mut participants = Vec::new();
+        let listed = iceoryx2::node::Node::<Flavour>::list(&self.config, |state| {
+            participants.push(match state {
+                NodeState::Alive(node) => *node.id(),
+                NodeState::Dead(node) => *node.id(),
+                NodeState::Inaccessible(id) | NodeState::Undefined(id) => id,
+            });
+            CallbackProgression::Continue
+        });
+        if listed.is_err() {
+            return;
+        }
+        for Place { participant, port } in places.iter().filter(|place| !participants.contains(&place.participant)) {
+            // With a tag, as it was before. Where any of this fails it is tried again with the next try to open the port.
+            let folder = self.domain.root.join("nodes").join(participant.value().to_string());
+            let tag = format!("{}{port}{}", self.domain.prefix(), self.config.global.node.port_tag_suffix);
+            let _tagged = fs::create_dir(&folder).and_then(|()| fs::write(folder.join(tag), []));
+            let _freed = Flavour::__internal_remove_node_from_service(participant, service, &self.config);
+            let _removed = fs::remove_dir_all(&folder);
+        }
+    }
+
     /// Where answers of a service lie that are too long for shared memory.
     pub(crate) fn answer_file(&self, service: &str) -> PathBuf {
         let name = service.rsplit('/').next().unwrap_or(service);
@@ -772,6 +807,13 @@ fn refuse_full_shared_memory() -> Result<(), IpcError> {
         return Ok(());
     }
     Err(IpcError::SharedMemoryFull { free_bytes, needed_bytes: FREE_BYTES })
+}
+
+/// A place in a service that a port has taken.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Place {
+    pub(crate) participant: UniqueNodeId,
+    pub(crate) port: u128,
 }
 
 /// Whether trying again may help.

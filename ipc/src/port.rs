@@ -8,7 +8,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use iceoryx2::identifiers::UniqueNodeId;
 use iceoryx2::node::NodeView;
 use iceoryx2::port::client::Client;
 use iceoryx2::port::listener::{Listener, ListenerWaitError};
@@ -27,7 +26,7 @@ use iceoryx2::service::port_factory::publish_subscribe;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
-use crate::domain::{Flavour, Node, OpenFailure, is_running, process_in, shown};
+use crate::domain::{Flavour, Node, OpenFailure, Place, is_running, process_in, shown};
 use crate::message::{
     DecisionV1, ItemScoreV1, ItemScoresHeaderV1, Layout, MAX_ITEMS, Message, NarrationV1, RobotReportV1, RoomScoresV1,
     StatusRequestV1, StatusResponseV1,
@@ -115,8 +114,9 @@ impl<M: Message> Publisher<M> {
         // The publisher first: it is the place that others may hold.
         let connections = Connections::default();
         let publisher = factory.publisher_builder().set_degradation_handler(connections.watch()).create();
-        let publisher = publisher
-            .map_err(|_| occupied(&factory, &publishers(&factory), quality.name, "publisher", quality.publishers))?;
+        let publisher = publisher.map_err(|_| {
+            occupied(node, &factory, &publishers(&factory), quality.name, "publisher", quality.publishers)
+        })?;
         let notifier = open_event(node, quality.name, quality.publishers, quality.subscribers)?
             .notifier_builder()
             .default_event_id(EventId::new(DATA))
@@ -181,7 +181,7 @@ impl<M: Message> Publisher<M> {
         // A list that fails names nobody else, and whoever asks asks again.
         let _listed = self.factory.nodes(|state| {
             if let NodeState::Alive(node) = state
-                && holders.contains(node.id())
+                && holders.iter().any(|holder| holder.participant == *node.id())
             {
                 names.extend(node.details().as_ref().map(|details| details.name().as_str().to_owned()));
             }
@@ -256,8 +256,9 @@ impl<M: Message> Subscriber<M> {
         let connections = Connections::default();
         let subscriber = factory.subscriber_builder().buffer_size(quality.buffer);
         let subscriber = subscriber.set_degradation_handler(connections.watch()).create();
-        let subscriber = subscriber
-            .map_err(|_| occupied(&factory, &subscribers(&factory), quality.name, "subscriber", quality.subscribers))?;
+        let subscriber = subscriber.map_err(|_| {
+            occupied(node, &factory, &subscribers(&factory), quality.name, "subscriber", quality.subscribers)
+        })?;
         wake(waker(node, quality.name).as_ref());
         let subscriber = RefCell::new(subscriber);
         Ok(Self { subscriber, connections, factory, listener, woken: Cell::new(false) })
@@ -501,7 +502,7 @@ impl ItemScoresPublisher {
             .initial_max_slice_len(512)
             .allocation_strategy(AllocationStrategy::PowerOfTwo)
             .create()
-            .map_err(|_| occupied(&factory, &publishers(&factory), ITEM_SCORES, "publisher", 1))?;
+            .map_err(|_| occupied(node, &factory, &publishers(&factory), ITEM_SCORES, "publisher", 1))?;
         Ok(Self { publisher, factory, known: Cell::new(0) })
     }
 
@@ -563,7 +564,7 @@ impl ItemScoresSubscriber {
         let factory = open_item_scores(node)?;
         let subscriber = factory.subscriber_builder().create();
         let subscriber =
-            subscriber.map_err(|_| occupied(&factory, &subscribers(&factory), ITEM_SCORES, "subscriber", 8))?;
+            subscriber.map_err(|_| occupied(node, &factory, &subscribers(&factory), ITEM_SCORES, "subscriber", 8))?;
         wake(waker(node, ITEM_SCORES).as_ref());
         Ok(Self { subscriber })
     }
@@ -595,10 +596,10 @@ impl StatusServer {
         let server = server.map_err(|_| {
             let mut servers = Vec::new();
             factory.dynamic_config().list_servers(|server| {
-                servers.push(server.node_id);
+                servers.push(Place { participant: server.node_id, port: server.server_id.value() });
                 CallbackProgression::Continue
             });
-            occupied(&factory, &servers, STATUS, "server", 1)
+            occupied(node, &factory, &servers, STATUS, "server", 1)
         })?;
         Ok(Self { server })
     }
@@ -868,8 +869,9 @@ pub(crate) fn described(type_name: &str, size: usize) -> String {
 
 /// The place may come free: its holder may be stopping, or dead and not yet cleaned up.
 pub(crate) fn occupied<F: PortFactory<Service = Flavour>>(
+    node: &Node,
     factory: &F,
-    holders: &[UniqueNodeId],
+    holders: &[Place],
     service: &'static str,
     role: &'static str,
     limit: usize,
@@ -878,33 +880,36 @@ pub(crate) fn occupied<F: PortFactory<Service = Flavour>>(
     // A list that fails leaves the answer vague, which is all that can be said then.
     let _listed = factory.nodes(|state| {
         if let NodeState::Alive(node) = state
-            && holders.contains(node.id())
+            && holders.iter().any(|holder| holder.participant == *node.id())
             && let Some(details) = node.details()
         {
             names.push(shown(details));
         }
         CallbackProgression::Continue
     });
+    if names.is_empty() {
+        node.free_places_of_nobody(holders, factory.service_hash());
+    }
     let holder = if names.is_empty() { "somebody".to_owned() } else { names.join(" or ") };
     OpenFailure::Passing(IpcError::Occupied { service, holder, role, limit })
 }
 
-fn publishers<P: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(factory: &Factory<P, H>) -> Vec<UniqueNodeId> {
-    let mut nodes = Vec::new();
+fn publishers<P: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(factory: &Factory<P, H>) -> Vec<Place> {
+    let mut places = Vec::new();
     factory.dynamic_config().list_publishers(|publisher| {
-        nodes.push(publisher.node_id);
+        places.push(Place { participant: publisher.node_id, port: publisher.publisher_id.value() });
         CallbackProgression::Continue
     });
-    nodes
+    places
 }
 
-fn subscribers<P: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(factory: &Factory<P, H>) -> Vec<UniqueNodeId> {
-    let mut nodes = Vec::new();
+fn subscribers<P: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(factory: &Factory<P, H>) -> Vec<Place> {
+    let mut places = Vec::new();
     factory.dynamic_config().list_subscribers(|subscriber| {
-        nodes.push(subscriber.node_id);
+        places.push(Place { participant: subscriber.node_id, port: subscriber.subscriber_id.value() });
         CallbackProgression::Continue
     });
-    nodes
+    places
 }
 
 pub(crate) fn service_name(name: &'static str) -> Result<ServiceName, OpenFailure> {

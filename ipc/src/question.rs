@@ -27,7 +27,7 @@ use iceoryx2::prelude::{AllocationStrategy, CallbackProgression, PortFactory};
 use iceoryx2::service::port_factory::client::ClientCreateError;
 use iceoryx2::service::port_factory::request_response;
 
-use crate::domain::{Flavour, Node, OpenFailure};
+use crate::domain::{Flavour, Node, OpenFailure, Place};
 use crate::port::{described, occupied, passing, port, request_response, request_response_failure, wake, waker};
 use crate::{IpcError, MessageError};
 
@@ -88,10 +88,10 @@ impl AnswerPort {
         let server = server.map_err(|_| {
             let mut servers = Vec::new();
             factory.dynamic_config().list_servers(|server| {
-                servers.push(server.node_id);
+                servers.push(Place { participant: server.node_id, port: server.server_id.value() });
                 CallbackProgression::Continue
             });
-            occupied(&factory, &servers, service, "server", 1)
+            occupied(node, &factory, &servers, service, "server", 1)
         })?;
         Ok(Self { server, service, file: node.answer_file(service) })
     }

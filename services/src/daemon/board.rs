@@ -488,11 +488,13 @@ impl<M: LanguageModel> Board<M> {
             let voice = Voice::of_source(observation.source);
             let is_strange = !self.named.is_empty() && !self.named.contains(&observation.source);
             self.pipeline.include(&observation, voice);
+            let mut persons = Vec::new();
             for clause in self.clauses(observation) {
                 self.exclude(&clause, is_strange, at_ns);
                 for own in self.of_persons(clause, is_strange) {
                     let Some(own) = self.take(own, Voice::EARLIER, is_strange, at_ns) else { continue };
                     let person = own.person;
+                    persons.push(person);
                     self.pipeline.enter(voice, own);
                     self.follow();
                     match self.persons.get_mut(person) {
@@ -506,6 +508,10 @@ impl<M: LanguageModel> Board<M> {
             }
             while let Some((_, person, expectation)) = expectations.next_if(|(after, ..)| *after <= index) {
                 let person = self.persons.file().current(*person);
+                // Whose the observation was may be lost: then it may be somebody else's now, and says nothing of this one.
+                if !persons.contains(&person) {
+                    continue;
+                }
                 let said: Vec<f64> =
                     expectation.probability.iter().map(|probability| f64::from(*probability)).collect();
                 // Of one who is out it is known all the same that they were told of.

@@ -15,6 +15,7 @@ use roomcast_ipc::{MAX_SOURCES, Message, forecast_flags, narration_kind};
 use super::*;
 use crate::config::PersonsConfig;
 use crate::daemon::PersonsFile;
+use crate::daemon::journal::Expectation;
 use crate::message_text::said_of;
 
 const S: u64 = 1_000_000_000;
@@ -210,6 +211,27 @@ fn recovered(observations: impl IntoIterator<Item = Observation>) -> Recovered {
     let mut recovered = Recovered::default();
     recovered.observations = observations.into_iter().collect();
     recovered
+}
+
+/// A power cut may take the record of whose an observation is and leave what the model said after it.
+#[test]
+fn what_was_said_after_an_observation_of_somebody_else_is_not_believed() {
+    let said = |person: u32, index: usize, probability: [f32; 2]| {
+        let expectation = Expectation { map: board().map_number(), probability: probability.to_vec() };
+        (index, person, expectation)
+    };
+    let restored = |expectations: Vec<_>| {
+        let mut board = board();
+        let observations =
+            [observation(1, 10 * S, "They open the fridge."), observation(2, 20 * S, "They sit on the sofa.")];
+        let mut recovered = recovered(observations);
+        recovered.expectations = expectations;
+        board.restore(recovered, 30 * S, 1_000_000 * S + 30 * S);
+        board.forecast(40 * S).probability
+    };
+    let (own, of_another) = (said(1, 0, [0.9, 0.1]), said(1, 1, [0.2, 0.8]));
+    assert_eq!(restored(vec![own.clone(), of_another]), restored(vec![own.clone()]));
+    assert_ne!(restored(vec![own]), restored(Vec::new()));
 }
 
 /// Fails as often as it is told to.
