@@ -38,6 +38,8 @@ pub mod message_text;
 
 pub mod token_bucket;
 
+mod awake;
+
 pub mod receive;
 
 pub mod moment;

@@ -35,6 +35,9 @@ pub struct Args {
     /// With the machine idle, with one spinning thread per core, or both in turn.
     #[arg(long, value_enum, default_value_t = Load::Both)]
     load: Load,
+    /// Microseconds that daemon and planner stay awake after a message (`ipc.spin_us`).
+    #[arg(long, value_name = "US", default_value_t = 0, value_parser = ranges::any())]
+    spin: u64,
     /// The scene file, or a shipped scene's name.
     #[arg(long, value_name = "FILE", default_value = "apartment-e0")]
     scene: PathBuf,
@@ -157,6 +160,7 @@ fn measure(
     let ipc = |error| Failure::new(exit_code::IPC, error);
     let domain = Domain::new(directory.path().join("d"), &format!("latency-{}", std::process::id())).map_err(ipc)?;
     let mut stage = Stage::new(domain.clone(), directory.path());
+    stage.configure(&format!("[ipc]\nspin_us = {}\n", args.spin))?;
     let node = domain.open("roomcast-latency").map_err(ipc)?;
     let result = on_stage(args, scorer, load, &mut stage, &node, stop, progress);
     // The node goes before the domain can be removed.

@@ -42,12 +42,22 @@ pub(super) struct Stage {
     children: Vec<(&'static str, Child)>,
     domain: Domain,
     logs: PathBuf,
+    config: Option<PathBuf>,
 }
 
 impl Stage {
     /// Nobody yet; what the processes log goes into files in `logs`.
     pub(super) fn new(domain: Domain, logs: &Path) -> Self {
-        Self { children: Vec::new(), domain, logs: logs.to_owned() }
+        Self { children: Vec::new(), domain, logs: logs.to_owned(), config: None }
+    }
+
+    /// What is started from now on reads this configuration.
+    pub(super) fn configure(&mut self, text: &str) -> CommandResult {
+        let path = self.logs.join("config.toml");
+        std::fs::write(&path, text)
+            .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot write {}: {error}", path.display())))?;
+        self.config = Some(path);
+        Ok(())
     }
 
     /// Starts `roomcast COMMAND ARGUMENTS` in the domain.
@@ -72,6 +82,7 @@ impl Stage {
             .arg("--root")
             .arg(self.domain.root())
             .args(["--domain", self.domain.name()])
+            .args(self.config.iter().flat_map(|path| ["--config".as_ref(), path.as_os_str()]))
             .env_remove("ROOMCAST_CONFIG")
             .env(PARENT_VARIABLE, std::process::id().to_string())
             .stdin(input)

@@ -38,6 +38,8 @@ pub const DEFAULT_TOML: &str = include_str!("default.toml");
 pub const FILE_BYTES_MAX: u64 = 1 << 20;
 /// Most milliseconds that a step may take under `effort = "deadline"`.
 pub const DEADLINE_MS_MAX: u64 = 60_000;
+/// Most microseconds that daemon and planner stay awake after a message.
+const SPIN_US_MAX: u64 = 10_000_000;
 /// Most milliseconds between two heartbeats: views and bridges take a daemon for gone after 1.5 s of silence, three heartbeats at least.
 const HEARTBEAT_MS_MAX: u64 = 500;
 
@@ -167,11 +169,13 @@ pub struct IpcConfig {
     pub root: Option<PathBuf>,
     /// The domain's name.
     pub domain: String,
+    /// For so many microseconds after a message daemon and planner look for the next one before they sleep.
+    pub spin_us: u64,
 }
 
 impl Default for IpcConfig {
     fn default() -> Self {
-        Self { root: None, domain: Domain::default_for_user().name().to_owned() }
+        Self { root: None, domain: Domain::default_for_user().name().to_owned(), spin_us: 0 }
     }
 }
 
@@ -350,7 +354,7 @@ impl Config {
     /// Every limit, and whether it holds.
     fn limits(&self) -> Vec<Limit> {
         let Self { model, scoring, history, daemon, persons, forecast, habits, planner, metrics, narrator, .. } = self;
-        let (bridge, vacuum) = (&self.bridge, &self.robot);
+        let (ipc, bridge, vacuum) = (&self.ipc, &self.bridge, &self.robot);
         let row = |key, value: &dyn fmt::Display, holds, remedy: &str| Limit {
             key,
             value: value.to_string(),
@@ -423,6 +427,7 @@ impl Config {
             within("scoring.prepare", scoring.prepare, 0..=ANSWERS_MAX),
             within("scoring.prepare_share", scoring.prepare_share, 0.01..=1.0),
             row("scoring.effort", &effort, scoring.method.allows(effort), "give \"exact\", or scoring.method = \"trie\", which alone can end early"),
+            within("ipc.spin_us", ipc.spin_us, 0..=SPIN_US_MAX),
             row("daemon.state", &"empty", daemon.state.as_ref().is_none_or(is_free), "give a directory, or leave the key out for no journal"),
             row("daemon.journal_bytes", &daemon.journal_bytes, daemon.journal_bytes >= JOURNAL_BYTES_MIN, &format!("give {JOURNAL_BYTES_MIN} or more")),
             within("daemon.heartbeat_ms", daemon.heartbeat_ms, 10..=HEARTBEAT_MS_MAX),

@@ -12,6 +12,7 @@ use super::board::Entry;
 use super::intake::{Intake, IntakeCounters, Taken};
 use super::journal::Journal;
 use super::{LOG_INTERVAL_NS, Progress};
+use crate::awake::Awake;
 use crate::logging::Limiter;
 use crate::stop::Stop;
 
@@ -61,10 +62,11 @@ impl Inbox {
         }
     }
 
-    /// Sleeps until there is narration or `patience` has passed; gives what is there to `take`.
-    fn listen(&mut self, patience: Duration, take: impl FnMut(Heard)) {
+    /// Sleeps until there is narration or `patience` has passed, as long as `awake` lets it; gives what is there to `take`.
+    fn listen(&mut self, patience: Duration, awake: &mut Awake, take: impl FnMut(Heard)) {
         // The port wakes once for all that came, so nothing would wake for what was left there.
-        let waited = if self.more { Ok(true) } else { self.narration.wait(patience) };
+        let narration = &self.narration;
+        let waited = if self.more { Ok(true) } else { awake.wait(patience, |patience| narration.wait(patience)) };
         let received = waited.and_then(|_| self.drain(take));
         if let Err(error) = received {
             // A port that fails may recover, when file descriptors become free for instance.
@@ -162,17 +164,18 @@ pub(super) struct Lending {
     queue: Receiver<Heard>,
     /// The relief thread is to keep the inbox.
     busy: Arc<AtomicBool>,
+    awake: Awake,
 }
 
 impl Lending {
-    /// With the inbox, and the relief thread's side of it.
-    pub(super) fn new(inbox: Inbox, progress: Progress, stop: Stop) -> (Self, Relief) {
+    /// With the inbox, and the relief thread's side of it; this one stays awake as `awake` says.
+    pub(super) fn new(inbox: Inbox, awake: Awake, progress: Progress, stop: Stop) -> (Self, Relief) {
         // There is one inbox: sending it never waits.
         let ((to_relief, from_scoring), (to_scoring, from_relief)) = (bounded(1), bounded(1));
         let (queue_in, queue) = bounded(QUEUE);
         let busy = Arc::new(AtomicBool::new(false));
         let relief = Relief { from_scoring, to_scoring, queue: queue_in, busy: Arc::clone(&busy), progress, stop };
-        (Self { own: Some(Box::new(inbox)), is_lost: false, to_relief, from_relief, queue, busy }, relief)
+        (Self { own: Some(Box::new(inbox)), is_lost: false, to_relief, from_relief, queue, busy, awake }, relief)
     }
 
     /// Gives the inbox to the relief thread until [`Lending::call_back`], if it does not have it already.
@@ -231,7 +234,13 @@ impl Lending {
             take(heard);
         }
         if let Some(inbox) = &mut self.own {
-            inbox.listen(if has_taken { Duration::ZERO } else { patience }, take);
+            inbox.listen(if has_taken { Duration::ZERO } else { patience }, &mut self.awake, |heard| {
+                has_taken = true;
+                take(heard);
+            });
+        }
+        if has_taken {
+            self.awake.heard();
         }
     }
 }
@@ -248,6 +257,8 @@ pub(super) struct Relief {
 
 impl Relief {
     pub(super) fn run(self) {
+        // The scorer needs the cores.
+        let mut asleep = Awake::new(0);
         let moved = |now_ns| self.progress.relief_ns.store(now_ns, Ordering::Relaxed);
         loop {
             // Without the inbox it has nothing to do, and so cannot stand still. It ends with the scoring thread.
@@ -256,7 +267,7 @@ impl Relief {
             loop {
                 moved(clock::monotonic_ns());
                 // It fails only when the scoring thread is gone, and the main thread sees that too.
-                inbox.listen(RELIEF, |heard| drop(self.queue.send(heard)));
+                inbox.listen(RELIEF, &mut asleep, |heard| drop(self.queue.send(heard)));
                 if !self.busy.load(Ordering::Acquire) || self.stop.requested() {
                     break;
                 }

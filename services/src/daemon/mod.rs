@@ -22,6 +22,7 @@ use crossbeam::select;
 use roomcast_ipc::{Domain, IpcError, NarrationV1, Node, StatusResponseV1, clock, sequence, text};
 use sd_notify::NotifyState;
 
+use crate::awake::Awake;
 use crate::config::{Config, DaemonConfig};
 use crate::embedded;
 use crate::no_model::NoModel;
@@ -178,7 +179,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
         stop: stop.clone(),
     };
     let inbox = Inbox::new(narration, intake, journal, counters);
-    let (inbox, relief) = Lending::new(inbox, progress.clone(), stop.clone());
+    let (inbox, relief) = Lending::new(inbox, Awake::new(config.ipc.spin_us), progress.clone(), stop.clone());
     let mut scoring = Scoring::new(cycle, ports, inbox, tools, tally);
     let cores = config.model.cores.clone();
     let (ending, ended) = bounded(2);

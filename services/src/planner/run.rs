@@ -11,6 +11,7 @@ use sd_notify::NotifyState;
 
 use super::Planner;
 use super::state::RoundFile;
+use crate::awake::Awake;
 use crate::config::Config;
 use crate::logging::Limiter;
 use crate::notify::notify;
@@ -58,14 +59,17 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let (mut snapshot, mut forecast) = (Box::<RoomScoresV1>::default(), Box::<ForecastV1>::default());
     let mut each = Box::<PersonForecastsV1>::default();
     let (mut report, mut other) = (RobotReportV1::default(), DecisionV1::default());
-    let mut early = VecDeque::new();
+    let (mut early, mut awake) = (VecDeque::new(), Awake::new(config.ipc.spin_us));
     notify(&[NotifyState::Ready]);
     while !stop.requested() {
-        scores.wait_with(&reports, planner.idle(clock::monotonic_ns()))?;
+        awake.wait(planner.idle(clock::monotonic_ns()), |patience| scores.wait_with(&reports, patience))?;
         let mut has_scores = false;
         while receive(&scores, &mut snapshot, &mut log)? {
             planner.take(&snapshot);
             has_scores = true;
+        }
+        if has_scores {
+            awake.heard();
         }
         let waits_until = Instant::now() + FORECAST_PATIENCE;
         loop {
@@ -73,7 +77,11 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
                 planner.take_forecast(&forecast);
             }
             let left = waits_until.saturating_duration_since(Instant::now());
-            if !(has_scores && planner.lacks_forecast() && !left.is_zero() && forecasts.wait(left)?) {
+            if !(has_scores
+                && planner.lacks_forecast()
+                && !left.is_zero()
+                && awake.wait(left, |left| forecasts.wait(left))?)
+            {
                 break;
             }
         }
