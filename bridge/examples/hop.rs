@@ -1,5 +1,5 @@
-//! What one hop costs: a decision from shared memory through the bridge and a router, beside the same bytes put and received by zenoh alone, in
-//! turns on the same machine.
+//! What one hop costs: a decision from shared memory through the bridge and a router, beside as many bytes put and received by zenoh alone, in
+//! turns on the same machine. Who puts is a process of its own in both cases: the bridge, and this program started again.
 //!
 //! ```text
 //! cargo run --release --manifest-path bridge/Cargo.toml --example hop -- PORT PROGRAM [N]
@@ -9,9 +9,10 @@
 
 #![expect(clippy::unwrap_used, reason = "a measurement that cannot be made ends")]
 
+use std::io::{Read, Write};
 use std::process::{Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use roomcast_bridge::config::Router;
 use roomcast_bridge::link::client;
@@ -20,17 +21,20 @@ use zenoh::qos::CongestionControl;
 use zenoh::{Session, Wait};
 
 const PATIENCE: Duration = Duration::from_secs(5);
+const ALONE: &str = "hop/alone";
+/// In the place of `PROGRAM`: this one is to put, with so many bytes.
+const PUT: &str = "put";
 
 fn open(port: &str) -> Session {
     let router = Router { connect: format!("tcp/127.0.0.1:{port}"), ..Router::default() };
     zenoh::open(client(&router).unwrap()).wait().unwrap()
 }
 
-/// Gives the time and the length of each message of a key.
-fn ear(session: &Session, key: &str) -> Receiver<(Instant, usize)> {
+/// Gives the time and the bytes of each message of a key.
+fn ear(session: &Session, key: &str) -> Receiver<(u64, Vec<u8>)> {
     let (to, heard) = channel();
     let take = move |sample: zenoh::sample::Sample| {
-        let _ended = to.send((Instant::now(), sample.payload().len()));
+        let _ended = to.send((clock::monotonic_ns(), sample.payload().to_bytes().into_owned()));
     };
     session.declare_subscriber(key.to_owned()).callback(take).background().wait().unwrap();
     heard
@@ -41,16 +45,38 @@ fn percentile(times: &mut [Duration], share: f64) -> Duration {
     times[((times.len() - 1) as f64 * share) as usize]
 }
 
+/// How long after it was decided the bridge put it.
+fn within(message: &[u8]) -> u64 {
+    let message: serde_json::Value = serde_json::from_slice(message).unwrap();
+    message["age_ns"].as_u64().unwrap()
+}
+
 /// Publishes a decision, and says when it began to.
-fn send(decisions: &Publisher<DecisionV1>, decision: DecisionV1, number: u64) -> Instant {
-    let start = Instant::now();
-    decisions.send(&DecisionV1 { sequence: number, decided_ns: clock::monotonic_ns(), ..decision }).unwrap();
-    start
+fn send(decisions: &Publisher<DecisionV1>, decision: DecisionV1, number: u64) -> u64 {
+    let start_ns = clock::monotonic_ns();
+    decisions.send(&DecisionV1 { sequence: number, decided_ns: start_ns, ..decision }).unwrap();
+    start_ns
+}
+
+/// zenoh alone: puts so many bytes, the first of which say when, for each byte of standard input.
+fn put(port: &str, bytes: usize) {
+    let near = open(port);
+    let publisher = near.declare_publisher(ALONE).congestion_control(CongestionControl::Drop).express(true);
+    let publisher = publisher.wait().unwrap();
+    let mut turn = [0];
+    while std::io::stdin().read_exact(&mut turn).is_ok() {
+        let mut payload = vec![b'x'; bytes];
+        payload[..8].copy_from_slice(&clock::monotonic_ns().to_le_bytes());
+        publisher.put(payload).wait().unwrap();
+    }
 }
 
 fn main() {
     let mut arguments = std::env::args().skip(1);
     let (port, program) = (arguments.next().unwrap(), arguments.next().unwrap());
+    if program == PUT {
+        return put(&port, arguments.next().unwrap().parse().unwrap());
+    }
     let count = arguments.next().map_or(2000, |count| count.parse::<u64>().unwrap());
     let folder = tempfile::Builder::new().prefix("rch-").tempdir_in("/tmp").unwrap();
     let domain = Domain::new(folder.path().join("d"), "hop").unwrap();
@@ -65,11 +91,8 @@ fn main() {
     let mut bridge = bridge.spawn().unwrap();
     let node = domain.open("hop").unwrap();
     let decisions = node.publisher::<DecisionV1>().unwrap();
-    let (near, far) = (open(&port), open(&port));
-    let through = ear(&far, "roomcast/home/robot/told/decision");
-    let alone = ear(&far, "hop/alone");
-    let put = near.declare_publisher("hop/alone").congestion_control(CongestionControl::Drop).express(true);
-    let put = put.wait().unwrap();
+    let far = open(&port);
+    let (through, alone) = (ear(&far, "roomcast/home/robot/told/decision"), ear(&far, ALONE));
     let decision = DecisionV1 {
         robot: sequence::source_of_name("robot"),
         epoch: 7,
@@ -87,27 +110,41 @@ fn main() {
         number += 1;
         decisions.tick().unwrap();
         send(number);
-        if let Ok((_, bytes)) = through.recv_timeout(Duration::from_millis(200)) {
-            break bytes;
+        if let Ok((_, message)) = through.recv_timeout(Duration::from_millis(200)) {
+            break message.len();
         }
     };
     std::thread::sleep(Duration::from_millis(500));
     while through.try_recv().is_ok() {}
-    let payload = vec![b'x'; bytes];
-    let (mut hop, mut bare) = (Vec::new(), Vec::new());
+    let mut putter = Command::new(std::env::current_exe().unwrap());
+    putter.args([&port, PUT, &bytes.to_string()]).stdin(Stdio::piped());
+    let mut putter = putter.spawn().unwrap();
+    let mut turns = putter.stdin.take().unwrap();
+    while alone.recv_timeout(Duration::from_millis(200)).is_err() {
+        turns.write_all(&[0]).unwrap();
+    }
+    std::thread::sleep(Duration::from_millis(500));
+    while alone.try_recv().is_ok() {}
+    let (mut hop, mut bare, mut inside) = (Vec::new(), Vec::new(), Vec::new());
     for _ in 0..count {
         number += 1;
-        let start = send(number);
-        hop.push(through.recv_timeout(PATIENCE).unwrap().0 - start);
+        let start_ns = send(number);
+        let (heard_ns, message) = through.recv_timeout(PATIENCE).unwrap();
+        hop.push(Duration::from_nanos(heard_ns - start_ns));
+        inside.push(Duration::from_nanos(within(&message)));
         std::thread::sleep(Duration::from_millis(1));
-        let start = Instant::now();
-        put.put(payload.clone()).wait().unwrap();
-        bare.push(alone.recv_timeout(PATIENCE).unwrap().0 - start);
+        turns.write_all(&[0]).unwrap();
+        let (heard_ns, message) = alone.recv_timeout(PATIENCE).unwrap();
+        let start_ns = u64::from_le_bytes(message[..8].try_into().unwrap());
+        bare.push(Duration::from_nanos(heard_ns - start_ns));
         std::thread::sleep(Duration::from_millis(1));
     }
+    drop(turns);
+    let _ended = putter.wait();
     let _ended = bridge.kill();
     let _waited = bridge.wait();
-    for (what, times) in [("through the bridge", &mut hop), ("zenoh alone", &mut bare)] {
+    let whole = [("through the bridge", &mut hop), ("of it, until put", &mut inside), ("zenoh alone", &mut bare)];
+    for (what, times) in whole {
         let [p50, p99] = [0.5, 0.99].map(|share| percentile(times, share));
         println!("{what:<20} {bytes} bytes  n {count}  p50 {p50:?}  p99 {p99:?}");
     }

@@ -3,10 +3,13 @@
 //! A time of a monotonic clock means nothing elsewhere. So each message says how old its content is when it is sent, and when that was by
 //! the sender's own clock, which lets a receiver know how much longer than others it was on its way ([`crate::delay`]).
 
+use std::io::Write;
+
 use roomcast_core::habits::{PART_HOURS, PARTS};
 use roomcast_ipc::{
     DecisionV1, ForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, action, clock, decision_flags, presence,
 };
+use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use crate::wire::Hex;
@@ -14,9 +17,13 @@ use crate::wire::Hex;
 /// One message's content, and when it was made.
 #[derive(Debug, Clone)]
 pub struct Told {
-    content: Map<String, Value>,
+    /// A JSON object without its end: behind it comes what is said of one telling.
+    content: Vec<u8>,
     made_ns: u64,
 }
+
+/// More than what is said of one telling takes.
+const TELLING_BYTES: usize = 256;
 
 /// Who tells.
 #[derive(Debug, Clone, Copy)]
@@ -30,8 +37,11 @@ pub struct Teller {
 }
 
 impl Told {
-    fn new(content: Value, made_ns: u64) -> Self {
-        let content = if let Value::Object(content) = content { content } else { Map::new() };
+    fn new(content: &impl Serialize, made_ns: u64) -> Self {
+        let mut content = serde_json::to_vec(content).unwrap_or_default();
+        if content.pop() != Some(b'}') {
+            content = b"{\"content\":null".to_vec();
+        }
         Self { content, made_ns }
     }
 
@@ -39,14 +49,17 @@ impl Told {
     #[must_use]
     pub fn bytes(&self, teller: Teller) -> Vec<u8> {
         let now_ns = clock::monotonic_ns();
-        let mut message = self.content.clone();
-        message.insert("teller".to_owned(), hex(teller.start));
-        message.insert("number".to_owned(), teller.number.into());
-        message.insert("sent_ns".to_owned(), now_ns.into());
-        message.insert("clock".to_owned(), hex(teller.clock));
-        message.insert("sent_unix_ns".to_owned(), clock::unix_ns().into());
-        message.insert("age_ns".to_owned(), now_ns.saturating_sub(self.made_ns).into());
-        serde_json::to_vec(&message).unwrap_or_default()
+        let mut bytes = Vec::with_capacity(self.content.len() + TELLING_BYTES);
+        bytes.extend_from_slice(&self.content);
+        let Teller { start, number, clock } = teller;
+        let (unix_ns, age_ns) = (clock::unix_ns(), now_ns.saturating_sub(self.made_ns));
+        // Memory takes all.
+        let _written = write!(
+            bytes,
+            ",\"teller\":\"{start:016x}\",\"number\":{number},\"sent_ns\":{now_ns},\"clock\":\"{clock:016x}\",\
+             \"sent_unix_ns\":{unix_ns},\"age_ns\":{age_ns}}}"
+        );
+        bytes
     }
 }
 
@@ -78,7 +91,7 @@ pub fn scores(scores: &RoomScoresV1) -> Told {
         "map": fingerprint(&scores.map_fingerprint), "model": fingerprint(&scores.model_fingerprint),
         "observed_before_ns": (scores.observed_ns > 0).then(|| scores.computed_ns.saturating_sub(scores.observed_ns)),
     });
-    Told::new(content, scores.computed_ns)
+    Told::new(&content, scores.computed_ns)
 }
 
 fn fingerprint(bytes: &[u8; 32]) -> String {
@@ -98,7 +111,7 @@ pub fn forecast(forecast: &ForecastV1) -> Told {
         "horizons_s": forecast.horizon_s.iter().take(horizons).collect::<Vec<_>>(), "rooms": rooms,
         "elsewhere": forecast.elsewhere.iter().take(horizons).copied().map(rounded).collect::<Vec<_>>(),
     });
-    Told::new(content, forecast.computed_ns)
+    Told::new(&content, forecast.computed_ns)
 }
 
 /// Each person's forecast and room sets, of a checked message.
@@ -136,7 +149,7 @@ pub fn persons(message: &PersonForecastsV1) -> Told {
         "epoch": hex(message.epoch), "sequence": message.sequence, "horizons_s": message.horizons_s(),
         "persons": persons,
     });
-    Told::new(content, message.computed_ns)
+    Told::new(&content, message.computed_ns)
 }
 
 fn presence_word(number: u32) -> &'static str {
@@ -148,6 +161,26 @@ fn presence_word(number: u32) -> &'static str {
     }
 }
 
+/// A decision's content, written at once: it is waited for.
+#[derive(Serialize)]
+struct Decided<'a> {
+    epoch: Hex,
+    sequence: u64,
+    action: &'static str,
+    from: &'a str,
+    to: &'a str,
+    policy: &'a str,
+    reason: &'a str,
+    probability: f64,
+    stay_ns: u64,
+    flags: u32,
+    fallback: bool,
+    cancels: u64,
+    scores_epoch: Hex,
+    scores_sequence: u64,
+    scores_age_ns: u64,
+}
+
 /// A decision, of a checked message.
 #[must_use]
 pub fn decision(decision: &DecisionV1) -> Told {
@@ -156,22 +189,31 @@ pub fn decision(decision: &DecisionV1) -> Told {
         action::PAUSE => "pause",
         _ => "stay",
     };
-    let content = json!({
-        "epoch": hex(decision.epoch), "sequence": decision.sequence, "action": word, "from": decision.from(),
-        "to": decision.to(), "policy": decision.policy(), "reason": decision.reason(),
-        "probability": decision.probability, "stay_ns": decision.stay_ns, "flags": decision.flags,
-        "fallback": decision.has(decision_flags::FALLBACK), "cancels": decision.cancels,
-        "scores_epoch": hex(decision.scores_epoch), "scores_sequence": decision.scores_sequence,
-        "scores_age_ns": decision.scores_age_ns,
-    });
-    Told::new(content, decision.decided_ns)
+    let content = Decided {
+        epoch: Hex(decision.epoch),
+        sequence: decision.sequence,
+        action: word,
+        from: decision.from(),
+        to: decision.to(),
+        policy: decision.policy(),
+        reason: decision.reason(),
+        probability: decision.probability,
+        stay_ns: decision.stay_ns,
+        flags: decision.flags,
+        fallback: decision.has(decision_flags::FALLBACK),
+        cancels: decision.cancels,
+        scores_epoch: Hex(decision.scores_epoch),
+        scores_sequence: decision.scores_sequence,
+        scores_age_ns: decision.scores_age_ns,
+    };
+    Told::new(&content, decision.decided_ns)
 }
 
 /// How often each room was visited, by part of the day.
 #[must_use]
 pub fn habits(visits: &[(String, [f64; PARTS])]) -> Told {
     let rooms: Map<String, Value> = visits.iter().map(|(room, counts)| (room.clone(), json!(counts))).collect();
-    Told::new(json!({ "part_hours": PART_HOURS, "rooms": rooms }), clock::monotonic_ns())
+    Told::new(&json!({ "part_hours": PART_HOURS, "rooms": rooms }), clock::monotonic_ns())
 }
 
 /// Whether the daemon lives, and its counters where it has told them.
@@ -187,7 +229,7 @@ pub fn status(robot: &str, silence_ns: Option<u64>, status: Option<&StatusRespon
         })
     });
     let content = json!({ "robot": robot, "silence_ns": silence_ns, "daemon": daemon });
-    Told::new(content, clock::monotonic_ns())
+    Told::new(&content, clock::monotonic_ns())
 }
 
 #[cfg(test)]
