@@ -1,6 +1,7 @@
 //! The configuration: `default.toml` is the manual, and tested against this file.
 
 use std::fs;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use roomcast_core::grounding::PartitionLevel;
@@ -13,6 +14,8 @@ pub const MANUAL: &str = include_str!("default.toml");
 pub const FILE_BYTES_MAX: u64 = 64 << 10;
 /// Most narrators elsewhere: each has a port of its own, so that the daemon's rates and shares hold for each, and a service has eight.
 pub const NARRATORS_MAX: usize = 4;
+/// The narrator whose words are strings of ROS 2.
+pub const ROS2_NARRATOR: &str = "ros2";
 /// Most robots of a hub.
 pub const ROBOTS_MAX: usize = 16;
 
@@ -42,7 +45,7 @@ pub enum ConfigError {
         source: Box<toml::de::Error>,
     },
     /// A value is none that can be.
-    #[error("{key} = {value}: {allowed}")]
+    #[error("{}", shown(key, value, allowed))]
     Value {
         /// The key.
         key: &'static str,
@@ -54,6 +57,10 @@ pub enum ConfigError {
     /// The domain cannot be.
     #[error(transparent)]
     Domain(#[from] IpcError),
+}
+
+fn shown(key: &str, value: &str, allowed: &str) -> String {
+    if value.is_empty() { format!("{key}: {allowed}") } else { format!("{key} = {value}: {allowed}") }
 }
 
 fn refuse<T>(key: &'static str, value: impl ToString, allowed: impl Into<String>) -> Result<T, ConfigError> {
@@ -274,8 +281,12 @@ impl Ros2 {
     }
 
     fn check(&self) -> Result<(), ConfigError> {
-        if let Some(router) = self.router() {
-            router.check("ros2.connect")?;
+        if let Some(Router { connect, .. }) = self.router() {
+            let here = connect.strip_prefix("tcp/").and_then(|address| address.rsplit_once(':'));
+            if !here.is_some_and(|(host, _)| is_this_machine(host)) {
+                return refuse("ros2.connect", connect, "tcp/localhost:PORT: ROS 2's router is on the robot itself");
+            }
+            Router { connect, ..Router::default() }.check("ros2.connect")?;
         }
         let part = |part: &str| {
             part.starts_with(|first: char| first.is_ascii_lowercase())
@@ -324,6 +335,17 @@ impl Default for Hub {
     }
 }
 
+/// What a file begins with.
+fn read_start(path: &Path) -> std::io::Result<String> {
+    let mut bytes = Vec::new();
+    fs::File::open(path)?.take(FILE_BYTES_MAX).read_to_end(&mut bytes)?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+fn is_this_machine(host: &str) -> bool {
+    matches!(host, "localhost" | "127.0.0.1" | "[::1]")
+}
+
 fn is_chunk(name: &str) -> bool {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_';
     !name.is_empty() && name.len() <= NAME_BYTES && name.bytes().all(plain)
@@ -343,8 +365,22 @@ impl Config {
             return Err(ConfigError::TooLong { path: path.to_owned() });
         }
         let text = fs::read_to_string(path).map_err(read)?;
-        toml::from_str(&text)
-            .map_err(|source| ConfigError::Malformed { path: path.to_owned(), source: Box::new(source) })
+        let mut config: Self = toml::from_str(&text)
+            .map_err(|source| ConfigError::Malformed { path: path.to_owned(), source: Box::new(source) })?;
+        config.begin_at(path.parent().unwrap_or(Path::new("")));
+        Ok(config)
+    }
+
+    /// Relative paths begin at this folder.
+    fn begin_at(&mut self, folder: &Path) {
+        let Self { router, ipc, ros2, hub, .. } = self;
+        let files = [&mut router.ca, &mut router.certificate, &mut router.key, &mut ipc.root];
+        for file in files.into_iter().chain([&mut ros2.scene, &mut ros2.map]).flatten() {
+            *file = folder.join(&*file);
+        }
+        if !hub.spool.as_os_str().is_empty() {
+            hub.spool = folder.join(&hub.spool);
+        }
     }
 
     /// What both roles need.
@@ -396,6 +432,9 @@ impl Config {
             if self.narrator.iter().take(index).any(|other| other.name == narrator.name) {
                 return refuse("narrator.name", &narrator.name, "it is there twice");
             }
+            if self.ros2.narration && narrator.name == ROS2_NARRATOR {
+                return refuse("narrator.name", &narrator.name, "with ros2.narration this is the name of ROS 2's own");
+            }
             if !(0.1..=100_000.0).contains(&narrator.rate_per_s) {
                 return refuse("narrator.rate_per_s", narrator.rate_per_s, "0.1 to 100000");
             }
@@ -420,8 +459,13 @@ impl Config {
         if robots.is_empty() || robots.len() > ROBOTS_MAX {
             return refuse("hub.robots", robots.len(), format!("1 to {ROBOTS_MAX} robots"));
         }
-        if let Some(robot) = robots.iter().find(|robot| !is_chunk(robot)) {
-            return refuse("hub.robots", robot, CHUNK);
+        for (index, robot) in robots.iter().enumerate() {
+            if !is_chunk(robot) {
+                return refuse("hub.robots", robot, CHUNK);
+            }
+            if robots.iter().take(index).any(|other| other == robot) {
+                return refuse("hub.robots", robot, "it is there twice");
+            }
         }
         if spool.as_os_str().is_empty() {
             return refuse("hub.spool", "", "a folder that this program may write");
@@ -447,16 +491,14 @@ impl Router {
     fn check(&self, name: &'static str) -> Result<(), ConfigError> {
         let Self { connect, ca, certificate, key, insecure } = self;
         let Some((protocol @ ("tcp" | "tls"), address)) = connect.split_once('/') else {
-            return refuse(
-                "router.connect",
-                connect,
-                "tls/HOST:PORT or tcp/HOST:PORT; `roomcast-bridge config` shows one",
-            );
+            return refuse(name, connect, "tls/HOST:PORT or tcp/HOST:PORT; `roomcast-bridge config` shows one");
         };
         let Some((host, port)) = address.rsplit_once(':') else {
             return refuse(name, connect, "the port is missing; zenoh's own is 7447");
         };
-        if host.is_empty() || port.parse::<u16>().is_err() || address.contains(['#', '?', ';', '/']) {
+        let digits = port.bytes().all(|byte| byte.is_ascii_digit());
+        let is_port = digits && port.parse::<u16>().is_ok_and(|port| port > 0);
+        if host.is_empty() || !is_port || address.contains(['#', '?', ';', '/']) {
             return refuse(name, connect, "tls/HOST:PORT or tcp/HOST:PORT and nothing else");
         }
         if protocol == "tls" {
@@ -464,15 +506,23 @@ impl Router {
                 match file {
                     None => return refuse(key, "", "tls needs ca, certificate and key; docs/fleet.md makes them"),
                     Some(file) => {
-                        if let Err(error) = fs::File::open(file) {
-                            return refuse(key, file.display(), format!("the file cannot be read: {error}"));
+                        let wanted =
+                            if key == "router.key" { "PRIVATE KEY-----" } else { "-----BEGIN CERTIFICATE-----" };
+                        match read_start(file) {
+                            Err(error) => {
+                                return refuse(key, file.display(), format!("the file cannot be read: {error}"));
+                            }
+                            Ok(text) if !text.contains(wanted) => {
+                                return refuse(key, file.display(), format!("a PEM file with {wanted:?} in it"));
+                            }
+                            Ok(_) => {}
                         }
                     }
                 }
             }
-        } else if !insecure && !matches!(host, "localhost" | "127.0.0.1" | "[::1]") {
+        } else if !insecure && !is_this_machine(host) {
             return refuse(
-                "router.connect",
+                name,
                 connect,
                 "tcp is for a router on this machine; use tls, or set router.insecure = true",
             );
@@ -507,6 +557,24 @@ mod tests {
     }
 
     #[test]
+    fn relative_paths_begin_at_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("bridge.toml");
+        let text =
+            "[router]\nconnect='tls/far:7447'\nca='ca.pem'\ncertificate='/c.pem'\nkey='k.key'\n[hub]\nspool='spool'";
+        fs::write(&file, text).unwrap();
+        let config = Config::load(&file).unwrap();
+        assert_eq!(
+            (config.router.ca, config.router.certificate),
+            (Some(folder.path().join("ca.pem")), Some("/c.pem".into()))
+        );
+        assert_eq!((config.hub.spool, config.ros2.map), (folder.path().join("spool"), None));
+        fs::write(folder.path().join("ca.pem"), "[router]").unwrap();
+        let fault = Config::load(&file).unwrap().check_watch().unwrap_err().to_string();
+        assert!(fault.starts_with("router.ca = ") && fault.contains("PEM"), "{fault}");
+    }
+
+    #[test]
     fn what_cannot_be_is_refused_with_its_key() {
         let fault = |text: &str| {
             let config: Config = toml::from_str(text).unwrap();
@@ -518,12 +586,24 @@ mod tests {
         assert!(fault("[router]\nconnect='udp/far:7447'").starts_with("router.connect"));
         assert!(fault("[router]\nconnect='tcp/localhost:7447#x=1'").starts_with("router.connect"));
         let near = "[router]\nconnect='tcp/localhost:7447'\n";
+        for address in ["tcp/localhost:0", "tcp/localhost:+1", "tcp/localhost:70000", "tcp/:1"] {
+            assert!(fault(&format!("[router]\nconnect='{address}'")).starts_with("router.connect"), "{address}");
+        }
+        for address in ["tcp/far:7447", "tls/localhost:7447", "tcp/localhost", "tcp/localhost:0", "localhost:7447"] {
+            assert!(fault(&format!("[ros2]\nconnect='{address}'")).starts_with("ros2.connect"), "{address}");
+        }
         assert!(fault(&format!("{near}[robot]\nname='my robot'")).contains("robot.key"));
         assert!(fault(&format!("{near}[site]\nname='a/**'")).starts_with("site.name"));
         assert!(fault(&format!("{near}[[narrator]]\nname='a'\n[[narrator]]\nname='a'")).contains("twice"));
+        let own =
+            fault(&format!("{near}[ros2]\nconnect='tcp/localhost:7447'\nnarration=true\n[[narrator]]\nname='ros2'"));
+        assert!(own.starts_with("narrator.name"), "{own}");
         assert!(toml::from_str::<Config>("[router]\nconect='x'").is_err());
         let good: Config = toml::from_str(near).unwrap();
         good.check_robot().unwrap();
         assert!(good.check_hub().unwrap_err().to_string().starts_with("hub.name"));
+        let twice = format!("{near}[hub]\nname='a'\nrobots=['b','b']\nspool='c'");
+        let twice: Config = toml::from_str(&twice).unwrap();
+        assert!(twice.check_hub().unwrap_err().to_string().contains("twice"));
     }
 }

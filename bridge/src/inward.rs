@@ -7,7 +7,7 @@ use roomcast_ipc::{Domain, IpcError, NarrationV1, Publisher, RoomScoresV1, Subsc
 use roomcast_ros2::types;
 use zenoh::bytes::ZBytes;
 
-use crate::config::Config;
+use crate::config::{Config, ROS2_NARRATOR};
 use crate::delay::Delay;
 use crate::keys::Keys;
 use crate::limiter::Limiter;
@@ -24,8 +24,7 @@ const TICK: Duration = Duration::from_millis(50);
 const SAY_NS: u64 = 1_000_000_000;
 /// A daemon that was silent for so long is away.
 const SILENCE_NS: u64 = 2_000_000_000;
-/// The narrator whose words are strings of ROS 2, and how many of them reach the daemon a second.
-const ROS2: &str = "ros2";
+/// How many words of ROS 2 reach the daemon a second.
 const RATE_PER_S: f64 = 100.0;
 /// After so many repetitions that nobody takes, the log says what may be wrong.
 const REPEATS: u32 = 2;
@@ -100,7 +99,7 @@ pub fn run(
     }
     if config.ros2.narration {
         let from = From::Ros2 { epoch: sequence::random_epoch(), next: 1 };
-        narrators.push(Narrator::new(ROS2, RATE_PER_S, from, node.publisher()?));
+        narrators.push(Narrator::new(ROS2_NARRATOR, RATE_PER_S, from, node.publisher()?));
     }
     let mut message = Box::<RoomScoresV1>::default();
     let (mut log, mut alive_ns) = (Limiter::default(), 0);

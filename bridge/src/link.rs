@@ -2,6 +2,8 @@
 
 use std::any::Any;
 use std::collections::BTreeMap;
+use std::io;
+use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -19,10 +21,14 @@ const OPEN_AGAIN: Duration = Duration::from_secs(1);
 const LOOK: Duration = Duration::from_millis(200);
 /// A session whose connection does not come back by itself is opened again.
 const REOPEN: Duration = Duration::from_secs(30);
+/// How long a look at a router's port takes at most, where no session comes about.
+const LOOK_AT_PORT: Duration = Duration::from_secs(1);
 /// The same failure is told of once in so long.
 const QUIET: Duration = Duration::from_secs(60);
 /// How long a connection may be silent before it counts as cut. Each side says something four times in that.
 const LEASE_MS: u64 = 5_000;
+/// More bytes of one message are dropped before they are put together, whoever sent them: zenoh's own bound is a gigabyte.
+pub const MESSAGE_BYTES_MAX: usize = 2 << 20;
 
 /// Why there is no link.
 #[derive(Debug, thiserror::Error)]
@@ -32,7 +38,7 @@ pub enum LinkError {
     Config(zenoh::Error),
     /// The system gives no thread.
     #[error("cannot start the thread of the link: {0}; is a limit on tasks set too low?")]
-    Thread(std::io::Error),
+    Thread(io::Error),
 }
 
 /// What is declared at every session: subscribers, queryables and tokens, which hold as long as they are kept.
@@ -81,6 +87,7 @@ pub fn client(router: &Router) -> Result<Config, LinkError> {
     set("scouting/gossip/enabled", false.into())?;
     set("timestamping/enabled", true.into())?;
     set("transport/link/tx/lease", LEASE_MS.into())?;
+    set("transport/link/rx/max_message_size", MESSAGE_BYTES_MAX.into())?;
     if router.connect.starts_with("tls/") {
         let file = |path: &Option<std::path::PathBuf>| path.as_ref().map(|path| path.display().to_string());
         set("transport/link/tls/root_ca_certificate", file(&router.ca).into())?;
@@ -170,7 +177,8 @@ fn turn(shared: &Shared, config: &Config, router: &str, declare: &Declare) {
             Err(error) => {
                 if told.is_none_or(|told| told.elapsed() >= QUIET) {
                     told = Some(Instant::now());
-                    tracing::warn!(router, %error, "no connection, trying again");
+                    let why = why(router).unwrap_or_else(|| first_words(&error.to_string()));
+                    tracing::warn!(router, why, "no connection, trying again");
                 }
                 let start = Instant::now();
                 while start.elapsed() < OPEN_AGAIN && !stop() {
@@ -179,6 +187,29 @@ fn turn(shared: &Shared, config: &Config, router: &str, declare: &Declare) {
             }
         }
     }
+}
+
+/// Why there is no session, as far as a look at the port tells: zenoh says only that there is none.
+fn why(router: &str) -> Option<String> {
+    let (protocol, address) = router.split_once('/')?;
+    let reached = address.to_socket_addrs().and_then(|mut addresses| {
+        let first = addresses.next().ok_or(io::ErrorKind::NotFound)?;
+        TcpStream::connect_timeout(&first, LOOK_AT_PORT)
+    });
+    match reached {
+        Err(error) => Some(error.to_string()),
+        Ok(_) if protocol == "tls" => Some(
+            "somebody listens there, and no session comes about: is its certificate of router.ca and for this host, and router.certificate \
+             of an authority that it knows, with its own router.key?"
+                .to_owned(),
+        ),
+        Ok(_) => None,
+    }
+}
+
+/// zenoh's errors end with places in its own source.
+fn first_words(error: &str) -> String {
+    error.split(" at /").next().unwrap_or_default().trim().to_owned()
 }
 
 /// Watches a session until it is to end.
@@ -200,5 +231,23 @@ fn watch(shared: &Shared, router: &str) {
             return;
         }
         std::thread::sleep(LOOK);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::TcpListener;
+
+    use super::*;
+
+    #[test]
+    fn it_is_said_why_there_is_no_session() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        assert!(why(&format!("tls/{address}")).unwrap().contains("router.certificate"));
+        assert_eq!(why(&format!("tcp/{address}")), None);
+        drop(listener);
+        assert!(why(&format!("tcp/{address}")).unwrap().contains("refused"));
+        assert_eq!(first_words("Unable to connect! at /home/a/b.rs:1."), "Unable to connect!");
     }
 }

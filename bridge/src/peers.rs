@@ -101,10 +101,17 @@ impl Peers {
     ///
     /// [`Fault`] for what is no message of a robot.
     pub fn hear(&mut self, heard: &Heard) -> Result<Option<DecisionV1>, Fault> {
-        if heard.robot == self.own || (self.peers.len() >= PEERS_MAX && !self.peers.contains_key(&heard.robot)) {
+        if heard.robot == self.own {
             return Ok(None);
         }
         let stamp: Stamp = wire::read(&heard.bytes)?;
+        if self.peers.len() >= PEERS_MAX && !self.peers.contains_key(&heard.robot) {
+            // One that has left gives its place.
+            let Some(left) = self.peers.iter().find(|(_, peer)| peer.silent).map(|(robot, _)| robot.clone()) else {
+                return Ok(None);
+            };
+            self.peers.remove(&left);
+        }
         let decision = match heard.topic.as_str() {
             "decision" => Some(wire::read::<Decision>(&heard.bytes)?),
             _ => None,
@@ -257,6 +264,11 @@ mod tests {
         for robot in 0..1000 {
             let _heard = peers.hear(&heard(&robot.to_string(), "decision", told(1, "hall"), 1)).unwrap();
         }
+        assert!(peers.peers.len() <= PEERS_MAX);
+        // Those that have left give their places to others.
+        assert_eq!(peers.fallen_silent(60 * S).len(), PEERS_MAX);
+        let newcomer = peers.hear(&heard("newcomer", "decision", told(1, "hall"), 60 * S)).unwrap();
+        assert_eq!(newcomer.map(|decision| decision.to().to_owned()).as_deref(), Some("hall"));
         assert!(peers.peers.len() <= PEERS_MAX);
     }
 }

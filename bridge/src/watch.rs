@@ -1,7 +1,10 @@
 //! What an operator sees: every message of every robot of the site as a line of JSON, and which robots come and go.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
@@ -17,8 +20,9 @@ use crate::link::{Declare, Link, LinkError};
 use crate::stop::Stop;
 use crate::wire::{Fault, Hex};
 
-/// Messages that wait to be printed; more are dropped.
+/// Messages that wait to be printed, and their bytes; more are dropped.
 const WAITING_MAX: usize = 1024;
+const WAITING_BYTES_MAX: usize = 16 << 20;
 /// Most bytes of a message.
 const BYTES_MAX: usize = 1 << 20;
 /// Clocks that are followed; of more, all are followed from the start again.
@@ -51,7 +55,8 @@ enum Heard {
 pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
     config.check_watch()?;
     let (to, heard) = sync_channel(WAITING_MAX);
-    let _link = Link::start(&config.router, declare(config.site.name.clone(), to))?;
+    let waiting = Arc::<AtomicUsize>::default();
+    let _link = Link::start(&config.router, declare(config.site.name.clone(), to, Arc::clone(&waiting)))?;
     let mut delays = BTreeMap::<u64, Delay>::new();
     let mut out = io::stdout().lock();
     while !stop.requested() {
@@ -65,19 +70,38 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
         };
         let line = match heard {
             Heard::Alive { key, alive } => json!({ "key": key, "alive": alive }),
-            Heard::Said { key, bytes, now_ns } => match read(&key, &bytes) {
-                Ok(mut message) => {
-                    aged(&mut message, &mut delays, now_ns);
-                    message.insert("key".to_owned(), key.into());
-                    message.insert("received_ns".to_owned(), now_ns.into());
-                    Value::Object(message)
+            Heard::Said { key, bytes, now_ns } => {
+                waiting.fetch_sub(bytes.len(), Ordering::Relaxed);
+                match read(&key, &bytes) {
+                    Ok(mut message) => {
+                        aged(&mut message, &mut delays, now_ns);
+                        message.insert("key".to_owned(), key.into());
+                        message.insert("received_ns".to_owned(), now_ns.into());
+                        Value::Object(message)
+                    }
+                    Err(fault) => json!({ "key": key, "fault": fault.to_string() }),
                 }
-                Err(fault) => json!({ "key": key, "fault": fault.to_string() }),
-            },
+            }
         };
-        writeln!(out, "{line}").and_then(|()| out.flush()).map_err(WatchError::Print)?;
+        let line = line.to_string();
+        writeln!(out, "{}", harmless(&line)).and_then(|()| out.flush()).map_err(WatchError::Print)?;
     }
     Ok(())
+}
+
+/// JSON that a terminal obeys in nothing: JSON itself escapes control characters below the space alone. Those above are in strings.
+fn harmless(json: &str) -> Cow<'_, str> {
+    if !json.contains(char::is_control) {
+        return Cow::Borrowed(json);
+    }
+    let mut escaped = String::with_capacity(json.len() + 16);
+    for character in json.chars() {
+        match u32::from(character) {
+            code if character.is_control() => escaped.push_str(&format!("\\u{code:04x}")),
+            _ => escaped.push(character),
+        }
+    }
+    Cow::Owned(escaped)
 }
 
 /// A robot's message: a JSON object, and of habits nothing but counts that can be.
@@ -106,14 +130,22 @@ fn aged(message: &mut Map<String, Value>, delays: &mut BTreeMap<u64, Delay>, now
     message.insert("held_up_ns".to_owned(), excess_ns.into());
 }
 
-fn declare(site: String, to: SyncSender<Heard>) -> Declare {
+fn declare(site: String, to: SyncSender<Heard>, waiting: Arc<AtomicUsize>) -> Declare {
     Box::new(move |session: &Session| {
         let said = {
-            let to = to.clone();
+            let (to, waiting) = (to.clone(), Arc::clone(&waiting));
             move |sample: Sample| {
-                if sample.payload().len() <= BYTES_MAX {
+                let length = sample.payload().len();
+                if length > BYTES_MAX {
+                    return;
+                }
+                let before = waiting.fetch_add(length, Ordering::Relaxed);
+                let sent = before + length <= WAITING_BYTES_MAX && {
                     let (key, bytes) = (sample.key_expr().to_string(), sample.payload().to_bytes().into_owned());
-                    let _dropped = to.try_send(Heard::Said { key, bytes, now_ns: clock::monotonic_ns() });
+                    to.try_send(Heard::Said { key, bytes, now_ns: clock::monotonic_ns() }).is_ok()
+                };
+                if !sent {
+                    waiting.fetch_sub(length, Ordering::Relaxed);
                 }
             }
         };
@@ -135,4 +167,19 @@ fn declare(site: String, to: SyncSender<Heard>) -> Declare {
         let tokens = session.liveliness().declare_subscriber(tokens).history(true).callback(seen).wait()?;
         Ok(vec![Box::new(subscriber), Box::new(tokens)])
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_printed_commands_no_terminal() {
+        let message = json!({ "key": "roomcast/home/\u{9b}2J/told", "reason": "\u{1b}[2J\u{7f}\u{85}Küche" });
+        let text = message.to_string();
+        let printed = harmless(&text);
+        assert!(!printed.contains(char::is_control), "{printed}");
+        assert_eq!(serde_json::from_str::<Value>(&printed).unwrap(), message);
+        assert!(matches!(harmless("{\"a\":\"Küche\"}"), Cow::Borrowed(_)));
+    }
 }

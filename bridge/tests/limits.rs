@@ -2,13 +2,14 @@
 
 use std::path::Path;
 
-use roomcast_bridge::{ask, config, habits, inward, line, peers, relay, wire};
+use roomcast_bridge::{ask, config, habits, inward, line, link, peers, relay, wire};
 
 #[test]
 fn the_page_states_the_limits_of_the_code() {
     let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/fleet.md")).unwrap();
     for (what, most) in [
         ("narrators elsewhere, each with a port of its own", config::NARRATORS_MAX.to_string()),
+        ("bytes of any message", link::MESSAGE_BYTES_MAX.to_string()),
         ("bytes of a narration's message", wire::BYTES_MAX.to_string()),
         ("messages of hubs that wait", inward::HEARD_MAX.to_string()),
         (

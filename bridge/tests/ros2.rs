@@ -23,15 +23,7 @@ fn another_implementation_hears_every_topic_and_narrates() {
     let folder = tempfile::tempdir().unwrap();
     let port = free_port();
     let _router = router(folder.path(), &python, port);
-    // A map of 8 m by 8 m around the shipped flat.
-    std::fs::write(folder.path().join("map.pgm"), b"P5\n160 160\n255\n").unwrap();
-    let map = folder.path().join("map.yaml");
-    std::fs::write(&map, "image: map.pgm\nresolution: 0.1\norigin: [-1.0, -1.0, 0.0]\n").unwrap();
-    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes/flat.json");
-    let more = format!(
-        "[ros2]\nconnect = \"tcp/127.0.0.1:{port}\"\nnarration = true\nscene = {scene:?}\nmap = {map:?}\nmask_s = 0.1\n"
-    );
-    let _robot = Robot::start_in("robot-1", "", &[], &more, Some(&scene));
+    let _robot = Robot::start_with_ros2(folder.path(), port);
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/ros2.py");
     let output = Command::new(python).arg(script).arg(port.to_string()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

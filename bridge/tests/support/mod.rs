@@ -28,7 +28,8 @@ pub fn skipped(reason: &str) {
     let _unread = std::io::stderr().write_all(line.as_bytes());
 }
 
-fn target() -> PathBuf {
+/// Where everything is built.
+pub fn target() -> PathBuf {
     PathBuf::from(env!("CARGO_BIN_EXE_roomcast-bridge")).ancestors().nth(2).unwrap().to_owned()
 }
 
@@ -101,6 +102,10 @@ impl Process {
     pub fn signal(&self, signal: Signal) {
         let child = self.child.as_ref().unwrap();
         kill_process(Pid::from_child(child), signal).unwrap();
+    }
+
+    pub fn id(&self) -> u32 {
+        self.child.as_ref().unwrap().id()
     }
 
     pub fn is_alive(&mut self) -> bool {
@@ -180,6 +185,18 @@ impl Robot {
         );
         let heard: String = narrators.iter().map(|narrator| format!("[[narrator]]\nname = {narrator:?}\n")).collect();
         Self::start_with(name, way, &robot, &format!("{more}\n{heard}"))
+    }
+
+    /// One that speaks to ROS 2 alone, with a map of 8 m by 8 m around the shipped flat.
+    pub fn start_with_ros2(folder: &Path, port: u16) -> Self {
+        std::fs::write(folder.join("map.pgm"), b"P5\n160 160\n255\n").unwrap();
+        let map = folder.join("map.yaml");
+        std::fs::write(&map, "image: map.pgm\nresolution: 0.1\norigin: [-1.0, -1.0, 0.0]\n").unwrap();
+        let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes/flat.json");
+        let more = format!(
+            "[ros2]\nconnect = \"tcp/127.0.0.1:{port}\"\nnarration = true\nscene = {scene:?}\nmap = {map:?}\nmask_s = 0.1\n"
+        );
+        Self::start_in("robot-1", "", &[], &more, Some(&scene))
     }
 
     /// As [`Robot::start`], with a configuration of daemon and planner of its own.
