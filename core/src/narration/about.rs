@@ -1,7 +1,7 @@
 //! Whom a plain sentence is about. What is not understood is about nobody: nobody is moved by it.
 
 use super::clause::{self, NAME_WORDS_MAX, Word};
-use super::{deeds, reading};
+use super::deeds;
 
 /// Whom a plain sentence is about.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -133,6 +133,7 @@ fn later_subject(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::narration::reading;
 
     fn of(sentence: &str) -> String {
         let mut known = |name: &str| ["ada", "ben", "tom", "mr. klein", "lucas"].contains(&name);

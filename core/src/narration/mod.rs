@@ -214,11 +214,14 @@ impl Said {
 
     /// Whether a sentence may say things of several persons who are not all in its subject.
     fn may_be_several(sentence: &Sentence) -> bool {
-        [Fact::MaybeSeveral, Fact::MayHaveCompanions].into_iter().any(|fact| reading::is(fact, sentence.as_str()))
+        let text = sentence.as_str();
+        reading::is(Fact::MaybeSeveral, text, |plain| {
+            several::may_be_several(text) || clause::may_have_companions(plain)
+        })
     }
 
-    fn is(&self, fact: Fact) -> bool {
-        self.sentence().is_some_and(|sentence| reading::is(fact, sentence.as_str()))
+    fn is(&self, fact: Fact, read: impl FnOnce(&str) -> bool) -> bool {
+        self.sentence().is_some_and(|sentence| reading::is(fact, sentence.as_str(), read))
     }
 
     /// The statement that a sentence is, if it is one.
@@ -388,26 +391,26 @@ impl Said {
     /// Whether it says of a device that something has ended, which anything may have ended: "The light is off."
     #[must_use]
     pub fn is_of_an_end(&self) -> bool {
-        self.is(Fact::IsOfAnEnd)
+        self.is(Fact::IsOfAnEnd, clause::is_of_an_end)
     }
 
     /// Whether it says what somebody may do who is not there: "Ada calls.", "Ben is on his way.", "They will be home soon."
     #[must_use]
     pub fn is_from_afar(&self) -> bool {
-        self.is(Fact::IsFromAfar)
+        self.is(Fact::IsFromAfar, clause::is_from_afar)
     }
 
     /// Whether it says what somebody is, or where they go, and not that they are or come home: "Ada is at the gym.", "Ben flies to Rome.", "Ada is
     /// late." Whether that is in the house, only who knows the map can tell.
     #[must_use]
     pub fn may_be_elsewhere(&self) -> bool {
-        self.is(Fact::MayBeElsewhere)
+        self.is(Fact::MayBeElsewhere, clause::may_be_elsewhere)
     }
 
     /// Whether it is about somebody by a pronoun: "They open the fridge."
     #[must_use]
     pub fn is_of_a_pronoun(&self) -> bool {
-        self.is(Fact::IsOfAPronoun)
+        self.is(Fact::IsOfAPronoun, clause::is_of_a_pronoun)
     }
 
     /// Whether it is about so many who are there and no others, and how many: "They both go to bed." is of two, "All three leave." of three.
@@ -423,7 +426,7 @@ impl Said {
     #[must_use]
     pub fn is_of_guests(&self) -> bool {
         match self {
-            Self::Sentence(_) => self.is(Fact::IsDeedOfGuests),
+            Self::Sentence(_) => self.is(Fact::IsDeedOfGuests, clause::is_deed_of_guests),
             Self::Presence(statement) => statement.is_of_guests(),
         }
     }
@@ -431,31 +434,31 @@ impl Said {
     /// Whether it says what everybody does who is there: "Everybody goes to bed."
     #[must_use]
     pub fn is_of_all(&self) -> bool {
-        self.is(Fact::IsDeedOfAll)
+        self.is(Fact::IsDeedOfAll, clause::is_deed_of_all)
     }
 
     /// Whether it says that its person goes home: who does not live here leaves then.
     #[must_use]
     pub fn goes_home(&self) -> bool {
-        self.is(Fact::GoesHome)
+        self.is(Fact::GoesHome, clause::goes_home)
     }
 
     /// Whether it says that its person visits somebody by name: who does not live here comes then, and who does goes.
     #[must_use]
     pub fn is_visit(&self) -> bool {
-        self.is(Fact::IsVisit)
+        self.is(Fact::IsVisit, clause::is_visit)
     }
 
     /// Whether it says what its person left behind, wherever they are now: "Ada left the light on in the office."
     #[must_use]
     pub fn is_of_what_was_left(&self) -> bool {
-        self.is(Fact::IsOfWhatWasLeft)
+        self.is(Fact::IsOfWhatWasLeft, clause::is_of_what_was_left)
     }
 
     /// Whether it tells of a guest beside those who are known: "A guest arrives."
     #[must_use]
     pub fn is_of_a_new_guest(&self) -> bool {
-        self.is(Fact::IsOfANewGuest)
+        self.is(Fact::IsOfANewGuest, clause::is_of_a_new_guest)
     }
 
     /// Whether any guest is called so: "guest", "visitor".
@@ -482,20 +485,23 @@ impl Said {
     /// Whether it is what somebody says who has come home: "I'm home!"
     #[must_use]
     pub fn is_own_arrival(&self) -> bool {
-        self.is(Fact::IsOwnArrival)
+        self.is(Fact::IsOwnArrival, clause::is_own_arrival)
     }
 
     /// Whether it says that its person goes to an office: where the map has none by that name, to the one out of the house.
     #[must_use]
     pub fn goes_to_an_office(&self) -> bool {
-        self.is(Fact::GoesToAnOffice)
+        self.is(Fact::GoesToAnOffice, clause::goes_to_an_office)
     }
 
     /// Whether it says where something is that is no person, or does not tell whose place it says: "The robot is in the kitchen.", "Somebody else
     /// is in the kitchen.", "Tom is not in the study."
     #[must_use]
     pub fn moves_nobody(&self) -> bool {
-        self.is(Fact::MovesNobody)
+        self.sentence().is_some_and(|sentence| {
+            let first = several::sentences(sentence.as_str()).next().unwrap_or_default();
+            reading::is(Fact::MovesNobody, first, clause::moves_nobody)
+        })
     }
 
     /// Whom a sentence is about; `is_known` says whether a name is a person's. A statement has names of its own.
@@ -540,7 +546,7 @@ impl Said {
     /// Whether it tells what somebody says to others, whatever place that mentions.
     #[must_use]
     pub fn is_speech(&self) -> bool {
-        self.is(Fact::IsSpeech)
+        self.is(Fact::IsSpeech, clause::is_speech)
     }
 
     /// Whether somebody of whom nobody has told yet may go by a name in a sentence.

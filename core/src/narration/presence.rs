@@ -153,11 +153,12 @@ impl PresenceStatement {
     /// everybody: "Nobody is home." None where it says something else.
     #[must_use]
     pub fn of_sentence(sentence: &str) -> Option<Self> {
-        reading::statement(sentence)
+        // Most say nothing of that.
+        let is_any = reading::is(Fact::IsStatement, sentence, |plain| Self::of_plain(plain).is_some());
+        is_any.then(|| reading::with_plain(sentence, Self::of_plain)).flatten()
     }
 
-    /// What a sentence in plain form says.
-    pub(super) fn of_plain(said: &str) -> Option<Self> {
+    fn of_plain(said: &str) -> Option<Self> {
         let Clause { subject, presence, room, is_state, .. } = Clause::read(said)?;
         let of = |whose| Some(Self { whose, ..Self::new(presence, room).ok()? });
         let of_names = |whose, names: &[&str]| Some(of(whose)?.with_subjects(names));
@@ -183,7 +184,7 @@ impl PresenceStatement {
     /// Whether a plain sentence says that its person comes home: who is there already is not meant.
     #[must_use]
     pub fn is_arrival(sentence: &str) -> bool {
-        reading::is(Fact::IsArrival, sentence)
+        reading::is(Fact::IsArrival, sentence, clause::is_arrival)
     }
 
     fn with_subject(self, subject: &str) -> Self {
