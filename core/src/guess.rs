@@ -62,11 +62,18 @@ struct Following {
 }
 
 impl Following {
-    fn add(&mut self, form: u32, times: f64) {
+    /// Gives how many counts there are more than before.
+    fn add(&mut self, form: u32, times: f64) -> usize {
         self.times += times;
         match self.by_form.iter_mut().find(|(known, _)| *known == form) {
-            Some((_, known)) => *known += times,
-            None => self.by_form.push((form, times)),
+            Some((_, known)) => {
+                *known += times;
+                0
+            }
+            None => {
+                self.by_form.push((form, times));
+                1
+            }
         }
     }
 
@@ -129,7 +136,9 @@ pub struct Guesser {
     /// How often each thing stood anywhere.
     times: HashMap<String, f64>,
     all_times: f64,
+    /// Counts of things, and of what follows what.
     counts: usize,
+    followers: usize,
     things: HashMap<String, Thing>,
     chances: Vec<f64>,
 }
@@ -148,6 +157,7 @@ impl Guesser {
             times: HashMap::new(),
             all_times: 0.0,
             counts: 0,
+            followers: 0,
             things: HashMap::new(),
             chances: Vec::new(),
         };
@@ -158,13 +168,13 @@ impl Guesser {
             let (Some(before), Some(next)) = (number(&mut guesser, before), number(&mut guesser, next)) else {
                 continue;
             };
-            guesser.any.add(next, times);
-            guesser.after.entry(before).or_default().add(next, times);
+            let _new = guesser.any.add(next, times);
+            guesser.followers += guesser.after.entry(before).or_default().add(next, times);
         }
         for &(before, last, next, times) in &seed.after_two {
             let numbers = [before, last, next].map(|form| number(&mut guesser, form));
             let [Some(before), Some(last), Some(next)] = numbers else { continue };
-            guesser.after_two.entry((before, last)).or_default().add(next, times);
+            guesser.followers += guesser.after_two.entry((before, last)).or_default().add(next, times);
         }
         for (form, place, thing, times) in &seed.things {
             let Some(form) = seed.forms.get(*form as usize) else { continue };
@@ -177,11 +187,7 @@ impl Guesser {
     /// Whether it can learn nothing new: time to begin again, or whoever says many different sentences would end all learning for good.
     #[must_use]
     pub fn is_full(&self) -> bool {
-        self.forms.len() >= FORMS_MAX || self.counts >= COUNTS_MAX || self.contexts() >= COUNTS_MAX
-    }
-
-    fn contexts(&self) -> usize {
-        self.after.len() + self.after_two.len()
+        self.forms.len() >= FORMS_MAX || self.counts >= COUNTS_MAX || self.followers >= COUNTS_MAX
     }
 
     /// Takes the labels of a changed map.
@@ -294,10 +300,10 @@ impl Guesser {
             && let Some(next) = self.number(typed)
         {
             let [before, last] = thread.forms;
-            self.any.add(next, HOME_WEIGHT);
-            if self.contexts() < COUNTS_MAX {
-                self.after.entry(last).or_default().add(next, HOME_WEIGHT);
-                self.after_two.entry((before, last)).or_default().add(next, HOME_WEIGHT);
+            let _new = self.any.add(next, HOME_WEIGHT);
+            if self.followers < COUNTS_MAX {
+                self.followers += self.after.entry(last).or_default().add(next, HOME_WEIGHT);
+                self.followers += self.after_two.entry((before, last)).or_default().add(next, HOME_WEIGHT);
             }
             for (place, thing) in things.iter().enumerate() {
                 self.stand(bare, place, thing, HOME_WEIGHT);
@@ -489,7 +495,9 @@ mod tests {
         }
         assert!(guesser.is_full());
         assert!(guesser.forms.len() <= FORMS_MAX);
-        assert!(guesser.contexts() <= COUNTS_MAX + 2);
+        let followers = guesser.after.values().chain(guesser.after_two.values()).map(|own| own.by_form.len());
+        assert_eq!(followers.sum::<usize>(), guesser.followers);
+        assert!(guesser.followers <= COUNTS_MAX + 2);
         assert!(guesser.guess(&thread, &evenly(), 64).len() <= 64);
     }
 }

@@ -174,6 +174,7 @@ pub(super) fn answer<M: LanguageModel>(
         HabitsQuestion::Forget { who: None, .. } => {
             board.habits_mut().forget_all();
             board.bind_habits();
+            board.forget_ahead();
             after = After::Forget;
             Ok(())
         }

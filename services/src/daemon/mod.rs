@@ -33,7 +33,8 @@ use habits_file::Keeper;
 use inbox::{Counters, Inbox, Lending};
 
 use roomcast_core::guess::Counts;
-use roomcast_core::scorer::{LanguageModel, TokenCounter};
+use roomcast_core::scorer::certified::Effort;
+use roomcast_core::scorer::{LanguageModel, Method, TokenCounter};
 use roomcast_llama::affinity::{self, AffinityError};
 use scoring::{Ports, Scoring, Tools};
 
@@ -48,6 +49,7 @@ mod inbox;
 mod intake;
 pub mod journal;
 mod map_change;
+mod pace;
 mod person_question;
 mod persons;
 mod persons_file;
@@ -224,8 +226,10 @@ fn load<M: LanguageModel + Send + 'static>(
         None => (None, Memory::new(config.habits.options())),
     };
     let counts = Counts::from_json(embedded::FORMS).unwrap_or_default();
-    // Without a model there is nothing to wait for.
-    let prepare = if pipeline.model().parameters > 0 { config.scoring.prepare } else { 0 };
+    // Without a model there is nothing to wait for; other efforts and methods have no answers to keep.
+    let (scoring, is_model) = (&config.scoring, pipeline.model().parameters > 0);
+    let may_prepare = is_model && scoring.effort == Effort::Exact && scoring.method == Method::Trie;
+    let prepare = if may_prepare { scoring.prepare } else { 0 };
     let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?
         .with_persons(Persons::new(config.persons.clone(), names))
         .with_forecast(config.forecast)

@@ -19,6 +19,7 @@ use super::habits_question::{self, After, HabitsAnswer, HabitsQuestion, Importin
 use super::inbox::{Counters, Heard, Lending};
 use super::journal::JournalHandle;
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
+use super::pace::Pace;
 use super::person_question::{PersonAnswer, PersonQuestion};
 use super::{LOG_INTERVAL_NS, Progress};
 use crate::logging::Limiter;
@@ -30,12 +31,6 @@ use roomcast_core::scorer::LanguageModel;
 const TICK: Duration = Duration::from_millis(250);
 /// While a step that takes less runs, the port holds what comes: another thread that is woken for it takes a core from the step.
 const SHORT_STEP_NS: u64 = 5_000_000;
-/// Silence before answers are prepared: a burst of narration is not held up by them.
-const QUIET_NS: u64 = 50_000_000;
-/// Where one answer takes longer, none is prepared: an event that comes meanwhile waits for its end.
-const PREPARE_STEP_NS_MAX: u64 = 5_000_000;
-/// So many in a row are no accident of a busy machine.
-const SLOW_ANSWERS_MAX: u32 = 8;
 /// Scores wait at most this long for the journal; after that they are sent without claiming what it does not hold yet.
 const JOURNAL_PATIENCE: Duration = Duration::from_millis(5);
 
@@ -87,11 +82,8 @@ pub(super) struct Scoring<M> {
     inbox: Lending,
     /// What the last step took, as a guess at the next.
     step_ns: u64,
-    /// When the next answer is prepared, none where they take too long; and what that may take of a core.
-    prepare_at_ns: Option<u64>,
-    prepare_share: f64,
-    /// Answers in a row that took too long.
-    slow_answers: u32,
+    /// When answers are prepared.
+    pace: Pace,
     /// What a sentence may cost with the map in use, for the intake.
     sentence_tokens_max: Arc<AtomicUsize>,
     journal: Option<JournalHandle>,
@@ -135,9 +127,7 @@ impl<M: LanguageModel> Scoring<M> {
             saved_ns: clock::monotonic_ns(),
             inbox,
             step_ns: u64::MAX,
-            prepare_at_ns: Some(0),
-            prepare_share,
-            slow_answers: 0,
+            pace: Pace::new(prepare_share),
             sentence_tokens_max,
             journal,
             counters,
@@ -257,19 +247,17 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// How long until the next answer is prepared.
     fn until_prepare_ns(&self, now_ns: u64) -> u64 {
-        let at_ns = self.prepare_at_ns.filter(|_| self.cycle.board().is_preparing());
-        at_ns.map_or(u64::MAX, |at_ns| at_ns.saturating_sub(now_ns))
+        if self.cycle.board().is_preparing() { self.pace.at_ns().saturating_sub(now_ns) } else { u64::MAX }
     }
 
     /// Prepares one answer, if it is time; after an event there is silence first.
     fn prepare(&mut self, is_after_event: bool) {
-        let Some(at_ns) = self.prepare_at_ns else { return };
         let start_ns = clock::monotonic_ns();
         if is_after_event {
-            self.prepare_at_ns = Some(start_ns.saturating_add(QUIET_NS));
+            self.pace.after_event(start_ns);
             return;
         }
-        if start_ns < at_ns || !self.cycle.board().is_preparing() || self.inbox.has_more() {
+        if start_ns < self.pace.at_ns() || !self.cycle.board().is_preparing() || self.inbox.has_more() {
             return;
         }
         let before = self.cycle.board().prepared().prepared;
@@ -279,12 +267,14 @@ impl<M: LanguageModel> Scoring<M> {
         let end_ns = clock::monotonic_ns();
         let took_ns = end_ns.saturating_sub(start_ns);
         self.tally.prepare_ns += took_ns;
-        self.prepare_at_ns = Some(end_ns.saturating_add((took_ns as f64 * (1.0 / self.prepare_share - 1.0)) as u64));
         let is_answer = self.cycle.board().prepared().prepared > before;
-        self.slow_answers = if is_answer && took_ns > PREPARE_STEP_NS_MAX { self.slow_answers + 1 } else { 0 };
-        if self.slow_answers >= SLOW_ANSWERS_MAX {
-            tracing::info!(took_ns, "no answers are prepared: with this model one takes longer than an event may wait");
-            self.prepare_at_ns = None;
+        if let Some(pause_ns) = self.pace.took(took_ns, is_answer, end_ns) {
+            let (took_us, pause_s) = (took_ns / 1000, pause_ns / 1_000_000_000);
+            tracing::info!(
+                took_us,
+                pause_s,
+                "no answers are prepared for a while: one takes longer than an event may wait"
+            );
         }
     }
 

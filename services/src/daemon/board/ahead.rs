@@ -45,7 +45,7 @@ pub(super) struct Ahead {
     persons: BTreeMap<u32, Own>,
     /// Who did the last sentences.
     actors: Vec<u32>,
-    /// The likeliest last.
+    /// In reverse.
     waiting: Vec<(u32, Sentence)>,
     /// The scores that these follow.
     planned: u64,
@@ -67,7 +67,12 @@ impl Ahead {
         for (person, history) in pipeline.histories().iter() {
             let own = self.persons.entry(person).or_default();
             let told = history.left() + history.len() as u64;
-            let new = usize::try_from(told.saturating_sub(own.heard)).unwrap_or(usize::MAX).min(history.len());
+            let new = usize::try_from(told.saturating_sub(own.heard)).unwrap_or(usize::MAX);
+            if new > history.len() {
+                // What lies between is not known: these came after something else.
+                own.thread = Thread::default();
+            }
+            let new = new.min(history.len());
             for sentence in history.sentences().skip(history.len() - new) {
                 self.guesser.hear(&mut own.thread, sentence);
                 self.actors.push(person);
@@ -89,6 +94,9 @@ impl Ahead {
         }
         guesses.sort_by(|a, b| b.2.total_cmp(&a.2));
         guesses.truncate(self.most);
+        // The model keeps one window read: each person's answers in a row, and last of whoever acted last, who is the likeliest to go on.
+        let last = self.actors.last().copied();
+        guesses.sort_by_key(|(person, ..)| (Some(*person) == last, *person));
         let sentence = |(person, text, _): (u32, String, f64)| Some((person, Sentence::new(&text).ok()?));
         self.waiting.extend(guesses.into_iter().rev().filter_map(sentence));
         let persons: Vec<u32> = self.persons.keys().copied().collect();
@@ -176,7 +184,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Begins again with the training programs: somebody is forgotten, whose sentences it holds, or it can learn no more.
-    pub(super) fn forget_ahead(&mut self) {
+    pub(in crate::daemon) fn forget_ahead(&mut self) {
         let Some(ahead) = &mut self.ahead else { return };
         **ahead = Ahead {
             prepared: ahead.prepared,
