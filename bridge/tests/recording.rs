@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use roomcast_ipc::{Domain, RobotReportV1, RoomScoresV1};
+use roomcast_ipc::{DecisionV1, Domain, RobotReportV1, RoomScoresV1};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -51,12 +51,14 @@ fn two_other_implementations_read_a_recording_as_it_was_made() {
         let listeners = reports.listeners();
         (listeners.iter().filter(|name| *name == "roomcast-record").count() == 2).then_some(())
     });
+    let decisions = node.subscriber::<DecisionV1>().unwrap();
     let mut planner = start("planner.log", &["planner", "--room-time", "0.2"]);
     let lines = ["They walk to the kitchen.", "They open the fridge.", "They sit on the sofa."];
     let lines: String = lines.iter().map(|text| format!("{{\"person\": \"Ada\", \"text\": \"{text}\"}}\n")).collect();
     std::fs::write(path("lines"), lines).unwrap();
     let narrated = command(&["narrate", &path("lines"), "--pace", "0", "--linger", "100"]).output().unwrap();
     assert!(narrated.status.success(), "{narrated:?}");
+    eventually("a decision", || decisions.newest().unwrap());
     // Whoever speaks ends first, so that both hear the same end.
     for process in [&mut planner, &mut daemon].into_iter().chain(&mut recorders) {
         process.signal(Signal::TERM);
