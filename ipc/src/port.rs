@@ -887,9 +887,7 @@ pub(crate) fn occupied<F: PortFactory<Service = Flavour>>(
         }
         CallbackProgression::Continue
     });
-    if names.is_empty() {
-        node.free_places_of_nobody(holders, factory.service_hash());
-    }
+    node.free_places_of_nobody(holders, factory.service_hash());
     let holder = if names.is_empty() { "somebody".to_owned() } else { names.join(" or ") };
     OpenFailure::Passing(IpcError::Occupied { service, holder, role, limit })
 }

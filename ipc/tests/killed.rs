@@ -10,7 +10,8 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
 use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, NarrationV1, Node, RoomScoresV1, StatusResponseV1, narration_kind, question,
+    DecisionV1, Domain, ForecastV1, Message, NarrationV1, Node, RoomScoresV1, StatusResponseV1, narration_kind,
+    question,
 };
 
 /// Kills by default.
@@ -203,6 +204,23 @@ fn memory_that_never_got_its_size_keeps_nobody_waiting() {
     assert_eq!(files(&domain), Vec::<PathBuf>::new());
 }
 
+/// Removes a participant's entry, and ends it then: its places in services stay taken.
+fn end_without_entry(mut child: Child, domain: &Domain) {
+    let of_child = |path: &Path| {
+        let name = path.file_name().unwrap().to_string_lossy();
+        let number = name.trim_start_matches(&domain.prefix()).split('.').next().and_then(|id| id.parse::<u128>().ok());
+        number.is_some_and(|number| (number >> 64) as u32 == child.id())
+    };
+    let nodes = std::fs::read_dir(domain.root().join("nodes")).unwrap().map(|entry| entry.unwrap().path());
+    let entries: Vec<_> = nodes.filter(|path| of_child(path)).collect();
+    assert!(entries.len() > 1, "a folder and a monitor: {entries:?}");
+    for path in entries {
+        if path.is_dir() { std::fs::remove_dir_all(path).unwrap() } else { std::fs::remove_file(path).unwrap() }
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
 /// iceoryx2 may clean a dead participant away and leave its places in services taken. The entry is removed here by hand, before it dies.
 #[test]
 fn a_place_whose_holder_is_no_participant_any_more_comes_free() {
@@ -211,31 +229,39 @@ fn a_place_whose_holder_is_no_participant_any_more_comes_free() {
     // Somebody stays in the services, which would go with the last one otherwise.
     let node = domain.open("stays").unwrap();
     let scores = node.subscriber::<RoomScoresV1>().unwrap();
-    let mut child = start("daemon", &domain);
+    let child = start("daemon", &domain);
     let began = Instant::now();
     while scores.receive().unwrap().is_none() {
         assert!(began.elapsed() < Duration::from_secs(60), "the child sends nothing: {:#?}", files(&domain));
         std::thread::sleep(Duration::from_millis(5));
     }
-    let of_child = |path: &Path| {
-        let name = path.file_name().unwrap().to_string_lossy();
-        let number = name.trim_start_matches(&domain.prefix()).split('.').next().and_then(|id| id.parse::<u128>().ok());
-        number.is_some_and(|number| (number >> 64) as u32 == child.id())
-    };
-    let entries: Vec<_> =
-        std::fs::read_dir(root.path().join("nodes")).unwrap().map(|entry| entry.unwrap().path()).collect();
-    let entries: Vec<_> = entries.into_iter().filter(|path| of_child(path)).collect();
-    assert!(entries.len() > 1, "a folder and a monitor: {entries:?}");
-    for path in entries {
-        if path.is_dir() { std::fs::remove_dir_all(path).unwrap() } else { std::fs::remove_file(path).unwrap() }
-    }
-    child.kill().unwrap();
-    child.wait().unwrap();
+    end_without_entry(child, &domain);
     let next = node.publisher::<RoomScoresV1>().unwrap();
     next.send_unchecked(&RoomScoresV1 { sequence: 77, ..RoomScoresV1::default() }).unwrap();
     while scores.receive().unwrap().is_none_or(|scores| scores.is_ok_and(|scores| scores.sequence != 77)) {
         assert!(began.elapsed() < Duration::from_secs(60), "the next one's scores do not arrive");
     }
     drop((scores, next, node));
+    assert!(domain.clean_up().unwrap());
+}
+
+/// The same of one among several whose other holders live.
+#[test]
+fn a_place_of_nobody_comes_free_among_those_of_the_living() {
+    let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+    let domain = Domain::new(root.path(), &format!("among-{}", std::process::id())).unwrap();
+    let node = domain.open("stays").unwrap();
+    let heard = node.subscriber::<NarrationV1>().unwrap();
+    let child = start("narrator", &domain);
+    let began = Instant::now();
+    while heard.receive().unwrap().is_none() {
+        assert!(began.elapsed() < Duration::from_secs(60), "the child says nothing: {:#?}", files(&domain));
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let living: Vec<_> =
+        (1..NarrationV1::SERVICE.publishers).map(|_| node.publisher::<NarrationV1>().unwrap()).collect();
+    end_without_entry(child, &domain);
+    let last = node.publisher::<NarrationV1>().unwrap();
+    drop((heard, living, last, node));
     assert!(domain.clean_up().unwrap());
 }
