@@ -12,8 +12,7 @@ use iceoryx2::config::Config;
 use iceoryx2::identifiers::UniqueNodeId;
 use iceoryx2::node::{NodeDetails, NodeView};
 use iceoryx2::prelude::{
-    CallbackProgression, FileName, LogLevel, NodeBuilder, NodeName, NodeState, SemanticString, Service,
-    SignalHandlingMode,
+    CallbackProgression, FileName, LogLevel, NodeBuilder, NodeName, NodeState, SemanticString, SignalHandlingMode,
 };
 use iceoryx2::service::internal::ServiceInternal;
 use iceoryx2::service::ipc_threadsafe;
@@ -22,6 +21,7 @@ use rustix::fs::{FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use rustix::process::{Pid, geteuid, test_kill_process};
 
+use crate::unused::Unused;
 use crate::{IpcError, clock};
 
 /// The flavour of iceoryx2 used throughout: shared memory, and ports that may move between threads.
@@ -56,9 +56,6 @@ const JOINED_WITHIN: Duration = Duration::from_secs(10);
 const MADE_WITHIN: Duration = Duration::from_secs(2);
 /// How often a participant looks for shared memory that nobody will finish.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
-
-/// Services without memory: which file each has (its number, and when it was made), and since when that is known.
-type Halves = BTreeMap<PathBuf, ((u64, i64), Instant)>;
 
 /// The user's number in hexadecimal digits.
 fn user() -> String {
@@ -156,7 +153,14 @@ impl Domain {
             .create::<Flavour>()
             .map_err(|error| join(format!("{error:?}")))?;
         self.close_to_others();
-        Ok(Node { node, config, domain: self.clone(), _last: LastOut(self.clone()), _guardian: guardian })
+        Ok(Node {
+            node,
+            config,
+            domain: self.clone(),
+            unused: Mutex::default(),
+            _last: LastOut(self.clone()),
+            _guardian: guardian,
+        })
     }
 
     /// Removes what dead participants left, and, when nobody is left alive, everything of the domain: its shared memory, its files
@@ -247,28 +251,6 @@ impl Domain {
                 && age(&file).is_some_and(|age| age >= JOINED_WITHIN)
             {
                 let _removed = fs::remove_file(file);
-            }
-        }
-    }
-
-    /// Removes services that have had no memory for [`MADE_WITHIN`], as far as `halves` has seen them: their maker failed or was killed
-    /// between file and memory, or the last one that left could remove the memory only. iceoryx2 takes such a service for one that is being made, and lets nobody in.
-    fn remove_services_without_memory(&self, config: &Config, halves: &mut Halves) {
-        let (folder, prefix) = (self.root.join("services"), self.prefix());
-        let mut found = BTreeMap::new();
-        // A list that fails has named some, and the next one goes on.
-        let _listed = Flavour::list(config, |details| {
-            if details.dynamic_details.is_none() {
-                let path = folder.join(format!("{prefix}{}.service", details.static_details.service_hash().as_str()));
-                found.extend(fs::metadata(&path).ok().map(|about| (path, (about.ino(), about.ctime_nsec()))));
-            }
-            CallbackProgression::Continue
-        });
-        halves.retain(|path, (file, _)| found.get(path) == Some(file));
-        for (path, file) in found {
-            let (_, since) = halves.entry(path.clone()).or_insert((file, Instant::now()));
-            if since.elapsed() >= MADE_WITHIN {
-                let _removed = fs::remove_file(path);
             }
         }
     }
@@ -584,6 +566,7 @@ pub struct Node {
     node: iceoryx2::node::Node<Flavour>,
     config: Config,
     domain: Domain,
+    unused: Mutex<Unused>,
     /// After the node has left.
     _last: LastOut,
     /// Last, since leaving may have to wait for memory too.
@@ -703,6 +686,11 @@ impl Node {
     /// Removes what participants that died left behind; iceoryx2 does it when something is opened, a long-running process also
     /// by itself now and then.
     pub fn clean_up_dead(&self) {
+        self.remove_dead_participants();
+        self.remove_unused_services();
+    }
+
+    fn remove_dead_participants(&self) {
         self.domain.repair();
         if self.node.try_cleanup_dead_nodes().failed_cleanups > 0 {
             let mut dead = Vec::new();
@@ -715,6 +703,21 @@ impl Node {
             });
             for id in dead {
                 self.domain.remove_dead(id);
+            }
+        }
+    }
+
+    fn remove_unused_services(&self) {
+        // Whoever holds it looks at this moment.
+        let Ok(mut unused) = self.unused.try_lock() else { return };
+        let services = self.domain.root.join("services");
+        let closed = unused.remove(&self.node, &services, &self.domain.prefix(), MADE_WITHIN);
+        if closed.is_empty() {
+            return;
+        }
+        for file in self.domain.shared_memory().unwrap_or_default() {
+            if closed.iter().any(|ending| file.to_string_lossy().ends_with(ending)) {
+                let _removed = fs::remove_file(file);
             }
         }
     }
@@ -769,7 +772,7 @@ impl Node {
     pub(crate) fn retry<T>(&self, mut open: impl FnMut() -> Result<T, OpenFailure>) -> Result<T, IpcError> {
         refuse_full_shared_memory()?;
         let start = Instant::now();
-        let (mut pause, mut halves) = (Duration::from_millis(2), Halves::new());
+        let mut pause = Duration::from_millis(2);
         loop {
             match open() {
                 Ok(port) => {
@@ -786,9 +789,9 @@ impl Node {
                     });
                 }
                 Err(OpenFailure::Passing(_)) => {
-                    self.clean_up_dead();
+                    self.remove_dead_participants();
                     if start.elapsed() >= LIKELY_WITHIN {
-                        self.domain.remove_services_without_memory(&self.config, &mut halves);
+                        self.remove_unused_services();
                     }
                     std::thread::sleep(pause);
                     pause = (pause * 2).min(Duration::from_millis(100));

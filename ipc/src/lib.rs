@@ -71,6 +71,7 @@ mod port;
 pub mod question;
 pub mod sequence;
 pub mod text;
+mod unused;
 
 pub use domain::{Domain, Node};
 pub use error::{IpcError, MessageError};

@@ -5,6 +5,7 @@
 
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime};
@@ -264,4 +265,66 @@ fn a_place_of_nobody_comes_free_among_those_of_the_living() {
     let last = node.publisher::<NarrationV1>().unwrap();
     drop((heard, living, last, node));
     assert!(domain.clean_up().unwrap());
+}
+
+/// The files of a service as they are when whoever left it last was killed before they were removed: closed to others, or, killed a
+/// moment earlier, still open to them.
+fn leave_service_behind(domain: &Domain, closed: bool) {
+    let all = files(domain);
+    let node = domain.open("leaves").unwrap();
+    let scores = node.publisher::<RoomScoresV1>().unwrap();
+    let ending = |path: &Path| path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_owned();
+    let of_services: Vec<_> = files(domain)
+        .into_iter()
+        .filter(|path| !all.contains(path) && ["service", "dynamic"].contains(&ending(path).as_str()))
+        .map(|path| (std::fs::File::open(&path).unwrap(), std::fs::read(&path).unwrap(), path))
+        .collect();
+    // Messages and their wake-ups.
+    assert_eq!(of_services.len(), 4);
+    drop((scores, node));
+    for (mut file, before, path) in of_services {
+        assert!(!path.exists());
+        let mut after = Vec::new();
+        file.read_to_end(&mut after).unwrap();
+        if !closed {
+            // iceoryx2 sets the counter of changes of a list to all ones to close it. The number of a participant that it removes becomes
+            // all ones too, and that one is large.
+            for (after, before) in after.chunks_exact_mut(8).zip(before.chunks_exact(8)) {
+                if after == [0xff; 8] && before[2..] == [0; 6] {
+                    after.copy_from_slice(before);
+                }
+            }
+        }
+        std::fs::write(&path, after).unwrap();
+        std::fs::set_permissions(path, file.metadata().unwrap().permissions()).unwrap();
+    }
+}
+
+#[test]
+fn a_service_that_was_closed_and_not_removed_keeps_nobody_out() {
+    let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+    let domain = Domain::new(root.path(), &format!("closed-{}", std::process::id())).unwrap();
+    let node = domain.open("stays").unwrap();
+    leave_service_behind(&domain, true);
+    let scores = node.publisher::<RoomScoresV1>().unwrap();
+    drop((scores, node));
+    assert!(files(&domain).is_empty(), "{:#?}", files(&domain));
+}
+
+#[test]
+fn a_service_that_nobody_is_in_is_removed() {
+    let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+    let domain = Domain::new(root.path(), &format!("unused-{}", std::process::id())).unwrap();
+    let node = domain.open("stays").unwrap();
+    let own = files(&domain);
+    leave_service_behind(&domain, false);
+    assert_eq!(files(&domain).len(), own.len() + 4);
+    let began = Instant::now();
+    while files(&domain) != own {
+        assert!(began.elapsed() < Duration::from_secs(60), "{:#?}", files(&domain));
+        node.clean_up_dead();
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    drop(node);
+    assert!(files(&domain).is_empty(), "{:#?}", files(&domain));
 }
