@@ -1,14 +1,13 @@
 //! `roomcast init` and `roomcast doctor` over a home that is set up well, and with one mistake at a time: each is found, with what it is,
 //! where, and what to do. Real brokers, real processes.
 
-#![cfg(feature = "home")]
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
-
 use std::io::{Read, Write};
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant, SystemTime};
 
 use roomcast_ipc::Domain;
@@ -16,14 +15,14 @@ use serde_json::Value;
 use tungstenite::Message;
 
 #[expect(dead_code, reason = "a test needs some of them")]
-#[path = "../src/exit_code.rs"]
+#[path = "../../src/exit_code.rs"]
 mod exit_code;
 #[expect(dead_code, reason = "a test needs some of it")]
-#[path = "support/mosquitto.rs"]
+#[path = "../support/mosquitto.rs"]
 mod mosquitto;
-#[path = "support/robot_map.rs"]
+#[path = "../support/robot_map.rs"]
 mod robot_map;
-#[path = "support/skipped.rs"]
+#[path = "../support/skipped.rs"]
 mod skipped;
 
 use mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
@@ -384,7 +383,7 @@ fn password(home: &mut Home, wrong: bool) -> bool {
     true
 }
 
-const MISTAKES: [Mistake; 34] = [
+static MISTAKES: [Mistake; 34] = [
     Mistake {
         name: "the broker's port",
         make: |home| home.edit("roomcast.toml", &home.port.to_string(), &free_port().to_string()),
@@ -745,21 +744,33 @@ const MISTAKES: [Mistake; 34] = [
 
 #[test]
 fn the_doctor_finds_each_mistake() {
-    let mut faults = Vec::new();
-    for Mistake { name, make, check, verdict, found, remedy, code } in MISTAKES {
-        let Some(mut home) = Home::new("doctor") else { return };
-        home.good();
-        make(&mut home);
-        let (ended, findings) = home.doctor();
-        let finding = finding(&findings, check);
-        let as_expected = finding["verdict"] == verdict
-            && text(finding, "found").contains(found)
-            && text(finding, "remedy").contains(remedy)
-            && ended == i32::from(code);
-        if !as_expected {
-            faults.push(format!("{name}: code {ended}, {finding:#}"));
+    // Each mostly waits, so several homes at a time.
+    let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    let work = |worker: usize| {
+        while let Some(Mistake { name, make, check, verdict, found, remedy, code }) =
+            MISTAKES.get(next.fetch_add(1, Ordering::Relaxed))
+        {
+            let Some(mut home) = Home::new(&format!("doctor{worker}")) else { return };
+            home.good();
+            make(&mut home);
+            let (ended, findings) = home.doctor();
+            let finding = finding(&findings, check);
+            let as_expected = finding["verdict"] == *verdict
+                && text(finding, "found").contains(found)
+                && text(finding, "remedy").contains(remedy)
+                && ended == i32::from(*code);
+            if !as_expected {
+                faults.lock().unwrap().push(format!("{name}: code {ended}, {finding:#}"));
+            }
         }
-    }
+    };
+    std::thread::scope(|scope| {
+        for worker in 0..4 {
+            let work = &work;
+            scope.spawn(move || work(worker));
+        }
+    });
+    let faults = faults.into_inner().unwrap();
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 

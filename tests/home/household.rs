@@ -5,9 +5,7 @@
 //! The day is played `SPEED` times faster, and every time of the configuration is as many times shorter. At every minute the
 //! forecast's rooms per person stand beside the truth in a table, `household.csv` in the test's temporary folder:
 //!
-//!     cargo test --release --features optimum --test household -- --nocapture
-
-#![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
+//!     cargo test --release --features optimum --test home household -- --nocapture
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
