@@ -5,4 +5,5 @@
 
 mod household;
 #[cfg(feature = "home")]
+#[expect(clippy::panic, reason = "as above")]
 mod setup;
