@@ -54,6 +54,14 @@ pub const BRIDGE_HORIZONS_MAX: usize = 8;
 /// Least bytes of the journal: either half holds a few of the longest sentences.
 const JOURNAL_BYTES_MIN: u64 = 8192;
 
+/// What the parser says, with numbers' types as people call them.
+fn in_words(error: &toml::de::Error) -> String {
+    ["usize", "u64", "u32", "u16", "u8", "i64"]
+        .iter()
+        .fold(error.to_string(), |text, number| text.replace(&format!("expected {number}"), "expected a whole number"))
+        .replace("expected f64", "expected a number")
+}
+
 /// A configuration that cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -73,7 +81,7 @@ pub enum ConfigError {
         path: PathBuf,
     },
     /// Not TOML, an unknown key, or a value of the wrong kind.
-    #[error("the configuration {path} is malformed: {source}\nsee `roomcast config` for every key with its default")]
+    #[error("the configuration {path} is malformed: {}\nsee `roomcast config` for every key with its default", in_words(.source))]
     Parse {
         /// The file.
         path: PathBuf,
@@ -506,6 +514,14 @@ mod tests {
     #[test]
     fn the_manual_states_the_defaults() {
         assert_eq!(toml::from_str::<Config>(DEFAULT_TOML).unwrap(), Config::default());
+    }
+
+    #[test]
+    fn a_value_of_the_wrong_kind_is_told_in_words() {
+        let told = |toml: &str| in_words(&toml::from_str::<Config>(toml).unwrap_err());
+        assert!(told("[scoring]\nprepare = \"many\"").contains("invalid type: string \"many\", expected a whole number"));
+        assert!(told("[daemon]\nhang_s = -1").contains("expected a whole number"));
+        assert!(told("[scoring]\nprepare_share = \"all\"").contains("expected a number"));
     }
 
     #[test]

@@ -22,16 +22,23 @@ pub(super) struct Pace {
     /// Slow answers in a row.
     slow: u32,
     pause_ns: u64,
+    /// Until when the last pause lasts.
+    paused_until_ns: u64,
 }
 
 impl Pace {
     pub(super) fn new(share: f64) -> Self {
-        Self { at_ns: 0, share, slow: 0, pause_ns: PAUSE_NS }
+        Self { at_ns: 0, share, slow: 0, pause_ns: PAUSE_NS, paused_until_ns: 0 }
     }
 
     /// When the next step is due.
     pub(super) fn at_ns(&self) -> u64 {
         self.at_ns
+    }
+
+    /// For how long from now there is a pause.
+    pub(super) fn pauses_for_ns(&self, now_ns: u64) -> u64 {
+        self.paused_until_ns.saturating_sub(now_ns)
     }
 
     /// There was narration: silence comes first.
@@ -59,6 +66,7 @@ impl Pace {
         let pause_ns = self.pause_ns;
         self.pause_ns = (2 * pause_ns).min(PAUSE_NS_MAX);
         self.at_ns = end_ns.saturating_add(pause_ns);
+        self.paused_until_ns = self.at_ns;
         Some(pause_ns)
     }
 }
@@ -81,6 +89,7 @@ mod tests {
         assert_eq!(pace.took(6_000_000, true, 2 * S), Some(PAUSE_NS));
         pace.after_event(3 * S);
         assert_eq!(pace.at_ns(), 2 * S + PAUSE_NS, "an event does not end the pause");
+        assert_eq!([3 * S, 2 * S + PAUSE_NS].map(|now_ns| pace.pauses_for_ns(now_ns)), [PAUSE_NS - S, 0]);
         assert_eq!(pace.took(6_000_000, true, 100 * S), Some(2 * PAUSE_NS));
         assert_eq!(pace.took(1_000_000, true, 300 * S), None);
         assert_eq!(pace.at_ns(), 300 * S + 3_000_000, "a quarter of a core");

@@ -439,7 +439,7 @@ impl<M: LanguageModel> Scoring<M> {
         let (counters, sources) = *self.counters.lock().unwrap_or_else(PoisonError::into_inner);
         let quantile = |q| self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.value_at_quantile(q));
         let habits = self.cycle.board().habits().learned();
-        let prepared = self.cycle.board().prepared();
+        let (prepared, now_ns) = (self.cycle.board().prepared(), clock::monotonic_ns());
         StatusResponseV1 {
             learned: habits.observations as u64,
             habits_bytes: habits.bytes as u64,
@@ -449,7 +449,8 @@ impl<M: LanguageModel> Scoring<M> {
             asked: prepared.asked,
             prepared: prepared.prepared,
             prepared_used: prepared.used,
-            answered_ns: clock::monotonic_ns(),
+            prepare_pause_ns: self.pace.pauses_for_ns(now_ns),
+            answered_ns: now_ns,
             received: counters.received,
             accepted: counters.accepted,
             duplicates: counters.duplicates,
