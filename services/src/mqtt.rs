@@ -47,8 +47,8 @@
 //! The session is persistent, so that the broker keeps what arrives while this process or the connection is away; order is the broker's.
 //! A message is acknowledged when what it says is settled: confirmed by the daemon, or refused for good ([`listen_until_settled`]). So the
 //! broker holds whatever this process could lose, however it ends. What was confirmed and not yet acknowledged when it was killed is said
-//! again by the next one. MQTT 5 tells the broker how many messages it may send ahead, which bounds what is not acknowledged, and how large
-//! one may be; [`MESSAGES_AHEAD_MAX`] and its neighbours are all limits.
+//! again by the next one: no more than [`MESSAGES_AHEAD_MAX`] messages, for further ones are said when acknowledgements have gone out. MQTT 5 tells
+//! the broker how many messages it may send ahead, and how large one may be. mosquitto 2.0.11 sends further ahead all the same; that waits here.
 
 use std::cell::{Cell, OnceCell};
 use std::collections::{HashMap, HashSet, VecDeque};
@@ -82,6 +82,10 @@ use roomcast_ipc::clock;
 
 /// Messages that the broker may send before the first of them is acknowledged: MQTT's receive maximum.
 pub const MESSAGES_AHEAD_MAX: u16 = 32;
+/// Bytes of messages that a broker has sent further ahead than that: beyond them the oldest is said at once, and what is not acknowledged grows.
+const HELD_BYTES_MAX: usize = 8 << 20;
+/// What a message that waits takes beside its topic and payload.
+const HELD_BYTES_EACH: usize = 256;
 /// The largest packet that the broker may send, in bytes: MQTT's maximum packet size. It passes over larger messages by itself.
 pub const PACKET_BYTES_MAX: u32 = 1 << 20;
 /// The largest payload that is read, in bytes; a larger one is refused by its topic.
@@ -887,6 +891,8 @@ pub struct SettledNews(watch::Receiver<u64>);
 #[derive(Debug, Default)]
 struct Acknowledgements {
     waiting: VecDeque<(u64, u16)>,
+    /// Acknowledgements that the client has and has not sent.
+    on_way: usize,
     /// Lines that were written.
     written: u64,
     /// None where a line is settled when it is written.
@@ -913,7 +919,19 @@ impl Acknowledgements {
                 return;
             }
             self.waiting.pop_front();
+            self.on_way += 1;
         }
+    }
+
+    /// Whether one more message may be said before another one is acknowledged.
+    fn have_room(&self) -> bool {
+        self.waiting.len() + self.on_way < usize::from(MESSAGES_AHEAD_MAX)
+    }
+
+    /// The connection has ended, and what was on its way with it.
+    fn forget(&mut self) {
+        self.waiting.clear();
+        self.on_way = 0;
     }
 
     /// Waits until more is settled; an error when nobody will tell any more.
@@ -1229,6 +1247,9 @@ struct Connection<'a, W> {
     subscriptions: Subscriptions,
     recent: Recent,
     acknowledgements: Acknowledgements,
+    /// Messages that wait until others are acknowledged, oldest first, and their bytes.
+    held: VecDeque<Publish>,
+    held_bytes: usize,
     connected: bool,
     log: Limiter,
     greetings: Limiter,
@@ -1256,6 +1277,11 @@ enum Turn {
     Unread,
 }
 
+/// What a message takes while it waits.
+fn held_bytes(message: &Publish) -> usize {
+    message.topic.len() + message.payload.len() + HELD_BYTES_EACH
+}
+
 fn write_line(out: &mut impl Write, line: &str) -> std::io::Result<()> {
     writeln!(out, "{line}").and_then(|()| out.flush())
 }
@@ -1276,6 +1302,8 @@ impl<'a, W: Write> Connection<'a, W> {
             subscriptions,
             recent,
             acknowledgements: Acknowledgements::default(),
+            held: VecDeque::new(),
+            held_bytes: 0,
             connected: false,
             log: Limiter::new(QUIET_NS),
             greetings: Limiter::new(QUIET_NS),
@@ -1368,24 +1396,46 @@ impl<'a, W: Write> Connection<'a, W> {
                 self.subscriptions.start();
             }
             Event::Outgoing(Outgoing::Subscribe(pkid)) => self.subscriptions.asked = Some(*pkid),
-            Event::Outgoing(packet) => self.recent.sent(packet),
+            Event::Outgoing(packet) => {
+                self.recent.sent(packet);
+                if matches!(packet, Outgoing::PubAck(_)) {
+                    self.acknowledgements.on_way = self.acknowledgements.on_way.saturating_sub(1);
+                    return self.say_held(*connections, |_, room| room);
+                }
+            }
             Event::Incoming(Packet::PingResp(_)) => self.recent.answered(),
             Event::Incoming(Packet::SubAck(answer)) => self.subscriptions.take(answer, &self.broker)?,
             Event::Incoming(Packet::Publish(_)) if self.leaves => {}
             Event::Incoming(Packet::Publish(message)) => {
-                let line = match self.recent.again(*connections, message) {
-                    Some(line) => line,
-                    None => {
-                        if self.hear(message).is_err() {
-                            return Ok(Turn::Unread);
-                        }
-                        self.recent.take(*connections, message, self.acknowledgements.written);
-                        self.acknowledgements.written
-                    }
-                };
-                self.acknowledgements.put(message, line);
+                self.held_bytes += held_bytes(message);
+                self.held.push_back(message.clone());
+                return self.say_held(*connections, |_, room| room);
             }
             _ => {}
+        }
+        Ok(Turn::On)
+    }
+
+    /// Says what waits, oldest first, while `may` allows it, which hears whether there is room for one more, and where too much waits.
+    fn say_held(&mut self, connections: u64, may: impl Fn(&Publish, bool) -> bool) -> Result<Turn, MqttError> {
+        while let Some(message) = self.held.pop_front() {
+            let room = self.acknowledgements.have_room() || self.held_bytes > HELD_BYTES_MAX;
+            if !may(&message, room) {
+                self.held.push_front(message);
+                break;
+            }
+            self.held_bytes = self.held_bytes.saturating_sub(held_bytes(&message));
+            let line = match self.recent.again(connections, &message) {
+                Some(line) => line,
+                None => {
+                    if self.hear(&message).is_err() {
+                        return Ok(Turn::Unread);
+                    }
+                    self.recent.take(connections, &message, self.acknowledgements.written);
+                    self.acknowledgements.written
+                }
+            };
+            self.acknowledgements.put(&message, line);
         }
         Ok(Turn::On)
     }
@@ -1411,11 +1461,14 @@ impl<'a, W: Write> Connection<'a, W> {
         {
             tracing::warn!(broker = self.broker, %error, held_back, "no connection, trying again");
         }
-        let turn = self.drain(connections)?;
+        let mut turn = self.drain(connections)?;
+        if matches!(turn, Turn::On) {
+            turn = self.say_held(*connections, |_, _| true)?;
+        }
         // Subscriptions that were not sent are made again at the next connection.
         renew(&mut self.events);
         self.subscriptions.due = false;
-        self.acknowledgements.waiting.clear();
+        self.acknowledgements.forget();
         self.connected = false;
         let pause = Instant::now();
         while !stop.requested() && pause.elapsed() < self.pause {
@@ -1439,8 +1492,12 @@ impl<'a, W: Write> Connection<'a, W> {
         if !self.connected {
             return Ok(());
         }
-        // What was read with an event before is said still: nobody has seen it yet.
+        // What was read with an event before is said still: nobody has seen it yet. What waits comes again, but for what the broker does not keep.
         if matches!(self.drain(connections)?, Turn::Unread) {
+            return Ok(());
+        }
+        self.held.retain(|message| message.qos == QoS::AtMostOnce);
+        if matches!(self.say_held(*connections, |_, _| true)?, Turn::Unread) {
             return Ok(());
         }
         self.leaves = true;
@@ -1470,7 +1527,7 @@ mod tests {
     use rumqttc::v5::Client;
     use std::io::{BufRead, BufReader, Read};
     use std::process::Command;
-    use std::sync::{Mutex, PoisonError};
+    use std::sync::{Arc, Mutex, PoisonError};
 
     const RULES: &str = r#"
         [[rule]]
@@ -2237,6 +2294,70 @@ mod tests {
         }
         println!("{restarts} restarts, {published} messages, at most {largest} bytes more than before");
         assert!(largest < 64 << 20, "{largest} bytes more");
+    }
+
+    /// Hears lines as a daemon takes them that is slower than the broker.
+    struct Slow(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Slow {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            self.0.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(bytes);
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            std::thread::sleep(Duration::from_millis(2));
+            Ok(())
+        }
+    }
+
+    /// mosquitto 2.0.11 sends its whole queue at once, however few messages it was told to send ahead.
+    #[test]
+    fn who_is_killed_in_a_backlog_says_few_messages_twice() {
+        const BACKLOG: u64 = 2_000;
+        let port = free_port();
+        let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+            skipped(NO_BROKER);
+            return;
+        };
+        let (mut next, mut twice, mut lives) = (0, 0, 0);
+        let mut live = |most: Duration| {
+            let to =
+                Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "killed".into(), ..Broker::default() };
+            let (out, stop) = (Arc::new(Mutex::new(Vec::new())), Stop::new());
+            let connection =
+                Connection::new(to.options().unwrap(), Rules::parse(STEPS).unwrap(), Slow(Arc::clone(&out)));
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().unwrap();
+            // It is gone from one moment to the next, without a farewell.
+            let killed =
+                runtime.block_on(async { tokio::time::timeout(most, connection.listen(&stop)).await.is_err() });
+            assert!(killed);
+            let said = String::from_utf8(std::mem::take(&mut *out.lock().unwrap())).unwrap();
+            let steps = said.lines().map(|line| {
+                let (_, step) = line.split_once("step ").unwrap();
+                step.split_once('.').unwrap().0.parse::<u64>().unwrap()
+            });
+            let steps: Vec<u64> = steps.collect();
+            let Some(first) = steps.first().copied() else { return next };
+            assert!(
+                first <= next && next - first <= u64::from(MESSAGES_AHEAD_MAX),
+                "{next} is next, and {first} is said"
+            );
+            assert!(steps.iter().copied().eq(first..first + steps.len() as u64), "{steps:?}");
+            (twice, lives) = (twice + next - first, lives + 1);
+            next = first + steps.len() as u64;
+            next
+        };
+        // The session, and then what waits for it.
+        live(Duration::from_millis(300));
+        let backlog: Vec<_> = (0..BACKLOG).map(|n| ("home/step", n.to_string(), false)).collect();
+        broker.publish(&backlog);
+        let began = Instant::now();
+        while live(Duration::from_millis(700)) < BACKLOG {
+            assert!(began.elapsed() < Duration::from_secs(120));
+        }
+        println!("{lives} lives, {BACKLOG} messages, {twice} of them twice");
+        assert!(lives > 2);
     }
 
     #[test]

@@ -519,7 +519,9 @@ mod tests {
     #[test]
     fn a_value_of_the_wrong_kind_is_told_in_words() {
         let told = |toml: &str| in_words(&toml::from_str::<Config>(toml).unwrap_err());
-        assert!(told("[scoring]\nprepare = \"many\"").contains("invalid type: string \"many\", expected a whole number"));
+        assert!(
+            told("[scoring]\nprepare = \"many\"").contains("invalid type: string \"many\", expected a whole number")
+        );
         assert!(told("[daemon]\nhang_s = -1").contains("expected a whole number"));
         assert!(told("[scoring]\nprepare_share = \"all\"").contains("expected a number"));
     }
