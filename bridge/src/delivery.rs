@@ -18,11 +18,20 @@ pub struct Delivery {
     sent: u64,
     sent_ns: u64,
     heard_ns: Option<u64>,
+    /// Up to here nothing is kept any more.
+    gone: u64,
     /// Narrations that were given up before the robot had them.
     lost: u64,
 }
 
 impl Delivery {
+    /// Begins with the first number that is kept: what was before it has come or was given up before this start.
+    #[must_use]
+    pub fn from(first: u64) -> Self {
+        let gone = first.saturating_sub(1);
+        Self { confirmed: gone, sent: gone, gone, ..Self::default() }
+    }
+
     /// Takes note of what the robot says: `epoch` is the hub's own, `last` the last number that it has.
     pub fn hear(&mut self, said: Confirmed, epoch: u64, last: u64, now_ns: u64) {
         self.heard_ns = Some(now_ns);
@@ -30,7 +39,7 @@ impl Delivery {
         if said.epoch.0 != epoch {
             // It knows nothing of this start: whatever it has not confirmed goes again.
             if may_repeat {
-                self.sent = self.confirmed;
+                self.sent = self.begin();
             }
             return;
         }
@@ -39,15 +48,15 @@ impl Delivery {
         if has > self.sent || may_repeat {
             self.sent = has;
         }
-        self.sent = self.sent.max(self.confirmed);
+        self.sent = self.sent.max(self.begin());
     }
 
     /// What is older than `first` is not kept any more.
     pub fn give_up_before(&mut self, first: u64) {
-        let lost = first.saturating_sub(1).saturating_sub(self.confirmed);
-        self.lost += lost;
-        self.confirmed += lost;
-        self.sent = self.sent.max(self.confirmed);
+        let gone = first.saturating_sub(1);
+        self.lost += gone.saturating_sub(self.begin());
+        self.gone = self.gone.max(gone);
+        self.sent = self.sent.max(self.gone);
     }
 
     /// The number that is to be sent next, up to `last`; none where nothing may go now.
@@ -55,7 +64,7 @@ impl Delivery {
     pub fn next(&self, last: u64, now_ns: u64) -> Option<u64> {
         let there = !self.is_away(now_ns);
         let next = self.sent + 1;
-        (there && next <= last && next - self.confirmed <= AHEAD_MAX).then_some(next)
+        (there && next <= last && next - self.begin() <= AHEAD_MAX).then_some(next)
     }
 
     /// Takes note that the next one was sent.
@@ -67,13 +76,25 @@ impl Delivery {
     /// The first number that the robot can still get.
     #[must_use]
     pub fn first(&self) -> u64 {
-        self.confirmed + 1
+        self.begin() + 1
+    }
+
+    /// Up to here nothing is sent any more.
+    #[must_use]
+    pub fn begin(&self) -> u64 {
+        self.confirmed.max(self.gone)
     }
 
     /// Up to here it is confirmed.
     #[must_use]
     pub fn confirmed(&self) -> u64 {
         self.confirmed
+    }
+
+    /// Whether it was ever heard.
+    #[must_use]
+    pub fn is_known(&self) -> bool {
+        self.heard_ns.is_some()
     }
 
     /// Whether it was silent for long.
@@ -122,7 +143,13 @@ mod tests {
         let mut delivery = Delivery::default();
         delivery.give_up_before(4);
         delivery.hear(Confirmed::default(), 7, 10, S);
-        assert_eq!((delivery.lost(), delivery.next(10, S), delivery.first()), (3, Some(4), 4));
+        assert_eq!((delivery.lost(), delivery.next(10, S), delivery.first(), delivery.confirmed()), (3, Some(4), 4, 0));
+        delivery.give_up_before(6);
+        assert_eq!((delivery.lost(), delivery.first()), (5, 6));
+        // A hub that starts again has lost nothing by that.
+        let mut delivery = Delivery::from(4124);
+        delivery.give_up_before(4124);
+        assert_eq!((delivery.lost(), delivery.confirmed(), delivery.first()), (0, 4123, 4124));
     }
 
     /// A link that loses and delays, a bridge and a hub that start again, and a daemon that confirms late: everything arrives once and in

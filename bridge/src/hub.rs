@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
-use std::os::unix::fs::FileTypeExt;
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread;
@@ -22,7 +22,7 @@ use crate::limiter::Limiter;
 use crate::line::{LINE_BYTES_MAX, line};
 use crate::link::{Declare, Link, LinkError};
 use crate::robot::notify;
-use crate::spool::{Spool, SpoolError};
+use crate::spool::{Place, Spool, SpoolError};
 use crate::stop::Stop;
 use crate::wire::{self, Confirmed, Fault, Hex, Narrated, Observation};
 
@@ -57,47 +57,77 @@ pub enum HubError {
     Thread(io::Error),
 }
 
-/// A line that was read, up to this place of the input.
-type Line = (Vec<u8>, u64);
+/// A robot that was not heard for so long since the start is told of.
+const UNHEARD_NS: u64 = 15_000_000_000;
 
-/// Reads lines until the input ends. A file that grows is followed from `from`; of one that became shorter, from its start.
-fn read_lines(path: &Path, from: u64, lines: &SyncSender<Line>, stop: &Stop) -> io::Result<()> {
+/// A line that was read, up to this place of the input.
+type Line = (Vec<u8>, Place);
+
+/// Opens a file that is followed, behind what was read of it; at its end where nobody knows how much that was. Gives where it is.
+fn follow(path: &Path, from: Option<Place>) -> io::Result<(BufReader<File>, Place)> {
+    let mut file = File::open(path)?;
+    let about = file.metadata()?;
+    let at = match from {
+        None => about.len(),
+        Some(Place { at: 0, .. }) => 0,
+        Some(from) => {
+            let mut before = [0];
+            let is_same = from.file == about.ino() && from.at <= about.len() && {
+                file.seek(SeekFrom::Start(from.at - 1))?;
+                file.read_exact(&mut before)?;
+                before == *b"\n"
+            };
+            if !is_same {
+                tracing::warn!(path = %path.display(), "the input is not the file that it was: it is read from its start");
+            }
+            if is_same { from.at } else { 0 }
+        }
+    };
+    file.seek(SeekFrom::Start(at))?;
+    Ok((BufReader::new(file), Place { file: about.ino(), at }))
+}
+
+/// Reads lines until the input ends. A file that grows is followed from `from`; of one that became shorter or was replaced, from its start.
+/// Of a line that is too long the beginning is given, and the rest passed over.
+fn read_lines(path: &Path, from: Option<Place>, lines: &SyncSender<Line>, stop: &Stop) -> io::Result<()> {
     let standard = path.as_os_str() == "-";
     let is_file = !standard && std::fs::metadata(path)?.is_file();
     let fifo = !standard && std::fs::metadata(path)?.file_type().is_fifo();
+    let mut place = Place::default();
     let mut input: Box<dyn BufRead> = if standard {
         Box::new(BufReader::new(io::stdin()))
+    } else if is_file {
+        let (file, at) = follow(path, from)?;
+        place = at;
+        Box::new(file)
     } else {
         // With a writer of its own a FIFO does not end when the last other writer leaves.
         Box::new(BufReader::new(File::options().read(true).write(fifo).open(path)?))
     };
-    let mut at = 0;
-    if is_file {
-        let mut file = File::open(path)?;
-        at = if from <= file.metadata()?.len() { from } else { 0 };
-        file.seek(SeekFrom::Start(at))?;
-        input = Box::new(BufReader::new(file));
-    }
-    let mut text = Vec::new();
+    let (mut text, mut is_rest) = (Vec::new(), false);
     while !stop.requested() {
         let left = (LINE_BYTES_MAX + 1).saturating_sub(text.len() as u64).max(1);
         let read = input.by_ref().take(left).read_until(b'\n', &mut text)? as u64;
-        at += read;
-        if text.ends_with(b"\n") || text.len() as u64 > LINE_BYTES_MAX {
-            if lines.send((std::mem::take(&mut text), at)).is_err() {
+        place.at += read;
+        let is_whole = text.ends_with(b"\n");
+        if is_whole || text.len() as u64 > LINE_BYTES_MAX {
+            let text = std::mem::take(&mut text);
+            if !std::mem::replace(&mut is_rest, !is_whole) && lines.send((text, place)).is_err() {
                 return Ok(());
             }
         } else if read == 0 {
             if !is_file {
-                if !text.is_empty() {
-                    let _last = lines.send((text, at));
+                if !text.is_empty() && !is_rest {
+                    let _last = lines.send((text, place));
                 }
                 return Ok(());
             }
-            if std::fs::metadata(path)?.len() < at {
-                tracing::warn!(path = %path.display(), "the input became shorter: it is read from its start");
-                (at, text) = (0, Vec::new());
-                input = Box::new(BufReader::new(File::open(path)?));
+            // While it is being replaced there may be none.
+            if std::fs::metadata(path).is_ok_and(|about| about.ino() != place.file || about.len() < place.at)
+                && let Ok((file, start)) = follow(path, Some(Place::default()))
+            {
+                tracing::warn!(path = %path.display(), "the input became shorter or is another file: it is read from its start");
+                (input, place, text, is_rest) = (Box::new(file), start, Vec::new(), false);
             }
             thread::sleep(Duration::from_millis(50));
         }
@@ -124,7 +154,7 @@ pub fn run(config: &Config, input: &Path, stop: &Stop) -> Result<Outcome, HubErr
     let reader = move || read_lines(&path, from, &to_spool, &reading);
     let reader = thread::Builder::new().name("reader".to_owned()).spawn(reader).map_err(HubError::Thread)?;
     notify(&[NotifyState::Ready]);
-    let mut hub = Hub::new(config);
+    let mut hub = Hub::new(config, spool.first());
     let mut ended = false;
     while !(stop.requested() || ended && hub.is_done(&spool)) {
         ended |= hub.keep(&lines, &mut spool)?;
@@ -152,24 +182,34 @@ pub struct Outcome {
     pub lost: u64,
 }
 
+struct Robot {
+    name: String,
+    key: String,
+    delivery: Delivery,
+    /// It was told that nothing is heard of it.
+    is_told: bool,
+}
+
 struct Hub {
     name: String,
     clock: Hex,
-    robots: Vec<(String, String, Delivery)>,
+    robots: Vec<Robot>,
+    started_ns: u64,
     refused: u64,
     log: Limiter,
     /// The disk failed, so nothing more is read for a moment.
-    unsaved: Vec<(Observation, u64, u64)>,
+    unsaved: Vec<(Observation, u64, Place)>,
 }
 
 impl Hub {
-    fn new(config: &Config) -> Self {
+    fn new(config: &Config, first: u64) -> Self {
         let robots = config.hub.robots.iter().map(|robot| {
             let key = Keys::new(&config.site.name, robot).narration(&config.hub.name);
-            (robot.clone(), key, Delivery::default())
+            Robot { name: robot.clone(), key, delivery: Delivery::from(first), is_told: false }
         });
-        let (refused, log, unsaved) = (0, Limiter::default(), Vec::new());
-        Self { name: config.hub.name.clone(), clock: Hex(clock_id()), robots: robots.collect(), refused, log, unsaved }
+        let (refused, log, unsaved, started_ns) = (0, Limiter::default(), Vec::new(), clock::monotonic_ns());
+        let (name, clock, robots) = (config.hub.name.clone(), Hex(clock_id()), robots.collect());
+        Self { name, clock, robots, started_ns, refused, log, unsaved }
     }
 
     /// Keeps the lines that have come; whether the input has ended.
@@ -227,7 +267,7 @@ impl Hub {
     /// Takes what robots say of how far they are.
     fn hear(&mut self, heard: &Receiver<(usize, Vec<u8>)>, spool: &Spool) {
         for (robot, bytes) in heard.try_iter() {
-            let Some((name, _, delivery)) = self.robots.get_mut(robot) else { continue };
+            let Some(Robot { name, delivery, .. }) = self.robots.get_mut(robot) else { continue };
             let now_ns = clock::monotonic_ns();
             match wire::read::<Confirmed>(&bytes) {
                 Ok(said) => delivery.hear(said, spool.epoch(), spool.last(), now_ns),
@@ -243,7 +283,18 @@ impl Hub {
     /// Sends what may be sent, and forgets what every robot has.
     fn send(&mut self, link: &Link, spool: &mut Spool) {
         let last = spool.last();
-        for (robot, key, delivery) in &mut self.robots {
+        for Robot { name: robot, key, delivery, is_told } in &mut self.robots {
+            let waited_ns = clock::monotonic_ns().saturating_sub(self.started_ns);
+            if !delivery.is_known()
+                && waited_ns >= UNHEARD_NS
+                && link.is_connected()
+                && !std::mem::replace(is_told, true)
+            {
+                tracing::warn!(
+                    robot,
+                    "nothing is heard of this robot: does its bridge run, with this site's and robot's name, and this hub as a [[narrator]]?"
+                );
+            }
             let lost = delivery.lost();
             delivery.give_up_before(spool.first());
             if delivery.lost() > lost
@@ -276,7 +327,7 @@ impl Hub {
                 delivery.sent(clock::monotonic_ns());
             }
         }
-        let everywhere = self.robots.iter().map(|(.., delivery)| delivery.confirmed()).min().unwrap_or(0);
+        let everywhere = self.robots.iter().map(|robot| robot.delivery.begin()).min().unwrap_or(0);
         if let Err(error) = spool.confirm(everywhere)
             && let Some(held_back) = self.log.pass(clock::monotonic_ns())
         {
@@ -285,11 +336,11 @@ impl Hub {
     }
 
     fn is_done(&self, spool: &Spool) -> bool {
-        self.unsaved.is_empty() && self.robots.iter().all(|(.., delivery)| delivery.confirmed() >= spool.last())
+        self.unsaved.is_empty() && self.robots.iter().all(|robot| robot.delivery.begin() >= spool.last())
     }
 
     fn outcome(&self, spool: &Spool) -> Outcome {
-        let of_all = || self.robots.iter().map(|(.., delivery)| delivery);
+        let of_all = || self.robots.iter().map(|robot| &robot.delivery);
         Outcome {
             last: spool.last(),
             confirmed: of_all().map(Delivery::confirmed).min().unwrap_or(0),
@@ -330,13 +381,39 @@ mod tests {
         let (to, lines) = sync_channel(16);
         let stop = Stop::default();
         let (own, reading) = (path.clone(), stop.clone());
-        let thread = thread::spawn(move || read_lines(&own, 4, &to, &reading));
-        assert_eq!(lines.recv().unwrap(), (b"two\n".to_vec(), 8));
-        File::options().append(true).open(&path).unwrap().write_all(b"ee\n").unwrap();
-        assert_eq!(lines.recv().unwrap(), (b"three\n".to_vec(), 14));
+        let file = std::fs::metadata(&path).unwrap().ino();
+        let thread = thread::spawn(move || read_lines(&own, Some(Place { file, at: 4 }), &to, &reading));
+        let heard = || lines.recv_timeout(Duration::from_secs(60)).unwrap();
+        assert_eq!(heard(), (b"two\n".to_vec(), Place { file, at: 8 }));
+        let append = |text: &[u8]| File::options().append(true).open(&path).unwrap().write_all(text).unwrap();
+        append(b"ee\n");
+        assert_eq!(heard(), (b"three\n".to_vec(), Place { file, at: 14 }));
         std::fs::write(&path, "new\n").unwrap();
-        assert_eq!(lines.recv().unwrap(), (b"new\n".to_vec(), 4));
+        assert_eq!(heard(), (b"new\n".to_vec(), Place { file, at: 4 }));
+        // It is replaced by a longer one.
+        std::fs::rename(&path, folder.path().join("old")).unwrap();
+        std::fs::write(&path, "another\n").unwrap();
+        let another = std::fs::metadata(&path).unwrap().ino();
+        assert_eq!(heard(), (b"another\n".to_vec(), Place { file: another, at: 8 }));
+        // The rest of a line that is too long is no line.
+        append(&[vec![b'x'; 3 * LINE_BYTES_MAX as usize], b"\nlast\n".to_vec()].concat());
+        assert_eq!(heard().0.len() as u64, LINE_BYTES_MAX + 1);
+        assert_eq!(heard().0, b"last\n");
         stop.request();
         thread.join().unwrap().unwrap();
+    }
+
+    #[test]
+    fn a_file_that_is_not_what_it_was_is_read_from_its_start() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lines");
+        std::fs::write(&path, "one\ntwo\n").unwrap();
+        let file = std::fs::metadata(&path).unwrap().ino();
+        let begins = |from| follow(&path, from).unwrap().1;
+        assert_eq!(begins(Some(Place { file, at: 4 })), Place { file, at: 4 });
+        for other in [Place { file: file + 1, at: 4 }, Place { file, at: 5 }, Place { file, at: 9 }] {
+            assert_eq!(begins(Some(other)), Place { file, at: 0 });
+        }
+        assert_eq!(begins(None), Place { file, at: 8 });
     }
 }

@@ -8,7 +8,6 @@ use roomcast_ros2::types;
 use zenoh::bytes::ZBytes;
 
 use crate::config::{Config, ROS2_NARRATOR};
-use crate::delay::Delay;
 use crate::keys::Keys;
 use crate::limiter::Limiter;
 use crate::line::line;
@@ -71,7 +70,6 @@ struct Narrator {
     name: String,
     from: From,
     relay: Relay,
-    delay: Delay,
     port: Publisher<NarrationV1>,
     said: Confirmed,
     said_ns: u64,
@@ -154,7 +152,7 @@ impl Narrator {
     fn new(name: &str, rate_per_s: f64, from: From, port: Publisher<NarrationV1>) -> Self {
         let relay = Relay::new(name, rate_per_s);
         let (said, said_ns) = (Confirmed::default(), 0);
-        Self { name: name.to_owned(), from, relay, delay: Delay::default(), port, said, said_ns }
+        Self { name: name.to_owned(), from, relay, port, said, said_ns }
     }
 
     fn hear(&mut self, heard: &Heard, log: &mut Limiter) {
@@ -193,16 +191,29 @@ impl Narrator {
             return self.refuse("epoch, sequence and first are 1 or more", log);
         }
         // What is not known yet counts as nothing.
-        let excess_ns = self.delay.excess_ns(clock.0, sent_ns, heard.now_ns).unwrap_or(0);
+        let excess_ns = self.relay.excess_ns(epoch.0, clock.0, sent_ns, heard.now_ns).unwrap_or(0);
         let arrived = Arrived { now_ns: heard.now_ns, now_unix_ns: clock::unix_ns(), excess_ns };
-        match narrated.message(&self.name, arrived) {
-            Ok(message) => drop(self.relay.offer(epoch.0, sequence, first, Some(message))),
+        let (message, fault) = match narrated.message(&self.name, arrived) {
+            Ok(message) => (Some(message), None),
             // It has a number, and the ones after it are waited for: it is passed over.
-            Err(fault) => {
-                if self.relay.offer(epoch.0, sequence, first, None) == Offered::Taken {
-                    self.refuse(&fault.0, log);
-                }
-            }
+            Err(fault) => (None, Some(fault)),
+        };
+        let before = self.relay.confirmed().epoch;
+        if self.relay.offer(epoch.0, sequence, first, message) != Offered::Taken {
+            return;
+        }
+        if let Some(fault) = fault {
+            self.refuse(&fault.0, log);
+        }
+        if before != epoch
+            && before != Hex(0)
+            && let Some(held_back) = log.pass(clock::monotonic_ns())
+        {
+            tracing::warn!(
+                narrator = self.name,
+                held_back,
+                "narration comes of another start than before: the hub has lost its spool, or another one has its name"
+            );
         }
     }
 

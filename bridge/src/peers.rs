@@ -124,6 +124,12 @@ impl Peers {
             // It lay in a queue for longer than it may be believed.
             return Ok(None);
         }
+        if let (Some(own), Some(last)) = (&decision, peer.last)
+            && own.epoch.0 == last.epoch
+            && own.sequence.saturating_sub(last.sequence) > sequence::JUMP_MAX
+        {
+            return Err(Fault(format!("decision {} is too far ahead of {}", own.sequence, last.sequence)));
+        }
         peer.heard_ns = peer.heard_ns.max(heard.now_ns);
         let back = std::mem::replace(&mut peer.silent, false);
         let Some(decision) = decision else { return Ok(peer.last.filter(|_| back)) };
@@ -243,6 +249,7 @@ mod tests {
             (sequence::source_of_name("robot-2"), "kitchen", action::GO)
         );
         assert_eq!(peers.hear(&heard("robot-2", "decision", told(1, "kitchen"), now_ns)).unwrap(), None);
+        peers.hear(&heard("robot-2", "decision", told(u64::MAX, "hall"), now_ns)).err().unwrap();
         assert!(peers.fallen_silent(now_ns + S).is_empty());
         let gone = peers.fallen_silent(now_ns + 4 * S).remove(0).1.unwrap();
         assert_eq!((gone.action, gone.to(), gone.sequence), (action::PAUSE, "", 1));

@@ -2,12 +2,14 @@
 //! in as a number.
 //!
 //! A number is taken once, and after the one before it. Whatever else comes, the narrator sends again from the number that is expected, so
-//! that a link may lose and repeat what it likes.
+//! that a link may lose and repeat what it likes. Each start of a narrator has numbers of its own: who speaks in its name, a second hub for
+//! instance, does not hold it up.
 
 use std::collections::VecDeque;
 
 use roomcast_ipc::{Message, NarrationV1, RoomScoresV1, sequence};
 
+use crate::delay::Delay;
 use crate::wire::{Confirmed, Hex};
 
 /// Narrations that the daemon has not confirmed: what the service's history holds for a daemon that restarts.
@@ -16,15 +18,15 @@ pub const UNDER_WAY_MAX: usize = NarrationV1::SERVICE.history;
 pub const WAITING_MAX: usize = 64;
 /// What the daemon has not confirmed for so long is given to it again: it may have been above a limit, or lost with a port.
 const AGAIN_NS: u64 = 5_000_000_000;
-/// Former epochs that stay known, so that a delayed message of one is not taken for a new start.
-const FORMER_MAX: usize = 8;
+/// Starts that stay known, so that a delayed message of one is not taken again.
+const STARTS_MAX: usize = 9;
 
 /// What becomes of a narration that was heard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Offered {
     /// It is the next one.
     Taken,
-    /// It was taken before, or is of a former start.
+    /// It was taken before.
     Again,
     /// Others have to come before it.
     Early,
@@ -32,17 +34,24 @@ pub enum Offered {
     Full,
 }
 
+/// One start of a narrator.
+#[derive(Debug)]
+struct Start {
+    epoch: u64,
+    /// The number expected next.
+    next: u64,
+    refused: u64,
+    delay: Delay,
+}
+
 /// One narrator.
 #[derive(Debug)]
 pub struct Relay {
     source: u64,
-    epoch: u64,
-    /// The number expected next; 0 before the first.
-    next: u64,
-    former: VecDeque<u64>,
+    /// Whichever was heard last is the last one.
+    starts: VecDeque<Start>,
     waiting: VecDeque<NarrationV1>,
     under_way: VecDeque<NarrationV1>,
-    refused: u64,
     /// When something was last sent or confirmed.
     moved_ns: u64,
     /// How often in a row all that is under way was sent again.
@@ -56,12 +65,9 @@ impl Relay {
     pub fn new(narrator: &str, rate_per_s: f64) -> Self {
         Self {
             source: sequence::source_of_name(narrator),
-            epoch: 0,
-            next: 0,
-            former: VecDeque::new(),
+            starts: VecDeque::new(),
             waiting: VecDeque::new(),
             under_way: VecDeque::new(),
-            refused: 0,
             moved_ns: 0,
             repeats: 0,
             pace: Pace::new(rate_per_s),
@@ -70,10 +76,13 @@ impl Relay {
 
     /// Whether a narration of this name would be taken now.
     fn judge(&self, epoch: u64, sequence: u64, first: u64) -> Offered {
-        let expected = if epoch == self.epoch { self.next.max(first) } else { first };
-        if self.former.contains(&epoch) || (epoch == self.epoch && sequence < self.next) {
+        let next = self.starts.iter().find(|start| start.epoch == epoch).map(|start| start.next);
+        if next.is_some_and(|next| sequence < next) {
             Offered::Again
-        } else if sequence != expected {
+        } else if sequence != next.map_or(first, |next| next.max(first))
+            || next.is_some_and(|next| sequence - next > sequence::JUMP_MAX)
+        {
+            // The daemon takes no larger jump either.
             Offered::Early
         } else if self.waiting.len() >= WAITING_MAX {
             Offered::Full
@@ -82,27 +91,41 @@ impl Relay {
         }
     }
 
-    /// Takes a narration, if it is the next one. `first` is the first number that its narrator can still send; `message` is what the
-    /// daemon gets of it, none where it is no narration.
+    /// Takes a narration, if it is the next one of its start. `first` is the first number that its narrator can still send; `message` is
+    /// what the daemon gets of it, none where it is no narration.
     pub fn offer(&mut self, epoch: u64, sequence: u64, first: u64, message: Option<NarrationV1>) -> Offered {
         let offered = self.judge(epoch, sequence, first);
+        // Whoever is heard is answered.
+        let known = self.starts.iter().position(|start| start.epoch == epoch);
+        let mut start = match known.and_then(|place| self.starts.remove(place)) {
+            Some(start) => start,
+            None if offered == Offered::Taken => Start { epoch, next: first, refused: 0, delay: Delay::default() },
+            None => return offered,
+        };
         if offered == Offered::Taken {
-            if epoch != self.epoch {
-                if self.epoch != 0 {
-                    self.former.push_back(self.epoch);
-                    if self.former.len() > FORMER_MAX {
-                        self.former.pop_front();
-                    }
-                }
-                (self.epoch, self.refused) = (epoch, 0);
-            }
-            self.next = sequence.saturating_add(1);
+            start.next = sequence.saturating_add(1);
             match message {
                 Some(message) => self.waiting.push_back(message),
-                None => self.refused += 1,
+                None => start.refused += 1,
             }
         }
+        self.starts.push_back(start);
+        if self.starts.len() > STARTS_MAX {
+            self.starts.pop_front();
+        }
         offered
+    }
+
+    /// How much longer than the fastest of its start a message took ([`Delay::excess_ns`]); none where that is not known.
+    pub fn excess_ns(&mut self, epoch: u64, clock: u64, sent_ns: u64, now_ns: u64) -> Option<u64> {
+        let start = self.starts.iter_mut().find(|start| start.epoch == epoch)?;
+        start.delay.excess_ns(clock, sent_ns, now_ns)
+    }
+
+    /// How many starts are known.
+    #[must_use]
+    pub fn starts(&self) -> usize {
+        self.starts.len()
     }
 
     /// The next message for the daemon, if one may go now.
@@ -149,9 +172,10 @@ impl Relay {
     /// How far the narrator's narration has come.
     #[must_use]
     pub fn confirmed(&self) -> Confirmed {
-        let own = self.under_way.iter().chain(&self.waiting).find(|message| message.epoch == self.epoch);
-        let open = own.map_or(self.next, |message| message.sequence);
-        Confirmed { epoch: Hex(self.epoch), next: self.next, confirmed: open.saturating_sub(1), refused: self.refused }
+        let Some(Start { epoch, next, refused, .. }) = self.starts.back() else { return Confirmed::default() };
+        let own = self.under_way.iter().chain(&self.waiting).find(|message| message.epoch == *epoch);
+        let open = own.map_or(*next, |message| message.sequence);
+        Confirmed { epoch: Hex(*epoch), next: *next, confirmed: open.saturating_sub(1), refused: *refused }
     }
 }
 
@@ -215,14 +239,41 @@ mod tests {
     }
 
     #[test]
-    fn a_former_start_does_not_come_back() {
+    fn each_start_has_numbers_of_its_own() {
         let mut relay = Relay::new("hub", 1e6);
         assert_eq!(relay.offer(9, 1, 1, message(9, 1)), Offered::Taken);
         assert_eq!(relay.offer(10, 1, 1, message(10, 1)), Offered::Taken);
-        assert_eq!(relay.offer(9, 2, 1, message(9, 2)), Offered::Again);
+        assert_eq!(relay.offer(9, 1, 1, message(9, 1)), Offered::Again, "a delayed message is taken once");
         assert_eq!((relay.send(0).unwrap().epoch, relay.send(0).unwrap().epoch), (9, 10), "in the order they came");
         relay.confirm(&scores(10, 1), 1);
         assert_eq!(relay.again(2 * AGAIN_NS, true).len(), 1, "the first start's is still under way");
+        // A second hub of its name, or a stranger, does not hold it up.
+        assert_eq!(relay.offer(u64::MAX, u64::MAX, u64::MAX, message(u64::MAX, u64::MAX)), Offered::Taken);
+        assert_eq!(relay.confirmed().epoch, Hex(u64::MAX));
+        assert_eq!(relay.offer(9, 3, 2, message(9, 3)), Offered::Early);
+        assert_eq!((relay.confirmed().epoch, relay.confirmed().next), (Hex(9), 2), "it is told where it is");
+        assert_eq!(relay.offer(9, 2, 2, message(9, 2)), Offered::Taken);
+        // Nor does a jump in its own name.
+        assert_eq!(relay.offer(9, u64::MAX, u64::MAX, None), Offered::Early);
+        assert_eq!(relay.offer(9, 3, 2, message(9, 3)), Offered::Taken);
+        for epoch in 100..200 {
+            relay.offer(epoch, 1, 1, None);
+        }
+        assert_eq!(relay.starts(), STARTS_MAX);
+    }
+
+    #[test]
+    fn what_is_said_in_anothers_name_does_not_age_its_narration() {
+        const S: u64 = 1_000_000_000;
+        let mut relay = Relay::new("hub", 1e6);
+        relay.offer(9, 1, 1, None);
+        for second in 10..20 {
+            let _known = relay.excess_ns(9, 1, second * S, second * S);
+        }
+        assert_eq!(relay.excess_ns(10, 1, 7_200 * S, 20 * S), None, "it is no start");
+        relay.offer(10, 1, 1, None);
+        let _first = relay.excess_ns(10, 1, 7_200 * S, 21 * S);
+        assert_eq!(relay.excess_ns(9, 1, 22 * S, 22 * S), Some(0));
     }
 
     #[test]

@@ -1,8 +1,9 @@
 //! What a hub keeps until every robot has confirmed it: in memory, and in a file that a killed hub goes on with.
 //!
-//! A line of JSON for each narration, behind one that says the epoch. A line that was cut off by a power loss is dropped; it was not sent
-//! before it was on disk. Narrations up to a damaged line in the middle are given up: numbers go on behind it, so that none is given twice.
-//! Folder and file are their owner's alone, for narration is private.
+//! A line for each narration, and one for what is confirmed now and then: a checksum, and JSON with the epoch. A line that was cut off by a
+//! power loss is dropped; it was not sent before it was on disk. Narrations up to a damaged line in the middle are given up: numbers go on
+//! behind it, so that none is given twice. Where no line is whole, the epoch is a new one, and the input is read from its end: what the
+//! robots had already is not said again. Folder and file are their owner's alone, for narration is private.
 
 use std::collections::VecDeque;
 use std::fs::{self, File, OpenOptions};
@@ -23,6 +24,11 @@ const FILE: &str = "narration";
 const GONE_MAX: u64 = 4096;
 /// Longest line of the file.
 const LINE_BYTES_MAX: u64 = 16 << 10;
+/// Digits of a line's checksum.
+const DIGITS: usize = 8;
+/// What is confirmed goes to the file when it is so many narrations, or so long after the last time.
+const NOTE_EACH: u64 = 64;
+const NOTE_NS: u64 = 1_000_000_000;
 
 /// Why there is no spool.
 #[derive(Debug, thiserror::Error)]
@@ -33,14 +39,35 @@ pub struct SpoolError {
     source: io::Error,
 }
 
-/// The file's first line.
+/// A place in the input.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Place {
+    /// The file's number in its file system; 0 where the input is no file.
+    pub file: u64,
+    /// So many bytes of it were read.
+    pub at: u64,
+}
+
+/// The file's first line, and what is confirmed later.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct Head {
     epoch: Hex,
     /// The first number that is kept.
     first: u64,
-    /// So many bytes of the input were read.
-    input: u64,
+    /// How far the input was read; none where nobody knows any more.
+    input: Option<Place>,
+}
+
+/// A line of the file.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Entry {
+    Head(Head),
+    Kept {
+        epoch: Hex,
+        #[serde(flatten)]
+        kept: Kept,
+    },
 }
 
 /// A narration that is kept.
@@ -52,8 +79,8 @@ pub struct Kept {
     clock: Hex,
     observed_ns: u64,
     observed_unix_ns: u64,
-    /// So many bytes of the input were read with it.
-    input: u64,
+    /// How far the input was read with it.
+    input: Place,
     /// What was observed.
     #[serde(flatten)]
     pub observation: Observation,
@@ -70,6 +97,8 @@ pub struct Spool {
     keep: usize,
     /// Lines of the file whose narrations are gone.
     gone: u64,
+    /// The first number that is kept, as the file says it, and when that was written.
+    noted: (u64, u64),
     /// A write failed, and the file is to end here before the next one.
     cut_at: Option<u64>,
     _lock: File,
@@ -96,19 +125,33 @@ impl Spool {
             .map_err(failed("cannot lock"))?;
         flock(&lock, FlockOperation::NonBlockingLockExclusive)
             .map_err(|error| failed("another hub uses it")(error.into()))?;
-        let (head, kept, given_up) = match File::open(&path) {
-            Ok(file) => read(BufReader::new(file)).map_err(failed("cannot read"))?,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => (None, VecDeque::new(), 0),
+        let new = |input| Head { epoch: Hex(sequence::random_epoch()), first: 1, input };
+        let found = match File::open(&path) {
+            Ok(file) => Some(read(BufReader::new(file)).map_err(failed("cannot read"))?),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
             Err(error) => return Err(failed("cannot read")(error)),
         };
-        if given_up > 0 {
-            let path = path.display();
-            tracing::error!(%path, given_up, "the spool is damaged: what was kept before that is given up; is the disk failing?");
-        }
-        let head = head.unwrap_or_else(|| Head { epoch: Hex(sequence::random_epoch()), first: 1, input: 0 });
+        let (head, kept) = match found {
+            None => (new(Some(Place::default())), VecDeque::new()),
+            Some(Found { head: Some(head), kept, given_up }) => {
+                if given_up > 0 {
+                    let path = path.display();
+                    tracing::error!(%path, given_up, "the spool is damaged: what was kept before that is given up; is the disk failing?");
+                }
+                (head, kept)
+            }
+            Some(Found { head: None, .. }) => {
+                let path = path.display();
+                tracing::error!(
+                    %path,
+                    "nothing of the spool can be read: what was kept is given up, and a followed input is read from its end; is the disk failing?"
+                );
+                (new(None), VecDeque::new())
+            }
+        };
         let file = write(&path, head, &kept).map_err(failed("cannot write"))?;
-        let mut spool =
-            Self { path, file, head, clock: Hex(clock_id()), kept, keep, gone: 0, cut_at: None, _lock: lock };
+        let (clock, noted) = (Hex(clock_id()), (head.first, clock::monotonic_ns()));
+        let mut spool = Self { path, file, head, clock, kept, keep, gone: 0, noted, cut_at: None, _lock: lock };
         spool.trim();
         Ok(spool)
     }
@@ -131,10 +174,10 @@ impl Spool {
         self.head.first + self.kept.len() as u64 - 1
     }
 
-    /// So many bytes of the input are in what was kept.
+    /// How much of the input is in what was kept; none where nobody knows.
     #[must_use]
-    pub fn input(&self) -> u64 {
-        self.kept.back().map_or(self.head.input, |kept| kept.input)
+    pub fn input(&self) -> Option<Place> {
+        self.kept.back().map_or(self.head.input, |kept| Some(kept.input))
     }
 
     /// A narration that is kept.
@@ -159,7 +202,7 @@ impl Spool {
     /// # Errors
     ///
     /// [`SpoolError`]; then nothing of them counts as kept.
-    pub fn append(&mut self, observed: Vec<(Observation, u64, u64)>) -> Result<(), SpoolError> {
+    pub fn append(&mut self, observed: Vec<(Observation, u64, Place)>) -> Result<(), SpoolError> {
         let (now_ns, now_unix_ns, mut next) = (clock::monotonic_ns(), clock::unix_ns(), self.last() + 1);
         let mut lines = Vec::new();
         let mut fresh = Vec::new();
@@ -172,23 +215,30 @@ impl Spool {
                 input,
                 observation,
             };
-            serde_json::to_writer(&mut lines, &kept).map_err(|error| self.failed("cannot write", error.into()))?;
-            lines.push(b'\n');
+            let entry = Entry::Kept { epoch: self.head.epoch, kept };
+            lines.extend(line(&entry).map_err(|error| self.failed("cannot write", error))?);
+            let Entry::Kept { kept, .. } = entry else { continue };
             fresh.push(kept);
             next += 1;
         }
+        self.write_lines(&lines, true)?;
+        self.kept.extend(fresh);
+        self.trim();
+        Ok(())
+    }
+
+    fn write_lines(&mut self, lines: &[u8], sync: bool) -> Result<(), SpoolError> {
         // Half a line would hide what comes after it.
         if let Some(end) = self.cut_at {
             self.file.set_len(end).map_err(|error| self.failed("cannot write", error))?;
             self.cut_at = None;
         }
         let end = self.file.metadata().map_err(|error| self.failed("cannot write", error))?.len();
-        if let Err(error) = self.file.write_all(&lines).and_then(|()| self.file.sync_data()) {
+        let written = self.file.write_all(lines).and_then(|()| if sync { self.file.sync_data() } else { Ok(()) });
+        if let Err(error) = written {
             self.cut_at = self.file.set_len(end).is_err().then_some(end);
             return Err(self.failed("cannot write", error));
         }
-        self.kept.extend(fresh);
-        self.trim();
         Ok(())
     }
 
@@ -209,13 +259,27 @@ impl Spool {
         if self.gone >= GONE_MAX && self.gone > self.kept.len() as u64 {
             self.file = write(&self.path, self.head, &self.kept).map_err(|error| self.failed("cannot write", error))?;
             (self.gone, self.cut_at) = (0, None);
+            self.noted = (self.head.first, clock::monotonic_ns());
+        }
+        self.note()
+    }
+
+    /// Writes down now and then what is gone, so that a hub that is killed does not say all of it again. What is not on disk is said again
+    /// and taken once.
+    fn note(&mut self) -> Result<(), SpoolError> {
+        let (now_ns, (first, at_ns)) = (clock::monotonic_ns(), self.noted);
+        let new = self.head.first.saturating_sub(first);
+        if new >= NOTE_EACH || (new > 0 && now_ns.saturating_sub(at_ns) >= NOTE_NS) {
+            let note = line(&Entry::Head(self.head)).map_err(|error| self.failed("cannot write", error))?;
+            self.write_lines(&note, false)?;
+            (self.noted, self.gone) = ((self.head.first, now_ns), self.gone + 1);
         }
         Ok(())
     }
 
     fn forget(&mut self, count: usize) {
         for kept in self.kept.drain(..count.min(self.kept.len())) {
-            (self.head.first, self.head.input) = (kept.sequence + 1, kept.input);
+            (self.head.first, self.head.input) = (kept.sequence + 1, Some(kept.input));
             self.gone += 1;
         }
     }
@@ -225,40 +289,73 @@ impl Spool {
     }
 }
 
-/// What a file has, and how many narrations are given up: those before a damaged line that others follow. What follows no good line any more
-/// was cut off.
-fn read(mut file: impl BufRead) -> io::Result<(Option<Head>, VecDeque<Kept>, u64)> {
+/// A line of the file: its checksum, and itself.
+fn line(entry: &Entry) -> io::Result<Vec<u8>> {
+    let json = serde_json::to_vec(entry)?;
+    let mut line = format!("{:0DIGITS$x} ", crc32fast::hash(&json)).into_bytes();
+    line.extend(json);
+    line.push(b'\n');
+    Ok(line)
+}
+
+/// What a line says, where it is whole.
+fn entry(line: &[u8]) -> Option<Entry> {
+    let (digits, json) = line.strip_suffix(b"\n")?.split_at_checked(DIGITS)?;
+    let checksum = u32::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()?;
+    let json = json.strip_prefix(b" ")?;
+    (crc32fast::hash(json) == checksum).then(|| serde_json::from_slice(json).ok())?
+}
+
+/// What a file has.
+#[derive(Debug)]
+struct Found {
+    /// None where nothing of it is whole.
+    head: Option<Head>,
+    kept: VecDeque<Kept>,
+    /// Narrations that others follow, and that are gone with a damaged line.
+    given_up: u64,
+}
+
+/// What follows no good line any more was cut off.
+fn read(mut file: impl BufRead) -> io::Result<Found> {
     let mut line = Vec::new();
-    let mut next = |line: &mut Vec<u8>| -> io::Result<bool> {
+    let mut found = Found { head: None, kept: VecDeque::new(), given_up: 0 };
+    loop {
         line.clear();
-        io::Read::take(&mut file, LINE_BYTES_MAX).read_until(b'\n', line)?;
-        Ok(!line.is_empty())
-    };
-    let (mut kept, mut given_up) = (VecDeque::<Kept>::new(), 0);
-    let head = if next(&mut line)? { serde_json::from_slice::<Head>(&line).ok() } else { None };
-    let head = head.filter(|head| head.epoch.0 != 0 && (1..u64::MAX / 2).contains(&head.first));
-    let Some(mut head) = head else { return Ok((None, kept, given_up)) };
-    let mut damaged = 0_u64;
-    while next(&mut line)? {
-        let expected = head.first.saturating_add(kept.len() as u64);
-        match serde_json::from_slice::<Kept>(&line) {
-            // Without its end of line it may be half of a longer one.
-            Ok(_) if !line.ends_with(b"\n") => damaged += 1,
-            // Damage may join two lines: no more numbers than those are gone. Any other number is damage itself.
-            Ok(own) if own.sequence < expected || own.sequence - expected > 2 * damaged => damaged += 1,
-            Ok(own) => {
-                if own.sequence > expected {
-                    given_up += own.sequence - head.first;
-                    (head.first, head.input) = (own.sequence, own.input);
-                    kept.clear();
+        if io::Read::take(&mut file, LINE_BYTES_MAX).read_until(b'\n', &mut line)? == 0 {
+            return Ok(found);
+        }
+        let Some(entry) = entry(&line) else { continue };
+        let (epoch, first) = match &entry {
+            Entry::Head(head) => (head.epoch, head.first),
+            Entry::Kept { epoch, kept } => (*epoch, kept.sequence),
+        };
+        // Lines of another spool are none of this one's, whole as they are.
+        let known = found.head.map(|head| head.epoch);
+        if epoch.0 == 0 || !(1..u64::MAX / 2).contains(&first) || known.is_some_and(|known| known != epoch) {
+            continue;
+        }
+        let head = found.head.get_or_insert(Head { epoch, first, input: None });
+        let next = head.first + found.kept.len() as u64;
+        match entry {
+            Entry::Head(own) if own.first >= head.first => {
+                while found.kept.front().is_some_and(|kept| kept.sequence < own.first) {
+                    found.kept.pop_front();
                 }
-                kept.push_back(own);
-                damaged = 0;
+                *head = own;
             }
-            Err(_) => damaged += 1,
+            Entry::Kept { kept, .. } if kept.sequence >= next => {
+                if kept.sequence > next {
+                    found.given_up += kept.sequence - head.first;
+                    found.kept.clear();
+                    head.first = kept.sequence;
+                }
+                head.input = head.input.or(Some(kept.input));
+                found.kept.push_back(kept);
+            }
+            _ => {}
         }
     }
-    Ok((Some(head), kept, given_up))
 }
 
 /// Replaces the file at once, so that a kill leaves the old one or the new one. Gives it, opened for more.
@@ -270,11 +367,9 @@ fn write(path: &Path, head: Head, kept: &VecDeque<Kept>) -> io::Result<File> {
         _ => {}
     }
     let mut file = BufWriter::new(OpenOptions::new().create_new(true).write(true).mode(0o600).open(&unfinished)?);
-    serde_json::to_writer(&mut file, &head)?;
-    file.write_all(b"\n")?;
+    file.write_all(&line(&Entry::Head(head))?)?;
     for own in kept {
-        serde_json::to_writer(&mut file, own)?;
-        file.write_all(b"\n")?;
+        file.write_all(&line(&Entry::Kept { epoch: head.epoch, kept: own.clone() })?)?;
     }
     file.into_inner().map_err(io::IntoInnerError::into_error)?.sync_data()?;
     fs::rename(&unfinished, path)?;
@@ -295,7 +390,8 @@ mod tests {
 
     fn append(spool: &mut Spool, count: u64) {
         for _ in 0..count {
-            let input = spool.input() + 10;
+            let mut input = spool.input().unwrap_or_default();
+            input.at += 10;
             spool.append(vec![(observation("They sit."), 7, input)]).unwrap();
         }
     }
@@ -304,29 +400,29 @@ mod tests {
     fn a_killed_hub_goes_on_where_it_was() {
         let folder = tempfile::tempdir().unwrap();
         let mut spool = Spool::open(folder.path(), 100).unwrap();
-        assert_eq!((spool.first(), spool.last(), spool.input()), (1, 0, 0));
+        assert_eq!((spool.first(), spool.last(), spool.input().unwrap().at), (1, 0, 0));
         append(&mut spool, 5);
         let epoch = spool.epoch();
         let path = folder.path().join(FILE);
         assert!(Spool::open(folder.path(), 100).unwrap_err().to_string().contains("another hub"));
         let again = || read(BufReader::new(File::open(&path).unwrap())).unwrap();
-        assert_eq!((again().0.unwrap().epoch.0, again().1.len()), (epoch, 5));
+        assert_eq!((again().head.unwrap().epoch.0, again().kept.len()), (epoch, 5));
         spool.confirm(3).unwrap();
-        assert_eq!((spool.first(), spool.last(), spool.input()), (4, 5, 50));
+        assert_eq!((spool.first(), spool.last(), spool.input().unwrap().at), (4, 5, 50));
         assert!(spool.get(3).is_none() && spool.get(4).unwrap().sequence == 4 && spool.get(6).is_none());
         // A power loss cuts the last line off, or a disk makes nonsense of it.
         for tail in [b"{\"sequence\":6,".as_slice(), b"\xff\n", b"{\"sequence\":9}\n"] {
             let mut file = OpenOptions::new().append(true).open(&path).unwrap();
             file.write_all(tail).unwrap();
-            assert_eq!(again().1.len(), 5);
+            assert_eq!(again().kept.len(), 5);
             let end = fs::metadata(&path).unwrap().len();
             file.set_len(end - tail.len() as u64).unwrap();
         }
         drop(spool);
         let mut spool = Spool::open(folder.path(), 100).unwrap();
-        assert_eq!((spool.epoch(), spool.first(), spool.last(), spool.input()), (epoch, 1, 5, 50));
+        assert_eq!((spool.epoch(), spool.first(), spool.last(), spool.input().unwrap().at), (epoch, 1, 5, 50));
         append(&mut spool, 1);
-        assert_eq!(again().1.len(), 6);
+        assert_eq!(again().kept.len(), 6);
     }
 
     #[test]
@@ -347,9 +443,39 @@ mod tests {
             let spool = Spool::open(folder.path(), 100).unwrap();
             assert_eq!((spool.epoch(), spool.first(), spool.last()), (epoch, 4, 6));
         }
+        // The head may be damaged, and where everything is, nothing is said again.
+        for (end, first) in [(20, 1), (begins[3] + 5, 4), (begins[6] + 5, 1)] {
+            let mut damaged = whole.clone();
+            damaged[..end].fill(b'x');
+            fs::write(&path, &damaged).unwrap();
+            let spool = Spool::open(folder.path(), 100).unwrap();
+            let has = (spool.epoch() == epoch, spool.first(), spool.input().map(|place| place.at));
+            let is_known = end < begins[6];
+            assert_eq!(has, (is_known, first, is_known.then_some(60)));
+        }
+        // A number or a letter that is another one is damage, too.
+        let text = String::from_utf8(whole.clone()).unwrap();
+        for (from, to) in [("\"at\":60", "\"at\":96"), ("\"first\":1", "\"first\":9")] {
+            fs::write(&path, text.replacen(from, to, 1)).unwrap();
+            let spool = Spool::open(folder.path(), 100).unwrap();
+            let last = if from.starts_with("\"at") { 5 } else { 6 };
+            assert_eq!((spool.epoch(), spool.first(), spool.last()), (epoch, 1, last), "{from}");
+        }
         // Of what is damaged at its end, all before that is kept.
         fs::write(&path, &whole[..whole.len() - 3]).unwrap();
         assert_eq!(Spool::open(folder.path(), 100).unwrap().last(), 5);
+    }
+
+    #[test]
+    fn what_is_confirmed_is_not_kept_over_a_kill() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut spool = Spool::open(folder.path(), 1000).unwrap();
+        append(&mut spool, 200);
+        spool.confirm(150).unwrap();
+        spool.confirm(160).unwrap();
+        drop(spool);
+        let spool = Spool::open(folder.path(), 1000).unwrap();
+        assert_eq!((spool.first(), spool.last(), spool.input().unwrap().at), (151, 200, 2000));
     }
 
     #[test]
@@ -369,7 +495,7 @@ mod tests {
         append(&mut spool, 130);
         assert_eq!((spool.first(), spool.last()), (31, 130));
         for _ in 0..50 {
-            spool.append((0..100).map(|_| (observation("They sit."), 0, 0)).collect()).unwrap();
+            spool.append((0..100).map(|_| (observation("They sit."), 0, Place::default())).collect()).unwrap();
             spool.confirm(spool.last()).unwrap();
         }
         assert_eq!((spool.first(), spool.last()), (5131, 5130));

@@ -10,7 +10,7 @@ use roomcast_bridge::config::Config;
 use roomcast_bridge::delivery::Delivery;
 use roomcast_bridge::line::line;
 use roomcast_bridge::relay::{Offered, Relay};
-use roomcast_bridge::spool::Spool;
+use roomcast_bridge::spool::{Place, Spool};
 use roomcast_bridge::told::Teller;
 use roomcast_bridge::wire::{Arrived, BYTES_MAX, Confirmed, Hex, Kind, Narrated, Observation, Person, read};
 use roomcast_ipc::{Message, NAME_BYTES};
@@ -150,7 +150,8 @@ proptest! {
         let (file, before) = {
             let mut spool = Spool::open(folder.path(), 64).unwrap();
             for number in 0..count {
-                spool.append(vec![(observation(number as u8), 7, spool.input() + 10)]).unwrap();
+                let Place { file, at } = spool.input().unwrap();
+                spool.append(vec![(observation(number as u8), 7, Place { file, at: at + 10 })]).unwrap();
             }
             spool.confirm(confirmed.min(count)).unwrap();
             let file = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path());
@@ -167,9 +168,12 @@ proptest! {
             prop_assert_eq!((opened.0, opened.2), before);
         }
         for number in opened.1..=opened.2 {
-            prop_assert_eq!(spool.get(number).unwrap().sequence, number);
+            let kept = spool.get(number).unwrap();
+            prop_assert_eq!(kept.sequence, number);
+            // What is damaged is never narrated.
+            prop_assert_eq!(&kept.observation, &observation((number - 1) as u8));
         }
-        spool.append(vec![(observation(0), 0, spool.input())]).unwrap();
+        spool.append(vec![(observation(0), 0, spool.input().unwrap_or_default())]).unwrap();
         prop_assert_eq!(spool.last(), opened.2 + 1);
         drop(spool);
         let again = Spool::open(folder.path(), 64).unwrap();
