@@ -1,5 +1,6 @@
 //! From the robot's services to whoever listens elsewhere, and to whoever asks later.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -190,6 +191,8 @@ pub fn run(
     let robot = sequence::source_of_name(&config.robot.name);
     let mouth = Mouth { link, last, repeat: Duration::from_secs_f64(tell.repeat_s) };
     let (mut log, mut published_ns) = (Limiter::default(), None::<u64>);
+    // Decisions of other robots are there too where the bridge follows them.
+    let own_is_decided = Cell::new(config.peers.hear);
     let (mut asked, mut said, mut status) = (None::<Instant>, None::<Instant>, None::<StatusResponseV1>);
     while !stop.requested() {
         match &decision {
@@ -197,9 +200,17 @@ pub fn run(
             Some(decision) => scores.port.wait_with(&decision.port, TICK)?,
             None => scores.port.wait(TICK)?,
         };
-        if let Some(topic) = &mut decision
-            && topic.take(&mut log, |decision| decision.robot == robot)?
-        {
+        if let Some(topic) = &mut decision && topic.take(&mut log, |decision| {
+            let is_own = decision.robot == robot;
+            if !is_own && !own_is_decided.replace(true) {
+                tracing::warn!(
+                    robot = config.robot.name,
+                    "the planner decides for a robot of another name: give both one name (robot.name, planner.robot)"
+                );
+            }
+            own_is_decided.set(own_is_decided.get() || is_own);
+            is_own
+        })? {
             let name = (topic.message.epoch, topic.message.sequence, topic.message.decided_ns);
             mouth.tell(topic, name, told::decision);
         }

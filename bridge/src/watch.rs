@@ -25,6 +25,9 @@ const WAITING_MAX: usize = 1024;
 const WAITING_BYTES_MAX: usize = 16 << 20;
 /// Most bytes of a message.
 const BYTES_MAX: usize = 1 << 20;
+/// How often it is looked whether to stop, and how long what is being printed may still take then.
+const STOP_TICK: Duration = Duration::from_millis(100);
+const STOP_PATIENCE: Duration = Duration::from_secs(1);
 /// Clocks that are followed; of more, all are followed from the start again.
 const CLOCKS_MAX: usize = 4096;
 
@@ -47,6 +50,33 @@ enum Heard {
     Alive { key: String, alive: bool },
 }
 
+impl Heard {
+    /// What it takes of the memory for what waits.
+    fn size(&self) -> usize {
+        match self {
+            Self::Said { key, bytes, .. } => key.len() + bytes.len(),
+            Self::Alive { key, .. } => key.len(),
+        }
+    }
+}
+
+/// Where subscribers put what they hear: no more than fits.
+#[derive(Clone)]
+struct Ear {
+    to: SyncSender<Heard>,
+    waiting: Arc<AtomicUsize>,
+}
+
+impl Ear {
+    /// Takes what `heard` makes, of `size` bytes, if there is room; nothing is copied where there is none.
+    fn take(&self, size: usize, heard: impl FnOnce() -> Heard) {
+        let before = self.waiting.fetch_add(size, Ordering::Relaxed);
+        if before + size > WAITING_BYTES_MAX || self.to.try_send(heard()).is_err() {
+            self.waiting.fetch_sub(size, Ordering::Relaxed);
+        }
+    }
+}
+
 /// Prints until asked to stop.
 ///
 /// # Errors
@@ -56,7 +86,9 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
     config.check_watch()?;
     let (to, heard) = sync_channel(WAITING_MAX);
     let waiting = Arc::<AtomicUsize>::default();
-    let _link = Link::start(&config.router, declare(config.site.name.clone(), to, Arc::clone(&waiting)))?;
+    let ear = Ear { to, waiting: Arc::clone(&waiting) };
+    let _link = Link::start(&config.router, declare(config.site.name.clone(), ear))?;
+    end_where_nobody_reads(stop.clone());
     let mut delays = BTreeMap::<u64, Delay>::new();
     let mut out = io::stdout().lock();
     while !stop.requested() {
@@ -68,25 +100,37 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
                 continue;
             }
         };
+        waiting.fetch_sub(heard.size(), Ordering::Relaxed);
         let line = match heard {
             Heard::Alive { key, alive } => json!({ "key": key, "alive": alive }),
-            Heard::Said { key, bytes, now_ns } => {
-                waiting.fetch_sub(bytes.len(), Ordering::Relaxed);
-                match read(&key, &bytes) {
-                    Ok(mut message) => {
-                        aged(&mut message, &mut delays, now_ns);
-                        message.insert("key".to_owned(), key.into());
-                        message.insert("received_ns".to_owned(), now_ns.into());
-                        Value::Object(message)
-                    }
-                    Err(fault) => json!({ "key": key, "fault": fault.to_string() }),
+            Heard::Said { key, bytes, now_ns } => match read(&key, &bytes) {
+                Ok(mut message) => {
+                    aged(&mut message, &mut delays, now_ns);
+                    message.insert("key".to_owned(), key.into());
+                    message.insert("received_ns".to_owned(), now_ns.into());
+                    Value::Object(message)
                 }
-            }
+                Err(fault) => json!({ "key": key, "fault": fault.to_string() }),
+            },
         };
         let line = line.to_string();
         writeln!(out, "{}", harmless(&line)).and_then(|()| out.flush()).map_err(WatchError::Print)?;
     }
     Ok(())
+}
+
+/// Who is asked to stop and cannot write, because nobody reads what it prints, ends all the same.
+fn end_where_nobody_reads(stop: Stop) {
+    let wait = move || {
+        while !stop.requested() {
+            std::thread::sleep(STOP_TICK);
+        }
+        std::thread::sleep(STOP_PATIENCE);
+        // Whatever still waits to be printed is for nobody.
+        std::process::exit(0);
+    };
+    // Without a thread a second signal ends it.
+    let _thread = std::thread::Builder::new().name("stop".to_owned()).spawn(wait);
 }
 
 /// JSON that a terminal obeys in nothing: JSON itself escapes control characters below the space alone. Those above are in strings.
@@ -130,28 +174,24 @@ fn aged(message: &mut Map<String, Value>, delays: &mut BTreeMap<u64, Delay>, now
     message.insert("held_up_ns".to_owned(), excess_ns.into());
 }
 
-fn declare(site: String, to: SyncSender<Heard>, waiting: Arc<AtomicUsize>) -> Declare {
+fn declare(site: String, ear: Ear) -> Declare {
     Box::new(move |session: &Session| {
         let said = {
-            let (to, waiting) = (to.clone(), Arc::clone(&waiting));
+            let ear = ear.clone();
             move |sample: Sample| {
-                let length = sample.payload().len();
-                if length > BYTES_MAX {
+                let (key, payload) = (sample.key_expr().as_str(), sample.payload());
+                if payload.len() > BYTES_MAX {
                     return;
                 }
-                let before = waiting.fetch_add(length, Ordering::Relaxed);
-                let sent = before + length <= WAITING_BYTES_MAX && {
-                    let (key, bytes) = (sample.key_expr().to_string(), sample.payload().to_bytes().into_owned());
-                    to.try_send(Heard::Said { key, bytes, now_ns: clock::monotonic_ns() }).is_ok()
-                };
-                if !sent {
-                    waiting.fetch_sub(length, Ordering::Relaxed);
-                }
+                ear.take(key.len() + payload.len(), || {
+                    let bytes = payload.to_bytes().into_owned();
+                    Heard::Said { key: key.to_owned(), bytes, now_ns: clock::monotonic_ns() }
+                });
             }
         };
         let told = format!("roomcast/{site}/*/told/**");
         let subscriber = session.declare_subscriber(&told).callback(said.clone()).wait()?;
-        let of_before = to.clone();
+        let of_before = ear.clone();
         // What was told before: asked for, since nobody keeps it but who told it.
         let earlier = move |reply: zenoh::query::Reply| {
             if let Ok(sample) = reply.into_result() {
@@ -161,7 +201,8 @@ fn declare(site: String, to: SyncSender<Heard>, waiting: Arc<AtomicUsize>) -> De
         session.get(&told).callback(earlier).wait()?;
         let seen = move |sample: Sample| {
             let alive = sample.kind() == SampleKind::Put;
-            let _dropped = of_before.try_send(Heard::Alive { key: sample.key_expr().to_string(), alive });
+            let key = sample.key_expr().as_str();
+            of_before.take(key.len(), || Heard::Alive { key: key.to_owned(), alive });
         };
         let tokens = format!("roomcast/{site}/*/alive");
         let tokens = session.liveliness().declare_subscriber(tokens).history(true).callback(seen).wait()?;
@@ -172,6 +213,23 @@ fn declare(site: String, to: SyncSender<Heard>, waiting: Arc<AtomicUsize>) -> De
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_waits_is_bounded_with_its_keys() {
+        let (to, heard) = sync_channel(WAITING_MAX);
+        let ear = Ear { to, waiting: Arc::default() };
+        let take = |size: usize| {
+            ear.take(size, || Heard::Said { key: "k".repeat(size / 2), bytes: vec![0; size - size / 2], now_ns: 0 });
+        };
+        (0..40).for_each(|_| take(1 << 20));
+        assert_eq!(ear.waiting.load(Ordering::Relaxed), WAITING_BYTES_MAX);
+        let waits: Vec<usize> = heard.try_iter().map(|heard| heard.size()).collect();
+        assert_eq!(waits, [1 << 20; WAITING_BYTES_MAX >> 20]);
+        // So is their number.
+        ear.waiting.store(0, Ordering::Relaxed);
+        (0..2 * WAITING_MAX).for_each(|_| take(2));
+        assert_eq!((heard.try_iter().count(), ear.waiting.load(Ordering::Relaxed)), (WAITING_MAX, 2 * WAITING_MAX));
+    }
 
     #[test]
     fn what_is_printed_commands_no_terminal() {

@@ -118,6 +118,12 @@ fn a_stranger_without_rules_in_the_way_stops_nothing() {
     let mut more = fs::File::options().append(true).open(&lines).unwrap();
     std::io::Write::write_all(&mut more, b"They open the fridge.\n").unwrap();
     has(2);
+    // Another start in the hub's name, as of a second hub: it is believed, and holds the first one up in nothing.
+    let other = r#"{"epoch":"00000000000000aa","sequence":1,"first":1,"age_ns":0,"sent_ns":5,"clock":"0000000000000001","text":"They sleep."}"#;
+    stranger.put("roomcast/home/robot-1/narration/hall-camera", other).wait().unwrap();
+    has(3);
+    std::io::Write::write_all(&mut more, b"They grab the milk.\n").unwrap();
+    has(4);
     eventually("the planner decides after it", || {
         let line = watch.lines.try_recv().ok()?;
         (is_of(&line, "decision") && line["policy"].is_string()).then_some(())
