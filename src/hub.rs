@@ -523,6 +523,14 @@ fn private_folder(folder: &Path) -> Result<(), HubError> {
     if about.uid() != rustix::process::geteuid().as_raw() || about.mode() & 0o022 != 0 {
         return Err(HubError::Shared(folder.into()));
     }
+    // Who may write to a folder above renames this one, unless its sticky bit keeps names their owners'.
+    let whole = folder.canonicalize().map_err(failed)?;
+    for above in whole.ancestors().skip(1) {
+        let mode = above.metadata().map_err(failed)?.mode();
+        if mode & 0o002 != 0 && mode & 0o1000 == 0 {
+            return Err(HubError::Shared(above.into()));
+        }
+    }
     Ok(())
 }
 
@@ -768,6 +776,11 @@ mod tests {
         std::fs::set_permissions(&folder, PermissionsExt::from_mode(0o777)).unwrap();
         let hub = Hub { endpoint: Some("http://127.0.0.1:9".into()), cache: Some(cache.path().into()), token: None };
         assert!(matches!(pull(&hub, &TINY), Err(HubError::Shared(_))));
+        // So is one whose name others may give away.
+        std::fs::set_permissions(&folder, PermissionsExt::from_mode(0o700)).unwrap();
+        private_folder(&folder).unwrap();
+        std::fs::set_permissions(cache.path().join("someone"), PermissionsExt::from_mode(0o777)).unwrap();
+        assert!(matches!(private_folder(&folder), Err(HubError::Shared(_))));
     }
 
     /// The first release checked one answer and used the next, whose tag was a path: any file of the user's could be written.

@@ -163,6 +163,18 @@ fn too_few_file_descriptors_are_an_error_in_words_and_nothing_is_left_broken() {
 }
 
 #[test]
+fn a_limit_on_files_sizes_is_an_error_in_words() {
+    let world = World::new("sizes");
+    let mut refused = 0;
+    for bytes in [1 << 14, 1 << 18, 3_000_000, 10_000_000] {
+        let prefix = ["prlimit", &format!("--fsize={bytes}")];
+        refused += usize::from(!ends_in_words(world.command(&prefix, &["daemon"]), &format!("files of {bytes} bytes")));
+    }
+    assert!(refused > 0, "the limits were too high to show anything");
+    assert!(ends_in_words(world.command(&[], &["daemon"]), "no limit"), "the next one starts");
+}
+
+#[test]
 fn full_shared_memory_is_an_error_in_words() {
     if !may_mount() {
         return;

@@ -4,7 +4,7 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::flag;
 
 /// Whether somebody has asked this process to stop.
@@ -19,6 +19,8 @@ impl Stop {
     /// When the system refuses the handlers.
     pub fn on_signals() -> io::Result<Self> {
         let stop = Self::default();
+        // Where a limit on files' sizes is reached the call fails, as on a full disk; without a handler the signal would end the process.
+        flag::register(SIGXFSZ, Arc::default())?;
         for signal in [SIGINT, SIGTERM] {
             flag::register_conditional_shutdown(signal, 130, Arc::clone(&stop.0))?;
             flag::register(signal, Arc::clone(&stop.0))?;

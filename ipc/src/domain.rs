@@ -19,7 +19,7 @@ use iceoryx2::service::ipc_threadsafe;
 use iceoryx2::service::service_hash::ServiceHash;
 use rustix::fs::{FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
-use rustix::process::{Pid, geteuid, test_kill_process};
+use rustix::process::{Pid, Resource, geteuid, getrlimit, test_kill_process};
 
 use crate::unused::Unused;
 use crate::{IpcError, clock};
@@ -711,7 +711,7 @@ impl Node {
         // Whoever holds it looks at this moment.
         let Ok(mut unused) = self.unused.try_lock() else { return };
         let services = self.domain.root.join("services");
-        let closed = unused.remove(&self.node, &services, &self.domain.prefix(), MADE_WITHIN);
+        let closed = unused.remove(&self.node, &services, &self.domain.prefix(), MADE_WITHIN, age);
         if closed.is_empty() {
             return;
         }
@@ -791,6 +791,8 @@ impl Node {
                 Err(OpenFailure::Passing(_)) => {
                     self.remove_dead_participants();
                     if start.elapsed() >= LIKELY_WITHIN {
+                        // As soon as it may be: a service that then has no memory takes a while more.
+                        self.domain.remove_unmade_memory();
                         self.remove_unused_services();
                     }
                     std::thread::sleep(pause);
@@ -803,6 +805,9 @@ impl Node {
 
 /// An error in words where iceoryx2 would end by a signal.
 fn refuse_full_shared_memory() -> Result<(), IpcError> {
+    if let Some(limit_bytes) = getrlimit(Resource::Fsize).current.filter(|bytes| *bytes < FREE_BYTES) {
+        return Err(IpcError::FilesLimited { limit_bytes, needed_bytes: FREE_BYTES });
+    }
     // Where it cannot be asked, there is no such file system, and iceoryx2 says so.
     let Ok(about) = rustix::fs::statvfs(SHARED_MEMORY) else { return Ok(()) };
     let free_bytes = about.f_bavail.saturating_mul(about.f_frsize);

@@ -98,6 +98,16 @@ pub enum IpcError {
         /// What is needed, in bytes.
         needed_bytes: u64,
     },
+    /// Files, of which shared memory is made, may not become large enough.
+    #[error(
+        "files may have at most {limit_bytes} bytes here, and shared memory takes up to {needed_bytes}: raise the limit (ulimit -f, LimitFSIZE=)"
+    )]
+    FilesLimited {
+        /// The limit, in bytes.
+        limit_bytes: u64,
+        /// What is needed, in bytes.
+        needed_bytes: u64,
+    },
     /// The node, a participant's entry in the domain, could not be made.
     #[error("cannot join the domain at {}: {cause}; is {} writable and has /dev/shm space left?", root.display(), root.display())]
     Join {

@@ -34,14 +34,16 @@ enum Rest {
 }
 
 impl Unused {
-    /// Removes what nobody has been in for `long`: services whose files lie in `folder` and begin with `prefix`. Returns the endings of the
-    /// memory files of those that are closed to everybody: nobody can be in them any more, and the next look removes what is left then.
+    /// Removes services of more than `long` that nobody has been in for a part of that; `age` is that of a file, and their files lie in
+    /// `folder` and begin with `prefix`. Returns the endings of the memory files of those that are closed to everybody: nobody can be in them
+    /// any more, and the next look removes what is left then.
     pub(crate) fn remove(
         &mut self,
         node: &iceoryx2::node::Node<Flavour>,
         folder: &Path,
         prefix: &str,
         long: Duration,
+        age: impl Fn(&Path) -> Option<Duration>,
     ) -> Vec<String> {
         let mut found = BTreeMap::new();
         // A list that fails has named some, and the next one goes on.
@@ -62,7 +64,8 @@ impl Unused {
         let mut closed = Vec::new();
         for (path, (file, rest)) in found {
             let (_, since) = self.0.entry(path.clone()).or_insert((file, Instant::now()));
-            if since.elapsed() < long {
+            // Who makes a service has a part of it for moments, and so has who leaves it.
+            if since.elapsed() < long / 4 || age(&path).is_none_or(|age| age < long) {
                 continue;
             }
             match rest {

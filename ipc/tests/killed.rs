@@ -328,3 +328,24 @@ fn a_service_that_nobody_is_in_is_removed() {
     drop(node);
     assert!(files(&domain).is_empty(), "{:#?}", files(&domain));
 }
+
+/// Its maker was killed this very moment, before its memory had a size.
+#[test]
+fn a_service_that_was_just_not_finished_keeps_nobody_out_for_long() {
+    let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+    let domain = Domain::new(root.path(), &format!("halves-{}", std::process::id())).unwrap();
+    let node = domain.open("stays").unwrap();
+    let own = files(&domain);
+    leave_service_behind(&domain, true);
+    let now = SystemTime::now();
+    for path in files(&domain).into_iter().filter(|path| !own.contains(path)) {
+        if path.extension().is_some_and(|ending| ending == "dynamic") {
+            std::fs::File::create(path).unwrap();
+        } else {
+            std::fs::File::open(path).unwrap().set_modified(now).unwrap();
+        }
+    }
+    let scores = node.publisher::<RoomScoresV1>().unwrap();
+    drop((scores, node));
+    assert!(files(&domain).is_empty(), "{:#?}", files(&domain));
+}

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::flag;
 use signal_hook::low_level::{self, pipe};
 
@@ -47,6 +47,8 @@ impl Stop {
     /// When the system refuses the handlers, or the thread that waits for further signals.
     pub fn on_signals(second_signal: u8) -> io::Result<Self> {
         let stop = Self::new();
+        // Where a limit on files' sizes is reached the call fails, as on a full disk; without a handler the signal would end the process.
+        flag::register(SIGXFSZ, Arc::default())?;
         for signal in [SIGINT, SIGTERM] {
             flag::register(signal, Arc::clone(&stop.asked))?;
         }

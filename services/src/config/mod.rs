@@ -516,6 +516,31 @@ mod tests {
         assert_eq!(toml::from_str::<Config>(DEFAULT_TOML).unwrap(), Config::default());
     }
 
+    /// What the manual says that a key may be is what the check says.
+    #[test]
+    fn the_manual_states_the_ranges() {
+        let (mut section, mut tried) = ("", 0);
+        for line in DEFAULT_TOML.lines() {
+            if let Some(name) = line.strip_prefix('[').and_then(|line| line.split(']').next()) {
+                section = name;
+            }
+            let (Some((key, rest)), false) = (line.split_once(" = "), line.starts_with('#')) else { continue };
+            let Some((value, comment)) = rest.split_once('#') else { continue };
+            let words: Vec<&str> = comment.split([' ', ',', ';', ':']).collect();
+            let range = words.windows(3).find_map(|words| {
+                let [from, "to", to] = words else { return None };
+                from.parse::<f64>().ok().zip(to.parse::<f64>().ok()).map(|ends| (format!("{from} to {to}"), ends.1))
+            });
+            let Some((range, to)) = range else { continue };
+            let beyond = if value.contains('.') { format!("{:?}", to + 1.0) } else { format!("{}", to as u64 + 1) };
+            let config: Config = toml::from_str(&format!("[{section}]\n{key} = {beyond}")).unwrap();
+            let fault = config.check().unwrap_err().to_string();
+            assert!(fault.contains(&format!("{section}.{key} is")) && fault.contains(&range), "{line}\n{fault}");
+            tried += 1;
+        }
+        assert!(tried >= 10, "{tried}");
+    }
+
     #[test]
     fn a_value_of_the_wrong_kind_is_told_in_words() {
         let told = |toml: &str| in_words(&toml::from_str::<Config>(toml).unwrap_err());
