@@ -159,6 +159,7 @@ fn page() -> String {
             ("bytes of a packet", &mqtt::PACKET_BYTES_MAX, "the broker does not send it"),
             ("bytes of a payload", &mqtt::PAYLOAD_BYTES_MAX, "is passed over, with its topic in the log"),
             ("messages that the broker sends ahead", &mqtt::MESSAGES_AHEAD_MAX, "wait at the broker"),
+            ("bytes of what it sends further ahead all the same", &mqtt::HELD_BYTES_MAX, "the oldest is said at once"),
             ("messages of bridge or robot that wait to be sent", &mqtt_link::SAYING_MAX, "wait until there is room"),
             ("bytes that wait to be read by bridge or robot", &mqtt_link::HEARING_BYTES_MAX, "the oldest give way"),
             (

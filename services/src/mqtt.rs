@@ -83,7 +83,7 @@ use roomcast_ipc::clock;
 /// Messages that the broker may send before the first of them is acknowledged: MQTT's receive maximum.
 pub const MESSAGES_AHEAD_MAX: u16 = 32;
 /// Bytes of messages that a broker has sent further ahead than that: beyond them the oldest is said at once, and what is not acknowledged grows.
-const HELD_BYTES_MAX: usize = 8 << 20;
+pub const HELD_BYTES_MAX: usize = 8 << 20;
 /// What a message that waits takes beside its topic and payload.
 const HELD_BYTES_EACH: usize = 256;
 /// The largest packet that the broker may send, in bytes: MQTT's maximum packet size. It passes over larger messages by itself.
