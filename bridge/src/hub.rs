@@ -104,7 +104,7 @@ fn read_lines(path: &Path, from: Option<Place>, lines: &SyncSender<Line>, stop: 
         // With a writer of its own a FIFO does not end when the last other writer leaves.
         Box::new(BufReader::new(File::options().read(true).write(fifo).open(path)?))
     };
-    let (mut text, mut is_rest) = (Vec::new(), false);
+    let (mut text, mut is_rest, mut was_other) = (Vec::new(), false, false);
     while !stop.requested() {
         let left = (LINE_BYTES_MAX + 1).saturating_sub(text.len() as u64).max(1);
         let read = input.by_ref().take(left).read_until(b'\n', &mut text)? as u64;
@@ -123,12 +123,17 @@ fn read_lines(path: &Path, from: Option<Place>, lines: &SyncSender<Line>, stop: 
                 return Ok(());
             }
             // While it is being replaced there may be none.
-            if std::fs::metadata(path).is_ok_and(|about| about.ino() != place.file || about.len() < place.at)
+            let is_other =
+                std::fs::metadata(path).is_ok_and(|about| about.ino() != place.file || about.len() < place.at);
+            // What was written to the old one until now is read first.
+            if is_other
+                && was_other
                 && let Ok((file, start)) = follow(path, Some(Place::default()))
             {
                 tracing::warn!(path = %path.display(), "the input became shorter or is another file: it is read from its start");
                 (input, place, text, is_rest) = (Box::new(file), start, Vec::new(), false);
             }
+            was_other = is_other;
             thread::sleep(Duration::from_millis(50));
         }
     }
