@@ -28,6 +28,8 @@ const STATUS: Duration = Duration::from_secs(1);
 /// How often the daemon is asked for its counters, and how long it has to answer.
 const ASK_AGAIN: Duration = Duration::from_secs(10);
 const PATIENCE: Duration = Duration::from_millis(200);
+/// So many decisions of others and none of this robot's are a mistake in a name. Planners of one domain decide in turn.
+const STRANGERS: u32 = 10;
 /// A daemon that was silent for so long is not asked.
 const SILENCE_NS: u64 = 2_000_000_000;
 
@@ -191,8 +193,8 @@ pub fn run(
     let robot = sequence::source_of_name(&config.robot.name);
     let mouth = Mouth { link, last, repeat: Duration::from_secs_f64(tell.repeat_s) };
     let (mut log, mut published_ns) = (Limiter::default(), None::<u64>);
-    // Decisions of other robots are there too where the bridge follows them.
-    let own_is_decided = Cell::new(config.peers.hear);
+    // Decisions of other robots, until one of this robot's has come. They are expected where the bridge follows others.
+    let strangers = Cell::new(if config.peers.hear { STRANGERS } else { 0 });
     let (mut asked, mut said, mut status) = (None::<Instant>, None::<Instant>, None::<StatusResponseV1>);
     while !stop.requested() {
         match &decision {
@@ -202,13 +204,14 @@ pub fn run(
         };
         if let Some(topic) = &mut decision && topic.take(&mut log, |decision| {
             let is_own = decision.robot == robot;
-            if !is_own && !own_is_decided.replace(true) {
+            let count = if is_own { STRANGERS } else { strangers.get().saturating_add(1) };
+            if !is_own && count == STRANGERS {
                 tracing::warn!(
                     robot = config.robot.name,
                     "the planner decides for a robot of another name: give both one name (robot.name, planner.robot)"
                 );
             }
-            own_is_decided.set(own_is_decided.get() || is_own);
+            strangers.set(count.max(strangers.get()));
             is_own
         })? {
             let name = (topic.message.epoch, topic.message.sequence, topic.message.decided_ns);

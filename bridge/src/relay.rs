@@ -122,12 +122,6 @@ impl Relay {
         start.delay.excess_ns(clock, sent_ns, now_ns)
     }
 
-    /// How many starts are known.
-    #[must_use]
-    pub fn starts(&self) -> usize {
-        self.starts.len()
-    }
-
     /// The next message for the daemon, if one may go now.
     pub fn send(&mut self, now_ns: u64) -> Option<NarrationV1> {
         if self.under_way.len() >= UNDER_WAY_MAX || self.waiting.is_empty() || !self.pace.take(now_ns) {
@@ -259,7 +253,7 @@ mod tests {
         for epoch in 100..200 {
             relay.offer(epoch, 1, 1, None);
         }
-        assert_eq!(relay.starts(), STARTS_MAX);
+        assert_eq!(relay.starts.len(), STARTS_MAX);
     }
 
     #[test]

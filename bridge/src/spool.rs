@@ -215,9 +215,8 @@ impl Spool {
                 input,
                 observation,
             };
-            let entry = Entry::Kept { epoch: self.head.epoch, kept };
+            let entry = Entry::Kept { epoch: self.head.epoch, kept: kept.clone() };
             lines.extend(line(&entry).map_err(|error| self.failed("cannot write", error))?);
-            let Entry::Kept { kept, .. } = entry else { continue };
             fresh.push(kept);
             next += 1;
         }

@@ -134,7 +134,7 @@ impl Domain {
     pub fn open(&self, participant: &str) -> Result<Node, IpcError> {
         self.prepare_root()?;
         self.refuse_foreign_shared_memory()?;
-        refuse_full_shared_memory()?;
+        refuse_too_little_memory()?;
         // Whoever joins fails on such memory before the guardian's first look.
         self.remove_unmade_memory();
         // iceoryx2 logs to standard error; what matters comes back as an error.
@@ -687,7 +687,7 @@ impl Node {
     /// by itself now and then.
     pub fn clean_up_dead(&self) {
         self.remove_dead_participants();
-        self.remove_unused_services();
+        self.remove_unused_services(false);
     }
 
     fn remove_dead_participants(&self) {
@@ -707,10 +707,16 @@ impl Node {
         }
     }
 
-    fn remove_unused_services(&self) {
+    /// A look at every service takes some 3 ms of the processor: without `always` there is one only where something has changed.
+    fn remove_unused_services(&self, always: bool) {
         // Whoever holds it looks at this moment.
         let Ok(mut unused) = self.unused.try_lock() else { return };
-        let services = self.domain.root.join("services");
+        let folders = FOLDERS.map(|folder| self.domain.root.join(folder));
+        let changed = folders.each_ref().map(|folder| fs::metadata(folder).and_then(|about| about.modified()).ok());
+        if !unused.is_due(changed) && !always {
+            return;
+        }
+        let [_, services] = folders;
         let closed = unused.remove(&self.node, &services, &self.domain.prefix(), MADE_WITHIN, age);
         if closed.is_empty() {
             return;
@@ -770,7 +776,7 @@ impl Node {
 
     /// Repeats while the failure may pass: a peer is starting, stopping, or has died a moment ago.
     pub(crate) fn retry<T>(&self, mut open: impl FnMut() -> Result<T, OpenFailure>) -> Result<T, IpcError> {
-        refuse_full_shared_memory()?;
+        refuse_too_little_memory()?;
         let start = Instant::now();
         let mut pause = Duration::from_millis(2);
         loop {
@@ -793,7 +799,7 @@ impl Node {
                     if start.elapsed() >= LIKELY_WITHIN {
                         // As soon as it may be: a service that then has no memory takes a while more.
                         self.domain.remove_unmade_memory();
-                        self.remove_unused_services();
+                        self.remove_unused_services(true);
                     }
                     std::thread::sleep(pause);
                     pause = (pause * 2).min(Duration::from_millis(100));
@@ -804,7 +810,7 @@ impl Node {
 }
 
 /// An error in words where iceoryx2 would end by a signal.
-fn refuse_full_shared_memory() -> Result<(), IpcError> {
+fn refuse_too_little_memory() -> Result<(), IpcError> {
     if let Some(limit_bytes) = getrlimit(Resource::Fsize).current.filter(|bytes| *bytes < FREE_BYTES) {
         return Err(IpcError::FilesLimited { limit_bytes, needed_bytes: FREE_BYTES });
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use iceoryx2::prelude::{CallbackProgression, Service};
 use iceoryx2::service::builder::event::EventOpenError;
@@ -18,7 +18,11 @@ use iceoryx2::service::static_config::messaging_pattern::MessagingPattern;
 /// Services that nobody is in, as far as they have been seen: which file each has, and since when nobody is in it. For moments this is
 /// ordinary: a service is made, or left.
 #[derive(Debug, Default)]
-pub(crate) struct Unused(BTreeMap<PathBuf, (File, Instant)>);
+pub(crate) struct Unused {
+    seen: BTreeMap<PathBuf, (File, Instant)>,
+    /// When the folders of participants and services had last changed at the last look.
+    changed: [Option<SystemTime>; 2],
+}
 
 /// Which file it is: its number, and when it was last changed. A service that is made again under its name has another one.
 type File = (u64, i64);
@@ -34,6 +38,12 @@ enum Rest {
 }
 
 impl Unused {
+    /// Whether a look may find something new: who comes, leaves or is cleaned up after changes one of the folders.
+    pub(crate) fn is_due(&mut self, changed: [Option<SystemTime>; 2]) -> bool {
+        let before = std::mem::replace(&mut self.changed, changed);
+        before != changed || !self.seen.is_empty()
+    }
+
     /// Removes services of more than `long` that nobody has been in for a part of that; `age` is that of a file, and their files lie in
     /// `folder` and begin with `prefix`. Returns the endings of the memory files of those that are closed to everybody: nobody can be in them
     /// any more, and the next look removes what is left then.
@@ -60,10 +70,10 @@ impl Unused {
             }
             CallbackProgression::Continue
         });
-        self.0.retain(|path, (file, _)| found.get(path).is_some_and(|(found, _)| found == file));
+        self.seen.retain(|path, (file, _)| found.get(path).is_some_and(|(found, _)| found == file));
         let mut closed = Vec::new();
         for (path, (file, rest)) in found {
-            let (_, since) = self.0.entry(path.clone()).or_insert((file, Instant::now()));
+            let (_, since) = self.seen.entry(path.clone()).or_insert((file, Instant::now()));
             // Who makes a service has a part of it for moments, and so has who leaves it.
             if since.elapsed() < long / 4 || age(&path).is_none_or(|age| age < long) {
                 continue;
@@ -75,7 +85,7 @@ impl Unused {
                 }
                 // Somebody may join it at this moment, so that iceoryx2's own way is taken: whoever leaves as the last one closes it first.
                 Rest::Whole(service) => {
-                    if join_and_leave(node, &service).is_err_and(|Closed| true) {
+                    if is_closed_or_leave(node, &service) {
                         // Before the service's number stand the domain's prefix and the type's.
                         closed.push(format!("_{}.dynamic", service.unique_service_id().value()));
                     }
@@ -86,22 +96,16 @@ impl Unused {
     }
 }
 
-/// A service that lets nobody in any more.
-#[derive(Debug)]
-struct Closed;
-
-/// Joins a service of whatever type and leaves it at once. What else keeps it out passes, or is told to whoever needs the service.
+/// Joins a service of whatever type and leaves it at once, unless it lets nobody in any more: gives whether that is so. What else keeps it out
+/// passes, or is told to whoever needs the service.
 #[expect(
     unsafe_code,
     reason = "iceoryx2 has no other way to open a service whose type is not known when this is compiled"
 )]
-fn join_and_leave(node: &iceoryx2::node::Node<Flavour>, service: &StaticConfig) -> Result<(), Closed> {
+fn is_closed_or_leave(node: &iceoryx2::node::Node<Flavour>, service: &StaticConfig) -> bool {
     let builder = node.service_builder(service.name());
     match service.messaging_pattern() {
-        MessagingPattern::Event(_) => match builder.event().open() {
-            Err(EventOpenError::IsMarkedForDestruction) => Err(Closed),
-            _ => Ok(()),
-        },
+        MessagingPattern::Event(_) => matches!(builder.event().open(), Err(EventOpenError::IsMarkedForDestruction)),
         MessagingPattern::PublishSubscribe(about) => {
             let types = about.message_type_details();
             let builder = builder.publish_subscribe::<[CustomPayloadMarker]>().user_header::<CustomHeaderMarker>();
@@ -111,10 +115,7 @@ fn join_and_leave(node: &iceoryx2::node::Node<Flavour>, service: &StaticConfig) 
                     .__internal_set_payload_type_details(&types.payload)
                     .__internal_set_user_header_type_details(&types.user_header)
             };
-            match builder.open() {
-                Err(PublishSubscribeOpenError::IsMarkedForDestruction) => Err(Closed),
-                _ => Ok(()),
-            }
+            matches!(builder.open(), Err(PublishSubscribeOpenError::IsMarkedForDestruction))
         }
         MessagingPattern::RequestResponse(about) => {
             let (request, response) = (about.request_message_type_details(), about.response_message_type_details());
@@ -130,12 +131,9 @@ fn join_and_leave(node: &iceoryx2::node::Node<Flavour>, service: &StaticConfig) 
                     .__internal_set_request_header_type_details(&request.user_header)
                     .__internal_set_response_header_type_details(&response.user_header)
             };
-            match builder.open() {
-                Err(RequestResponseOpenError::IsMarkedForDestruction) => Err(Closed),
-                _ => Ok(()),
-            }
+            matches!(builder.open(), Err(RequestResponseOpenError::IsMarkedForDestruction))
         }
         // Roomcast has none.
-        _ => Ok(()),
+        _ => false,
     }
 }

@@ -1497,6 +1497,7 @@ impl<'a, W: Write> Connection<'a, W> {
             return Ok(());
         }
         self.held.retain(|message| message.qos == QoS::AtMostOnce);
+        self.held_bytes = self.held.iter().map(held_bytes).sum();
         if matches!(self.say_held(*connections, |_, _| true)?, Turn::Unread) {
             return Ok(());
         }
