@@ -335,8 +335,8 @@ fn tell(
             let apart = |(a, b): (&f64, &f64)| (a - b).abs();
             let worst = scores.label_log_prob_nats.iter().zip(&by_hand).map(apart).fold(0.0, f64::max);
             assert!(worst < TOLERANCE_NATS, "the scores are {worst} nats apart");
-            exact.cycle.tidy();
-            ranking.cycle.tidy();
+            while exact.cycle.tidy() {}
+            while ranking.cycle.tidy() {}
             kept = exact.kept(&weights, &prompt, left);
             if number >= WARM_UP {
                 samples.push(sample);

@@ -137,7 +137,7 @@ impl Told {
         self.next += 1;
         let observation = Observation::of(self.next, self.sentences[place].clone());
         self.pipeline.step([observation]).expect("the model scores");
-        self.pipeline.tidy();
+        while self.pipeline.tidy() {}
     }
 }
 

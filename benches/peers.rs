@@ -76,7 +76,7 @@ fn main() {
             "ns": event_ns, "prompt": prompt, "prompt_tokens": scores.prompt_tokens,
             "log_prob_nats": scores.label_log_prob_nats,
         });
-        pipeline.tidy();
+        while pipeline.tidy() {}
         writeln!(output, "{answer}").expect("a reader");
     }
 }

@@ -10,6 +10,7 @@
 //! | `bare-iceoryx2` | publish, notify, receive, of a narration's layout | the same of the scores' layout |
 //! | `event-to-scores` | narration to the daemon | its scores, with all that it does for them |
 //! | `event-to-scores-prepared` | the same, of those scores that were ready before the narration came (`scoring.prepare`) | |
+//! | `event-to-scores-computed` | the same, of the others, where there are both | |
 //! | `event-to-decision` | narration to the daemon | the decision of the planner that its scores woke |
 
 use std::os::fd::{AsFd, OwnedFd};
@@ -43,6 +44,8 @@ pub enum Path {
     EventToScores,
     /// The same, of scores that were ready before.
     EventToScoresPrepared,
+    /// The same, of the others.
+    EventToScoresComputed,
     /// Narration published to decision received.
     EventToDecision,
     /// Two messages over iceoryx2 by itself.
@@ -325,7 +328,11 @@ pub fn echo(path: Path, node: &Node, stop: &Stop) -> Result<(), LatencyError> {
                 send(&input, &reply, SendFlags::empty()).map_err(failed)?;
             }
         }
-        Path::BareIceoryx2 | Path::EventToScores | Path::EventToScoresPrepared | Path::EventToDecision => {
+        Path::BareIceoryx2
+        | Path::EventToScores
+        | Path::EventToScoresPrepared
+        | Path::EventToScoresComputed
+        | Path::EventToDecision => {
             let (requests, replies) =
                 (BareReceiver::<NarrationV1>::open(node, REQUEST)?, BareSender::open(node, REPLY)?);
             let reply = RoomScoresV1::default();
@@ -400,8 +407,19 @@ impl Row {
     }
 }
 
-/// Measures the probes in turn, `samples` times each after `warm_up`, with a pause before every sample; gives a histogram per probe, and one
-/// of what was prepared.
+/// Samples, in nanoseconds.
+#[derive(Debug)]
+pub struct Taken {
+    /// One of each probe, in their order.
+    pub histograms: Vec<Histogram<u64>>,
+    /// Of the scores, those that were ready before.
+    pub prepared: Histogram<u64>,
+    /// And the others.
+    pub computed: Histogram<u64>,
+}
+
+/// Measures the probes in turn, `samples` times each after `warm_up`, with a pause before every sample; gives what was
+/// taken.
 ///
 /// Interleaved, so that whatever else the machine does meets all paths alike.
 ///
@@ -414,27 +432,28 @@ pub fn interleaved(
     pause: Duration,
     stop: &Stop,
     mut progress: impl FnMut(),
-) -> Result<(Vec<Histogram<u64>>, Histogram<u64>), LatencyError> {
+) -> Result<Taken, LatencyError> {
     let histogram = || Histogram::new_with_max(60_000_000_000, 3);
-    let mut prepared = histogram()?;
+    let (mut prepared, mut computed) = (histogram()?, histogram()?);
     let mut histograms = probes.iter().map(|_| histogram()).collect::<Result<Vec<_>, _>>()?;
     for round in 0..warm_up + samples {
         for (probe, histogram) in probes.iter_mut().zip(&mut histograms) {
             if stop.requested() {
-                return Ok((histograms, prepared));
+                return Ok(Taken { histograms, prepared, computed });
             }
             std::thread::sleep(pause);
             let sample = probe.measure()?;
             if round >= warm_up {
                 histogram.saturating_record(sample.elapsed_ns);
-                if sample.prepared {
-                    prepared.saturating_record(sample.elapsed_ns);
+                if probe.path() == Path::EventToScores {
+                    let own = if sample.prepared { &mut prepared } else { &mut computed };
+                    own.saturating_record(sample.elapsed_ns);
                 }
             }
         }
         progress();
     }
-    Ok((histograms, prepared))
+    Ok(Taken { histograms, prepared, computed })
 }
 
 fn nanoseconds(since: Instant) -> u64 {

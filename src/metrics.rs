@@ -133,7 +133,6 @@ struct Metrics {
     prepared: Counter,
     prepared_used: Counter,
     prepare_s: Counter<f64, AtomicU64>,
-    prepare_pause_s: Ratio,
     habits_observations: Family<Person, Ratio>,
     habits_shares: Family<ForecastPart, Ratio>,
     versions: Family<Versions, Gauge>,
@@ -183,7 +182,6 @@ impl Metrics {
             prepared: Counter::default(),
             prepared_used: Counter::default(),
             prepare_s: Counter::default(),
-            prepare_pause_s: Ratio::default(),
             habits_observations: Family::default(),
             habits_shares: Family::default(),
             versions: Family::default(),
@@ -262,11 +260,6 @@ impl Metrics {
         r.register("answers_prepared", "Answers that were prepared while nobody waited", self.prepared.clone());
         r.register("answers_used", "Prepared answers that a step used", self.prepared_used.clone());
         r.register("prepare_seconds", "Time of the processor spent preparing answers", self.prepare_s.clone());
-        r.register(
-            "prepare_pause_seconds",
-            "For how long no answers are prepared, because they took too long",
-            self.prepare_pause_s.clone(),
-        );
         r.register(
             "habits_observations",
             "Observations that a person's habits rest on; older ones count less",
@@ -351,7 +344,6 @@ impl Metrics {
         set(&self.prepared, status.prepared);
         set(&self.prepared_used, status.prepared_used);
         self.prepare_s.inner().store(seconds(status.prepare_ns).to_bits(), Ordering::Relaxed);
-        self.prepare_pause_s.set(seconds(status.prepare_pause_ns));
         gauge(&self.waiting, status.waiting);
         gauge(&self.journal_bytes, status.journal_bytes);
         gauge(&self.sources, status.sources.into());

@@ -7,6 +7,7 @@
 
 use std::collections::HashMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -417,7 +418,7 @@ fn partial_answers_are_true_in(map: &SemanticMap, weights: Weights) -> usize {
         for (sequence, sentence) in (0..).zip(sentences()) {
             let truth = exact.step([observation(sequence, &sentence)]).unwrap();
             exact_scores.clone_from(&truth.grounded.partition_log_score_nats);
-            exact.tidy();
+            while exact.tidy() {}
             let scores = partial.step([observation(sequence, &sentence)]).unwrap();
             early += usize::from(scores.reached != Effort::Exact);
             for (r, &exact) in exact_scores.iter().enumerate() {
@@ -434,7 +435,7 @@ fn partial_answers_are_true_in(map: &SemanticMap, weights: Weights) -> usize {
             if scores.reached == Effort::Ranking && margin > weights.tolerances().0 {
                 assert_eq!(order(&scores.grounded.partition_log_score_nats), order(&exact_scores));
             }
-            partial.tidy();
+            while partial.tidy() {}
         }
     }
     compared.finish();
@@ -502,23 +503,26 @@ fn prepared_answers_are_those_computed_afterwards(weights: Weights) {
         Pipeline::new(weights.load(&options(64)), grounding, PipelineOptions::default()).unwrap()
     };
     let (mut ahead, mut behind) = (pipeline(), pipeline());
+    let mut aside = ahead.preparer(Arc::new(|| false)).unwrap().unwrap();
     let sentences = sentences();
     let (mut used, mut compared) = (0, Compared::with(weights));
     for sequence in 1..=60 {
         let said = sentences.choose(&mut rng).unwrap();
         if sequence > 1 {
-            ahead.tidy();
-            ahead.drop_answers(0);
+            while ahead.tidy() {}
             let mut guesses: Vec<&String> = sentences.sample(&mut rng, 6).collect();
             if rng.random_bool(0.5) {
                 guesses.insert(rng.random_range(0..guesses.len()), said);
             }
+            let outlook = ahead.outlook();
             for guess in guesses {
-                ahead.prepare_answer(0, &Sentence::new(guess).unwrap()).unwrap();
+                let ask = aside.ask(&outlook, 0, &Sentence::new(guess).unwrap()).unwrap();
+                let answer = aside.answer(ask).unwrap();
+                assert!(ahead.keep_answer(answer));
             }
         }
         used += ahead.step([observation(sequence, said)]).unwrap().prepared;
-        behind.tidy();
+        while behind.tidy() {}
         behind.step([observation(sequence, said)]).unwrap();
         let tokens = ahead.prepared().tokens();
         let nats = apart(tokens, &ahead.scores().label_log_prob_nats, &behind.scores().label_log_prob_nats);

@@ -44,8 +44,9 @@ use roomcast_core::label_trie::TokenTree;
 use roomcast_core::narration::{HistoryLimits, Observation, Presence, SOMEBODY, Said, Sentence, person_number};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::policy::PolicyName;
+use roomcast_core::prepared::{Answer, Preparer};
 use roomcast_core::scorer::table::TableModel;
-use roomcast_core::scorer::{DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token};
+use roomcast_core::scorer::{DecodeStats, IsStopped, LanguageModel, ModelError, ModelInfo, TextStart, Token};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::{
     DecisionV1, ForecastV1, MAX_PERSONS, Message, NarrationV1, PersonForecastV1, RobotReportV1, RoomScoresV1, Sender,
@@ -189,6 +190,10 @@ impl LanguageModel for WholePrompt {
     }
 
     fn tidy(&mut self, _keep: usize) {}
+
+    fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
+        Ok(Some(Self { table: self.table.clone(), failures: Rc::default() }))
+    }
 }
 
 /// What a sentence of the simulation may cost in tokens, of which a byte makes one.
@@ -200,6 +205,9 @@ const FORGED: &str = "attic";
 struct Daemon {
     intake: Intake,
     cycle: Cycle<WholePrompt>,
+    /// Scores ahead, and what it has not handed over yet.
+    preparer: Preparer<WholePrompt>,
+    late: Vec<Answer>,
     /// From the ear to the scoring loop.
     queue: VecDeque<(Entry, u64)>,
     /// To the journal's writer, and whether it is an observation from the ear.
@@ -973,9 +981,15 @@ impl World {
         let waiting = daemon.queue.iter().filter_map(|(entry, _)| entry.observation.sentence());
         let coming = self.narrators.iter().flat_map(|narrator| narrator.wire.front()).map(|message| message.text());
         let guesses = waiting.chain(coming).filter_map(|text| Sentence::new(text).ok());
+        // Some are kept at once, and some when something else has happened meanwhile.
+        let late = std::mem::take(&mut daemon.late);
+        late.into_iter().for_each(|answer| board.keep_answer(answer));
+        let outlook = board.now().outlook;
         for guess in guesses.take(3) {
             for person in &persons {
-                board.prepare_answer(*person, &guess).unwrap();
+                let Some(ask) = daemon.preparer.ask(&outlook, *person, &guess) else { continue };
+                let answer = daemon.preparer.answer(ask).unwrap();
+                if self.guesses.random_bool(0.2) { daemon.late.push(answer) } else { board.keep_answer(answer) }
             }
         }
     }
@@ -1038,7 +1052,7 @@ impl World {
         }
         self.tally.held_back += u64::from(message.is_some() && written < daemon.cycle.scored_record());
         if self.rng.random_bool(0.3) {
-            daemon.cycle.tidy();
+            while daemon.cycle.tidy() {}
         }
         let Some(message) = message else { return Ok(()) };
         self.check_scores(&message)?;
@@ -1458,9 +1472,12 @@ impl World {
         let said = self.lessons.len();
         ensure(learned <= said, || format!("{learned} sentences were learned, of {said} that were said"))?;
         let (queue, records) = Default::default();
+        let preparer = cycle.board().pipeline().preparer(Arc::new(|| false)).unwrap().unwrap();
         self.daemon = Some(Daemon {
             intake,
             cycle,
+            preparer,
+            late: Vec::new(),
             queue,
             records,
             writer,

@@ -848,7 +848,7 @@ typedef struct RoomcastStatusResponseV1 {
   // (Offset 232.)
   uint32_t persons;
   // Minor version of the layout: 1 has forged, costly and learned, 2 what
-  // follows learned, 3 prepare_pause_ns; they are 0 before.
+  // follows learned; they are 0 before.
   // (Offset 236.)
   uint32_t minor;
   // Version of the daemon, UTF-8, zero padded.
@@ -896,15 +896,12 @@ typedef struct RoomcastStatusResponseV1 {
   // Prepared answers that a step used.
   // (Offset 464.)
   uint64_t prepared_used;
-  // Nanoseconds spent preparing.
+  // Nanoseconds of the processor spent preparing.
   // (Offset 472.)
   uint64_t prepare_ns;
-  // Nanoseconds from now for which none is prepared, because answers took too long; 0 where they do not.
-  // (Offset 480.)
-  uint64_t prepare_pause_ns;
   // Zero.
-  // (Offset 488.)
-  uint8_t reserved[24];
+  // (Offset 480.)
+  uint8_t reserved[32];
 } RoomcastStatusResponseV1;
 
 // How far ahead the entries of PersonForecastV1::learned_share look, in seconds.
@@ -1190,6 +1187,5 @@ _Static_assert(offsetof(RoomcastStatusResponseV1, asked) == 448, "RoomcastStatus
 _Static_assert(offsetof(RoomcastStatusResponseV1, prepared) == 456, "RoomcastStatusResponseV1.prepared");
 _Static_assert(offsetof(RoomcastStatusResponseV1, prepared_used) == 464, "RoomcastStatusResponseV1.prepared_used");
 _Static_assert(offsetof(RoomcastStatusResponseV1, prepare_ns) == 472, "RoomcastStatusResponseV1.prepare_ns");
-_Static_assert(offsetof(RoomcastStatusResponseV1, prepare_pause_ns) == 480, "RoomcastStatusResponseV1.prepare_pause_ns");
-_Static_assert(offsetof(RoomcastStatusResponseV1, reserved) == 488, "RoomcastStatusResponseV1.reserved");
+_Static_assert(offsetof(RoomcastStatusResponseV1, reserved) == 480, "RoomcastStatusResponseV1.reserved");
 #endif

@@ -1,5 +1,4 @@
-//! What a person will be narrated to do next, as sentences with chances: what [`crate::pipeline::Pipeline::prepare_answer`] is asked to
-//! score ahead.
+//! What a person will be narrated to do next, as sentences with chances: what [`crate::prepared::Preparer`] is asked to score ahead.
 //!
 //! A sentence is taken apart into its form and its things: "They put the mug on the table." is `They put the <1> on the <n>.` where the
 //! mug was mentioned last but one, and the table not lately. Which form follows which is counted ([`Guesser::hear`]), over activity

@@ -10,17 +10,18 @@
 //! this one.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use crate::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions, Regrouped};
 use crate::narration::history::{Histories, History, HistoryLimits, Voice};
-use crate::narration::{Observation, Presence, Said, Sentence};
-use crate::prepared::PreparedAnswers;
+use crate::narration::{Observation, Presence};
+use crate::prepared::{Answer, Outlook, PersonOutlook, PreparedAnswers, Preparer};
 use crate::prompt::{BindingSequence, write_prompt};
 use crate::scorer::certified::{Bounds, Certified, Effort};
 use crate::scorer::correction::{Correction, CorrectionChoice};
 use crate::scorer::{
-    DecodeStats, LabelScores, LanguageModel, Method, ModelInfo, PreparedLabels, ScoreError, Scorer, TextStart,
-    TokenCounter, Tokenisation,
+    DecodeStats, IsStopped, LabelScores, LanguageModel, Method, ModelError, ModelInfo, PreparedLabels, ScoreError,
+    Scorer, TextStart, TokenCounter, Tokenisation,
 };
 use crate::semantic_map::SemanticMap;
 
@@ -153,7 +154,7 @@ pub struct Scores {
     pub prompt_tokens: usize,
     /// How many prompts the model was asked about in this step.
     pub asked: usize,
-    /// How many were answered before they were asked ([`Pipeline::prepare_answer`]).
+    /// How many were answered before they were asked ([`Pipeline::keep_answer`]).
     pub prepared: usize,
     /// What was decoded in this step.
     pub stats: DecodeStats,
@@ -322,7 +323,7 @@ impl Person {
 #[derive(Debug)]
 pub struct Pipeline<M> {
     scorer: Scorer<M>,
-    prepared: PreparedLabels,
+    prepared: Arc<PreparedLabels>,
     grounding: Grounding,
     options: PipelineOptions,
     /// Most tokens that a history was given; a map's labels may leave it fewer.
@@ -333,8 +334,10 @@ pub struct Pipeline<M> {
     /// Stands in before anybody was observed.
     nobody: Person,
     prompt: String,
-    /// The person whose prompt the model has read last.
+    /// The person whose prompt was scored last.
     read: Option<u32>,
+    /// The model has not read all of their narration: the scores were ready, or the window was cut.
+    is_unread: bool,
     /// Narrations included so far.
     turns: u64,
     /// Per start of a source up to which sequence a former run has dealt with it, and does not tell of it any more.
@@ -356,7 +359,7 @@ impl<M: LanguageModel> Pipeline<M> {
         let histories = Histories::new(options.history);
         Ok(Self {
             scorer,
-            prepared,
+            prepared: Arc::new(prepared),
             grounding,
             options,
             history_tokens,
@@ -365,6 +368,7 @@ impl<M: LanguageModel> Pipeline<M> {
             nobody: Person::new(0),
             prompt: String::new(),
             read: None,
+            is_unread: false,
             turns: 0,
             settled: BTreeMap::new(),
             answers: PreparedAnswers::default(),
@@ -385,6 +389,11 @@ impl<M: LanguageModel> Pipeline<M> {
     /// The labels' tokens and trie.
     pub fn prepared(&self) -> &PreparedLabels {
         &self.prepared
+    }
+
+    /// The same, for whoever works ahead.
+    pub fn labels(&self) -> Arc<PreparedLabels> {
+        Arc::clone(&self.prepared)
     }
 
     /// How this pipeline scores.
@@ -413,7 +422,7 @@ impl<M: LanguageModel> Pipeline<M> {
             let (labels, tokens) = prepare(&mut self.scorer, &grounding, &self.options)?;
             self.options.history.tokens = self.history_tokens.min(tokens);
             self.histories.limit_tokens(self.options.history.tokens);
-            self.prepared = labels;
+            self.prepared = Arc::new(labels);
             self.grounding = grounding;
             self.answers.clear();
             // Scores of the old list, in the old order.
@@ -513,7 +522,7 @@ impl<M: LanguageModel> Pipeline<M> {
     pub fn hear(&mut self, observations: impl IntoIterator<Item = (Voice, Observation)>) -> usize {
         let mut costly = 0;
         for (voice, observation) in observations {
-            let tokens = observation.sentence().map(|text| self.tokens_of(text));
+            let tokens = observation.sentence().map(|text| self.scorer.cost_of(text));
             if tokens.is_some_and(|tokens| tokens > self.options.history.tokens) {
                 costly += 1;
                 self.pass_over(observation.source, observation.epoch, observation.sequence);
@@ -527,7 +536,7 @@ impl<M: LanguageModel> Pipeline<M> {
 
     /// Enters an observation into its person's history, and does not take note that the scores contain it: see [`Pipeline::include`].
     pub fn enter(&mut self, voice: Voice, observation: Observation) {
-        let tokens = observation.sentence().map(|text| self.tokens_of(text));
+        let tokens = observation.sentence().map(|text| self.scorer.cost_of(text));
         self.enter_of(voice, observation, tokens);
     }
 
@@ -567,16 +576,7 @@ impl<M: LanguageModel> Pipeline<M> {
     pub fn is_costly(&mut self, observation: &Observation) -> bool {
         let most = self.options.history.tokens;
         // No tokeniser makes more tokens than bytes, a space before the sentence, and the one behind it.
-        observation.sentence().is_some_and(|text| text.len() + 2 > most && self.tokens_of(text) > most)
-    }
-
-    /// What a sentence costs in a window.
-    fn tokens_of(&mut self, sentence: &str) -> usize {
-        match self.scorer.sentence_tokens(sentence) {
-            Ok(tokens) => tokens + 1,
-            // A safe bound; scoring will name the failure.
-            Err(_) => sentence.len(),
-        }
+        observation.sentence().is_some_and(|text| text.len() + 2 > most && self.scorer.cost_of(text) > most)
     }
 
     /// All that was heard so far is of a former run: whose voice it was is not known any more.
@@ -665,7 +665,7 @@ impl<M: LanguageModel> Pipeline<M> {
         let mut timing = Timing::default();
         self.scores.stats = DecodeStats::default();
         (self.scores.prompt_tokens, self.scores.asked, self.scores.prepared) = (0, 0, 0);
-        let is_exact = self.options.method == Method::Trie && self.options.effort == Effort::Exact;
+        let is_exact = self.keeps_answers();
         let persons = match self.persons.as_mut_slice() {
             [] => std::slice::from_mut(&mut self.nobody),
             persons => persons,
@@ -678,11 +678,11 @@ impl<M: LanguageModel> Pipeline<M> {
             let is_prepared = is_exact
                 && self.answers.take(&person.prompt, |answer| {
                     std::mem::swap(&mut person.scores, &mut answer.scores);
-                    self.scorer.recall(&mut answer.node_log_prob_nats);
+                    self.scorer.exchange_nodes(&mut answer.node_log_prob_nats);
                 });
+            (self.read, self.is_unread) = (Some(person.id), is_prepared);
             if is_prepared {
                 person.due = Due::Grounding;
-                self.read = Some(person.id);
                 self.scores.prompt_tokens += person.scores.prompt_tokens;
                 self.scores.prepared += 1;
                 continue;
@@ -703,7 +703,6 @@ impl<M: LanguageModel> Pipeline<M> {
                 self.scorer.score(&self.prepared, &person.prompt, self.options.method, &mut person.scores)?;
             }
             person.due = Due::Grounding;
-            self.read = Some(person.id);
             timing.tokenise_ns += person.scores.tokenise_ns;
             timing.prefix_ns += person.scores.prefix_ns;
             timing.trie_ns += person.scores.trie_ns;
@@ -722,38 +721,38 @@ impl<M: LanguageModel> Pipeline<M> {
         Ok(&self.scores)
     }
 
-    /// Scores what a person may do next before they do it: the prompt that `sentence` would make, told by the voice that spoke last.
-    /// Gives whether there was anything to score: who is away or unknown has no next prompt, what is not exact is not prepared, and
-    /// at most [`crate::prepared::ANSWERS_MAX`] answers are kept.
-    ///
-    /// # Errors
-    /// When the model fails. Nothing is lost but time.
-    pub fn prepare_answer(&mut self, person: u32, sentence: &Sentence) -> Result<bool, PipelineError> {
-        let is_exact = self.options.method == Method::Trie && self.options.effort == Effort::Exact;
-        let is_here = |own: &&Person| own.id == person && own.at_home && own.due == Due::Nothing;
-        if !is_exact || self.answers.is_full() || !self.persons.iter().any(|own| is_here(&own)) {
-            return Ok(false);
-        }
-        let tokens = self.tokens_of(sentence.as_str());
-        let Some(history) = self.histories.get(person) else { return Ok(false) };
-        let Some((mut next, voice)) = history.newest() else { return Ok(false) };
-        next.said = Said::Sentence(sentence.clone());
-        let mut history = history.clone();
-        history.hear(next, voice, tokens);
-        let mut own = Person::new(person);
-        own.write_prompt(Some(&history), &self.options);
-        if self.answers.contains(&own.prompt) {
-            return Ok(false);
-        }
-        let mut answer = self.answers.begin();
-        self.scorer.score_aside(&self.prepared, &own.prompt, &mut answer.scores, &mut answer.node_log_prob_nats)?;
-        self.answers.keep(person, &own.prompt, answer);
-        Ok(true)
+    /// Whether answers can be prepared: exact ones by the trie.
+    fn keeps_answers(&self) -> bool {
+        self.options.method == Method::Trie && self.options.effort == Effort::Exact
     }
 
-    /// A person's prepared answers are of no use any more: they did something else than was guessed, or left.
-    pub fn drop_answers(&mut self, person: u32) {
-        self.answers.drop_person(person);
+    /// What scores ahead for this pipeline, on any thread; it stops within a small step of the model where `is_stopped` says so. None where
+    /// nothing can be prepared: without a model, and of answers that are not exact.
+    ///
+    /// # Errors
+    /// When the model has no memory for a second cache.
+    pub fn preparer(&self, is_stopped: IsStopped) -> Result<Option<Preparer<M>>, ModelError> {
+        if !self.keeps_answers() {
+            return Ok(None);
+        }
+        Ok(self.scorer.model().twin(is_stopped)?.map(Preparer::new))
+    }
+
+    /// What says which prompts may come next. Kept answers that are stale are dropped.
+    pub fn outlook(&mut self) -> Outlook {
+        let round = self.answers.begin(&self.histories);
+        let of = |(person, history): (u32, &History)| {
+            let own = self.persons.iter().find(|own| own.id == person && own.at_home && own.due == Due::Nothing);
+            let label_log_prob_nats = own.map(|own| own.scores.log_prob_nats.clone()).unwrap_or_default();
+            PersonOutlook { person, history: history.clone(), label_log_prob_nats }
+        };
+        Outlook::new(&self.prepared, self.histories.iter().map(of).collect(), round)
+    }
+
+    /// Keeps an answer for when it is asked for, and gives whether it is of use: not where its person has done something else since, the
+    /// labels are other ones, or there are [`crate::prepared::ANSWERS_MAX`].
+    pub fn keep_answer(&mut self, answer: Answer) -> bool {
+        self.answers.keep(answer, &self.histories)
     }
 
     /// Observes, then scores.
@@ -765,14 +764,16 @@ impl<M: LanguageModel> Pipeline<M> {
         self.score()
     }
 
-    /// Work that can wait until no event does: clears the model's cache of what the next event cannot use, and cuts the
-    /// history windows that are full, reading the remaining narration again, so that no event waits for it.
-    pub fn tidy(&mut self) {
+    /// A small part of the work that can wait until no event does: clears the model's cache of what the next event cannot use, cuts the
+    /// history windows that are full, and reads narration that the model has not read yet, so that no event waits for it. Gives whether there
+    /// is more.
+    pub fn tidy(&mut self) -> bool {
         self.scorer.tidy();
-        let Some(person) = self.read else { return };
-        let Some(history) = self.histories.get_mut(person) else { return };
-        if history.compact() == 0 || !self.options.binding.uses_narration() {
-            return;
+        let Some(person) = self.read else { return false };
+        let Some(history) = self.histories.get_mut(person) else { return false };
+        self.is_unread |= history.compact() > 0;
+        if !self.is_unread || !self.options.binding.uses_narration() {
+            return false;
         }
         self.prompt.clear();
         for sentence in history.sentences() {
@@ -782,9 +783,11 @@ impl<M: LanguageModel> Pipeline<M> {
             self.prompt.push_str(sentence);
         }
         // A failure costs the next event time, and shows there if it lasts.
-        if let Err(error) = self.scorer.read_ahead(&self.prompt) {
-            tracing::debug!(%error, "failed to read the compacted history ahead");
-        }
+        self.is_unread = !self.scorer.read_ahead(&self.prompt).unwrap_or_else(|error| {
+            tracing::debug!(%error, "failed to read narration ahead");
+            true
+        });
+        self.is_unread
     }
 }
 
@@ -927,6 +930,26 @@ mod tests {
         }
 
         fn tidy(&mut self, _keep: usize) {}
+
+        fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
+            Ok(Some(Self(self.0.clone())))
+        }
+    }
+
+    fn preparer<M: LanguageModel>(pipeline: &Pipeline<M>) -> Preparer<M> {
+        pipeline.preparer(Arc::new(|| false)).unwrap().unwrap()
+    }
+
+    /// The answer to what a person may do next, if they may.
+    fn guessed<M: LanguageModel>(
+        pipeline: &mut Pipeline<M>,
+        preparer: &mut Preparer<M>,
+        person: u32,
+        guess: &Sentence,
+    ) -> Option<Answer> {
+        let outlook = pipeline.outlook();
+        let ask = preparer.ask(&outlook, person, guess)?;
+        Some(preparer.answer(ask).unwrap())
     }
 
     fn observation(sequence: u64, person: u32) -> Observation {
@@ -957,23 +980,29 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever was prepared, and whether it is what comes: the scores are those of a pipeline that prepares nothing.
+        /// Whatever was prepared, also before something else came between, and whether it is what comes: the scores are those of a pipeline
+        /// that prepares nothing.
         #[test]
         fn prepared_scores_are_those_computed_afterwards(
-            acts in proptest::collection::vec((0_u32..3, 0_u64..4, 0_u32..4, 0_u64..4, 0_u8..8), 1..40)
+            acts in proptest::collection::vec((0_u32..3, 0_u64..4, 0_u32..4, 0_u64..4, 0_u8..9, any::<bool>()), 1..40)
         ) {
             let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
             let fewer = map.changed(vec![MapChange::RemoveItem { id: map.items[0].id.clone() }]).unwrap();
             for correction in [CorrectionChoice::EQUATION_1, CORRECTED] {
                 let fresh = || pipeline_of(WholePrompt(TableModel::new(7)), &map, Effort::Exact, correction);
                 let (mut ahead, mut behind) = (fresh(), fresh());
+                let mut aside = preparer(&ahead);
                 ahead.score().unwrap();
                 behind.score().unwrap();
                 let (mut used, mut is_whole) = (0, true);
-                for &(person, does, guessed, guess, event) in &acts {
+                for &(person, does, of, guess, event, is_late) in &acts {
                     let guess = Sentence::new(&format!("They touch thing {guess}.")).unwrap();
-                    let was_new = ahead.prepare_answer(guessed, &guess).unwrap();
-                    prop_assert!(!was_new || ahead.person(guessed).is_some());
+                    let mut answer = guessed(&mut ahead, &mut aside, of, &guess);
+                    prop_assert!(answer.is_none() || ahead.person(of).is_some());
+                    let mut keep = |ahead: &mut Pipeline<_>| answer.take().map(|answer| ahead.keep_answer(answer));
+                    if !is_late {
+                        keep(&mut ahead);
+                    }
                     match event {
                         0 => {
                             is_whole = !is_whole;
@@ -981,17 +1010,19 @@ mod tests {
                             ahead.change_map(map, &GroundingOptions::default()).unwrap();
                             behind.change_map(map, &GroundingOptions::default()).unwrap();
                         }
-                        1 => ahead.tidy(),
+                        1 => while ahead.tidy() | behind.tidy() {},
                         2 => {
                             ahead.end_window(person);
                             behind.end_window(person);
                         }
-                        3 => ahead.drop_answers(guessed),
+                        3 => drop(ahead.outlook()),
+                        4 => {
+                            ahead.forget_person(person);
+                            behind.forget_person(person);
+                        }
                         _ => {}
                     }
-                    if event == 1 {
-                        behind.tidy();
-                    }
+                    keep(&mut ahead);
                     used += ahead.step([observation(does, person)]).unwrap().prepared;
                     behind.step([observation(does, person)]).unwrap();
                     let pairs = [
@@ -1015,19 +1046,41 @@ mod tests {
     fn what_was_guessed_is_answered_without_the_model() {
         let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
         let mut ahead = pipeline(&map, Effort::Exact, CORRECTED);
+        let mut aside = preparer(&ahead);
         ahead.step([observation(1, 0)]).unwrap();
         let said = observation(2, 0);
         let guess = Sentence::new(said.sentence().unwrap()).unwrap();
-        assert!(ahead.prepare_answer(0, &guess).unwrap());
-        assert!(!ahead.prepare_answer(0, &guess).unwrap(), "it is there");
-        assert!(!ahead.prepare_answer(9, &guess).unwrap(), "nobody knows them");
+        let answer = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
+        assert!(ahead.keep_answer(answer));
+        assert!(guessed(&mut ahead, &mut aside, 9, &guess).is_none(), "nobody knows them");
+        let stale = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
         let scores = ahead.step([said.clone()]).unwrap();
         assert_eq!((scores.asked, scores.prepared, scores.stats.calls), (1, 1, 0));
-        // Forgetting leaves nothing of it.
-        assert!(ahead.prepare_answer(0, &guess).unwrap());
+        assert!(!ahead.keep_answer(stale), "they have done something since");
+        // Forgetting leaves nothing of it, nor of what is on its way.
+        let answer = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
+        assert!(ahead.keep_answer(answer));
+        let late = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
         ahead.forget_person(0);
+        assert!(!ahead.keep_answer(late));
         ahead.step([said]).unwrap();
         assert_eq!(ahead.scores().prepared, 0);
+    }
+
+    #[test]
+    fn only_exact_answers_are_prepared_and_so_many() {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let partial = pipeline(&map, Effort::Top, CORRECTED);
+        assert!(partial.preparer(Arc::new(|| false)).unwrap().is_none());
+        let mut ahead = pipeline(&map, Effort::Exact, CORRECTED);
+        let mut aside = preparer(&ahead);
+        ahead.step([observation(1, 0)]).unwrap();
+        let most = crate::prepared::ANSWERS_MAX as u64;
+        for thing in 2..most + 4 {
+            let guess = Sentence::new(&format!("They touch thing {thing}.")).unwrap();
+            let answer = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
+            assert_eq!(ahead.keep_answer(answer), thing < most + 2, "{thing}");
+        }
     }
 
     /// A map of many labels leaves the histories fewer tokens; a smaller one gives them back.

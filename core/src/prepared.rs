@@ -2,69 +2,181 @@
 //!
 //! A prompt's label scores depend on the prompt, the labels and the model alone. So what was scored ahead is what the event would have
 //! been given, whenever its prompt is the same to the letter; whatever else has happened meanwhile makes another prompt, and a miss.
+//!
+//! A [`Preparer`] has a model of its own, so it can work on another thread than the [`crate::pipeline::Pipeline`]: that gives an
+//! [`Outlook`], and keeps each [`Answer`] until it is asked for.
 
-use std::collections::HashMap;
+use std::hash::BuildHasher;
+use std::sync::Arc;
 
-use crate::scorer::LabelScores;
+use crate::narration::history::{Histories, History};
+use crate::narration::{Said, Sentence};
+use crate::prompt::write_prompt;
+use crate::scorer::{LabelScores, LanguageModel, Method, PreparedLabels, ScoreError, Scorer, Tokenisation};
 
 /// Most answers that are kept at once, of all persons together.
 pub const ANSWERS_MAX: usize = 256;
 
-/// The scores of one prompt.
-#[derive(Debug, Default)]
-pub(crate) struct Answer {
-    /// Whose next prompt it would be.
+/// One person, as far as it says what comes next.
+#[derive(Debug, Clone)]
+pub struct PersonOutlook {
+    /// Who.
+    pub person: u32,
+    /// What they did last.
+    pub history: History,
+    /// Per label `ln s_c` in nats; empty of whoever is out of the house, or whose scores are not of what they did last.
+    pub label_log_prob_nats: Vec<f64>,
+}
+
+/// All that says which prompts may come next, as it was at one moment.
+#[derive(Debug, Clone)]
+pub struct Outlook {
+    /// The labels to score.
+    pub labels: Arc<PreparedLabels>,
+    /// Everybody who is known, in the order of their numbers.
+    pub persons: Vec<PersonOutlook>,
+    round: u64,
+}
+
+/// A prompt that may come next.
+#[derive(Debug)]
+pub struct Ask {
+    labels: Arc<PreparedLabels>,
+    round: u64,
     person: u32,
+    /// How much was told of the person before.
+    told: u64,
+    prompt: String,
+    hash: u64,
+}
+
+impl Ask {
+    /// A number that two prompts share where they are the same, and else hardly ever.
+    #[must_use]
+    pub fn number(&self) -> u64 {
+        self.hash
+    }
+}
+
+/// The scores of a prompt that may come next.
+#[derive(Debug)]
+pub struct Answer {
+    ask: Ask,
     pub(crate) scores: LabelScores,
-    /// What an explanation shows: see [`crate::scorer::Scorer::token_log_prob_nats`].
+    /// What an explanation shows: see [`Scorer::token_log_prob_nats`].
     pub(crate) node_log_prob_nats: Vec<f64>,
+    is_spent: bool,
+}
+
+/// Scores prompts that may come next, with a model of its own.
+#[derive(Debug)]
+pub struct Preparer<M> {
+    scorer: Scorer<M>,
+}
+
+impl<M: LanguageModel> Preparer<M> {
+    /// On a model that answers as the pipeline's does.
+    pub fn new(model: M) -> Self {
+        Self { scorer: Scorer::new(model) }
+    }
+
+    /// The prompt that a person has after `sentence`, told by the voice that spoke last; none where nothing was told of them, or they have
+    /// no scores of now.
+    pub fn ask(&mut self, outlook: &Outlook, person: u32, sentence: &Sentence) -> Option<Ask> {
+        let own = outlook.persons.iter().find(|own| own.person == person)?;
+        if own.label_log_prob_nats.is_empty() {
+            return None;
+        }
+        let tokens = self.scorer.cost_of(sentence.as_str());
+        let (mut next, voice) = own.history.newest()?;
+        next.said = Said::Sentence(sentence.clone());
+        let mut history = own.history.clone();
+        history.hear(next, voice, tokens);
+        let labels = Arc::clone(&outlook.labels);
+        let mut prompt = String::new();
+        write_prompt(history.sentences(), labels.binding(), labels.tokenisation() == Tokenisation::Paper, &mut prompt);
+        let hash = hash_of(&prompt);
+        Some(Ask { labels, round: outlook.round, person, told: own.history.told(), prompt, hash })
+    }
+
+    /// Scores it.
+    ///
+    /// # Errors
+    /// When the model fails, or was stopped.
+    pub fn answer(&mut self, ask: Ask) -> Result<Answer, ScoreError> {
+        let mut scores = LabelScores::default();
+        self.scorer.score(&ask.labels, &ask.prompt, Method::Trie, &mut scores)?;
+        let mut node_log_prob_nats = Vec::new();
+        self.scorer.exchange_nodes(&mut node_log_prob_nats);
+        Ok(Answer { ask, scores, node_log_prob_nats, is_spent: false })
+    }
+}
+
+fn hash_of(prompt: &str) -> u64 {
+    foldhash::fast::FixedState::default().hash_one(prompt)
 }
 
 /// Answers by their prompt, at most [`ANSWERS_MAX`].
 #[derive(Debug, Default)]
 pub(crate) struct PreparedAnswers {
-    by_prompt: HashMap<String, Answer, foldhash::fast::RandomState>,
-    /// Buffers of answers that are stale.
-    spare: Vec<(String, Answer)>,
+    kept: Vec<Answer>,
+    /// Grows when all that was asked before is of no use.
+    round: u64,
 }
 
 impl PreparedAnswers {
-    pub(crate) fn contains(&self, prompt: &str) -> bool {
-        self.by_prompt.contains_key(prompt)
-    }
-
-    pub(crate) fn is_full(&self) -> bool {
-        self.by_prompt.len() >= ANSWERS_MAX
-    }
-
-    /// Gives a prompt's answer to `with`; true where there is one.
+    /// Gives a prompt's answer to `with`; true where there is one. Allocates and frees nothing.
     pub(crate) fn take(&mut self, prompt: &str, with: impl FnOnce(&mut Answer)) -> bool {
-        let Some((prompt, mut answer)) = self.by_prompt.remove_entry(prompt) else { return false };
-        with(&mut answer);
-        self.spare.push((prompt, answer));
+        if self.kept.is_empty() {
+            return false;
+        }
+        let hash = hash_of(prompt);
+        let is_it = |answer: &&mut Answer| answer.ask.hash == hash && !answer.is_spent && answer.ask.prompt == prompt;
+        let Some(answer) = self.kept.iter_mut().find(is_it) else { return false };
+        answer.is_spent = true;
+        with(answer);
         true
     }
 
-    /// An empty answer to fill.
-    pub(crate) fn begin(&mut self) -> Answer {
-        self.spare.pop().map(|(_, answer)| answer).unwrap_or_default()
+    /// Begins with what is of use still: answers for whom nothing was told since. Makes room for more.
+    pub(crate) fn begin(&mut self, histories: &Histories) -> u64 {
+        self.kept.retain(|answer| !answer.is_spent && answer.is_current(histories));
+        self.kept.reserve_exact(ANSWERS_MAX.saturating_sub(self.kept.len()));
+        self.round
     }
 
-    /// Keeps an answer to a person's next prompt.
-    pub(crate) fn keep(&mut self, person: u32, prompt: &str, mut answer: Answer) {
-        answer.person = person;
-        self.by_prompt.insert(prompt.to_owned(), answer);
+    /// Keeps an answer, if it is of use and there is room.
+    pub(crate) fn keep(&mut self, answer: Answer, histories: &Histories) -> bool {
+        let is_of_use = answer.ask.round == self.round && answer.is_current(histories);
+        let keeps = is_of_use && self.kept.len() < ANSWERS_MAX;
+        if keeps {
+            self.kept.push(answer);
+        }
+        keeps
     }
 
-    /// A person's answers are stale: their prompt goes on from somewhere else.
-    pub(crate) fn drop_person(&mut self, person: u32) {
-        self.spare.extend(self.by_prompt.extract_if(|_, answer| answer.person == person));
-        self.spare.truncate(ANSWERS_MAX);
-    }
-
-    /// All are stale: the labels or the model's view of them are other ones.
+    /// All are stale, also those that are on their way: the labels or the model's view of them are other ones, or somebody is forgotten.
     pub(crate) fn clear(&mut self) {
-        self.by_prompt.clear();
-        self.spare.clear();
+        self.kept.clear();
+        self.round += 1;
+    }
+}
+
+impl Answer {
+    fn is_current(&self, histories: &Histories) -> bool {
+        histories.get(self.ask.person).is_some_and(|history| history.told() == self.ask.told)
+    }
+}
+
+impl Outlook {
+    /// What was known when the answers of `round` began.
+    pub(crate) fn new(labels: &Arc<PreparedLabels>, persons: Vec<PersonOutlook>, round: u64) -> Self {
+        Self { labels: Arc::clone(labels), persons, round }
+    }
+
+    /// Another one says that no answer from before is kept any more.
+    #[must_use]
+    pub fn round(&self) -> u64 {
+        self.round
     }
 }

@@ -29,7 +29,7 @@ use sha2::{Digest, Sha256};
 use roomcast_core::label_trie::TokenTree;
 use roomcast_core::scorer::correction::Correction;
 use roomcast_core::scorer::{
-    Clock, DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token, TokenCounter, common_prefix,
+    Clock, DecodeStats, IsStopped, LanguageModel, ModelError, ModelInfo, TextStart, Token, TokenCounter, common_prefix,
 };
 
 use crate::gguf::Header;
@@ -38,6 +38,12 @@ use crate::gguf::Header;
 pub const SEQUENCES_MAX: u32 = 256;
 /// Most threads of one decoder call; llama.cpp reads and writes beyond its memory with too many.
 pub const THREADS_MAX: usize = 256;
+
+/// Tokens times parameters of a call for which nobody waits: an event that comes meanwhile waits for its end, or shares the memory with it.
+/// A core of some years ago takes 20 to 60 ms for it; a call reads all weights, so smaller ones cost more together.
+const SMALL_CALL: u64 = 2_000_000_000;
+/// Most tokens of it: llama.cpp keeps memory for as many.
+const SMALL_CALL_TOKENS: usize = 64;
 
 /// How the key-value cache is stored.
 #[derive(
@@ -168,6 +174,11 @@ pub struct LlamaModel {
     batch: LlamaBatch<'static>,
     batch_tokens: usize,
     info: ModelInfo,
+    options: LlamaOptions,
+    /// Of a call for which nobody waits.
+    small_tokens: usize,
+    /// Of one that works ahead on a thread of its own.
+    is_stopped: Option<IsStopped>,
     add_start_token: bool,
     start_token: Token,
     sentences_apart: bool,
@@ -293,6 +304,22 @@ fn sentences_apart(vocabulary: &LlamaVocab<'_>) -> bool {
     [cut("a."), cut("a")].concat() == cut("a. a") && !vocabulary.tokens().any(joins)
 }
 
+/// A context on these weights that decodes up to `batch_tokens` in a call.
+fn load_context(weights: Arc<Weights>, options: &LlamaOptions, batch_tokens: u32) -> Result<Loaded, String> {
+    let backend = backend()?;
+    let parameters = options.context_parameters(weights.n_ctx_train());
+    // llama.cpp aborts where a batch has fewer tokens than there are sequences.
+    let parameters = parameters.with_n_batch(batch_tokens.max(options.sequences)).with_n_ubatch(batch_tokens);
+    Loaded::try_new(weights, |weights| weights.new_context(backend, parameters)).map_err(|e| e.to_string())
+}
+
+/// How many tokens a [`SMALL_CALL`] has, at most `most`: llama.cpp multiplies by fours.
+fn small_tokens(parameters: u64, most: usize) -> usize {
+    let tokens = usize::try_from(SMALL_CALL / parameters.max(1)).unwrap_or(usize::MAX);
+    let tokens = if tokens >= 4 { tokens / 4 * 4 } else { tokens.max(1) };
+    tokens.min(most)
+}
+
 impl LlamaModel {
     /// Loads a GGUF file.
     ///
@@ -343,15 +370,16 @@ impl LlamaModel {
         let sentences_apart = text("tokenizer.ggml.model").as_deref() == Some("llama") && sentences_apart(&vocabulary);
         let add_start_token = vocabulary.should_add_bos();
         let start_token = Token(vocabulary.bos().0);
-        let context = options.context_parameters(weights.n_ctx_train());
-        let batch_tokens = context.n_batch();
-        let loaded = Loaded::try_new(Arc::new(weights), |weights| weights.new_context(backend, context))
-            .map_err(|e| fail(e.to_string()))?;
+        let batch_tokens = options.context_parameters(weights.n_ctx_train()).n_batch();
+        let small_tokens = small_tokens(weights.n_params(), SMALL_CALL_TOKENS.min(batch_tokens as usize));
         Ok(Self {
-            loaded,
+            loaded: load_context(Arc::new(weights), options, batch_tokens).map_err(fail)?,
             batch: LlamaBatch::new(batch_tokens as usize, sequences.cast_signed()),
             batch_tokens: batch_tokens as usize,
             info,
+            options: options.clone(),
+            small_tokens,
+            is_stopped: None,
             add_start_token,
             start_token,
             sentences_apart,
@@ -392,6 +420,13 @@ impl LlamaModel {
         let tokens = self.batch.n_tokens();
         if tokens == 0 {
             return Ok(());
+        }
+        if self.is_stopped.as_ref().is_some_and(|is_stopped| is_stopped()) {
+            self.batch.clear();
+            self.rows.clear();
+            // What earlier calls have read beyond what is kept.
+            self.untidy = true;
+            return Err(ModelError::Stopped);
         }
         let (batch, rows) = (&mut self.batch, &self.rows);
         let start = Instant::now();
@@ -477,6 +512,35 @@ impl LanguageModel for LlamaModel {
         self.kept.clear();
         self.kept_sequences = 1;
         self.untidy = false;
+    }
+
+    fn read(&mut self, prompt: &[Token]) -> Result<bool, ModelError> {
+        let until = prompt.len().min(common_prefix(&self.kept, prompt) + self.small_tokens);
+        self.decode(&prompt[..until], &TokenTree::default(), false, &mut |_, _| {})?;
+        Ok(until == prompt.len())
+    }
+
+    fn twin(&self, is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
+        // With more threads than one, OpenMP would have more of them than there are cores, and put to sleep whoever waits for the others.
+        let options = LlamaOptions { threads: 1, ..self.options.clone() };
+        let weights = Arc::clone(self.loaded.borrow_owner());
+        let batch_tokens = u32::try_from(self.small_tokens).unwrap_or(u32::MAX);
+        let fail = |reason| ModelError::Load { path: self.info.name.clone(), reason };
+        Ok(Some(Self {
+            loaded: load_context(weights, &options, batch_tokens).map_err(fail)?,
+            batch: LlamaBatch::new(self.small_tokens, self.sequences.cast_signed()),
+            batch_tokens: self.small_tokens,
+            info: self.info.clone(),
+            options,
+            is_stopped: Some(is_stopped),
+            kept: Vec::new(),
+            kept_sequences: 1,
+            untidy: false,
+            sequence_ids: Vec::new(),
+            rows: Vec::new(),
+            tokens: RefCell::new(Vec::new()),
+            ..*self
+        }))
     }
 
     fn tidy(&mut self, keep: usize) {

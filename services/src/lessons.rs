@@ -153,7 +153,7 @@ pub fn teach<M: LanguageModel>(
         };
         board.step([Entry::new(observation, observed_ns)], observed_ns, now_ns)?;
         board.tell_outcomes(|_| {});
-        board.tidy();
+        while board.tidy() {}
         told(sequence as usize);
     }
     Ok(board.habits().to_json()?)

@@ -40,6 +40,8 @@ pub mod token_bucket;
 
 mod awake;
 
+mod power;
+
 pub mod receive;
 
 pub mod moment;

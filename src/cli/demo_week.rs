@@ -189,7 +189,7 @@ impl<M: LanguageModel> Watcher<M> {
         };
         self.0.step([Entry::new(observation, at_ns)], at_ns, at_ns).map_err(failed)?;
         self.0.tell_outcomes(|_| {});
-        self.0.tidy();
+        while self.0.tidy() {}
         Ok(())
     }
 

@@ -12,8 +12,8 @@ use serde::Serialize;
 use super::stage::Stage;
 use super::{CommandResult, Failure, print_json, ranges, service};
 use crate::exit_code;
-use crate::latency::{self, LatencyError, Narrator, Path, Probe, Row};
-use roomcast_core::narration::Program;
+use crate::latency::{self, LatencyError, Narrator, Path, Probe, Row, Taken};
+use roomcast_core::narration::{Program, Sentence};
 use roomcast_services::stop::Stop;
 
 /// Loading the model is the slow part of the start.
@@ -38,6 +38,12 @@ pub struct Args {
     /// Microseconds that daemon and planner stay awake after a message (`ipc.spin_us`).
     #[arg(long, value_name = "US", default_value_t = 0, value_parser = ranges::any())]
     spin: u64,
+    /// How many likely next sentences the daemon scores ahead (`scoring.prepare`), in place of the default.
+    #[arg(long, value_name = "N", value_parser = ranges::any())]
+    prepare: Option<u64>,
+    /// A file with the sentences to narrate, a line each, over and over; the shipped programs' when left out.
+    #[arg(long, value_name = "FILE")]
+    sentences: Option<PathBuf>,
     /// The scene file, or a shipped scene's name.
     #[arg(long, value_name = "FILE", default_value = "apartment-e0")]
     scene: PathBuf,
@@ -160,7 +166,8 @@ fn measure(
     let ipc = |error| Failure::new(exit_code::IPC, error);
     let domain = Domain::new(directory.path().join("d"), &format!("latency-{}", std::process::id())).map_err(ipc)?;
     let mut stage = Stage::new(domain.clone(), directory.path());
-    stage.configure(&format!("[ipc]\nspin_us = {}\n", args.spin))?;
+    let prepare = args.prepare.map(|prepare| format!("[scoring]\nprepare = {prepare}\n")).unwrap_or_default();
+    stage.configure(&format!("[ipc]\nspin_us = {}\n{prepare}", args.spin))?;
     let node = domain.open("roomcast-latency").map_err(ipc)?;
     let result = on_stage(args, scorer, load, &mut stage, &node, stop, progress);
     // The node goes before the domain can be removed.
@@ -195,17 +202,20 @@ fn on_stage(
     if load == "busy" {
         stage.start("latency-end", &[])?;
     }
-    let sentences = sentences()?;
+    let sentences = sentences(args.sentences.as_deref())?;
     probes.push(Probe::Scores(Narrator::new(node, "latency", &sentences)?, scores));
     let pause = Duration::from_millis(args.pause);
     let take = |probes: &mut Vec<Probe>| {
         latency::interleaved(probes, args.samples, args.warm_up(), pause, stop, || progress.inc(1))
     };
     let row = |probe: &Probe, samples_ns: &Histogram<u64>| Row::new(probe.path(), scorer, load, samples_ns);
-    let (histograms, prepared) = take(&mut probes)?;
+    let Taken { histograms, prepared, computed } = take(&mut probes)?;
     let mut rows: Vec<Row> = probes.iter().zip(&histograms).rev().map(|(probe, samples)| row(probe, samples)).collect();
     if !prepared.is_empty() {
         rows.insert(1, Row::new(Path::EventToScoresPrepared, scorer, load, &prepared));
+        if !computed.is_empty() {
+            rows.insert(2, Row::new(Path::EventToScoresComputed, scorer, load, &computed));
+        }
     }
 
     // The scores' subscriber goes, and the planner takes its place: each path wakes the processes that lie on it, no others.
@@ -217,7 +227,7 @@ fn on_stage(
     stage.start("planner", &["--room-time".into(), "0".into()])?;
     wait_for(stage, stop, || decisions.newest().map(|decision| decision.is_some()).map_err(ipc))?;
     probes.push(Probe::Decision(narrator, decisions));
-    let (histograms, _) = take(&mut probes)?;
+    let histograms = take(&mut probes)?.histograms;
     if let (Some(probe), Some(samples)) = (probes.last(), histograms.last()) {
         let behind_scores = rows.iter().take_while(|row| row.path != Path::BareIceoryx2).count();
         rows.insert(behind_scores, row(probe, samples));
@@ -252,8 +262,20 @@ fn wait_for(stage: &mut Stage, stop: &Stop, mut there: impl FnMut() -> Result<bo
 }
 
 /// What a person does in the shipped programs.
-fn sentences() -> Result<Vec<String>, Failure> {
+fn sentences(file: Option<&std::path::Path>) -> Result<Vec<String>, Failure> {
     let mut sentences = Vec::new();
+    if let Some(file) = file {
+        let fail =
+            |error: &dyn std::fmt::Display| Failure::new(exit_code::INPUT, format!("{}: {error}", file.display()));
+        let text = std::fs::read_to_string(file).map_err(|error| fail(&error))?;
+        for line in text.lines().filter(|line| !line.trim().is_empty()) {
+            sentences.push(Sentence::new(line).map_err(|error| fail(&error))?.as_str().to_owned());
+        }
+        if sentences.is_empty() {
+            return Err(fail(&"it has no sentence: write one on each line"));
+        }
+        return Ok(sentences);
+    }
     for shipped in roomcast_services::embedded::PROGRAMS {
         let program = Program::parse(shipped.text).map_err(|error| Failure::new(exit_code::INPUT, error))?;
         sentences.extend(program.steps.iter().map(roomcast_core::narration::Action::sentence));

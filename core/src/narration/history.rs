@@ -270,6 +270,12 @@ impl History {
     pub fn left(&self) -> u64 {
         self.left
     }
+
+    /// How many observations have entered since the start.
+    #[must_use]
+    pub fn told(&self) -> u64 {
+        self.left + self.window.len() as u64
+    }
 }
 
 /// One history per person, at most [`PERSONS_MAX`].

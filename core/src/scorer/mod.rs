@@ -93,6 +93,9 @@ pub enum ModelError {
         /// What the decoder said.
         reason: String,
     },
+    /// It was told to stop.
+    #[error("scoring was broken off")]
+    Stopped,
     /// The model gave a value that is not a number.
     #[error("the model gave logits that are not finite after {at}: the file is damaged or its quantisation is broken")]
     NotFinite {
@@ -115,6 +118,9 @@ pub type Clock = fn() -> u64;
 
 /// How many tokens a text costs, for threads that do not have the model.
 pub type TokenCounter = Arc<dyn Fn(&str) -> usize + Send + Sync>;
+
+/// Whether work for which nobody waits is to stop.
+pub type IsStopped = Arc<dyn Fn() -> bool + Send + Sync>;
 
 /// What the scoring algorithm needs of a model.
 pub trait LanguageModel {
@@ -166,6 +172,28 @@ pub trait LanguageModel {
         want_prompt_row: bool,
         visit: &mut dyn FnMut(usize, &[f32]),
     ) -> Result<DecodeStats, ModelError>;
+
+    /// Reads a part of `prompt` that is small enough for an event to wait for, as a later [`LanguageModel::decode`] keeps it, and gives whether
+    /// all of it is read. The one given here reads all at once.
+    ///
+    /// # Errors
+    /// As [`LanguageModel::decode`].
+    fn read(&mut self, prompt: &[Token]) -> Result<bool, ModelError> {
+        self.decode(prompt, &TokenTree::default(), false, &mut |_, _| {})?;
+        Ok(true)
+    }
+
+    /// The same model a second time, for a thread of its own beside this one's: it gives the same scores up to rounding, and ends with
+    /// [`ModelError::Stopped`] soon after `is_stopped` says so. None where scoring costs nothing that could be done before.
+    ///
+    /// # Errors
+    /// When there is no memory for it.
+    fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError>
+    where
+        Self: Sized,
+    {
+        Ok(None)
+    }
 
     /// Drops what the last call left behind beyond the first `keep` tokens of its prompt, all that the next prompt will have of them;
     /// called while idle.
@@ -576,24 +604,18 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(())
     }
 
-    /// As [`Scorer::score`] by [`Method::Trie`], beside what the last score left behind: `nodes` takes what an explanation of this one
-    /// shows, and [`Scorer::token_log_prob_nats`] still explains the last.
-    pub(crate) fn score_aside(
-        &mut self,
-        prepared: &PreparedLabels,
-        prompt: &str,
-        out: &mut LabelScores,
-        nodes: &mut Vec<f64>,
-    ) -> Result<(), ScoreError> {
+    /// Exchanges what [`Scorer::token_log_prob_nats`] explains of the last score for that of another scorer.
+    pub(crate) fn exchange_nodes(&mut self, nodes: &mut Vec<f64>) {
         std::mem::swap(&mut self.node_log_prob_nats, nodes);
-        let scored = self.score(prepared, prompt, Method::Trie, out);
-        std::mem::swap(&mut self.node_log_prob_nats, nodes);
-        scored
     }
 
-    /// Makes what [`Scorer::score_aside`] left in `nodes` the last score's.
-    pub(crate) fn recall(&mut self, nodes: &mut Vec<f64>) {
-        std::mem::swap(&mut self.node_log_prob_nats, nodes);
+    /// What a sentence costs in a window.
+    pub(crate) fn cost_of(&mut self, sentence: &str) -> usize {
+        match self.sentence_tokens(sentence) {
+            Ok(tokens) => tokens + 1,
+            // A safe bound; scoring will name the failure.
+            Err(_) => sentence.len(),
+        }
     }
 
     /// How many tokens `sentence` has within a prompt. It is cut once: the prompt that it becomes part of finds its tokens.
@@ -756,17 +778,17 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(())
     }
 
-    /// Reads a prompt ahead, so that the next one that begins with it decodes only the rest.
+    /// Reads a small part of a prompt ahead, so that the next one that begins with it decodes only the rest. Gives whether all of it is read.
     ///
     /// # Errors
     /// When it does not fit or the model fails.
-    pub(crate) fn read_ahead(&mut self, prompt: &str) -> Result<(), ScoreError> {
+    pub(crate) fn read_ahead(&mut self, prompt: &str) -> Result<bool, ScoreError> {
         self.cut_prompt(prompt)?;
         self.kept_tokens = self.prompt.len();
-        if !self.prompt.is_empty() && self.model.info().shares_prefix {
-            self.model.decode(&self.prompt, &TokenTree::default(), false, &mut |_, _| {})?;
+        if self.prompt.is_empty() || !self.model.info().shares_prefix {
+            return Ok(true);
         }
-        Ok(())
+        Ok(self.model.read(&self.prompt)?)
     }
 
     /// Scores the labels of one trie behind `self.prompt`, and appends them to `out`. `places` gives the place of the trie's nodes in

@@ -4,7 +4,7 @@
 //! tokens by a fixed hash, so that any score can be recomputed by hand from [`TableModel::logits_after`].
 
 use super::correction::Correction;
-use super::{DecodeStats, LanguageModel, ModelError, ModelInfo, TextStart, Token};
+use super::{DecodeStats, IsStopped, LanguageModel, ModelError, ModelInfo, TextStart, Token};
 use crate::label_trie::{PROMPT, TokenTree};
 
 /// The model. See the module's documentation.
@@ -101,6 +101,10 @@ impl LanguageModel for TableModel {
     }
 
     fn tidy(&mut self, _keep: usize) {}
+
+    fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
+        Ok(Some(self.clone()))
+    }
 
     fn decode(
         &mut self,

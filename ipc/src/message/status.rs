@@ -69,7 +69,7 @@ layout! {
         /// Persons known.
         232 => persons: u32,
         /// Minor version of the layout: 1 has `forged`, `costly` and `learned`, 2 what
-        /// follows `learned`, 3 `prepare_pause_ns`; they are 0 before.
+        /// follows `learned`; they are 0 before.
         236 => minor: u32,
         /// Version of the daemon, UTF-8, zero padded.
         240 => version: [u8; NAME_BYTES],
@@ -101,12 +101,10 @@ layout! {
         456 => prepared: u64,
         /// Prepared answers that a step used.
         464 => prepared_used: u64,
-        /// Nanoseconds spent preparing.
+        /// Nanoseconds of the processor spent preparing.
         472 => prepare_ns: u64,
-        /// Nanoseconds from now for which none is prepared, because answers took too long; 0 where they do not.
-        480 => prepare_pause_ns: u64,
         /// Zero.
-        488 => reserved: [u8; 24],
+        480 => reserved: [u8; 32],
     }
 }
 

@@ -276,6 +276,8 @@ pub struct ScoringConfig {
     pub prepare: usize,
     /// The share of one core that this may take while it runs.
     pub prepare_share: f64,
+    /// Whether it goes on while the machine runs on battery.
+    pub prepare_on_battery: bool,
 }
 
 impl Default for ScoringConfig {
@@ -290,6 +292,7 @@ impl Default for ScoringConfig {
             deadline_ms: PipelineOptions::default().deadline_ns / 1_000_000,
             prepare: 32,
             prepare_share: 0.25,
+            prepare_on_battery: true,
         }
     }
 }

@@ -8,26 +8,25 @@ use roomcast_ipc::{
     RoomScoresV1, RoomV1, reached, score_flags,
 };
 
+use super::ahead::Now;
 use super::habits::{HomeHabits, Name, PlaceSet};
 use super::intake::OTHERS;
 use super::journal::{Outcome, Recovered};
 use super::persons::{Persons, is_bed, may_be_done_lying, sleeps};
 use crate::habits_reason::{ELSEWHERE, HorizonLine, PersonHabits, RoomReason, ThingReason};
 use crate::moment::Moment;
-use ahead::Ahead;
-pub use ahead::PreparedTally;
 use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
 use roomcast_core::grounding::{Grounding, GroundingOptions, partitions};
 use roomcast_core::habits::{Place as Whereabouts, WhenShares};
 use roomcast_core::narration::{Observation, Presence, Voice};
 use roomcast_core::pipeline::{Included, Pipeline, PipelineError, Prepared};
+use roomcast_core::prepared::Answer;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::semantic_map::SemanticMap;
 
 use messages::{NamedRooms, named_rooms};
 use whose::place_words;
 
-mod ahead;
 mod messages;
 mod whose;
 
@@ -176,9 +175,22 @@ pub struct Board<M> {
     recalled: bool,
     /// What the model has said after each person's newest restored observation, as far as the journal knows; nothing of who was out.
     said: BTreeMap<u32, Vec<f64>>,
-    /// What is scored while nobody waits; none where that is turned off.
-    ahead: Option<Box<Ahead>>,
+    /// Changes when somebody is forgotten, whom nobody who works ahead may know any more.
+    forgotten: u64,
+    /// The scores and the forgetting that were told to whoever works ahead.
+    told_ahead: (u64, u64),
     prepared: PreparedTally,
+}
+
+/// What was prepared since the start, for the status.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct PreparedTally {
+    /// Prompts that steps asked about.
+    pub asked: u64,
+    /// Answers that were prepared and of use.
+    pub prepared: u64,
+    /// Prepared answers that a step used.
+    pub used: u64,
 }
 
 /// Names of rooms that the map does not have which are logged, until the map changes.
@@ -243,7 +255,8 @@ impl<M: LanguageModel> Board<M> {
             home: HomeHabits::default(),
             recalled: false,
             said: BTreeMap::new(),
-            ahead: None,
+            forgotten: 0,
+            told_ahead: (0, 0),
             prepared: PreparedTally::default(),
         })
     }
@@ -323,7 +336,6 @@ impl<M: LanguageModel> Board<M> {
         self.rescored.extend(self.persons.iter().map(|(person, _)| person));
         self.mentions = Mentions::new(&map, self.pipeline.grounding());
         self.map = map;
-        self.relabel_ahead();
         Ok(prepared)
     }
 
@@ -383,6 +395,44 @@ impl<M: LanguageModel> Board<M> {
     /// Whether the scores are of the map in use: not while a changed map waits for its first ones.
     pub(super) fn is_scored(&self) -> bool {
         self.next_rooms.is_none()
+    }
+
+    /// Whether something has changed since the last [`Board::now`].
+    #[must_use]
+    pub(crate) fn is_ahead_due(&self) -> bool {
+        self.is_scored() && self.told_ahead != (self.snapshot.sequence, self.forgotten)
+    }
+
+    /// What whoever works ahead has to know.
+    pub fn now(&mut self) -> Now {
+        self.told_ahead = (self.snapshot.sequence, self.forgotten);
+        Now { outlook: self.pipeline.outlook(), forgotten: self.forgotten }
+    }
+
+    /// Keeps an answer for when it is asked for, if it is of use.
+    pub fn keep_answer(&mut self, answer: Answer) {
+        self.prepared.prepared += u64::from(self.pipeline.keep_answer(answer));
+    }
+
+    /// What was prepared since the start.
+    #[must_use]
+    pub fn prepared(&self) -> PreparedTally {
+        self.prepared
+    }
+
+    /// After a step: what it asked, and what was ready.
+    fn count_prepared(&mut self) {
+        let scores = self.pipeline.scores();
+        self.prepared.asked += scores.asked as u64;
+        self.prepared.used += scores.prepared as u64;
+        if scores.prepared > 0 && scores.prepared == scores.asked {
+            self.snapshot.flags |= score_flags::PREPARED;
+        }
+    }
+
+    /// Whoever works ahead is to forget what it has heard.
+    pub(super) fn forget_ahead(&mut self) {
+        self.forgotten += 1;
     }
 
     /// All that is behind the newest scores, and what was learned, in the forecasts of `now_ns`.
@@ -825,10 +875,10 @@ impl<M: LanguageModel> Board<M> {
         &self.map
     }
 
-    /// Work that can wait until there is nothing else to do.
-    pub fn tidy(&mut self) {
+    /// A small part of the work that can wait until there is nothing else to do. Gives whether there is more.
+    pub fn tidy(&mut self) -> bool {
         self.watch();
-        self.pipeline.tidy();
+        self.pipeline.tidy()
     }
 }
 

@@ -209,8 +209,8 @@ impl<M: LanguageModel> Cycle<M> {
         &self.board
     }
 
-    /// Work that can wait until there is nothing else to do.
-    pub fn tidy(&mut self) {
-        self.board.tidy();
+    /// A small part of the work that can wait until there is nothing else to do. Gives whether there is more.
+    pub fn tidy(&mut self) -> bool {
+        self.board.tidy()
     }
 }

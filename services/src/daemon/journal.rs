@@ -48,6 +48,8 @@ mod disk;
 mod forget;
 mod last_words;
 
+/// Silence before a sync.
+const QUIET_BEFORE_SYNC: Duration = Duration::from_millis(100);
 const MAGIC: [u8; 4] = *b"RCJ1";
 const MAGIC_CARRIED: [u8; 4] = *b"RCJ2";
 const MAGIC_NAMED: [u8; 4] = *b"RCJ3";
@@ -372,6 +374,39 @@ struct Last {
     turn: u64,
 }
 
+/// When the next sync is due: some time after what was written, because whatever is to be written during a sync waits for it, and so do the
+/// scores that rest on it. Never later than promised, and, unless that asks for it, not sooner after the last one.
+#[derive(Debug)]
+struct SyncDue {
+    every: Duration,
+    synced: Instant,
+    /// When the first and the last was written since; none where all is synced.
+    written: Option<(Instant, Instant)>,
+}
+
+impl SyncDue {
+    /// What a process before has left is to be synced.
+    fn new(every: Duration, now: Instant) -> Self {
+        Self { every, synced: now, written: Some((now, now)) }
+    }
+
+    fn wrote(&mut self, now: Instant) {
+        let first = self.written.map_or(now, |(first, _)| first);
+        self.written = Some((first, now));
+    }
+
+    /// What a sync failed with is synced again.
+    fn synced(&mut self, done: bool, now: Instant) {
+        self.synced = now;
+        self.written = (!done).then_some((now, now));
+    }
+
+    fn at(&self) -> Option<Instant> {
+        let (first, last) = self.written?;
+        Some((last + QUIET_BEFORE_SYNC).max(self.synced + self.every).min(first + self.every))
+    }
+}
+
 /// What writes the two halves to a disk; the journal's thread has one.
 #[derive(Debug)]
 pub struct Writer<D> {
@@ -453,32 +488,32 @@ impl<D: Disk> Writer<D> {
     }
 
     fn run(&mut self, queue: &Receiver<Work>) {
-        let mut synced = Instant::now();
-        let mut dirty = true;
+        let mut due = SyncDue::new(self.sync_every, Instant::now());
         loop {
+            let now = Instant::now();
             // Only what is still to be done has a time.
-            let received = match dirty || !self.unwritten.is_empty() {
-                true => queue.recv_timeout(self.sync_every),
-                false => queue.recv().map_err(|_| RecvTimeoutError::Disconnected),
+            let until = due.at().or_else(|| (!self.unwritten.is_empty()).then_some(now + self.sync_every));
+            let received = match until {
+                Some(until) => queue.recv_deadline(until),
+                None => queue.recv().map_err(|_| RecvTimeoutError::Disconnected),
             };
             match received {
                 Ok(work) => {
                     self.work(work, queue);
-                    dirty = true;
+                    due.wrote(Instant::now());
                 }
                 Err(RecvTimeoutError::Timeout) if !self.unwritten.is_empty() => {
                     let written = self.write(&[]);
                     self.note(written);
-                    dirty = true;
+                    due.wrote(Instant::now());
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
-            if dirty && synced.elapsed() >= self.sync_every {
+            if due.at().is_some_and(|at| Instant::now() >= at) {
                 let done = self.sync();
-                dirty = done.is_err();
+                due.synced(done.is_ok(), Instant::now());
                 self.note(done);
-                synced = Instant::now();
             }
         }
         if !self.unwritten.is_empty() {
@@ -1764,6 +1799,35 @@ mod tests {
             assert_eq!(fs::read(&older).unwrap(), full);
             assert_eq!(writer.last.len(), before);
         }
+    }
+
+    /// A sync keeps out of the way of what is written, is never later than promised, and not more frequent than that.
+    #[test]
+    fn a_sync_waits_for_silence_and_not_longer_than_promised() {
+        let (start, every) = (Instant::now(), Duration::from_secs(1));
+        let at = |ms: u64| start + Duration::from_millis(ms);
+        let mut due = SyncDue::new(every, start);
+        assert_eq!(due.at(), Some(at(1000)), "what a process before has left");
+        due.synced(true, at(1003));
+        assert_eq!(due.at(), None);
+        // After a long silence it follows soon, and not at once.
+        due.wrote(at(5000));
+        due.wrote(at(5002));
+        assert_eq!(due.at(), Some(at(5102)));
+        due.synced(true, at(5105));
+        // More often than promised it is not.
+        due.wrote(at(5600));
+        assert_eq!(due.at(), Some(at(6105)));
+        // Who never falls silent does not put it off.
+        for ms in (6050..6600).step_by(50) {
+            due.wrote(at(ms));
+        }
+        assert_eq!(due.at(), Some(at(6600)));
+        due.synced(false, at(6604));
+        assert_eq!(due.at(), Some(at(7604)), "what it failed with is tried again");
+        let mut due = SyncDue::new(Duration::from_millis(1), start);
+        due.wrote(at(50));
+        assert_eq!(due.at(), Some(at(1)));
     }
 
     /// A power loss that finds a folder not synced takes all that was written to a new half: so that is tried again.

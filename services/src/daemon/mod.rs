@@ -3,6 +3,7 @@
 //! ```text
 //! scoring thread: inbox -> board -> room scores, item scores; heartbeat, status
 //! relief thread:  the inbox while the scoring thread is busy
+//! ahead thread:   scores of what may be narrated next, at the lowest priority
 //! main thread:    signals, watchdog
 //!
 //! inbox: narration port -> intake -> journal
@@ -33,12 +34,13 @@ use habits_file::Keeper;
 use inbox::{Counters, Inbox, Lending};
 
 use roomcast_core::guess::Counts;
-use roomcast_core::scorer::certified::Effort;
-use roomcast_core::scorer::{LanguageModel, Method, TokenCounter};
+use roomcast_core::scorer::{IsStopped, LanguageModel, TokenCounter};
 use roomcast_llama::affinity::{self, AffinityError};
 use scoring::{Ports, Scoring, Tools};
 
+mod ahead;
 mod answers;
+mod aside;
 mod asked;
 mod board;
 mod cycle;
@@ -49,12 +51,12 @@ mod inbox;
 mod intake;
 pub mod journal;
 mod map_change;
-mod pace;
 mod person_question;
 mod persons;
 mod persons_file;
 mod scoring;
 
+pub use ahead::{Ahead, Now};
 pub use asked::{ANSWERS_REMEMBERED, QUESTION_NAME_BYTES_MAX};
 pub use board::{Board, BoardError, Entry, MapError};
 pub use cycle::Cycle;
@@ -155,7 +157,8 @@ fn run_with<M: LanguageModel + Send + 'static>(
     // that comes meanwhile waits in the port.
     let ports = Ports::open(&node)?;
     let narration = node.subscriber::<NarrationV1>()?;
-    let Loaded { board, kept_map, keeper, token_counter } = load(config, model)?;
+    let (desk, aside) = aside::pair(config.scoring.prepare_share, config.scoring.prepare_on_battery);
+    let Loaded { board, ahead, kept_map, keeper, token_counter } = load(config, model, aside.is_stopped())?;
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
     let sentence_tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
     let mut intake = Intake::new(config.daemon.intake)
@@ -177,25 +180,35 @@ fn run_with<M: LanguageModel + Send + 'static>(
         journal: journal.as_ref().map(Journal::handle),
         counters: Arc::clone(&counters),
         progress: progress.clone(),
-        prepare_share: config.scoring.prepare_share,
+        desk: ahead.is_some().then_some(desk),
         stop: stop.clone(),
     };
     let inbox = Inbox::new(narration, intake, journal, counters);
     let (inbox, relief) = Lending::new(inbox, Awake::new(config.ipc.spin_us), progress.clone(), stop.clone());
     let mut scoring = Scoring::new(cycle, ports, inbox, tools, tally);
     let cores = config.model.cores.clone();
-    let (ending, ended) = bounded(2);
-    let scoring = spawn("scoring", &ending, move || {
+    let (ending, ended) = bounded(THREADS);
+    let scoring = spawn(SCORING, &ending, move || {
         affinity::bind(&cores)?;
         Ok::<(), DaemonError>(scoring.run()?)
     })?;
     let relief = spawn("relief", &ending, move || relief.run())?;
-    supervise(config, &node, stop, &progress, &ended, scoring, relief)
+    let cores = config.model.cores.clone();
+    let work_ahead = move |ahead| {
+        // Where the scorer has cores of its own, this leaves the others alone too.
+        affinity::bind(&cores)?;
+        aside.run(ahead);
+        Ok::<(), DaemonError>(())
+    };
+    let ahead = ahead.map(|ahead| spawn("ahead", &ending, move || work_ahead(ahead))).transpose()?;
+    supervise(config, &node, stop, &progress, &ended, Threads { scoring, relief, ahead })
 }
 
 /// What is read before the daemon listens.
 struct Loaded<M> {
     board: Board<M>,
+    /// None where nothing is prepared.
+    ahead: Option<Ahead<M>>,
     kept_map: Option<KeptMap>,
     /// None without a state directory.
     keeper: Option<Keeper>,
@@ -206,6 +219,7 @@ struct Loaded<M> {
 fn load<M: LanguageModel + Send + 'static>(
     config: &Config,
     model: impl FnOnce(&Config) -> Result<M, SetupError> + Send,
+    is_stopped: IsStopped,
 ) -> Result<Loaded<M>, DaemonError> {
     let state = config.daemon.state_directory();
     let configured = setup::load_map(config.scene.path.as_deref())?;
@@ -225,18 +239,18 @@ fn load<M: LanguageModel + Send + 'static>(
         }
         None => (None, Memory::new(config.habits.options())),
     };
-    let counts = Counts::from_json(embedded::FORMS).unwrap_or_default();
-    // Without a model there is nothing to wait for; other efforts and methods have no answers to keep.
-    let (scoring, is_model) = (&config.scoring, pipeline.model().parameters > 0);
-    let may_prepare = is_model && scoring.effort == Effort::Exact && scoring.method == Method::Trie;
-    let prepare = if may_prepare { scoring.prepare } else { 0 };
+    let preparer = match config.scoring.prepare {
+        0 => None,
+        _ => pipeline.preparer(is_stopped).map_err(SetupError::from)?,
+    };
+    let counts = || Counts::from_json(embedded::FORMS).unwrap_or_default();
+    let ahead = preparer.map(|preparer| Ahead::new(preparer, counts(), pipeline.labels(), config.scoring.prepare));
     let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?
         .with_persons(Persons::new(config.persons.clone(), names))
         .with_forecast(config.forecast)
         .with_named(named.map(|known| sequence::source_of_name(&known.name)))
-        .with_habits(HomeHabits::new(memory, Zone::local()))
-        .with_prepared(counts, prepare);
-    Ok(Loaded { board, kept_map, keeper, token_counter })
+        .with_habits(HomeHabits::new(memory, Zone::local()));
+    Ok(Loaded { board, ahead, kept_map, keeper, token_counter })
 }
 
 /// What the status answer says of this start.
@@ -249,7 +263,7 @@ fn first_tally<M: LanguageModel>(board: &Board<M>, restored: u64) -> StatusRespo
         model_fingerprint: snapshot.model_fingerprint,
         map_fingerprint: snapshot.map_fingerprint,
         process: std::process::id(),
-        minor: 3,
+        minor: 2,
         version: text::encode_cut(env!("CARGO_PKG_VERSION")),
         map: text::encode_cut(board.map().name()),
         model: text::encode_cut(&board.pipeline().model().name),
@@ -277,6 +291,17 @@ fn restore<M: LanguageModel>(
     Ok((journal, restored))
 }
 
+/// Threads that are started, and what the one is called whose end ends the others.
+const THREADS: usize = 3;
+const SCORING: &str = "scoring";
+
+/// They.
+struct Threads {
+    scoring: JoinHandle<Result<(), DaemonError>>,
+    relief: JoinHandle<()>,
+    ahead: Option<JoinHandle<Result<(), DaemonError>>>,
+}
+
 /// The main thread's work: signals, the watchdog, what dead participants left. Returns when the threads have ended.
 fn supervise(
     config: &Config,
@@ -284,9 +309,9 @@ fn supervise(
     stop: &Stop,
     progress_ns: &Progress,
     ended: &Receiver<&'static str>,
-    scoring: JoinHandle<Result<(), DaemonError>>,
-    relief: JoinHandle<()>,
+    threads: Threads,
 ) -> Result<(), DaemonError> {
+    let Threads { scoring, relief, ahead } = threads;
     let mut cleaned_ns = 0;
     while !stop.requested() {
         let name = select! {
@@ -297,13 +322,15 @@ fn supervise(
         if let Some(name) = name
             && !stop.requested()
         {
-            // The relief thread ends with the scoring thread, whose end is the cause then.
-            if name == "relief" && ended.recv_timeout(SUPERVISE).is_err() {
+            // The others end with the scoring thread, whose end is the cause then.
+            let is_by_scoring =
+                || std::iter::from_fn(|| ended.recv_timeout(SUPERVISE).ok()).any(|name| name == SCORING);
+            if name != SCORING && !is_by_scoring() {
                 return Err(DaemonError::Ended { name });
             }
             return Err(match scoring.join() {
                 Ok(Err(error)) => error,
-                _ => DaemonError::Ended { name: "scoring" },
+                _ => DaemonError::Ended { name: SCORING },
             });
         }
         let now_ns = clock::monotonic_ns();
@@ -320,7 +347,8 @@ fn supervise(
     notify(&[NotifyState::Stopping]);
     // The relief thread returns the inbox; the scoring thread finishes what it has received.
     relief.join().map_err(|_| DaemonError::Ended { name: "relief" })?;
-    scoring.join().map_err(|_| DaemonError::Ended { name: "scoring" })??;
+    scoring.join().map_err(|_| DaemonError::Ended { name: SCORING })??;
+    ahead.map_or(Ok(Ok(())), JoinHandle::join).map_err(|_| DaemonError::Ended { name: "ahead" })??;
     tracing::info!("stopped");
     Ok(())
 }
@@ -334,7 +362,7 @@ fn spawn<T: Send + 'static>(
     struct Ending(&'static str, Sender<&'static str>);
     impl Drop for Ending {
         fn drop(&mut self) {
-            // Each says it once, and there is room for both.
+            // Each says it once, and there is room for all.
             let _said = self.1.try_send(self.0);
         }
     }

@@ -12,6 +12,7 @@ use roomcast_ipc::{
 use sd_notify::NotifyState;
 
 use super::answers::{answer_about_person, answer_change, write_habits};
+use super::aside::Desk;
 use super::asked::{Answered, Question};
 use super::cycle::Cycle;
 use super::habits_file::Keeper;
@@ -19,7 +20,6 @@ use super::habits_question::{self, After, HabitsAnswer, HabitsQuestion, Importin
 use super::inbox::{Counters, Heard, Lending};
 use super::journal::JournalHandle;
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
-use super::pace::Pace;
 use super::person_question::{PersonAnswer, PersonQuestion};
 use super::{LOG_INTERVAL_NS, Progress};
 use crate::logging::Limiter;
@@ -27,6 +27,8 @@ use crate::notify::notify;
 use crate::stop::Stop;
 use roomcast_core::scorer::LanguageModel;
 
+/// Silence before work for which nobody waits: a burst of narration is not held up by it.
+const QUIET_NS: u64 = 50_000_000;
 /// How often connections are renewed at least. Whoever joins or asks by this contract's crate wakes the daemon by itself.
 const TICK: Duration = Duration::from_millis(250);
 /// While a step that takes less runs, the port holds what comes: another thread that is woken for it takes a core from the step.
@@ -82,8 +84,12 @@ pub(super) struct Scoring<M> {
     inbox: Lending,
     /// What the last step took, as a guess at the next.
     step_ns: u64,
-    /// When answers are prepared.
-    pace: Pace,
+    /// Whoever scores ahead; none where nothing is prepared.
+    desk: Option<Desk>,
+    /// Until when what waits for silence waits.
+    quiet_ns: u64,
+    /// There is something to tidy up.
+    is_untidy: bool,
     /// What a sentence may cost with the map in use, for the intake.
     sentence_tokens_max: Arc<AtomicUsize>,
     journal: Option<JournalHandle>,
@@ -104,15 +110,14 @@ pub(super) struct Tools {
     pub(super) journal: Option<JournalHandle>,
     pub(super) counters: Counters,
     pub(super) progress: Progress,
-    pub(super) prepare_share: f64,
+    pub(super) desk: Option<Desk>,
     pub(super) stop: Stop,
 }
 
 impl<M: LanguageModel> Scoring<M> {
     /// `tally` is what the status answer says from the start.
     pub(super) fn new(cycle: Cycle<M>, ports: Ports, inbox: Lending, tools: Tools, tally: StatusResponseV1) -> Self {
-        let Tools { kept_map, keeper, save_ns, sentence_tokens_max, journal, counters, progress, prepare_share, stop } =
-            tools;
+        let Tools { kept_map, keeper, save_ns, sentence_tokens_max, journal, counters, progress, desk, stop } = tools;
         Self {
             cycle,
             ready: false,
@@ -127,7 +132,9 @@ impl<M: LanguageModel> Scoring<M> {
             saved_ns: clock::monotonic_ns(),
             inbox,
             step_ns: u64::MAX,
-            pace: Pace::new(prepare_share),
+            desk,
+            quiet_ns: 0,
+            is_untidy: false,
             sentence_tokens_max,
             journal,
             counters,
@@ -146,12 +153,13 @@ impl<M: LanguageModel> Scoring<M> {
             let wait = !last && !self.cycle.step_due(clock::monotonic_ns());
             let idle = || {
                 let now_ns = clock::monotonic_ns();
-                Duration::from_nanos(self.cycle.idle_ns(now_ns).min(self.until_prepare_ns(now_ns))).min(TICK)
+                Duration::from_nanos(self.cycle.idle_ns(now_ns).min(self.until_quiet_ns(now_ns))).min(TICK)
             };
             self.take(if wait { idle() } else { Duration::ZERO });
             let now_ns = clock::monotonic_ns();
             self.progress.scoring_ns.store(now_ns, Ordering::Relaxed);
             let events = self.cycle.waiting() as u64;
+            self.take_answers(events > 0);
             if self.cycle.step_due(now_ns) {
                 if !last && self.step_ns >= SHORT_STEP_NS {
                     self.inbox.lend();
@@ -178,9 +186,8 @@ impl<M: LanguageModel> Scoring<M> {
                 self.ports.moments.answer(|_| moment())?;
             }
             if self.inbox.waiting() == 0 {
-                self.cycle.tidy();
                 self.look_after_habits(now_ns);
-                self.prepare(events > 0);
+                self.use_silence();
             }
             self.inbox.call_back();
         }
@@ -245,36 +252,40 @@ impl<M: LanguageModel> Scoring<M> {
         }
     }
 
-    /// How long until the next answer is prepared.
-    fn until_prepare_ns(&self, now_ns: u64) -> u64 {
-        if self.cycle.board().is_preparing() { self.pace.at_ns().saturating_sub(now_ns) } else { u64::MAX }
+    /// Takes what was scored ahead; where there is narration, that ends.
+    fn take_answers(&mut self, is_event: bool) {
+        if is_event {
+            self.is_untidy = true;
+            self.quiet_ns = clock::monotonic_ns().saturating_add(QUIET_NS);
+        }
+        let Some(desk) = &self.desk else { return };
+        if is_event {
+            desk.interrupt();
+        }
+        let board = self.cycle.board_mut();
+        desk.answers().for_each(|answer| board.keep_answer(answer));
     }
 
-    /// Prepares one answer, if it is time; after an event there is silence first.
-    fn prepare(&mut self, is_after_event: bool) {
-        let start_ns = clock::monotonic_ns();
-        if is_after_event {
-            self.pace.after_event(start_ns);
+    /// Whether there is something to look ahead from.
+    fn is_ahead_due(&self) -> bool {
+        self.desk.is_some() && self.cycle.board().is_ahead_due()
+    }
+
+    /// How long until what waits for silence is done.
+    fn until_quiet_ns(&self, now_ns: u64) -> u64 {
+        if self.is_untidy || self.is_ahead_due() { self.quiet_ns.saturating_sub(now_ns) } else { u64::MAX }
+    }
+
+    /// Does a small part of what waits for silence: tidies up, then says what is so now to whoever scores ahead. At once it would take the core
+    /// from whoever the scores have woken: the system lets them wait there, since whoever wakes others mostly sleeps then.
+    fn use_silence(&mut self) {
+        if self.until_quiet_ns(clock::monotonic_ns()) > 0 || self.inbox.has_more() {
             return;
         }
-        if start_ns < self.pace.at_ns() || !self.cycle.board().is_preparing() || self.inbox.has_more() {
-            return;
-        }
-        let before = self.cycle.board().prepared().prepared;
-        if let Err(error) = self.cycle.board_mut().prepare() {
-            tracing::debug!(%error, "an answer cannot be prepared; the event will be scored when it comes");
-        }
-        let end_ns = clock::monotonic_ns();
-        let took_ns = end_ns.saturating_sub(start_ns);
-        self.tally.prepare_ns += took_ns;
-        let is_answer = self.cycle.board().prepared().prepared > before;
-        if let Some(pause_ns) = self.pace.took(took_ns, is_answer, end_ns) {
-            let (took_us, pause_s) = (took_ns / 1000, pause_ns / 1_000_000_000);
-            tracing::info!(
-                took_us,
-                pause_s,
-                "no answers are prepared for a while: one takes longer than an event may wait"
-            );
+        if self.is_untidy {
+            self.is_untidy = self.cycle.tidy();
+        } else if let Some(desk) = &self.desk {
+            desk.look(self.cycle.board_mut().now());
         }
     }
 
@@ -439,7 +450,7 @@ impl<M: LanguageModel> Scoring<M> {
         let (counters, sources) = *self.counters.lock().unwrap_or_else(PoisonError::into_inner);
         let quantile = |q| self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.value_at_quantile(q));
         let habits = self.cycle.board().habits().learned();
-        let (prepared, now_ns) = (self.cycle.board().prepared(), clock::monotonic_ns());
+        let prepared = self.cycle.board().prepared();
         StatusResponseV1 {
             learned: habits.observations as u64,
             habits_bytes: habits.bytes as u64,
@@ -449,8 +460,8 @@ impl<M: LanguageModel> Scoring<M> {
             asked: prepared.asked,
             prepared: prepared.prepared,
             prepared_used: prepared.used,
-            prepare_pause_ns: self.pace.pauses_for_ns(now_ns),
-            answered_ns: now_ns,
+            prepare_ns: self.desk.as_ref().map_or(0, Desk::spent_ns),
+            answered_ns: clock::monotonic_ns(),
             received: counters.received,
             accepted: counters.accepted,
             duplicates: counters.duplicates,

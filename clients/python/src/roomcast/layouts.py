@@ -525,8 +525,7 @@ class StatusResponseV1(Layout):
         ("prepared", ctypes.c_uint64),
         ("prepared_used", ctypes.c_uint64),
         ("prepare_ns", ctypes.c_uint64),
-        ("prepare_pause_ns", ctypes.c_uint64),
-        ("reserved", ctypes.c_uint8 * 24),
+        ("reserved", ctypes.c_uint8 * 32),
     ]
 
 

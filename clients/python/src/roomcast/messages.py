@@ -638,8 +638,6 @@ class Status:
     prepared: int
     prepared_used: int
     prepare_ns: int
-    #: Nanoseconds for which none is prepared from then on, because answers took too long.
-    prepare_pause_ns: int
 
     @staticmethod
     def from_message(message: layouts.StatusResponseV1) -> Status:
@@ -686,5 +684,4 @@ class Status:
             prepared=message.prepared,
             prepared_used=message.prepared_used,
             prepare_ns=message.prepare_ns,
-            prepare_pause_ns=message.prepare_pause_ns,
         )

@@ -1,5 +1,6 @@
 use std::cell::Cell;
 use std::rc::Rc;
+use std::sync::Arc;
 
 use proptest::prelude::*;
 use roomcast_core::grounding::Grounding;
@@ -15,6 +16,7 @@ use roomcast_ipc::{MAX_SOURCES, Message, forecast_flags, narration_kind};
 use super::*;
 use crate::config::PersonsConfig;
 use crate::daemon::PersonsFile;
+use crate::daemon::ahead::Ahead;
 use crate::daemon::journal::Expectation;
 use crate::message_text::said_of;
 
@@ -464,48 +466,84 @@ fn a_persons_forecast_is_that_of_the_person_alone() {
     }
 }
 
+/// What works ahead for a board, and up to how many guesses at a time.
+fn ahead_of(board: &Board<TableModel>, most: usize) -> Ahead<TableModel> {
+    let counts = Counts::from_json(crate::embedded::FORMS).unwrap();
+    let preparer = board.pipeline().preparer(Arc::new(|| false)).unwrap().unwrap();
+    Ahead::new(preparer, counts, board.pipeline().labels(), most)
+}
+
+/// As the daemon does while nobody waits; gives how many were answered.
+fn work_ahead(board: &mut Board<TableModel>, ahead: &mut Ahead<TableModel>) -> usize {
+    assert!(board.is_ahead_due());
+    ahead.look(board.now());
+    assert!(!board.is_ahead_due());
+    let mut answers = 0;
+    while let Some(answer) = ahead.answer().unwrap() {
+        board.keep_answer(answer);
+        answers += 1;
+    }
+    assert!(ahead.is_done());
+    answers
+}
+
 /// The loop of a quiet daemon: guesses are scored, what comes is among them, and the message says so with the scores of one that guesses
 /// nothing.
 #[test]
 fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
-    let counts = Counts::from_json(crate::embedded::FORMS).unwrap();
-    let mut ahead = board().with_prepared(counts, 64);
-    let mut behind = board();
+    let (mut board, mut behind) = (board(), board());
+    let mut ahead = ahead_of(&board, 64);
     let mut flagged = 0;
     let round =
         ["They walk to the fridge.", "They open the fridge.", "They close the fridge.", "They serenade the sofa."];
     for (n, sentence) in (1..).zip(round.iter().cycle().take(24)) {
-        for board in [&mut ahead, &mut behind] {
+        for board in [&mut board, &mut behind] {
             board.step([entry(1, n * S, sentence)], n * S, 1_000_000 * S + n * S).unwrap();
         }
-        flagged += u64::from(ahead.snapshot().has(score_flags::PREPARED));
+        flagged += u64::from(board.snapshot().has(score_flags::PREPARED));
         assert!(!behind.snapshot().has(score_flags::PREPARED));
         let told = |board: &Board<TableModel>| {
             board.snapshot().rooms().iter().map(|room| room.probability).collect::<Vec<_>>()
         };
-        assert_eq!(told(&ahead), told(&behind));
-        let mut rounds = 0;
-        while ahead.prepare().unwrap() {
-            rounds += 1;
-            assert!(rounds <= 65, "it ends");
-        }
-        assert!(!ahead.is_preparing() && !behind.is_preparing());
+        assert_eq!(told(&board), told(&behind));
+        assert!(work_ahead(&mut board, &mut ahead) <= 64);
     }
-    assert_eq!(ahead.prepared().used, flagged);
+    assert_eq!(board.prepared().used, flagged);
     assert!(flagged >= 16, "{flagged} of 24 were prepared");
     // Whoever says ever new sentences does not end it for the others.
     for n in 100..100 + roomcast_core::guess::FORMS_MAX as u64 {
-        ahead.step([entry(2, n * S, &format!("They do it {n} times."))], n * S, 1_000_000 * S + n * S).unwrap();
-        ahead.prepare().unwrap();
+        board.step([entry(2, n * S, &format!("They do it {n} times."))], n * S, 1_000_000 * S + n * S).unwrap();
+        ahead.look(board.now());
     }
-    let used = ahead.prepared().used;
+    let used = board.prepared().used;
     for (n, sentence) in (10_000..).zip(round.iter().cycle().take(12)) {
-        ahead.step([entry(1, n * S, sentence)], n * S, 1_000_000 * S + n * S).unwrap();
-        while ahead.prepare().unwrap() {}
+        board.step([entry(1, n * S, sentence)], n * S, 1_000_000 * S + n * S).unwrap();
+        work_ahead(&mut board, &mut ahead);
     }
-    assert!(ahead.prepared().used > used + 3, "{:?}", ahead.prepared());
+    assert!(board.prepared().used > used + 3, "{:?}", board.prepared());
     // What is forgotten is guessed no more.
-    assert!(format!("{:?}", ahead.ahead).contains("serenade"));
-    ahead.forget(1);
-    assert!(!format!("{:?}", ahead.ahead).contains("serenade"));
+    assert!(format!("{ahead:?}").contains("serenade"));
+    board.forget(1);
+    ahead.look(board.now());
+    assert!(!format!("{ahead:?}").contains("serenade"));
+}
+
+/// Another person's answers stay until that person does something.
+#[test]
+fn answers_of_who_did_nothing_are_not_prepared_again() {
+    let mut board = board();
+    let mut ahead = ahead_of(&board, 8);
+    board
+        .step([entry(1, S, "They walk to the fridge."), entry(2, S, "They sit on the sofa.")], S, 1_000_000 * S)
+        .unwrap();
+    let both = work_ahead(&mut board, &mut ahead);
+    assert!(both > 0);
+    // A new snapshot, and nothing new of anybody.
+    board.change_map(board.map().clone()).unwrap();
+    board.step([], 2 * S, 1_000_002 * S).unwrap();
+    assert_eq!(work_ahead(&mut board, &mut ahead), 0);
+    // Somebody's forgetting empties all.
+    board.forget(2);
+    board.step([], 3 * S, 1_000_003 * S).unwrap();
+    assert!(work_ahead(&mut board, &mut ahead) > 0);
 }
