@@ -29,6 +29,10 @@ const HOME_WEIGHT: f64 = 5.0;
 /// Forms and things that a guess looks at.
 const FORMS_TRIED: usize = 96;
 const THINGS_TRIED: usize = 64;
+/// Sentences with more new things than these are not guessed: each has its own chance, and together they have none.
+const NEW_THINGS_MAX: usize = 3;
+/// Most ways to fill a form that are looked at; of more, the likeliest go on to the next place.
+const WAYS_MAX: usize = 512;
 /// Times that a form is taken to stand with things as they are anyway.
 const PRIOR_TIMES: f64 = 5.0;
 /// Stands before the first sentence.
@@ -385,6 +389,9 @@ impl Guesser {
         let mut bare = parts.next().unwrap_or_default().to_owned();
         let mut ways = vec![(bare.clone(), chance)];
         let rest: Vec<(&str, &str)> = parts.filter_map(|part| part.split_once('>')).collect();
+        if rest.iter().filter(|(kind, _)| *kind == "n").count() > NEW_THINGS_MAX {
+            return;
+        }
         for (_, text) in &rest {
             bare.push_str("<>");
             bare.push_str(text);
@@ -406,6 +413,10 @@ impl Guesser {
                 things.iter().map(|(thing, own)| (format!("{begin}{thing}{text}"), chance * own)).collect()
             };
             ways = ways.iter().flat_map(ends).collect();
+            if ways.len() > WAYS_MAX {
+                ways.select_nth_unstable_by(WAYS_MAX, |a, b| b.1.total_cmp(&a.1));
+                ways.truncate(WAYS_MAX);
+            }
         }
         out.append(&mut ways);
     }
@@ -482,6 +493,33 @@ mod tests {
             guesser.hear(&mut thread, sentence);
         }
         assert!(!guesser.guess(&thread, &[-0.7, -0.7], 8).is_empty());
+    }
+
+    /// A form of many things has more ways to be filled than fit into memory.
+    #[test]
+    fn sentences_of_many_things_are_guessed_in_bounds() {
+        let things: Vec<String> = (0..40)
+            .map(|n| format!("thing {}", char::from(b'A' + (n % 26) as u8).to_string().repeat(1 + n / 26)))
+            .collect();
+        let labels: Vec<&str> = things.iter().map(String::as_str).collect();
+        let mut guesser = Guesser::new(&Counts::default(), &labels);
+        let mut thread = Thread::default();
+        for round in 0..16 {
+            let named: Vec<String> =
+                (0..1 + round % 8).map(|n| format!("the {}", things[(8 * round + n) % 40])).collect();
+            guesser.hear(&mut thread, &format!("They move {}.", named.join(", ")));
+        }
+        let likely = vec![(1.0 / 40.0_f64).ln(); 40];
+        let new: Vec<(&str, f64)> = labels.iter().map(|label| (*label, 1.0 / 40.0)).collect();
+        let mut most = [0; 9];
+        for form in &guesser.forms {
+            let mut ways = Vec::new();
+            guesser.fill(form, 1.0, &thread, &new, &mut ways);
+            let places = form.matches("<n>").count();
+            most[places] = most[places].max(ways.len());
+        }
+        assert_eq!(most[2..], [320, WAYS_MAX, 0, 0, 0, 0, 0]);
+        assert_eq!(guesser.guess(&thread, &likely, 32).len(), 32);
     }
 
     #[test]

@@ -750,7 +750,7 @@ impl<M: LanguageModel> Pipeline<M> {
     }
 
     /// Keeps an answer for when it is asked for, and gives whether it is of use: not where its person has done something else since, the
-    /// labels are other ones, or there are [`crate::prepared::ANSWERS_MAX`].
+    /// labels are other ones, or there are [`crate::prepared::ANSWERS_MAX`] of theirs. Another person's may go for it.
     pub fn keep_answer(&mut self, answer: Answer) -> bool {
         self.answers.keep(answer, &self.histories)
     }

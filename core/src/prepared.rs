@@ -120,6 +120,8 @@ fn hash_of(prompt: &str) -> u64 {
 #[derive(Debug, Default)]
 pub(crate) struct PreparedAnswers {
     kept: Vec<Answer>,
+    /// Of no use any more, and freed in silence: the thread that made them may be in the middle of using its memory.
+    stale: Vec<Answer>,
     /// Grows when all that was asked before is of no use.
     round: u64,
 }
@@ -142,22 +144,33 @@ impl PreparedAnswers {
     pub(crate) fn begin(&mut self, histories: &Histories) -> u64 {
         self.kept.retain(|answer| !answer.is_spent && answer.is_current(histories));
         self.kept.reserve_exact(ANSWERS_MAX.saturating_sub(self.kept.len()));
+        self.stale.clear();
+        self.stale.reserve_exact(2 * ANSWERS_MAX);
         self.round
     }
 
-    /// Keeps an answer, if it is of use and there is room.
+    /// Keeps an answer, if it is of use; where there is no room, in place of the oldest of whoever did nothing since.
     pub(crate) fn keep(&mut self, answer: Answer, histories: &Histories) -> bool {
-        let is_of_use = answer.ask.round == self.round && answer.is_current(histories);
-        let keeps = is_of_use && self.kept.len() < ANSWERS_MAX;
-        if keeps {
-            self.kept.push(answer);
+        let mut is_of_use = answer.ask.round == self.round && answer.is_current(histories);
+        if is_of_use && self.kept.len() >= ANSWERS_MAX {
+            let is_oldest = |kept: &Answer| kept.is_spent || kept.ask.person != answer.ask.person;
+            match self.kept.iter().position(is_oldest) {
+                Some(oldest) => self.stale.push(self.kept.remove(oldest)),
+                None => is_of_use = false,
+            }
         }
-        keeps
+        if is_of_use {
+            self.kept.push(answer)
+        } else {
+            self.stale.push(answer)
+        }
+        is_of_use
     }
 
     /// All are stale, also those that are on their way: the labels or the model's view of them are other ones, or somebody is forgotten.
     pub(crate) fn clear(&mut self) {
         self.kept.clear();
+        self.stale.clear();
         self.round += 1;
     }
 }

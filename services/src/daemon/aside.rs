@@ -1,15 +1,16 @@
-//! The thread that scores ahead ([`Ahead`]), at the lowest priority: the system takes its core away for whoever has something to do. It stops
+//! The thread that scores ahead ([`Ahead`]), at a lower priority than everything else: whoever has something to do gets most of its core. It stops
 //! within a small call of the model when narration comes, and goes on from the next [`Now`].
 
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
 use roomcast_core::prepared::{ANSWERS_MAX, Answer};
 use roomcast_core::scorer::{IsStopped, LanguageModel, ModelError, ScoreError};
+use rustix::process::nice;
 use rustix::time::{ClockId, clock_gettime};
 
 use super::LOG_INTERVAL_NS;
@@ -17,6 +18,10 @@ use super::ahead::{Ahead, Now};
 use crate::logging::Limiter;
 use crate::power;
 use roomcast_ipc::clock;
+
+/// How much nicer than the rest the thread is: it has a ninth of what they have of a core that both want. Under SCHED_IDLE, or with all the niceness
+/// that there is, it would get no time on a busy machine for many seconds, also to leave a lock that another thread waits for, or to end.
+const NICER: i32 = 10;
 
 /// What both sides share: which moment is worked for, and what the work took.
 #[derive(Debug, Default)]
@@ -87,7 +92,7 @@ impl Desk {
 }
 
 impl Drop for Desk {
-    /// Whoever waits for the thread's end waits for a small call of the model at most.
+    /// Whoever waits for the thread's end waits for a small call of the model.
     fn drop(&mut self) {
         self.interrupt();
     }
@@ -106,50 +111,59 @@ impl Aside {
             tracing::warn!(%error, "answers are prepared at the priority of everything else: the system does not lower it");
         }
         let is_stopped = self.is_stopped();
-        let mut next = self.now.recv().ok();
-        while let Some((moment, now)) = next.take() {
-            self.shared.worked_for.store(moment, Ordering::SeqCst);
-            let mut wait = if self.pauses() { None } else { self.work(|| ahead.look(now)).1 };
-            while let Some(pause) = wait
-                && next.is_none()
-            {
-                match self.now.recv_timeout(pause) {
-                    Ok(newer) => next = Some(newer),
-                    Err(RecvTimeoutError::Disconnected) => return,
-                    Err(RecvTimeoutError::Timeout) if is_stopped() || ahead.is_done() => wait = None,
-                    Err(RecvTimeoutError::Timeout) => wait = self.answer(&mut ahead),
+        let mut rests_until = Instant::now();
+        let Ok(mut news) = self.now.recv() else { return };
+        loop {
+            // What was taken is rested first, while there may be something newer.
+            match self.now.recv_deadline(rests_until) {
+                Ok(newer) => {
+                    news = newer;
+                    continue;
                 }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return,
             }
-            if next.is_none() {
-                next = self.now.recv().ok();
-            }
+            let (moment, now) = news;
+            self.shared.worked_for.store(moment, Ordering::SeqCst);
+            self.work(&mut rests_until, || ahead.look(now));
+            news = loop {
+                let goes_on = !ahead.is_done() && !is_stopped() && !self.pauses();
+                let newer = match goes_on {
+                    true => self.now.recv_deadline(rests_until),
+                    false => self.now.recv().map_err(|_| RecvTimeoutError::Disconnected),
+                };
+                match newer {
+                    Ok(newer) => break newer,
+                    Err(RecvTimeoutError::Disconnected) => return,
+                    Err(RecvTimeoutError::Timeout) if is_stopped() => {}
+                    Err(RecvTimeoutError::Timeout) => self.answer(&mut ahead, &mut rests_until),
+                }
+            };
         }
     }
 
-    /// Scores one guess. Gives how long to do nothing then; none where nothing is left to do.
-    fn answer<M: LanguageModel>(&mut self, ahead: &mut Ahead<M>) -> Option<Duration> {
-        let (answered, pause) = self.work(|| ahead.answer());
-        match answered {
+    /// Scores one guess. Where that fails, nothing is left to do.
+    fn answer<M: LanguageModel>(&mut self, ahead: &mut Ahead<M>, rests_until: &mut Instant) {
+        match self.work(rests_until, || ahead.answer()) {
             // There is room for all that is kept: who does not take them has no time, and they are soon stale.
             Ok(Some(answer)) => drop(self.answers.try_send(answer)),
-            Ok(None) | Err(ScoreError::Model(ModelError::Stopped)) => return None,
+            Ok(None) | Err(ScoreError::Model(ModelError::Stopped)) => {}
             Err(error) => {
                 if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
                     tracing::warn!(%error, held_back, "an answer cannot be prepared; the event is scored when it comes");
                 }
-                return None;
             }
         }
-        pause
     }
 
-    /// Does something, and gives for how long to do nothing then, so that this takes its share.
-    fn work<T>(&self, work: impl FnOnce() -> T) -> (T, Option<Duration>) {
+    /// Does something; until then nothing is done, so that this takes its share.
+    fn work<T>(&self, rests_until: &mut Instant, work: impl FnOnce() -> T) -> T {
         let before_ns = thread_ns();
         let done = work();
         let took_ns = thread_ns().saturating_sub(before_ns);
         self.shared.spent_ns.fetch_add(took_ns, Ordering::Relaxed);
-        (done, Some(Duration::from_nanos((took_ns as f64 * (1.0 / self.share - 1.0)) as u64)))
+        *rests_until = Instant::now() + Duration::from_nanos((took_ns as f64 * (1.0 / self.share - 1.0)) as u64);
+        done
     }
 
     /// Whether the machine runs on battery, and nothing is to be done then.
@@ -164,14 +178,7 @@ fn thread_ns() -> u64 {
     u64::try_from(i128::from(time.tv_sec) * 1_000_000_000 + i128::from(time.tv_nsec)).unwrap_or_default()
 }
 
-/// Lets this thread run only where nobody else wants to: under SCHED_IDLE. A niceness is not enough: whoever wakes up on its core may wait for the
-/// end of its slice, which is 3 ms.
-///
-/// libc, which is in the build anyway, because rustix has no such call, and the crates that have one bring a dozen others.
+/// On Linux a thread's own.
 fn lower_priority() -> io::Result<()> {
-    let none = libc::sched_param { sched_priority: 0 };
-    #[expect(unsafe_code, reason = "no safe crate of this build has the call")]
-    // SAFETY: the thread is the calling one, so it runs; the parameters live until the call returns, which only reads them.
-    let failed = unsafe { libc::pthread_setschedparam(libc::pthread_self(), libc::SCHED_IDLE, &raw const none) };
-    if failed == 0 { Ok(()) } else { Err(io::Error::from_raw_os_error(failed)) }
+    Ok(nice(NICER).map(drop)?)
 }

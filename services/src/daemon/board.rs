@@ -177,7 +177,8 @@ pub struct Board<M> {
     said: BTreeMap<u32, Vec<f64>>,
     /// Changes when somebody is forgotten, whom nobody who works ahead may know any more.
     forgotten: u64,
-    /// The scores and the forgetting that were told to whoever works ahead.
+    /// Steps that asked the model, and what of these and of the forgetting was told to whoever works ahead.
+    askings: u64,
     told_ahead: (u64, u64),
     prepared: PreparedTally,
 }
@@ -256,6 +257,7 @@ impl<M: LanguageModel> Board<M> {
             recalled: false,
             said: BTreeMap::new(),
             forgotten: 0,
+            askings: 0,
             told_ahead: (0, 0),
             prepared: PreparedTally::default(),
         })
@@ -400,12 +402,12 @@ impl<M: LanguageModel> Board<M> {
     /// Whether something has changed since the last [`Board::now`].
     #[must_use]
     pub(crate) fn is_ahead_due(&self) -> bool {
-        self.is_scored() && self.told_ahead != (self.snapshot.sequence, self.forgotten)
+        self.is_scored() && self.told_ahead != (self.askings, self.forgotten)
     }
 
     /// What whoever works ahead has to know.
     pub fn now(&mut self) -> Now {
-        self.told_ahead = (self.snapshot.sequence, self.forgotten);
+        self.told_ahead = (self.askings, self.forgotten);
         Now { outlook: self.pipeline.outlook(), forgotten: self.forgotten }
     }
 
@@ -424,6 +426,7 @@ impl<M: LanguageModel> Board<M> {
     fn count_prepared(&mut self) {
         let scores = self.pipeline.scores();
         self.prepared.asked += scores.asked as u64;
+        self.askings += u64::from(scores.asked > 0);
         self.prepared.used += scores.prepared as u64;
         if scores.prepared > 0 && scores.prepared == scores.asked {
             self.snapshot.flags |= score_flags::PREPARED;

@@ -3,7 +3,7 @@
 //! ```text
 //! scoring thread: inbox -> board -> room scores, item scores; heartbeat, status
 //! relief thread:  the inbox while the scoring thread is busy
-//! ahead thread:   scores of what may be narrated next, at the lowest priority
+//! ahead thread:   scores of what may be narrated next, at a lower priority
 //! main thread:    signals, watchdog
 //!
 //! inbox: narration port -> intake -> journal
@@ -240,9 +240,13 @@ fn load<M: LanguageModel + Send + 'static>(
         None => (None, Memory::new(config.habits.options())),
     };
     let preparer = match config.scoring.prepare {
-        0 => None,
-        _ => pipeline.preparer(is_stopped).map_err(SetupError::from)?,
+        0 => Ok(None),
+        _ => pipeline.preparer(is_stopped),
     };
+    let preparer = preparer.unwrap_or_else(|error| {
+        tracing::warn!(%error, "no memory for a second cache: no answers are prepared. With scoring.prepare = 0 none is asked for");
+        None
+    });
     let counts = || Counts::from_json(embedded::FORMS).unwrap_or_default();
     let ahead = preparer.map(|preparer| Ahead::new(preparer, counts(), pipeline.labels(), config.scoring.prepare));
     let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?

@@ -168,6 +168,10 @@ impl<M: LanguageModel> Scoring<M> {
                 self.step_ns = clock::monotonic_ns().saturating_sub(now_ns);
             }
             self.send(events)?;
+            if events > 0 {
+                self.is_untidy = true;
+                self.quiet_ns = clock::monotonic_ns().saturating_add(QUIET_NS);
+            }
             if last {
                 self.finish_habits();
                 return Ok(());
@@ -254,10 +258,6 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Takes what was scored ahead; where there is narration, that ends.
     fn take_answers(&mut self, is_event: bool) {
-        if is_event {
-            self.is_untidy = true;
-            self.quiet_ns = clock::monotonic_ns().saturating_add(QUIET_NS);
-        }
         let Some(desk) = &self.desk else { return };
         if is_event {
             desk.interrupt();

@@ -538,10 +538,12 @@ fn answers_of_who_did_nothing_are_not_prepared_again() {
         .unwrap();
     let both = work_ahead(&mut board, &mut ahead);
     assert!(both > 0);
-    // A new snapshot, and nothing new of anybody.
+    // A new snapshot, and nothing that the model was asked about.
     board.change_map(board.map().clone()).unwrap();
     board.step([], 2 * S, 1_000_002 * S).unwrap();
-    assert_eq!(work_ahead(&mut board, &mut ahead), 0);
+    assert!(!board.is_ahead_due());
+    ahead.look(board.now());
+    assert!(ahead.answer().unwrap().is_none(), "all are there");
     // Somebody's forgetting empties all.
     board.forget(2);
     board.step([], 3 * S, 1_000_003 * S).unwrap();
