@@ -32,7 +32,7 @@ const PREFIX_LIMIT: usize = 25;
 /// Most bytes of the root path, for the same reason.
 const ROOT_LIMIT: usize = 40;
 /// How long opening a service is retried: a peer that starts, stops or has just died is in the way for moments only.
-const OPEN_FOR: Duration = Duration::from_secs(5);
+const OPEN_FOR: Duration = Duration::from_secs(8);
 /// What keeps somebody out for longer is looked for.
 const LIKELY_WITHIN: Duration = Duration::from_millis(200);
 /// Where iceoryx2 keeps its shared memory on Linux.
