@@ -504,8 +504,10 @@ impl<D: Disk> Writer<D> {
                 }
                 Err(RecvTimeoutError::Timeout) if !self.unwritten.is_empty() => {
                     let written = self.write(&[]);
+                    if written.is_ok() {
+                        due.wrote(Instant::now());
+                    }
                     self.note(written);
-                    due.wrote(Instant::now());
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
