@@ -7,6 +7,7 @@ A routine's `steps` are actions separated by `;`. An action is a key of actions.
     a|b      one of the alternatives; the same alternatives written again in a routine mean the same choice
     step?    a step that is sometimes left out
     { .. & .. }   parts that may come in any order
+    ( .. / .. )   one of the parts; with a `?` behind it, sometimes none
 """
 
 from __future__ import annotations
@@ -57,16 +58,26 @@ class Routine:
         return Program(f"routine: {self.title}", self.title, self.cluster, tuple(steps))
 
 
+GROUP = re.compile(r"(\{[^}]*\}|\([^)]*\)\??)")
+
+
 def flatten(text: str, rng: random.Random) -> list[str]:
-    """The actions in order, with every `{ a & b }` put in some order. Groups do not nest."""
+    """The actions in order, with every `{ a & b }` put in some order and one part of every `( a / b )`. Groups do not nest."""
     out: list[str] = []
-    for part in re.split(r"(\{[^}]*\})", text):
+    for part in GROUP.split(text):
         if part.startswith("{"):
             blocks = part[1:-1].split("&")
             rng.shuffle(blocks)
             part = ";".join(blocks)
-        out += [s.strip() for s in part.split(";") if s.strip()]
+        elif part.startswith("("):
+            left_out = part.endswith("?") and rng.random() < 0.35
+            part = "" if left_out else rng.choice(part.rstrip("?")[1:-1].split("/"))
+        out += steps_of(part)
     return out
+
+
+def steps_of(text: str) -> list[str]:
+    return [s.strip() for s in text.split(";") if s.strip()]
 
 
 def place_of(path: Path) -> str:
@@ -86,12 +97,17 @@ def load(folder: Path) -> list[Routine]:
 
 
 def check(routine: Routine) -> None:
-    for text in flatten(routine.text, random.Random(0)):
-        verb, _, rest = text.rstrip("?").strip().partition(" ")
-        if verb not in ACTIONS:
-            raise ValueError(f"routine {routine.title!r}: unknown action {verb!r} in {text!r}; see src/narration/actions.toml")
-        if rest.count(",") > 1:
-            raise ValueError(f"routine {routine.title!r}: more than two objects in {text!r}")
+    """Every action of every part is one, whichever part is taken."""
+    for part in GROUP.split(routine.text):
+        inside = re.sub(r"[&/]", ";", part.rstrip("?")[1:-1]) if part[:1] in ("{", "(") else part
+        if set(inside) & set("{}()&/"):
+            raise ValueError(f"routine {routine.title!r}: a group that is not closed, or one inside another, in {part!r}")
+        for text in steps_of(inside):
+            verb, _, rest = text.rstrip("?").strip().partition(" ")
+            if verb not in ACTIONS:
+                raise ValueError(f"routine {routine.title!r}: unknown action {verb!r} in {text!r}; see core/src/narration/actions.toml")
+            if rest.count(",") > 1:
+                raise ValueError(f"routine {routine.title!r}: more than two objects in {text!r}")
 
 
 def main() -> None:
