@@ -7,7 +7,7 @@
 //! p(t) = A(t) b + (1 - A(t)) (B(t) S + (1 - B(t)) q)
 //!
 //! b     where the person is: filtered from what the narration mentions and where that is
-//! S     where the next object is (the partitions' probabilities)
+//! S     where the next object is: the partitions' probabilities, with like things as `like_things.rs` tells them apart
 //! q     where the person is in the long run: time spent so far, over an even prior
 //! A(t)  probability that the next object has not been turned to by then
 //! B(t)  probability that the stay that follows has not ended by then
@@ -37,6 +37,7 @@
 use std::collections::HashMap;
 
 use crate::grounding::Grounding;
+use crate::like_things::InUse;
 use crate::names::{Names, plain_words};
 use crate::semantic_map::SemanticMap;
 
@@ -58,6 +59,8 @@ pub struct ForecastOptions {
     pub mistaken: f64,
     /// Mean time out of the house, in seconds.
     pub away_s: f64,
+    /// Probability that any one of several like things is meant, not rather one that is near or was in use; 1 is Equation 2.
+    pub any_thing: f64,
 }
 
 impl Default for ForecastOptions {
@@ -70,6 +73,7 @@ impl Default for ForecastOptions {
             misplaced: 0.02,
             mistaken: 0.01,
             away_s: 4.0 * 3600.0,
+            any_thing: 0.3,
         }
     }
 }
@@ -130,6 +134,11 @@ pub struct Forecaster {
     /// Working memory of an observation: the belief just after it.
     predicted: Vec<f64>,
     scores: Vec<f64>,
+    in_use: InUse,
+    /// Working memory of [`Forecaster::expect_next`].
+    near: Vec<f64>,
+    /// The number of the scores that this rests on, unless the belief has changed since.
+    expected: Option<u64>,
     /// The scores are of what was done last: not once a sensor has said that the person is elsewhere.
     expects: bool,
     spent_s: Vec<f64>,
@@ -160,6 +169,9 @@ impl Forecaster {
             belief: even.clone(),
             predicted: even.clone(),
             scores: even,
+            in_use: InUse::default(),
+            near: Vec::with_capacity(rooms),
+            expected: None,
             expects: true,
             to_object: prior(options.object_s),
             stay: prior(options.stay_s),
@@ -206,12 +218,13 @@ impl Forecaster {
         self.sensed &= mentioned.is_none();
         // What is left is not turned to.
         self.expects = true;
-        if let Some(label) = mentioned.filter(|mention| !mention.is_left).map(|mention| mention.label)
-            && self.object != Some(label)
-        {
-            self.to_object.add_pace((at_s - self.object_since_s).max(self.options.action_s));
-            self.object_since_s = at_s;
-            self.object = Some(label);
+        if let Some(label) = mentioned.filter(|mention| !mention.is_left).map(|mention| mention.label) {
+            self.in_use.turn_to(label, &self.belief);
+            if self.object != Some(label) {
+                self.to_object.add_pace((at_s - self.object_since_s).max(self.options.action_s));
+                self.object_since_s = at_s;
+                self.object = Some(label);
+            }
         }
         self.expect(scores);
     }
@@ -240,7 +253,7 @@ impl Forecaster {
     fn begin_elsewhere(&mut self, at_s: f64) {
         (self.object, self.object_since_s) = (None, at_s);
         self.scores.copy_from_slice(&self.belief);
-        (self.expects, self.sensed) = (false, true);
+        (self.expected, self.expects, self.sensed) = (None, false, true);
     }
 
     /// Takes in that nobody is in `room` at `at_s`. It says nothing else: neither that the person was seen, nor that they did anything. Of a
@@ -280,6 +293,7 @@ impl Forecaster {
             self.belief.clear();
             self.belief.extend(self.spent_s.iter().map(|room_s| room_s / spent_s));
             self.begin_elsewhere(at_s);
+            self.in_use.clear();
             (self.room_since_s, self.updated_s) = (at_s, at_s);
         }
         at_s
@@ -308,6 +322,7 @@ impl Forecaster {
     /// in proportion to the one after. The object in hand is still the same with at most `same_at_most`.
     fn update(&mut self, at_s: f64, same_at_most: f64, observed: Option<impl Fn(usize, f64) -> f64>) {
         let before = likeliest(&self.belief);
+        self.expected = None;
         self.spend(at_s);
         if let Some(observed) = observed {
             let mut predicted = std::mem::take(&mut self.predicted);
@@ -337,6 +352,24 @@ impl Forecaster {
         if self.expects && scores.len() == self.scores.len() {
             self.scores.copy_from_slice(scores);
         }
+    }
+
+    /// As [`Forecaster::expect`], from ln s_c per label in nats: where the next thing is, like things told apart by where the person is believed to be
+    /// and by what they had in use. Scores of the same `number` are taken in again only where the person is believed to be elsewhere since.
+    pub fn expect_next(&mut self, grounding: &Grounding, label_log_prob_nats: &[f64], number: u64) {
+        let fits = grounding.weights.shape() == (label_log_prob_nats.len(), self.scores.len());
+        if !self.expects || !fits || self.expected == Some(number) {
+            return;
+        }
+        self.expected = Some(number);
+        let (belief, in_use) = (&self.belief, (&self.in_use, self.options.any_thing));
+        grounding.like_things.next_rooms(label_log_prob_nats, belief, in_use, &mut self.near, &mut self.scores);
+    }
+
+    /// Per room the probability that the next thing is there, as was expected last; none once the person was told to be in another room.
+    #[must_use]
+    pub fn expected(&self) -> Option<&[f64]> {
+        self.expects.then_some(&self.scores)
     }
 
     /// Per room the probability that the person is in it at `now_s + horizon_s`; with [`Forecaster::elsewhere`] they sum to one.

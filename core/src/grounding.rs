@@ -21,6 +21,7 @@ use std::collections::HashMap;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use crate::like_things::LikeThings;
 use crate::scorer::softmax::log_sum_exp_of;
 use crate::semantic_map::{Box3, ItemId, PartitionId, RoomId, SemanticMap, Space};
 
@@ -139,6 +140,12 @@ impl Partition {
         self.spaces.iter().map(|own| own.overlap_m3(bounds)).sum()
     }
 
+    /// The middle in the plane: of several rooms, that of them together.
+    fn middle_m(&self) -> [f64; 2] {
+        let count = self.spaces.len().max(1) as f64;
+        [0, 1].map(|axis| self.spaces.iter().map(|space| space.centre_m()[axis]).sum::<f64>() / count)
+    }
+
     fn contains(&self, point_m: &[f64; 3]) -> bool {
         self.spaces.iter().any(|own| own.contains(point_m))
     }
@@ -213,6 +220,8 @@ pub struct Grounding {
     /// Labels by partitions: `weights[(c, r)]` is the share of label c's items that lie in partition r. A row sums to one
     /// less the share of the label's items that lie in no partition.
     pub(crate) weights: DMatrix<f64>,
+    /// Which of several like things is meant by somebody whose whereabouts are known.
+    pub(crate) like_things: LikeThings,
     /// Item i's terms are `item_terms[term_start[i]..term_start[i + 1]]`.
     item_terms: Vec<Term>,
     term_start: Vec<usize>,
@@ -399,6 +408,7 @@ impl Grounding {
         }
         let idle_labels = scored_labels.iter().any(|label| label.count <= 0.0);
         Ok(Self {
+            like_things: LikeThings::new(&weights, &partitions.iter().map(Partition::middle_m).collect::<Vec<_>>()),
             partitions,
             scored_labels,
             idle_labels,

@@ -82,6 +82,8 @@ pub mod prepared;
 
 pub mod semantic_map;
 
+mod like_things;
+
 pub mod grounding;
 
 pub mod forecast;

@@ -173,6 +173,8 @@ pub struct PersonScores<'a> {
     pub window: usize,
     /// Nothing that they rest on has changed since: they are of what the person did last.
     pub is_current: bool,
+    /// The number of these scores, which no other ones have; 0 before the first.
+    pub number: u64,
     /// Per label `ln s_c` in nats, corrected.
     pub label_log_prob_nats: &'a [f64],
     /// Per partition.
@@ -206,6 +208,8 @@ struct Person {
     /// Kept only where partial answers are asked for.
     certified: Option<Certified>,
     due: Due,
+    /// Of the scores, among those of all persons.
+    number: u64,
     /// What the model read for these scores, and where in it each sentence ends: the history may have been cut since.
     prompt: String,
     sentence_ends: Vec<usize>,
@@ -223,6 +227,7 @@ impl Person {
             upper_log_score_nats: Vec::new(),
             certified: None,
             due: Due::Scoring,
+            number: 0,
             prompt: String::new(),
             sentence_ends: Vec::new(),
             window: 0,
@@ -305,6 +310,7 @@ impl Person {
             at_home: self.at_home,
             window: self.window,
             is_current: self.due == Due::Nothing,
+            number: self.number,
             label_log_prob_nats: &self.scores.log_prob_nats,
             grounded: &self.grounded,
             reached: self.reached(),
@@ -340,6 +346,8 @@ pub struct Pipeline<M> {
     is_unread: bool,
     /// Narrations included so far.
     turns: u64,
+    /// How often persons' scores were grounded.
+    groundings: u64,
     /// Per start of a source up to which sequence a former run has dealt with it, and does not tell of it any more.
     settled: BTreeMap<(u64, u64), u64>,
     answers: PreparedAnswers,
@@ -370,6 +378,7 @@ impl<M: LanguageModel> Pipeline<M> {
             read: None,
             is_unread: false,
             turns: 0,
+            groundings: 0,
             settled: BTreeMap::new(),
             answers: PreparedAnswers::default(),
             scores: Scores::default(),
@@ -713,6 +722,8 @@ impl<M: LanguageModel> Pipeline<M> {
         for person in persons.iter_mut().filter(|p| p.due != Due::Nothing) {
             person.ground(&self.grounding)?;
             person.due = Due::Nothing;
+            self.groundings += 1;
+            person.number = self.groundings;
         }
         together(persons, &mut self.scores);
         timing.ground_ns = now().saturating_sub(grounding);
@@ -1316,6 +1327,7 @@ mod tests {
                     at_home: true,
                     window: 0,
                     is_current: true,
+                    number: 0,
                     label_log_prob_nats,
                     grounded,
                     reached: *reached,

@@ -512,6 +512,7 @@ fn forecast_markdown(report: &Report) -> String {
     let (n, m) = (report.programs, report.activities);
     let order = [
         "model",
+        "model-near",
         "model-cache",
         "kneser-ney",
         "kneser-ney-cache",
@@ -545,7 +546,7 @@ fn forecast_markdown(report: &Report) -> String {
                 Some(cells)
             };
             levels.extend(figures(&|row| Some(row.summary), n));
-            if ["kneser-ney", "kneser-ney-cache", "frequency", "stay"].contains(&predictor) {
+            if ["model-near", "kneser-ney", "kneser-ney-cache", "frequency", "stay"].contains(&predictor) {
                 programs.extend(figures(&|row| row.model_less_this, n));
                 activities.extend(figures(&|row| row.model_less_this_by_activity, m));
             }

@@ -16,9 +16,10 @@ use super::losses::{Summary, Sums, difference, macro_average, merged, summarise}
 use super::scores::{ScoreSource, ScoresError};
 use super::{ExperimentError, Progress};
 use crate::simulation::binding::{Binder, ItemChoice};
+use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::narration::history::HistoryLimits;
-use roomcast_core::narration::{Program, Sentence};
+use roomcast_core::narration::{Action, Program, Sentence};
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::correction::Correction;
@@ -135,8 +136,9 @@ pub struct Options {
     pub seed: u64,
 }
 
-const PREDICTORS: [&str; 10] = [
+const PREDICTORS: [&str; 11] = [
     "model",
+    "model-near",
     "model-cache",
     "uniform",
     "frequency",
@@ -285,6 +287,27 @@ fn objects(program: &Program) -> BTreeSet<String> {
     program.steps.iter().filter_map(|step| step.objects().first()).map(|object| object.words()).collect()
 }
 
+/// Follows a person by what is narrated of them alone, every action as long as it takes typically.
+struct Listener {
+    forecaster: Forecaster,
+    heard: usize,
+    at_s: f64,
+}
+
+impl Listener {
+    fn new(rooms: usize) -> Self {
+        Self { forecaster: Forecaster::new(rooms, ForecastOptions::default(), 0.0), heard: 0, at_s: 0.0 }
+    }
+
+    fn hear(&mut self, steps: &[Action], said: &[Sentence], mentions: &mut Mentions, grounding: &Grounding) {
+        for (step, sentence) in steps.iter().zip(said) {
+            self.at_s += step.entry().duration_s;
+            self.forecaster.observe(self.at_s, mentions.last(sentence.as_str()), grounding, &[]);
+        }
+        self.heard += steps.len();
+    }
+}
+
 /// Sums per predictor and target, and per program of a part.
 type Groups = Vec<Vec<Sums>>;
 
@@ -309,6 +332,7 @@ fn evaluate<M: LanguageModel>(
     let frequency_rooms = rooms_of(&frequency, grounding, &mut grounded)?;
     let mut sums = vec![vec![Sums::default(); part.programs.len()]; PREDICTORS.len() * TARGETS.len()];
     let mut others = Vec::new();
+    let mut mentions = Mentions::new(map, grounding);
 
     for (index, NamedProgram { path, program, .. }) in part.programs.iter().enumerate() {
         binder.begin(options.seed, &path.file_stem().unwrap_or_default().to_string_lossy());
@@ -319,7 +343,16 @@ fn evaluate<M: LanguageModel>(
         };
         let sentences = sentences(&program.steps[..last.done])?;
         let rows = source.score_steps(&sentences, options.history, &options.binding)?;
+        let mut listener = Listener::new(rooms);
         for case in &cases {
+            listener.hear(
+                &program.steps[listener.heard..case.done],
+                &sentences[listener.heard..],
+                &mut mentions,
+                grounding,
+            );
+            listener.forecaster.expect_next(grounding, &rows[case.done], 0);
+            let near_rooms = listener.forecaster.expected().unwrap_or(&even_rooms).to_vec();
             let (model_labels, model_rooms) = both(&rows[case.done], grounding, &mut grounded)?;
             let remembering = baselines::MODEL_CACHE.mixed(&model_labels, &case.visited, case.in_hand);
             let remembering_rooms = rooms_of(&remembering, grounding, &mut grounded)?;
@@ -336,6 +369,7 @@ fn evaluate<M: LanguageModel>(
             let stay_labels = labels_in(&stay_rooms, grounding);
             let forecasts: [(&[f64], &[f64]); PREDICTORS.len()] = [
                 (&model_labels, &model_rooms),
+                (&model_labels, &near_rooms),
                 (&remembering, &remembering_rooms),
                 (&even_labels, &even_rooms),
                 (&frequency, &frequency_rooms),
@@ -493,7 +527,7 @@ impl Report {
 ///
 /// # Errors
 /// When an object's name makes no sentence.
-pub fn sentences(steps: &[roomcast_core::narration::Action]) -> Result<Vec<Sentence>, ExperimentError> {
+pub fn sentences(steps: &[Action]) -> Result<Vec<Sentence>, ExperimentError> {
     steps.iter().map(|step| Ok(Sentence::new(&step.sentence())?)).collect()
 }
 

@@ -70,6 +70,8 @@ struct Track {
     timeline: Timeline,
     /// After each number of completed actions: S per partition, not normalised.
     scores: Vec<Vec<f64>>,
+    /// After each number of completed actions: ln s_c per label, in nats.
+    labels: Vec<Vec<f64>>,
     /// Per completed action what its sentence mentions.
     mentions: Vec<Option<Mention>>,
 }
@@ -121,7 +123,7 @@ impl<'a> Home<'a> {
                 scores.push(grounded.partition_log_score_nats.iter().map(|log_score| log_score.exp()).collect());
             }
             let mentions = sentences.iter().map(|sentence| mentions.last(sentence.as_str())).collect();
-            tracks.push(Track { timeline, scores, mentions });
+            tracks.push(Track { timeline, scores, labels: rows, mentions });
         }
         source.flush()?;
         let timelines: Vec<&Timeline> = tracks.iter().map(|track| &track.timeline).collect();
@@ -160,8 +162,8 @@ impl<'a> Home<'a> {
     fn forecaster(&self, track: &Track, options: ForecastOptions, at_s: f64) -> Forecaster {
         let mut forecaster = Forecaster::new(self.cost.rooms(), options, 0.0);
         for (index, done) in track.timeline.done.iter().take(track.timeline.done_by(at_s)).enumerate() {
-            let scores = normalised(track.scores[index + 1].clone());
-            forecaster.observe(done.at_s, track.mentions[index], self.grounding, &scores);
+            forecaster.observe(done.at_s, track.mentions[index], self.grounding, &[]);
+            forecaster.expect_next(self.grounding, &track.labels[index + 1], 0);
         }
         forecaster
     }
@@ -511,7 +513,8 @@ pub fn horizons(homes: &[Home<'_>], forecast: ForecastOptions, horizons_s: &[usi
             let mut forecaster = Forecaster::new(rooms, forecast, 0.0);
             for (index, done) in track.timeline.done.iter().enumerate() {
                 let scores = normalised(track.scores[index + 1].clone());
-                forecaster.observe(done.at_s, track.mentions[index], home.grounding, &scores);
+                forecaster.observe(done.at_s, track.mentions[index], home.grounding, &[]);
+                forecaster.expect_next(home.grounding, &track.labels[index + 1], 0);
                 let belief = forecaster.belief();
                 let here = (0..rooms).max_by(|a, b| belief[*a].total_cmp(&belief[*b])).unwrap_or(0);
                 let other = 0.05 / (rooms.max(2) - 1) as f64;

@@ -457,6 +457,7 @@ impl Config {
             within("forecast.object_s", forecast.object_s, means.clone()),
             within("forecast.stay_s", forecast.stay_s, means.clone()),
             within("forecast.away_s", forecast.away_s, means.clone()),
+            within("forecast.any_thing", forecast.any_thing, 0.0..=1.0),
             within("forecast.action_s", forecast.action_s, means.clone()),
             within("forecast.strength", forecast.strength, 0.001..=1e6),
             within("forecast.misplaced", forecast.misplaced, 1e-6..=1.0),

@@ -669,13 +669,14 @@ impl<M: LanguageModel> Board<M> {
         // What the model said before something that it has not scored yet says nothing of what comes after that.
         for own in self.pipeline.persons().filter(|own| own.at_home && own.is_current) {
             if let Some(followed) = self.followed.get_mut(&own.person) {
-                followed.expect(&own.grounded.partition_probability);
+                followed.expect_next(self.pipeline.grounding(), own.label_log_prob_nats, own.number);
             }
         }
         while let Some(person) = self.home.next_rescored() {
             let Some(own) = self.pipeline.person(person).filter(|own| own.at_home) else { continue };
             let Some(known) = self.persons.get(person) else { continue };
-            let rooms = &own.grounded.partition_probability;
+            let expected = self.followed.get(&person).and_then(Forecaster::expected);
+            let rooms = expected.unwrap_or(&own.grounded.partition_probability);
             self.home.look_ahead(person, known.heard_ns, own.label_log_prob_nats, rooms);
         }
         self.seen.truncate(SEEN_KEPT);
@@ -839,22 +840,34 @@ impl<M: LanguageModel> Board<M> {
 
     /// What became of the observations of the last good step, for the journal; each is told once.
     pub fn tell_outcomes(&mut self, mut tell: impl FnMut(&Outcome<'_>)) {
+        self.tell_whose(&mut tell);
+        self.tell_expected(tell);
+    }
+
+    /// Of the outcomes those on which scores rest: whose an observation is that names nobody.
+    pub(super) fn tell_whose(&mut self, mut tell: impl FnMut(&Outcome<'_>)) {
         let map = self.map_number();
         for Attributed { source, epoch, sequence, person } in self.attributed.drain(..) {
             tell(&Outcome { source, epoch, sequence, person, by_fit: true, map, probability: &[] });
         }
+    }
+
+    /// The other outcomes: where each person's next thing is expected. They can wait for the scores and the forecast.
+    pub(super) fn tell_expected(&mut self, mut tell: impl FnMut(&Outcome<'_>)) {
+        self.watch();
+        let map = self.map_number();
         let (recalled, said) = (std::mem::take(&mut self.recalled), std::mem::take(&mut self.said));
         for person in self.rescored.drain(..) {
             // Of who is out it says whose the observation is.
             let own = self.pipeline.person(person).filter(|own| own.at_home);
+            let expected = self.followed.get(&person).and_then(Forecaster::expected);
+            let own = own.map(|own| expected.unwrap_or(&own.grounded.partition_probability));
             // Where a part of their narration was lost, the model says something else of the rest, and that is what is believed from now on.
             // And what a daemon that was killed did not tell, or lost with the power, is told now.
-            let is_same = said
-                .get(&person)
-                .is_some_and(|said| own.is_none_or(|own| are_alike(said, &own.grounded.partition_probability)));
+            let is_same = said.get(&person).is_some_and(|said| own.is_none_or(|own| are_alike(said, own)));
             let is_said = |restored| recalled && restored && is_same;
             let Some(known) = self.persons.get(person).filter(|known| !is_said(known.restored)) else { continue };
-            let probability = own.map_or(&[][..], |own| &own.grounded.partition_probability[..]);
+            let probability = own.unwrap_or_default();
             let (source, epoch, sequence) = known.last;
             tell(&Outcome { source, epoch, sequence, person, by_fit: false, map, probability });
         }

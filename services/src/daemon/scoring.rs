@@ -160,14 +160,18 @@ impl<M: LanguageModel> Scoring<M> {
             self.progress.scoring_ns.store(now_ns, Ordering::Relaxed);
             let events = self.cycle.waiting() as u64;
             self.take_answers(events > 0);
+            let mut is_scored = false;
             if self.cycle.step_due(now_ns) {
                 if !last && self.step_ns >= SHORT_STEP_NS {
                     self.inbox.lend();
                 }
-                self.step(now_ns);
+                is_scored = self.step(now_ns);
                 self.step_ns = clock::monotonic_ns().saturating_sub(now_ns);
             }
             self.send(events)?;
+            if is_scored {
+                self.tell_expected();
+            }
             if events > 0 {
                 self.is_untidy = true;
                 self.quiet_ns = clock::monotonic_ns().saturating_add(QUIET_NS);
@@ -229,7 +233,8 @@ impl<M: LanguageModel> Scoring<M> {
         self.ports.items.send(header, items)
     }
 
-    fn step(&mut self, now_ns: u64) {
+    /// Gives whether it scored.
+    fn step(&mut self, now_ns: u64) -> bool {
         self.tally.steps += 1;
         self.tally.merged += (self.cycle.waiting() as u64).saturating_sub(1);
         if let Err(error) = self.cycle.step(now_ns, clock::unix_ns()) {
@@ -237,12 +242,11 @@ impl<M: LanguageModel> Scoring<M> {
             if let Some(held_back) = self.log.pass(now_ns) {
                 tracing::error!(%error, held_back, "scoring failed; the narration is kept and scored with the next step");
             }
-            return;
+            return false;
         }
         let (journal, mut attributed) = (&self.journal, 0);
-        self.cycle.board_mut().tell_outcomes(|outcome| {
-            let number = journal.as_ref().map_or(0, |journal| journal.append(outcome));
-            attributed = if outcome.by_fit { number } else { attributed };
+        self.cycle.board_mut().tell_whose(|outcome| {
+            attributed = journal.as_ref().map_or(0, |journal| journal.append(outcome));
         });
         self.cycle.rests_on(attributed);
         if let Some(journal) = &self.journal
@@ -254,6 +258,17 @@ impl<M: LanguageModel> Scoring<M> {
                 "the journal is slower than the scorer; narration is confirmed when it is written"
             );
         }
+        true
+    }
+
+    /// Writes down what is expected of whom, so that a restart believes the same.
+    fn tell_expected(&mut self) {
+        let journal = &self.journal;
+        self.cycle.board_mut().tell_expected(|outcome| {
+            if let Some(journal) = journal {
+                journal.append(outcome);
+            }
+        });
     }
 
     /// Takes what was scored ahead; where there is narration, that ends.

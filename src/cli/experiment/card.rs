@@ -26,6 +26,13 @@ pub(super) struct CardArgs {
 }
 
 const GRAPHS: [&str; 3] = ["TestScene1", "TestScene2", "TestScene5"];
+/// Scenes that are no homes, with their programs.
+const WORKPLACES: [(&str, [&str; 3]); 2] = [
+    ("ward", ["w0-medication-round", "w1-cleaning-and-fresh-beds", "w2-patients-morning"]),
+    ("warehouse", ["g0-receiving-a-delivery", "g1-picking-and-packing", "g2-end-of-shift"]),
+];
+/// Of each household of HOMER+.
+const DAYS: [&str; 3] = ["000", "001", "002"];
 const PLACES: [&str; 4] = ["house", "ward", "warehouse", "office"];
 
 pub(super) fn run(args: &CardArgs) -> CommandResult {
@@ -55,8 +62,26 @@ pub(super) fn run(args: &CardArgs) -> CommandResult {
         add(&format!("Development place: {place}"), &["forecast"], [forecast(&folder), scene, counted].concat());
     }
     add("Table II, seen activities", &["table2", "--setups"], Vec::new());
-    let unseen = [vec!["--program".to_owned(), programs.clone()], held_out(), graphs].concat();
-    add("Table II, test split", &["table2", "--setups", "--restarts", "100"], unseen);
+    let of = |programs: &str| vec!["--program".to_owned(), programs.to_owned()];
+    let unseen = [of(&programs), held_out(), graphs.clone()].concat();
+    add("Table II, test split", &["table2", "--setups", "--restarts", "100"], unseen.clone());
+    for (scene, programs) in WORKPLACES {
+        let programs = programs.iter().flat_map(|name| of(name)).collect();
+        let line = ["table2", "--restarts", "200", "--scene", scene, "--room-time", "25"];
+        add(&format!("Table II, other places: {scene}"), &line, programs);
+    }
+    let days = ["HouseholdA", "HouseholdB"].into_iter().flat_map(|home| DAYS.map(|day| (home, day)));
+    let days = days.flat_map(|(home, day)| of(&shared(&format!("homer_plus/{home}/scripts_test/{day}.txt")))).collect();
+    let line = ["table2", "--restarts", "200", "--room-time", "300", "--room-time", "900"];
+    add("Table II, other places: HOMER+ households", &line, days);
+    add("Table I", &["table1"], Vec::new());
+    let weights =
+        |weights: &[&str]| weights.iter().flat_map(|weight| ["--weight".to_owned(), (*weight).to_owned()]).collect();
+    for (items, longest_act) in [("uniform", "10"), ("nearest", "10"), ("uniform", "60"), ("nearest", "60")] {
+        let line = ["pareto", "--restarts", "40", "--items", items, "--longest-act", longest_act];
+        let title = format!("Disturbance against coverage, test split: {items}, acts up to {longest_act} s");
+        add(&title, &line, [unseen.clone(), weights(&["0", "5", "10", "20", "30", "42", "60", "1000"])].concat());
+    }
     for (title, command) in tables {
         if args.only.as_ref().is_some_and(|only| !title.contains(only)) {
             continue;

@@ -70,6 +70,9 @@ pub(super) struct StudyArgs {
     /// Mean stay in a room that the forecast assumes before it has watched, in seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = ForecastOptions::default().stay_s, value_parser = ranges::act_s)]
     stay_time: f64,
+    /// Probability that the forecast gives to any of several like things, not to one that is near or was in use; 1 is Equation 2.
+    #[arg(long, value_name = "P", default_value_t = ForecastOptions::default().any_thing, value_parser = ranges::share)]
+    any_thing: f64,
     /// Of folders, take only the programs of a split that a training manifest lists, such as models/manifest.json.
     #[arg(long, value_name = "FILE", requires = "program")]
     manifest: Option<PathBuf>,
@@ -229,6 +232,7 @@ impl StudyArgs {
             forecast: ForecastOptions {
                 object_s: self.object_time,
                 stay_s: self.stay_time,
+                any_thing: self.any_thing,
                 ..ForecastOptions::default()
             },
             restarts: self.restarts,

@@ -373,10 +373,13 @@ impl Watch<'_> {
         let mut labels: Vec<f64> = scores.iter().map(|score| (score - greatest).exp()).collect();
         let total: f64 = labels.iter().sum();
         labels.iter_mut().for_each(|p| *p /= total);
-        self.forecaster.observe(step.at_s, step.label.map(Into::into), self.grounding, &rooms);
+        self.forecaster.observe(step.at_s, step.label.map(Into::into), self.grounding, &[]);
+
+        self.forecaster.expect_next(self.grounding, scores, 0);
+        let expected = self.forecaster.expected().unwrap_or(&rooms);
         let mut forecasts = vec![(Vec::new(), Vec::new()); PREDICTORS.len()];
         let mixed = self.mixture.mix(PERSON, step.at_s, &labels).to_vec();
-        forecasts[MIXTURE] = (mixed, self.mixture.next_rooms(PERSON, step.at_s, &rooms).to_vec());
+        forecasts[MIXTURE] = (mixed, self.mixture.next_rooms(PERSON, step.at_s, expected).to_vec());
         let even = (vec![1.0 / self.labels as f64; self.labels], vec![1.0 / self.rooms as f64; self.rooms]);
         let learned = self.without_model.mix(PERSON, step.at_s, &even.0).to_vec();
         forecasts[WITHOUT_MODEL] = (learned, self.without_model.next_rooms(PERSON, step.at_s, &even.1).to_vec());

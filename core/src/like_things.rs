@@ -1,0 +1,219 @@
+//! Which of several like things is meant: where the next thing is, for somebody whose whereabouts are known.
+//!
+//! Equation 2 gives every thing of a label the same share of the label's score, wherever the person is. People take the sink that is near,
+//! and the mug that they had in hand before. So a forecast of where somebody goes next divides a label's probability otherwise:
+//!
+//! ```text
+//! P(r | l) = a w(l, r) + (1 - a) (m u(l, r) + (1 - m) w(l, r) n(r) / sum over r' of w(l, r') n(r'))
+//!
+//! w(l, r)   the share of label l's things that is in room r (Equation 2)
+//! n(r)      sum over r' of b(r') k(r', r): how near room r is to where the person is believed to be, b
+//! k(r', r)  1 in the room itself, else c exp(-distance of the rooms' middles / d)
+//! u(l, r)   where the thing of label l was when they turned to one last, if they did lately; without that, m is 0
+//! a, m      how probably any of them is meant, and how probably the one that was in use
+//! ```
+//!
+//! Scores stay those of Equation 2. `a` is [`crate::forecast::ForecastOptions::any_thing`]; 1 gives Equation 2.
+
+use nalgebra::DMatrix;
+
+/// m: how probably the thing that was in use is meant again.
+const AGAIN: f64 = 0.8;
+/// c: how near the nearest other room is, beside the room itself.
+const NEXT_DOOR: f64 = 0.4;
+/// d: over how many metres nearness falls to a third.
+const FALLS_M: f64 = 4.0;
+
+/// The rooms of each label's things, and how near rooms are to one another. One per map.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct LikeThings {
+    /// The shares of label l are `shares[start[l]..start[l + 1]]`: room and w.
+    shares: Vec<(u32, f64)>,
+    start: Vec<usize>,
+    /// k.
+    near: DMatrix<f64>,
+}
+
+/// Where the thing of a label was when it was turned to last.
+#[derive(Debug, Clone)]
+struct Used {
+    label: usize,
+    rooms: Vec<f64>,
+}
+
+/// The things that a person has turned to lately, the last one last.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct InUse(Vec<Used>);
+
+impl InUse {
+    /// As many as a window of narration has sentences.
+    const MAX: usize = 16;
+
+    /// Takes in that a thing of a label was turned to by somebody who is where `belief` says.
+    pub(crate) fn turn_to(&mut self, label: usize, belief: &[f64]) {
+        let known = self.0.iter().position(|used| used.label == label);
+        let oldest = (self.0.len() >= Self::MAX).then_some(0);
+        let mut used = match known.or(oldest) {
+            Some(at) => self.0.remove(at),
+            None => Used { label, rooms: Vec::new() },
+        };
+        used.label = label;
+        used.rooms.clear();
+        used.rooms.extend_from_slice(belief);
+        self.0.push(used);
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    fn rooms(&self, label: usize) -> Option<&[f64]> {
+        self.0.iter().find(|used| used.label == label).map(|used| used.rooms.as_slice())
+    }
+}
+
+impl LikeThings {
+    /// `weights` are w; `middles_m` are the rooms' middles in the plane.
+    pub(crate) fn new(weights: &DMatrix<f64>, middles_m: &[[f64; 2]]) -> Self {
+        let near = DMatrix::from_fn(middles_m.len(), middles_m.len(), |from, to| {
+            let ([x, y], [to_x, to_y]) = (middles_m[from], middles_m[to]);
+            if from == to { 1.0 } else { NEXT_DOOR * (-(x - to_x).hypot(y - to_y) / FALLS_M).exp() }
+        });
+        let (mut shares, mut start) = (Vec::new(), vec![0]);
+        for row in weights.row_iter() {
+            shares.extend((0u32..).zip(row.iter().copied()).filter(|(_, share)| *share > 0.0));
+            start.push(shares.len());
+        }
+        Self { shares, start, near }
+    }
+
+    /// Per room the probability that the next thing is there, from ln s_c per label in nats, for somebody who is where `belief` says and has
+    /// used what `in_use` says; `any_thing` is a. Where no label has a score in any room, all rooms are as likely.
+    ///
+    /// Allocates nothing once `near` and `out` have their size.
+    pub(crate) fn next_rooms(
+        &self,
+        label_log_prob_nats: &[f64],
+        belief: &[f64],
+        (in_use, any_thing): (&InUse, f64),
+        near: &mut Vec<f64>,
+        out: &mut Vec<f64>,
+    ) {
+        near.clear();
+        near.extend(self.near.column_iter().map(|to| to.iter().zip(belief).map(|(k, b)| k * b).sum::<f64>()));
+        out.clear();
+        out.resize(near.len(), 0.0);
+        let largest = label_log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let reference = if largest.is_finite() { largest } else { 0.0 };
+        for (label, (bounds, log_prob_nats)) in self.start.windows(2).zip(label_log_prob_nats).enumerate() {
+            let shares = &self.shares[bounds[0]..bounds[1]];
+            let p = (log_prob_nats - reference).exp();
+            if let [(room, share)] = shares {
+                out[*room as usize] += p * share;
+                continue;
+            }
+            let fits = |(room, share): &(u32, f64)| share * near[*room as usize];
+            let all_near: f64 = shares.iter().map(fits).sum();
+            if p <= 0.0 || all_near <= 0.0 {
+                continue;
+            }
+            let used = in_use.rooms(label);
+            let all_used: f64 = used.map_or(0.0, |used| shares.iter().map(|(room, _)| used[*room as usize]).sum());
+            let again = if all_used > 0.0 { AGAIN } else { 0.0 };
+            // What lies in no room stays there.
+            let inside: f64 = shares.iter().map(|(_, share)| share).sum();
+            for place @ (room, share) in shares {
+                let used = used.map_or(0.0, |used| used[*room as usize] / all_used.max(f64::MIN_POSITIVE));
+                let meant = again * used + (1.0 - again) * fits(place) / all_near;
+                out[*room as usize] += p * (any_thing * share + (1.0 - any_thing) * inside * meant);
+            }
+        }
+        let total: f64 = out.iter().sum();
+        let even = 1.0 / out.len().max(1) as f64;
+        out.iter_mut().for_each(|p| *p = if total > 0.0 { *p / total } else { even });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::grounding::{GroundedScores, Grounding, GroundingOptions};
+    use crate::semantic_map::SemanticMap;
+
+    fn apartment() -> Grounding {
+        let map = SemanticMap::from_json(include_str!("../../scenes/apartment-e0.json")).unwrap();
+        Grounding::new(&map, &GroundingOptions::default()).unwrap()
+    }
+
+    fn next(grounding: &Grounding, nats: &[f64], belief: &[f64], in_use: &InUse, any_thing: f64) -> Vec<f64> {
+        let (mut near, mut out) = (Vec::new(), Vec::new());
+        grounding.like_things.next_rooms(nats, belief, (in_use, any_thing), &mut near, &mut out);
+        out
+    }
+
+    /// A label with things in several rooms, and those rooms.
+    fn spread(grounding: &Grounding) -> (usize, Vec<usize>) {
+        let rooms =
+            |label: usize| (0..grounding.partitions.len()).filter(move |room| grounding.weights[(label, *room)] > 0.0);
+        let label = (0..grounding.scored_labels.len()).max_by_key(|label| rooms(*label).count()).unwrap();
+        (label, rooms(label).collect())
+    }
+
+    fn only(grounding: &Grounding, label: usize) -> Vec<f64> {
+        (0..grounding.scored_labels.len()).map(|other| if other == label { 0.0 } else { f64::NEG_INFINITY }).collect()
+    }
+
+    fn at(room: usize, rooms: usize) -> Vec<f64> {
+        (0..rooms).map(|other| f64::from(u8::from(other == room))).collect()
+    }
+
+    #[test]
+    fn the_thing_in_the_same_room_is_meant_and_then_the_one_that_was_in_use() {
+        let grounding = apartment();
+        let (label, rooms) = spread(&grounding);
+        let (first, second, count) = (rooms[0], rooms[1], grounding.partitions.len());
+        let nats = only(&grounding, label);
+        let fresh = next(&grounding, &nats, &at(first, count), &InUse::default(), 0.3);
+        let likeliest = |p: &[f64]| (0..count).max_by(|a, b| p[*a].total_cmp(&p[*b])).unwrap();
+        assert_eq!(likeliest(&fresh), first, "{fresh:?}");
+        let mut in_use = InUse::default();
+        in_use.turn_to(label, &at(second, count));
+        let used = next(&grounding, &nats, &at(first, count), &in_use, 0.3);
+        assert_eq!(likeliest(&used), second, "{used:?}");
+        // What was turned to lately makes room for what was turned to later.
+        (0..InUse::MAX).for_each(|other| in_use.turn_to(1_000 + other, &at(first, count)));
+        assert_eq!(next(&grounding, &nats, &at(first, count), &in_use, 0.3), fresh);
+    }
+
+    proptest! {
+        #[test]
+        fn with_any_thing_it_is_equation_2_and_it_is_always_a_distribution(
+            nats in prop::collection::vec(prop_oneof![3 => -20.0..0.0f64, 1 => Just(f64::NEG_INFINITY)], 200),
+            belief in prop::collection::vec(0.0..1.0f64, 16),
+            used in prop::collection::vec(0usize..200, 0..20),
+            any_thing in 0.0..=1.0f64,
+        ) {
+            let grounding = apartment();
+            let (labels, rooms) = (grounding.scored_labels.len(), grounding.partitions.len());
+            prop_assume!(labels <= nats.len() && rooms <= belief.len());
+            let nats = &nats[..labels];
+            let total: f64 = belief[..rooms].iter().sum::<f64>() + 1e-9;
+            let belief: Vec<f64> = belief[..rooms].iter().map(|p| (p + 1e-9 / rooms as f64) / total).collect();
+            let mut in_use = InUse::default();
+            used.iter().for_each(|label| in_use.turn_to(label % labels, &belief));
+            let mut equation_2 = GroundedScores::default();
+            grounding.ground(nats, &mut equation_2).unwrap();
+            for (p, own) in next(&grounding, nats, &belief, &in_use, 1.0).iter().zip(&equation_2.partition_probability) {
+                prop_assert!((p - own).abs() < 1e-9, "{p} and {own}");
+            }
+            let told_apart = next(&grounding, nats, &belief, &in_use, any_thing);
+            prop_assert!((told_apart.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+            // A room that Equation 2 gives something keeps its share of that.
+            for (p, own) in told_apart.iter().zip(&equation_2.partition_probability) {
+                prop_assert!((0.0..=1.0).contains(p) && *p >= any_thing * own - 1e-9, "{p} and {own}");
+            }
+        }
+    }
+}
