@@ -1,8 +1,11 @@
 """What the training reads of the product is there. Runs without PyTorch, in every `make test`."""
 
+import random
 import re
 import sys
 from pathlib import Path
+
+import pytest
 
 HERE = Path(__file__).resolve().parent.parent
 ROOT = HERE.parent
@@ -53,3 +56,19 @@ def test_titles_near_each_other_are_one_activity():
         assert len({data.cluster_of(title) for title in titles}) == 1, titles
     programs = [data.Program("", title, data.cluster_of(title), ()) for title in ("Watch TV", "watch  movie", "Whine")]
     assert data.activities(programs) == {"television": ["watch movie", "watch tv"]}
+
+
+def test_groups_of_a_routine_go_every_way():
+    def ways(text):
+        return {tuple(routines.flatten(text, random.Random(seed))) for seed in range(200)}
+
+    assert ways("walk a; (grab b; open c / sit d); walk e") == {("walk a", "grab b", "open c", "walk e"), ("walk a", "sit d", "walk e")}
+    assert ways("(sit d)?; walk e") == {("sit d", "walk e"), ("walk e",)}
+    assert ways("{ sit d & grab b }") == {("sit d", "grab b"), ("grab b", "sit d")}
+
+
+def test_routines_that_are_none_are_refused():
+    assert len(routines.load(HERE / "routines")) > 7000
+    for text in ("fly kitchen", "sit a, b, c", "(sit a; { grab b & grab c }; open d", "(sit a / fly b)"):
+        with pytest.raises(ValueError):
+            routines.check(routines.Routine("x", "home", "x", text))
