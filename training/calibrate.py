@@ -15,10 +15,14 @@ from narration import DEFAULT_BINDING
 
 TEMPERATURES = np.arange(0.8, 2.51, 0.05)
 PRIORS = np.arange(0.0, 1.01, 0.05)
+# Elsewhere the model is less often right than on the calibration split, in homes whose things it knows: there it is made less sure than is best there by this
+# factor. Chosen on the calibration split (2.732 nats without, 2.744 with it) and the four development places (mean 4.01 and 3.88) together.
+SOFTER = 1.15
 
 
 def fit(model: Household, encoder: Encoder, programs: list[Program], graphs: list[Path]) -> tuple[float, float]:
-    """The temperature and the prior weight with the lowest mean negative log-likelihood of the next object over the labels of the given scenes."""
+    """The temperature and the prior weight with the lowest mean negative log-likelihood of the next object over the labels of the given scenes; the
+    temperature times `SOFTER`."""
     total = np.zeros((len(TEMPERATURES), len(PRIORS)))
     for path in graphs:
         scene = Scene(path)
@@ -33,7 +37,7 @@ def fit(model: Household, encoder: Encoder, programs: list[Program], graphs: lis
                 scaled = (scores - prior * blank) / temperature
                 total[i, k] += (np.logaddexp.reduce(scaled, axis=1) - scaled[np.arange(len(cases)), truth]).sum()
     i, k = np.unravel_index(total.argmin(), total.shape)
-    return float(TEMPERATURES[i]), float(PRIORS[k])
+    return float(TEMPERATURES[i] * SOFTER), float(PRIORS[k])
 
 
 def apply(model: Household, temperature: float) -> None:

@@ -30,8 +30,8 @@ CHECKPOINT_STEPS = 200
 class Schedule:
     """How long and how fast. Training is broken off while the rate is still high: what is kept is the mean of moving averages of the weights."""
 
-    steps: int = 20000  # over which the rate falls
-    until: int = 9000  # and after which training stops
+    steps: int = 18000  # over which the rate falls
+    until: int = 7200  # and after which training stops
     workers: int = 2  # processes, on CPUs
     rows: int = 4  # per worker
     length: int = 192

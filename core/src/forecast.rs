@@ -73,7 +73,7 @@ impl Default for ForecastOptions {
             misplaced: 0.02,
             mistaken: 0.01,
             away_s: 4.0 * 3600.0,
-            any_thing: 0.3,
+            any_thing: 0.5,
         }
     }
 }
