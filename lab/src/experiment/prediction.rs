@@ -679,8 +679,8 @@ mod tests {
             .unwrap()
         };
         let report = run_with(std::slice::from_ref(&part));
-        // Ten predictors: of the object once, of three targets of rooms under each way of binding.
-        assert_eq!(report.rows.len(), 70);
+        // Eleven predictors: of the object once, of three targets of rooms under each way of binding.
+        assert_eq!(report.rows.len(), 77);
         assert_eq!((report.nearness.len(), report.activities), (3, 3));
         assert!(report.nearness.iter().all(|near| near.nearness == [1.0, 1.0]));
         assert!(report.cases > 40 && report.rows.iter().all(|row| row.summary.nll_nats.is_finite()));
