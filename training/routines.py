@@ -99,7 +99,8 @@ def load(folder: Path) -> list[Routine]:
 def check(routine: Routine) -> None:
     """Every action of every part is one, whichever part is taken."""
     for part in GROUP.split(routine.text):
-        inside = re.sub(r"[&/]", ";", part.rstrip("?")[1:-1]) if GROUP.fullmatch(part) else part
+        between = "/" if part.startswith("(") else "&"
+        inside = part.rstrip("?")[1:-1].replace(between, ";") if GROUP.fullmatch(part) else part
         if set(inside) & set("{}()&/"):
             raise ValueError(f"routine {routine.title!r}: a group that is not closed, or one inside another, in {part!r}")
         for text in steps_of(inside):

@@ -59,7 +59,7 @@ pub struct ForecastOptions {
     pub mistaken: f64,
     /// Mean time out of the house, in seconds.
     pub away_s: f64,
-    /// Probability that any one of several like things is meant, not rather one that is near or was in use; 1 is Equation 2.
+    /// The part of a label's probability that its things share evenly; the rest goes to those that are near or were in use. 1 is Equation 2.
     pub any_thing: f64,
 }
 
@@ -137,7 +137,7 @@ pub struct Forecaster {
     in_use: InUse,
     /// Working memory of [`Forecaster::expect_next`].
     near: Vec<f64>,
-    /// The number of the scores that this rests on, unless the belief has changed since.
+    /// The number of the scores that this rests on, unless something was observed since.
     expected: Option<u64>,
     /// The scores are of what was done last: not once a sensor has said that the person is elsewhere.
     expects: bool,
@@ -217,7 +217,10 @@ impl Forecaster {
         self.update(at_s, same_at_most, mentioned.map(|mention| move |room: usize, p: f64| weigh(mention, room, p)));
         self.sensed &= mentioned.is_none();
         // What is left is not turned to.
-        self.expects = true;
+        (self.expects, self.expected) = (true, None);
+        if rested {
+            self.in_use.clear();
+        }
         if let Some(label) = mentioned.filter(|mention| !mention.is_left).map(|mention| mention.label) {
             self.in_use.turn_to(label, &self.belief);
             if self.object != Some(label) {
@@ -322,7 +325,6 @@ impl Forecaster {
     /// in proportion to the one after. The object in hand is still the same with at most `same_at_most`.
     fn update(&mut self, at_s: f64, same_at_most: f64, observed: Option<impl Fn(usize, f64) -> f64>) {
         let before = likeliest(&self.belief);
-        self.expected = None;
         self.spend(at_s);
         if let Some(observed) = observed {
             let mut predicted = std::mem::take(&mut self.predicted);
@@ -355,7 +357,8 @@ impl Forecaster {
     }
 
     /// As [`Forecaster::expect`], from ln s_c per label in nats: where the next thing is, like things told apart by where the person is believed to be
-    /// and by what they had in use. Scores of the same `number` are taken in again only where the person is believed to be elsewhere since.
+    /// and by what they had in use. Scores of the same `number` are taken in once after each observation, so that a restart, which has not the scores but
+    /// what was expected, believes the same.
     pub fn expect_next(&mut self, grounding: &Grounding, label_log_prob_nats: &[f64], number: u64) {
         let fits = grounding.weights.shape() == (label_log_prob_nats.len(), self.scores.len());
         if !self.expects || !fits || self.expected == Some(number) {
@@ -364,6 +367,17 @@ impl Forecaster {
         self.expected = Some(number);
         let (belief, in_use) = (&self.belief, (&self.in_use, self.options.any_thing));
         grounding.like_things.next_rooms(label_log_prob_nats, belief, in_use, &mut self.near, &mut self.scores);
+    }
+
+    /// Nothing that was done before says what comes next: the window of narration has ended.
+    pub fn end_window(&mut self) {
+        self.in_use.clear();
+    }
+
+    /// Takes up another list of labels, by the place of each old one in it; the rooms are the same.
+    pub fn relabel(&mut self, new: &dyn Fn(usize) -> Option<usize>) {
+        self.in_use.relabel(new);
+        self.object = self.object.and_then(new);
     }
 
     /// Per room the probability that the next thing is there, as was expected last; none once the person was told to be in another room.
@@ -553,6 +567,47 @@ mod tests {
         let map = SemanticMap::from_json(include_str!("../../scenes/studio.json")).unwrap();
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
         (map, grounding)
+    }
+
+    /// Of one label with things in several rooms the one in the room where the person is; and that stays so until something else is observed.
+    #[test]
+    fn like_things_are_told_apart_once_after_each_observation() {
+        let map = SemanticMap::from_json(include_str!("../../scenes/apartment-e0.json")).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let rooms = grounding.partitions.len();
+        let has = |label: usize, room: usize| grounding.weights[(label, room)] > 0.0;
+        let labels = grounding.scored_labels.len();
+        let even = |label: &usize| (0..rooms).filter(|room| grounding.weights[(*label, *room)] == 0.5).count() == 2;
+        let spread = (0..labels).find(even).unwrap();
+        let of: Vec<usize> = (0..rooms).filter(|room| has(spread, *room)).collect();
+        let (first, second) = (of[0], of[1]);
+        let only_in = |room: usize| {
+            (0..labels).find(|label| (0..rooms).all(|other| has(*label, other) == (other == room))).unwrap()
+        };
+        let nats: Vec<f64> = (0..labels).map(|label| if label == spread { 0.0 } else { f64::NEG_INFINITY }).collect();
+        let mut forecaster = Forecaster::new(rooms, ForecastOptions::default(), 0.0);
+        let likeliest_next = |forecaster: &mut Forecaster, number: u64| {
+            forecaster.expect_next(&grounding, &nats, number);
+            likeliest(forecaster.expected().unwrap()).unwrap()
+        };
+        forecaster.observe(10.0, Some(only_in(first).into()), &grounding, &[]);
+        assert_eq!(likeliest_next(&mut forecaster, 1), first);
+        let before = forecaster.expected().unwrap().to_vec();
+        // A word of a third room takes a little belief from everywhere; the same scores say the same.
+        if let Some(third) = (0..rooms).find(|room| ![first, second].contains(room)) {
+            forecaster.exclude(11.0, third);
+            forecaster.expect_next(&grounding, &nats, 1);
+            assert_eq!(forecaster.expected(), Some(&before[..]));
+        }
+        // The thing in use is the one that was turned to, from wherever the person is later, until they have rested or their window ends.
+        forecaster.observe(20.0, Some(spread.into()), &grounding, &[]);
+        forecaster.observe(30.0, Some(only_in(second).into()), &grounding, &[]);
+        assert_eq!(likeliest_next(&mut forecaster, 2), first);
+        let mut ended = forecaster.clone();
+        ended.end_window();
+        assert_eq!(likeliest_next(&mut ended, 3), second);
+        forecaster.observe(30.0 + 2.0 * REST_S, Some(only_in(second).into()), &grounding, &[]);
+        assert_eq!(likeliest_next(&mut forecaster, 3), second);
     }
 
     #[test]

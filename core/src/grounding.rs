@@ -140,10 +140,10 @@ impl Partition {
         self.spaces.iter().map(|own| own.overlap_m3(bounds)).sum()
     }
 
-    /// The middle in the plane: of several rooms, that of them together.
-    fn middle_m(&self) -> [f64; 2] {
+    /// The middle: of several rooms, that of them together.
+    fn middle_m(&self) -> [f64; 3] {
         let count = self.spaces.len().max(1) as f64;
-        [0, 1].map(|axis| self.spaces.iter().map(|space| space.centre_m()[axis]).sum::<f64>() / count)
+        [0, 1, 2].map(|axis| self.spaces.iter().map(|space| space.centre_m()[axis]).sum::<f64>() / count)
     }
 
     fn contains(&self, point_m: &[f64; 3]) -> bool {

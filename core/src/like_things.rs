@@ -1,7 +1,7 @@
 //! Which of several like things is meant: where the next thing is, for somebody whose whereabouts are known.
 //!
 //! Equation 2 gives every thing of a label the same share of the label's score, wherever the person is. People take the sink that is near,
-//! and the mug that they had in hand before. So a forecast of where somebody goes next divides a label's probability otherwise:
+//! and go back to the table that they were at before. So a forecast of where somebody goes next divides a label's probability otherwise:
 //!
 //! ```text
 //! P(r | l) = a w(l, r) + (1 - a) (m u(l, r) + (1 - m) w(l, r) n(r) / sum over r' of w(l, r') n(r'))
@@ -9,20 +9,23 @@
 //! w(l, r)   the share of label l's things that is in room r (Equation 2)
 //! n(r)      sum over r' of b(r') k(r', r): how near room r is to where the person is believed to be, b
 //! k(r', r)  1 in the room itself, else c exp(-distance of the rooms' middles / d)
-//! u(l, r)   where the thing of label l was when they turned to one last, if they did lately; without that, m is 0
-//! a, m      how probably any of them is meant, and how probably the one that was in use
+//! u(l, r)   where the person was when a sentence named label l last (its last word for a thing), since they rested; without that, m is 0
+//! a, m      the part that all of them share evenly; of the rest, the part of the one that was in use
 //! ```
 //!
 //! Scores stay those of Equation 2. `a` is [`crate::forecast::ForecastOptions::any_thing`]; 1 gives Equation 2.
 
 use nalgebra::DMatrix;
 
-/// m: how probably the thing that was in use is meant again.
+/// m: the part of the thing that was in use.
 const AGAIN: f64 = 0.8;
-/// c: how near the nearest other room is, beside the room itself.
+/// c: how near another room at no distance would be.
 const NEXT_DOOR: f64 = 0.4;
 /// d: over how many metres nearness falls to a third.
 const FALLS_M: f64 = 4.0;
+/// Rooms whose middles differ by more in height are on other storeys, and the way between them is so many times the difference.
+const STOREY_M: f64 = 1.5;
+const STAIRS: f64 = 4.0;
 
 /// The rooms of each label's things, and how near rooms are to one another. One per map.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,41 +46,61 @@ struct Used {
 
 /// The things that a person has turned to lately, the last one last.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct InUse(Vec<Used>);
+pub(crate) struct InUse {
+    /// Those behind `count` are kept for their memory.
+    used: Vec<Used>,
+    count: usize,
+}
 
 impl InUse {
-    /// As many as a window of narration has sentences.
     const MAX: usize = 16;
 
     /// Takes in that a thing of a label was turned to by somebody who is where `belief` says.
     pub(crate) fn turn_to(&mut self, label: usize, belief: &[f64]) {
-        let known = self.0.iter().position(|used| used.label == label);
-        let oldest = (self.0.len() >= Self::MAX).then_some(0);
-        let mut used = match known.or(oldest) {
-            Some(at) => self.0.remove(at),
-            None => Used { label, rooms: Vec::new() },
+        let known = self.used[..self.count].iter().position(|used| used.label == label);
+        let from = match known {
+            Some(at) => at,
+            None if self.count >= Self::MAX => 0,
+            None => {
+                if self.used.len() == self.count {
+                    self.used.push(Used { label, rooms: Vec::with_capacity(belief.len()) });
+                }
+                self.count += 1;
+                self.count - 1
+            }
         };
+        self.used[from..self.count].rotate_left(1);
+        let used = &mut self.used[self.count - 1];
         used.label = label;
         used.rooms.clear();
         used.rooms.extend_from_slice(belief);
-        self.0.push(used);
     }
 
+    /// Nothing is in use any more.
     pub(crate) fn clear(&mut self) {
-        self.0.clear();
+        self.count = 0;
+    }
+
+    /// Takes up another list of labels; what it does not have is forgotten.
+    pub(crate) fn relabel(&mut self, new: &dyn Fn(usize) -> Option<usize>) {
+        self.used.truncate(self.count);
+        self.used.retain_mut(|used| new(used.label).map(|label| used.label = label).is_some());
+        self.count = self.used.len();
     }
 
     fn rooms(&self, label: usize) -> Option<&[f64]> {
-        self.0.iter().find(|used| used.label == label).map(|used| used.rooms.as_slice())
+        self.used[..self.count].iter().find(|used| used.label == label).map(|used| used.rooms.as_slice())
     }
 }
 
 impl LikeThings {
-    /// `weights` are w; `middles_m` are the rooms' middles in the plane.
-    pub(crate) fn new(weights: &DMatrix<f64>, middles_m: &[[f64; 2]]) -> Self {
+    /// `weights` are w; `middles_m` are the rooms' middles.
+    pub(crate) fn new(weights: &DMatrix<f64>, middles_m: &[[f64; 3]]) -> Self {
         let near = DMatrix::from_fn(middles_m.len(), middles_m.len(), |from, to| {
-            let ([x, y], [to_x, to_y]) = (middles_m[from], middles_m[to]);
-            if from == to { 1.0 } else { NEXT_DOOR * (-(x - to_x).hypot(y - to_y) / FALLS_M).exp() }
+            let ([x, y, z], [to_x, to_y, to_z]) = (middles_m[from], middles_m[to]);
+            let up_m = (z - to_z).abs();
+            let stairs_m = if up_m > STOREY_M { STAIRS * up_m } else { 0.0 };
+            if from == to { 1.0 } else { NEXT_DOOR * (-((x - to_x).hypot(y - to_y) + stairs_m) / FALLS_M).exp() }
         });
         let (mut shares, mut start) = (Vec::new(), vec![0]);
         for row in weights.row_iter() {
@@ -114,7 +137,7 @@ impl LikeThings {
             }
             let fits = |(room, share): &(u32, f64)| share * near[*room as usize];
             let all_near: f64 = shares.iter().map(fits).sum();
-            if p <= 0.0 || all_near <= 0.0 {
+            if p <= 0.0 {
                 continue;
             }
             let used = in_use.rooms(label);
@@ -124,7 +147,9 @@ impl LikeThings {
             let inside: f64 = shares.iter().map(|(_, share)| share).sum();
             for place @ (room, share) in shares {
                 let used = used.map_or(0.0, |used| used[*room as usize] / all_used.max(f64::MIN_POSITIVE));
-                let meant = again * used + (1.0 - again) * fits(place) / all_near;
+                // Where all are too far away to tell, all are as near.
+                let near = if all_near > 0.0 { fits(place) / all_near } else { share / inside };
+                let meant = again * used + (1.0 - again) * near;
                 out[*room as usize] += p * (any_thing * share + (1.0 - any_thing) * inside * meant);
             }
         }
@@ -182,9 +207,35 @@ mod tests {
         in_use.turn_to(label, &at(second, count));
         let used = next(&grounding, &nats, &at(first, count), &in_use, 0.3);
         assert_eq!(likeliest(&used), second, "{used:?}");
+        // What was in use goes by its words over a change of the map.
+        let mut relabelled = in_use.clone();
+        relabelled.relabel(&|label| Some(label + 1));
+        assert_eq!(next(&grounding, &nats, &at(first, count), &relabelled, 0.3), fresh);
+        relabelled.relabel(&|label| label.checked_sub(1));
+        assert_eq!(next(&grounding, &nats, &at(first, count), &relabelled, 0.3), used);
+        relabelled.relabel(&|_| None);
+        assert_eq!(next(&grounding, &nats, &at(first, count), &relabelled, 0.3), fresh);
         // What was turned to lately makes room for what was turned to later.
         (0..InUse::MAX).for_each(|other| in_use.turn_to(1_000 + other, &at(first, count)));
         assert_eq!(next(&grounding, &nats, &at(first, count), &in_use, 0.3), fresh);
+        in_use.clear();
+        in_use.turn_to(label, &at(second, count));
+        assert_eq!(next(&grounding, &nats, &at(first, count), &in_use, 0.3), used);
+    }
+
+    #[test]
+    fn another_storey_is_farther_than_the_next_room_and_what_is_beyond_all_distance_is_shared_evenly() {
+        let weights = DMatrix::from_row_slice(1, 3, &[0.0, 0.5, 0.5]);
+        let here = [1.0, 0.0, 0.0];
+        let next = |middles_m: &[[f64; 3]], any_thing: f64| {
+            let (mut near, mut out) = (Vec::new(), Vec::new());
+            let things = LikeThings::new(&weights, middles_m);
+            things.next_rooms(&[-1.0], &here, (&InUse::default(), any_thing), &mut near, &mut out);
+            out
+        };
+        let stairs = next(&[[0.0, 0.0, 1.2], [0.0, 0.0, 4.0], [6.0, 0.0, 1.3]], 0.5);
+        assert!(stairs[2] > stairs[1] && stairs[0] == 0.0, "{stairs:?}");
+        assert_eq!(next(&[[0.0; 3], [1e5, 0.0, 0.0], [2e5, 0.0, 0.0]], 0.0), [0.0, 0.5, 0.5]);
     }
 
     proptest! {

@@ -69,6 +69,6 @@ def test_groups_of_a_routine_go_every_way():
 
 def test_routines_that_are_none_are_refused():
     assert len(routines.load(HERE / "routines")) > 7000
-    for text in ("fly kitchen", "sit a, b, c", "(sit a; { grab b & grab c }; open d", "(sit a / fly b)"):
+    for text in ("fly kitchen", "sit a, b, c", "(sit a; { grab b & grab c }; open d", "(sit a / fly b)", "(grab a & grab b)", "{ sit a / sit b }"):
         with pytest.raises(ValueError):
             routines.check(routines.Routine("x", "home", "x", text))

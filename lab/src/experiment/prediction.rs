@@ -299,12 +299,21 @@ impl Listener {
         Self { forecaster: Forecaster::new(rooms, ForecastOptions::default(), 0.0), heard: 0, at_s: 0.0 }
     }
 
-    fn hear(&mut self, steps: &[Action], said: &[Sentence], mentions: &mut Mentions, grounding: &Grounding) {
-        for (step, sentence) in steps.iter().zip(said) {
-            self.at_s += step.entry().duration_s;
-            self.forecaster.observe(self.at_s, mentions.last(sentence.as_str()), grounding, &[]);
+    /// Up to the `done`-th action; `rows` are the model's scores after each.
+    fn hear(
+        &mut self,
+        program: &Program,
+        said: &[Sentence],
+        rows: &[Vec<f64>],
+        done: usize,
+        (mentions, grounding): (&mut Mentions, &Grounding),
+    ) {
+        for at in self.heard..done {
+            self.at_s += program.steps[at].entry().duration_s;
+            self.forecaster.observe(self.at_s, mentions.last(said[at].as_str()), grounding, &[]);
+            self.forecaster.expect_next(grounding, &rows[at + 1], 0);
         }
-        self.heard += steps.len();
+        self.heard = done;
     }
 }
 
@@ -345,13 +354,7 @@ fn evaluate<M: LanguageModel>(
         let rows = source.score_steps(&sentences, options.history, &options.binding)?;
         let mut listener = Listener::new(rooms);
         for case in &cases {
-            listener.hear(
-                &program.steps[listener.heard..case.done],
-                &sentences[listener.heard..],
-                &mut mentions,
-                grounding,
-            );
-            listener.forecaster.expect_next(grounding, &rows[case.done], 0);
+            listener.hear(program, &sentences, &rows, case.done, (&mut mentions, grounding));
             let near_rooms = listener.forecaster.expected().unwrap_or(&even_rooms).to_vec();
             let (model_labels, model_rooms) = both(&rows[case.done], grounding, &mut grounded)?;
             let remembering = baselines::MODEL_CACHE.mixed(&model_labels, &case.visited, case.in_hand);

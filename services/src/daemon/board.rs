@@ -1,7 +1,7 @@
 //! From observations to the snapshot that is published: the pipeline's step, with sequence numbers, ages and flags. No clock,
 //! no port: the daemon's loop, the simulation and the tests drive it alike.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use roomcast_ipc::{
     ForecastV1, LEARNED_SHARE_S, MAX_HORIZONS, MAX_ROOMS, MessageError, NAME_BYTES, PersonForecastsV1, PersonScoresV1,
@@ -331,7 +331,14 @@ impl<M: LanguageModel> Board<M> {
         // What was seen on the old map is understood by it.
         self.watch();
         let rooms = named_rooms(&partitions(&map, self.grounding.level))?;
+        let before: Vec<String> = self.pipeline.grounding().label_texts().into_iter().map(str::to_owned).collect();
         let prepared = self.pipeline.change_map(&map, &self.grounding)?;
+        if prepared.again {
+            let texts = self.pipeline.grounding().label_texts();
+            let place: HashMap<&str, usize> = texts.iter().enumerate().map(|(place, text)| (*text, place)).collect();
+            let new = |label: usize| before.get(label).and_then(|text| place.get(text.as_str()).copied());
+            self.followed.values_mut().for_each(|own| own.relabel(&new));
+        }
         self.next_rooms = Some(Box::new(rooms));
         self.strange_rooms.clear();
         self.rescored.clear();
@@ -649,6 +656,9 @@ impl<M: LanguageModel> Board<M> {
         let now_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
         while let Some(person) = self.silent(now_ns) {
             self.pipeline.end_window(person);
+            if let Some(own) = self.followed.get_mut(&person) {
+                own.end_window();
+            }
             if !self.rescored.contains(&person) {
                 self.rescored.push(person);
             }
