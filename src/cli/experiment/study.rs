@@ -70,7 +70,7 @@ pub(super) struct StudyArgs {
     /// Mean stay in a room that the forecast assumes before it has watched, in seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = ForecastOptions::default().stay_s, value_parser = ranges::act_s)]
     stay_time: f64,
-    /// Probability that the forecast gives to any of several like things, not to one that is near or was in use; 1 is Equation 2.
+    /// The part of a label that like things share evenly in the forecast; the rest goes to those that are near or were in use. 1 is Equation 2.
     #[arg(long, value_name = "P", default_value_t = ForecastOptions::default().any_thing, value_parser = ranges::share)]
     any_thing: f64,
     /// Of folders, take only the programs of a split that a training manifest lists, such as models/manifest.json.
