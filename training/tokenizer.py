@@ -24,7 +24,7 @@ def sample(corpus: Corpus, seed: int, sequences: int = 6000) -> Counter:
     for _ in range(sequences):
         drawn = corpus.draw(rng)
         for parts in drawn.segments:
-            counts.update(part.strip() for part in parts if part.strip(" ."))
+            counts.update(part.strip(" .") for part in parts if part.strip(" ."))
         for branch in drawn.branches:
             counts.update((branch.binding, branch.label))
     names = set(WORDS.values()) | set(ALIASES) | {a for aliases in ALIASES.values() for a in aliases} | set(corpus.all_labels)
