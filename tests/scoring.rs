@@ -209,6 +209,23 @@ fn office() -> SemanticMap {
     SemanticMap::from_json(include_str!("../training/unseen/office/map.json")).unwrap()
 }
 
+/// A kitchen, and a room of things whose names begin alike and which nobody turns to: their first token bounds the room.
+fn museum() -> SemanticMap {
+    let kitchen = ["fridge", "sink", "stove", "kitchen counter", "cup", "table"];
+    let gallery =
+        ["antique ocarina", "antique quipu", "antique zarf", "antique kylix", "antique sextant", "antique astrolabe"];
+    let bounds = |x: f64, size: f64| serde_json::json!({"min_m": [x, 0, 0], "max_m": [x + size, size, size]});
+    let room = |x: f64, label: &str| serde_json::json!({"id": label, "label": label, "box": bounds(x, 4.0)});
+    let item = |x: f64, label: &str| serde_json::json!({"id": label, "label": label, "position_m": [x + 0.5, 0.5, 0.5], "box": bounds(x, 1.0)});
+    let items = kitchen.iter().map(|label| item(1.0, label)).chain(gallery.iter().map(|label| item(5.0, label)));
+    let map = serde_json::json!({
+        "format": "roomcast-scene", "version": 1, "name": "museum",
+        "rooms": [room(0.0, "kitchen"), room(4.0, "gallery")],
+        "items": items.collect::<Vec<_>>(),
+    });
+    SemanticMap::from_json(&map.to_string()).unwrap()
+}
+
 fn sentences() -> Vec<String> {
     embedded::PROGRAMS
         .iter()
@@ -397,8 +414,9 @@ fn partial_answers_are_true(weights: Weights) {
         &SemanticMap::from_json(embedded::scene("apartment-e0").unwrap().text).unwrap(),
         weights,
     );
-    // In the apartment every label is one token, and all answers are exact.
-    assert!(partial_answers_are_true_in(&office(), weights) > 0, "answers end early in the office");
+    partial_answers_are_true_in(&office(), weights);
+    // In the apartment every label is one token, and all answers are exact. Whether some end early in the office depends on the model.
+    assert!(partial_answers_are_true_in(&museum(), weights) > 0, "answers end early in the museum");
 }
 
 /// Gives how many answers ended before all labels were scored.
