@@ -3,6 +3,7 @@ how far its scores are divided by those of a blank narration (the prior weight o
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +21,20 @@ PRIORS = np.arange(0.0, 1.01, 0.05)
 SOFTER = 1.15
 
 
-def fit(model: Household, encoder: Encoder, programs: list[Program], graphs: list[Path]) -> tuple[float, float]:
+@dataclass(frozen=True)
+class Fit:
+    temperature: float
+    prior: float  # its weight
+    nats: float  # per case on what it is fitted on, before the temperature is made softer
+
+    def __str__(self) -> str:
+        return f"temperature {self.temperature:.2f}, prior weight {self.prior:.2f}, {self.nats:.3f} nats"
+
+
+def fit(model: Household, encoder: Encoder, programs: list[Program], graphs: list[Path]) -> Fit:
     """The temperature and the prior weight with the lowest mean negative log-likelihood of the next object over the labels of the given scenes; the
     temperature times `SOFTER`."""
+    number = 0
     total = np.zeros((len(TEMPERATURES), len(PRIORS)))
     for path in graphs:
         scene = Scene(path)
@@ -31,13 +43,14 @@ def fit(model: Household, encoder: Encoder, programs: list[Program], graphs: lis
         prompts = [[bos] + [t for text in told for t in encoder.ids(text)] + cue for _, told, *_ in cases]
         # These labels are one token each, so that they go on as labels only whatever the continuation.
         *scores, blank = label_log_probs(model, encoder, [*prompts, [bos] + cue], [encoder.ids(label) for label in scene.labels])
+        number += len(cases)
         scores, truth = np.array(scores), np.array([scene.index[case[3]] for case in cases])
         for i, temperature in enumerate(TEMPERATURES):
             for k, prior in enumerate(PRIORS):
                 scaled = (scores - prior * blank) / temperature
                 total[i, k] += (np.logaddexp.reduce(scaled, axis=1) - scaled[np.arange(len(cases)), truth]).sum()
     i, k = np.unravel_index(total.argmin(), total.shape)
-    return float(TEMPERATURES[i] * SOFTER), float(PRIORS[k])
+    return Fit(float(TEMPERATURES[i] * SOFTER), float(PRIORS[k]), float(total[i, k] / number))
 
 
 def apply(model: Household, temperature: float) -> None:

@@ -94,7 +94,7 @@ class Corpus:
     map_narration: float = 0.35  # share of narrations that speak of a map's items
     own_map: float = 0.7  # share of narrations of a workplace that has a map which are told with it, not with a home's
     shares: dict[str, float] = field(default_factory=lambda: {
-        "program": 0.39, "day": 0.07, "routine": 0.42, "description": 0.05, "wording": 0.05, "prior": 0.02,
+        "program": 0.42, "day": 0.06, "routine": 0.39, "description": 0.06, "wording": 0.05, "prior": 0.02,
     })
     as_written: float = 0.35  # share of descriptions that are not told of "they"
     skip_ahead: float = 0.12  # share of answers that are the object after the next: other people do things in another order
@@ -247,7 +247,7 @@ class Corpus:
         parts: list[list[str]] = []
         branches: list[Branch] = []
         for k in range(start, min(len(steps), start + WINDOW)):
-            parts.append(segments(steps[k], style))
+            parts.append(segments(steps[k], style, rng))
             sentences.append("".join(parts[-1]).strip())
             if with_states and steps[k].action in STATES and steps[k].objects:
                 sentences.append(STATES[steps[k].action].format(steps[k].target))
@@ -312,24 +312,17 @@ class Encoder:
 
 
 def pack(encoder: Encoder, corpus: Corpus, rng: random.Random, rows: int, length: int) -> dict[str, np.ndarray]:
-    """One batch: `rows` rows of `length` tokens, each filled with whole sequences."""
-    out = {n: np.zeros((rows, length), np.int64) for n in ("token", "position", "branch", "sees", "target")}
+    """One batch: `rows` rows of `length` tokens, each filled with whole sequences. Beside what `encode` gives: which `sequence` of the row a token is in,
+    0 for padding, and its `place` there. `train.visible` makes the mask of them."""
+    out = {n: np.zeros((rows, length), np.int64) for n in ("token", "position", "branch", "sees", "target", "sequence", "place")}
     out["weight"] = np.zeros((rows, length), np.float32)
-    mask = np.zeros((rows, length, length), bool)
     for row in range(rows):
-        used = 0
+        used, number = 0, 0
         while length - used > 24:
             part = encoder.encode(corpus.draw(rng), length - used, rng)
-            size = len(part["token"])
-            for name in out:
-                out[name][row, used : used + size] = part[name]
-            index = np.arange(size)
-            branch = part["branch"]
-            trunk = (branch[None, :] == 0) & (index[None, :] < part["sees"][:, None])
-            own = (branch[None, :] == branch[:, None]) & (branch[:, None] > 0)
-            mask[row, used : used + size, used : used + size] = (trunk | own) & (index[None, :] <= index[:, None])
+            size, number = len(part["token"]), number + 1
+            for name, values in (part | {"sequence": number, "place": np.arange(size)}).items():
+                out[name][row, used : used + size] = values
             used += size
-        rest = np.arange(used, length)
-        mask[row, rest, rest] = True
-    out["mask"] = mask[:, None]
+        out["place"][row, used:], out["sees"][row, used:] = np.arange(length - used), length
     return out

@@ -60,26 +60,26 @@ def label_log_probs(model: Household, encoder: Encoder, prompts: list[list[int]]
     first = [l[0] for l in labels]
     longer = [k for k, l in enumerate(labels) if len(l) > 1]
 
-    def decode(rows: list[list[int]]) -> torch.Tensor:
+    device = model.embedding.weight.device
+
+    def decode(rows: list[list[int]], wanted: list[list[int]]) -> torch.Tensor:
+        """[rows, places, vocabulary]: log-probabilities of what follows the wanted places of each row."""
         size = max(map(len, rows))
-        tokens = torch.zeros(len(rows), size, dtype=torch.long)
-        for i, row in enumerate(rows):
-            tokens[i, : len(row)] = torch.tensor(row)
-        positions = torch.arange(size).expand(len(rows), size)
-        mask = torch.ones(size, size, dtype=torch.bool).tril()[None, None]
-        return model(tokens, positions, mask)
+        tokens = torch.tensor([row + [0] * (size - len(row)) for row in rows], device=device)
+        mask = torch.ones(size, size, dtype=torch.bool, device=device).tril()[None, None]
+        hidden = model(tokens, torch.arange(size, device=device).expand(len(rows), size), mask)
+        places = torch.tensor(wanted, device=device)
+        return model.logits(hidden.gather(1, places[:, :, None].expand(-1, -1, hidden.shape[-1]))).log_softmax(-1)
 
     with torch.no_grad():
         for at in range(0, len(prompts), 64):
             chunk = prompts[at : at + 64]
-            hidden = decode(chunk)
-            last = torch.stack([hidden[i, len(p) - 1] for i, p in enumerate(chunk)])
-            out[at : at + len(chunk)] = model.logits(last).log_softmax(-1)[:, first].numpy()
+            after = decode(chunk, [[len(p) - 1] for p in chunk])
+            out[at : at + len(chunk)] = after[:, 0, first].cpu().numpy()
             for k in longer:
-                hidden = decode([p + labels[k][:-1] for p in chunk])
-                for i, p in enumerate(chunk):
-                    for j in range(1, len(labels[k])):
-                        out[at + i, k] += model.logits(hidden[i, len(p) + j - 1]).log_softmax(-1)[labels[k][j]].item()
+                rest = labels[k][1:]
+                after = decode([p + labels[k][:-1] for p in chunk], [[len(p) + j for j in range(len(rest))] for p in chunk])
+                out[at : at + len(chunk), k] += after[:, range(len(rest)), rest].sum(1).cpu().numpy()
     return out
 
 

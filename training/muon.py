@@ -16,16 +16,16 @@ COEFFICIENTS = (3.4445, -4.7750, 2.0315)
 STEPS = 5
 
 
-def orthogonalised(matrix: torch.Tensor, half: bool = False) -> torch.Tensor:
-    """The matrix with its singular values replaced by about 1, without computing them; in bfloat16 if `half`, which is exact enough."""
+def orthogonalised(matrices: torch.Tensor, half: bool = False) -> torch.Tensor:
+    """[number, rows, columns], with no more rows than columns: the singular values of each are replaced by about 1, without computing them; in bfloat16 if
+    `half`, which is exact enough."""
     a, b, c = COEFFICIENTS
-    x = matrix.T if matrix.size(0) > matrix.size(1) else matrix
-    x = x / x.norm().clamp(min=1e-7)
+    x = matrices / matrices.norm(dim=(1, 2), keepdim=True).clamp(min=1e-7)
     x = x.bfloat16() if half else x
     for _ in range(STEPS):
-        gram = x @ x.T
-        x = torch.addmm(x, torch.addmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
-    return (x.T if matrix.size(0) > matrix.size(1) else x).to(matrix.dtype)
+        gram = x @ x.mT
+        x = torch.baddbmm(x, torch.baddbmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
+    return x.to(matrices.dtype)
 
 
 class Muon(torch.optim.Optimizer):
@@ -41,22 +41,30 @@ class Muon(torch.optim.Optimizer):
     @torch.no_grad()
     def step(self, closure=None) -> None:
         group = self.param_groups[0]
-        updates = [
-            self.update(parameter, parts) if index % self.workers == self.rank else torch.zeros_like(parameter)
-            for index, (parameter, parts) in enumerate(zip(group["params"], self.parts))
-        ]
+        own = [index % self.workers == self.rank for index in range(len(group["params"]))]
+        updates = self.updates([(parameter, parts) for parameter, parts, mine in zip(group["params"], self.parts, own) if mine])
         if self.workers > 1:
+            computed = iter(updates)
+            updates = [next(computed) if mine else torch.zeros_like(parameter) for parameter, mine in zip(group["params"], own)]
             flat = torch.cat([u.flatten() for u in updates])
             torch.distributed.all_reduce(flat)
             updates = [part.view_as(u) for part, u in zip(flat.split([u.numel() for u in updates]), updates)]
         for parameter, update in zip(group["params"], updates):
-            parameter.mul_(1 - group["lr"] * group["weight_decay"]).add_(update, alpha=-group["lr"])
+            parameter.mul_(1 - group["lr"] * group["weight_decay"]).sub_(update * group["lr"])
 
-    def update(self, parameter: torch.Tensor, parts: int) -> torch.Tensor:
-        state = self.state[parameter]
-        mean = state.setdefault("mean", torch.zeros_like(parameter))
-        mean.lerp_(parameter.grad, 1 - self.momentum)
-        ahead = parameter.grad.lerp(mean, self.momentum)
-        # The factor gives the update the size that one of Adam's has, so that rate and weight decay mean the same in both.
-        blocks = (orthogonalised(block, self.half) * 0.2 * math.sqrt(max(block.shape)) for block in ahead.chunk(parts))
-        return torch.cat(list(blocks))
+    def updates(self, parameters: list[tuple[torch.nn.Parameter, int]]) -> list[torch.Tensor]:
+        """What to subtract, times the rate. Matrices of one shape are computed together, of which a GPU has much."""
+        blocks: list[torch.Tensor] = []
+        for parameter, parts in parameters:
+            mean = self.state[parameter].setdefault("mean", torch.zeros_like(parameter))
+            mean.lerp_(parameter.grad, 1 - self.momentum)
+            blocks += parameter.grad.lerp(mean, self.momentum).chunk(parts)
+        flat = [block.T if block.size(0) > block.size(1) else block for block in blocks]
+        for shape in {block.shape for block in flat}:
+            alike = [i for i, block in enumerate(flat) if block.shape == shape]
+            for i, block in zip(alike, orthogonalised(torch.stack([flat[i] for i in alike]), self.half)):
+                # The factor gives the update the size that one of Adam's has, so that rate and weight decay mean the same in both.
+                block = block * (0.2 * math.sqrt(max(shape)))
+                flat[i] = block if blocks[i].shape == shape else block.T
+        given = iter(flat)
+        return [torch.cat([next(given) for _ in range(parts)]) for _, parts in parameters]

@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent
 ACTIONS = tomllib.loads((ROOT / "core/src/narration/actions.toml").read_text())
 NAMES = tomllib.loads((ROOT / "core/src/names.toml").read_text())
 WORDS, ALIASES = NAMES["words"], NAMES["aliases"]
+PARAPHRASES = tomllib.loads((ROOT / "training/paraphrases.toml").read_text())
 
 DEFAULT_BINDING = "Next, the human will go to the"
 
@@ -67,10 +68,12 @@ def next_targets(steps: list[Step]) -> list[str | None]:
 
 @dataclass(frozen=True)
 class Style:
-    """Who is spoken of, and in which tense."""
+    """Who is spoken of, in which tense, and how often in other words than the product's."""
 
     subject: str = "They"
     tense: str = "base"  # base, third, past or ing
+    other_words: float = 0.0  # share of sentences
+    article: str = "the"  # or "a"
 
 
 PRODUCT = Style()
@@ -80,30 +83,37 @@ NAMES_OF_PEOPLE = (
 ).split()
 
 
+SOMEBODY = ("Someone", "Somebody", "A person", "A man", "A woman", "The man", "The woman")
+
+
 def random_style(rng: random.Random, product_share: float) -> Style:
-    """The product's style with the given probability, else one of the others."""
+    """The product's style with the given probability, else one of the others, half of which use other words too."""
     roll = (rng.random() - product_share) / (1 - product_share)
     if roll < 0:
         return PRODUCT
+    paraphrased = rng.random() < 0.5
+    other = {"other_words": rng.choice((0.3, 0.8)), "article": rng.choice(("the", "the", "a"))} if paraphrased else {}
     if roll < 3 / 19:
-        return Style("They", "past")
+        return Style("They", rng.choice(("base", "past")) if paraphrased else "past", **other)
     if roll < 4 / 19:
-        return Style("They are", "ing")
-    subject = rng.choice(["He", "She", "The person", "The human", "The resident", rng.choice(NAMES_OF_PEOPLE)])
+        return Style("They are", "ing", **other)
+    people = ["He", "She", "The person", "The human", "The resident", rng.choice(NAMES_OF_PEOPLE)]
+    subject = rng.choice([*people, rng.choice(SOMEBODY)] if paraphrased else people)
     if roll < 12 / 19:
-        return Style(subject, "third")
+        return Style(subject, "third", **other)
     if roll < 17 / 19:
-        return Style(subject, "past")
-    return Style(f"{subject} is", "ing")
+        return Style(subject, "past", **other)
+    return Style(f"{subject} is", "ing", **other)
 
 
-def sentence(step: Step, style: Style = PRODUCT) -> str:
+def sentence(step: Step, style: Style = PRODUCT, rng: random.Random | None = None) -> str:
     """One observation as a sentence."""
-    return "".join(segments(step, style)).strip()
+    return "".join(segments(step, style, rng)).strip()
 
 
-def segments(step: Step, style: Style = PRODUCT) -> list[str]:
-    """A sentence in parts: what is said around the objects, and the objects. Tokens of the vocabulary never cross parts.
+def segments(step: Step, style: Style = PRODUCT, rng: random.Random | None = None) -> list[str]:
+    """A sentence in parts: what is said around the objects, and the objects. Tokens of the vocabulary never cross parts. `rng` chooses other words, if the
+    style has any.
 
     Unknown actions are said by their own name, as in the product.
     """
@@ -111,14 +121,27 @@ def segments(step: Step, style: Style = PRODUCT) -> list[str]:
     entry = ACTIONS.get(step.action)
     if entry is None:
         verb, tail = step.action, "the {0}" if objects else ""
+    elif rng and style.other_words and rng.random() < style.other_words:
+        base, third, past, ing, *tails = rng.choice(PARAPHRASES[step.action])
+        verb, tail = {"base": base, "third": third, "past": past, "ing": ing}[style.tense], tails[len(objects)]
     else:
         verb, tail = entry[style.tense], entry["tails"][len(objects)]
     subject = [style.subject, f" {verb}"] if style.subject != PRODUCT.subject else [f"{style.subject} {verb}"]
     parts = [part for part in re.split(r"( \{\d\})", f" {tail}" if tail else "") if part]
     filled = [part.format(*objects) for part in parts]
+    if style.article == "a":
+        filled = [indefinite(part, after) for part, after in zip(filled, [*filled[1:], ""])]
     if filled and not parts[0].startswith(" {"):
         subject[-1] += filled.pop(0)
     return [*subject, *filled, "."]
+
+
+def indefinite(part: str, thing: str) -> str:
+    """What is said before a thing, with "a" in place of "the" where there can be one of it."""
+    many = thing.endswith("s") and not thing.endswith("ss")
+    if not part.endswith(" the") or many:
+        return part
+    return part.removesuffix("the") + ("an" if thing.strip()[:1] in "aeiou" else "a")
 
 
 STATES = {

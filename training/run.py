@@ -39,6 +39,7 @@ from things import Things
 from train import Schedule, restore, train
 
 ROOT = Path(__file__).resolve().parent.parent
+VOCABULARY = 6144  # tokens
 DESCRIPTION = (
     "Predicts which object of a home a person turns to next, from a narration of what they just did. "
     "Trained from scratch on VirtualHome programs, HOMER+ days and routines of the project. Knows households; no general language model."
@@ -62,8 +63,8 @@ def main() -> None:
     arguments.add_argument("--out", type=Path, default=ROOT / "models")
     arguments.add_argument("--work", type=Path, default=ROOT / "training/work", help="vocabulary, checkpoints and the full-precision file")
     arguments.add_argument("--seed", type=int, default=1)
-    arguments.add_argument("--large", action="store_true", help="the larger variant, for a GPU")
     arguments.add_argument("--dev", action="store_true", help="hold the development clusters out too")
+    arguments.add_argument("--watch", action="store_true", help="print the calibration split's nats as training goes on")
     arguments.add_argument("--short", type=int, metavar="STEPS", help="end training after so many steps, to try the pipeline out")
     arguments.add_argument("--export-only", action="store_true", help="take the vocabulary and the trained weights from --work instead of training")
     arguments.add_argument("--fold", type=fold_named, metavar="N", help=f"hold out fold 1 to {data.FOLDS} of splits.toml and the sealed clusters; or `sealed`: hold out these alone")
@@ -97,24 +98,28 @@ def make(given: argparse.Namespace) -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     corpus, programs = corpus_of(given.shared, given.dev, given.fold)
     trained, last = given.work / "trained.pt", given.work / "checkpoint.pt"
+    graphs = sorted((given.shared / "virtualhome/scenes").glob("*_graph.json"))
+    encoder = lambda: Encoder(pieces)
+    fitted = lambda model: calibrate.fit(model, encoder(), programs["calibration"], graphs)
     if given.export_only:
         pieces, model = vocabulary.load(given.work / "vocabulary.model"), restore(trained)
     else:
-        pieces = vocabulary.train(corpus, given.seed, 4096, given.work / "vocabulary")
-        size = -(-pieces.vocab_size() // 32) * 32
-        shape = Shape(vocab=size, width=512, layers=8, feed_forward=1408) if given.large else Shape(vocab=size)
+        pieces = vocabulary.train(corpus, given.seed, VOCABULARY, given.work / "vocabulary")
         schedule = Schedule()
-        schedule = replace(schedule, rows=(16 if given.large else 1) * schedule.rows, until=given.short or schedule.until)
+        schedule = replace(schedule, until=given.short or schedule.until)
         # What a checkpoint must agree in to be gone on from: the data, through the vocabulary that was made of them, and what is held out.
         recipe = {"seed": given.seed, "dev": given.dev, "fold": given.fold, "vocabulary": data.sha256(given.work / "vocabulary.model")}
-        model = train(shape, schedule, Encoder(pieces), corpus, given.seed, device, trained, recipe)
-    temperature, prior = calibrate.fit(model, Encoder(pieces), programs["calibration"], sorted((given.shared / "virtualhome/scenes").glob("*_graph.json")))
-    calibrate.apply(model, temperature)
-    print(f"temperature {temperature:.2f}, prior weight {prior:.2f}")
-    torch.save({"shape": model.shape.to_dict(), "model": model.state_dict(), "temperature": temperature, "prior": prior}, last)
+        shape = Shape(vocab=-(-pieces.vocab_size() // 32) * 32)
+        watch = (lambda step, model: print(f"step {step}: {fitted(model)}", flush=True)) if given.watch else None
+        model = train(shape, schedule, encoder(), corpus, given.seed, device, trained, recipe, watch)
+    fit = fitted(model.to(device))
+    print(fit)
+    model = model.cpu()
+    calibrate.apply(model, fit.temperature)
+    torch.save({"shape": model.shape.to_dict(), "model": model.state_dict(), "temperature": fit.temperature, "prior": fit.prior}, last)
     reference, shipped = given.work / "household-f32.gguf", given.out / "household.gguf"
-    export.write(model, pieces, reference, "f32", DESCRIPTION, prior)
-    export.write(model, pieces, shipped, "q8_0", DESCRIPTION, prior)
+    export.write(model, pieces, reference, "f32", DESCRIPTION, fit.prior)
+    export.write(model, pieces, shipped, "q8_0", DESCRIPTION, fit.prior)
     write_expected_tokens(corpus, pieces, given.out / "household-tokens.json")
     statistics_file.write(programs, given.out / "household-statistics.json")
     write_manifest(given, corpus, programs, model, shipped)
@@ -152,7 +157,7 @@ def write_manifest(given, corpus, programs, model, shipped: Path) -> None:
     manifest = {
         "model": {"file": shipped.name, "sha256": data.sha256(shipped), "bytes": shipped.stat().st_size, "parameters": model.parameter_count(), "shape": model.shape.to_dict()},
         "command": f"python training/run.py --shared SHARED --seed {given.seed}" + (" --dev" if given.dev else "") + (f" --fold {given.fold}" if given.fold else "") + (f" --short {given.short}" if given.short else ""),
-        "environment": {"python": platform.python_version(), "torch": torch.__version__, "workers": Schedule.workers, "machine": platform.machine()},
+        "environment": {"python": platform.python_version(), "torch": torch.__version__, "device": torch.cuda.get_device_name() if torch.cuda.is_available() else f"{Schedule.workers} processes", "machine": platform.machine()},
         "splits": {
             split: {
                 "programs": len(members),

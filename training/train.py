@@ -7,15 +7,15 @@ import os
 import random
 import socket
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from queue import Queue
-from threading import Thread
 
 import torch
 import torch.distributed
 import torch.multiprocessing
 import torch.nn.functional as F
+from torch.utils.data import DataLoader
 
 from corpus import Corpus, Encoder, pack
 from model import Household, Shape
@@ -24,24 +24,28 @@ from muon import Muon
 
 # Steps between two checkpoints.
 CHECKPOINT_STEPS = 200
+# Processes that make batches ahead, beside a CPU's worker and beside a GPU.
+MAKERS = {"cpu": 0, "cuda": 4}
+# A GPU's first steps are taken one by one; then a step is recorded.
+UNRECORDED = 4
 
 
 @dataclass(frozen=True)
 class Schedule:
     """How long and how fast. Training is broken off while the rate is still high: what is kept is the mean of moving averages of the weights."""
 
-    steps: int = 18000  # over which the rate falls
-    until: int = 7200  # and after which training stops
+    steps: int = 11000  # over which the rate falls
+    until: int = 6300  # and after which training stops
     workers: int = 2  # processes, on CPUs
-    rows: int = 4  # per worker
+    rows: int = 32  # of a batch, over all workers
     length: int = 192
     rate: float = 2e-3
     warm_up: int = 150
     weight_decay: float = 0.1
-    dropout: float = 0.2
+    dropout: float = 0.3
     average: float = 0.999  # decay of the moving average of the weights
     averages: int = 3  # of which so many are taken, the last at the end, and their mean is kept
-    apart: int = 900  # steps between two of them
+    apart: int = 700  # steps between two of them
 
 
 def rate_at(step: int, schedule: Schedule) -> float:
@@ -54,30 +58,33 @@ def rate_at(step: int, schedule: Schedule) -> float:
 
 def loss_of(model: Household, batch: dict[str, torch.Tensor]) -> torch.Tensor:
     """Weighted cross-entropy, in nats, over the tokens that have a weight."""
-    hidden = model(batch["token"], batch["position"], batch["mask"])
-    wanted = batch["weight"] > 0
-    logits = model.logits(hidden[wanted]).float()
-    weight = batch["weight"][wanted]
-    return (F.cross_entropy(logits, batch["target"][wanted], reduction="none") * weight).sum() / weight.sum()
+    hidden, target, weight = model(batch["token"], batch["position"], visible(batch)), batch["target"], batch["weight"]
+    if not hidden.is_cuda:  # where sizes may depend on the data
+        wanted = weight > 0
+        hidden, target, weight = hidden[wanted], target[wanted], weight[wanted]
+    each = F.cross_entropy(model.logits(hidden).float().flatten(0, -2), target.flatten(), reduction="none")
+    return (each * weight.flatten()).sum() / weight.sum()
 
 
-def batches(encoder: Encoder, corpus: Corpus, seed: str, schedule: Schedule, device: str, done: int, state):
-    """Batches in a fixed order, some made ahead, from after the `done`-th on; each with the state of the draws after it. `state` is that of the
-    last one done."""
-    queue: Queue = Queue(maxsize=4)
+def visible(batch: dict[str, torch.Tensor]) -> torch.Tensor:
+    """[rows, 1, length, length]: whether a token sees another. It sees what precedes it in its sequence: the trunk as far as its branch does, and its own branch."""
+    branch, sequence, place = batch["branch"], batch["sequence"], batch["place"]
+    row, column = (lambda value: value[:, :, None]), (lambda value: value[:, None, :])
+    trunk = (column(branch) == 0) & (column(place) < row(batch["sees"]))
+    own = (column(branch) == row(branch)) & (row(branch) > 0)
+    before = (row(sequence) == column(sequence)) & (column(place) <= row(place))
+    return (before & (trunk | own))[:, None]
 
-    def produce():
-        rng = random.Random(f"batches {seed}")
-        if state:
-            rng.setstate(state)
-        for _ in range(done, schedule.until):
-            drawn = {n: torch.from_numpy(v) for n, v in pack(encoder, corpus, rng, schedule.rows, schedule.length).items()}
-            queue.put((drawn, rng.getstate()))
 
-    Thread(target=produce, daemon=True).start()
-    for _ in range(done, schedule.until):
-        drawn, after = queue.get()
-        yield {name: value.to(device) for name, value in drawn.items()}, after
+class Batches(torch.utils.data.Dataset):
+    """Batch `n` depends on the seed, the worker and `n` alone, whoever makes it and wherever training goes on."""
+
+    def __init__(self, encoder: Encoder, corpus: Corpus, seed: str, rows: int, length: int):
+        self.encoder, self.corpus, self.seed, self.rows, self.length = encoder, corpus, seed, rows, length
+
+    def __getitem__(self, number: int) -> dict[str, torch.Tensor]:
+        rng = random.Random(f"batches {self.seed} {number}")
+        return {name: torch.from_numpy(value) for name, value in pack(self.encoder, self.corpus, rng, self.rows, self.length).items()}
 
 
 class Checkpoints:
@@ -118,89 +125,155 @@ class Checkpoints:
             self.path(self.rank, step).unlink()
 
 
-def train(shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, recipe: dict) -> Household:
+def train(
+    shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, recipe: dict,
+    watch: Callable[[int, Household], None] | None = None,
+) -> Household:
     """Trains, and returns the mean of the averaged weights, which is also left in `checkpoint`. Goes on from the files that an ended run of the same
-    `recipe` left beside it.
+    `recipe` left beside it. `watch` is shown the averaged weights every `schedule.apart` steps.
 
     On CPUs every worker is a process with one thread and a part of the batch: they meet once per step, whereas threads meet
     in every operation and lose most of their time when something else runs beside them.
     """
     workers = schedule.workers if device == "cpu" else 1
     recipe = {**recipe, "shape": shape.to_dict(), "schedule": asdict(schedule), "workers": workers}
+    arguments = (workers, shape, schedule, encoder, corpus, seed, device, checkpoint, recipe, watch)
     if workers == 1:
-        work(0, 1, shape, schedule, encoder, corpus, seed, device, checkpoint, recipe)
+        work(0, *arguments)
     else:
         with socket.create_server(("127.0.0.1", 0)) as server:
             os.environ.update(MASTER_ADDR="127.0.0.1", MASTER_PORT=str(server.getsockname()[1]))
-        arguments = (workers, shape, schedule, encoder, corpus, seed, device, checkpoint, recipe)
         torch.multiprocessing.start_processes(work, arguments, nprocs=workers, start_method="fork")
     return restore(checkpoint)
 
 
-def work(rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, recipe: dict) -> None:
+def work(
+    rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, recipe: dict,
+    watch: Callable[[int, Household], None] | None,
+) -> None:
     if workers > 1:
         torch.set_num_threads(1)
         torch.distributed.init_process_group("gloo", rank=rank, world_size=workers)
+    checkpoints = Checkpoints(checkpoint.parent, recipe, rank)
+    found = checkpoints.last(workers)
+    done = found["step"] if found else 0
+    # The makers are forked before a GPU is touched.
+    data = Batches(encoder, corpus, f"{seed} {rank}", schedule.rows // workers, schedule.length)
+    ahead = {"num_workers": MAKERS[device], "prefetch_factor": 8, "pin_memory": device != "cpu", "multiprocessing_context": "fork"} if MAKERS[device] else {}
+    batches = iter(DataLoader(data, batch_size=None, sampler=range(done, schedule.until), **ahead))
     torch.manual_seed(seed)
     model = Household(shape, schedule.dropout).to(device)
     torch.manual_seed(seed * workers + rank)
-    averaged = {name: value.detach().clone() for name, value in model.state_dict().items()}
+    weights = dict(model.named_parameters())
+    averaged = {name: value.detach().clone() for name, value in weights.items()}
     kept = []
     # Processors without bfloat16 arithmetic imitate it, dozens of times slower than single precision.
     half = device != "cpu" or torch.cpu.get_capabilities().get("avx512_bf16", False)
     optimisers = optimisers_of(model, schedule, rank, workers, half)
     model.train()
-    done, state = 0, None
-    checkpoints = Checkpoints(checkpoint.parent, recipe, rank)
-    if found := checkpoints.last(workers):
-        done, state, kept = found["step"], found["draws"], found["kept"]
+    if found:
         model.load_state_dict(found["model"])
         averaged = {name: value.to(device) for name, value in found["averaged"].items()}
+        kept = [{name: value.to(device) for name, value in one.items()} for one in found["kept"]]
         for optimiser, was in zip(optimisers, found["optimisers"]):
             optimiser.load_state_dict(was)
         set_chance(device, found["chance"])
-        kept = [{name: value.to(device) for name, value in one.items()} for one in kept]
         if not rank:
             print(f"goes on after step {done}", flush=True)
-    began, running = time.monotonic(), 0.0
-    for step, (batch, draws) in enumerate(batches(encoder, corpus, f"{seed} {rank}", schedule, device, done, state), done + 1):
-        for group in (group for optimiser in optimisers for group in optimiser.param_groups):
-            group["lr"] = rate_at(step - 1, schedule)
-        with torch.autocast(device, torch.bfloat16, enabled=half):
-            loss = loss_of(model, batch)
-        model.zero_grad(set_to_none=True)
-        loss.backward()
-        if workers > 1:
-            share_gradients(model, workers)
-        torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
-        for optimiser in optimisers:
-            optimiser.step()
-        running += loss.item()
-        if rank:
-            if step % CHECKPOINT_STEPS == 0:
-                checkpoints.keep(step, draws=draws, kept=[], model=model.state_dict(), averaged={}, optimisers=[o.state_dict() for o in optimisers], chance=chance(device))
-            continue
-        keep = min(schedule.average, step / (step + 9))
-        with torch.no_grad():
-            for name, value in model.state_dict().items():
-                averaged[name].lerp_(value, 1 - keep)
-        if step % 50 == 0:
-            seconds = time.monotonic() - began
-            speed = (step - done) * workers * schedule.rows * schedule.length / seconds
-            print(f"step {step}/{schedule.until}  loss {running / 50:.4f}  {speed:.0f} tokens/s  {seconds:.0f} s", flush=True)
-            running = 0.0
+    take = Step(model, optimisers, workers, half)
+    began = time.monotonic()
+    for step, batch in enumerate(batches, done + 1):
+        take(batch, rate_at(step - 1, schedule))
         to_go = schedule.until - step
-        if to_go % schedule.apart == 0 and to_go < schedule.averages * schedule.apart:
-            kept.append({name: value.clone() for name, value in averaged.items()})
-        if to_go == 0:
-            averaged = {name: sum(one[name] for one in kept) / len(kept) for name in averaged}
-        if step % CHECKPOINT_STEPS == 0:
-            checkpoints.keep(step, draws=draws, kept=kept, model=model.state_dict(), averaged=averaged, optimisers=[o.state_dict() for o in optimisers], chance=chance(device))
-        if step % CHECKPOINT_STEPS == 0 or to_go == 0:
-            torch.save({"shape": shape.to_dict(), "model": averaged, "step": step}, checkpoint)
+        if not rank:
+            keep = min(schedule.average, step / (step + 9))
+            with torch.no_grad():
+                torch._foreach_lerp_(list(averaged.values()), list(weights.values()), 1 - keep)
+            if step % 50 == 0:
+                seconds = time.monotonic() - began
+                speed = (step - done) * schedule.rows * schedule.length / seconds
+                print(f"step {step}/{schedule.until}  loss {take.mean_loss():.4f}  {speed:.0f} tokens/s  {seconds:.0f} s", flush=True)
+            if to_go % schedule.apart == 0 and to_go < schedule.averages * schedule.apart:
+                kept.append({name: value.clone() for name, value in averaged.items()})
+            if watch and to_go % schedule.apart == 0:
+                watch(step, model_of(shape, averaged))
+            if to_go == 0:
+                averaged = {name: sum(one[name] for one in kept) / len(kept) for name in averaged}
+            if step % CHECKPOINT_STEPS == 0 or to_go == 0:
+                torch.save({"shape": shape.to_dict(), "model": averaged, "step": step}, checkpoint)
+        if step % CHECKPOINT_STEPS == 0 and to_go:
+            own = {"kept": kept, "averaged": averaged} if not rank else {}
+            checkpoints.keep(step, model=model.state_dict(), optimisers=[o.state_dict() for o in optimisers], chance=chance(device), **own)
     checkpoints.remove()
     if workers > 1:
         torch.distributed.destroy_process_group()
+
+
+class Step:
+    """A batch's gradients, and what the optimisers make of them.
+
+    On a GPU the whole step is recorded after a few and then replayed: its thousand small kernels take longer to launch one by one than to run.
+    """
+
+    def __init__(self, model: Household, optimisers: list[torch.optim.Optimizer], workers: int, half: bool):
+        self.model, self.optimisers, self.workers, self.half = model, optimisers, workers, half
+        self.device = model.embedding.weight.device
+        self.loss, self.counted, self.taken = torch.zeros((), device=self.device), 0, 0
+        self.batch: dict[str, torch.Tensor] = {}
+        if self.device.type == "cuda":
+            # A record reads the rate from where it lies.
+            self.rate, self.graph, self.beside = torch.zeros((), device=self.device), torch.cuda.CUDAGraph(), torch.cuda.Stream()
+            self.set_rate(self.rate)
+
+    def set_rate(self, rate: float | torch.Tensor) -> None:
+        for group in (group for optimiser in self.optimisers for group in optimiser.param_groups):
+            group["lr"] = rate
+
+    def __call__(self, batch: dict[str, torch.Tensor], rate: float) -> None:
+        self.taken += 1
+        self.counted += 1
+        if self.device.type == "cpu":
+            self.batch = batch
+            self.set_rate(rate)
+            self.take()
+            return
+        self.rate.fill_(rate)
+        for name, value in batch.items():
+            if name in self.batch:
+                self.batch[name].copy_(value, non_blocking=True)
+            else:
+                self.batch[name] = value.to(self.device)
+        if self.taken <= UNRECORDED:
+            self.beside.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(self.beside):
+                self.take()
+            torch.cuda.current_stream().wait_stream(self.beside)
+            return
+        if self.taken == UNRECORDED + 1:
+            self.model.zero_grad(set_to_none=True)
+            # The loader's thread may ask for pinned memory meanwhile.
+            with torch.cuda.graph(self.graph, capture_error_mode="thread_local"):
+                self.take()
+        self.graph.replay()
+
+    def take(self) -> None:
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.half, cache_enabled=False):
+            loss = loss_of(self.model, self.batch)
+        self.model.zero_grad(set_to_none=True)
+        loss.backward()
+        if self.workers > 1:
+            share_gradients(self.model, self.workers)
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
+        for optimiser in self.optimisers:
+            optimiser.step()
+        self.loss += loss.detach()
+
+    def mean_loss(self) -> float:
+        """Of the steps since it was last asked for."""
+        mean = self.loss.item() / self.counted
+        self.loss.zero_()
+        self.counted = 0
+        return mean
 
 
 def chance(device: str) -> list[torch.Tensor]:
@@ -222,7 +295,7 @@ def optimisers_of(model: Household, schedule: Schedule, rank: int, workers: int,
     groups = [{"params": [p for p in rest if p.dim() == 2], "weight_decay": schedule.weight_decay}, {"params": [p for p in rest if p.dim() != 2], "weight_decay": 0.0}]
     return [
         Muon([weight for weight, _ in blocks], [parts for _, parts in blocks], schedule.rate, schedule.weight_decay, rank=rank, workers=workers, half=half),
-        torch.optim.AdamW(groups, lr=schedule.rate, betas=(0.9, 0.98), fused=True),
+        torch.optim.AdamW(groups, lr=schedule.rate, betas=(0.9, 0.98), fused=True, capturable=model.embedding.weight.is_cuda),
     ]
 
 
@@ -235,8 +308,12 @@ def share_gradients(model: Household, workers: int) -> None:
         gradient.copy_(part.view_as(gradient))
 
 
+def model_of(shape: Shape, weights: dict[str, torch.Tensor]) -> Household:
+    model = Household(shape).to(weights["embedding.weight"].device)
+    model.load_state_dict(weights)
+    return model.eval()
+
+
 def restore(checkpoint: Path) -> Household:
     saved = torch.load(checkpoint, weights_only=True, map_location="cpu")
-    model = Household(Shape(**saved["shape"]))
-    model.load_state_dict(saved["model"])
-    return model.eval()
+    return model_of(Shape(**saved["shape"]), saved["model"])

@@ -58,6 +58,18 @@ def test_titles_near_each_other_are_one_activity():
     assert data.activities(programs) == {"television": ["watch movie", "watch tv"]}
 
 
+def test_every_action_has_other_wordings():
+    assert list(narration.PARAPHRASES) == list(narration.ACTIONS)
+    for action, wordings in narration.PARAPHRASES.items():
+        entry = narration.ACTIONS[action]
+        known = {(entry["base"], *entry["tails"])}
+        for base, third, past, ing, *tails in wordings:
+            assert all((base, third, past, ing)) and len(tails) == 3 and (base, *tails) not in known, (action, base)
+            known.add((base, *tails))
+            for objects, tail in enumerate(tails):
+                assert sorted(re.findall(r"the \{(\d)\}", tail)) == sorted(re.findall(r"\{(.*?)\}", tail)) == [str(n) for n in range(objects)], (action, tail)
+
+
 def test_groups_of_a_routine_go_every_way():
     def ways(text):
         return {tuple(routines.flatten(text, random.Random(seed))) for seed in range(200)}

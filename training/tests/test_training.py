@@ -55,6 +55,16 @@ def test_styles_and_segments():
     assert "".join(segments(step("[Sleep]"))).strip() == "They sleep."
 
 
+def test_other_words_are_said_of_the_same_things():
+    style, pour = Style("A man", "third", other_words=1.0, article="a"), step("[Pour] <milk> (1) <glass> (1)")
+    said = {sentence(pour, style, random.Random(seed)) for seed in range(40)}
+    assert len(said) > 2 and all(text.startswith("A man ") and " a milk" in text and " a glass" in text for text in said)
+    assert sentence(pour, style) == "A man pours a milk into a glass."
+    assert sentence(step("[Grab] <apple> (1)"), Style(article="a")) == "They grab an apple."
+    assert sentence(step("[Open] <curtains> (1)"), Style(article="a")) == "They open the curtains."
+    assert sentence(pour, PRODUCT, random.Random(1)) == sentence(pour)
+
+
 def test_names():
     assert words("washingmachine") == "washing machine"
     assert words("food_peanut_butter") == "peanut butter"
@@ -130,7 +140,7 @@ def tiny(tmp_path_factory):
     if not (SHARED / "virtualhome").is_dir():
         pytest.skip(f"no data at {SHARED}: set SHARED")
     corpus, _ = run.corpus_of(SHARED, dev=False)
-    return corpus, vocabulary.train(corpus, 1, 4096, tmp_path_factory.mktemp("vocabulary") / "v")
+    return corpus, vocabulary.train(corpus, 1, run.VOCABULARY, tmp_path_factory.mktemp("vocabulary") / "v")
 
 
 def test_tokens_never_cross_segments(tiny):
@@ -154,10 +164,10 @@ def test_a_branch_is_the_prompt_that_the_product_sends(tiny):
     sequence = corpus.narrate([Step(v, ((w, 1),)) for v, w in (("walk", "kitchen"), ("grab", "mug"), ("walk", "sink"), ("wash", "mug"))], random.Random(7), {})
     part = encoder.encode(sequence, 400, random.Random(0))
     index = np.arange(len(part["token"]))
-    trunk = (part["branch"][None] == 0) & (index[None] < part["sees"][:, None])
-    own = (part["branch"][None] == part["branch"][:, None]) & (part["branch"][:, None] > 0)
-    mask = torch.from_numpy((trunk | own) & (index[None] <= index[:, None]))[None, None]
-    packed = model(torch.from_numpy(part["token"])[None], torch.from_numpy(part["position"])[None], mask)[0]
+    # Behind another sequence of the row, which it must not see.
+    row = {name: torch.from_numpy(np.concatenate([part[name], part[name]]))[None] for name in part}
+    row |= {"place": torch.from_numpy(np.tile(index, 2))[None], "sequence": torch.from_numpy(np.repeat([1, 2], len(index)))[None]}
+    packed = model(row["token"], row["position"], train.visible(row))[0, len(index):]
     for number, branch in enumerate(sequence.branches, 1):
         plain = [pieces.bos_id()] + pieces.encode(" ".join([*sequence.sentences[: branch.after], branch.binding, branch.label]))
         causal = torch.ones(len(plain), len(plain), dtype=torch.bool).tril()[None, None]
@@ -179,8 +189,8 @@ def test_calibration_finds_what_was_put_in(monkeypatch):
     monkeypatch.setattr(calibrate, "Scene", lambda path: scene)
     monkeypatch.setattr(calibrate, "cases_of", lambda programs, scene: [(0, ["They sit."], [], labels[t], None, None) for t in truth])
     monkeypatch.setattr(calibrate, "label_log_probs", lambda *_: np.vstack([scores, 1.5 * blank]))
-    temperature, prior = calibrate.fit(None, encoder, [], [Path("scene.json")])
-    assert abs(temperature / calibrate.SOFTER - 1.5) <= 0.1 and abs(prior - 0.6) <= 0.1
+    fit = calibrate.fit(None, encoder, [], [Path("scene.json")])
+    assert abs(fit.temperature / calibrate.SOFTER - 1.5) <= 0.1 and abs(fit.prior - 0.6) <= 0.1
 
 
 def test_export_keeps_every_weight(tmp_path):
@@ -244,6 +254,6 @@ def test_an_ended_training_goes_on_as_if_it_had_not_ended(tmp_path, monkeypatch)
 def fake_batch(rng):
     """A row of chance tokens, as `pack` gives it."""
     length = 12
-    token = np.array([[rng.randrange(64) for _ in range(length)]])
-    causal = np.tril(np.ones((length, length), bool))[None, None]
-    return {"token": token, "position": np.arange(length)[None], "target": np.roll(token, -1), "weight": np.ones((1, length), np.float32), "mask": causal}
+    token, place = np.array([[rng.randrange(64) for _ in range(length)]]), np.arange(length)[None]
+    trunk = {"branch": np.zeros_like(token), "sees": np.full_like(token, length), "sequence": np.ones_like(token), "place": place}
+    return {"token": token, "position": place, "target": np.roll(token, -1), "weight": np.ones((1, length), np.float32), **trunk}
