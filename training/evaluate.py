@@ -115,7 +115,7 @@ class Baselines:
 
 
 def cases_of(programs: list[data.Program], scene: Scene):
-    """Every step of every program whose next object is in the scene.
+    """Every step of every program whose next object is in the scene and has another label there than the step's own.
 
     Yields the program's number, the sentences of the window, the objects visited, the next object's label, the room now and the room next.
     """
@@ -128,7 +128,8 @@ def cases_of(programs: list[data.Program], scene: Scene):
                 visited.append(step.target)
             if step.objects and (label := bind(step.objects[0][0], scene.index)):
                 room = scene.room(label, step.objects[0][1], program.source)
-            if targets[k] and (label := bind(targets[k], scene.index)):
+            here = bind(step.objects[-1][0], scene.index) if step.objects else None
+            if targets[k] and (label := bind(targets[k], scene.index)) and label != here:
                 told = [sentence(s) for s in steps[max(0, k + 1 - WINDOW) : k + 1]]
                 yield number, told, list(visited), label, room, scene.room(label, identifiers[k][1], program.source)
 

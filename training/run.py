@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import random
 import sys
 from collections import Counter
@@ -122,7 +121,7 @@ def make(given: argparse.Namespace) -> None:
     export.write(model, pieces, shipped, "q8_0", DESCRIPTION, fit.prior)
     write_expected_tokens(corpus, pieces, given.out / "household-tokens.json")
     statistics_file.write(programs, given.out / "household-statistics.json")
-    write_manifest(given, corpus, programs, model, shipped)
+    write_manifest(given, corpus, programs, model, trained, shipped)
     print(f"wrote {shipped}: {shipped.stat().st_size / 1e6:.2f} MB, {model.parameter_count() / 1e6:.2f} M parameters")
 
 
@@ -148,7 +147,7 @@ def write_expected_tokens(corpus: Corpus, pieces, path: Path) -> None:
     path.write_text(f"[\n{rows}\n]\n")
 
 
-def write_manifest(given, corpus, programs, model, shipped: Path) -> None:
+def write_manifest(given, corpus, programs, model, trained: Path, shipped: Path) -> None:
     """What the model was made from, and which activities were in which split."""
     inputs = sorted(
         [p for folder in ("virtualhome/programs", "virtualhome/scenes", "homer_plus") for p in (given.shared / folder).rglob("*") if p.is_file()]
@@ -157,7 +156,7 @@ def write_manifest(given, corpus, programs, model, shipped: Path) -> None:
     manifest = {
         "model": {"file": shipped.name, "sha256": data.sha256(shipped), "bytes": shipped.stat().st_size, "parameters": model.parameter_count(), "shape": model.shape.to_dict()},
         "command": f"python training/run.py --shared SHARED --seed {given.seed}" + (" --dev" if given.dev else "") + (f" --fold {given.fold}" if given.fold else "") + (f" --short {given.short}" if given.short else ""),
-        "environment": {"python": platform.python_version(), "torch": torch.__version__, "device": torch.cuda.get_device_name() if torch.cuda.is_available() else f"{Schedule.workers} processes", "machine": platform.machine()},
+        "environment": torch.load(trained, weights_only=True, map_location="cpu")["environment"],
         "splits": {
             split: {
                 "programs": len(members),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import platform
 import random
 import socket
 import time
@@ -200,7 +201,7 @@ def work(
             if to_go == 0:
                 averaged = {name: sum(one[name] for one in kept) / len(kept) for name in averaged}
             if step % CHECKPOINT_STEPS == 0 or to_go == 0:
-                torch.save({"shape": shape.to_dict(), "model": averaged, "step": step}, checkpoint)
+                torch.save({"shape": shape.to_dict(), "model": averaged, "step": step, "environment": environment(device, workers)}, checkpoint)
         if step % CHECKPOINT_STEPS == 0 and to_go:
             own = {"kept": kept, "averaged": averaged} if not rank else {}
             checkpoints.keep(step, model=model.state_dict(), optimisers=[o.state_dict() for o in optimisers], chance=chance(device), **own)
@@ -306,6 +307,12 @@ def share_gradients(model: Household, workers: int) -> None:
     torch.distributed.all_reduce(flat)
     for gradient, part in zip(gradients, flat.div_(workers).split([g.numel() for g in gradients])):
         gradient.copy_(part.view_as(gradient))
+
+
+def environment(device: str, workers: int) -> dict[str, str]:
+    """What a training ran on: another gives another file."""
+    name = torch.cuda.get_device_name() if device == "cuda" else f"{workers} processes"
+    return {"python": platform.python_version(), "torch": str(torch.__version__), "device": name, "machine": platform.machine()}
 
 
 def model_of(shape: Shape, weights: dict[str, torch.Tensor]) -> Household:
