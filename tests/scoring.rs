@@ -266,7 +266,7 @@ fn a_cache_of_eight_bits_needs_heads_of_whole_blocks() {
     std::fs::write(file.path(), model).unwrap();
     let options = LlamaOptions { cache: CacheType::Q8, ..LlamaOptions::default() };
     let error = load_model(Some(file.path()), &options).unwrap_err().to_string();
-    assert!(error.contains("heads of 16 numbers") && error.contains("choose \"mixed\""), "{error}");
+    assert!(error.contains("are not whole blocks of 32") && error.contains("choose \"mixed\""), "{error}");
 }
 
 #[test]

@@ -23,12 +23,12 @@ SOFTER = 1.15
 
 @dataclass(frozen=True)
 class Fit:
-    temperature: float
+    temperature: float  # SOFTER times the best
     prior: float  # its weight
     nats: float  # per case on what it is fitted on, before the temperature is made softer
 
     def __str__(self) -> str:
-        return f"temperature {self.temperature:.2f}, prior weight {self.prior:.2f}, {self.nats:.3f} nats"
+        return f"{self.nats:.3f} nats at best; temperature {SOFTER} x {self.temperature / SOFTER:.2f}, prior weight {self.prior:.2f}"
 
 
 def fit(model: Household, encoder: Encoder, programs: list[Program], graphs: list[Path]) -> Fit:

@@ -88,7 +88,7 @@ class Baselines:
 
     def __init__(self, programs: list[data.Program], scene: Scene):
         self.scene, size = scene, len(scene.labels)
-        frequency, first, second = count(programs)
+        frequency, first, second, *_ = count(programs)
         column = lambda counts: self.vector(counts)
         self.frequency = column(frequency) + 0.5
         self.frequency /= self.frequency.sum()

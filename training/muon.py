@@ -53,10 +53,11 @@ class Muon(torch.optim.Optimizer):
             parameter.mul_(1 - group["lr"] * group["weight_decay"]).sub_(update * group["lr"])
 
     def updates(self, parameters: list[tuple[torch.nn.Parameter, int]]) -> list[torch.Tensor]:
-        """What to subtract, times the rate. Matrices of one shape are computed together, of which a GPU has much."""
+        """What to subtract, times the rate. Matrices of one shape are computed together: a GPU has much of that."""
         blocks: list[torch.Tensor] = []
         for parameter, parts in parameters:
-            mean = self.state[parameter].setdefault("mean", torch.zeros_like(parameter))
+            state = self.state[parameter]
+            mean = state["mean"] if "mean" in state else state.setdefault("mean", torch.zeros_like(parameter))
             mean.lerp_(parameter.grad, 1 - self.momentum)
             blocks += parameter.grad.lerp(mean, self.momentum).chunk(parts)
         flat = [block.T if block.size(0) > block.size(1) else block for block in blocks]

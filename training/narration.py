@@ -136,12 +136,22 @@ def segments(step: Step, style: Style = PRODUCT, rng: random.Random | None = Non
     return [*subject, *filled, "."]
 
 
+# Of these there is no "a": what is poured or eaten, and what there are several of. By their last word.
+UNCOUNTED = set(
+    "water milk juice coffee tea beer wine sugar salt flour rice bread butter cheese food soup sauce oil soap shampoo toothpaste detergent paper hair teeth feet "
+    "mail homework laundry clothing underwear furniture trash garbage rubbish music children people scissors jeans shorts lotion cream cereal pasta meat chicken "
+    "fish fruit medicine paint glue tape foil dust dirt sand air money news work information equipment makeup jewelry cutlery crockery silverware linen bedding".split()
+)
+
+
 def indefinite(part: str, thing: str) -> str:
     """What is said before a thing, with "a" in place of "the" where there can be one of it."""
-    many = thing.endswith("s") and not thing.endswith("ss")
-    if not part.endswith(" the") or many:
+    last = thing.rpartition(" ")[2]
+    many = last.endswith("s") and not last.endswith("ss")
+    if not part.endswith(" the") or many or last in UNCOUNTED:
         return part
-    return part.removesuffix("the") + ("an" if thing.strip()[:1] in "aeiou" else "a")
+    vowel = re.match(r"[aeio]|u(?!s[eb]|ni|til)|hour", thing.strip()) and not thing.strip().startswith("eu")
+    return part.removesuffix("the") + ("an" if vowel else "a")
 
 
 STATES = {

@@ -128,17 +128,17 @@ class Checkpoints:
 
 def train(
     shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, recipe: dict,
-    watch: Callable[[int, Household], None] | None = None,
+    watch: Callable[[int, Household], None] | None = None, first: dict[str, torch.Tensor] | None = None,
 ) -> Household:
     """Trains, and returns the mean of the averaged weights, which is also left in `checkpoint`. Goes on from the files that an ended run of the same
-    `recipe` left beside it. `watch` is shown the averaged weights every `schedule.apart` steps.
+    `recipe` left beside it. `watch` is shown the averaged weights every `schedule.apart` steps. `first` are the weights to begin with, else random ones.
 
     On CPUs every worker is a process with one thread and a part of the batch: they meet once per step, whereas threads meet
     in every operation and lose most of their time when something else runs beside them.
     """
     workers = schedule.workers if device == "cpu" else 1
     recipe = {**recipe, "shape": shape.to_dict(), "schedule": asdict(schedule), "workers": workers}
-    arguments = (workers, shape, schedule, encoder, corpus, seed, device, checkpoint, recipe, watch)
+    arguments = (workers, shape, schedule, encoder, corpus, seed, device, checkpoint, recipe, watch, first)
     if workers == 1:
         work(0, *arguments)
     else:
@@ -150,7 +150,7 @@ def train(
 
 def work(
     rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, recipe: dict,
-    watch: Callable[[int, Household], None] | None,
+    watch: Callable[[int, Household], None] | None, first: dict[str, torch.Tensor] | None,
 ) -> None:
     if workers > 1:
         torch.set_num_threads(1)
@@ -158,12 +158,15 @@ def work(
     checkpoints = Checkpoints(checkpoint.parent, recipe, rank)
     found = checkpoints.last(workers)
     done = found["step"] if found else 0
-    # The makers are forked before a GPU is touched.
+    # The makers are forked before this process computes on a GPU.
     data = Batches(encoder, corpus, f"{seed} {rank}", schedule.rows // workers, schedule.length)
     ahead = {"num_workers": MAKERS[device], "prefetch_factor": 8, "pin_memory": device != "cpu", "multiprocessing_context": "fork"} if MAKERS[device] else {}
     batches = iter(DataLoader(data, batch_size=None, sampler=range(done, schedule.until), **ahead))
     torch.manual_seed(seed)
-    model = Household(shape, schedule.dropout).to(device)
+    model = Household(shape, schedule.dropout)
+    if first:
+        model.load_state_dict(first)
+    model = model.to(device)
     torch.manual_seed(seed * workers + rank)
     weights = dict(model.named_parameters())
     averaged = {name: value.detach().clone() for name, value in weights.items()}
@@ -174,8 +177,9 @@ def work(
     model.train()
     if found:
         model.load_state_dict(found["model"])
-        averaged = {name: value.to(device) for name, value in found["averaged"].items()}
-        kept = [{name: value.to(device) for name, value in one.items()} for one in found["kept"]]
+        if not rank:
+            averaged = {name: value.to(device) for name, value in found["averaged"].items()}
+            kept = [{name: value.to(device) for name, value in one.items()} for one in found["kept"]]
         for optimiser, was in zip(optimisers, found["optimisers"]):
             optimiser.load_state_dict(was)
         set_chance(device, found["chance"])
@@ -205,9 +209,11 @@ def work(
         if step % CHECKPOINT_STEPS == 0 and to_go:
             own = {"kept": kept, "averaged": averaged} if not rank else {}
             checkpoints.keep(step, model=model.state_dict(), optimisers=[o.state_dict() for o in optimisers], chance=chance(device), **own)
-    checkpoints.remove()
     if workers > 1:
+        # Until the result is written, the files to go on from stay.
+        torch.distributed.barrier()
         torch.distributed.destroy_process_group()
+    checkpoints.remove()
 
 
 class Step:
@@ -316,7 +322,9 @@ def environment(device: str, workers: int) -> dict[str, str]:
 
 
 def model_of(shape: Shape, weights: dict[str, torch.Tensor]) -> Household:
-    model = Household(shape).to(weights["embedding.weight"].device)
+    """Draws nothing from the generators that training draws from."""
+    with torch.random.fork_rng(devices=[]):
+        model = Household(shape).to(weights["embedding.weight"].device)
     model.load_state_dict(weights)
     return model.eval()
 

@@ -23,6 +23,7 @@ import calibrate
 import corpus as corpora
 import data
 import descriptions
+import evaluate
 import export
 import routines
 import run
@@ -30,6 +31,7 @@ import things
 import train
 import tokenizer as vocabulary
 from model import Household, Shape
+from muon import orthogonalised
 from narration import PRODUCT, Step, Style, bind, next_targets, parse_step, segments, sentence, words
 
 SHARED = Path(os.environ.get("SHARED", HERE.parent.parent / "shared"))
@@ -56,12 +58,13 @@ def test_styles_and_segments():
 
 
 def test_other_words_are_said_of_the_same_things():
-    style, pour = Style("A man", "third", other_words=1.0, article="a"), step("[Pour] <milk> (1) <glass> (1)")
+    style, pour = Style("A man", "third", other_words=1.0, article="a"), step("[Pour] <drink> (1) <glass> (1)")
     said = {sentence(pour, style, random.Random(seed)) for seed in range(40)}
-    assert len(said) > 2 and all(text.startswith("A man ") and " a milk" in text and " a glass" in text for text in said)
-    assert sentence(pour, style) == "A man pours a milk into a glass."
-    assert sentence(step("[Grab] <apple> (1)"), Style(article="a")) == "They grab an apple."
-    assert sentence(step("[Open] <curtains> (1)"), Style(article="a")) == "They open the curtains."
+    assert len(said) > 2 and all(text.startswith("A man ") and " a drink" in text and " a glass" in text for text in said)
+    assert sentence(pour, style) == "A man pours a drink into a glass."
+    said = {"apple": "an apple", "curtains": "the curtains", "tap_water": "the tap water", "uniform": "a uniform", "umbrella": "an umbrella", "hourglass": "an hourglass"}
+    for thing, words in said.items():
+        assert sentence(step(f"[Grab] <{thing}> (1)"), Style(article="a")) == f"They grab {words}."
     assert sentence(pour, PRODUCT, random.Random(1)) == sentence(pour)
 
 
@@ -220,35 +223,55 @@ def test_a_fold_trains_on_nothing_that_it_holds_out():
         assert not trained & held
 
 
-def test_an_ended_training_goes_on_as_if_it_had_not_ended(tmp_path, monkeypatch):
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_ended_training_goes_on_as_if_it_had_not_ended(tmp_path, monkeypatch, workers):
     monkeypatch.setattr(train, "CHECKPOINT_STEPS", 2)
     monkeypatch.setattr(train, "pack", lambda encoder, corpus, rng, rows, length: fake_batch(rng))
     shape = Shape(vocab=64, width=64, layers=1, heads=2, feed_forward=96)
-    schedule = train.Schedule(steps=12, until=6, workers=1, warm_up=2, averages=2, apart=2)
+    schedule = train.Schedule(steps=12, until=6, workers=workers, rows=workers, warm_up=2, averages=2, apart=2)
+    keep = train.Checkpoints.keep
 
-    def weights(folder, ends_after=None):
+    def keep_and_end(self, step, **state):
+        keep(self, step, **state)
+        if step == 4:
+            os._exit(1) if workers > 1 else (_ for _ in ()).throw(KeyboardInterrupt)
+
+    def weights(folder, ends=False, watch=None):
         (tmp_path / folder).mkdir(exist_ok=True)
-        keep = train.Checkpoints.keep
-
-        def keep_and_end(self, step, **state):
-            keep(self, step, **state)
-            if step == ends_after:
-                raise KeyboardInterrupt
-
-        monkeypatch.setattr(train.Checkpoints, "keep", keep_and_end)
-        try:
-            trained = train.train(shape, schedule, None, None, 1, "cpu", tmp_path / folder / "trained.pt", {"of": "a test"})
-        except KeyboardInterrupt:
-            return None
-        finally:
-            monkeypatch.setattr(train.Checkpoints, "keep", keep)
+        monkeypatch.setattr(train.Checkpoints, "keep", keep_and_end if ends else keep)
+        trained = train.train(shape, schedule, None, None, 1, "cpu", tmp_path / folder / "trained.pt", {"of": "a test"}, watch)
         return torch.cat([value.flatten() for value in trained.state_dict().values()])
 
     whole = weights("whole")
-    assert weights("cut", ends_after=4) is None
+    with pytest.raises((KeyboardInterrupt, torch.multiprocessing.ProcessExitedException)):
+        weights("cut", ends=True)
     assert [path.name for path in (tmp_path / "cut").glob("resume-*")]
     assert torch.equal(weights("cut"), whole)
     assert not [*(tmp_path / "cut").glob("resume-*")]
+    # Whoever watches changes nothing.
+    assert torch.equal(weights("watched", watch=lambda step, model: None), whole)
+
+
+def test_matrices_together_are_orthogonalised_as_one_by_one():
+    torch.manual_seed(3)
+    several = torch.randn(3, 20, 32)
+    together = orthogonalised(several)
+    for one, given in zip(several, together):
+        assert torch.allclose(orthogonalised(one[None])[0], given, atol=1e-5)
+    values = torch.linalg.svdvals(together)
+    assert 0.6 < values.min() and values.max() < 1.3
+
+
+@needs_data
+def test_the_figures_of_development_are_computed(tiny):
+    corpus, pieces = tiny
+    scene = evaluate.Scene(SHARED / "virtualhome/scenes/TestScene1_graph.json")
+    programs = corpus.programs[:40]
+    cases = list(evaluate.cases_of(programs[:2], scene))
+    assert cases and all(case[3] in scene.index for case in cases)
+    model = Household(Shape(vocab=-(-pieces.vocab_size() // 32) * 32, width=64, layers=1, heads=2, feed_forward=96)).eval()
+    rows = evaluate.evaluate(model, corpora.Encoder(pieces), programs, cases, scene, bootstrap=3)["rows"]
+    assert rows["object markov2"]["nll"][0] < rows["object uniform"]["nll"][0]
 
 
 def fake_batch(rng):
