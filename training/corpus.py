@@ -94,7 +94,7 @@ class Corpus:
     map_narration: float = 0.35  # share of narrations that speak of a map's items
     own_map: float = 0.7  # share of narrations of a workplace that has a map which are told with it, not with a home's
     shares: dict[str, float] = field(default_factory=lambda: {
-        "program": 0.42, "day": 0.06, "routine": 0.36, "description": 0.09, "wording": 0.05, "prior": 0.02,
+        "program": 0.42, "day": 0.06, "routine": 0.39, "description": 0.06, "wording": 0.05, "prior": 0.02,
     })
     as_written: float = 0.35  # share of descriptions that are not told of "they"
     skip_ahead: float = 0.12  # share of answers that are the object after the next: other people do things in another order

@@ -39,8 +39,6 @@ from train import Schedule, restore, train
 
 ROOT = Path(__file__).resolve().parent.parent
 VOCABULARY = 6144  # tokens
-# How the last steps differ: lower rate, less dropout, a shorter average.
-FURTHER = {"rate": 6e-4, "warm_up": 20, "dropout": 0.2, "average": 0.99, "averages": 1, "apart": 100}
 DESCRIPTION = (
     "Predicts which object of a home a person turns to next, from a narration of what they just did. "
     "Trained from scratch on VirtualHome programs, HOMER+ days and routines of the project. Knows households; no general language model."
@@ -65,7 +63,6 @@ def main() -> None:
     arguments.add_argument("--work", type=Path, default=ROOT / "training/work", help="vocabulary, checkpoints and the full-precision file")
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--dev", action="store_true", help="hold the development clusters out too")
-    arguments.add_argument("--further", type=int, metavar="STEPS", help="train the weights in --work by so many steps more, while the rate falls")
     arguments.add_argument("--watch", action="store_true", help="print the calibration split's nats as training goes on")
     arguments.add_argument("--short", type=int, metavar="STEPS", help="end training after so many steps, to try the pipeline out")
     arguments.add_argument("--export-only", action="store_true", help="take the vocabulary and the trained weights from --work instead of training")
@@ -99,9 +96,9 @@ def make(given: argparse.Namespace) -> None:
     given.work.mkdir(parents=True, exist_ok=True)
     given.out.mkdir(parents=True, exist_ok=True)
     corpus, programs = corpus_of(given.shared, given.dev, given.fold)
-    trained, last = given.work / ("further.pt" if given.further else "trained.pt"), given.work / "checkpoint.pt"
+    trained, last = given.work / "trained.pt", given.work / "checkpoint.pt"
     graphs = sorted((given.shared / "virtualhome/scenes").glob("*_graph.json"))
-    if given.export_only or given.further:
+    if given.export_only:
         pieces = vocabulary.load(given.work / "vocabulary.model")
     else:
         pieces = vocabulary.train(corpus, given.seed, VOCABULARY, given.work / "vocabulary")
@@ -110,15 +107,12 @@ def make(given: argparse.Namespace) -> None:
     if given.export_only:
         model = restore(trained)
     else:
-        schedule, first = replace(Schedule(), until=given.short or Schedule.until), None
-        if given.further:
-            schedule = replace(schedule, steps=given.further, until=given.further, **FURTHER)
-            first = restore(given.work / "trained.pt").state_dict()
+        schedule = replace(Schedule(), until=given.short or Schedule.until)
         # What a checkpoint must agree in to be gone on from: the data, through the vocabulary that was made of them, and what is held out.
         recipe = {"seed": given.seed, "dev": given.dev, "fold": given.fold, "vocabulary": data.sha256(given.work / "vocabulary.model")}
         shape = Shape(vocab=-(-pieces.vocab_size() // 32) * 32)
         watch = (lambda step, model: print(f"step {step}: {fitted(model)}", flush=True)) if given.watch else None
-        model = train(shape, schedule, encoder, corpus, given.seed, device, trained, recipe, watch, first)
+        model = train(shape, schedule, encoder, corpus, given.seed, device, trained, recipe, watch)
     fit = fitted(model.to(device))
     print(fit)
     model = model.cpu()
@@ -129,7 +123,7 @@ def make(given: argparse.Namespace) -> None:
     export.write(model, pieces, shipped, "q8_0", DESCRIPTION, fit.prior)
     write_expected_tokens(corpus, pieces, given.out / "household-tokens.json")
     statistics_file.write(programs, given.out / "household-statistics.json")
-    write_manifest(given, corpus, programs, model, shipped)
+    write_manifest(given, corpus, programs, model, trained, shipped)
     print(f"wrote {shipped}: {shipped.stat().st_size / 1e6:.2f} MB, {model.parameter_count() / 1e6:.2f} M parameters")
 
 
@@ -155,11 +149,7 @@ def write_expected_tokens(corpus: Corpus, pieces, path: Path) -> None:
     path.write_text(f"[\n{rows}\n]\n")
 
 
-def environment_of(weights: Path) -> dict[str, str]:
-    return torch.load(weights, weights_only=True, map_location="cpu").get("environment", {})
-
-
-def write_manifest(given, corpus, programs, model, shipped: Path) -> None:
+def write_manifest(given, corpus, programs, model, trained: Path, shipped: Path) -> None:
     """What the model was made from, and which activities were in which split."""
     inputs = sorted(
         [p for folder in ("virtualhome/programs", "virtualhome/scenes", "homer_plus") for p in (given.shared / folder).rglob("*") if p.is_file()]
@@ -168,8 +158,7 @@ def write_manifest(given, corpus, programs, model, shipped: Path) -> None:
     manifest = {
         "model": {"file": shipped.name, "sha256": data.sha256(shipped), "bytes": shipped.stat().st_size, "parameters": model.parameter_count(), "shape": model.shape.to_dict()},
         "command": f"python training/run.py --shared SHARED --seed {given.seed}" + (" --dev" if given.dev else "") + (f" --fold {given.fold}" if given.fold else "") + (f" --short {given.short}" if given.short else ""),
-        "environment": environment_of(given.work / "trained.pt"),
-        "further": {"steps": given.further, "environment": environment_of(given.work / "further.pt")} if given.further else None,
+        "environment": torch.load(trained, weights_only=True, map_location="cpu").get("environment", {}),
         "splits": {
             split: {
                 "programs": len(members),

@@ -128,17 +128,17 @@ class Checkpoints:
 
 def train(
     shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, recipe: dict,
-    watch: Callable[[int, Household], None] | None = None, first: dict[str, torch.Tensor] | None = None,
+    watch: Callable[[int, Household], None] | None = None,
 ) -> Household:
     """Trains, and returns the mean of the averaged weights, which is also left in `checkpoint`. Goes on from the files that an ended run of the same
-    `recipe` left beside it. `watch` is shown the averaged weights every `schedule.apart` steps. `first` are the weights to begin with, else random ones.
+    `recipe` left beside it. `watch` is shown the averaged weights every `schedule.apart` steps.
 
     On CPUs every worker is a process with one thread and a part of the batch: they meet once per step, whereas threads meet
     in every operation and lose most of their time when something else runs beside them.
     """
     workers = schedule.workers if device == "cpu" else 1
     recipe = {**recipe, "shape": shape.to_dict(), "schedule": asdict(schedule), "workers": workers}
-    arguments = (workers, shape, schedule, encoder, corpus, seed, device, checkpoint, recipe, watch, first)
+    arguments = (workers, shape, schedule, encoder, corpus, seed, device, checkpoint, recipe, watch)
     if workers == 1:
         work(0, *arguments)
     else:
@@ -150,7 +150,7 @@ def train(
 
 def work(
     rank: int, workers: int, shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, recipe: dict,
-    watch: Callable[[int, Household], None] | None, first: dict[str, torch.Tensor] | None,
+    watch: Callable[[int, Household], None] | None,
 ) -> None:
     if workers > 1:
         torch.set_num_threads(1)
@@ -163,10 +163,7 @@ def work(
     ahead = {"num_workers": MAKERS[device], "prefetch_factor": 8, "pin_memory": device != "cpu", "multiprocessing_context": "fork"} if MAKERS[device] else {}
     batches = iter(DataLoader(data, batch_size=None, sampler=range(done, schedule.until), **ahead))
     torch.manual_seed(seed)
-    model = Household(shape, schedule.dropout)
-    if first:
-        model.load_state_dict(first)
-    model = model.to(device)
+    model = Household(shape, schedule.dropout).to(device)
     torch.manual_seed(seed * workers + rank)
     weights = dict(model.named_parameters())
     averaged = {name: value.detach().clone() for name, value in weights.items()}
