@@ -1,4 +1,4 @@
-"""A llama-architecture language model, small enough to answer within five milliseconds on two cores.
+"""A llama-architecture language model, small enough to answer in about four milliseconds on two idle cores.
 
 The layout is the one that llama.cpp runs under the name `llama`: pre-norm blocks with RMS normalisation, rotary positions,
 gated SiLU feed-forward, no biases. Embedding and output share one matrix.

@@ -227,8 +227,8 @@ mod tests {
             Correction::recommended(|key| if key == PRIOR_KEY { prior } else { continuation }.map(ToOwned::to_owned))
         };
         assert_eq!(read(None, None), Ok(Correction::default()));
-        let embedded = Correction { continuation: Continuation::Labels, prior: 0.3 };
-        assert_eq!(read(Some("labels"), Some("0.300000")), Ok(embedded));
+        let recommended = Correction { continuation: Continuation::Labels, prior: 0.45 };
+        assert_eq!(read(Some("labels"), Some("0.450000")), Ok(recommended));
         for (continuation, prior) in
             [(Some("Labels"), None), (None, Some("nan")), (None, Some("1.5")), (None, Some(""))]
         {
