@@ -234,10 +234,10 @@ mod tests {
         {
             assert!(read(continuation, prior).unwrap_err().contains("roomcast."));
         }
-        let written = serde_json::to_string(&embedded).unwrap();
-        assert_eq!(serde_json::from_str::<Correction>(&written).unwrap(), embedded);
-        assert!(serde_json::from_str::<Correction>(&written.replace("0.3", "3e9")).is_err());
-        assert_eq!(CorrectionChoice::EQUATION_1.or(embedded), Correction::default());
-        assert_eq!(CorrectionChoice::default().or(embedded), embedded);
+        let written = serde_json::to_string(&recommended).unwrap();
+        assert_eq!(serde_json::from_str::<Correction>(&written).unwrap(), recommended);
+        assert!(serde_json::from_str::<Correction>(&written.replace("0.45", "3e9")).is_err());
+        assert_eq!(CorrectionChoice::EQUATION_1.or(recommended), Correction::default());
+        assert_eq!(CorrectionChoice::default().or(recommended), recommended);
     }
 }
