@@ -160,7 +160,7 @@ def work(
     done = found["step"] if found else 0
     # The makers are forked before this process computes on a GPU.
     data = Batches(encoder, corpus, f"{seed} {rank}", schedule.rows // workers, schedule.length)
-    ahead = {"num_workers": MAKERS[device], "prefetch_factor": 8, "pin_memory": device != "cpu", "multiprocessing_context": "fork"} if MAKERS[device] else {}
+    ahead = {"num_workers": MAKERS[device], "prefetch_factor": 8, "pin_memory": True, "multiprocessing_context": "fork"} if MAKERS[device] else {}
     batches = iter(DataLoader(data, batch_size=None, sampler=range(done, schedule.until), **ahead))
     torch.manual_seed(seed)
     model = Household(shape, schedule.dropout).to(device)
