@@ -199,7 +199,7 @@ pub fn run(
     while !stop.requested() {
         match &decision {
             // A decision follows its scores by itself, and is not to wait for the next ones.
-            Some(decision) => scores.port.wait_with(&decision.port, TICK)?,
+            Some(decision) => roomcast_ipc::wait_for_any(&[&scores.port, &decision.port], TICK)?,
             None => scores.port.wait(TICK)?,
         };
         if let Some(topic) = &mut decision && topic.take(&mut log, |decision| {

@@ -146,7 +146,7 @@ impl Witness {
                 (node.subscriber::<DecisionV1>().unwrap(), node.subscriber::<RoomScoresV1>().unwrap());
             let robot = sequence::source_of_name(name);
             while !ends.load(Ordering::Relaxed) {
-                decisions.wait_with(&scores, Duration::from_millis(50)).unwrap();
+                roomcast_ipc::wait_for_any(&[&decisions, &scores], Duration::from_millis(50)).unwrap();
                 let mut decided = own.lock().unwrap();
                 // Decisions are taken first and read last: the scores that they rest on were sent before them, and are here then.
                 let made: Vec<_> = std::iter::from_fn(|| decisions.receive().unwrap()).collect();

@@ -85,8 +85,8 @@ pub use message::{
     report_flags, report_kind, score_flags,
 };
 pub use port::{
-    ItemScores, ItemScoresPublisher, ItemScoresSubscriber, Judged, Publisher, Sender, StatusClient, StatusServer,
-    Subscriber,
+    Awaited, ItemScores, ItemScoresPublisher, ItemScoresSubscriber, Judged, Publisher, Sender, StatusClient,
+    StatusServer, Subscriber, wait_for_any,
 };
 pub use question::{AnswerPort, QuestionPort};
 

@@ -25,6 +25,7 @@ use iceoryx2::service::builder::request_response::{RequestResponseOpenError, Req
 use iceoryx2::service::port_factory::publish_subscribe;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
+use sealed::Sleeper;
 
 use crate::domain::{Flavour, Node, OpenFailure, Place, is_running, process_in, shown};
 use crate::message::{
@@ -274,15 +275,6 @@ impl<M: Message> Subscriber<M> {
         wait_for_any(&[self], timeout)
     }
 
-    /// As [`Subscriber::wait`], for news of this or of another subscriber.
-    ///
-    /// # Errors
-    ///
-    /// [`IpcError::Port`].
-    pub fn wait_with<N: Message>(&self, other: &Subscriber<N>, timeout: Duration) -> Result<bool, IpcError> {
-        wait_for_any(&[self, other], timeout)
-    }
-
     /// Takes what the listener was told: whether there was anything, and whether anything but messages.
     fn told(&self) -> Result<(bool, bool), IpcError> {
         let mut others = false;
@@ -399,19 +391,28 @@ impl<M: Message> Subscriber<M> {
     }
 }
 
-/// What can be slept at.
-trait Awaited {
-    /// Its service.
-    fn service(&self) -> &'static str;
-    /// Whether there is news that was not looked after yet.
-    fn has_news(&self) -> Result<bool, IpcError>;
-    /// The descriptor that can be read when the listener is told something.
-    fn descriptor(&self) -> BorrowedFd<'_>;
-    /// The sleep has ended with news that the listener still holds.
-    fn woken(&self);
+/// A [`Subscriber`] of any message, for [`wait_for_any`].
+pub trait Awaited: Sleeper {}
+
+impl<M: Message> Awaited for Subscriber<M> {}
+
+mod sealed {
+    use super::{BorrowedFd, IpcError};
+
+    /// What can be slept at.
+    pub trait Sleeper {
+        /// Its service.
+        fn service(&self) -> &'static str;
+        /// Whether there is news that was not looked after yet.
+        fn has_news(&self) -> Result<bool, IpcError>;
+        /// The descriptor that can be read when the listener is told something.
+        fn descriptor(&self) -> BorrowedFd<'_>;
+        /// The sleep has ended with news that the listener still holds.
+        fn woken(&self);
+    }
 }
 
-impl<M: Message> Awaited for Subscriber<M> {
+impl<M: Message> Sleeper for Subscriber<M> {
     fn service(&self) -> &'static str {
         M::SERVICE.name
     }
@@ -436,8 +437,12 @@ impl<M: Message> Awaited for Subscriber<M> {
     }
 }
 
-/// Sleeps until any has news or `timeout` is over; whether one had.
-fn wait_for_any(awaited: &[&dyn Awaited], timeout: Duration) -> Result<bool, IpcError> {
+/// Sleeps as [`Subscriber::wait`] does, for news of any of several subscribers; whether one had some.
+///
+/// # Errors
+///
+/// [`IpcError::Port`].
+pub fn wait_for_any(awaited: &[&dyn Awaited], timeout: Duration) -> Result<bool, IpcError> {
     // Without an end where it lies beyond what a clock can say.
     let end = Instant::now().checked_add(timeout);
     loop {

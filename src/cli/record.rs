@@ -204,7 +204,7 @@ pub fn run(args: &Args) -> CommandResult {
         }
         if news.is_empty() {
             // A narrator that says one thing and leaves is gone within milliseconds.
-            narration.wait_with(&scores, POLL).map_err(ipc)?;
+            roomcast_ipc::wait_for_any(&[&narration, &scores], POLL).map_err(ipc)?;
         }
     }
     let written = recorder.finish().map_err(output)?;

@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, Message, PersonForecastsV1, Publisher, RobotReportV1, RoomScoresV1,
-    clock, decision_flags, sequence,
+    Awaited, DecisionV1, Domain, ForecastV1, IpcError, Message, PersonForecastsV1, Publisher, RobotReportV1,
+    RoomScoresV1, clock, decision_flags, sequence,
 };
 use sd_notify::NotifyState;
 
@@ -60,9 +60,12 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let mut each = Box::<PersonForecastsV1>::default();
     let (mut report, mut other) = (RobotReportV1::default(), DecisionV1::default());
     let (mut early, mut awake) = (VecDeque::new(), Awake::new(config.ipc.spin_us));
+    // Where two robots go for one room, the one that makes way is to leave at once.
+    let mut awaited: Vec<&dyn Awaited> = vec![&scores, &reports];
+    awaited.extend(others.iter().map(|others| others as &dyn Awaited));
     notify(&[NotifyState::Ready]);
     while !stop.requested() {
-        awake.wait(planner.idle(clock::monotonic_ns()), |patience| scores.wait_with(&reports, patience))?;
+        awake.wait(planner.idle(clock::monotonic_ns()), |patience| roomcast_ipc::wait_for_any(&awaited, patience))?;
         let mut has_scores = false;
         while receive(&scores, &mut snapshot, &mut log)? {
             planner.take(&snapshot);
