@@ -9,6 +9,7 @@ use clap::Subcommand;
 use super::choice::{CorrectionArgs, choice};
 use super::{CommandResult, Failure, count, model, ranges};
 use crate::exit_code;
+use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::prompt::BindingSequence;
@@ -130,6 +131,20 @@ impl ModelArgs {
     }
 }
 
+/// How the forecast tells like things apart.
+#[derive(Debug, Clone, clap::Args)]
+struct LikeThingsArgs {
+    /// The part of a label that like things share evenly in the forecast; the rest goes to those that are near or were in use. 1 is Equation 2.
+    #[arg(long, value_name = "P", default_value_t = ForecastOptions::default().any_thing, value_parser = ranges::share)]
+    any_thing: f64,
+}
+
+impl LikeThingsArgs {
+    fn options(&self) -> ForecastOptions {
+        ForecastOptions { any_thing: self.any_thing, ..ForecastOptions::default() }
+    }
+}
+
 /// Arguments of `roomcast experiment forecast`.
 #[derive(Debug, clap::Args)]
 struct ForecastArgs {
@@ -154,6 +169,8 @@ struct ForecastArgs {
     /// The binding sequence: default, p0 to p5, or a text of your own.
     #[arg(long, value_name = "TEXT", default_value = "default")]
     binding: BindingSequence,
+    #[command(flatten)]
+    like_things: LikeThingsArgs,
     #[command(flatten)]
     model: ModelArgs,
     /// Print one JSON object.
@@ -229,6 +246,7 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
         history: args.model.limits(),
         binding: args.binding.clone(),
         items: distinct(&args.items),
+        forecast: args.like_things.options(),
         seed: args.model.seed,
     };
     let progress = Progress::new("programs", programs.len() * maps.len() * options.items.len());

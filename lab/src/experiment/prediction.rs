@@ -132,6 +132,8 @@ pub struct Options {
     pub binding: BindingSequence,
     /// Which of a label's items an object means; each is a table of its own.
     pub items: Vec<ItemChoice>,
+    /// What the forecast of `model-near` assumes.
+    pub forecast: ForecastOptions,
     /// Of the draws of items and of the bootstrap.
     pub seed: u64,
 }
@@ -295,8 +297,8 @@ struct Listener {
 }
 
 impl Listener {
-    fn new(rooms: usize) -> Self {
-        Self { forecaster: Forecaster::new(rooms, ForecastOptions::default(), 0.0), heard: 0, at_s: 0.0 }
+    fn new(rooms: usize, options: ForecastOptions) -> Self {
+        Self { forecaster: Forecaster::new(rooms, options, 0.0), heard: 0, at_s: 0.0 }
     }
 
     /// Up to the `done`-th action; `rows` are the model's scores after each.
@@ -352,7 +354,7 @@ fn evaluate<M: LanguageModel>(
         };
         let sentences = sentences(&program.steps[..last.done])?;
         let rows = source.score_steps(&sentences, options.history, &options.binding)?;
-        let mut listener = Listener::new(rooms);
+        let mut listener = Listener::new(rooms, options.forecast);
         for case in &cases {
             listener.hear(program, &sentences, &rows, case.done, (&mut mentions, grounding));
             let near_rooms = listener.forecaster.expected().unwrap_or(&even_rooms).to_vec();
@@ -666,6 +668,7 @@ mod tests {
             history: HistoryLimits::default(),
             binding: BindingSequence::default(),
             items: vec![ItemChoice::Uniform, ItemChoice::Nearest],
+            forecast: ForecastOptions::default(),
             seed: 1,
         };
         let run_with = |parts: &[Part]| {

@@ -11,6 +11,7 @@ use super::{
 use crate::cli::choice::choice;
 use crate::cli::{CommandResult, Failure, print, print_json};
 use crate::exit_code;
+use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_lab::experiment::Progress;
@@ -131,6 +132,7 @@ impl Asked {
             history: model.limits(),
             binding: BindingSequence::default(),
             items: distinct(&self.items),
+            forecast: ForecastOptions::default(),
             seed: model.seed,
         };
         let programs: usize = parts.iter().map(|part| part.programs.len()).sum();

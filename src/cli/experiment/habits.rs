@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::{ModelArgs, maps, report_faults};
+use super::{LikeThingsArgs, ModelArgs, maps, report_faults};
 use crate::cli::choice::choice;
 use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
 use crate::exit_code;
@@ -54,6 +54,8 @@ pub(super) struct HabitsArgs {
     #[arg(long, value_name = "TEXT", default_value = "default")]
     binding: BindingSequence,
     #[command(flatten)]
+    like_things: LikeThingsArgs,
+    #[command(flatten)]
     model: ModelArgs,
     /// Write a report with pictures of the learning curves into this folder.
     #[arg(long, value_name = "DIR")]
@@ -85,6 +87,7 @@ pub(super) fn run(args: &HabitsArgs) -> CommandResult {
         history: args.model.limits(),
         binding: args.binding.clone(),
         habits: HabitsOptions { half_life_days: args.half_life, ..HabitsOptions::default() },
+        forecast: args.like_things.options(),
         seed: args.model.seed,
     };
     let progress = Progress::new("sentences", trace.steps.len());

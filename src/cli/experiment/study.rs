@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use serde_json::json;
 
-use super::{ModelArgs, maps, report_faults};
+use super::{LikeThingsArgs, ModelArgs, maps, report_faults};
 use crate::cli::choice::choice;
 use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
 use crate::exit_code;
@@ -70,9 +70,8 @@ pub(super) struct StudyArgs {
     /// Mean stay in a room that the forecast assumes before it has watched, in seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = ForecastOptions::default().stay_s, value_parser = ranges::act_s)]
     stay_time: f64,
-    /// The part of a label that like things share evenly in the forecast; the rest goes to those that are near or were in use. 1 is Equation 2.
-    #[arg(long, value_name = "P", default_value_t = ForecastOptions::default().any_thing, value_parser = ranges::share)]
-    any_thing: f64,
+    #[command(flatten)]
+    like_things: LikeThingsArgs,
     /// Of folders, take only the programs of a split that a training manifest lists, such as models/manifest.json.
     #[arg(long, value_name = "FILE", requires = "program")]
     manifest: Option<PathBuf>,
@@ -232,8 +231,7 @@ impl StudyArgs {
             forecast: ForecastOptions {
                 object_s: self.object_time,
                 stay_s: self.stay_time,
-                any_thing: self.any_thing,
-                ..ForecastOptions::default()
+                ..self.like_things.options()
             },
             restarts: self.restarts,
             seed: self.model.seed,

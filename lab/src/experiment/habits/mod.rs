@@ -91,6 +91,8 @@ pub struct Options {
     pub binding: BindingSequence,
     /// How habits are learned.
     pub habits: HabitsOptions,
+    /// What the forecast without habits assumes.
+    pub forecast: ForecastOptions,
     /// Of the bootstrap.
     pub seed: u64,
 }
@@ -597,7 +599,7 @@ pub fn run<M: LanguageModel>(
         labels,
         mixture: bound(options.habits, grounding),
         without_model: bound(options.habits, grounding),
-        forecaster: Forecaster::new(rooms, ForecastOptions::default(), first.at_s),
+        forecaster: Forecaster::new(rooms, options.forecast, first.at_s),
         baselines: Baselines::new(statistics, &mut binder, grounding),
         objects: Others::new(),
         next_rooms: Others::new(),
