@@ -213,6 +213,9 @@ impl Probe {
                 let mut reply = [0_u8; size_of::<RoomScoresV1>()];
                 let start = Instant::now();
                 send(&*socket, &[1; size_of::<NarrationV1>()], SendFlags::empty()).map_err(failed)?;
+                if !readable(&*socket, PATIENCE).map_err(failed)? {
+                    return Err(LatencyError::NoAnswer { path: "unix-socket" });
+                }
                 let (_, bytes) = recv(&*socket, reply.as_mut_slice(), RecvFlags::empty()).map_err(failed)?;
                 let sample = of(start);
                 if bytes == reply.len() { Ok(sample) } else { Err(LatencyError::NoAnswer { path: "unix-socket" }) }

@@ -149,13 +149,14 @@ impl PreparedAnswers {
         self.round
     }
 
-    /// Keeps an answer, if it is of use; where there is no room, in place of the oldest of whoever did nothing since.
+    /// Keeps an answer, if it is of use; where there is no room, in place of a spent one or the least likely of somebody else, which came last.
     pub(crate) fn keep(&mut self, answer: Answer, histories: &Histories) -> bool {
         let mut is_of_use = answer.ask.round == self.round && answer.is_current(histories);
         if is_of_use && self.kept.len() >= ANSWERS_MAX {
-            let is_oldest = |kept: &Answer| kept.is_spent || kept.ask.person != answer.ask.person;
-            match self.kept.iter().position(is_oldest) {
-                Some(oldest) => self.stale.push(self.kept.remove(oldest)),
+            let is_others = |kept: &Answer| kept.ask.person != answer.ask.person;
+            let spent = self.kept.iter().position(|kept| kept.is_spent);
+            match spent.or_else(|| self.kept.iter().rposition(is_others)) {
+                Some(least) => self.stale.push(self.kept.remove(least)),
                 None => is_of_use = false,
             }
         }

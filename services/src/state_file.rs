@@ -1,5 +1,6 @@
 //! Small files in the state directory: read with a limit, replaced whole or not at all.
 
+use std::ffi::OsString;
 use std::fs::{DirBuilder, File};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::DirBuilderExt;
@@ -74,13 +75,37 @@ fn write(path: &Path, bytes: &[u8], for_good: bool) -> io::Result<()> {
     let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     // Nobody's device or named pipe is replaced by a file.
     require_plain(&path)?;
-    let mut file = tempfile::NamedTempFile::new_in(folder(&path))?;
+    let mut file = tempfile::Builder::new().prefix(&unfinished(&path)).tempfile_in(folder(&path))?;
     file.write_all(bytes)?;
     if for_good {
         file.as_file().sync_all()?;
     }
     file.persist(&path).map_err(|error| error.error)?;
     if for_good { sync_folder(&path) } else { Ok(()) }
+}
+
+/// What the names of files begin with that are to take the place of one, until they are whole.
+fn unfinished(path: &Path) -> OsString {
+    let mut prefix = OsString::from(".");
+    prefix.push(path.file_name().unwrap_or_default());
+    prefix.push(".");
+    prefix
+}
+
+/// Removes what a process that was killed had begun to write in place of a file that nobody else writes now.
+///
+/// # Errors
+/// When the directory cannot be read or written.
+pub(crate) fn remove_unfinished(path: &Path) -> io::Result<()> {
+    let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let prefix = unfinished(&path);
+    for entry in std::fs::read_dir(folder(&path))? {
+        let entry = entry?;
+        if entry.file_name().as_encoded_bytes().starts_with(prefix.as_encoded_bytes()) {
+            std::fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
 }
 
 /// Makes what was created, renamed or removed in a file's folder outlive a loss of power.
@@ -111,6 +136,26 @@ mod tests {
         std::fs::write(&path, [0xff]).unwrap();
         read(&path, 3).unwrap_err();
         assert!(read(directory.path(), 3).unwrap_err().to_string().contains("no plain file"));
+    }
+
+    #[test]
+    fn what_was_begun_is_removed_and_nothing_else() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        for name in ["habits", ".habits.Ab12", ".habits", "habits.damaged", ".habits-2.x", ".persons.Ab12"] {
+            std::fs::write(at(name), "content").unwrap();
+        }
+        remove_unfinished(&at("habits")).unwrap();
+        assert!(!at(".habits.Ab12").exists());
+        assert!(
+            ["habits", ".habits", "habits.damaged", ".habits-2.x", ".persons.Ab12"]
+                .iter()
+                .all(|name| at(name).exists())
+        );
+        // A file that is replaced leaves nothing.
+        replace(&at("habits"), b"new").unwrap();
+        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 5);
+        assert!(remove_unfinished(&at("none/habits")).is_err());
     }
 
     /// Nobody writes to the pipe: to open it would wait for ever.

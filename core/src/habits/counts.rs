@@ -155,7 +155,9 @@ impl Counts {
             Some(row) => row,
             None => self.insert(key, now_min),
         };
-        let Row { touched_min, .. } = self.rows[row as usize];
+        // A time that is still to come was told by a clock that was wrong: from now on it fades like others.
+        let touched_min = self.rows[row as usize].touched_min.min(now_min);
+        self.rows[row as usize].touched_min = touched_min;
         let factor = self.factor(touched_min, now_min);
         let (known, weight) = match factor >= WORTH {
             true => (self.bring_forward(row, symbol), weight as f32 / factor),
@@ -437,6 +439,16 @@ mod tests {
         let seen = counts.get(1, 2 * DAY_MIN).unwrap();
         assert!((seen.count(7) - 1.5).abs() < 1e-6);
         assert!(counts.get(2, 0).is_none());
+    }
+
+    /// A clock that was wrong for a minute: what was counted then fades from when it is counted again.
+    #[test]
+    fn a_time_to_come_is_taken_back() {
+        let mut counts = counts(8, 8, f64::from(DAY_MIN));
+        counts.add(1, 7, 4.0, 400 * DAY_MIN);
+        assert_eq!(counts.get(1, DAY_MIN).unwrap().count(7), 4.0);
+        counts.add(1, 7, 4.0, DAY_MIN);
+        assert!((counts.get(1, 2 * DAY_MIN).unwrap().count(7) - 4.0).abs() < 1e-6);
     }
 
     #[test]

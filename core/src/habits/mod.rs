@@ -1,8 +1,8 @@
 //! What the people of one home do: learned while watching, over the language model as the prior.
 //!
 //! On the first day the forecasts are those of the language model, later those of the home, and a mixture with a bound decides
-//! (`mixture.rs`): over any stretch of time its loss exceeds that of its best expert, the model among them, by no more than the bound.
-//! Everything is keyed by words, so that it survives changes of the map; everything has a limit; everything fades with a half-life.
+//! (`mixture.rs`): from its beginning on its loss exceeds that of its best expert, the model among them, by no more than the bound, where what happened is
+//! told at once. Everything is keyed by words, so that it survives changes of the map; everything has a limit; counts of what followed what fade with a half-life.
 //!
 //! How a daemon uses it, per person:
 //!
@@ -402,7 +402,9 @@ impl Habits {
     fn drop_counts(&mut self, what: Number, number: u16) {
         let names = |key: u64| {
             let (kind, _, after) = parts(key)?;
-            Some((kind.layout(), after))
+            // Which numbers a digest is of, it does not say.
+            let digested = what == Number::Object && matches!(kind, Kind::Object4 | Kind::Object5);
+            (!digested).then_some((kind.layout(), after))
         };
         self.counts.retain(
             |key| names(key).is_some_and(|(is, after)| (0..3).all(|at| is[at] != what || after[at] != number)),
@@ -428,7 +430,7 @@ impl Habits {
         });
         let room = turn.room.filter(|room| *room < self.frame.rooms.len());
         let place = room.and_then(|room| self.place_number(Place::Room(room), now_min, learn));
-        let Self { persons, counts, options, .. } = self;
+        let Self { persons, counts, options, frame, .. } = self;
         let person = &mut persons[at];
         let Person { slot, objects, rooms, stays, .. } = person;
         let slot = *slot;
@@ -457,6 +459,7 @@ impl Habits {
             rooms.forget_forecast();
         }
         if let Some(place) = place {
+            stays.learn_due(counts, slot, frame, turn.at_s, learn);
             stays.be(counts, slot, place, turn.at_s, learn);
         }
         let known = person.known(turn.at_s);
@@ -468,8 +471,10 @@ impl Habits {
         let at = self.person(person);
         let learn = self.options.learn;
         let Some(number) = self.place_number(place, moment::minute(at_s), learn) else { return };
-        let Self { persons, counts, .. } = self;
+        let Self { persons, counts, frame, .. } = self;
         let Person { slot, stays, objects, .. } = &mut persons[at];
+        // Where they were when a forecast's time came is known only until they go on.
+        stays.learn_due(counts, *slot, frame, at_s, learn);
         stays.be(counts, *slot, number, at_s, learn);
         if stays.elsewhere() {
             objects.forget_activity();

@@ -160,7 +160,7 @@ impl AdaptiveSets {
         self.miss += self.options.step * (asked - f64::from(u8::from(!hit)));
         // Beyond 0 and 1 all or nothing is taken, until what went wrong in a long series is made good.
         self.miss = self.miss.clamp(-SERIES, 1.0 + SERIES);
-        self.outcomes += 1;
+        self.outcomes = self.outcomes.saturating_add(1);
         self.threshold = self.least();
     }
 

@@ -1,5 +1,7 @@
 //! What was learned as bytes and as JSON: versioned, checksummed, bounded, and never believed before it was checked.
 
+use std::collections::BTreeSet;
+
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -14,6 +16,9 @@ pub(crate) const VERSION_2: u16 = 2;
 const CHECKSUM_BYTES: usize = 16;
 /// Largest state that is read, in bytes.
 pub const BYTES_MAX: usize = 16 << 20;
+
+/// Nobody observes more than this, in sum: a century of ten observations a second has a third of it.
+const MOST: f64 = 1e11;
 
 /// Why a stored state cannot be used. Nothing of it is.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -184,13 +189,19 @@ impl Stored {
         if !(VERSION_2..=VERSION).contains(&self.version) {
             return Err(StoredError::Version { found: self.version });
         }
-        let positive = |value: f64| value.is_finite() && value >= 0.0;
+        let positive = |value: f64| (0.0..=MOST).contains(&value);
         for person in &self.persons {
             let [repeated, turned] = person.repeated;
             let own = [person.observations, person.stayed, person.turned, repeated, turned];
             let of_anchors = person.anchors.iter().flat_map(|anchor| [anchor.stayed, anchor.sampled]);
             if !own.into_iter().chain(of_anchors).all(positive) {
                 return Err(malformed(format!("a count of person {} is no count", person.number)));
+            }
+            if person.anchors.iter().any(|anchor| anchor.outcomes as f64 > MOST) {
+                return Err(malformed(format!(
+                    "sets of person {} have more outcomes than there can be",
+                    person.number
+                )));
             }
             if !(person.stayed <= person.turned
                 && repeated <= turned
@@ -199,12 +210,23 @@ impl Stored {
                 return Err(malformed(format!("person {} stayed more often than there were times", person.number)));
             }
         }
+        let (mut contexts, mut symbols) = (BTreeSet::new(), BTreeSet::new());
         for row in &self.rows {
             if !Kind::ALL.iter().any(|kind| *kind as u8 == row.kind) {
                 return Err(malformed(format!("unknown kind {} of counts", row.kind)));
             }
             if !row.counts.iter().all(|(_, count)| count.is_finite() && *count > 0.0) {
                 return Err(malformed(format!("a count of kind {} is no count", row.kind)));
+            }
+            // What came twice would add up to more than was checked.
+            symbols.clear();
+            let once = row.counts.iter().all(|(symbol, _)| symbols.insert(*symbol));
+            let total: f64 = row.counts.iter().map(|(_, count)| f64::from(*count)).sum();
+            if !once || total > MOST || !contexts.insert((row.kind, row.slot, row.after)) {
+                return Err(malformed(format!(
+                    "counts of kind {} come twice, or are more than there can be",
+                    row.kind
+                )));
             }
         }
         Ok(self)

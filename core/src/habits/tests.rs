@@ -197,6 +197,96 @@ fn bytes_and_json_give_back_what_was_learned() {
     assert!(Habits::from_json(*habits.options(), &json.replace("\"slot\":0", "\"slot\":77")).is_err());
 }
 
+/// Every number of an export, by its path.
+fn numbers(value: &serde_json::Value, path: &str, found: &mut Vec<String>) {
+    match value {
+        serde_json::Value::Number(_) => found.push(path.to_owned()),
+        serde_json::Value::Array(items) => {
+            items.iter().enumerate().for_each(|(at, item)| numbers(item, &format!("{path}/{at}"), found));
+        }
+        serde_json::Value::Object(items) => {
+            items.iter().for_each(|(name, item)| numbers(item, &format!("{path}/{name}"), found));
+        }
+        _ => {}
+    }
+}
+
+/// What somebody else wrote is refused, or nothing that follows from it is impossible.
+#[test]
+fn an_import_is_refused_or_harmless() {
+    let mut habits = home(HabitsOptions::default());
+    mornings(&mut habits, 3, 5);
+    week(&mut habits, 3);
+    let export: serde_json::Value = serde_json::from_str(&habits.to_json().unwrap()).unwrap();
+    let mut paths = Vec::new();
+    numbers(&export, "", &mut paths);
+    let hostile = ["-1", "0", "1e-300", "0.5", "3e38", "1e39", "1e308", "65535", "4294967295", "18446744073709551615"];
+    let (mut refused, mut taken) = (0, 0);
+    // Of numbers that differ in their place in a list alone, some.
+    let mut alike: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for path in paths {
+        alike.entry(path.replace(|c: char| c.is_ascii_digit(), "")).or_default().push(path);
+    }
+    let mut tried = Vec::new();
+    for paths in alike.values() {
+        for path in paths.iter().step_by(paths.len().div_ceil(4)) {
+            for number in hostile {
+                let mut other = export.clone();
+                *other.pointer_mut(path).unwrap() = serde_json::from_str(number).unwrap();
+                tried.push((format!("{path} = {number}"), other));
+            }
+        }
+    }
+    let mut twice = export.clone();
+    let row = twice["rows"][0].clone();
+    twice["rows"].as_array_mut().unwrap().push(row);
+    tried.push(("a row twice".to_owned(), twice));
+    let mut twice = export.clone();
+    let count = twice["rows"][0]["counts"][0].clone();
+    twice["rows"][0]["counts"].as_array_mut().unwrap().push(count);
+    tried.push(("a symbol twice".to_owned(), twice));
+    for (what, json) in tried {
+        let Ok(mut habits) = Habits::from_json(HabitsOptions::default(), &json.to_string()) else {
+            refused += 1;
+            continue;
+        };
+        taken += 1;
+        habits.bind(words(&LABELS), words(&ROOMS), shares());
+        let (mut p, mut set) = (Vec::new(), Vec::new());
+        let sums_to_one = |p: &[f64]| (p.iter().sum::<f64>() - 1.0).abs() < 1e-6 && p.iter().all(|p| *p >= 0.0);
+        for minute in 0..70 {
+            let at_s = MONDAY_S + 20.0 * DAY_S + 60.0 * f64::from(minute);
+            if minute % 20 == 0 {
+                habits.observe(&turn(3, minute as usize / 20, at_s));
+                assert!(sums_to_one(habits.mix(3, at_s, &[0.2; 5])), "{what}");
+                assert!(sums_to_one(habits.next_rooms(3, at_s, &[1.0 / 3.0; 3])), "{what}");
+            }
+            habits.tick(3, at_s, &mut |_, p| p.fill(0.25));
+            habits.at(3, at_s, 900.0, &[0.25; 4], &mut p);
+            assert!(sums_to_one(&p), "{what}: {p:?}");
+            habits.room_set(3, 900.0, &p, &mut set);
+            assert!(set.contains(&true) && (habits.observations(3) as f32).is_finite(), "{what}");
+        }
+        // What is written then can be read.
+        assert!(Habits::from_bytes(HabitsOptions::default(), &habits.to_bytes()).is_ok(), "{what}");
+    }
+    assert!(refused > 100 && taken > 100, "{refused} refused, {taken} taken");
+}
+
+/// Whoever changes rooms twice between two looks was, a minute after the forecast, where they were then.
+#[test]
+fn where_somebody_was_is_known_until_they_go_on() {
+    let mut habits = home(HabitsOptions::default());
+    habits.be(0, Place::Room(0), MONDAY_S);
+    habits.tick(0, MONDAY_S, &mut |_, p| p.fill(0.25));
+    // The minute is over at 60 s.
+    habits.be(0, Place::Room(1), MONDAY_S + 70.0);
+    habits.be(0, Place::Room(2), MONDAY_S + 90.0);
+    habits.tick(0, MONDAY_S + 110.0, &mut |_, p| p.fill(0.25));
+    let anchor = &habits.persons[0].stays.anchors[0];
+    assert_eq!((anchor.stayed, anchor.sampled), (2.0, 3.0));
+}
+
 /// What version 2 exported after six days of a bed, a fridge and a sofa, each anchor with its first 24 scores.
 #[test]
 fn what_version_2_learned_is_still_known() {

@@ -177,7 +177,8 @@ pub struct Board<M> {
     said: BTreeMap<u32, Vec<f64>>,
     /// Changes when somebody is forgotten, whom nobody who works ahead may know any more.
     forgotten: u64,
-    /// Steps that asked the model, and what of these and of the forgetting was told to whoever works ahead.
+    /// Grows with each step that asked the model, and with each person whose answers went with them; and what of this and of the forgetting was told to
+    /// whoever works ahead.
     askings: u64,
     told_ahead: (u64, u64),
     prepared: PreparedTally,
@@ -389,6 +390,10 @@ impl<M: LanguageModel> Board<M> {
         for seen in &self.seen[..unwatched] {
             let own = self.followed.get(&seen.person);
             self.home.next_is(seen.name, seen.person, !self.persons.is_visitor(seen.person));
+            if seen.is_sentence && seen.words.is_empty() && seen.presence == Presence::Present {
+                // As where it is followed: it says nothing of where they are.
+                continue;
+            }
             if let Some(own) = own.filter(|_| seen.is_sentence && seen.presence == Presence::Present) {
                 let label = turned_to(self.mentions.last(&seen.words));
                 self.home.turned(seen.person, seen.at_ns, label, own);
@@ -630,6 +635,7 @@ impl<M: LanguageModel> Board<M> {
 
     fn drop_person(&mut self, person: u32) {
         self.pipeline.forget_person(person);
+        self.askings += 1;
         self.followed.remove(&person);
         self.home.lose(person);
     }
@@ -813,6 +819,7 @@ impl<M: LanguageModel> Board<M> {
         self.lapse(now_ns);
         if let Err(error) = self.pipeline.score() {
             self.snapshot.flags |= score_flags::SCORER_FAILED;
+            self.count_prepared();
             return Err(error);
         }
         self.adopt_map(now_ns, now_unix_ns);

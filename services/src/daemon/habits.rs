@@ -452,13 +452,14 @@ impl HomeHabits {
             let horizons_s = horizons_s.map(f64::from);
             let Ahead { probability, shares, sets, .. } = ahead;
             self.memory.habits.at_times(person, (now_s, &horizons_s), &self.shipped, probability, shares);
-            for (p, shipped) in probability.iter_mut().zip(&self.shipped) {
-                *p = sure * *p + (1.0 - sure) * shipped;
-            }
+            // What sets promise was learned from forecasts of whoever is where habits have them.
             sets.clear();
             for (row, horizon_s) in probability.chunks_exact(places).zip(horizons_s) {
                 self.memory.habits.room_set(person, horizon_s, row, &mut self.held);
                 sets.push(PlaceSet::of(&self.held));
+            }
+            for (p, shipped) in probability.iter_mut().zip(&self.shipped) {
+                *p = sure * *p + (1.0 - sure) * shipped;
             }
             (ahead.sure, ahead.of) = (sure, Some(of));
         }
@@ -493,7 +494,7 @@ impl HomeHabits {
         self.memory.habits.explain_room(person, room)
     }
 
-    /// How many observations of a person the habits rest on; older ones count less.
+    /// How many observations of a person the habits rest on.
     pub(super) fn observations_of(&self, person: u32) -> f64 {
         self.memory.habits.observations(person)
     }

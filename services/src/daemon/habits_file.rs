@@ -44,6 +44,8 @@ impl HabitsFile {
     pub fn load(directory: &Path, options: HabitsOptions) -> (Self, Memory) {
         let path = directory.join(FILE);
         let mut unusable = false;
+        // A directory that cannot be written is told of where something is to be written.
+        let _removed = state_file::remove_unfinished(&path);
         let read = match state_file::read_bytes(&path, BYTES_MAX as u64 + 24 * u64::from(NAMES_MAX) + 24) {
             Ok(bytes) => Ok(bytes.map(|bytes| decode_memory(&bytes, options))),
             Err(error) if error.kind() == io::ErrorKind::FileTooLarge => Ok(Some(Err(error.to_string()))),
@@ -90,9 +92,11 @@ impl HabitsFile {
     /// # Errors
     /// When the state directory cannot be written.
     pub(crate) fn remove_aside(&self) -> io::Result<()> {
-        match fs::remove_file(self.directory.join(ASIDE)) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-            _ => Ok(()),
+        let aside = self.directory.join(ASIDE);
+        match fs::remove_file(&aside) {
+            Ok(()) => state_file::sync_folder(&aside),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+            Err(error) => Err(error),
         }
     }
 }

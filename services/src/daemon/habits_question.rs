@@ -185,6 +185,8 @@ pub(super) fn answer<M: LanguageModel>(
                     "nothing was learned of {who:?}: `roomcast habits show` says of whom something was"
                 ));
             }
+            // Whoever guesses what comes next has heard what they did.
+            board.forget_ahead();
             after = After::Forget;
             Ok(())
         }

@@ -86,6 +86,8 @@ pub(super) struct Scoring<M> {
     step_ns: u64,
     /// Whoever scores ahead; none where nothing is prepared.
     desk: Option<Desk>,
+    /// It was interrupted since it was told what is so.
+    is_interrupted: bool,
     /// Until when what waits for silence waits.
     quiet_ns: u64,
     /// There is something to tidy up.
@@ -133,6 +135,7 @@ impl<M: LanguageModel> Scoring<M> {
             inbox,
             step_ns: u64::MAX,
             desk,
+            is_interrupted: false,
             quiet_ns: 0,
             is_untidy: false,
             sentence_tokens_max,
@@ -276,6 +279,7 @@ impl<M: LanguageModel> Scoring<M> {
         let Some(desk) = &self.desk else { return };
         if is_event {
             desk.interrupt();
+            self.is_interrupted = true;
         }
         let board = self.cycle.board_mut();
         desk.answers().for_each(|answer| board.keep_answer(answer));
@@ -283,7 +287,8 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Whether there is something to look ahead from.
     fn is_ahead_due(&self) -> bool {
-        self.desk.is_some() && self.cycle.board().is_ahead_due()
+        let board = self.cycle.board();
+        self.desk.is_some() && board.is_scored() && (self.is_interrupted || board.is_ahead_due())
     }
 
     /// How long until what waits for silence is done.
@@ -299,8 +304,11 @@ impl<M: LanguageModel> Scoring<M> {
         }
         if self.is_untidy {
             self.is_untidy = self.cycle.tidy();
-        } else if let Some(desk) = &self.desk {
+        } else if self.is_ahead_due()
+            && let Some(desk) = &self.desk
+        {
             desk.look(self.cycle.board_mut().now());
+            self.is_interrupted = false;
         }
     }
 

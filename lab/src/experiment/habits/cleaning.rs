@@ -71,6 +71,8 @@ struct Robot {
     avoids_sets: bool,
     policy: CoverageAware,
     covered: Vec<bool>,
+    /// Of the round that goes on, which counts when it ends: a robot that puts rooms off pays for them in the same round.
+    round: Sums,
     days: Vec<Sums>,
 }
 
@@ -119,6 +121,7 @@ impl Cleaning {
             avoids_sets: rule == "avoids-sets",
             policy: if rule == "always-covers" { CoverageAware::clairvoyant() } else { CoverageAware::new(None) },
             covered: vec![false; rooms],
+            round: Sums::default(),
             days: Vec::new(),
         };
         let robots = ROBOTS.into_iter().map(robot).collect();
@@ -128,7 +131,10 @@ impl Cleaning {
     /// Nobody watched until now: a round begins.
     pub(crate) fn begin(&mut self) {
         (self.stay, self.next_s) = (0, f64::NEG_INFINITY);
-        self.robots.iter_mut().for_each(|robot| robot.covered.fill(false));
+        for robot in &mut self.robots {
+            robot.covered.fill(false);
+            robot.round = Sums::default();
+        }
     }
 
     /// Whether the next stay begins, one that ends while the home is watched; and how many are left of the round.
@@ -158,7 +164,7 @@ impl Cleaning {
             if robot.days.len() <= day {
                 robot.days.resize(day + 1, Sums::default());
             }
-            let sums = &mut robot.days[day];
+            let sums = &mut robot.round;
             sums.worked_s += STAY_S;
             if let Some(room) = chosen.map(|choice| choice.partition.0 as usize) {
                 sums.disturbed_s += trace.time_in(room, now_s, now_s + STAY_S);
@@ -170,8 +176,8 @@ impl Cleaning {
             self.stay = 0;
             for robot in &mut self.robots {
                 let covered = robot.covered.iter().filter(|covered| **covered).count();
-                robot.days[day].covered += covered as f64;
-                robot.days[day].rooms += rooms as f64;
+                let Sums { disturbed_s, worked_s, .. } = std::mem::take(&mut robot.round);
+                robot.days[day].add(&Sums { disturbed_s, worked_s, covered: covered as f64, rooms: rooms as f64 });
                 robot.covered.fill(false);
             }
         }

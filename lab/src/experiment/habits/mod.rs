@@ -228,6 +228,15 @@ pub fn bound(options: HabitsOptions, grounding: &Grounding) -> Habits {
     habits
 }
 
+/// A predictor's probabilities.
+#[derive(Clone, Default)]
+struct Forecast {
+    objects: Vec<f64>,
+    rooms: Vec<f64>,
+    /// Of another thing than the last, where who forecasts that is not who forecasts any.
+    another: Option<Vec<f64>>,
+}
+
 /// A case that waits for what comes next.
 struct Case {
     day: usize,
@@ -236,8 +245,7 @@ struct Case {
     last: Option<usize>,
     /// Whether something was mentioned since.
     mentioned: bool,
-    /// Per predictor its probabilities of objects and of rooms.
-    forecasts: Vec<(Vec<f64>, Vec<f64>)>,
+    forecasts: Vec<Forecast>,
 }
 
 /// Chains of one kind of symbols, and those who guess that nobody moves.
@@ -319,10 +327,13 @@ struct Watch<'a> {
     forecaster: Forecaster,
     baselines: Baselines,
     objects: Others,
+    /// The same over things that differ from the one before.
+    turns: Others,
     next_rooms: Others,
     horizons: Vec<Horizon>,
-    /// The last things, the latest first.
+    /// The last things, the latest first, and those that differ from the one before.
     context: Vec<u32>,
+    turned: Vec<u32>,
     /// The last places, the latest first.
     places: Vec<u32>,
     here: Option<usize>,
@@ -353,7 +364,8 @@ impl Watch<'_> {
             self.cases.clear();
         }
         if step.at_s - self.last_s > ACTIVITY_S {
-            self.objects.chains.iter_mut().chain(&mut self.next_rooms.chains).for_each(Chain::forget_cache);
+            let Self { objects, turns, next_rooms, .. } = self;
+            [objects, turns, next_rooms].into_iter().flat_map(|all| &mut all.chains).for_each(Chain::forget_cache);
         }
         self.last_s = step.at_s;
         let turn = Turn { person: PERSON, label: step.label, room: step.room, at_s: step.at_s, mark: 0 };
@@ -366,6 +378,10 @@ impl Watch<'_> {
         if let Some(label) = step.label {
             self.context.insert(0, label as u32);
             self.context.truncate(ORDER_MAX);
+            if self.turned.first() != Some(&(label as u32)) {
+                self.turned.insert(0, label as u32);
+                self.turned.truncate(ORDER_MAX);
+            }
         }
         self.here = step.room.or(self.here);
 
@@ -379,23 +395,24 @@ impl Watch<'_> {
 
         self.forecaster.expect_next(self.grounding, scores, 0);
         let expected = self.forecaster.expected().unwrap_or(&rooms);
-        let mut forecasts = vec![(Vec::new(), Vec::new()); PREDICTORS.len()];
+        let mut forecasts = vec![Forecast::default(); PREDICTORS.len()];
+        let of = |objects, rooms| Forecast { objects, rooms, another: None };
         let mixed = self.mixture.mix(PERSON, step.at_s, &labels).to_vec();
-        forecasts[MIXTURE] = (mixed, self.mixture.next_rooms(PERSON, step.at_s, expected).to_vec());
+        forecasts[MIXTURE] = of(mixed, self.mixture.next_rooms(PERSON, step.at_s, expected).to_vec());
         let even = (vec![1.0 / self.labels as f64; self.labels], vec![1.0 / self.rooms as f64; self.rooms]);
         let learned = self.without_model.mix(PERSON, step.at_s, &even.0).to_vec();
-        forecasts[WITHOUT_MODEL] = (learned, self.without_model.next_rooms(PERSON, step.at_s, &even.1).to_vec());
-        forecasts[MODEL] = (labels, rooms);
+        forecasts[WITHOUT_MODEL] = of(learned, self.without_model.next_rooms(PERSON, step.at_s, &even.1).to_vec());
+        forecasts[MODEL] = of(labels, rooms);
         let stay = self.baselines.stay(self.here, self.rooms);
-        forecasts[STAY] = (self.labels_in(&stay), stay);
+        forecasts[STAY] = of(self.labels_in(&stay), stay);
         let fitted = staying(self.here, self.next_rooms.stayed / self.next_rooms.turned, self.rooms);
-        forecasts[PERSISTENCE] = (self.labels_in(&fitted), fitted);
+        forecasts[PERSISTENCE] = of(self.labels_in(&fitted), fitted);
         for (index, (predictor, _)) in CHAINS.into_iter().enumerate() {
             let mut of_objects = self.objects.chains[index].predict(&self.context, self.labels);
             let mut of_rooms = self.next_rooms.chains[index].predict(&self.context, self.rooms);
-            normalise(&mut of_objects);
-            normalise(&mut of_rooms);
-            forecasts[predictor] = (of_objects, of_rooms);
+            let mut another = self.turns.chains[index].predict(&self.turned, self.labels);
+            [&mut of_objects, &mut of_rooms, &mut another].into_iter().for_each(|p| normalise(p));
+            forecasts[predictor] = Forecast { objects: of_objects, rooms: of_rooms, another: Some(another) };
         }
         let last = self.context.first().map(|label| *label as usize).filter(|_| !step.lacking);
         self.cases.push(Case {
@@ -428,10 +445,11 @@ impl Watch<'_> {
             // What ends an activity that is new, or begins one, is new as well.
             let day = (case.day, case.unseen || step.unseen);
             let another = step.label.filter(|label| case.last != Some(*label));
-            for (predictor, (objects, rooms)) in case.forecasts.iter().enumerate() {
+            for (predictor, Forecast { objects, rooms, another: of_others }) in case.forecasts.iter().enumerate() {
                 if let Some(label) = another {
-                    let others = case.last.map(|last| without(objects, last));
-                    self.tally.add(predictor, OBJECT, day, others.as_ref().unwrap_or(objects), label);
+                    let all = of_others.as_ref().unwrap_or(objects);
+                    let others = case.last.map(|last| without(all, last));
+                    self.tally.add(predictor, OBJECT, day, others.as_ref().unwrap_or(all), label);
                 }
                 if case.mentioned {
                     continue;
@@ -452,6 +470,9 @@ impl Watch<'_> {
         }
         if let Some(label) = step.label {
             self.objects.chains.iter_mut().for_each(|chain| chain.learn(&self.context, label));
+            if self.turned.first() != Some(&(label as u32)) {
+                self.turns.chains.iter_mut().for_each(|chain| chain.learn(&self.turned, label));
+            }
         }
         if let Some(room) = step.room {
             self.next_rooms.chains.iter_mut().for_each(|chain| chain.learn(&self.context, room));
@@ -477,6 +498,10 @@ impl Watch<'_> {
 
     fn tell_place(&mut self, place: usize, from_s: f64) {
         let known = if place < self.rooms { Place::Room(place) } else { Place::Elsewhere };
+        // All are told the same.
+        if let Place::Room(room) = known {
+            self.forecaster.enter(from_s, Some(room));
+        }
         self.mixture.be(PERSON, known, from_s);
         self.without_model.be(PERSON, known, from_s);
     }
@@ -602,6 +627,7 @@ pub fn run<M: LanguageModel>(
         forecaster: Forecaster::new(rooms, options.forecast, first.at_s),
         baselines: Baselines::new(statistics, &mut binder, grounding),
         objects: Others::new(),
+        turns: Others::new(),
         next_rooms: Others::new(),
         horizons: HORIZONS_S
             .iter()
@@ -616,6 +642,7 @@ pub fn run<M: LanguageModel>(
             })
             .collect(),
         context: Vec::new(),
+        turned: Vec::new(),
         places: Vec::new(),
         here: None,
         last_s: f64::NEG_INFINITY,
