@@ -262,7 +262,7 @@ impl Metrics {
         r.register("prepare_seconds", "Time of the processor spent preparing answers", self.prepare_s.clone());
         r.register(
             "habits_observations",
-            "Observations that a person's habits rest on; older ones count less",
+            "Observations that a person's habits rest on",
             self.habits_observations.clone(),
         );
         r.register(

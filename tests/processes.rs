@@ -201,6 +201,40 @@ fn only_the_scoring_thread_has_threads_of_the_decoder() {
     assert_eq!(count(name(process).trim_end()), 1, "{threads:?}");
 }
 
+/// What a sensor tells asks nothing of the model. Answers are prepared on after it.
+#[test]
+fn answers_are_prepared_on_after_an_event_that_asks_nothing() {
+    let mut world = World::new("prepared");
+    let config = world.directory.path().join("roomcast.toml");
+    // Slow enough that there is more to do for the whole of the test.
+    std::fs::write(&config, "[scoring]\nprepare = 256\nprepare_share = 0.03\n").unwrap();
+    world.start(&["daemon", "--config", config.to_str().unwrap()]);
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let narration = node.publisher::<NarrationV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let mut sequence = 0;
+    let mut tell = |person: u32, kind: u32, text: &str| {
+        sequence += 1;
+        let message = NarrationV1::new(kind, text).unwrap();
+        let source = sequence::source_of_name("test");
+        narration.send(&NarrationV1 { source, epoch: 1, sequence, person, ..message }).unwrap();
+        scores_with(&scores, text, |scores| includes(scores, "test", sequence));
+    };
+    tell(7, narration_kind::SENTENCE, "They lie on the bed.");
+    tell(0, narration_kind::SENTENCE, "They open the fridge.");
+    let prepared = |world: &World, more_than: u64| {
+        eventually("more answers", || Some(world.status(&node).prepared).filter(|prepared| *prepared > more_than))
+    };
+    prepared(&world, 0);
+    let asked = world.status(&node).asked;
+    tell(7, narration_kind::PRESENCE, "away");
+    let before = world.status(&node);
+    assert_eq!(before.asked, asked, "it asked nothing");
+    // What was being answered may end; nine more are begun after it.
+    prepared(&world, before.prepared + 9);
+}
+
 #[test]
 fn the_history_survives_a_killed_daemon_and_nothing_is_taken_twice() {
     let mut world = World::new("killed");

@@ -577,7 +577,7 @@ typedef struct RoomcastPersonForecastV1 {
   // Bit h: elsewhere belongs to the set of horizon h.
   // (Offset 260.)
   uint32_t set_elsewhere;
-  // Observations of the person that habits rest on; older ones count less. 0 where nothing was learned.
+  // Observations of the person that habits rest on. 0 where nothing was learned.
   // (Offset 264.)
   float observations;
   // How much of the forecast comes from what was learned of this home, LEARNED_SHARE_S seconds ahead, 0 to 1.
@@ -872,7 +872,7 @@ typedef struct RoomcastStatusResponseV1 {
   // Narrations refused because their tokens do not fit the window.
   // (Offset 408.)
   uint64_t costly;
-  // Observations that the habits rest on; older ones count less.
+  // Observations that the habits rest on.
   // (Offset 416.)
   uint64_t learned;
   // Bytes of memory that the habits take.

@@ -49,7 +49,7 @@ pub const QUESTION_BYTES_MAX: usize = 1 << 20;
 pub const ANSWER_BYTES_MAX: usize = 1 << 16;
 
 /// The answer that says: it lies in the file `NAME_SERVICE.answer` of the root path, with the domain's name and the last part of the
-/// service's. It is replaced whole by the next one that is too long.
+/// service's. Whoever has read it removes it, since it may tell of persons. The next question removes one that nobody has read.
 pub const ANSWER_IN_FILE: &str = r#"{"answer":"in-file"}"#;
 
 const CLIENTS: usize = 8;
@@ -70,8 +70,7 @@ pub struct AnswerPort {
 
 impl Drop for AnswerPort {
     fn drop(&mut self) {
-        // Mostly there is none.
-        let _gone = fs::remove_file(&self.file);
+        self.forget_answer();
     }
 }
 
@@ -93,7 +92,17 @@ impl AnswerPort {
             });
             occupied(node, &factory, &servers, service, "server", 1)
         })?;
-        Ok(Self { server, service, file: node.answer_file(service) })
+        let own = Self { server, service, file: node.answer_file(service) };
+        // A daemon that was killed may have left one.
+        own.forget_answer();
+        Ok(own)
+    }
+
+    /// Removes an answer that was too long for shared memory and that nobody has read.
+    pub fn forget_answer(&self) {
+        // Mostly there is none.
+        let _gone = fs::remove_file(&self.file);
+        let _gone = fs::remove_file(unfinished(&self.file));
     }
 
     /// Answers all questions that wait, each copied out of shared memory and checked; returns how many. What is no text, or too
@@ -115,6 +124,7 @@ impl AnswerPort {
                     .map_err(|error| MessageError::NotUtf8 { field: "question", at: error.valid_up_to() })
             };
             let mut answer = respond(question);
+            self.forget_answer();
             if answer.len() > ANSWER_BYTES_MAX {
                 // Where the disk is full, whoever asks gets no answer; the daemon goes on.
                 if write_whole(&self.file, &answer).is_err() {
@@ -184,7 +194,13 @@ impl QuestionPort {
                 if let Some(answer) = pending.receive().map_err(|error| port(service, "receive", &error))? {
                     let mut copy = answer.payload().to_vec();
                     if copy == ANSWER_IN_FILE.as_bytes() {
-                        copy = fs::read(&self.file).map_err(|error| port(service, "read the answer of", &error))?;
+                        copy = match fs::read(&self.file) {
+                            Ok(long) => long,
+                            // Somebody else has asked and read since: this is asked again.
+                            Err(error) if error.kind() == io::ErrorKind::NotFound => break,
+                            Err(error) => return Err(port(service, "read the answer of", &error)),
+                        };
+                        let _gone = fs::remove_file(&self.file);
                     }
                     return String::from_utf8(copy).map_err(|error| {
                         refused(MessageError::NotUtf8 { field: "answer", at: error.utf8_error().valid_up_to() })
@@ -203,11 +219,13 @@ fn client_of(factory: &Factory) -> Result<Asker, ClientCreateError> {
     client.allocation_strategy(AllocationStrategy::PowerOfTwo).create()
 }
 
+fn unfinished(path: &Path) -> PathBuf {
+    path.with_extension("unfinished")
+}
+
 /// Replaces a file at once, so that nobody reads half of it.
 fn write_whole(path: &Path, text: &str) -> io::Result<()> {
-    let unfinished = path.with_extension("unfinished");
-    // One that a killed daemon left.
-    let _gone = fs::remove_file(&unfinished);
+    let unfinished = unfinished(path);
     let mut file = fs::OpenOptions::new().write(true).create_new(true).mode(0o600).open(&unfinished)?;
     file.write_all(text.as_bytes())?;
     fs::rename(&unfinished, path)

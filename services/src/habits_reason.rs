@@ -64,7 +64,7 @@ pub struct RoomReason {
 pub struct PersonHabits {
     /// Who.
     pub person: u32,
-    /// Observations that were learned from; older ones count less.
+    /// Observations that were learned from.
     pub observations: f64,
     /// The likeliest things to be turned to next, the likeliest first.
     pub things: Vec<ThingReason>,

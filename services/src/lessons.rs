@@ -112,7 +112,7 @@ pub fn board(config: &Config, before: &str, zone: Zone) -> Result<Board<LlamaMod
     let names = config.daemon.state_directory().map(|directory| PersonsFile::load(&directory)).unwrap_or_default();
     let board = Board::new(pipeline, map, config.grounding, 1)?;
     let board = board.with_persons(Persons::new(config.persons.clone(), names)).with_forecast(config.forecast);
-    Ok(board.with_habits(HomeHabits::new(Memory::of(habits), zone)))
+    Ok(board.with_habits(HomeHabits::new(Memory::of(habits), zone).of_the_past()))
 }
 
 /// Tells all of it to a board, in the order of time; gives what it has learned then. `told` hears how many were told.

@@ -68,7 +68,7 @@ enum Action {
 /// What is learned from.
 #[derive(Debug, clap::Args)]
 struct LearnArgs {
-    /// Lines of JSON with `observed_unix_s`, as `roomcast narrate` takes them.
+    /// Lines of JSON with `observed_unix_s`, as `roomcast narrate` takes them; `-` for standard input.
     #[arg(required_unless_present_any = OF_OTHER_KINDS, conflicts_with_all = OF_OTHER_KINDS)]
     lines: Option<PathBuf>,
     /// A sensor log, whose times are local ones.
@@ -130,8 +130,11 @@ pub fn run(args: &Args) -> CommandResult {
             let answer = Asker::new(common)?.ask(&HabitsQuestion::Export)?;
             let text = answer.export.as_deref().unwrap_or_default();
             write(file, text).map_err(|error| {
-                let text = format!("cannot write {}: {error}; give a file that does not exist yet", file.display());
-                Failure::new(exit_code::INPUT, text)
+                let remedy = match error.kind() {
+                    std::io::ErrorKind::AlreadyExists => "give a file that does not exist yet",
+                    _ => "give a file in a folder that can be written",
+                };
+                Failure::new(exit_code::INPUT, format!("cannot write {}: {error}; {remedy}", file.display()))
             })?;
             print(&format!("{} bytes in {}.\n", text.len(), file.display()))
         }
@@ -156,8 +159,10 @@ fn read(file: &Path, most: u64) -> Result<String, Failure> {
         Failure::new(exit_code::INPUT, text)
     };
     let mut text = String::new();
-    let opened = std::fs::File::open(file);
-    let read = opened.and_then(|file| file.take(most + 1).read_to_string(&mut text));
+    let read = match file.as_os_str() == "-" {
+        true => std::io::stdin().take(most + 1).read_to_string(&mut text),
+        false => std::fs::File::open(file).and_then(|file| file.take(most + 1).read_to_string(&mut text)),
+    };
     read.map_err(|error| fault(error.to_string()))?;
     if text.is_empty() || text.len() as u64 > most {
         return Err(fault(format!("it has {} bytes, 1 to {most} are taken", text.len())));
@@ -168,12 +173,15 @@ fn read(file: &Path, most: u64) -> Result<String, Failure> {
 fn import(file: &Path, asker: &Asker) -> CommandResult {
     let text = read(file, IMPORT_BYTES_MAX as u64)?;
     let answer = asker.replace(&text, None)?;
-    imported("Imported", &done(answer)?)
+    let answer =
+        done(answer).map_err(|failure| Failure::new(failure.code, format!("{}: {failure}", file.display())))?;
+    let (observations, persons) = known(&answer);
+    print(&format!("Imported: {observations} observations of {persons}.{}\n", after_restart(&answer)))
 }
 
-fn imported(what: &str, answer: &HabitsAnswer) -> CommandResult {
-    let (counts, persons) = (answer.counts, answer.persons.len());
-    print(&format!("{what}: {counts} counts of {persons} persons.{}\n", after_restart(answer)))
+/// Observations, and persons in words.
+fn known(answer: &HabitsAnswer) -> (f64, String) {
+    (answer.persons.iter().map(|line| line.observations.round()).sum(), super::count(answer.persons.len(), "person"))
 }
 
 /// Learns from a file, beside the daemon, and puts what was learned in place of what the daemon had.
@@ -181,9 +189,11 @@ fn learn(args: &LearnArgs) -> CommandResult {
     /// A home in which something is observed all the time leaves no time for it.
     const ATTEMPTS: usize = 3;
     let _log = logging::init();
-    let (lessons, zone) = lessons_of(args)?;
+    let read = Lessons::of(args)?;
+    read.tell_faults();
+    let Lessons { lessons, zone, faults } = read;
     if lessons.is_empty() {
-        let text = "nothing in it can be learned from: every narration needs a time";
+        let text = "nothing in it can be learned from: it has no narration with a time";
         return Err(Failure::new(exit_code::INPUT, text));
     }
     let (config, _) = args.common.service.load()?;
@@ -202,49 +212,96 @@ fn learn(args: &LearnArgs) -> CommandResult {
         let learned = learned.map_err(failed)?;
         let answer = asker.replace(&learned, Some(before.taken))?;
         if !answer.learned_meanwhile || attempt == ATTEMPTS {
-            return imported("Learned", &done(answer)?);
+            let answer = done(answer)?;
+            let (observations, persons) = known(&answer);
+            let more = observations - known(&before).0;
+            print(&format!(
+                "Learned: {more} observations of {}; {observations} of {persons} now.{}\n",
+                super::count(total, "narration"),
+                after_restart(&answer)
+            ))?;
+            return match faults.len() {
+                0 => Ok(()),
+                lines => Err(Failure::new(exit_code::INPUT, format!("{} left out", super::count(lines, "line")))),
+            };
         }
     }
     Ok(())
 }
 
-/// What was narrated, and in which time zone its times are.
-fn lessons_of(args: &LearnArgs) -> Result<(Vec<Lesson>, Zone), Failure> {
-    let input = |error| Failure::new(exit_code::INPUT, error);
-    let person = args.person.clone().unwrap_or_default();
-    #[cfg(feature = "lab")]
-    if let Some(folder) = &args.days {
-        let days = super::experiment::days(folder)?;
-        let items = day_items(&days, first_day_s(args.first_day.as_deref(), days.len())?, &person);
-        return Ok((Lesson::of_lines(&items).0, Zone::UTC));
+/// What is learned from.
+struct Lessons {
+    lessons: Vec<Lesson>,
+    /// In which its times are.
+    zone: Zone,
+    /// What cannot be learned from, each in words.
+    faults: Vec<String>,
+}
+
+impl Lessons {
+    fn of(args: &LearnArgs) -> Result<Self, Failure> {
+        let input = |error| Failure::new(exit_code::INPUT, error);
+        let person = args.person.clone().unwrap_or_default();
+        #[cfg(feature = "lab")]
+        if let Some(folder) = &args.days {
+            let days = super::experiment::days(folder)?;
+            let items = day_items(&days, first_day_s(args.first_day.as_deref(), days.len())?, &person);
+            return Ok(Self { lessons: Lesson::of_lines(&items).0, zone: Zone::UTC, faults: Vec::new() });
+        }
+        match (&args.sensors, &args.rules, &args.recording, &args.lines) {
+            (Some(log), Some(rules), ..) => {
+                let narrated =
+                    SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, &person)).map_err(input)?;
+                let faults = narrated.items.iter().filter_map(|item| Some(item.as_ref().err()?.to_string())).collect();
+                if narrated.unfit > 0 {
+                    eprintln!("roomcast: no rule fits {} intervals", narrated.unfit);
+                }
+                Ok(Self { lessons: Lesson::of_sensors(&narrated).0, zone: Zone::UTC, faults })
+            }
+            #[cfg(feature = "recordings")]
+            (_, _, Some(recording), _) => {
+                let recording = recording::read(recording).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+                Ok(Self { lessons: Lesson::of_recording(&recording), zone: Zone::local(), faults: Vec::new() })
+            }
+            (.., Some(lines)) => {
+                let (mut items, mut faults) = (Vec::new(), Vec::new());
+                let now_unix_ns = roomcast_ipc::clock::unix_ns();
+                for (number, line) in (1..).zip(read(lines, sensor_log::FILE_BYTES_MAX)?.lines()) {
+                    if line.trim().is_empty() {
+                        continue;
+                    }
+                    match timed_item(line, &person, now_unix_ns) {
+                        Ok(item) => items.push(item),
+                        Err(fault) => faults.push(format!("line {number}: {fault}")),
+                    }
+                }
+                Ok(Self { lessons: Lesson::of_lines(&items).0, zone: Zone::local(), faults })
+            }
+            _ => Err(Failure::new(exit_code::USAGE, "this build reads no recordings; give lines or --sensors")),
+        }
     }
-    let ((lessons, left_out), zone) = match (&args.sensors, &args.rules, &args.recording, &args.lines) {
-        (Some(log), Some(rules), ..) => {
-            let narrated =
-                SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, &person)).map_err(input)?;
-            (Lesson::of_sensors(&narrated), Zone::UTC)
+
+    /// Says what is left out, and why.
+    fn tell_faults(&self) {
+        const TOLD: usize = 20;
+        self.faults.iter().take(TOLD).for_each(|fault| eprintln!("roomcast: {fault}"));
+        if self.faults.len() > TOLD {
+            eprintln!("roomcast: and {} more", self.faults.len() - TOLD);
         }
-        #[cfg(feature = "recordings")]
-        (_, _, Some(recording), _) => {
-            let recording = recording::read(recording).map_err(|error| Failure::new(exit_code::INPUT, error))?;
-            ((Lesson::of_recording(&recording), 0), Zone::local())
-        }
-        (.., Some(lines)) => {
-            let text = read(lines, sensor_log::FILE_BYTES_MAX)?;
-            let items = text.lines().filter(|line| !line.trim().is_empty()).map(|line| line_item(line, &person));
-            let (items, faults): (Vec<_>, Vec<_>) = items.partition(Result::is_ok);
-            let items: Vec<Item> = items.into_iter().flatten().collect();
-            let (lessons, left_out) = Lesson::of_lines(&items);
-            ((lessons, left_out + faults.len()), Zone::local())
-        }
-        _ => return Err(Failure::new(exit_code::USAGE, "this build reads no recordings; give lines or --sensors")),
-    };
-    if left_out > 0 {
-        eprintln!(
-            "roomcast: {left_out} narrations have no time, or say nothing that a daemon takes; they are left out"
-        );
     }
-    Ok((lessons, zone))
+}
+
+/// A line that has a time, not after now; else why not.
+fn timed_item(line: &str, person: &Who, now_unix_ns: u64) -> Result<Item, String> {
+    const AHEAD_NS: u64 = 1_000_000_000;
+    let item = line_item(line, person).map_err(|error| error.to_string())?;
+    match item.observed_unix_ns {
+        None => Err("it has no time: give \"observed_unix_s\"".to_owned()),
+        Some(at_ns) if at_ns > now_unix_ns.saturating_add(AHEAD_NS) => {
+            Err("\"observed_unix_s\" lies ahead; give a time in the past".to_owned())
+        }
+        Some(_) => Ok(item),
+    }
 }
 
 /// When the first of so many days began, in seconds since 1970, local time.

@@ -323,8 +323,10 @@ def test_the_map_is_changed_and_the_moment_told(daemon: Domain) -> None:
 
 def test_an_answer_that_is_too_long_for_shared_memory_is_read_from_its_file(domain: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ports, "_answer", lambda *_: ports._ANSWER_IN_FILE)
-    pathlib.Path(domain.root, f"{domain.prefix}moment.answer").write_text('{"labels": []}')
+    path = pathlib.Path(domain.root, f"{domain.prefix}moment.answer")
+    path.write_text('{"labels": []}')
     assert moment(domain) == {"labels": []}
+    assert not path.exists(), "it may tell of persons"
     with pytest.raises(RoomcastError, match="service roomcast/v1/map-change: the answer in .* cannot be read: No such file.*; ask again"):
         change_map([], domain)
 

@@ -131,7 +131,7 @@ pub struct Shares {
     pub hour: f64,
     /// Of the things in the present room.
     pub staying: f64,
-    /// Observations of this person at all, after the last thing, the last two, the last three; older ones count less.
+    /// Observations of this person at all; and after the last thing, the last two, the last three, of which older ones count less.
     pub observations: [f64; 4],
 }
 
@@ -503,6 +503,14 @@ impl Habits {
             person.last_s += by_s;
             person.stays.shift_clock(by_s);
         }
+    }
+
+    /// The clock was set on by so many seconds, or back, and what was counted before is as old as it was.
+    pub fn shift_counts(&mut self, by_s: f64) {
+        let by_min = (by_s / 60.0) as i64;
+        self.counts.shift_clock(by_min);
+        self.objects.shift_clock(by_min);
+        self.places.shift_clock(by_min);
     }
 
     /// Per label of the map the probability that it is turned to next, from the model's probabilities (which need not sum to one).

@@ -1,5 +1,10 @@
 //! Parts of the day and kinds of day of a wall-clock time.
 
+/// A minute, on a clock that was set on by so many, or back.
+pub(crate) fn shifted(minute: u32, by_min: i64) -> u32 {
+    u32::try_from(i64::from(minute).saturating_add(by_min).max(0)).unwrap_or(u32::MAX)
+}
+
 /// Minutes since 1970 in local time; what is earlier counts as 0.
 pub(crate) fn minute(at_s: f64) -> u32 {
     (at_s / 60.0).clamp(0.0, f64::from(u32::MAX)) as u32

@@ -2,6 +2,8 @@
 
 use std::collections::HashMap;
 
+use super::moment;
+
 /// Longest name that is kept, in bytes; longer ones are learned nothing of.
 const WORD_BYTES_MAX: usize = 256;
 
@@ -54,6 +56,11 @@ impl Words {
         if let Some(seen_min) = self.seen_min.get_mut(usize::from(number)) {
             *seen_min = now_min;
         }
+    }
+
+    /// The clock was set on by so many minutes, or back.
+    pub(crate) fn shift_clock(&mut self, by_min: i64) {
+        self.seen_min.iter_mut().for_each(|seen_min| *seen_min = moment::shifted(*seen_min, by_min));
     }
 
     /// Bytes of the names.

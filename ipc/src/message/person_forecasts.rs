@@ -30,7 +30,7 @@ layout! {
         256 => set_coverage: f32,
         /// Bit h: elsewhere belongs to the set of horizon h.
         260 => set_elsewhere: u32,
-        /// Observations of the person that habits rest on; older ones count less. 0 where nothing was learned.
+        /// Observations of the person that habits rest on. 0 where nothing was learned.
         264 => observations: f32,
         /// How much of the forecast comes from what was learned of this home, [`LEARNED_SHARE_S`] seconds ahead, 0 to 1.
         268 => learned_share: [f32; 3],

@@ -85,7 +85,7 @@ layout! {
         400 => forged: u64,
         /// Narrations refused because their tokens do not fit the window.
         408 => costly: u64,
-        /// Observations that the habits rest on; older ones count less.
+        /// Observations that the habits rest on.
         416 => learned: u64,
         /// Bytes of memory that the habits take.
         424 => habits_bytes: u64,

@@ -44,7 +44,9 @@ pub enum ExperimentError {
         fault: Option<String>,
     },
     /// The programs and the scene have nothing in common.
-    #[error("the scene `{scene}` has none of the programs' objects: give programs for it, or aliases in the scene")]
+    #[error(
+        "the scene `{scene}` has none of the things that are narrated: give programs, days or rules for it, or aliases in the scene"
+    )]
     NothingBound {
         /// The scene's name.
         scene: String,

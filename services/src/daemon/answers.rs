@@ -82,8 +82,9 @@ pub(super) fn answer_about_person<M: LanguageModel>(
         PersonQuestion::Forget { who, .. } => {
             // Of somebody who is known no more the files may still tell.
             let (is_known, person) = (find(board, &who), board.persons().meant(&who));
+            let is_learned = board.habits().persons().iter().any(|(known, _)| *known == person);
             let (left, records) = forget(board, kept, person, &who);
-            if records == 0 { is_known.map(|_| left) } else { Ok(left) }
+            if records == 0 && !is_learned { is_known.map(|_| left) } else { Ok(left) }
         }
     });
     let now_ns = i64::try_from(clock::monotonic_ns()).unwrap_or(i64::MAX);

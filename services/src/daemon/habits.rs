@@ -27,6 +27,8 @@ pub(super) type Name = (u64, u64, u64);
 
 /// A difference between wall clock and monotonic clock that is more than the correction of a clock that runs.
 const CLOCK_SET_S: f64 = 30.0;
+/// What was learned grows older by at most so much while no daemon runs, in seconds.
+const AWAY_S: f64 = 7.0 * 86_400.0;
 /// How often time spent is counted.
 const TICK_NS: u64 = 60_000_000_000;
 /// A room counts as the one where something was done if the person is believed to be there with more than this.
@@ -174,6 +176,7 @@ pub struct HomeHabits {
     memory: Memory,
     learn: bool,
     zone: Zone,
+    is_of_the_past: bool,
     /// The monotonic clock and the local time at the same moment.
     clock: Option<(u64, f64)>,
     /// What comes now was learned by a former run.
@@ -215,6 +218,7 @@ impl HomeHabits {
             learn: memory.habits.options().learn,
             memory,
             zone,
+            is_of_the_past: false,
             clock: None,
             recalling: false,
             next: Next::Nothing,
@@ -232,6 +236,12 @@ impl HomeHabits {
             shipped: Vec::new(),
             held: Vec::new(),
         }
+    }
+
+    /// Learns from the past: between what it is told, whole weeks may lie in which nobody watched, and the clock is right.
+    #[must_use]
+    pub fn of_the_past(self) -> Self {
+        Self { is_of_the_past: true, ..self }
     }
 
     /// Nothing is learned, and nothing is known.
@@ -274,8 +284,15 @@ impl HomeHabits {
             let set_s = local_s - then_s - (now_ns as f64 - then_ns as f64) / 1e9;
             if set_s.abs() > CLOCK_SET_S {
                 self.memory.habits.shift_clock(set_s);
+                if !self.is_of_the_past {
+                    self.memory.habits.shift_counts(set_s);
+                }
                 self.state += 1;
             }
+        } else if self.memory.watched_until_s.is_finite() && !self.is_of_the_past {
+            // Whether nobody watched for long or the clock is wrong, nobody knows; either way the home did not change as much as that.
+            let away_s = local_s - self.memory.watched_until_s;
+            self.memory.habits.shift_counts(away_s - away_s.clamp(0.0, AWAY_S));
         }
         self.clock = Some((now_ns, local_s));
     }

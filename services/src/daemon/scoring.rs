@@ -400,9 +400,10 @@ impl<M: LanguageModel> Scoring<M> {
     /// Answers questions about persons; returns whether somebody was forgotten or has another name.
     fn answer_about_persons(&mut self) -> Result<bool, IpcError> {
         let Self { cycle, answered_persons, ports, journal, keeper, inbox, .. } = self;
+        let Ports { moments, habits_questions, person_questions, .. } = ports;
         let board = cycle.board_mut();
         let mut changed = false;
-        ports.person_questions.answer(|asked| {
+        person_questions.answer(|asked| {
             answered_persons.answer::<PersonQuestion>(asked, |asked| {
                 let changes = asked.as_ref().is_ok_and(|asked| asked.id().is_some());
                 if changes {
@@ -410,6 +411,9 @@ impl<M: LanguageModel> Scoring<M> {
                 }
                 let answer = answer_about_person(board, (journal.as_ref(), keeper.as_ref()), asked);
                 if changes {
+                    // Answers that nobody has read may tell of them.
+                    moments.forget_answer();
+                    habits_questions.forget_answer();
                     changed |= answer.done;
                     let reason = answer.reason.as_deref().map(for_the_log);
                     tracing::info!(done = answer.done, reason, kept = answer.kept, "person");

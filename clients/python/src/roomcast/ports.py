@@ -525,6 +525,8 @@ def ask(node: Node, service: str, question: str, timeout_s: float = 10) -> str:
         path = pathlib.Path(node.domain.root, f"{node.domain.prefix}{service.rsplit('/')[-1]}.answer")
         try:
             answer = path.read_bytes()
+            # It may tell of persons.
+            path.unlink(missing_ok=True)
         except OSError as error:
             raise RoomcastError(f"service {service}: the answer in {path} cannot be read: {error.strerror}; ask again") from error
     try:

@@ -133,6 +133,43 @@ impl House {
     }
 }
 
+/// A machine without a battery for its clock, or somebody who sets the year wrong.
+#[test]
+fn a_start_with_a_wrong_clock_costs_at_most_a_week_of_fading() {
+    const YEAR_NS: u64 = 365 * DAY_S * S;
+    // What is counted, faded to the time of the house.
+    let worth = |house: &House| {
+        let json: serde_json::Value = serde_json::from_str(&house.board.habits().to_json().unwrap()).unwrap();
+        let now_min = ((house.now_ns + house.unix_ns) / S / 60) as f64;
+        let rows = json["rows"].as_array().unwrap().iter().map(|row| {
+            let counts: f64 = row["counts"].as_array().unwrap().iter().map(|count| count[1].as_f64().unwrap()).sum();
+            counts * (-((now_min - row["touched_min"].as_f64().unwrap()) / (60.0 * 1_440.0)).max(0.0)).exp2()
+        });
+        rows.sum::<f64>()
+    };
+    let mut house = House::new(true);
+    (0..5).for_each(|day| house.day(1, day));
+    let right_ns = house.unix_ns;
+    for wrong_ns in [right_ns + YEAR_NS, right_ns - YEAR_NS, BEGIN_NS] {
+        let before = worth(&house);
+        house.unix_ns = wrong_ns;
+        let memory = house.memory();
+        house.restart(memory);
+        house.say(1, (house.now_ns - BEGIN_NS) / S + 60, "They open the fridge.");
+        // The clock is set right while the daemon runs, or before the next start.
+        house.unix_ns = right_ns;
+        if wrong_ns == BEGIN_NS {
+            house.until((house.now_ns - BEGIN_NS) / S + 120);
+        } else {
+            let memory = house.memory();
+            house.restart(memory);
+        }
+        let after = worth(&house);
+        // As much as a week without the daemon.
+        assert!(after > 0.9 * before, "{after} of {before} with a clock of {wrong_ns}");
+    }
+}
+
 /// Who leaves a home that nothing is known of is not back within the minute: rooms say nothing of how long people are out.
 #[test]
 fn who_has_just_left_a_new_home_is_out() {
