@@ -2029,9 +2029,13 @@ fn habits_are_learned_from_lines_with_times() {
         [line(at_s, "They sit on the sofa."), line(at_s + 900.0, "They open the fridge.")].join("\n")
     };
     let file = world.directory.path().join("days.jsonl");
-    std::fs::write(&file, (0..5).map(day).collect::<Vec<_>>().join("\n") + "\nThey have no time.\n").unwrap();
+    let ahead = r#"{"text": "They sit on the sofa.", "observed_unix_s": 4e9, "person": 3}"#;
+    let lines = (0..5).map(day).collect::<Vec<_>>().join("\n") + "\nThey have no time.\n\n" + ahead;
+    std::fs::write(&file, lines).unwrap();
+    // The rest is learned, and what is left out is said.
     let (code, _, errors) = habits(&world, &["learn", file.to_str().unwrap()]);
-    assert!(code == 0 && errors.contains("1 narrations have no time"), "{errors}");
+    let said = errors.contains("line 11: it has no time") && errors.contains("line 13: \"observed_unix_s\" lies ahead");
+    assert!(code == 3 && said && errors.contains("2 lines left out"), "{errors}");
     assert_eq!(learned(&world), 11.0);
     // Without times there is nothing to learn.
     std::fs::write(&file, "They sit on the sofa.\n").unwrap();

@@ -264,6 +264,15 @@ fn questions_in_words_are_answered_at_any_length_or_their_absence_is_said() {
     // Longer than what the ports were made for: they grow.
     let long = "ab".repeat(400_000);
     assert_eq!(client.ask(&long, patience).unwrap(), "ba".repeat(400_000));
+    // What it says may tell of persons: it goes when it was read, and what nobody has read goes with the next question.
+    let files = || std::fs::read_dir(private.domain.root()).unwrap().map(|file| file.unwrap().path());
+    let left =
+        || files().filter(|path| path.extension().is_some_and(|end| end == "answer" || end == "unfinished")).count();
+    assert_eq!(left(), 0);
+    for end in ["answer", "unfinished"] {
+        std::fs::write(private.domain.root().join(format!("{}moment.{end}", private.domain.prefix())), &long).unwrap();
+    }
+    assert_eq!((left(), client.ask("stressed", patience).unwrap(), left()), (2, "desserts".to_owned(), 0));
     let too_long = "a".repeat(question::QUESTION_BYTES_MAX + 1);
     assert!(matches!(client.ask(&too_long, patience), Err(IpcError::Refused { .. })));
     stop.send(()).unwrap();

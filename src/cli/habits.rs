@@ -193,7 +193,7 @@ fn learn(args: &LearnArgs) -> CommandResult {
     read.tell_faults();
     let Lessons { lessons, zone, faults } = read;
     if lessons.is_empty() {
-        let text = "nothing in it can be learned from: it has no narration with a time";
+        let text = "nothing in it can be learned from: it has no narration with a time in the past";
         return Err(Failure::new(exit_code::INPUT, text));
     }
     let (config, _) = args.common.service.load()?;

@@ -55,11 +55,20 @@ impl HabitsFile {
             Ok(None) => None,
             Ok(Some(Ok(memory))) => Some(memory),
             Ok(Some(Err(reason))) => {
-                unusable = fs::rename(&path, directory.join(ASIDE)).is_err();
+                let aside = fs::rename(&path, directory.join(ASIDE));
+                unusable = aside.is_err();
+                let fate = match aside {
+                    Ok(()) => format!("it is set aside as {ASIDE}"),
+                    Err(error) => {
+                        format!(
+                            "it cannot be set aside as {ASIDE} ({error}), so nothing is written until somebody removes both"
+                        )
+                    }
+                };
                 tracing::warn!(
                     reason,
                     path = %path.display(),
-                    "the habits file cannot be used: what was learned of the home is lost, but for what the journal holds; it is set aside as {ASIDE}"
+                    "the habits file cannot be used: what was learned of the home is lost, but for what the journal holds; {fate}"
                 );
                 None
             }
