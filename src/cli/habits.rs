@@ -37,12 +37,13 @@ enum Action {
         json: bool,
     },
     /// Forget what was learned of a person, or all of it.
+    #[command(group(clap::ArgGroup::new("whom").required(true).args(["person", "all"])))]
     Forget {
         /// A name or a number.
-        #[arg(long, value_name = "NAME", required_unless_present = "all")]
+        #[arg(long, value_name = "NAME")]
         person: Option<String>,
         /// Forget everybody.
-        #[arg(long, conflicts_with = "person")]
+        #[arg(long)]
         all: bool,
         #[command(flatten)]
         common: Common,
@@ -67,12 +68,12 @@ enum Action {
 
 /// What is learned from.
 #[derive(Debug, clap::Args)]
+#[command(group(clap::ArgGroup::new("input").required(true).args(INPUTS)))]
 struct LearnArgs {
     /// Lines of JSON with `observed_unix_s`, as `roomcast narrate` takes them; `-` for standard input.
-    #[arg(required_unless_present_any = OF_OTHER_KINDS, conflicts_with_all = OF_OTHER_KINDS)]
     lines: Option<PathBuf>,
     /// A sensor log, whose times are local ones.
-    #[arg(long, value_name = "LOG", requires = "rules", conflicts_with = "recording")]
+    #[arg(long, value_name = "LOG", requires = "rules")]
     sensors: Option<PathBuf>,
     /// The rules that make narration of the sensor log (docs/sensors.md).
     #[arg(long, value_name = "FILE", requires = "sensors")]
@@ -82,7 +83,7 @@ struct LearnArgs {
     recording: Option<PathBuf>,
     /// A folder of days of activities (HOMER+), in the order of their names, whose times are local ones.
     #[cfg(feature = "lab")]
-    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["sensors", "recording"])]
+    #[arg(long, value_name = "FOLDER")]
     days: Option<PathBuf>,
     /// The date of the first of these days; else the last one was yesterday.
     #[cfg(feature = "lab")]
@@ -95,11 +96,11 @@ struct LearnArgs {
     common: Common,
 }
 
-/// What is learned from instead of lines.
+/// What is learned from, one of them.
 #[cfg(feature = "lab")]
-const OF_OTHER_KINDS: [&str; 3] = ["sensors", "recording", "days"];
+const INPUTS: [&str; 4] = ["lines", "sensors", "recording", "days"];
 #[cfg(not(feature = "lab"))]
-const OF_OTHER_KINDS: [&str; 2] = ["sensors", "recording"];
+const INPUTS: [&str; 3] = ["lines", "sensors", "recording"];
 
 /// Options of every action.
 #[derive(Debug, clap::Args)]

@@ -28,9 +28,10 @@ use roomcast_services::sensor_log::{SensorRules, absences};
 
 /// Arguments of `roomcast experiment habits`.
 #[derive(Debug, clap::Args)]
+#[command(group(clap::ArgGroup::new("watched").required(true).args(["days", "sensors"])))]
 pub(super) struct HabitsArgs {
     /// A folder of days (HOMER+), learned in the order of their names.
-    #[arg(long, value_name = "FOLDER", required_unless_present = "sensors", conflicts_with_all = ["sensors", "rules", "presence"])]
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["rules", "presence"])]
     days: Option<PathBuf>,
     /// A log of sensors, as docs/sensors.md describes it.
     #[arg(long, value_name = "LOG", requires = "rules")]
