@@ -422,7 +422,11 @@ fn shown(answer: &HabitsAnswer) -> String {
         let name = name.clone().unwrap_or_default();
         table.add_row([person.to_string(), name, format!("{observations:.0}"), next(), next(), next()]);
     }
-    format!("{text}{table}\nThe last columns say how much of the forecast for then comes from what was learned.\n")
+    text += &format!("{table}\nThe last columns say how much of the forecast for then comes from what was learned.\n");
+    if answer.persons.iter().any(|line| line.forecast.is_empty()) {
+        text += "Of whom they have a -, nothing was observed since the daemon began.\n";
+    }
+    text
 }
 
 #[cfg(test)]
@@ -465,6 +469,7 @@ mod tests {
         let answer = HabitsAnswer { learn: true, counts: 12, persons: vec![line], ..HabitsAnswer::default() };
         let text = shown(&answer);
         assert!(text.starts_with("Learning. 12 counts") && text.contains("ada") && text.contains("42"), "{text}");
+        assert!(text.ends_with("nothing was observed since the daemon began.\n"), "{text}");
         assert!(shown(&HabitsAnswer::default()).contains("Not learning"));
     }
 }
