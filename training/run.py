@@ -40,7 +40,7 @@ from train import Schedule, restore, train
 
 ROOT = Path(__file__).resolve().parent.parent
 VOCABULARY = 6144  # tokens
-# What `--small` trains: a quarter of the parameters and a fifth of the steps: a quarter of an hour on two cores.
+# What `--small` trains, in ten minutes on two cores: a quarter of the parameters, a fifth of the steps.
 SMALL_SHAPE, SMALL_SCHEDULE = Shape(width=192, layers=3, heads=6, feed_forward=512), Schedule(steps=2100, until=1200, dropout=0.1, apart=130)
 DESCRIPTION = (
     "Predicts which object of a home a person turns to next, from a narration of what they just did. "
