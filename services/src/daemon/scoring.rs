@@ -304,9 +304,7 @@ impl<M: LanguageModel> Scoring<M> {
         }
         if self.is_untidy {
             self.is_untidy = self.cycle.tidy();
-        } else if self.is_ahead_due()
-            && let Some(desk) = &self.desk
-        {
+        } else if let Some(desk) = &self.desk {
             desk.look(self.cycle.board_mut().now());
             self.is_interrupted = false;
         }

@@ -519,15 +519,20 @@ def ask(node: Node, service: str, question: str, timeout_s: float = 10) -> str:
         _wake(node, service)
         return pending
 
-    answer = _answer(service, send, lambda answer: bytes(answer.payload().as_memory_view()), 0.5, timeout_s)
-    if answer == _ANSWER_IN_FILE:
-        # It is too long for shared memory.
-        path = pathlib.Path(node.domain.root, f"{node.domain.prefix}{service.rsplit('/')[-1]}.answer")
+    # Too long for shared memory, it lies in a file, which somebody else who has asked may have read and removed: then it is asked again.
+    path = pathlib.Path(node.domain.root, f"{node.domain.prefix}{service.rsplit('/')[-1]}.answer")
+    for tries_left in (2, 1, 0):
+        answer = _answer(service, send, lambda answer: bytes(answer.payload().as_memory_view()), 0.5, timeout_s)
+        if answer != _ANSWER_IN_FILE:
+            break
         try:
             answer = path.read_bytes()
             # It may tell of persons.
             path.unlink(missing_ok=True)
+            break
         except OSError as error:
+            if tries_left and isinstance(error, FileNotFoundError):
+                continue
             raise RoomcastError(f"service {service}: the answer in {path} cannot be read: {error.strerror}; ask again") from error
     try:
         return answer.decode()

@@ -371,6 +371,7 @@ impl Watch<'_> {
         let turn = Turn { person: PERSON, label: step.label, room: step.room, at_s: step.at_s, mark: 0 };
         self.mixture.observe(&turn);
         self.without_model.observe(&turn);
+        self.forecaster.observe(step.at_s, step.label.map(Into::into), self.grounding, &[]);
         // A thing's room is told by its words, a place by the whole trace.
         if let Some((from_s, place)) = self.trace.place_at(step.at_s) {
             self.tell_place(place, from_s.max(step.at_s));
@@ -391,8 +392,6 @@ impl Watch<'_> {
         let mut labels: Vec<f64> = scores.iter().map(|score| (score - greatest).exp()).collect();
         let total: f64 = labels.iter().sum();
         labels.iter_mut().for_each(|p| *p /= total);
-        self.forecaster.observe(step.at_s, step.label.map(Into::into), self.grounding, &[]);
-
         self.forecaster.expect_next(self.grounding, scores, 0);
         let expected = self.forecaster.expected().unwrap_or(&rooms);
         let mut forecasts = vec![Forecast::default(); PREDICTORS.len()];
