@@ -259,8 +259,9 @@ impl Forecaster {
         (self.expected, self.expects, self.sensed) = (None, false, true);
     }
 
-    /// Takes in that nobody is in `room` at `at_s`. It says nothing else: neither that the person was seen, nor that they did anything. Of a
-    /// time before the last observation it says nothing at all.
+    /// Takes in that nobody is in `room` at `at_s`. It says nothing else: neither that the person was seen, nor that they did anything. Who was
+    /// believed to be there has gone on; of others, silence goes on to say that they have not. Of a time before the last observation it says nothing at
+    /// all.
     pub fn exclude(&mut self, at_s: f64, room: usize) {
         // Who is out of the house is in no room.
         if self.away_since_s.is_some() || at_s < self.updated_s || room >= self.belief.len() {
@@ -271,6 +272,12 @@ impl Forecaster {
         let left = |p: f64| mistaken * p * (1.0 - p) / (1.0 - mistaken * p).max(f64::MIN_POSITIVE);
         let empty = |other: usize, p: f64| if other == room { left(p) } else { p };
         let before = likeliest(&self.belief);
+        if before != Some(room) {
+            self.belief[room] = left(self.belief[room]);
+            let total: f64 = self.belief.iter().sum();
+            self.belief.iter_mut().for_each(|p| *p /= total);
+            return;
+        }
         self.update(at_s, 1.0, Some(empty));
         if likeliest(&self.belief) != before {
             self.begin_elsewhere(at_s);
@@ -378,6 +385,34 @@ impl Forecaster {
     pub fn relabel(&mut self, new: &dyn Fn(usize) -> Option<usize>) {
         self.in_use.relabel(new);
         self.object = self.object.and_then(new);
+    }
+
+    /// Takes up a map that has other rooms, too: `new` says which of its `rooms` each old one is. Nobody is believed to be in a new one.
+    pub fn take_rooms(&mut self, new: &[Option<usize>], rooms: usize) {
+        let even = 1.0 / rooms.max(1) as f64;
+        let moved = |old: &[f64]| {
+            let mut own = vec![0.0; rooms];
+            for (room, p) in new.iter().zip(old) {
+                if let Some(own) = room.and_then(|room| own.get_mut(room)) {
+                    *own += p;
+                }
+            }
+            own
+        };
+        let distribution = |old: &[f64]| {
+            let mut own = moved(old);
+            let total: f64 = own.iter().sum();
+            own.iter_mut().for_each(|p| *p = if total > 0.0 { *p / total } else { even });
+            own
+        };
+        (self.belief, self.scores) = (distribution(&self.belief), distribution(&self.scores));
+        let known: Vec<usize> = new.iter().flatten().copied().collect();
+        self.spent_s = moved(&self.spent_s);
+        let fresh = |room: &usize| !known.contains(room);
+        (0..rooms).filter(fresh).for_each(|room| self.spent_s[room] = even * self.options.stay_s);
+        // Where like things were in use is by the rooms before.
+        self.in_use.clear();
+        self.predicted.clear();
     }
 
     /// Per room the probability that the next thing is there, as was expected last; none once the person was told to be in another room.
@@ -533,12 +568,16 @@ impl Mentions {
         self.plain.extend(self.lower.chars().map(|c| if c == '-' { ' ' } else { c }));
         let words = &self.words;
         let announces = |&(start, end): &(usize, usize)| ANNOUNCES.contains(&&self.lower[start..end]);
-        let label = |start: usize, end: usize| {
+        // The label that the words from one to before another name.
+        let label_of = |from: usize, to: usize| {
+            let (start, end) = (words[from].0, words[to - 1].1);
             let plain = || self.label_of_name.get(self.plain[start..end].trim());
             self.label_of_name.get(&self.lower[start..end]).or_else(plain).copied()
         };
+        // The label of the longest name that begins at a word, and where that ends.
         let named = |at: usize| {
-            (1..=WORDS_MAX.min(words.len() - at)).rev().find_map(|length| label(words[at].0, words[at + length - 1].1))
+            let ends = at + 1..=words.len().min(at + WORDS_MAX);
+            ends.rev().find_map(|end| Some((label_of(at, end)?, end)))
         };
         let found = if words.iter().any(announces) {
             (1..words.len()).rev().filter(|at| announces(&words[at - 1])).find_map(|at| Some((at, named(at)?)))
@@ -546,7 +585,10 @@ impl Mentions {
             // The first two words are who does what.
             (2..words.len()).rev().find_map(|at| Some((at, named(at)?)))
         };
-        let (at, label) = found?;
+        let (at, (label, end)) = found?;
+        // "Lily's bed" is no other one: of the names that end here the longest is meant.
+        let longer = (end.saturating_sub(WORDS_MAX).max(1)..at).find_map(|from| Some((from, label_of(from, end)?)));
+        let (at, label) = longer.unwrap_or((at, label));
         let said = |from: usize, to: usize| words[from..to].iter().map(|&(start, end)| &self.lower[start..end]);
         // The room that is left follows its verb: "They leave the mug in the kitchen" leaves no kitchen.
         let before = if announces(&words[at - 1]) { at - 1 } else { at };
@@ -861,6 +903,54 @@ mod tests {
         let away = elsewhere.clone();
         elsewhere.exclude(8.0, bed);
         assert_eq!(elsewhere.at(9.0, 60.0).collect::<Vec<_>>(), away.at(9.0, 60.0).collect::<Vec<_>>());
+    }
+
+    /// An occupancy sensor that says every ten seconds that another room is empty makes nobody leave theirs.
+    #[test]
+    fn of_who_is_in_another_room_an_empty_one_says_nothing() {
+        let (map, grounding) = studio();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let mut silent = Forecaster::new(3, ForecastOptions::default(), 0.0);
+        silent.observe(5.0, mentions.last("They lie on the bed."), &grounding, &[1.0 / 3.0; 3]);
+        let bed = likeliest(silent.belief()).unwrap();
+        let mut told = silent.clone();
+        for at_s in (15..605).step_by(10) {
+            told.exclude(f64::from(at_s), (bed + 1) % 3);
+        }
+        let here = |own: &Forecaster, horizon_s: f64| own.at(605.0, horizon_s).nth(bed).unwrap();
+        for horizon_s in [0.0, 60.0, 900.0] {
+            let (silent, told) = (here(&silent, horizon_s), here(&told, horizon_s));
+            assert!(told >= silent && told < silent + 0.05, "{silent} {told} {horizon_s} s ahead");
+        }
+    }
+
+    #[test]
+    fn a_room_more_moves_nobody() {
+        let (map, grounding) = studio();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let mut own = Forecaster::new(3, ForecastOptions::default(), 0.0);
+        own.observe(5.0, mentions.last("They lie on the bed."), &grounding, &[0.2, 0.3, 0.5]);
+        let (before, scores) = (own.belief().to_vec(), own.expected().unwrap().to_vec());
+        own.take_rooms(&[Some(2), Some(0), Some(3)], 4);
+        assert_eq!(own.belief(), [before[1], 0.0, before[0], before[2]]);
+        assert_eq!(own.expected().unwrap(), [scores[1], 0.0, scores[0], scores[2]]);
+        assert!((own.at(6.0, 900.0).sum::<f64>() - 1.0).abs() < 1e-9 && own.at(6.0, 900.0).nth(1).unwrap() > 0.0);
+        // Where nothing is left of what was believed, nothing is known.
+        own.take_rooms(&[None; 4], 2);
+        assert_eq!(own.belief(), [0.5, 0.5]);
+    }
+
+    #[test]
+    fn a_longer_name_that_ends_with_a_shorter_one_is_meant() {
+        let json =
+            include_str!("../../scenes/studio.json").replacen("\"label\": \"bed\"", "\"label\": \"lily's bed\"", 1);
+        let map = SemanticMap::from_json(&json).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let own = grounding.scored_labels.iter().position(|label| label.text == "lily's bed").unwrap();
+        for sentence in ["Lily makes lily's bed.", "Lily gets out of lily's bed.", "Lily goes to lily's bed."] {
+            assert_eq!(mentions.last(sentence).map(|found| found.label), Some(own), "{sentence}");
+        }
     }
 
     /// A room that is left is where nobody is; what is left in a room, or put down, is none.

@@ -491,7 +491,9 @@ impl<M: LanguageModel> Pipeline<M> {
     #[must_use]
     pub fn token_log_prob_nats(&self, label: usize) -> Option<Vec<f64>> {
         let exact_trie = self.options.method == Method::Trie && self.options.effort == Effort::Exact;
-        if exact_trie && self.persons.len() <= 1 && self.persons.iter().all(|person| person.at_home) {
+        // What was read last may be somebody else's, who was forgotten since.
+        let is_read = |person: &Person| person.at_home && self.read == Some(person.id);
+        if exact_trie && self.persons.len() <= 1 && self.persons.iter().all(is_read) {
             self.scorer.token_log_prob_nats(&self.prepared, label)
         } else {
             None

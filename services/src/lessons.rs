@@ -153,6 +153,8 @@ pub fn teach<M: LanguageModel>(
         };
         board.step([Entry::new(observation, observed_ns)], observed_ns, now_ns)?;
         board.tell_outcomes(|_| {});
+        // As a daemon does once a minute, also while much is narrated.
+        board.tick(observed_ns, now_ns);
         while board.tidy() {}
         told(sequence as usize);
     }

@@ -159,6 +159,8 @@ impl Counts {
         };
         let Row { touched_min, .. } = self.rows[row as usize];
         let factor = self.factor(touched_min, now_min);
+        // What is older than the row fades as if it had been counted then.
+        let weight = weight * f64::from(self.factor(now_min, touched_min));
         let (known, weight) = match factor >= WORTH {
             true => (self.bring_forward(row, symbol), weight as f32 / factor),
             false => (self.decay(row, factor, now_min, symbol), weight as f32),
@@ -502,7 +504,10 @@ mod tests {
                 counts.add(key, symbol, 1.0, minute);
                 let (live_rows, live_entries) = counts.len();
                 prop_assert!(live_rows <= rows && live_entries <= entries);
-                prop_assert!(counts.get(key, minute).is_some_and(|seen| seen.count(symbol) >= 0.9));
+                // What is older than its row is worth less there.
+                let older_min = counts.rows[counts.find(key).unwrap() as usize].touched_min.saturating_sub(minute);
+                let worth = 0.9 * (-f64::from(older_min) / 10_000.0).exp2();
+                prop_assert!(counts.get(key, minute).is_some_and(|seen| seen.count(symbol) >= worth));
             }
             let stored = counts.rows();
             prop_assert_eq!(stored.len(), counts.len().0);

@@ -276,6 +276,7 @@ impl Habits {
     /// Takes up a map: its scored labels and its rooms in words, each name once, and per label and room, row by row, the share of the
     /// label's items that lie there. What was learned by name stays.
     pub fn bind(&mut self, labels: Vec<String>, rooms: Vec<String>, shares: Vec<f64>) {
+        let are_same_rooms = self.frame.rooms == rooms;
         self.frame = Frame::new(labels, rooms, shares);
         for label in 0..self.frame.labels.len() {
             if let Some(number) = self.objects.number(&self.frame.labels[label]) {
@@ -290,8 +291,15 @@ impl Habits {
         for person in &mut self.persons {
             person.objects.forget_forecast();
             person.rooms.forget_forecast();
-            person.stays.forget_forecasts();
+            if !are_same_rooms {
+                person.stays.forget_forecasts();
+            }
         }
+    }
+
+    /// What was forecast is not learned from: nobody will see what comes of it.
+    pub fn drop_waiting(&mut self) {
+        self.persons.iter_mut().for_each(|person| person.stays.forget_forecasts());
     }
 
     /// Takes up the map that a grounding is of: its labels, its rooms by their words (by their ids where several have the same), and what
@@ -659,7 +667,31 @@ impl Habits {
         let Some(at) = self.persons.iter().position(|other| other.number == person) else { return false };
         let slot = self.persons.remove(at).slot;
         self.counts.retain(|key| parts(key).is_some_and(|(_, other, _)| other & SLOT_MASK != slot), |_, _| true);
+        self.date_names();
         true
+    }
+
+    /// Dates names by the counts that are left: what nobody else turned to says nothing of when that was.
+    fn date_names(&mut self) {
+        let (mut objects, mut places) = (vec![0; self.objects.len()], vec![0; self.places.len()]);
+        for (key, touched_min, counts) in self.counts.rows() {
+            let Some((kind, _, after)) = parts(key) else { continue };
+            let is_digest = matches!(kind, Kind::Object4 | Kind::Object5);
+            let of_key = after.into_iter().zip(kind.layout()).filter(|_| !is_digest);
+            let of_counts = counts.iter().map(|(symbol, _)| (*symbol, kind.layout()[3]));
+            for (number, what) in of_key.chain(of_counts) {
+                let seen = match what {
+                    Number::Object => objects.get_mut(usize::from(number)),
+                    Number::Place => places.get_mut(usize::from(number)),
+                    _ => None,
+                };
+                if let Some(seen) = seen {
+                    *seen = touched_min.max(*seen);
+                }
+            }
+        }
+        (0..).zip(objects).for_each(|(number, seen_min)| self.objects.set_seen_min(number, seen_min));
+        (0..).zip(places).for_each(|(number, seen_min)| self.places.set_seen_min(number, seen_min));
     }
 
     fn stored(&self) -> Stored {

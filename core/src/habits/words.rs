@@ -54,7 +54,14 @@ impl Words {
     /// A number was seen.
     pub(crate) fn touch(&mut self, number: u16, now_min: u32) {
         if let Some(seen_min) = self.seen_min.get_mut(usize::from(number)) {
-            *seen_min = now_min;
+            *seen_min = (*seen_min).max(now_min);
+        }
+    }
+
+    /// When a number was seen last.
+    pub(crate) fn set_seen_min(&mut self, number: u16, seen_min: u32) {
+        if let Some(own) = self.seen_min.get_mut(usize::from(number)) {
+            *own = seen_min;
         }
     }
 
@@ -71,7 +78,7 @@ impl Words {
     /// The number of a name, which is new if need be: at the limit in the place of that seen longest ago.
     pub(crate) fn number_of(&mut self, name: &str, now_min: u32) -> Numbered {
         if let Some(number) = self.number(name) {
-            self.seen_min[usize::from(number)] = now_min;
+            self.touch(number, now_min);
             return Numbered::Known(number);
         }
         if name.is_empty() || name.len() > WORD_BYTES_MAX {

@@ -439,23 +439,9 @@ fn is_any_title(word: &str) -> bool {
 }
 
 /// A name's title, if it has one, and the rest: "mrs." and "novak" of "mrs. novak", "grandma" and "edith" of "grandma edith".
-fn titled(name: &str) -> (Option<&str>, &str) {
+pub(super) fn titled(name: &str) -> (Option<&str>, &str) {
     let parts = name.trim().split_once(' ').filter(|(first, _)| is_any_title(first));
     parts.map_or((None, name.trim()), |(title, name)| (Some(title), name.trim_start()))
-}
-
-/// Whether two names may be one person's: they are the same without accents, and their titles are, or one of them has none.
-pub(super) fn may_be_one(one: &str, other: &str) -> bool {
-    let is_same_title = |one: &str, other: &str| {
-        let [one, other] = [one, other].map(|title| title.trim_end_matches('.').to_lowercase());
-        let is_of_a_woman = |title: &String| ["mrs", "ms", "miss"].contains(&title.as_str());
-        one == other || is_of_a_woman(&one) && is_of_a_woman(&other)
-    };
-    let ((one_title, one), (other_title, other)) = (titled(one), titled(other));
-    let may_be_one = one_title.zip(other_title).is_none_or(|(one, other)| is_same_title(one, other));
-    // Most names are not as long.
-    let is_as_long = one.split_whitespace().count() == other.split_whitespace().count();
-    may_be_one && is_as_long && (super::same_name(one, other) || Names::bare(one) == Names::bare(other))
 }
 
 /// Whether a name may be a person's: it is no thing, and no other word.

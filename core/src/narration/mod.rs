@@ -3,8 +3,10 @@
 //! Three kinds of observation become sentences: atomic actions in VirtualHome's notation ([`Action`]), device states
 //! ([`DeviceState`]) and plain sentences of any captioning source ([`Sentence`]). An action is observed when it is complete.
 
-use crate::text::is_hidden;
+use std::collections::HashMap;
 use std::fmt;
+
+use crate::text::is_hidden;
 
 use reading::Fact;
 use several::Holds;
@@ -25,7 +27,7 @@ pub use action::{
     Action, ActionEntry, ActionError, LINE_BYTES_MAX, NAME_BYTES_MAX, OBJECTS_MAX, ObjectRef, table as action_table,
 };
 pub use history::{Histories, History, HistoryLimits, PERSONS_MAX, Voice};
-pub use person::{PERSON_NAME_BYTES_MAX, Pronoun, SOMEBODY, person_number, same_name};
+pub use person::{PERSON_NAME_BYTES_MAX, Pronoun, ReadName, SOMEBODY, person_number, same_name};
 pub use presence::{Presence, PresenceError, PresenceStatement};
 pub use program::{PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
 
@@ -507,6 +509,16 @@ impl Said {
     /// Whom a sentence is about; `is_known` says whether a name is a person's. A statement has names of its own.
     #[must_use]
     pub fn about(&self, mut is_known: impl FnMut(&str) -> bool) -> About {
+        // Many ways to cut a sentence ask for the same few names.
+        let mut asked: HashMap<String, bool> = HashMap::new();
+        let mut is_known = |name: &str| match asked.get(name) {
+            Some(known) => *known,
+            None => {
+                let known = is_known(name);
+                asked.insert(name.to_owned(), known);
+                known
+            }
+        };
         match self {
             Self::Sentence(sentence) => reading::with_plain(sentence.as_str(), |said| {
                 about::about(said, &mut is_known, &|name| is_written_as_a_name(sentence.as_str(), name))
@@ -522,18 +534,13 @@ impl Said {
     /// than "Mrs. Novak".
     #[must_use]
     pub fn may_be_one(one: &str, other: &str) -> bool {
-        clause::may_be_one(one, other)
+        ReadName::new(one).may_be_one(&ReadName::new(other))
     }
 
     /// Whether a sentence that says `name` may mean somebody who is known: also by the first of several names.
     #[must_use]
     pub fn may_mean(known: &str, name: &str) -> bool {
-        Self::may_be_one(known, name) || Self::first_name(known).is_some_and(|first| Self::may_be_one(first, name))
-    }
-
-    /// What somebody of a longer name may be called for short: "Ada" of "Ada Lovelace". None of "Aunt Mary" and "cleaning lady".
-    fn first_name(name: &str) -> Option<&str> {
-        clause::first_name(name)
+        ReadName::new(known).may_be_called(&ReadName::new(name))
     }
 
     /// Whether a name is another word for one person or several: "he", "everybody".
@@ -652,6 +659,29 @@ impl Observation {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    /// A sentence of names and "and" can be cut in hundreds of ways; each asks for the same few names.
+    #[test]
+    fn a_sentence_asks_for_each_name_once() {
+        let names: Vec<String> = "BCDFGHJKLMNPQRSTVWXYZ"
+            .chars()
+            .flat_map(|first| "aeiou".chars().map(move |second| format!("{first}{second}b")))
+            .collect();
+        let mut longest = String::new();
+        for joined in [" and ", ", ", " "] {
+            let mut text = names.join(joined);
+            text.truncate(SENTENCE_BYTES_MAX - 32);
+            longest = format!("{text} opens the fridge.");
+            let said = Said::of(Sentence::new(&longest).unwrap());
+            let mut asked = std::collections::BTreeMap::<String, usize>::new();
+            let _ = said.about(|name| {
+                *asked.entry(name.to_owned()).or_default() += 1;
+                true
+            });
+            assert!(asked.values().all(|times| *times == 1) && asked.len() <= 128, "{joined:?}: {}", asked.len());
+        }
+        assert!(longest.len() > 900);
+    }
 
     #[test]
     fn sentences_are_normalised_or_refused() {

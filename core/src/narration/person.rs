@@ -1,5 +1,8 @@
 //! Who is who: the number of a person who is known by name.
 
+use super::clause;
+use crate::names::Names;
+
 /// Most bytes of a person's name; messages have as many.
 pub const PERSON_NAME_BYTES_MAX: usize = 48;
 
@@ -26,6 +29,72 @@ fn bare(name: &str) -> String {
 #[must_use]
 pub fn same_name(a: &str, b: &str) -> bool {
     bare(a) == bare(b)
+}
+
+/// A name as it is compared with others, read once: who is known is looked up for every word of a sentence.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ReadName {
+    /// The whole of it, as [`same_name`] compares.
+    whole: String,
+    /// Without its title: the same, and without accents; and how many words these are.
+    plain: String,
+    bare: String,
+    words: usize,
+    title: Option<String>,
+    /// What somebody of this name may be called for short.
+    first: Option<Box<ReadName>>,
+}
+
+impl ReadName {
+    /// Reads a name.
+    #[must_use]
+    pub fn new(name: &str) -> Self {
+        let (title, rest) = clause::titled(name);
+        let title = title.map(|title| {
+            let title = title.trim_end_matches('.').to_lowercase();
+            if ["ms", "miss"].contains(&title.as_str()) { "mrs".to_owned() } else { title }
+        });
+        Self {
+            whole: bare(name),
+            plain: bare(rest),
+            bare: Names::bare(rest),
+            words: rest.split_whitespace().count(),
+            title,
+            first: clause::first_name(name).map(|first| Box::new(Self::new(first))),
+        }
+    }
+
+    /// The whole name as it is compared: names are one where this is.
+    #[must_use]
+    pub fn whole(&self) -> &str {
+        &self.whole
+    }
+
+    /// What two names share that may be one person's: one of these is the same in both.
+    #[must_use]
+    pub fn shared(&self) -> [&str; 2] {
+        [&self.plain, &self.bare]
+    }
+
+    /// The same of what somebody of this name may be called for short.
+    #[must_use]
+    pub fn shared_for_short(&self) -> Option<[&str; 2]> {
+        self.first.as_deref().map(Self::shared)
+    }
+
+    /// Whether two names may be one person's: they are the same without accents, and their titles are, or one of them has none: "Zoe" is Zoë, "Mrs.
+    /// Novak" is Ms Novak and Novak, "Grandma Edith" is Edith.
+    #[must_use]
+    pub fn may_be_one(&self, other: &Self) -> bool {
+        let has_title_of = self.title.as_ref().zip(other.title.as_ref()).is_none_or(|(own, other)| own == other);
+        has_title_of && self.words == other.words && (self.plain == other.plain || self.bare == other.bare)
+    }
+
+    /// Whether a sentence that says `name` may mean somebody of this name: also by the first of several.
+    #[must_use]
+    pub fn may_be_called(&self, name: &Self) -> bool {
+        self.may_be_one(name) || self.first.as_ref().is_some_and(|first| first.may_be_one(name))
+    }
 }
 
 /// The number of a name, the same in every process and over restarts, unless the home says otherwise: 32-bit FNV-1a of the trimmed name in

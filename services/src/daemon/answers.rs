@@ -8,6 +8,8 @@ use roomcast_core::scorer::LanguageModel;
 use roomcast_core::text::has_words;
 use roomcast_ipc::clock;
 
+use crate::person_name::check_name;
+
 use super::board::Board;
 use super::habits_file::Keeper;
 use super::journal::JournalHandle;
@@ -83,7 +85,11 @@ pub(super) fn answer_about_person<M: LanguageModel>(
             // Of somebody who is known no more the files may still tell.
             let (is_known, person) = (find(board, &who), board.persons().meant(&who));
             let is_learned = board.habits().persons().iter().any(|(known, _)| *known == person);
-            let (left, records) = forget(board, kept, person, &who);
+            let is_somebody = is_known.is_ok() || is_learned;
+            if !is_somebody && !who.trim().chars().all(char::is_numeric) {
+                check_name(&who)?;
+            }
+            let (left, records) = forget(board, kept, person, &who, is_somebody);
             if records == 0 && !is_learned { is_known.map(|_| left) } else { Ok(left) }
         }
     });
@@ -93,12 +99,14 @@ pub(super) fn answer_about_person<M: LanguageModel>(
     PersonAnswer { done, reason: left, kept, persons: board.persons().lines(now_ns) }
 }
 
-/// Forgets a person, also on the disk; gives what could not be forgotten there, and how many records of the journal were theirs.
+/// Forgets a person, also on the disk; gives what could not be forgotten there, and how many records of the journal were theirs. Of one who is
+/// somebody also what only mentions them: of others that might be any word.
 fn forget<M: LanguageModel>(
     board: &mut Board<M>,
     (journal, keeper): (Option<&JournalHandle>, Option<&Keeper>),
     person: u32,
     who: &str,
+    is_somebody: bool,
 ) -> (Option<String>, usize) {
     let file = board.persons().file().clone();
     let mut names = board.persons().names_of(person);
@@ -122,7 +130,7 @@ fn forget<M: LanguageModel>(
             Said::Sentence(_) => false,
         };
         // What others did to them, and rooms that are called after them, tell of them, too.
-        own || names_them() || names.iter().any(|name| has_words(&text(), name))
+        own || is_somebody && (names_them() || names.iter().any(|name| has_words(&text(), name)))
     };
     board.forget(person);
     let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, FORGET_PATIENCE));

@@ -32,7 +32,8 @@ pub(super) trait Answer: Clone + Serialize {
 fn read<Q: Question>(asked: Result<&str, impl Display>) -> Result<Q, String> {
     let text = asked.map_err(|error| error.to_string())?;
     let parser = &mut serde_json::Deserializer::from_str(text);
-    let question: Q = serde_path_to_error::deserialize(parser).map_err(|error| error.to_string())?;
+    let question: Q = serde_path_to_error::deserialize(&mut *parser).map_err(|error| error.to_string())?;
+    parser.end().map_err(|error| error.to_string())?;
     match question.id().map(str::len) {
         Some(bytes) if bytes > QUESTION_NAME_BYTES_MAX => {
             Err(format!("id has {bytes} bytes, and at most {QUESTION_NAME_BYTES_MAX} are allowed: give a shorter one"))
@@ -81,6 +82,12 @@ impl<T: Answer> Answered<T> {
 }
 
 impl<T> Answered<T> {
+    /// Takes something out of all answers but the last.
+    pub(super) fn cut_before_last(&mut self, cut: impl FnMut(&mut T)) {
+        let before = self.0.len().saturating_sub(1);
+        self.0.iter_mut().take(before).map(|(_, answer)| answer).for_each(cut);
+    }
+
     /// The answer that was given to a question of this name.
     fn get(&self, id: &str) -> Option<&T> {
         self.0.iter().find(|(known, _)| known == id).map(|(_, answer)| answer)

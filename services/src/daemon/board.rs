@@ -25,7 +25,6 @@ use roomcast_core::scorer::LanguageModel;
 use roomcast_core::semantic_map::SemanticMap;
 
 use messages::{NamedRooms, named_rooms};
-use whose::place_words;
 
 mod messages;
 mod whose;
@@ -350,60 +349,24 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// After the first good step with a changed map: the snapshot is of it, and the forecasts too.
-    fn adopt_map(&mut self, now_ns: u64, now_unix_ns: u64) {
+    fn adopt_map(&mut self) {
         let Some(next) = self.next_rooms.take() else { return };
         let (room, room_count) = *next;
         let ids = |rooms: &[RoomV1], count: u32| -> Vec<_> {
             rooms.iter().map(|room| room.id).take(count as usize).collect()
         };
-        let same_rooms = ids(&self.snapshot.room, self.snapshot.room_count) == ids(&room, room_count);
+        let (before, after) = (ids(&self.snapshot.room, self.snapshot.room_count), ids(&room, room_count));
         self.snapshot.map_fingerprint = self.map.fingerprint();
         (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
         *self.forecast = ForecastV1::default();
         self.home.bind(self.pipeline.grounding());
-        if same_rooms {
+        if before == after {
             return;
         }
-        // What was believed of other rooms says nothing of these, but what was observed does.
-        let unwatched = std::mem::take(&mut self.unwatched);
-        self.followed.clear();
-        let grounding = self.pipeline.grounding();
-        for (person, history) in self.pipeline.histories().iter() {
-            let Some(known) = self.persons.get(person) else { continue };
-            let mut own = None;
-            for observation in history.observations() {
-                let Some(at_ns) = observed_at_ns(observation, now_ns, now_unix_ns) else { continue };
-                let own = own.get_or_insert_with(|| follower(grounding, self.options, at_ns));
-                let words = place_words(observation.sentence().unwrap_or_default(), observation);
-                if words.is_empty() {
-                    continue;
-                }
-                let mention = self.mentions.last(words);
-                own.observe(seconds(at_ns), mention, grounding, &[]);
-            }
-            let mut own = own.unwrap_or_else(|| follower(grounding, self.options, known.since_ns));
-            if known.presence == Presence::Away {
-                own.leave(seconds(known.since_ns));
-            }
-            self.followed.insert(person, own);
-        }
-        for seen in &self.seen[..unwatched] {
-            let own = self.followed.get(&seen.person);
-            self.home.next_is(seen.name, seen.person, !self.persons.is_visitor(seen.person));
-            if seen.is_sentence && seen.words.is_empty() && seen.presence == Presence::Present {
-                // As where it is followed: it says nothing of where they are.
-                continue;
-            }
-            if let Some(own) = own.filter(|_| seen.is_sentence && seen.presence == Presence::Present) {
-                let label = turned_to(self.mentions.last(&seen.words));
-                self.home.turned(seen.person, seen.at_ns, label, own);
-            } else {
-                let out = seen.presence != Presence::Present;
-                let room = room_named(&seen.words, &self.map, grounding).filter(|_| !out).map(Whereabouts::Room);
-                let place = if out { Some(Whereabouts::Elsewhere) } else { room };
-                self.home.is_in(seen.person, seen.at_ns, place, own);
-            }
-        }
+        // Where somebody is believed to be stays so; what was observed meanwhile is taken in with the new map.
+        let place = |id| after.iter().position(|other| *other == id);
+        let new: Vec<Option<usize>> = before.into_iter().map(place).collect();
+        self.followed.values_mut().for_each(|own| own.take_rooms(&new, after.len()));
     }
 
     /// Whether the scores are of the map in use: not while a changed map waits for its first ones.
@@ -698,12 +661,17 @@ impl<M: LanguageModel> Board<M> {
         self.seen.truncate(SEEN_KEPT);
     }
 
+    /// Whether habits of a person are learned: not of visitors, nor, where narrators are named, of whom only others have told.
+    fn is_learned_of(&self, person: u32) -> bool {
+        !self.persons.is_visitor(person) && (self.named.is_empty() || self.persons.is_trusted(person))
+    }
+
     /// Takes what was observed into the forecasts.
     fn follow(&mut self) {
         let grounding = self.pipeline.grounding();
         for seen in &self.seen[..std::mem::take(&mut self.unwatched)] {
             let at_s = seconds(seen.at_ns);
-            self.home.next_is(seen.name, seen.person, !self.persons.is_visitor(seen.person));
+            self.home.next_is(seen.name, seen.person, self.is_learned_of(seen.person));
             if seen.presence == Presence::Gone {
                 let own = self.followed.remove(&seen.person);
                 self.home.is_in(seen.person, seen.at_ns, Some(Whereabouts::Elsewhere), own.as_ref());
@@ -822,7 +790,7 @@ impl<M: LanguageModel> Board<M> {
             self.count_prepared();
             return Err(error);
         }
-        self.adopt_map(now_ns, now_unix_ns);
+        self.adopt_map();
         self.home.rescored(&self.rescored);
         self.snapshot.sequence += 1;
         self.snapshot.computed_ns = now_ns;

@@ -2,12 +2,16 @@
 //! journal's progress come in as numbers and messages go out as values, so that the daemon's threads and the simulation of faults
 //! (`tests/simulated.rs`) drive the same code.
 
+use std::collections::VecDeque;
+
 use roomcast_ipc::{IncludedV1, MAX_SOURCES, RoomScoresV1, score_flags};
 
 use super::{Board, Entry, Intake, Recovered};
 use roomcast_core::pipeline::PipelineError;
 use roomcast_core::scorer::LanguageModel;
 
+/// So much narration is taken by one step at most: scores, heartbeats and signs of life do not wait for all of a flood.
+const STEP_ENTRIES_MAX: usize = 512;
 /// A failing scorer is tried again after this.
 const RETRY_NS: u64 = 1_000_000_000;
 
@@ -15,11 +19,11 @@ const RETRY_NS: u64 = 1_000_000_000;
 #[derive(Debug)]
 pub struct Cycle<M> {
     board: Board<M>,
-    /// What the next step takes into the histories.
-    waiting: Vec<Entry>,
-    /// The journal's number of the newest observation entered.
+    /// What the next steps take into the histories, each with its number in the journal, 0 without one.
+    waiting: VecDeque<(Entry, u64)>,
+    /// The journal's number of the newest record that the histories rest on: an observation, or whose one is.
     entered_record: u64,
-    /// The same of the newest observation that the scores contain.
+    /// The same of the newest one that the scores rest on.
     scored_record: u64,
     /// There is something to score: new narration, a step that failed, or nothing scored yet.
     due: bool,
@@ -44,7 +48,7 @@ impl<M: LanguageModel> Cycle<M> {
     pub fn new(board: Board<M>, heartbeat_ns: u64) -> Self {
         Self {
             board,
-            waiting: Vec::new(),
+            waiting: VecDeque::new(),
             entered_record: 0,
             scored_record: 0,
             // The first step scores what the journal gave, or the binding sequence alone.
@@ -77,12 +81,11 @@ impl<M: LanguageModel> Cycle<M> {
 
     /// Takes an accepted observation for the next step; `record` is its number in the journal, 0 without one.
     pub fn enter(&mut self, entry: Entry, record: u64) {
-        self.waiting.push(entry);
-        self.entered_record = record;
+        self.waiting.push_back((entry, record));
         self.due = true;
     }
 
-    /// Observations that the next step will take.
+    /// Observations that no step has taken yet.
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.waiting.len()
@@ -95,14 +98,20 @@ impl<M: LanguageModel> Cycle<M> {
         due && (now_ns >= self.retry_ns || !self.waiting.is_empty())
     }
 
-    /// Scores all that waits in one step.
+    /// Takes what waits in, as much as a step takes at most, and scores once.
     ///
     /// # Errors
     ///
     /// When the model fails. The observations are in the histories all the same, and a later step scores them.
     pub fn step(&mut self, now_ns: u64, now_unix_ns: u64) -> Result<(), PipelineError> {
         let failed_before = self.board.snapshot().has(score_flags::SCORER_FAILED);
-        match self.board.step(self.waiting.drain(..), now_ns, now_unix_ns) {
+        let taken = self.waiting.drain(..self.waiting.len().min(STEP_ENTRIES_MAX));
+        let entered_record = &mut self.entered_record;
+        let entries = taken.map(|(entry, record)| {
+            *entered_record = (*entered_record).max(record);
+            entry
+        });
+        match self.board.step(entries, now_ns, now_unix_ns) {
             Ok(received_ns) => self.received_ns = received_ns,
             Err(error) => {
                 if !failed_before {
@@ -114,7 +123,7 @@ impl<M: LanguageModel> Cycle<M> {
                 return Err(error);
             }
         }
-        self.due = false;
+        self.due = !self.waiting.is_empty();
         self.fresh = true;
         self.scored_record = self.entered_record;
         Ok(())
@@ -123,7 +132,6 @@ impl<M: LanguageModel> Cycle<M> {
     /// The scores rest on a record of the journal beside their narration: they claim nothing before it is written.
     pub fn rests_on(&mut self, record: u64) {
         self.scored_record = self.scored_record.max(record);
-        self.entered_record = self.entered_record.max(record);
     }
 
     /// The journal's number of the newest narration that the scores contain: what [`Cycle::message`] wants written.

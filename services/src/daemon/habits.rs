@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::{
-    Habits, HabitsOptions, Learned, PARTS, Place, RoomShares, Shares, StoredError, Turn, WhenShares,
+    Habits, HabitsOptions, Learned, PARTS, PERSONS_MAX, Place, RoomShares, Shares, StoredError, Turn, WhenShares,
 };
 use roomcast_core::narration::Observation;
 use roomcast_core::pipeline::SOURCES_MAX;
@@ -31,6 +31,8 @@ const CLOCK_SET_S: f64 = 30.0;
 const AWAY_S: f64 = 7.0 * 86_400.0;
 /// How often time spent is counted.
 const TICK_NS: u64 = 60_000_000_000;
+/// Who looked at the clock for so long no more was suspended.
+const ASLEEP_NS: u64 = 5 * TICK_NS;
 /// A room counts as the one where something was done if the person is believed to be there with more than this.
 const SURE: f64 = 0.5;
 
@@ -283,11 +285,19 @@ impl HomeHabits {
         if let Some((then_ns, then_s)) = self.clock {
             let set_s = local_s - then_s - (now_ns as f64 - then_ns as f64) / 1e9;
             if set_s.abs() > CLOCK_SET_S {
+                if self.is_of_the_past {
+                    // Nobody was there to see what came of the last forecasts.
+                    self.memory.habits.drop_waiting();
+                }
                 self.memory.habits.shift_clock(set_s);
                 if !self.is_of_the_past {
                     self.memory.habits.shift_counts(set_s);
                 }
                 self.state += 1;
+            }
+            if now_ns.saturating_sub(then_ns) > ASLEEP_NS && !self.is_of_the_past {
+                // The machine slept, and nobody watched.
+                self.memory.habits.pass(local_s);
             }
         } else if self.memory.watched_until_s.is_finite() && !self.is_of_the_past {
             // Whether nobody watched for long or the clock is wrong, nobody knows; either way the home did not change as much as that.
@@ -340,6 +350,7 @@ impl HomeHabits {
         if new {
             self.newest_of.push(person);
         }
+        let lives_here = lives_here && (self.learn || self.has_room_for(person));
         self.next = match lives_here {
             true if self.learn && new && !self.recalling => Next::Learned,
             true => Next::Recalled,
@@ -348,6 +359,12 @@ impl HomeHabits {
         self.changed |= new && !self.recalling;
         self.taken += u64::from(self.next == Next::Learned);
         self.state += 1;
+    }
+
+    /// Whether a person is known, or nobody would have to be forgotten for them.
+    fn has_room_for(&self, person: u32) -> bool {
+        let habits = &self.memory.habits;
+        habits.persons().count() < PERSONS_MAX || habits.persons().any(|(known, _)| known == person)
     }
 
     /// Somebody did something with the label that was mentioned, if any; `own` knows it already.
@@ -471,12 +488,18 @@ impl HomeHabits {
             self.memory.habits.at_times(person, (now_s, &horizons_s), &self.shipped, probability, shares);
             // What sets promise was learned from forecasts of whoever is where habits have them.
             sets.clear();
-            for (row, horizon_s) in probability.chunks_exact(places).zip(horizons_s) {
-                self.memory.habits.room_set(person, horizon_s, row, &mut self.held);
+            let rows = probability.chunks_exact_mut(places).zip(self.shipped.chunks_exact(places));
+            for ((row, shipped), horizon_s) in rows.zip(horizons_s) {
+                let mixed = |(p, shipped): (&mut f64, &f64)| *p = sure * *p + (1.0 - sure) * shipped;
+                if sure > SURE {
+                    self.memory.habits.room_set(person, horizon_s, row, &mut self.held);
+                }
+                row.iter_mut().zip(shipped).for_each(mixed);
+                // Where they are believed to be elsewhere than habits have them, what is believed counts.
+                if sure <= SURE {
+                    self.memory.habits.room_set(person, horizon_s, row, &mut self.held);
+                }
                 sets.push(PlaceSet::of(&self.held));
-            }
-            for (p, shipped) in probability.iter_mut().zip(&self.shipped) {
-                *p = sure * *p + (1.0 - sure) * shipped;
             }
             (ahead.sure, ahead.of) = (sure, Some(of));
         }

@@ -17,7 +17,7 @@ use crate::logging::Limiter;
 use crate::stop::Stop;
 
 /// Observations that may wait for the scorer.
-const QUEUE: usize = 65_536;
+pub(super) const QUEUE: usize = 65_536;
 /// Messages taken from the port at once: a flood of them must not keep the scorer from its steps.
 const AT_ONCE: usize = 2048;
 /// The relief thread has the inbox at most so long after a step; an event that comes meanwhile wakes both threads.
@@ -181,7 +181,8 @@ impl Lending {
     /// Gives the inbox to the relief thread until [`Lending::call_back`], if it does not have it already.
     pub(super) fn lend(&mut self) {
         self.busy.store(true, Ordering::Release);
-        if let Some(inbox) = self.own.take() {
+        // It may have come back unnoticed, while something else did.
+        if let Some(inbox) = self.own.take().or_else(|| self.from_relief.try_recv().ok()) {
             // It fails only when the relief thread is gone, and the main thread sees that too.
             let _handed = self.to_relief.send(inbox);
         }

@@ -316,7 +316,7 @@ fn supervise(
     threads: Threads,
 ) -> Result<(), DaemonError> {
     let Threads { scoring, relief, ahead } = threads;
-    let mut cleaned_ns = 0;
+    let (mut cleaned_ns, mut was_still) = (0, false);
     while !stop.requested() {
         let name = select! {
             recv(ended) -> name => name.ok(),
@@ -339,9 +339,12 @@ fn supervise(
         }
         let now_ns = clock::monotonic_ns();
         let (name, still_ns) = progress_ns.slowest(now_ns);
-        if still_ns > config.daemon.hang_s.saturating_mul(1_000_000_000) {
+        let is_still = still_ns > config.daemon.hang_s.saturating_mul(1_000_000_000);
+        // After a suspension nobody has moved for long: whoever has not moved by the next look either hangs.
+        if is_still && std::mem::replace(&mut was_still, is_still) {
             return Err(DaemonError::Hung { name, seconds: still_ns / 1_000_000_000 });
         }
+        was_still = is_still;
         notify(&[NotifyState::Watchdog]);
         if now_ns.saturating_sub(cleaned_ns) >= CLEAN_UP_NS {
             node.clean_up_dead();

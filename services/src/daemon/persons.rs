@@ -5,7 +5,8 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use roomcast_core::narration::{
-    About, Observation, PERSONS_MAX, Presence, PresenceStatement, Pronoun, SOMEBODY, Said, Voice, same_name,
+    About, Observation, PERSONS_MAX, Presence, PresenceStatement, Pronoun, ReadName, SOMEBODY, Said, Voice,
+    person_number,
 };
 use roomcast_core::text::has_words;
 use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
@@ -20,6 +21,9 @@ const NIGHT_NS: i64 = 12 * 3_600_000_000_000;
 
 /// What was observed so long before the newest observation of its person says nothing of where they are, nor of what they do next.
 const LATE_NS: i64 = 60_000_000_000;
+
+/// Times of one source that are out of its order by no more are the errors of its clock, or of the way that they came.
+const ORDER_NS: i64 = 1_000_000_000;
 
 /// So long "he" and "she" mean whom their source told of last by name.
 const PRONOUN_NS: i64 = 60_000_000_000;
@@ -44,11 +48,24 @@ pub(super) fn sleeps(sentence: &str) -> Option<bool> {
     if says(&WAKES) { Some(false) } else { says(&SLEEPS).then_some(true) }
 }
 
+/// A person's name, and how it is compared with others.
+#[derive(Debug, Clone, PartialEq)]
+struct Name {
+    said: Box<str>,
+    read: ReadName,
+}
+
+impl Name {
+    fn new(said: &str) -> Self {
+        Self { said: said.into(), read: ReadName::new(said) }
+    }
+}
+
 /// What is known of a person beside their narration and where they will be.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Known {
     /// As narrators call them.
-    name: Option<Box<str>>,
+    name: Option<Name>,
     pub(super) presence: Presence,
     /// Since when that holds.
     pub(super) since_ns: i64,
@@ -124,6 +141,9 @@ pub(super) type Teller = (bool, u64);
 #[derive(Debug, Default)]
 pub struct Persons {
     config: PersonsConfig,
+    /// The configuration's names, read.
+    residents: Vec<ReadName>,
+    not_persons: Vec<ReadName>,
     file: PersonsFile,
     known: BTreeMap<u32, Known>,
     /// Whom sources told of by name last, and when; newest last.
@@ -134,7 +154,9 @@ impl Persons {
     /// Nobody yet; `file` says which names are whose.
     #[must_use]
     pub fn new(config: PersonsConfig, file: PersonsFile) -> Self {
-        Self { config, file, known: BTreeMap::new(), told_of: VecDeque::new() }
+        let read = |names: &[String]| names.iter().map(|name| ReadName::new(name)).collect();
+        let (residents, not_persons) = (read(&config.residents), read(&config.not_persons));
+        Self { config, residents, not_persons, file, known: BTreeMap::new(), told_of: VecDeque::new() }
     }
 
     /// Persons by number, who are gone too, until they were told.
@@ -155,7 +177,11 @@ impl Persons {
     /// The number of a name: the one that the home gave it, or the one that follows from the name.
     #[must_use]
     pub fn number_of(&self, name: &str) -> u32 {
-        let number = self.file.number_of(name);
+        self.number_of_read(&ReadName::new(name))
+    }
+
+    fn number_of_read(&self, name: &ReadName) -> u32 {
+        let number = self.file.given_number(name).unwrap_or_else(|| person_number(name.whole()));
         if self.is_number_named(number) || self.lives_here(name) {
             return number;
         }
@@ -168,36 +194,43 @@ impl Persons {
         self.known.get(&number).is_some_and(|known| known.name.is_some()) || self.file.of_number(number).is_some()
     }
 
-    fn lives_here(&self, name: &str) -> bool {
-        self.config.residents.iter().any(|resident| same_name(resident, name))
+    fn lives_here(&self, name: &ReadName) -> bool {
+        self.residents.iter().any(|resident| resident.whole() == name.whole())
     }
 
     /// Whose name differs by accents or a title alone: "Zoe" is Zoë, "Mrs. Novak" is Novak, and "Grandma Edith" Edith.
-    fn alike(&self, name: &str) -> BTreeSet<u32> {
-        self.numbers_where(|known| Said::may_be_one(known, name))
+    fn alike(&self, name: &ReadName) -> BTreeSet<u32> {
+        self.numbers_where(name, |known| known.may_be_one(name))
     }
 
-    /// The numbers of those whose names are such.
-    fn numbers_where(&self, is_such: impl Fn(&str) -> bool) -> BTreeSet<u32> {
-        let of_known = self.known.values().filter_map(|known| known.name.as_deref());
-        let of_file = self.file.persons().iter().map(|kept| kept.name.as_str());
-        let names = of_known.chain(of_file).chain(self.config.residents.iter().map(String::as_str));
-        names.filter(|known| is_such(known)).map(|known| self.file.number_of(known)).collect()
+    /// The numbers of those whose names are such, of all that may be meant by `name`.
+    fn numbers_where(&self, name: &ReadName, is_such: impl Fn(&ReadName) -> bool) -> BTreeSet<u32> {
+        // Whoever is known by a name has the number that they are known by, unless the home gave the name to somebody.
+        let number = |read: &ReadName, own: u32| self.file.given_number(read).unwrap_or(own);
+        let named = self.known.iter().filter_map(|(own, known)| Some((*own, &known.name.as_ref()?.read)));
+        let residents = self.config.residents.iter().zip(&self.residents);
+        let all = named.chain(self.file.sharing(name)).filter(|(_, read)| is_such(read));
+        let of_residents = residents.filter(|(_, read)| is_such(read));
+        all.map(|(own, read)| number(read, own))
+            .chain(of_residents.map(|(who, read)| number(read, person_number(who))))
+            .collect()
     }
 
     /// Whose first name it is, of those who go by a longer one.
-    fn first_named(&self, name: &str) -> BTreeSet<u32> {
-        self.numbers_where(|known| !name.contains(' ') && known.contains(' ') && Said::may_mean(known, name))
+    fn first_named(&self, name: &ReadName) -> BTreeSet<u32> {
+        let is_short = !name.whole().contains(' ');
+        self.numbers_where(name, |known| is_short && known.whole().contains(' ') && known.may_be_called(name))
     }
 
     /// The number of whom a sentence calls by a name: also of the one person whose first name it is. None where it may be several.
     fn called(&self, name: &str) -> Option<u32> {
-        if self.is_name_known(name) {
-            return Some(self.number_of(name));
+        let read = ReadName::new(name);
+        if self.is_read_known(&read) {
+            return Some(self.number_of_read(&read));
         }
         let guests = if Said::is_guest(name) { self.guests() } else { BTreeSet::new() };
-        let mut numbers = self.alike(name).into_iter().chain(self.first_named(name)).chain(guests);
-        let number = numbers.next().unwrap_or_else(|| self.number_of(name));
+        let mut numbers = self.alike(&read).into_iter().chain(self.first_named(&read)).chain(guests);
+        let number = numbers.next().unwrap_or_else(|| self.number_of_read(&read));
         numbers.next().is_none().then_some(number)
     }
 
@@ -210,16 +243,17 @@ impl Persons {
 
     /// Whether a sentence may call somebody so who is known, has the name here, or lives here.
     pub(super) fn is_called(&self, name: &str) -> bool {
-        self.is_name_known(name)
-            || !self.alike(name).is_empty()
-            || !self.first_named(name).is_empty()
+        let read = ReadName::new(name);
+        self.is_read_known(&read)
+            || !self.alike(&read).is_empty()
+            || !self.first_named(&read).is_empty()
             || Said::is_guest(name) && !self.guests().is_empty()
     }
 
     /// A person's name; none where only a number is known.
     #[must_use]
     pub fn name_of(&self, number: u32) -> Option<&str> {
-        let told = || self.known.get(&number)?.name.as_deref();
+        let told = || Some(&*self.known.get(&number)?.name.as_ref()?.said);
         let is_listed = |who: &&String| who.parse::<u32>().is_err() && self.number_of(who) == number;
         let listed = || self.config.residents.iter().find(is_listed).map(String::as_str);
         self.file.of_number(number).map(|kept| kept.name.as_str()).or_else(told).or_else(listed)
@@ -228,12 +262,14 @@ impl Persons {
     /// Whether a person is not of the household. Without a list of residents everybody is of it.
     #[must_use]
     pub fn is_visitor(&self, number: u32) -> bool {
-        let listed = |resident: &String| {
-            self.name_of(number).is_some_and(|name| same_name(name, resident))
+        let name = self.name_of(number).map(ReadName::new);
+        let listed = |(resident, read): (&String, &ReadName)| {
+            name.as_ref().is_some_and(|name| name.whole() == read.whole())
                 // A resident who was given another name is still one.
                 || resident.parse().unwrap_or_else(|_| self.number_of(resident)) == number
         };
-        let by_list = || !self.config.residents.is_empty() && !self.config.residents.iter().any(listed);
+        let residents = || self.config.residents.iter().zip(&self.residents);
+        let by_list = || !self.config.residents.is_empty() && !residents().any(listed);
         let kept = self.file.of_number(number).and_then(|kept| kept.resident);
         kept.map_or_else(by_list, |resident| !resident)
     }
@@ -404,6 +440,21 @@ impl Persons {
         self.known.keys().any(|number| self.is_guarded(*number, at_ns))
     }
 
+    /// Whether one has told of a person whose word is guarded.
+    pub(super) fn is_trusted(&self, number: u32) -> bool {
+        self.known.get(&number).is_some_and(Known::is_trusted)
+    }
+
+    /// When an observation was made, of which its time says `at_ns`: what one source says goes in its order, however its times were rounded or came
+    /// over a network.
+    pub(super) fn in_order(&self, observation: &Observation, at_ns: i64) -> i64 {
+        let Some(known) = self.known.get(&observation.person) else { return at_ns };
+        let (source, epoch, sequence) = known.last;
+        let is_next = (source, epoch) == (observation.source, observation.epoch) && sequence <= observation.sequence;
+        let is_near = at_ns.saturating_add(ORDER_NS) >= known.heard_ns;
+        if is_next && is_near { at_ns.max(known.heard_ns) } else { at_ns }
+    }
+
     /// Takes note that one has told of a person whose word is guarded.
     pub(super) fn guard(&mut self, number: u32, at_ns: i64) {
         if let Some(known) = self.known.get_mut(&number) {
@@ -425,9 +476,7 @@ impl Persons {
         if let Some(dropped) = dropped {
             self.known.remove(&dropped);
         }
-        // One who lives here is written as the home writes them.
-        let spelled = |name: &str| self.config.residents.iter().find(|resident| same_name(resident, name));
-        let name = observation.name.as_deref().map(|name| spelled(name).map_or(name, String::as_str));
+        let name = observation.name.as_deref().map(Name::new).map(|name| self.spelled(number, name));
         let known = self.known.entry(number).or_insert_with(|| Known {
             name: None,
             presence: Presence::Unknown,
@@ -444,8 +493,8 @@ impl Persons {
             restored: false,
             told: false,
         });
-        if name.is_some() && known.name.as_deref() != name {
-            known.name = name.map(Into::into);
+        if name.is_some() {
+            known.name = name;
         }
         if let Said::Sentence(sentence) = &observation.said {
             known.did_ns = at_ns.max(known.did_ns);
@@ -463,6 +512,20 @@ impl Persons {
         }
         known.on_bed &= presence == Presence::Present;
         dropped
+    }
+
+    /// A person's name as it is written from now on: who lives here as the home writes them; others as they were called first, but for case.
+    fn spelled(&self, number: u32, name: Name) -> Name {
+        let residents = self.config.residents.iter().zip(&self.residents);
+        let is_resident = |who: &str, read: &ReadName| {
+            read.whole() == name.read.whole() || read.may_be_one(&name.read) && self.file.number_of(who) == number
+        };
+        if let Some((who, read)) = residents.into_iter().find(|(who, read)| is_resident(who, read)) {
+            return Name { said: who.as_str().into(), read: read.clone() };
+        }
+        let known = self.known.get(&number).and_then(|known| known.name.as_ref());
+        let is_other = |known: &&Name| known.read.whole() != name.read.whole() && known.read.may_be_one(&name.read);
+        known.filter(is_other).cloned().unwrap_or(name)
     }
 
     /// Whoever was last on a bed is possibly asleep after this silence.
@@ -594,7 +657,8 @@ impl Persons {
 
     /// Whether the home says that a name is no person's.
     fn is_no_person(&self, name: &str) -> bool {
-        self.config.not_persons.iter().any(|other| same_name(other, name))
+        let name = ReadName::new(name);
+        self.not_persons.iter().any(|other| other.whole() == name.whole())
     }
 
     /// Whom an observation is about: of what the home says is no person, nothing.
@@ -717,7 +781,11 @@ impl Persons {
 
     /// Whether somebody who is known goes by a name, has it here, or lives here.
     pub(super) fn is_name_known(&self, name: &str) -> bool {
-        let number = self.file.number_of(name);
+        self.is_read_known(&ReadName::new(name))
+    }
+
+    fn is_read_known(&self, name: &ReadName) -> bool {
+        let number = self.file.given_number(name).unwrap_or_else(|| person_number(name.whole()));
         self.is_number_named(number) || self.lives_here(name) || self.alike(name).len() == 1
     }
 
@@ -770,7 +838,10 @@ impl Persons {
             return Err(format!("{name} is person {owner} already: forget that one first, or choose another name"));
         }
         // One who lives here does not become another who does.
-        if owner != number && self.lives_here(name) && self.residents().any(|resident| resident == number) {
+        if owner != number
+            && self.lives_here(&ReadName::new(name))
+            && self.residents().any(|resident| resident == number)
+        {
             let own = self.name_of(number).unwrap_or("this person");
             return Err(format!("{name} and {own} both live here by persons.residents: choose another name"));
         }

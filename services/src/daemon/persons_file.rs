@@ -1,13 +1,14 @@
 //! The persons file of the home: which name is whose number, and who lives there. It is written when somebody is renamed, whole or not at
 //! all, and may be written by hand while the daemon is stopped.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use crate::person_name::check_name;
 use crate::state_file;
-use roomcast_core::narration::{SOMEBODY, person_number, same_name};
+use roomcast_core::narration::{ReadName, SOMEBODY, person_number, same_name};
 
 /// The file in the state directory.
 const FILE: &str = "persons.json";
@@ -55,6 +56,42 @@ pub struct PersonsFile {
     /// What somebody wrote there cannot be used, and must not be lost.
     unusable: bool,
     persons: Vec<KeptPerson>,
+    index: Index,
+}
+
+/// Where the persons stand that somebody asks for: a sentence asks for many names, and a home may have ten thousand.
+#[derive(Debug, Default, Clone)]
+struct Index {
+    by_number: HashMap<u32, usize>,
+    /// By all names, as they are compared.
+    by_name: HashMap<String, usize>,
+    /// By the numbers that follow from their names.
+    by_named_number: HashMap<u32, usize>,
+    /// The newest names, and who shares what with other names that may be theirs.
+    names: Vec<ReadName>,
+    sharing: HashMap<String, Vec<usize>>,
+}
+
+impl Index {
+    fn new(persons: &[KeptPerson]) -> Self {
+        let mut index =
+            Self { names: persons.iter().map(|kept| ReadName::new(&kept.name)).collect(), ..Self::default() };
+        for (at, kept) in persons.iter().enumerate() {
+            index.by_number.entry(kept.number).or_insert(at);
+            for name in kept.names() {
+                index.by_name.entry(ReadName::new(name).whole().to_owned()).or_insert(at);
+                index.by_named_number.entry(person_number(name)).or_insert(at);
+            }
+            let name = &index.names[at];
+            for shared in name.shared().into_iter().chain(name.shared_for_short().into_iter().flatten()) {
+                let sharing = index.sharing.entry(shared.to_owned()).or_default();
+                if sharing.last() != Some(&at) {
+                    sharing.push(at);
+                }
+            }
+        }
+        index
+    }
 }
 
 impl PersonsFile {
@@ -76,7 +113,7 @@ impl PersonsFile {
                 Vec::new()
             }
         };
-        Self { path: Some(path), unusable, persons }
+        Self { path: Some(path), unusable, index: Index::new(&persons), persons }
     }
 
     /// Everybody whom the home gave a name.
@@ -88,21 +125,32 @@ impl PersonsFile {
     /// The number of a name: the one that the home gave it, or the one that follows from the name.
     #[must_use]
     pub fn number_of(&self, name: &str) -> u32 {
-        let kept = self.persons.iter().find(|kept| kept.names().any(|known| same_name(known, name)));
-        kept.map_or_else(|| person_number(name), |kept| kept.number)
+        self.given_number(&ReadName::new(name)).unwrap_or_else(|| person_number(name))
+    }
+
+    /// The number that the home gave a name.
+    pub(super) fn given_number(&self, name: &ReadName) -> Option<u32> {
+        self.index.by_name.get(name.whole()).map(|at| self.persons[*at].number)
     }
 
     /// The number that the home gave the person who had this one by their name.
     #[must_use]
     pub fn current(&self, number: u32) -> u32 {
-        let kept = self.persons.iter().find(|kept| kept.names().any(|name| person_number(name) == number));
-        kept.map_or(number, |kept| kept.number)
+        self.index.by_named_number.get(&number).map_or(number, |at| self.persons[*at].number)
     }
 
     /// The person of a number.
     #[must_use]
     pub(crate) fn of_number(&self, number: u32) -> Option<&KeptPerson> {
-        self.persons.iter().find(|kept| kept.number == number)
+        self.index.by_number.get(&number).map(|at| &self.persons[*at])
+    }
+
+    /// Those whose name may be this one, or whose first name; each with theirs.
+    pub(super) fn sharing(&self, name: &ReadName) -> impl Iterator<Item = (u32, &ReadName)> {
+        let [one, other] = name.shared();
+        let of = |shared: &str| self.index.sharing.get(shared).into_iter().flatten();
+        let others = of(other).filter(move |_| one != other);
+        of(one).chain(others).map(|at| (self.persons[*at].number, &self.index.names[*at]))
     }
 
     /// Whether a change outlives the daemon.
@@ -142,6 +190,7 @@ impl PersonsFile {
         if let Some(path) = &self.path {
             state_file::replace_for_good(path, serde_json::to_string_pretty(&persons)?.as_bytes())?;
         }
+        self.index = Index::new(&persons);
         self.persons = persons;
         Ok(())
     }
@@ -150,15 +199,16 @@ impl PersonsFile {
 /// Reads the file; a name or number that stands twice would make two persons of one.
 fn parse(text: &str) -> Result<Vec<KeptPerson>, String> {
     let persons: Vec<KeptPerson> = serde_json::from_str(text).map_err(|error| error.to_string())?;
-    for (place, person) in persons.iter().enumerate() {
+    let (mut numbers, mut names) = (HashMap::new(), HashMap::new());
+    for (at, person) in persons.iter().enumerate() {
         person.names().try_for_each(check_name)?;
         if person.number == SOMEBODY {
             return Err(format!("{:?} has the number {SOMEBODY}, which means somebody", person.name));
         }
-        let shares = |other: &KeptPerson| person.names().any(|name| other.names().any(|known| same_name(known, name)));
-        let again = |other: &&KeptPerson| other.number == person.number || shares(other);
-        if let Some(other) = persons[..place].iter().find(again) {
-            return Err(format!("{:?} and {:?} have the same name or number", other.name, person.name));
+        let of_number = numbers.insert(person.number, at);
+        let mut of_names = person.names().map(|name| names.insert(ReadName::new(name).whole().to_owned(), at));
+        if let Some(other) = of_number.or_else(|| of_names.find_map(|other| other.filter(|other| *other != at))) {
+            return Err(format!("{:?} and {:?} have the same name or number", persons[other].name, person.name));
         }
     }
     Ok(persons)

@@ -17,7 +17,7 @@ use super::asked::{Answered, Question};
 use super::cycle::Cycle;
 use super::habits_file::Keeper;
 use super::habits_question::{self, After, HabitsAnswer, HabitsQuestion, Importing};
-use super::inbox::{Counters, Heard, Lending};
+use super::inbox::{Counters, Heard, Lending, QUEUE};
 use super::journal::JournalHandle;
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
@@ -196,7 +196,7 @@ impl<M: LanguageModel> Scoring<M> {
                 let mut moment = || serde_json::to_string(&board.moment(clock::monotonic_ns())).unwrap_or_default();
                 self.ports.moments.answer(|_| moment())?;
             }
-            if self.inbox.waiting() == 0 {
+            if self.inbox.waiting() == 0 && self.cycle.waiting() == 0 {
                 self.look_after_habits(now_ns);
                 self.use_silence();
             }
@@ -204,8 +204,11 @@ impl<M: LanguageModel> Scoring<M> {
         }
     }
 
-    /// Sleeps until there is narration or `patience` has passed, and takes in all that was received.
+    /// Sleeps until there is narration or `patience` has passed, and takes in all that was received, unless enough waits already.
     fn take(&mut self, patience: Duration) {
+        if self.cycle.waiting() >= QUEUE {
+            return;
+        }
         let cycle = &mut self.cycle;
         self.inbox.listen(patience, |heard| match heard {
             Heard::Entry(entry, number) => cycle.enter(entry, number),
@@ -239,8 +242,10 @@ impl<M: LanguageModel> Scoring<M> {
     /// Gives whether it scored.
     fn step(&mut self, now_ns: u64) -> bool {
         self.tally.steps += 1;
-        self.tally.merged += (self.cycle.waiting() as u64).saturating_sub(1);
-        if let Err(error) = self.cycle.step(now_ns, clock::unix_ns()) {
+        let waited = self.cycle.waiting();
+        let done = self.cycle.step(now_ns, clock::unix_ns());
+        self.tally.merged += ((waited - self.cycle.waiting()) as u64).saturating_sub(1);
+        if let Err(error) = done {
             self.tally.failed_steps += 1;
             if let Some(held_back) = self.log.pass(now_ns) {
                 tracing::error!(%error, held_back, "scoring failed; the narration is kept and scored with the next step");
@@ -317,7 +322,7 @@ impl<M: LanguageModel> Scoring<M> {
         if !self.cycle.message_due(before_ns, written) {
             return Ok(());
         }
-        let behind = self.inbox.has_more();
+        let behind = self.inbox.has_more() || self.cycle.waiting() > 0;
         let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
         self.ports.scores.send(message)?;
         let (is_heartbeat, after_ns) = (message.has(score_flags::HEARTBEAT), clock::monotonic_ns());
@@ -402,7 +407,8 @@ impl<M: LanguageModel> Scoring<M> {
         let board = cycle.board_mut();
         let mut changed = false;
         person_questions.answer(|asked| {
-            answered_persons.answer::<PersonQuestion>(asked, |asked| {
+            let mut is_new = false;
+            let told = answered_persons.answer::<PersonQuestion>(asked, |asked| {
                 let changes = asked.as_ref().is_ok_and(|asked| asked.id().is_some());
                 if changes {
                     inbox.lend();
@@ -413,11 +419,17 @@ impl<M: LanguageModel> Scoring<M> {
                     moments.forget_answer();
                     habits_questions.forget_answer();
                     changed |= answer.done;
+                    is_new = true;
                     let reason = answer.reason.as_deref().map(for_the_log);
                     tracing::info!(done = answer.done, reason, kept = answer.kept, "person");
                 }
                 answer
-            })
+            });
+            if is_new {
+                // Those before may tell of somebody who is forgotten now.
+                answered_persons.cut_before_last(|answer| answer.persons.clear());
+            }
+            told
         })?;
         Ok(changed)
     }
@@ -497,7 +509,7 @@ impl<M: LanguageModel> Scoring<M> {
             costly: counters.costly,
             sources: sources as u32,
             persons: self.cycle.board().snapshot().persons,
-            waiting: self.inbox.waiting() as u64,
+            waiting: (self.inbox.waiting() + self.cycle.waiting()) as u64,
             latency_p50_ns: quantile(0.5),
             latency_p99_ns: quantile(0.99),
             latency_max_ns: self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.max()),

@@ -244,9 +244,12 @@ impl<M: LanguageModel> Board<M> {
     fn fill_persons(&mut self) {
         self.newest_persons.clear();
         self.newest_persons.extend(self.persons.iter().map(|(person, known)| (known.heard_ns, person)));
-        // Residents before visitors, and of both those who were observed last.
+        // Residents before visitors, of both those of whom a named narrator has told, and of these who was observed last: strangers may invent as many
+        // as they like.
         let persons = &self.persons;
-        let rank = |(heard_ns, person): &(i64, u32)| (persons.is_visitor(*person), Reverse(*heard_ns), *person);
+        let rank = |(heard_ns, person): &(i64, u32)| {
+            (persons.is_visitor(*person), !persons.is_trusted(*person), Reverse(*heard_ns), *person)
+        };
         self.newest_persons.sort_unstable_by_key(rank);
         // Who finds no place among them is not told of, and waits for nothing.
         for (_, person) in self.newest_persons.drain(MAX_PERSONS.min(self.newest_persons.len())..) {

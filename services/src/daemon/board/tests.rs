@@ -11,7 +11,7 @@ use roomcast_core::pipeline::PipelineOptions;
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::scorer::{DecodeStats, ModelError, ModelInfo, TextStart, Token};
 use roomcast_core::semantic_map::delta::parse_changes;
-use roomcast_ipc::{MAX_SOURCES, Message, forecast_flags, narration_kind};
+use roomcast_ipc::{MAX_PERSONS, MAX_SOURCES, Message, forecast_flags, narration_kind};
 
 use super::*;
 use crate::config::PersonsConfig;
@@ -548,4 +548,52 @@ fn answers_of_who_did_nothing_are_not_prepared_again() {
     board.forget(2);
     board.step([], 3 * S, 1_000_003 * S).unwrap();
     assert!(work_ahead(&mut board, &mut ahead) > 0);
+}
+
+/// Somebody who invents persons takes nobody's place in the messages, whom a named narrator has told of.
+#[test]
+fn strangers_take_no_place_of_a_guarded_person() {
+    const NAMED: u64 = 7;
+    let mut board = board().with_named([NAMED]);
+    let told = Observation {
+        name: Some("Ada".into()),
+        person: SOMEBODY,
+        source: NAMED,
+        ..observation(0, 10 * S, "They sit on the sofa.")
+    };
+    board.step([Entry::new(told, 10 * S)], 10 * S, 10 * S).unwrap();
+    let strange = |number: u64| {
+        let at_ns = (11 + number) * S;
+        let observation = Observation {
+            source: 90,
+            sequence: number + 1,
+            ..observation(number as u32, at_ns, "They open the fridge.")
+        };
+        Entry { voice: Voice { number: OTHERS, share: 1 }, ..Entry::new(observation, at_ns) }
+    };
+    board.step((0..20).map(strange), 40 * S, 40 * S).unwrap();
+    board.message(40 * S, false, false);
+    let told = board.person_scores(40 * S);
+    assert_eq!(told.person_count as usize, MAX_PERSONS);
+    assert!(told.persons().iter().any(|own| own.name() == "Ada"));
+}
+
+/// What sensors said is not in the window of narration, and stays known over a change of the map all the same.
+#[test]
+fn a_room_that_is_added_makes_nobody_leave_theirs() {
+    let failures = Rc::<Cell<u32>>::default();
+    let mut board = failing_board(&failures);
+    board.step([entry(0, 10 * S, "They open the fridge.")], 10 * S, 10 * S).unwrap();
+    let present = Observation {
+        said: said_of(narration_kind::PRESENCE, "present in the living room").unwrap(),
+        ..observation(0, 20 * S, "They wait.")
+    };
+    board.step([Entry::new(present, 20 * S)], 20 * S, 20 * S).unwrap();
+    let before = board.forecast(30 * S).probability[1][0];
+    let room = r#"[{"change": "add-room", "room": {"id": "hall", "label": "hall", "box": {"min_m": [9, 0, 0], "max_m": [12, 3, 2.5]}}}]"#;
+    let map = board.map().changed(parse_changes(room).unwrap()).unwrap();
+    board.change_map(map).unwrap();
+    board.step([], 30 * S, 30 * S).unwrap();
+    let after = board.forecast(30 * S).probability[1][0];
+    assert!(before > 0.9 && (after - before).abs() < 0.02, "{before} {after}");
 }

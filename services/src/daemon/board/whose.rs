@@ -134,6 +134,8 @@ impl<M: LanguageModel> Board<M> {
         if is_strange && self.persons.is_guarded(observation.person, noted_ns) {
             return None;
         }
+        let at_ns = at_ns.map(|at_ns| self.persons.in_order(&observation, at_ns));
+        let noted_ns = at_ns.unwrap_or_default();
         self.persons.see_off(&mut observation);
         // Where the map has no office by that name, it is the one that people go to work at.
         let has_office =

@@ -1,5 +1,5 @@
 use roomcast_core::grounding::GroundingOptions;
-use roomcast_core::narration::{PresenceStatement, SOMEBODY, Said, Sentence};
+use roomcast_core::narration::{PresenceStatement, SOMEBODY, Said, Sentence, Voice};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
@@ -7,6 +7,7 @@ use roomcast_core::semantic_map::delta::parse_changes;
 use roomcast_ipc::Message;
 
 use super::super::board::HORIZONS_S;
+use super::super::intake::OTHERS;
 use super::super::{Board, Entry, Persons, PersonsFile, Recovered};
 use super::*;
 
@@ -483,4 +484,74 @@ fn what_is_said_of_everybody_is_learned_of_each() {
     assert_eq!(exits(&house), [1.0, 1.0], "written before the daemon was killed");
     house.restart(Memory::new(options(true)));
     assert_eq!(exits(&house), [1.0, 1.0], "learned from the journal");
+}
+
+/// Of a home that nobody has watched yet the forecast is the one without habits, but for what the first observations say.
+#[test]
+fn a_home_of_which_nothing_is_known_is_forecast_as_without_habits() {
+    let ahead = |learn: bool| {
+        let mut house = House::new(learn);
+        house.say(3, 7 * H, "They sit on the sofa.");
+        house.until(7 * H + 120);
+        (house.ahead(3, QUARTER), house.ahead(3, HOUR))
+    };
+    let ((with, later), (without, later_without)) = (ahead(true), ahead(false));
+    for (with, without) in with.into_iter().zip(without).chain(later.into_iter().zip(later_without)) {
+        assert!((with - without).abs() < 0.1, "{with} {without}");
+    }
+}
+
+/// A machine that slept watched nobody: that time is no stay.
+#[test]
+fn a_night_in_which_the_machine_slept_is_not_counted() {
+    /// Exits and time spent, of all places.
+    const STAY: u8 = 19;
+    let minutes = |sleeps: bool| {
+        let mut house = House::new(true);
+        house.say(3, 22 * H, "They sit on the sofa.");
+        if sleeps {
+            // Both clocks go on, and nobody looks.
+            house.now_ns += 8 * H * S;
+        }
+        house.until(30 * H + 600);
+        house.say(3, 30 * H + 600, "They open the fridge.");
+        let json: serde_json::Value = serde_json::from_str(&house.board.habits().to_json().unwrap()).unwrap();
+        let rows = json["rows"].as_array().unwrap().iter().filter(|row| row["kind"] == STAY);
+        let counts = rows.flat_map(|row| row["counts"].as_array().unwrap());
+        counts.filter(|count| count[0] == 1).map(|count| count[1].as_f64().unwrap()).sum::<f64>()
+    };
+    let (awake, asleep) = (minutes(false), minutes(true));
+    assert!((asleep - (awake - 480.0)).abs() < 6.0, "{awake} {asleep}");
+}
+
+/// Who is new does not push out whom habits know, where nothing is learned, nor who was invented by a stranger.
+#[test]
+fn whoever_is_not_learned_pushes_nobody_out() {
+    let mut house = House::new(true);
+    for person in 0..PERSONS_MAX as u32 {
+        house.say(person, 7 * H + u64::from(person), "They sit on the sofa.");
+    }
+    let memory = house.memory();
+    let mut house = House::new(false);
+    let memory =
+        Memory { habits: Habits::from_json(options(false), &memory.habits.to_json().unwrap()).unwrap(), ..memory };
+    house.board = board(Some(HomeHabits::new(memory, Zone::UTC)));
+    let known = house.board.habits().persons();
+    house.say(1_000, 8 * H, "They open the fridge.");
+    assert_eq!(house.board.habits().persons(), known);
+}
+
+#[test]
+fn of_whom_only_strangers_tell_nothing_is_learned_where_narrators_are_named() {
+    let mut house = House::new(true);
+    house.board = house.board.with_named([7]);
+    house.say(3, 7 * H, "They sit on the sofa.");
+    let at_ns = house.now_ns + S;
+    let strange =
+        Observation { source: 9, ..Observation { person: 4, observed_ns: at_ns, ..house.journal[0].clone() } };
+    let voice = Voice { number: OTHERS, share: 1 };
+    house.board.step([Entry { voice, ..Entry::new(strange, at_ns) }], at_ns, at_ns + house.unix_ns).unwrap();
+    house.board.tell_outcomes(|_| {});
+    house.board.tidy();
+    assert_eq!(house.board.habits().persons(), [(3, 1.0)]);
 }

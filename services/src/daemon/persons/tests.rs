@@ -1603,3 +1603,34 @@ fn people_come_and_go_as_is_narrated() {
         assert_eq!(format!("{residents}{visitors}"), after, "{text}");
     }
 }
+
+/// Identifiers of devices have no accents: what they say of Zoë is of her, the second time too.
+#[test]
+fn a_name_without_accents_stays_the_same_persons() {
+    let mut house = House::new(&["Zoë", "Jürgen"]);
+    house.after(1, "zoe", "present");
+    house.after(1, "zoe", "away");
+    house.after(1, "Mrs. Zoe", "present");
+    let named: Vec<_> = house.board.persons().iter().map(|(number, _)| number).collect();
+    assert_eq!(named, [person_number("Zoë")]);
+    assert_eq!(house.board.persons().name_of(named[0]), Some("Zoë"));
+    // Of one who does not live here the first spelling stays, whatever the accents.
+    house.after(1, "Renée", "present");
+    house.after(1, "renee", "away");
+    let renee = person_number("Renée");
+    assert_eq!(house.board.persons().name_of(renee), Some("Renée"));
+    assert_eq!(house.board.persons().count(), (2, 1));
+}
+
+/// What one source says goes in its order, though its times are a little out of it.
+#[test]
+fn the_later_line_of_a_source_counts_whatever_its_time_was_rounded_to() {
+    for (earlier_ns, is_heard) in [(0, true), (50_000, true), (S / 2, true), (2 * S, false)] {
+        let mut house = House::new(&["Ada"]);
+        house.after(1, "Ada", "They open the fridge.");
+        house.now_ns -= earlier_ns;
+        house.after(0, "Ada", "away");
+        let presence = house.board.persons().get(person_number("Ada")).unwrap().presence;
+        assert_eq!(presence == Presence::Away, is_heard, "{earlier_ns} ns earlier");
+    }
+}
