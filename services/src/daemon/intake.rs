@@ -13,13 +13,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use roomcast_ipc::sequence::{Arrival, Follower, source_of_name};
 use roomcast_ipc::{Message, MessageError, NarrationV1, Sender};
 
-use roomcast_core::narration::{Observation, Voice};
+use roomcast_core::narration::{Observation, Voice, check_name};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_core::scorer::TokenCounter;
 
 use crate::config::{IntakeLimits, KnownNarrator};
 use crate::message_text::said_of;
-use crate::person_name::check_name;
 use crate::token_bucket::TokenBucket;
 
 /// Most starts of sources of one port that are followed: the longest silent gives way to another of the same port.
