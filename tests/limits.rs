@@ -19,7 +19,7 @@ use roomcast_ipc::{
 use roomcast_llama::{SEQUENCES_MAX, THREADS_MAX};
 use roomcast_services::config::{self, Config};
 use roomcast_services::daemon::{
-    self, ANSWERS_REMEMBERED, FORMER_SOURCES_MAX, QUESTION_NAME_BYTES_MAX, SOURCES_OF_A_PORT,
+    self, ANSWERS_REMEMBERED, FORMER_SOURCES_MAX, HELD_S, QUESTION_NAME_BYTES_MAX, SOURCES_OF_A_PORT,
 };
 use roomcast_services::{mqtt, mqtt_link, mqtt_look, recording, reporter, sensor_log};
 
@@ -90,6 +90,7 @@ fn page() -> String {
                 "a visitor is dropped, only without visitors a resident: the longest silent of the narrator that told of most",
             ),
             ("numbers that a source skips at once", &sequence::JUMP_MAX, "is dropped and counted"),
+            ("seconds that what a relayed narrator said above its rate is waited for", &HELD_S, "counts as missed"),
             (
                 "seconds that a narrator keeps its places in a window",
                 &(KEPT_NS / 1_000_000_000),

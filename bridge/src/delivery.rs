@@ -16,20 +16,32 @@ pub struct Delivery {
     confirmed: u64,
     /// Up to here it was sent.
     sent: u64,
+    /// Up to here it was sent by this start, or can have been by those before it.
+    given: u64,
     sent_ns: u64,
     heard_ns: Option<u64>,
     /// Up to here nothing is kept any more.
     gone: u64,
-    /// Narrations that were given up before the robot had them.
+    /// Narrations that were given up before the robot had them, or whose numbers it had for others.
     lost: u64,
+    /// What the robot has refused, as it said last; none until it has said so.
+    said_refused: Option<u64>,
+    /// Narrations that it has refused since this start.
+    refused: u64,
 }
 
 impl Delivery {
-    /// Begins with the first number that is kept: what was before it has come or was given up before this start.
+    /// Begins with the first number that is kept: what was before it has come or was given up before this start. `last` is the last one that
+    /// was given before it.
     #[must_use]
-    pub fn from(first: u64) -> Self {
+    pub fn from(first: u64, last: u64) -> Self {
         let gone = first.saturating_sub(1);
-        Self { confirmed: gone, sent: gone, gone, ..Self::default() }
+        Self { confirmed: gone, sent: gone, given: last, gone, ..Self::default() }
+    }
+
+    /// Numbers up to this one can have been sent before this start, as a robot says.
+    pub fn given_before(&mut self, last: u64) {
+        self.given = self.given.max(last);
     }
 
     /// Takes note of what the robot says: `epoch` is the hub's own, `last` the last number that it has.
@@ -44,7 +56,14 @@ impl Delivery {
             return;
         }
         self.confirmed = self.confirmed.max(said.confirmed.min(last));
+        // What it refused before this start was counted then; of a bridge that starts again it is counted from 0.
+        let before = self.said_refused.unwrap_or(if self.sent_ns == 0 { said.refused } else { 0 });
+        let more = said.refused.checked_sub(before).unwrap_or(said.refused);
+        (self.said_refused, self.refused) = (Some(said.refused), self.refused.saturating_add(more).min(last));
         let has = said.next.saturating_sub(1).min(last);
+        // It had these numbers before this start gave them to something else, which it has not.
+        self.lost = self.lost.saturating_add(has.saturating_sub(self.given));
+        self.given = self.given.max(has);
         if has > self.sent || may_repeat {
             self.sent = has;
         }
@@ -70,6 +89,7 @@ impl Delivery {
     /// Takes note that the next one was sent.
     pub fn sent(&mut self, now_ns: u64) {
         self.sent += 1;
+        self.given = self.given.max(self.sent);
         self.sent_ns = now_ns;
     }
 
@@ -103,10 +123,16 @@ impl Delivery {
         self.heard_ns.is_none_or(|heard_ns| now_ns.saturating_sub(heard_ns) > AWAY_NS)
     }
 
-    /// Narrations that were given up before the robot had them.
+    /// Narrations that were given up before the robot had them, or whose numbers it had for others.
     #[must_use]
     pub fn lost(&self) -> u64 {
         self.lost
+    }
+
+    /// Narrations that the robot or its daemon has refused since this start.
+    #[must_use]
+    pub fn refused(&self) -> u64 {
+        self.refused
     }
 }
 
@@ -147,9 +173,44 @@ mod tests {
         delivery.give_up_before(6);
         assert_eq!((delivery.lost(), delivery.first()), (5, 6));
         // A hub that starts again has lost nothing by that.
-        let mut delivery = Delivery::from(4124);
+        let mut delivery = Delivery::from(4124, 4130);
         delivery.give_up_before(4124);
         assert_eq!((delivery.lost(), delivery.confirmed(), delivery.first()), (0, 4123, 4124));
+    }
+
+    /// The disk has lost the numbers 8 to 10 that a robot has, and 8 and 9 were given again before it was heard.
+    #[test]
+    fn a_number_that_a_robot_had_for_something_else_is_lost_and_not_confirmed() {
+        let said = Confirmed { epoch: Hex(7), next: 11, confirmed: 10, refused: 0 };
+        let mut delivery = Delivery::from(1, 7);
+        delivery.hear(said, 7, 9, S);
+        assert_eq!(delivery.lost(), 2);
+        delivery.given_before(10);
+        delivery.hear(said, 7, 10, S);
+        assert_eq!((delivery.lost(), delivery.next(11, S)), (2, Some(11)));
+        // Heard before anything was given again, nothing is.
+        let mut delivery = Delivery::from(1, 7);
+        delivery.hear(said, 7, 7, S);
+        delivery.given_before(10);
+        delivery.hear(said, 7, 11, S);
+        assert_eq!((delivery.lost(), delivery.next(11, S)), (0, Some(11)));
+    }
+
+    #[test]
+    fn what_a_robot_refuses_is_counted_once() {
+        let said = |refused| Confirmed { epoch: Hex(7), next: 5, confirmed: 4, refused };
+        let mut delivery = Delivery::from(3, 10);
+        // From before this start; then some, the same again, and a bridge that starts again.
+        for (refused, so_far) in [(2, 0), (3, 1), (3, 1), (1, 2), (u64::MAX, 10)] {
+            delivery.hear(said(refused), 7, 10, S);
+            assert_eq!(delivery.refused(), so_far);
+        }
+        // One that knew nothing of this start has refused nothing of it before.
+        let mut delivery = Delivery::default();
+        delivery.hear(Confirmed::default(), 7, 10, S);
+        delivery.sent(S);
+        delivery.hear(said(2), 7, 10, S);
+        assert_eq!(delivery.refused(), 2);
     }
 
     /// A link that loses and delays, a bridge and a hub that start again, and a daemon that confirms late: everything arrives once and in
@@ -206,7 +267,9 @@ mod tests {
                     && let Some(newest) = taken.last()
                 {
                     let mut scores = RoomScoresV1 { source_count: 1, ..Default::default() };
-                    scores.included[0] = IncludedV1 { source, epoch, sequence: *newest, ..Default::default() };
+                    let accepted = taken.len() as u64;
+                    scores.included[0] =
+                        IncludedV1 { source, epoch, sequence: *newest, accepted, ..Default::default() };
                     relay.confirm(&scores, now_ns);
                 }
                 answers.push_back(relay.confirmed());

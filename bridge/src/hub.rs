@@ -22,9 +22,9 @@ use crate::limiter::Limiter;
 use crate::line::{LINE_BYTES_MAX, line};
 use crate::link::{Declare, Link, LinkError};
 use crate::robot::notify;
-use crate::spool::{Place, Spool, SpoolError};
+use crate::spool::{Dated, Place, Spool, SpoolError};
 use crate::stop::Stop;
-use crate::wire::{self, Confirmed, Fault, Hex, Narrated, Observation};
+use crate::wire::{self, Confirmed, Fault, Hex, Narrated};
 
 /// Lines that wait to be kept; the input waits then.
 const LINES_MAX: usize = 256;
@@ -51,6 +51,12 @@ pub enum HubError {
         path: PathBuf,
         /// The system's word.
         source: io::Error,
+    },
+    /// The thread that reads the input.
+    #[error("the program has a fault: what reads {path} has ended by a panic, which the log has")]
+    Panic {
+        /// The file.
+        path: PathBuf,
     },
     /// The system gives no thread.
     #[error("cannot start a thread: {0}; is a limit on tasks set too low?")]
@@ -156,20 +162,28 @@ pub fn run(config: &Config, input: &Path, stop: &Stop) -> Result<Outcome, HubErr
     let link = Link::start(&config.router, declare(config, to_robots))?;
     let (to_spool, lines) = sync_channel::<Line>(LINES_MAX);
     let (path, from, reading) = (input.to_owned(), spool.input(), stop.clone());
-    let reader = move || read_lines(&path, from, &to_spool, &reading);
+    let reader = move || {
+        let read = read_lines(&path, from, &to_spool, &reading);
+        if let Err(error) = &read {
+            let path = path.display();
+            tracing::error!(%path, %error, "the input cannot be read any more: what was read is still sent, then this hub ends");
+        }
+        read
+    };
     let reader = thread::Builder::new().name("reader".to_owned()).spawn(reader).map_err(HubError::Thread)?;
     notify(&[NotifyState::Ready]);
-    let mut hub = Hub::new(config, spool.first());
+    let mut hub = Hub::new(config, &spool);
     let mut ended = false;
     while !(stop.requested() || ended && hub.is_done(&spool)) {
         ended |= hub.keep(&lines, &mut spool)?;
-        hub.hear(&heard, &spool);
+        hub.hear(&heard, &mut spool);
         hub.send(&link, &mut spool);
         notify(&[NotifyState::Watchdog]);
     }
     notify(&[NotifyState::Stopping]);
-    if ended && let Ok(Err(error)) = reader.join() {
-        return Err(failed(error));
+    // One that waits for input ends with the process.
+    if ended || reader.is_finished() {
+        reader.join().map_err(|_| HubError::Panic { path: input.to_owned() })?.map_err(failed)?;
     }
     Ok(hub.outcome(&spool))
 }
@@ -183,7 +197,8 @@ pub struct Outcome {
     pub confirmed: u64,
     /// Lines that were no narration.
     pub refused: u64,
-    /// Narrations that a robot did not get because they were too many to keep, of the robot that lost most.
+    /// Narrations that a robot has not in its scores, of the robot that lost most: they were too many to keep, its daemon dropped them, or the
+    /// disk lost which numbers they had.
     pub lost: u64,
 }
 
@@ -203,14 +218,15 @@ struct Hub {
     refused: u64,
     log: Limiter,
     /// The disk failed, so nothing more is read for a moment.
-    unsaved: Vec<(Observation, u64, Place)>,
+    unsaved: Vec<Dated>,
 }
 
 impl Hub {
-    fn new(config: &Config, first: u64) -> Self {
+    fn new(config: &Config, spool: &Spool) -> Self {
         let robots = config.hub.robots.iter().map(|robot| {
             let key = Keys::new(&config.site.name, robot).narration(&config.hub.name);
-            Robot { name: robot.clone(), key, delivery: Delivery::from(first), is_told: false }
+            let delivery = Delivery::from(spool.first(), spool.last());
+            Robot { name: robot.clone(), key, delivery, is_told: false }
         });
         let (refused, log, unsaved, started_ns) = (0, Limiter::default(), Vec::new(), clock::monotonic_ns());
         let (name, clock, robots) = (config.hub.name.clone(), Hex(clock_id()), robots.collect());
@@ -231,8 +247,8 @@ impl Hub {
                 }
             };
             for (bytes, at) in first.into_iter().chain(lines.try_iter().take(LINES_MAX)) {
-                match self.read(&bytes) {
-                    Ok((observation, age_ns)) => self.unsaved.push((observation, age_ns, at)),
+                match self.read(&bytes, at) {
+                    Ok(dated) => self.unsaved.push(dated),
                     Err(None) => {}
                     Err(Some(fault)) => {
                         self.refused += 1;
@@ -258,7 +274,7 @@ impl Hub {
         Ok(ended)
     }
 
-    fn read(&self, bytes: &[u8]) -> Result<(Observation, u64), Option<Fault>> {
+    fn read(&self, bytes: &[u8], at: Place) -> Result<Dated, Option<Fault>> {
         if bytes.len() as u64 > LINE_BYTES_MAX {
             return Err(Some(Fault(format!("a line has at most {LINE_BYTES_MAX} bytes"))));
         }
@@ -266,20 +282,76 @@ impl Hub {
         if text.trim().is_empty() {
             return Err(None);
         }
-        line(text, clock::unix_ns()).map_err(Some)
+        let (observation, age_ns) = line(text, clock::unix_ns()).map_err(Some)?;
+        Ok(Dated::new(observation, age_ns, at))
     }
 
     /// Takes what robots say of how far they are.
-    fn hear(&mut self, heard: &Receiver<(usize, Vec<u8>)>, spool: &Spool) {
+    fn hear(&mut self, heard: &Receiver<(usize, Vec<u8>)>, spool: &mut Spool) {
         for (robot, bytes) in heard.try_iter() {
             let Some(Robot { name, delivery, .. }) = self.robots.get_mut(robot) else { continue };
             let now_ns = clock::monotonic_ns();
-            match wire::read::<Confirmed>(&bytes) {
-                Ok(said) => delivery.hear(said, spool.epoch(), spool.last(), now_ns),
+            let said = match wire::read::<Confirmed>(&bytes) {
+                Ok(said) => said,
                 Err(fault) => {
                     if let Some(held_back) = self.log.pass(now_ns) {
                         tracing::warn!(robot = name, %fault, held_back, "no confirmation");
                     }
+                    continue;
+                }
+            };
+            let refused = delivery.refused();
+            delivery.hear(said, spool.epoch(), spool.last(), now_ns);
+            if delivery.refused() > refused
+                && let Some(held_back) = self.log.pass(now_ns)
+            {
+                let refused = delivery.refused();
+                tracing::error!(
+                    robot = name,
+                    refused,
+                    held_back,
+                    "a robot has dropped narration: its bridge's log says why"
+                );
+            }
+            if said.epoch.0 == spool.epoch() && said.next > spool.last() + 1 {
+                self.number_on(robot, said, spool);
+            }
+        }
+    }
+
+    /// A robot has numbers that this spool has not: its end was lost.
+    fn number_on(&mut self, robot: usize, said: Confirmed, spool: &mut Spool) {
+        let name = self.robots.get(robot).map_or("", |robot| robot.name.as_str()).to_owned();
+        let numbered = spool.number_on(said.next);
+        match numbered {
+            Ok(Some(gone)) => {
+                tracing::error!(
+                    robot = name,
+                    gone,
+                    "the spool has lost its end: numbers go on behind those that a robot has; is the disk failing?"
+                );
+                for Robot { delivery, .. } in &mut self.robots {
+                    delivery.given_before(spool.last());
+                }
+                if let Some(Robot { delivery, .. }) = self.robots.get_mut(robot) {
+                    delivery.hear(said, spool.epoch(), spool.last(), clock::monotonic_ns());
+                }
+            }
+            Ok(None) => {
+                if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+                    let (next, last) = (said.next, spool.last());
+                    tracing::error!(
+                        robot = name,
+                        next,
+                        last,
+                        held_back,
+                        "a robot expects a number far ahead of the spool, and does not take what comes: where the spool is an old copy, remove it"
+                    );
+                }
+            }
+            Err(error) => {
+                if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+                    tracing::error!(%error, held_back, "numbers that a robot has cannot be passed over");
                 }
             }
         }
@@ -350,7 +422,7 @@ impl Hub {
             last: spool.last(),
             confirmed: of_all().map(Delivery::confirmed).min().unwrap_or(0),
             refused: self.refused,
-            lost: of_all().map(Delivery::lost).max().unwrap_or(0),
+            lost: of_all().map(|delivery| delivery.lost().saturating_add(delivery.refused())).max().unwrap_or(0),
         }
     }
 }

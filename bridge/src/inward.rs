@@ -28,6 +28,11 @@ const RATE_PER_S: f64 = 100.0;
 /// After so many repetitions that nobody takes, the log says what may be wrong.
 const REPEATS: u32 = 2;
 
+const NOT_TAKEN: &str = "the daemon does not take this narrator's narration: name it in the robot's configuration as \
+    [[daemon.narrator]] with relayed = true, and see the daemon's log: it says what is above its rate, or said by another process";
+const DROPPED: &str = "the daemon has dropped narration of this narrator: its log and status say whether it was too long for a window or \
+    above the rate, which loses nothing of a [[daemon.narrator]] with relayed = true";
+
 /// Bytes of a narrator, as they came.
 #[derive(Debug)]
 pub struct Heard {
@@ -120,8 +125,13 @@ pub fn run(
         while let Some(checked) = scores.receive_into(&mut message)? {
             if checked.is_ok() {
                 alive_ns = alive_ns.max(message.published_ns);
-                for narrator in &mut narrators {
-                    narrator.relay.confirm(&message, clock::monotonic_ns());
+                for Narrator { name, relay, .. } in &mut narrators {
+                    let dropped = relay.confirm(&message, clock::monotonic_ns());
+                    if dropped > 0
+                        && let Some(held_back) = log.pass(clock::monotonic_ns())
+                    {
+                        tracing::error!(narrator = name, dropped, held_back, "{DROPPED}");
+                    }
                 }
             }
         }
@@ -135,11 +145,7 @@ pub fn run(
             if narrator.relay.repeats() >= REPEATS
                 && let Some(held_back) = log.pass(now_ns)
             {
-                tracing::error!(
-                    narrator = narrator.name,
-                    held_back,
-                    "the daemon does not take this narrator's narration: name it in the robot's configuration as [[daemon.narrator]] with relayed = true, and see the daemon's log"
-                );
+                tracing::error!(narrator = narrator.name, held_back, "{NOT_TAKEN}");
             }
             narrator.port.tick()?;
             narrator.say(link, now_ns);

@@ -35,7 +35,8 @@ pub fn line(text: &str, now_unix_ns: u64) -> Result<(Observation, u64), Fault> {
         Some(_) => return Err(Fault("observed_unix_s: seconds since 1970".to_owned())),
     };
     let kind = json.kind.unwrap_or_else(|| kind(json.text.trim_start()));
-    checked((Observation { text: json.text.trim().to_owned(), kind, person: json.person }, age_ns))
+    let person = json.person.map(Person::of_digits);
+    checked((Observation { text: json.text.trim().to_owned(), kind, person }, age_ns))
 }
 
 fn checked((observation, age_ns): (Observation, u64)) -> Result<(Observation, u64), Fault> {
@@ -58,11 +59,13 @@ mod tests {
             (observation.kind, observation.person, age_ns),
             (Kind::Presence, Some(Person::Name("Ada".into())), 1_500_000_000)
         );
+        assert_eq!(read(r#"{"text":"They sit.","person":"3"}"#).unwrap().0.person, Some(Person::Number(3)));
         for bad in [
             "[Fly] <mug> (1)",
             "{",
             r#"{"text":"a","txt":1}"#,
             r#"{"text":"a","observed_unix_s":-1}"#,
+            r#"{"text":"They sit.","person":"who"}"#,
             "{\"text\":\"\"}",
         ] {
             read(bad).unwrap_err();

@@ -4,10 +4,14 @@
 //! A number is taken once, and after the one before it. Whatever else comes, the narrator sends again from the number that is expected, so
 //! that a link may lose and repeat what it likes. Each start of a narrator has numbers of its own: who speaks in its name, a second hub for
 //! instance, does not hold it up.
+//!
+//! The daemon says of a start up to which number it has dealt with it, and how many of these it has accepted. What it has not accepted counts as
+//! refused: a sentence that is too long for a window, say. What is above its rate it neither deals with nor takes anything behind it, of a narrator
+//! that it knows as relayed: that is given to it again, and more slowly from then on.
 
 use std::collections::VecDeque;
 
-use roomcast_ipc::{Message, NarrationV1, RoomScoresV1, sequence};
+use roomcast_ipc::{IncludedV1, Message, NarrationV1, RoomScoresV1, sequence};
 
 use crate::delay::Delay;
 use crate::wire::{Confirmed, Hex};
@@ -18,6 +22,10 @@ pub const UNDER_WAY_MAX: usize = NarrationV1::SERVICE.history;
 pub const WAITING_MAX: usize = 64;
 /// What the daemon has not confirmed for so long is given to it again: it may have been above a limit, or lost with a port.
 const AGAIN_NS: u64 = 5_000_000_000;
+/// A pace that was too fast for the daemon is half of it, and after so long without that the double.
+const RECOVERS_S: f64 = 60.0;
+/// The slowest pace.
+const SLOWEST_PER_S: f64 = 0.2;
 /// Starts that stay known, so that a delayed message of one is not taken again.
 const STARTS_MAX: usize = 9;
 
@@ -40,8 +48,45 @@ struct Start {
     epoch: u64,
     /// The number expected next.
     next: u64,
-    refused: u64,
+    /// How many were no narration.
+    passed_over: u64,
+    tally: Tally,
     delay: Delay,
+}
+
+/// How many of a start's narrations the daemon has dropped.
+#[derive(Debug, Clone, Copy, Default)]
+struct Tally {
+    /// Which daemon says so, and how many it had accepted when counting began; none until it says something.
+    since: Option<(u64, u64)>,
+    /// Narrations that it has dealt with since.
+    dealt_with: u64,
+    /// Of these, how many it has dropped, as it says now.
+    dropped: u64,
+    /// Those of daemons before it.
+    before: u64,
+}
+
+impl Tally {
+    /// Takes note that a daemon has accepted so many of a start, and dealt with some more.
+    fn take(&mut self, daemon: u64, accepted: u64, dealt_with: u64) {
+        match self.since {
+            Some((own, since)) if own == daemon => {
+                self.dealt_with += dealt_with;
+                // It may name what it drops before what it accepted earlier, so this can become less.
+                self.dropped = self.dealt_with.saturating_sub(accepted.saturating_sub(since));
+            }
+            // One that has started again may know less than it did, so that of this nobody can say more than that it was taken.
+            _ => {
+                let before = self.dropped();
+                *self = Self { since: Some((daemon, accepted)), before, ..Self::default() };
+            }
+        }
+    }
+
+    fn dropped(&self) -> u64 {
+        self.before + self.dropped
+    }
 }
 
 /// One narrator.
@@ -52,6 +97,8 @@ pub struct Relay {
     starts: VecDeque<Start>,
     waiting: VecDeque<NarrationV1>,
     under_way: VecDeque<NarrationV1>,
+    /// What the daemon said last of the starts that it names, and which daemon.
+    named: Option<(u64, Vec<IncludedV1>)>,
     /// When something was last sent or confirmed.
     moved_ns: u64,
     /// How often in a row all that is under way was sent again.
@@ -68,6 +115,7 @@ impl Relay {
             starts: VecDeque::new(),
             waiting: VecDeque::new(),
             under_way: VecDeque::new(),
+            named: None,
             moved_ns: 0,
             repeats: 0,
             pace: Pace::new(rate_per_s),
@@ -99,14 +147,16 @@ impl Relay {
         let known = self.starts.iter().position(|start| start.epoch == epoch);
         let mut start = match known.and_then(|place| self.starts.remove(place)) {
             Some(start) => start,
-            None if offered == Offered::Taken => Start { epoch, next: first, refused: 0, delay: Delay::default() },
+            None if offered == Offered::Taken => {
+                Start { epoch, next: first, passed_over: 0, tally: self.tally(epoch), delay: Delay::default() }
+            }
             None => return offered,
         };
         if offered == Offered::Taken {
             start.next = sequence.saturating_add(1);
             match message {
                 Some(message) => self.waiting.push_back(message),
-                None => start.refused += 1,
+                None => start.passed_over += 1,
             }
         }
         self.starts.push_back(start);
@@ -114,6 +164,16 @@ impl Relay {
             self.starts.pop_front();
         }
         offered
+    }
+
+    /// Of a start that was not known: a daemon that does not name it has accepted nothing of it yet.
+    fn tally(&self, epoch: u64) -> Tally {
+        let since = self.named.as_ref().map(|(daemon, named)| {
+            let accepted =
+                named.iter().find(|included| included.epoch == epoch).map_or(0, |included| included.accepted);
+            (*daemon, accepted)
+        });
+        Tally { since, ..Tally::default() }
     }
 
     /// How much longer than the fastest of its start a message took ([`Delay::excess_ns`]); none where that is not known.
@@ -140,6 +200,7 @@ impl Relay {
         }
         self.moved_ns = now_ns;
         self.repeats += 1;
+        self.pace.slow_down(now_ns);
         self.under_way.iter().copied().collect()
     }
 
@@ -149,41 +210,68 @@ impl Relay {
         self.repeats
     }
 
-    /// Takes note of what checked scores contain.
-    pub fn confirm(&mut self, scores: &RoomScoresV1, now_ns: u64) {
-        for included in scores.included() {
-            if included.source != self.source {
-                continue;
-            }
+    /// Takes note of what checked scores contain. Gives how many more narrations the daemon has dropped.
+    pub fn confirm(&mut self, scores: &RoomScoresV1, now_ns: u64) -> u64 {
+        let own = scores.included().iter().filter(|included| included.source == self.source);
+        let named: Vec<IncludedV1> = own.copied().collect();
+        let mut dropped = 0;
+        for included in &named {
             let before = self.under_way.len();
             self.under_way.retain(|sent| sent.epoch != included.epoch || sent.sequence > included.sequence);
-            if self.under_way.len() < before {
+            let dealt_with = before - self.under_way.len();
+            if dealt_with > 0 {
                 (self.moved_ns, self.repeats) = (now_ns, 0);
+                self.pace.recover(now_ns);
+            }
+            if let Some(start) = self.starts.iter_mut().find(|start| start.epoch == included.epoch) {
+                let before = start.tally.dropped();
+                start.tally.take(scores.epoch, included.accepted, dealt_with as u64);
+                dropped += start.tally.dropped().saturating_sub(before);
             }
         }
+        self.named = Some((scores.epoch, named));
+        dropped
     }
 
     /// How far the narrator's narration has come.
     #[must_use]
     pub fn confirmed(&self) -> Confirmed {
-        let Some(Start { epoch, next, refused, .. }) = self.starts.back() else { return Confirmed::default() };
+        let Some(Start { epoch, next, passed_over, tally, .. }) = self.starts.back() else {
+            return Confirmed::default();
+        };
+        let refused = passed_over + tally.dropped();
         let own = self.under_way.iter().chain(&self.waiting).find(|message| message.epoch == *epoch);
         let open = own.map_or(*next, |message| message.sequence);
-        Confirmed { epoch: Hex(*epoch), next: *next, confirmed: open.saturating_sub(1), refused: *refused }
+        Confirmed { epoch: Hex(*epoch), next: *next, confirmed: open.saturating_sub(1), refused }
     }
 }
 
-/// So many a second over time, and a second's worth at once.
+/// So many a second over time, and a second's worth at once; fewer where that was too fast for the daemon.
 #[derive(Debug)]
 struct Pace {
+    most_per_s: f64,
     rate_per_s: f64,
+    /// When that changed last.
+    changed_ns: u64,
     tokens: f64,
     at_ns: u64,
 }
 
 impl Pace {
     fn new(rate_per_s: f64) -> Self {
-        Self { rate_per_s, tokens: rate_per_s.max(1.0), at_ns: 0 }
+        let tokens = rate_per_s.max(1.0);
+        Self { most_per_s: rate_per_s, rate_per_s, changed_ns: 0, tokens, at_ns: 0 }
+    }
+
+    fn slow_down(&mut self, now_ns: u64) {
+        self.rate_per_s = (self.rate_per_s / 2.0).max(SLOWEST_PER_S).min(self.most_per_s);
+        self.changed_ns = now_ns;
+    }
+
+    fn recover(&mut self, now_ns: u64) {
+        let passed_s = now_ns.saturating_sub(self.changed_ns) as f64 / 1e9;
+        self.rate_per_s = (self.rate_per_s * (1.0 + passed_s / RECOVERS_S)).min(self.most_per_s);
+        self.changed_ns = now_ns;
     }
 
     fn take(&mut self, now_ns: u64) -> bool {
@@ -208,9 +296,13 @@ mod tests {
     }
 
     fn scores(epoch: u64, sequence: u64) -> RoomScoresV1 {
-        let mut scores = RoomScoresV1 { source_count: 1, ..Default::default() };
-        scores.included[0] =
-            IncludedV1 { source: sequence::source_of_name("hub"), epoch, sequence, ..Default::default() };
+        accepted(1, epoch, sequence, sequence)
+    }
+
+    fn accepted(daemon: u64, epoch: u64, sequence: u64, accepted: u64) -> RoomScoresV1 {
+        let mut scores = RoomScoresV1 { epoch: daemon, source_count: 1, ..Default::default() };
+        let source = sequence::source_of_name("hub");
+        scores.included[0] = IncludedV1 { source, epoch, sequence, accepted, ..Default::default() };
         scores
     }
 
@@ -290,6 +382,66 @@ mod tests {
         assert_eq!((relay.repeats(), relay.offer(9, all + 1, 1, message(9, all + 1))), (0, Offered::Full));
         while relay.send(2).is_some() {}
         assert_eq!(relay.offer(9, all + 1, 1, message(9, all + 1)), Offered::Taken);
+    }
+
+    #[test]
+    fn what_the_daemon_drops_counts_as_refused() {
+        let mut relay = Relay::new("hub", 1e6);
+        let say = |relay: &mut Relay, numbers: std::ops::RangeInclusive<u64>| {
+            for number in numbers {
+                assert_eq!(relay.offer(9, number, 1, message(9, number)), Offered::Taken);
+            }
+            while relay.send(0).is_some() {}
+        };
+        // It lives, and names others.
+        assert_eq!(relay.confirm(&accepted(1, 8, 5, 5), 1), 0);
+        say(&mut relay, 1..=10);
+        assert_eq!(relay.confirm(&accepted(1, 9, 4, 4), 1), 0);
+        // Three of the next six it did not take, and says it again.
+        assert_eq!(relay.confirm(&accepted(1, 9, 10, 7), 1), 3);
+        assert_eq!(relay.confirm(&accepted(1, 9, 10, 7), 1), 0);
+        assert_eq!(relay.confirmed(), Confirmed { epoch: Hex(9), next: 11, confirmed: 10, refused: 3 });
+        // What was passed over here never reached it.
+        assert_eq!(relay.offer(9, 11, 1, None), Offered::Taken);
+        say(&mut relay, 12..=13);
+        // One that was too long is named before one that was accepted earlier.
+        assert_eq!(relay.confirm(&accepted(1, 9, 13, 7), 1), 2);
+        assert_eq!(relay.confirm(&accepted(1, 9, 13, 8), 1), 0);
+        assert_eq!(relay.confirmed().refused, 5);
+        // A daemon that starts again counts in its own way; a bridge that does takes over what the daemon had accepted.
+        say(&mut relay, 14..=15);
+        assert_eq!(relay.confirm(&accepted(2, 9, 15, 13), 1), 0);
+        say(&mut relay, 16..=17);
+        assert_eq!((relay.confirm(&accepted(2, 9, 17, 14), 1), relay.confirmed().refused), (1, 6));
+        let mut relay = Relay::new("hub", 1e6);
+        relay.confirm(&accepted(2, 9, 17, 14), 1);
+        for number in 18..=19 {
+            relay.offer(9, number, 18, message(9, number));
+        }
+        while relay.send(0).is_some() {}
+        assert_eq!((relay.confirm(&accepted(2, 9, 19, 16), 1), relay.confirmed().refused), (0, 0));
+    }
+
+    #[test]
+    fn a_pace_that_is_too_fast_for_the_daemon_is_left_and_found_again() {
+        const S: u64 = 1_000_000_000;
+        let mut relay = Relay::new("hub", 100.0);
+        relay.offer(9, 1, 1, message(9, 1));
+        relay.send(S);
+        (1..=20).for_each(|n| assert_eq!(relay.again(S + n * AGAIN_NS, true).len(), 1));
+        assert_eq!(relay.pace.rate_per_s, SLOWEST_PER_S);
+        let mut now_ns = 200 * S;
+        for number in 2..100 {
+            relay.confirm(&scores(9, number - 1), now_ns);
+            relay.offer(9, number, 1, message(9, number));
+            now_ns += 10 * S;
+            assert!(relay.send(now_ns).is_some());
+        }
+        assert_eq!(relay.pace.rate_per_s, 100.0);
+        // One that is configured slower than that is none the faster.
+        let mut slow = Pace::new(0.1);
+        slow.slow_down(S);
+        assert_eq!(slow.rate_per_s, 0.1);
     }
 
     #[test]

@@ -34,6 +34,9 @@ pub enum BridgeError {
     /// ROS 2.
     #[error(transparent)]
     Ros2(#[from] Ros2Error),
+    /// A thread.
+    #[error("the program has a fault: its thread {0} has ended by a panic, which the log has")]
+    Panic(String),
     /// The system gives no thread.
     #[error("cannot start a thread: {0}; is a limit on tasks set too low?")]
     Thread(std::io::Error),
@@ -70,36 +73,47 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
             BridgeError::Thread(error)
         };
         // Whichever ends ends the others.
-        let ending = |result: Result<(), IpcError>| {
-            stopper.request();
-            result
-        };
         let domain = &domain;
-        let inward = move || ending(inward::run(config, domain, link, &heard, stopper));
+        let inward = move || {
+            let _ends = stopper.at_end();
+            inward::run(config, domain, link, &heard, stopper)
+        };
         let inward = start("inward").spawn_scoped(scope, inward).map_err(failed)?;
         let answering = if questions.is_empty() {
             None
         } else {
             let services: Vec<_> = questions.iter().map(|(_, service)| *service).collect();
-            let answer = move || ending(ask::run(domain, &services, &asked, stopper));
+            let answer = move || {
+                let _ends = stopper.at_end();
+                ask::run(domain, &services, &asked, stopper)
+            };
             Some(start("ask").spawn_scoped(scope, answer).map_err(failed)?)
         };
         let listening = if config.peers.hear {
-            let listen = move || ending(peers::run(config, domain, &peers_heard, stopper));
+            let listen = move || {
+                let _ends = stopper.at_end();
+                peers::run(config, domain, &peers_heard, stopper)
+            };
             Some(start("peers").spawn_scoped(scope, listen).map_err(failed)?)
         } else {
             None
         };
         let sharing = match link.filter(|_| config.habits.share) {
             Some(link) => {
-                let share = move || ending(habits::run(config, domain, link, last_told, stopper));
+                let share = move || {
+                    let _ends = stopper.at_end();
+                    habits::run(config, domain, link, last_told, stopper)
+                };
                 Some(start("habits").spawn_scoped(scope, share).map_err(failed)?)
             }
             None => None,
         };
         let spoken = match ros2 {
             Some((places, link)) => {
-                let speak = move || ending(ros2::run::run(&config.ros2, places, domain, link, ros2_ear, stopper));
+                let speak = move || {
+                    let _ends = stopper.at_end();
+                    ros2::run::run(&config.ros2, places, domain, link, ros2_ear, stopper)
+                };
                 Some(start("ros2").spawn_scoped(scope, speak).map_err(failed)?)
             }
             None => None,
@@ -111,14 +125,21 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
                 notify(&[NotifyState::Watchdog]);
             }
         };
-        let outward = ending(outward::run(config, domain, link, &last, stopper, &alive));
+        let outward = {
+            let _ends = stopper.at_end();
+            outward::run(config, domain, link, &last, stopper, &alive).map_err(BridgeError::Ipc)
+        };
         notify(&[NotifyState::Stopping]);
-        let ended = |thread: thread::ScopedJoinHandle<'_, Result<(), IpcError>>| thread.join().unwrap_or(Ok(()));
-        let inward = ended(inward);
-        let others =
-            [answering, spoken, listening, sharing].into_iter().flatten().map(ended).collect::<Result<Vec<()>, _>>();
-        outward.and(inward).and(others.map(drop)).map_err(BridgeError::Ipc)
+        let threads = [Some(inward), answering, spoken, listening, sharing];
+        let ends: Vec<_> = threads.into_iter().flatten().map(ended).collect();
+        outward.and(ends.into_iter().collect())
     })
+}
+
+/// How a thread ended, once it has.
+fn ended(thread: thread::ScopedJoinHandle<'_, Result<(), IpcError>>) -> Result<(), BridgeError> {
+    let name = thread.thread().name().unwrap_or_default().to_owned();
+    thread.join().map_err(|_| BridgeError::Panic(name))?.map_err(BridgeError::Ipc)
 }
 
 /// Tells systemd; without it this does nothing.
@@ -167,4 +188,31 @@ fn declare(
         declared.push(Box::new(session.liveliness().declare_token(keys.alive()).wait()?));
         Ok(declared)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_that_panics_stops_the_others_and_is_an_error() {
+        let stop = Stop::default();
+        thread::scope(|scope| {
+            let own = &stop;
+            let other = move || {
+                while !own.requested() {
+                    thread::yield_now();
+                }
+                Ok(())
+            };
+            let other = scope.spawn(other);
+            let panics = move || -> Result<(), IpcError> {
+                let _ends = own.at_end();
+                panic!("a fault");
+            };
+            let panics = thread::Builder::new().name("ask".to_owned()).spawn_scoped(scope, panics).unwrap();
+            ended(other).unwrap();
+            assert!(ended(panics).unwrap_err().to_string().contains("its thread ask has ended by a panic"));
+        });
+    }
 }

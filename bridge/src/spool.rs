@@ -2,8 +2,9 @@
 //!
 //! A line for each narration, and one for what is confirmed now and then: a checksum, and JSON with the epoch. A line that was cut off by a
 //! power loss is dropped; it was not sent before it was on disk. Narrations up to a damaged line in the middle are given up: numbers go on
-//! behind it, so that none is given twice. Where no line is whole, the epoch is a new one, and the input is read from its end: what the
-//! robots had already is not said again. Folder and file are their owner's alone, for narration is private.
+//! behind it, so that none is given twice. Of an end that was lost the robots know how far it went ([`Spool::number_on`]). Where no line is
+//! whole, the epoch is a new one, and the input is read from its end: what the robots had already is not said again. Folder and file are their
+//! owner's alone, for narration is private.
 
 use std::collections::VecDeque;
 use std::fs::{self, File, OpenOptions};
@@ -16,7 +17,7 @@ use rustix::fs::{FlockOperation, flock};
 use serde::{Deserialize, Serialize};
 
 use crate::delay::clock_id;
-use crate::wire::{Hex, Observation};
+use crate::wire::{Hex, Kind, Observation};
 
 /// The file's name in its folder.
 const FILE: &str = "narration";
@@ -29,6 +30,9 @@ const DIGITS: usize = 8;
 /// What is confirmed goes to the file when it is so many narrations, or so long after the last time.
 const NOTE_EACH: u64 = 64;
 const NOTE_NS: u64 = 1_000_000_000;
+
+/// Numbers that one start gives up at most because a robot says that it has them.
+pub const TAKEN_MAX: u64 = 1024;
 
 /// Why there is no spool.
 #[derive(Debug, thiserror::Error)]
@@ -70,6 +74,24 @@ enum Entry {
     },
 }
 
+/// What was observed, when, and how far the input was read with it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Dated {
+    observation: Observation,
+    observed_ns: u64,
+    observed_unix_ns: u64,
+    input: Place,
+}
+
+impl Dated {
+    /// Something that was observed so long before now, whenever it is kept.
+    #[must_use]
+    pub fn new(observation: Observation, age_ns: u64, input: Place) -> Self {
+        let observed_ns = clock::monotonic_ns().saturating_sub(age_ns);
+        Self { observation, observed_ns, observed_unix_ns: clock::unix_ns().saturating_sub(age_ns), input }
+    }
+}
+
 /// A narration that is kept.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Kept {
@@ -101,6 +123,8 @@ pub struct Spool {
     noted: (u64, u64),
     /// A write failed, and the file is to end here before the next one.
     cut_at: Option<u64>,
+    /// Numbers that this start has given up.
+    taken: u64,
     _lock: File,
 }
 
@@ -151,7 +175,8 @@ impl Spool {
         };
         let file = write(&path, head, &kept).map_err(failed("cannot write"))?;
         let (clock, noted) = (Hex(clock_id()), (head.first, clock::monotonic_ns()));
-        let mut spool = Self { path, file, head, clock, kept, keep, gone: 0, noted, cut_at: None, _lock: lock };
+        let mut spool =
+            Self { path, file, head, clock, kept, keep, gone: 0, noted, cut_at: None, taken: 0, _lock: lock };
         spool.trim();
         Ok(spool)
     }
@@ -197,28 +222,40 @@ impl Spool {
         }
     }
 
-    /// Keeps narrations, each observed so long ago and read up to a place of the input, on disk when this returns.
+    /// Numbers that are gone, where a robot says that the next one is `next`: the disk has lost what was given them, and what comes now must not be
+    /// taken for it. Their places hold nothing, which a robot that never had them passes over. Gives how many, and none where so many cannot be
+    /// gone.
+    ///
+    /// # Errors
+    ///
+    /// [`SpoolError`]; then the numbers are still to be given.
+    pub fn number_on(&mut self, next: u64) -> Result<Option<u64>, SpoolError> {
+        let count = next.saturating_sub(self.last() + 1);
+        if count > TAKEN_MAX - self.taken {
+            return Ok(None);
+        }
+        if count > 0 {
+            let nothing = Observation { text: String::new(), kind: Kind::Sentence, person: None };
+            let nothing = Dated::new(nothing, 0, self.input().unwrap_or_default());
+            self.append((0..count).map(|_| nothing.clone()).collect())?;
+            self.taken += count;
+        }
+        Ok(Some(count))
+    }
+
+    /// Keeps narrations, on disk when this returns.
     ///
     /// # Errors
     ///
     /// [`SpoolError`]; then nothing of them counts as kept.
-    pub fn append(&mut self, observed: Vec<(Observation, u64, Place)>) -> Result<(), SpoolError> {
-        let (now_ns, now_unix_ns, mut next) = (clock::monotonic_ns(), clock::unix_ns(), self.last() + 1);
+    pub fn append(&mut self, dated: Vec<Dated>) -> Result<(), SpoolError> {
         let mut lines = Vec::new();
         let mut fresh = Vec::new();
-        for (observation, age_ns, input) in observed {
-            let kept = Kept {
-                sequence: next,
-                clock: self.clock,
-                observed_ns: now_ns.saturating_sub(age_ns),
-                observed_unix_ns: now_unix_ns.saturating_sub(age_ns),
-                input,
-                observation,
-            };
+        for (sequence, Dated { observation, observed_ns, observed_unix_ns, input }) in (self.last() + 1..).zip(dated) {
+            let kept = Kept { sequence, clock: self.clock, observed_ns, observed_unix_ns, input, observation };
             let entry = Entry::Kept { epoch: self.head.epoch, kept: kept.clone() };
             lines.extend(line(&entry).map_err(|error| self.failed("cannot write", error))?);
             fresh.push(kept);
-            next += 1;
         }
         self.write_lines(&lines, true)?;
         self.kept.extend(fresh);
@@ -381,7 +418,6 @@ fn write(path: &Path, head: Head, kept: &VecDeque<Kept>) -> io::Result<File> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wire::Kind;
 
     fn observation(text: &str) -> Observation {
         Observation { text: text.to_owned(), kind: Kind::Sentence, person: None }
@@ -391,7 +427,7 @@ mod tests {
         for _ in 0..count {
             let mut input = spool.input().unwrap_or_default();
             input.at += 10;
-            spool.append(vec![(observation("They sit."), 7, input)]).unwrap();
+            spool.append(vec![Dated::new(observation("They sit."), 7, input)]).unwrap();
         }
     }
 
@@ -465,6 +501,39 @@ mod tests {
         assert_eq!(Spool::open(folder.path(), 100).unwrap().last(), 5);
     }
 
+    /// Where the disk is full it may wait for hours.
+    #[test]
+    fn what_waits_for_the_disk_is_of_when_it_was_observed() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut spool = Spool::open(folder.path(), 100).unwrap();
+        let dated = Dated::new(observation("They sit."), 7, Place::default());
+        std::thread::sleep(std::time::Duration::from_millis(5));
+        spool.append(vec![dated]).unwrap();
+        assert!(spool.age_ns(spool.get(1).unwrap()) >= 5_000_007);
+    }
+
+    #[test]
+    fn numbers_that_a_robot_has_are_not_given_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut spool = Spool::open(folder.path(), 100_000).unwrap();
+        append(&mut spool, 5);
+        assert_eq!(spool.number_on(4).unwrap(), Some(0));
+        // The disk has lost 6 to 9.
+        assert_eq!(spool.number_on(10).unwrap(), Some(4));
+        append(&mut spool, 1);
+        let nothing = spool.get(9).unwrap().observation.clone();
+        assert_eq!((spool.last(), spool.input().unwrap().at), (10, 60));
+        nothing.message().unwrap_err();
+        spool.get(10).unwrap().observation.message().unwrap();
+        // A robot that says anything does not fill the spool, however often.
+        assert_eq!(spool.number_on(u64::MAX).unwrap(), None);
+        assert_eq!(spool.number_on(11 + TAKEN_MAX - 4).unwrap(), Some(TAKEN_MAX - 4));
+        assert_eq!(spool.number_on(spool.last() + 2).unwrap(), None);
+        let last = spool.last();
+        drop(spool);
+        assert_eq!(Spool::open(folder.path(), 100_000).unwrap().last(), last);
+    }
+
     #[test]
     fn what_is_confirmed_is_not_kept_over_a_kill() {
         let folder = tempfile::tempdir().unwrap();
@@ -494,7 +563,8 @@ mod tests {
         append(&mut spool, 130);
         assert_eq!((spool.first(), spool.last()), (31, 130));
         for _ in 0..50 {
-            spool.append((0..100).map(|_| (observation("They sit."), 0, Place::default())).collect()).unwrap();
+            let dated = || Dated::new(observation("They sit."), 0, Place::default());
+            spool.append((0..100).map(|_| dated()).collect()).unwrap();
             spool.confirm(spool.last()).unwrap();
         }
         assert_eq!((spool.first(), spool.last()), (5131, 5130));

@@ -1,7 +1,7 @@
 //! What narrators elsewhere and robots say to one another: JSON objects. A peer's bytes are believed only as far as they are checked here.
 //! Keys that this version does not know are passed over, so that a later one can add some.
 
-use roomcast_core::narration::{Action, DeviceState, Observed, PresenceStatement, Said, Sentence};
+use roomcast_core::narration::{Action, DeviceState, Named, Observed, PresenceStatement, SOMEBODY, Said, Sentence};
 use roomcast_ipc::{ALL_PERSONS, Message, NarrationV1, narration_kind, sequence, text};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -59,8 +59,37 @@ impl Kind {
 pub enum Person {
     /// By number.
     Number(u32),
-    /// By name.
+    /// By name, or by a number in digits.
     Name(String),
+}
+
+impl Person {
+    /// Digits as the number that they are: so the robot that hears them need not know that they are one.
+    #[must_use]
+    pub fn of_digits(self) -> Self {
+        match &self {
+            Self::Name(text) => match Named::parse(text) {
+                Ok(Named::Number(number)) => Self::Number(number),
+                _ => self,
+            },
+            Self::Number(_) => self,
+        }
+    }
+
+    /// Writes who it is into a message. The daemon drops a message of anybody else, and waits for its number.
+    fn put(&self, message: &mut NarrationV1) -> Result<(), Fault> {
+        match self {
+            Self::Number(SOMEBODY) => return Err(Fault(format!("person: a number is less than {SOMEBODY}"))),
+            Self::Number(number) => message.person = *number,
+            Self::Name(text) => match Named::parse(text).map_err(|why| Fault(format!("person: {why}")))? {
+                Named::Number(number) => message.person = number,
+                Named::Name(name) => {
+                    message.person_name = text::encode("person", name).map_err(|error| Fault(error.to_string()))?;
+                }
+            },
+        }
+        Ok(())
+    }
 }
 
 /// What was observed.
@@ -96,16 +125,8 @@ impl Observation {
         let content = self.text.trim();
         let mut message = NarrationV1::new(self.kind.number(), content).map_err(|error| fault(&error))?;
         message.person = ALL_PERSONS;
-        match &self.person {
-            None => {}
-            Some(Person::Number(number)) => message.person = *number,
-            Some(Person::Name(name)) => {
-                let name = name.trim();
-                if !name.chars().any(char::is_alphanumeric) {
-                    return Err(Fault("person: a name has letters or digits".to_owned()));
-                }
-                message.person_name = text::encode("person", name).map_err(|error| fault(&error))?;
-            }
+        if let Some(person) = &self.person {
+            person.put(&mut message)?;
         }
         self.kind.read(content)?;
         Ok(message)
@@ -206,7 +227,7 @@ pub struct Confirmed {
     pub next: u64,
     /// Up to this number the daemon has dealt with everything.
     pub confirmed: u64,
-    /// Of these, how many were no narration and did not reach the daemon.
+    /// Of these, how many were no narration, or were dropped by the daemon.
     pub refused: u64,
 }
 
@@ -236,6 +257,9 @@ mod tests {
         assert_eq!(with(r#""text":"[Grab] <mug> (1)","kind":"action""#).unwrap().kind, narration_kind::ACTION);
         assert_eq!(with(r#""text":"away","kind":"presence","person":"Ada""#).unwrap().person_name(), "Ada");
         assert_eq!(with(r#""text":"They sit.","person":7"#).unwrap().person, 7);
+        // Digits are a number, as in lines for the daemon.
+        let numbered = with(r#""text":"They sit.","person":" 7""#).unwrap();
+        assert_eq!((numbered.person, numbered.person_name()), (7, ""));
         for bad in [
             r#""text":"[Fly] <mug> (1)","kind":"action""#,
             r#""text":"in the kitchen","kind":"presence""#,
@@ -244,6 +268,12 @@ mod tests {
             r#""text":"They sit.","kind":"shout""#,
             r#""text":"They sit.","person":" ""#,
             r#""text":"They sit.","person":-1"#,
+            r#""text":"They sit.","person":4294967295"#,
+            r#""text":"They sit.","person":"-1""#,
+            r#""text":"They sit.","person":"4294967295""#,
+            r#""text":"They sit.","person":"me""#,
+            r#""text":"They sit.","person":"Nobody""#,
+            r#""text":"They sit.","person":"they""#,
             r#""kind":"sentence""#,
         ] {
             with(bad).unwrap_err();

@@ -10,7 +10,7 @@ use roomcast_bridge::config::Config;
 use roomcast_bridge::delivery::Delivery;
 use roomcast_bridge::line::line;
 use roomcast_bridge::relay::{Offered, Relay};
-use roomcast_bridge::spool::{Place, Spool};
+use roomcast_bridge::spool::{Dated, Place, Spool};
 use roomcast_bridge::told::Teller;
 use roomcast_bridge::wire::{Arrived, BYTES_MAX, Confirmed, Hex, Kind, Narrated, Observation, Person, read};
 use roomcast_ipc::{Message, NAME_BYTES};
@@ -104,7 +104,7 @@ proptest! {
         let said = Confirmed { epoch: Hex(7), next, confirmed, refused: 0 };
         let bytes = damaged(&serde_json::to_vec(&said).unwrap(), &changes);
         let Ok(heard) = read::<Confirmed>(&bytes) else { return Ok(()) };
-        let mut delivery = Delivery::default();
+        let mut delivery = Delivery::from(1, 40);
         delivery.hear(heard, 7, 40, 1);
         delivery.give_up_before(3);
         prop_assert!(delivery.confirmed() <= 40 && delivery.lost() <= 2);
@@ -151,7 +151,7 @@ proptest! {
             let mut spool = Spool::open(folder.path(), 64).unwrap();
             for number in 0..count {
                 let Place { file, at } = spool.input().unwrap();
-                spool.append(vec![(observation(number as u8), 7, Place { file, at: at + 10 })]).unwrap();
+                spool.append(vec![Dated::new(observation(number as u8), 7, Place { file, at: at + 10 })]).unwrap();
             }
             spool.confirm(confirmed.min(count)).unwrap();
             let file = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path());
@@ -173,7 +173,7 @@ proptest! {
             // What is damaged is never narrated.
             prop_assert_eq!(&kept.observation, &observation((number - 1) as u8));
         }
-        spool.append(vec![(observation(0), 0, spool.input().unwrap_or_default())]).unwrap();
+        spool.append(vec![Dated::new(observation(0), 0, spool.input().unwrap_or_default())]).unwrap();
         prop_assert_eq!(spool.last(), opened.2 + 1);
         drop(spool);
         let again = Spool::open(folder.path(), 64).unwrap();

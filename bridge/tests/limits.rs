@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use roomcast_bridge::{ask, config, habits, inward, line, link, peers, relay, wire};
+use roomcast_bridge::{ask, config, habits, inward, line, link, peers, relay, spool, wire};
 
 #[test]
 fn the_page_states_the_limits_of_the_code() {
@@ -16,6 +16,7 @@ fn the_page_states_the_limits_of_the_code() {
             "narrations of a hub that wait at the robot, and that are under way to the daemon",
             format!("{} and {}", relay::WAITING_MAX, relay::UNDER_WAY_MAX),
         ),
+        ("numbers that a start of a hub gives up because a robot has them", spool::TAKEN_MAX.to_string()),
         ("robots of a hub", config::ROBOTS_MAX.to_string()),
         ("other robots that are followed", peers::PEERS_MAX.to_string()),
         ("bytes of a robot's counts of habits", habits::BYTES_MAX.to_string()),

@@ -191,6 +191,14 @@ pub enum IpcError {
         #[source]
         source: MessageError,
     },
+    /// The daemon has an answer and cannot give it.
+    #[error("service {service}: {reason}")]
+    NotGiven {
+        /// Service name.
+        service: &'static str,
+        /// Why, and what to do.
+        reason: String,
+    },
     /// Nobody answered.
     #[error("service {service}: no answer within {waited_ms} ms; is the daemon running in this domain?")]
     NoAnswer {

@@ -198,10 +198,14 @@ impl<M: Message> Publisher<M> {
     }
 }
 
+type Port<M> = iceoryx2::port::subscriber::Subscriber<Flavour, M, ()>;
+
 /// Receives messages of one kind, each copied out of shared memory and checked.
 #[derive(Debug)]
 pub struct Subscriber<M: Message> {
-    subscriber: RefCell<iceoryx2::port::subscriber::Subscriber<Flavour, M, ()>>,
+    subscriber: RefCell<Port<M>>,
+    /// The one before it, for as long as it has messages: they are older than all that the new one gets.
+    former: RefCell<Option<Port<M>>>,
     connections: Connections,
     factory: Factory<M, ()>,
     listener: Listener<Flavour>,
@@ -261,8 +265,8 @@ impl<M: Message> Subscriber<M> {
             occupied(node, &factory, &subscribers(&factory), quality.name, "subscriber", quality.subscribers)
         })?;
         wake(waker(node, quality.name).as_ref());
-        let subscriber = RefCell::new(subscriber);
-        Ok(Self { subscriber, connections, factory, listener, woken: Cell::new(false) })
+        let (subscriber, former) = (RefCell::new(subscriber), RefCell::new(None));
+        Ok(Self { subscriber, former, connections, factory, listener, woken: Cell::new(false) })
     }
 
     /// Sleeps until there is news (a message, a publisher that comes, goes or dies) or `timeout` is over, whichever is first;
@@ -287,6 +291,9 @@ impl<M: Message> Subscriber<M> {
     }
 
     fn has_messages(&self) -> Result<bool, IpcError> {
+        if self.former.borrow().is_some() {
+            return Ok(true);
+        }
         self.subscriber.borrow().has_samples().map_err(|error| port(M::SERVICE.name, "wait", &error))
     }
 
@@ -334,7 +341,16 @@ impl<M: Message> Subscriber<M> {
         if self.connections.are_due() {
             self.connect_again();
         }
-        let sample = self.subscriber.borrow().receive().map_err(|error| port(M::SERVICE.name, "receive", &error))?;
+        let fail = |error| port(M::SERVICE.name, "receive", &error);
+        let former = self.former.take();
+        let left = former.as_ref().map(|former| former.receive().map_err(fail)).transpose()?.flatten();
+        if left.is_some() {
+            self.former.replace(former);
+        }
+        let sample = match left {
+            Some(left) => Some(left),
+            None => self.subscriber.borrow().receive().map_err(fail)?,
+        };
         Ok(sample.map(|sample| {
             // Its sender can still write to the sample. What is checked must be what is used: copy first; the black box keeps the
             // compiler from reading the shared memory a second time.
@@ -344,11 +360,16 @@ impl<M: Message> Subscriber<M> {
         }))
     }
 
-    /// Another subscriber in place of this one, whose connections are made from the start: publishers give it their history.
+    /// Another subscriber in place of this one, whose connections are made from the start: publishers give it their history. What this one
+    /// has got by good connections is taken first; what is in the history, too, comes twice.
     fn connect_again(&self) {
+        if self.former.borrow().is_some() {
+            self.connections.failed.store(true, Ordering::Relaxed);
+            return;
+        }
         let subscriber = self.factory.subscriber_builder().buffer_size(M::SERVICE.buffer);
         match subscriber.set_degradation_handler(self.connections.watch()).create() {
-            Ok(subscriber) => drop(self.subscriber.replace(subscriber)),
+            Ok(subscriber) => drop(self.former.replace(Some(self.subscriber.replace(subscriber)))),
             // There may be no place for two at this moment.
             Err(_) => self.connections.failed.store(true, Ordering::Relaxed),
         }
@@ -981,5 +1002,51 @@ impl Node {
     /// As [`Node::publisher`].
     pub fn status_client(&self) -> Result<StatusClient, IpcError> {
         self.retry(|| StatusClient::open(self))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Domain, report_kind};
+
+    /// One connection that failed is made again: what came by the others and was not read yet is not lost by that.
+    #[test]
+    fn what_good_connections_delivered_outlives_a_failed_one() {
+        let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(root.path(), &format!("again-{}", std::process::id())).unwrap();
+        let node = domain.open("both").unwrap();
+        let subscriber = node.subscriber::<RobotReportV1>().unwrap();
+        let publisher = node.publisher::<RobotReportV1>().unwrap();
+        let report = |sequence| RobotReportV1 {
+            robot: 7,
+            epoch: 1,
+            sequence,
+            kind: report_kind::DOCKED,
+            ..RobotReportV1::default()
+        };
+        let most = RobotReportV1::SERVICE.buffer as u64;
+        (1..=most).for_each(|sequence| publisher.send(&report(sequence)).unwrap());
+        let before = subscriber.subscribers();
+        subscriber.connect_again();
+        assert_eq!(subscriber.subscribers(), before + 1, "the one before it has messages");
+        assert!(subscriber.has_messages().unwrap());
+        // Once more before they are read: that waits.
+        subscriber.connect_again();
+        assert_eq!(subscriber.subscribers(), before + 1);
+        publisher.tick().unwrap();
+        publisher.send(&report(most + 1)).unwrap();
+        let mut heard = Vec::new();
+        while let Some(received) = subscriber.receive().unwrap() {
+            let sequence = received.unwrap().sequence;
+            if !heard.contains(&sequence) {
+                heard.push(sequence);
+            }
+        }
+        assert_eq!(subscriber.subscribers(), before, "its place is free again");
+        // The newest came to both; where that overran the former's buffer, its oldest gave way as ever.
+        assert!(heard.iter().copied().eq(2..=most + 1), "{heard:?}");
+        drop((subscriber, publisher, node));
+        domain.clean_up().unwrap();
     }
 }

@@ -11,7 +11,8 @@
 //! came, so whoever asks for a change names it, and the daemon does a change of the same name once.
 //!
 //! Shared memory is set aside for every answer that may be under way, each as long as the longest. So an answer of more than
-//! [`ANSWER_BYTES_MAX`] bytes lies in a file of the domain's root path, and what comes by the service is [`ANSWER_IN_FILE`].
+//! [`ANSWER_BYTES_MAX`] bytes lies in a file of the domain's root path, and what comes by the service is [`ANSWER_IN_FILE`]. Where the file cannot
+//! be written, `{"answer":"none","reason":"..."}` comes.
 
 use std::cell::{Cell, RefCell};
 use std::fs;
@@ -51,6 +52,11 @@ pub const ANSWER_BYTES_MAX: usize = 1 << 16;
 /// The answer that says: it lies in the file `NAME_SERVICE.answer` of the root path, with the domain's name and the last part of the
 /// service's. Whoever has read it removes it, since it may tell of persons. The next question removes one that nobody has read.
 pub const ANSWER_IN_FILE: &str = r#"{"answer":"in-file"}"#;
+
+/// How the answer begins that says: there is none, for the reason that follows, in a text of JSON without escapes.
+const NO_ANSWER: &str = r#"{"answer":"none","reason":""#;
+/// How it ends.
+const NO_ANSWER_END: &str = r#""}"#;
 
 const CLIENTS: usize = 8;
 /// A daemon that starts after a question was sent never gets it: it is asked again after this.
@@ -126,11 +132,17 @@ impl AnswerPort {
             let mut answer = respond(question);
             self.forget_answer();
             if answer.len() > ANSWER_BYTES_MAX {
-                // Where the disk is full, whoever asks gets no answer; the daemon goes on.
-                if write_whole(&self.file, &answer).is_err() {
-                    continue;
-                }
-                ANSWER_IN_FILE.clone_into(&mut answer);
+                answer = match write_whole(&self.file, &answer) {
+                    Ok(()) => ANSWER_IN_FILE.to_owned(),
+                    Err(error) => {
+                        self.forget_answer();
+                        not_given(&format!(
+                            "the answer of {} bytes cannot be written to {}: {error}; is the disk full?",
+                            answer.len(),
+                            self.file.display()
+                        ))
+                    }
+                };
             }
             let response = request.loan_slice_uninit(answer.len());
             let sent = response.map(|response| response.write_from_slice(answer.as_bytes()).send());
@@ -167,7 +179,7 @@ impl QuestionPort {
     ///
     /// # Errors
     ///
-    /// [`IpcError::NoAnswer`] after `timeout`, [`IpcError::Refused`] for a question that is too long or an answer that is no
+    /// [`IpcError::NoAnswer`] after `timeout`, [`IpcError::NotGiven`] where the daemon says why it has none, [`IpcError::Refused`] for a question that is too long or an answer that is no
     /// text, [`IpcError::Port`].
     pub fn ask(&self, question: &str, timeout: Duration) -> Result<String, IpcError> {
         let service = self.service;
@@ -202,9 +214,14 @@ impl QuestionPort {
                         };
                         let _gone = fs::remove_file(&self.file);
                     }
-                    return String::from_utf8(copy).map_err(|error| {
+                    let answer = String::from_utf8(copy).map_err(|error| {
                         refused(MessageError::NotUtf8 { field: "answer", at: error.utf8_error().valid_up_to() })
-                    });
+                    })?;
+                    let reason = answer.strip_prefix(NO_ANSWER).and_then(|rest| rest.strip_suffix(NO_ANSWER_END));
+                    return match reason {
+                        Some(reason) => Err(IpcError::NotGiven { service, reason: reason.to_owned() }),
+                        None => Ok(answer),
+                    };
                 }
                 std::thread::sleep(POLL);
             }
@@ -217,6 +234,12 @@ impl QuestionPort {
 fn client_of(factory: &Factory) -> Result<Asker, ClientCreateError> {
     let client = factory.client_builder().initial_max_slice_len(4096);
     client.allocation_strategy(AllocationStrategy::PowerOfTwo).create()
+}
+
+/// The answer that says why there is none.
+fn not_given(reason: &str) -> String {
+    let plain = |character| if matches!(character, '"' | '\\') || character < ' ' { '?' } else { character };
+    format!("{NO_ANSWER}{}{NO_ANSWER_END}", reason.chars().map(plain).collect::<String>())
 }
 
 fn unfinished(path: &Path) -> PathBuf {

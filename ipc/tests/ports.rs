@@ -273,6 +273,14 @@ fn questions_in_words_are_answered_at_any_length_or_their_absence_is_said() {
         std::fs::write(private.domain.root().join(format!("{}moment.{end}", private.domain.prefix())), &long).unwrap();
     }
     assert_eq!((left(), client.ask("stressed", patience).unwrap(), left()), (2, "desserts".to_owned(), 0));
+    // Where the file cannot be written, as on a full disk, whoever asks hears why, and at once.
+    let unfinished = private.domain.root().join(format!("{}moment.unfinished", private.domain.prefix()));
+    std::fs::create_dir(&unfinished).unwrap();
+    let error = client.ask(&long, patience).unwrap_err();
+    let why = error.to_string();
+    assert!(matches!(error, IpcError::NotGiven { .. }) && why.contains("the answer of 800000 bytes cannot"), "{why}");
+    std::fs::remove_dir(&unfinished).unwrap();
+    assert_eq!(client.ask(&long, patience).unwrap(), "ba".repeat(400_000));
     let too_long = "a".repeat(question::QUESTION_BYTES_MAX + 1);
     assert!(matches!(client.ask(&too_long, patience), Err(IpcError::Refused { .. })));
     stop.send(()).unwrap();

@@ -32,8 +32,6 @@ pub mod setup;
 
 mod state_file;
 
-pub mod person_name;
-
 pub mod message_text;
 
 pub mod token_bucket;

@@ -10,8 +10,9 @@ use serde::de::{Deserialize, Deserializer, Unexpected, Visitor};
 use serde_json::Value;
 
 use crate::message_text::said_of;
-use crate::person_name::{check_name, is_number};
-use roomcast_core::narration::{Observed, ObservedError, Presence, PresenceError, PresenceStatement, ProgramError};
+use roomcast_core::narration::{
+    Named, Observed, ObservedError, Presence, PresenceError, PresenceStatement, ProgramError,
+};
 use roomcast_core::text::visible;
 use roomcast_ipc::{ALL_PERSONS, MessageError, NarrationV1, narration_kind, text};
 
@@ -75,16 +76,11 @@ impl FromStr for Who {
 
     /// A number, or else a name.
     fn from_str(text: &str) -> Result<Self, WhoError> {
-        let name = text.trim();
-        let refused = || WhoError { text: name.chars().take(80).collect() };
-        if is_number(name) {
-            return match name.parse() {
-                Ok(number) if number != ALL_PERSONS => Ok(Self::Number(number)),
-                _ => Err(refused()),
-            };
+        match Named::parse(text) {
+            Ok(Named::Number(number)) => Ok(Self::Number(number)),
+            Ok(Named::Name(name)) => Ok(Self::Name(name.to_owned())),
+            Err(_) => Err(WhoError { text: text.trim().chars().take(80).collect() }),
         }
-        check_name(name).map_err(|_| refused())?;
-        Ok(Self::Name(name.to_owned()))
     }
 }
 

@@ -4,8 +4,8 @@ use roomcast_ipc::question;
 
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
+use roomcast_core::narration::check_name;
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion};
-use roomcast_services::person_name::check_name;
 
 /// Arguments of `roomcast person`.
 #[derive(Debug, clap::Args)]

@@ -1,7 +1,7 @@
 //! A ROS 2 node on rmw_zenoh: its keys, its liveliness tokens, what it publishes and what it hears. The formats are those of
 //! rmw_zenoh's design document.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use roomcast_ipc::clock;
 use roomcast_ros2::types::{self, Message};
@@ -106,6 +106,11 @@ impl Node {
         topic.publisher.put(bytes).attachment(attachment).wait()
     }
 
+    /// Keeps of the topics whose names begin so those that are named, and lets go of the others and of what was said there last.
+    pub fn keep(&mut self, begin: &str, named: &BTreeSet<String>) {
+        self.topics.retain(|topic, _| !topic.starts_with(begin) || named.contains(topic));
+    }
+
     /// Hears a topic.
     ///
     /// # Errors
@@ -158,6 +163,29 @@ mod tests {
             "0/chatter/std_msgs::msg::dds_::String_/RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
         );
         assert_eq!(mangled("/roomcast/rooms"), "%roomcast%rooms");
+    }
+
+    /// Visitors come and go, and whoever was forgotten is not told of any more.
+    #[test]
+    fn topics_of_persons_who_are_gone_go() {
+        let mut config = zenoh::Config::default();
+        for (key, value) in
+            [("scouting/multicast/enabled", "false"), ("listen/endpoints", "[]"), ("timestamping/enabled", "true")]
+        {
+            config.insert_json5(key, value).unwrap();
+        }
+        let session = zenoh::open(config).wait().unwrap();
+        let mut node = Node::new(session, 0, "roomcast").unwrap();
+        let text = Text { data: "kitchen".to_owned() };
+        node.publish("/roomcast/rooms", Kept::Last, &text).unwrap();
+        for visitor in 0..100 {
+            let topic = format!("/roomcast/person/p_{visitor}");
+            node.publish(&topic, Kept::Last, &text).unwrap();
+            node.keep("/roomcast/person/", &BTreeSet::from([topic.clone()]));
+            assert_eq!(node.topics.keys().map(String::as_str).collect::<Vec<_>>(), [&topic, "/roomcast/rooms"]);
+        }
+        node.keep("/roomcast/person/", &BTreeSet::new());
+        assert_eq!(node.topics.len(), 1);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! What ROS 2 nodes hear of the robot's services, each on a topic of a standard type.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -106,9 +107,21 @@ impl Voice<'_> {
         }
     }
 
+    /// A topic below the prefix, or of an absolute name.
+    fn topic(&self, name: &str) -> String {
+        if name.starts_with('/') { name.to_owned() } else { format!("{}/{name}", self.config.prefix) }
+    }
+
+    /// Lets go of topics of persons who have none any more.
+    fn keep(&mut self, begin: &str, topics: &BTreeSet<String>) {
+        if let Some((_, node)) = &mut self.node {
+            node.keep(begin, topics);
+        }
+    }
+
     /// Publishes below the prefix, or at an absolute name.
     fn say<M: Message + serde::Serialize>(&mut self, topic: &str, kept: Kept, message: &M) {
-        let topic = if topic.starts_with('/') { topic.to_owned() } else { format!("{}/{topic}", self.config.prefix) };
+        let topic = self.topic(topic);
         let said = self.node.as_mut().map(|(_, node)| node.publish(&topic, kept, message));
         if let Some(Err(error)) = said {
             self.complain(&error);
@@ -167,10 +180,15 @@ pub fn run(
             && of_persons != Some((message.epoch, message.sequence))
         {
             of_persons = Some((message.epoch, message.sequence));
+            let mut topics = BTreeSet::new();
             for person in message.persons() {
                 let header = voice.header(now_ns.saturating_sub(message.computed_ns));
-                voice.say(&format!("person/{}", slug(person)), Kept::Last, &of_one(&message, person, header));
+                let topic = voice.topic(&format!("person/{}", slug(person)));
+                voice.say(&topic, Kept::Last, &of_one(&message, person, header));
+                topics.insert(topic);
             }
+            // Who was forgotten, or was not observed for longer than the others, has no topic, so that there are never more than persons in a message.
+            voice.keep(&voice.topic("person/"), &topics);
         }
         if let Some(forecast) = forecasts.newest()? {
             values = likely(&forecast, &places.rooms, config.horizon_s).map(mask::value).collect();

@@ -84,7 +84,7 @@ class StandIn:
             sequence += 1
             scores.sequence = sequence
             while (heard := self.narrations.receive()) is not None:
-                scores.included[0] = layouts.IncludedV1(source=heard.source, epoch=heard.epoch, sequence=heard.sequence)
+                scores.included[0] = layouts.IncludedV1(source=heard.source, epoch=heard.epoch, sequence=heard.sequence, accepted=heard.sequence)
             self.publishers["scores"].send(scores)
             self.publishers["persons"].send(samples.person_scores(sequence))
             self.publishers["forecast"].send(samples.forecast(sequence))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
+import re
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ from collections.abc import Iterator
 
 import pytest
 
+import roomcast
 import samples
 from roomcast import (
     Action,
@@ -20,6 +22,7 @@ from roomcast import (
     ItemScoresSubscription,
     MessageError,
     Narrator,
+    NotIncludedError,
     PersonForecasts,
     PersonScores,
     Planner,
@@ -97,7 +100,7 @@ def test_what_is_refused_leaves_no_gap(domain: Domain) -> None:
         with pytest.raises(ValueError):
             narrator.say(text)
     assert narrator.sequence == 0
-    for person in (-1, (1 << 32) - 1, 1 << 32, "", "...", "4294967295", True, 1.5):
+    for person in (-1, (1 << 32) - 1, 1 << 32, "", "...", "4294967295", True, 1.5, "-1", "\u0663", "me", " Who", "Nobody", "THEY"):
         with pytest.raises(ValueError, match="give a number from 0 to 4294967294, or a name"):
             Narrator("py-narrator", domain, person)  # type: ignore[arg-type]
         with pytest.raises(ValueError, match="give a number from 0 to 4294967294, or a name"):
@@ -121,6 +124,87 @@ def test_what_is_refused_leaves_no_gap(domain: Domain) -> None:
         with pytest.raises(MessageError, match="room"):
             robot.started("a" * 49)
         assert robot.sequence == 0
+
+
+def test_no_persons_names_are_those_of_the_daemon() -> None:
+    words = pathlib.Path(__file__).parents[3] / "core/src/narration/clause.toml"
+    lists = dict(re.findall(r"^(pronouns|everybody) = (\[.*\])$", words.read_text(), re.MULTILINE))
+    assert roomcast._NO_NAMES == {"nobody", "me", "who", *json.loads(lists["pronouns"]), *json.loads(lists["everybody"])}
+
+
+class Includes:
+    """Says as a daemon does what its scores contain."""
+
+    def __init__(self, domain: Domain) -> None:
+        self.publisher = ports.Publisher(domain.open("daemon"), ports.ROOM_SCORES)
+        self.narration: ports.Subscriber[layouts.NarrationV1] = ports.Subscriber(domain.open("ears"), ports.NARRATION, lambda message: message)
+        self.sent = 0
+
+    def heard(self) -> list[int]:
+        numbers = []
+        while (message := self.narration.receive()) is not None:
+            numbers.append(message.sequence)
+        return numbers
+
+    def include(self, narrator: Narrator, sequence: int, accepted: int, daemon: int = 3) -> None:
+        self.sent += 1
+        message = samples.scores(self.sent)
+        message.epoch = daemon
+        message.included[0] = layouts.IncludedV1(source=narrator.source, epoch=narrator.epoch, sequence=sequence, accepted=accepted)
+        self.publisher.send(message)
+
+
+def test_what_the_daemon_did_not_take_is_no_success(domain: Domain) -> None:
+    narrator = Narrator("py-narrator", domain)
+    daemon = Includes(domain)
+    for _ in range(3):
+        narrator.say("They sit.")
+    daemon.include(narrator, 2, 2)
+    assert narrator.wait_until_included(0.3) is None
+    daemon.include(narrator, 3, 2)
+    with pytest.raises(NotIncludedError, match="narrator 'py-narrator': the daemon has not taken 1 of 3 narrations"):
+        narrator.wait_until_included(0.3)
+    # It was only named later; a daemon that starts again counts in its own way.
+    daemon.include(narrator, 3, 3)
+    assert narrator.wait_until_included(5) is not None and narrator.dropped == 0
+    narrator.say("They sit.")
+    daemon.include(narrator, 4, 1, daemon=4)
+    assert narrator.wait_until_included(5) is not None
+    narrator.say("They sit.")
+    daemon.include(narrator, 5, 1, daemon=4)
+    with pytest.raises(NotIncludedError):
+        narrator.wait_until_included(0.3)
+
+
+def test_no_more_is_under_way_than_the_service_keeps(domain: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(roomcast, "_PATIENCE_S", 0.3)
+    narrator = Narrator("py-narrator", domain)
+    for _ in range(32):
+        narrator.say("They sit.")
+    with pytest.raises(NotIncludedError, match="32 narrations wait for the daemon.*is it running in this domain?"):
+        narrator.say("They sit.")
+    assert narrator.sequence == 32 and narrator.under_way == 32
+    # A daemon that starts now gets all of them.
+    daemon = Includes(domain)
+    assert narrator.wait_until_included(0.3) is None
+    assert daemon.heard() == list(range(1, 33))
+    daemon.include(narrator, 10, 10)
+    for _ in range(10):
+        narrator.say("They sit.")
+    assert narrator.under_way == 32 and daemon.heard() == list(range(33, 43))
+
+
+def test_leaving_says_what_is_in_no_scores(domain: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(roomcast, "_PATIENCE_S", 0.3)
+    with pytest.raises(NotIncludedError, match="2 of 2 narrations are in no scores"), Narrator("py-narrator", domain) as narrator:
+        narrator.say("They sit.")
+        narrator.say("They stand up.")
+    # Whoever fails inside hears of that, and whoever has said nothing has lost nothing.
+    with pytest.raises(KeyError), Narrator("another", domain) as narrator:
+        narrator.say("They sit.")
+        raise KeyError
+    with Narrator("third", domain):
+        pass
 
 
 def test_a_narrator_says_of_whom(domain: Domain) -> None:
@@ -327,6 +411,10 @@ def test_an_answer_that_is_too_long_for_shared_memory_is_read_from_its_file(doma
     path.write_text('{"labels": []}')
     assert moment(domain) == {"labels": []}
     assert not path.exists(), "it may tell of persons"
+    monkeypatch.setattr(ports, "_answer", lambda *_: b'{"answer":"none","reason":"the disk is full"}')
+    with pytest.raises(RoomcastError, match="service roomcast/v1/moment: the disk is full"):
+        moment(domain)
+    monkeypatch.setattr(ports, "_answer", lambda *_: ports._ANSWER_IN_FILE)
     with pytest.raises(RoomcastError, match="service roomcast/v1/map-change: the answer in .* cannot be read: No such file.*; ask again"):
         change_map([], domain)
 

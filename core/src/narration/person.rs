@@ -1,7 +1,8 @@
-//! Who is who: the number of a person who is known by name.
+//! Who is who: the number of a person who is known by name, and what a person may be called.
 
 use super::clause;
 use crate::names::Names;
+use crate::text::is_hidden;
 
 /// Most bytes of a person's name; messages have as many.
 pub const PERSON_NAME_BYTES_MAX: usize = 48;
@@ -116,9 +117,86 @@ pub fn person_number(name: &str) -> u32 {
     (hash | 1 << 31).min(SOMEBODY - 1)
 }
 
+/// Whom a text names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Named<'a> {
+    /// The person of this number.
+    Number(u32),
+    /// The person of this name.
+    Name(&'a str),
+}
+
+impl<'a> Named<'a> {
+    /// A text of digits alone is a person's number; any other is a name, which [`check_name`] judges.
+    ///
+    /// # Errors
+    /// What is wrong with it, and what to do.
+    ///
+    /// ```
+    /// use roomcast_core::narration::Named;
+    ///
+    /// assert_eq!(Named::parse(" 3"), Ok(Named::Number(3)));
+    /// assert_eq!(Named::parse("Ada "), Ok(Named::Name("Ada")));
+    /// assert!(Named::parse("-1").is_err() && Named::parse("me").is_err());
+    /// ```
+    pub fn parse(text: &'a str) -> Result<Self, String> {
+        let text = text.trim();
+        match text.parse() {
+            Ok(number) if number != SOMEBODY && is_number(text) => Ok(Self::Number(number)),
+            _ => check_name(text).map(|()| Self::Name(text)),
+        }
+    }
+}
+
+/// Whether a name can be a person's: it has letters or digits, fits into a message, hides nothing, and is no number.
+///
+/// # Errors
+/// What is wrong with it, and what to do.
+///
+/// ```
+/// use roomcast_core::narration::check_name;
+///
+/// assert!(check_name("Ada").is_ok() && check_name("12").is_err() && check_name("!").is_err());
+/// ```
+pub fn check_name(name: &str) -> Result<(), String> {
+    let name = name.trim();
+    let shown: String = name.chars().take(80).collect();
+    if is_number(name) {
+        return Err(format!("{shown:?} is a number: give a name with a letter"));
+    }
+    if ["nobody", "me", "who"].contains(&name.to_lowercase().as_str()) || super::Said::is_pronoun(name) {
+        return Err(format!("{shown:?} is no one person's name: leave it out where nobody is named"));
+    }
+    if name.contains(is_hidden) || name.len() > PERSON_NAME_BYTES_MAX || !name.contains(char::is_alphanumeric) {
+        return Err(format!(
+            "{shown:?} is no name: give at most {PERSON_NAME_BYTES_MAX} bytes with a letter or digit and without control characters"
+        ));
+    }
+    Ok(())
+}
+
+/// Whether a text is a number rather than a name, also one that no person has.
+#[must_use]
+pub fn is_number(text: &str) -> bool {
+    let digits = text.trim_start_matches('-');
+    !digits.is_empty() && digits.chars().all(char::is_numeric)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_number_in_any_digits_is_no_name() {
+        for number in ["7", "-3", "٣"] {
+            check_name(number).unwrap_err();
+        }
+        check_name("R2").unwrap();
+        assert_eq!(Named::parse("007"), Ok(Named::Number(7)));
+        for none in ["-3", "٣", "4294967295", "99999999999", ""] {
+            Named::parse(none).unwrap_err();
+        }
+    }
 
     /// Journals and narrators rely on it.
     #[test]

@@ -229,31 +229,6 @@ fn at_most(field: &'static str, count: u32, capacity: usize, allowed: &'static s
 mod tests {
     use super::*;
 
-    fn covers_without_gaps<T: Layout>() {
-        let mut end = 0;
-        for field in T::FIELDS {
-            assert_eq!(field.offset, end, "{} of {}", field.name, T::TYPE_NAME);
-            end += field.size;
-        }
-        assert_eq!(end, size_of::<T>());
-    }
-
-    #[test]
-    fn every_byte_of_every_message_is_accounted_for() {
-        covers_without_gaps::<NarrationV1>();
-        covers_without_gaps::<IncludedV1>();
-        covers_without_gaps::<RoomV1>();
-        covers_without_gaps::<RoomScoresV1>();
-        covers_without_gaps::<PersonV1>();
-        covers_without_gaps::<PersonScoresV1>();
-        covers_without_gaps::<ItemScoreV1>();
-        covers_without_gaps::<ItemScoresHeaderV1>();
-        covers_without_gaps::<ForecastV1>();
-        covers_without_gaps::<DecisionV1>();
-        covers_without_gaps::<StatusRequestV1>();
-        covers_without_gaps::<StatusResponseV1>();
-    }
-
     #[test]
     fn the_type_name_is_the_one_that_iceoryx2_compares() {
         // SAFETY: reading a type's name touches no memory of the type.

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::GroundingOptions;
 use roomcast_core::narration::history::{HistoryLimits, OBSERVATIONS_MAX};
-use roomcast_core::narration::same_name;
+use roomcast_core::narration::{check_name, same_name};
 use roomcast_core::pipeline::PipelineOptions;
 use roomcast_core::prepared::ANSWERS_MAX;
 use roomcast_core::prompt::{BINDING_BYTES_MAX, BindingSequence};
@@ -22,7 +22,6 @@ use roomcast_core::text::read_text_at_most;
 use roomcast_llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
 
 use crate::embedded;
-use crate::person_name::check_name;
 
 mod sections;
 

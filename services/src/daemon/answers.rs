@@ -2,13 +2,11 @@
 
 use std::time::Duration;
 
-use roomcast_core::narration::{Observation, SOMEBODY, Said};
+use roomcast_core::narration::{Observation, SOMEBODY, Said, check_name};
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::text::has_words;
 use roomcast_ipc::clock;
-
-use crate::person_name::check_name;
 
 use super::board::Board;
 use super::habits_file::Keeper;

@@ -1,7 +1,8 @@
 //! From a message to an observation: what is taken, what is refused, and what is counted. Pure: time comes in as a number.
 //!
 //! A start of a source (its number and epoch) belongs to the port that first used it; what another port says in its name is forged. Of a
-//! narrator that the configuration calls relayed, another port goes on once that one is closed: a bridge that started again. Ports
+//! narrator that the configuration calls relayed, another port goes on once that one is closed: a bridge that started again. What such a
+//! narrator said above its rate is given again, and nothing behind it is taken before: with a later number it would count as lost. Ports
 //! have equal shares of what is limited: sources that are followed, and places in a person's window ([`Voice`]). The service
 //! has as many ports as there are shares, so that what a living port holds no other can take.
 
@@ -13,13 +14,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use roomcast_ipc::sequence::{Arrival, Follower, source_of_name};
 use roomcast_ipc::{Message, MessageError, NarrationV1, Sender};
 
-use roomcast_core::narration::{Observation, Voice};
+use roomcast_core::narration::{Observation, Voice, check_name};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_core::scorer::TokenCounter;
 
 use crate::config::{IntakeLimits, KnownNarrator};
 use crate::message_text::said_of;
-use crate::person_name::check_name;
 use crate::token_bucket::TokenBucket;
 
 /// Most starts of sources of one port that are followed: the longest silent gives way to another of the same port.
@@ -29,6 +29,9 @@ const PORTS_MAX: usize = 64;
 /// Most starts of sources that have given way and of which is remembered whose they are and what they said last. Beyond that the older half
 /// goes of the port that has most of them.
 pub const FORMER_SOURCES_MAX: usize = 4096;
+/// How long what a relayed narrator said above its rate is waited for, since it came last: a bridge gives it again after five seconds, and may
+/// have to start first. After that nobody has it any more.
+pub const HELD_S: u64 = 30;
 /// The number of the voice of all narrators that the configuration does not name, where it names any.
 pub(super) const OTHERS: u64 = 1;
 /// Ports and named narrators have the voices from here on.
@@ -52,7 +55,7 @@ pub enum Taken {
     },
     /// It was taken before.
     Duplicate,
-    /// Its port sends too fast.
+    /// Its port sends too fast, or has to give again first what it sent too fast.
     Limited,
     /// Its source belongs to another port.
     Forged,
@@ -141,6 +144,31 @@ struct Port {
     bucket: TokenBucket,
     voice: u64,
     turn: u64,
+    /// What a relayed narrator said above the rate.
+    held: Option<Held>,
+}
+
+/// A narration of a start of a source that is waited for.
+#[derive(Debug, Clone, Copy)]
+struct Held {
+    start: (u64, u64),
+    sequence: u64,
+    /// When it came last.
+    at_ns: u64,
+}
+
+impl Port {
+    /// Whether a relayed narrator's message may be taken: there is a token, and nothing is waited for that comes before it.
+    fn admits(&mut self, start: (u64, u64), sequence: u64, now_ns: u64) -> bool {
+        let since_ns = |held: &Held| now_ns.saturating_sub(held.at_ns);
+        self.held = self.held.filter(|held| since_ns(held) < HELD_S * 1_000_000_000);
+        if self.held.is_some_and(|held| held.start != start || held.sequence < sequence) {
+            return false;
+        }
+        let has_one = self.bucket.has_one(now_ns);
+        self.held = (!has_one).then_some(Held { start, sequence, at_ns: now_ns });
+        has_one
+    }
 }
 
 /// Decides about each message; remembers per start of a source what was taken.
@@ -273,12 +301,15 @@ impl Intake {
         }
         self.turns += 1;
         let turn = self.turns;
+        let start = (message.source, message.epoch);
+        let is_new = self.followed(start).is_none_or(|known| message.sequence > known.follower.sequence());
+        let is_held = is_new && self.is_relayed(message.source);
         let port = self.port(sender, message.source, now_ns);
         port.turn = turn;
-        if !port.bucket.has_one(now_ns) {
+        let may = if is_held { port.admits(start, message.sequence, now_ns) } else { port.bucket.has_one(now_ns) };
+        if !may {
             return Taken::Limited;
         }
-        let start = (message.source, message.epoch);
         let known = self.followed(start);
         // What was taken may be said again by anybody, a replay for instance.
         if known.is_some_and(|known| message.sequence <= known.follower.sequence()) {
@@ -420,7 +451,7 @@ impl Intake {
                 *voices
             });
             let bucket = TokenBucket::full(IntakeLimits { rate_per_s, ..limits }, now_ns);
-            Port { bucket, voice, turn: 0 }
+            Port { bucket, voice, turn: 0, held: None }
         })
     }
 
@@ -541,6 +572,47 @@ mod tests {
         // A tenth of a second later there is room for one; what it lost is known as missed.
         let later = intake.take(&message(7, 1, 101, "C."), PORT, 100_000_000);
         assert!(matches!(later, Taken::Accepted { missed: 97, .. }), "{later:?}");
+    }
+
+    /// A bridge gives again what it knows to be above the rate only by silence: what came between must not make it lost.
+    #[test]
+    fn nothing_that_a_relayed_narrator_says_too_fast_is_lost() {
+        const S: u64 = 1_000_000_000;
+        let hall = source_of_name("hall");
+        let known = |relayed| KnownNarrator { name: "hall".into(), trust: 1, share: 1, rate_per_s: Some(1.0), relayed };
+        for relayed in [false, true] {
+            let limits = IntakeLimits { rate_per_s: 1000.0, burst: 2.0 };
+            let mut intake = Intake::new(limits).with_narrators(&[known(relayed)]);
+            let (mut sent, mut taken, mut missed) = (0, Vec::new(), 0);
+            // Three new ones a second; every five seconds all of 32 that nobody has confirmed again.
+            for tenth in 0..3000 {
+                let confirmed = taken.last().copied().unwrap_or(0);
+                let again = if tenth % 50 == 0 { confirmed + 1..sent + 1 } else { 0..0 };
+                let new = tenth % 3 == 0 && sent < confirmed + 32;
+                sent += u64::from(new);
+                for number in again.chain(new.then_some(sent)) {
+                    match intake.take(&message(hall, 1, number, "They sit."), PORT, tenth * S / 10) {
+                        Taken::Accepted { missed: own, .. } => {
+                            missed += own;
+                            taken.push(number);
+                        }
+                        Taken::Limited | Taken::Duplicate => {}
+                        other => panic!("{other:?}"),
+                    }
+                }
+            }
+            assert_eq!((taken.iter().copied().eq(1..=taken.len() as u64), missed == 0), (relayed, relayed));
+            assert!(taken.len() > 100, "{}", taken.len());
+        }
+        // What its hub has given up is not waited for without end, and a start before it does not hold up the next for longer.
+        for next in [(1, 7), (2, 1)] {
+            let mut intake = Intake::new(IntakeLimits { rate_per_s: 1.0, burst: 1.0 }).with_narrators(&[known(true)]);
+            accepted(intake.take(&message(hall, 1, 1, "A."), PORT, 0));
+            assert_eq!(intake.take(&message(hall, 1, 2, "B."), PORT, 0), Taken::Limited);
+            let mut later = |now_ns| intake.take(&message(hall, next.0, next.1, "C."), PORT, now_ns);
+            assert_eq!(later((HELD_S - 1) * S), Taken::Limited);
+            accepted(later(HELD_S * S));
+        }
     }
 
     /// Row "an honest narrator's source and epoch with sequence 2^64 - 1" of the attacks.

@@ -63,7 +63,7 @@ pub use cycle::Cycle;
 pub use habits::{HomeHabits, Memory, Zone};
 pub use habits_file::{HabitsFile, decode_memory, encode_memory};
 pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, VisitsLine};
-pub use intake::{FORMER_SOURCES_MAX, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
+pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
 pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
 pub use map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 pub use person_question::{PersonAnswer, PersonLine, PersonQuestion};

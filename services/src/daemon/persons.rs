@@ -5,8 +5,8 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use roomcast_core::narration::{
-    About, Observation, PERSONS_MAX, Presence, PresenceStatement, Pronoun, ReadName, SOMEBODY, Said, Voice,
-    person_number,
+    About, Observation, PERSONS_MAX, Presence, PresenceStatement, Pronoun, ReadName, SOMEBODY, Said, Voice, check_name,
+    is_number, person_number,
 };
 use roomcast_core::text::has_words;
 use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
@@ -14,7 +14,6 @@ use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
 use super::person_question::PersonLine;
 use super::persons_file::{KeptPerson, PersonsFile};
 use crate::config::PersonsConfig;
-use crate::person_name::{check_name, is_number};
 
 /// A visitor on a bed is not gone before so long a silence: a night's sleep.
 const NIGHT_NS: i64 = 12 * 3_600_000_000_000;

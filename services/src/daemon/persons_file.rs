@@ -6,9 +6,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::person_name::check_name;
 use crate::state_file;
-use roomcast_core::narration::{ReadName, SOMEBODY, person_number, same_name};
+use roomcast_core::narration::{ReadName, SOMEBODY, check_name, person_number, same_name};
 
 /// The file in the state directory.
 const FILE: &str = "persons.json";

@@ -15,6 +15,7 @@ import math
 import re
 import secrets
 import time
+import unicodedata
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from types import TracebackType
@@ -62,6 +63,7 @@ __all__ = [
     "MessageError",
     "Narrator",
     "NoAnswerError",
+    "NotIncludedError",
     "Person",
     "PersonFlags",
     "PersonForecast",
@@ -244,30 +246,85 @@ class _Participant:
 Who = int | str | None
 
 
+# Words that are no one person's name: the daemon drops what is said of a person of such a name.
+_NO_NAMES = frozenset(
+    ["nobody", "me", "who", "they", "he", "she", "i", "we", "you", "somebody", "someone", "everybody", "everyone", "all"]
+    + ["the whole family", "the entire family", "the whole household", "they all", "we all", "all of them", "all of us"]
+)
+
+
+def _is_number(text: str) -> bool:
+    """Whether a text is a number rather than a name, also one that no person has."""
+    digits = text.lstrip("-")
+    return digits != "" and all(unicodedata.category(character).startswith("N") for character in digits)
+
+
 def _person(who: Who) -> tuple[int, str]:
     """Number and name of a person as a message has them; ValueError when there is no such person."""
     if who is None:
         return layouts.ALL_PERSONS, ""
-    # A text of digits alone is the number, as in lines of JSON.
-    if isinstance(who, str) and who.strip().isascii() and who.strip().isdigit():
-        who = int(who)
-    if isinstance(who, int) and not isinstance(who, bool):
-        if 0 <= who < layouts.ALL_PERSONS:
-            return who, ""
-    elif isinstance(who, str) and any(character.isalnum() for character in who):
-        return layouts.ALL_PERSONS, who.strip()
-    raise ValueError(f"person {who!r}: give a number from 0 to {layouts.ALL_PERSONS - 1}, or a name with letters, or None for somebody")
+    number, name = who, ""
+    if isinstance(who, str):
+        # A text of digits alone is the number, as in lines of JSON.
+        name = who.strip()
+        number = int(name) if name.isascii() and name.isdigit() else -1
+    if isinstance(number, int) and not isinstance(number, bool) and 0 <= number < layouts.ALL_PERSONS:
+        return number, ""
+    if any(character.isalnum() for character in name) and not _is_number(name) and name.lower() not in _NO_NAMES:
+        return layouts.ALL_PERSONS, name
+    raise ValueError(
+        f"person {who!r}: give a number from 0 to {layouts.ALL_PERSONS - 1}, or a name with letters that is no word such as 'me', or None for somebody"
+    )
 
 
 # What an action looks like.
 _ACTION = re.compile(r"\[[^\[\]]+\](\s*<[^<>]+>\s*\(\d+\))*")
 
 
+#: Narrations that may be under way to the daemon: what the service keeps for a daemon that restarts.
+UNDER_WAY_MAX = ports.NARRATION.history
+# How long it may take until one of them is dealt with.
+_PATIENCE_S = 10.0
+# What the daemon drops it may name before what it took earlier: only after this does the difference count.
+_SURE_S = 2.0
+
+
+class NotIncludedError(RoomcastError):
+    """Something that was said is not in the daemon's scores."""
+
+
+class _Account:
+    """Which narrations the daemon has taken; as the bridge counts them."""
+
+    def __init__(self) -> None:
+        #: Dealt with, taken or not.
+        self.settled = 0
+        self._daemon: int | None = None
+        self._dealt_with = self._accepted = self._since = self._before = 0
+
+    @property
+    def dropped(self) -> int:
+        """Dealt with and not taken."""
+        return self._before + max(0, self._dealt_with - (self._accepted - self._since))
+
+    def take(self, daemon: int, source: Source, sent: int) -> None:
+        """Takes note of what the scores of a daemon's start contain."""
+        more = max(0, min(source.sequence, sent) - self.settled)
+        self.settled += more
+        if self._daemon not in (None, daemon):
+            # One that has started again may know less than it did, so that of this nobody can say more than that it was taken.
+            self._before, self._dealt_with, self._since, more = self.dropped, 0, source.accepted, 0
+        # It may name what it drops before what it accepted earlier, so the difference can become less.
+        self._daemon, self._accepted, self._dealt_with = daemon, source.accepted, self._dealt_with + more
+
+
 class Narrator(_Participant):
-    """Tells the daemon what persons have just done, and who is where. A context manager: leaving waits until the daemon has taken it in.
+    """Tells the daemon what persons have just done, and who is where. A context manager: leaving waits until the daemon has taken it in, and
+    raises NotIncludedError where it has not taken everything.
 
     `person` is whom all is said of, by name or number; each call may name another. Without either it is somebody: the daemon takes the
-    person whom it fits best.
+    person whom it fits best. With 32 narrations under way the next one waits until the daemon has dealt with some, and raises
+    NotIncludedError when it does not for 10 seconds.
     """
 
     def __init__(self, name: str, domain: Domain | None = None, person: Who = None) -> None:
@@ -278,6 +335,7 @@ class Narrator(_Participant):
         self.epoch = secrets.randbits(64) | 1
         self.sequence = 0
         self.person = person
+        self._account = _Account()
 
     def say(self, sentence: str, person: Who = None) -> None:
         """A plain sentence: "They grab the mug." """
@@ -312,19 +370,61 @@ class Narrator(_Participant):
         message.text_bytes = layouts.write_text("text", message.text, text)
         layouts.write_text("source_name", message.source_name, self.name)
         message.observed_ns, message.observed_unix_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME), time.time_ns()
+        message.check()
+        self._wait_for_room()
         self._publisher.send(message)
         self.sequence += 1
 
+    @property
+    def under_way(self) -> int:
+        """Narrations that the daemon has not dealt with, as far as its newest scores say."""
+        return self.sequence - self._account.settled
+
+    @property
+    def dropped(self) -> int:
+        """Narrations that the daemon has not taken: they were too many or too long, said in another's name, or lost on the way."""
+        return self._account.dropped
+
+    def newest(self) -> RoomScores | None:
+        scores = super().newest()
+        for source in scores.included if scores else ():
+            if scores and (source.source, source.epoch) == (self.source, self.epoch):
+                self._account.take(scores.epoch, source, self.sequence)
+        return scores
+
+    def _wait_for_room(self) -> None:
+        if self.under_way < UNDER_WAY_MAX:
+            return
+        settled, deadline = self._account.settled, time.monotonic() + _PATIENCE_S
+        self.newest()
+        while self.under_way >= UNDER_WAY_MAX:
+            if time.monotonic() >= deadline:
+                raise NotIncludedError(
+                    f"narrator {self.name!r}: {self.under_way} narrations wait for the daemon, which has dealt with {settled} and with no more for "
+                    f"{_PATIENCE_S:.0f} s; is it running in this domain?"
+                )
+            self._publisher.tick()
+            self._scores.wait(0.1)
+            self.newest()
+
     def wait_until_included(self, timeout_s: float = 10) -> RoomScores | None:
-        """Waits for scores that contain all that was said; none when the time is over."""
-        deadline = time.monotonic() + timeout_s
-        while time.monotonic() < deadline:
+        """Waits for scores that contain all that was said; none when the time is over. NotIncludedError where the daemon has dealt with all and
+        has not taken everything."""
+        deadline, sure = time.monotonic() + timeout_s, math.inf
+        while time.monotonic() < min(sure, deadline):
             self._publisher.tick()
             self._scores.wait(0.1)
             scores = self.newest()
             for source in scores.included if scores else ():
                 if (source.source, source.epoch) == (self.source, self.epoch) and source.sequence >= self.sequence:
-                    return scores
+                    if not self.dropped:
+                        return scores
+                    sure = min(sure, time.monotonic() + _SURE_S)
+        if self.dropped and not self.under_way:
+            raise NotIncludedError(
+                f"narrator {self.name!r}: the daemon has not taken {self.dropped} of {self.sequence} narrations; its log and status say "
+                "whether they were too fast, too long, or said while another process had this name"
+            )
         return None
 
     def __enter__(self) -> Narrator:
@@ -332,8 +432,11 @@ class Narrator(_Participant):
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         # What waits in shared memory dies with its publisher.
-        if kind is None and self.sequence:
-            self.wait_until_included()
+        if kind is None and self.sequence and self.wait_until_included(_PATIENCE_S) is None:
+            raise NotIncludedError(
+                f"narrator {self.name!r}: {self.under_way} of {self.sequence} narrations are in no scores after {_PATIENCE_S:.0f} s, and go with "
+                "the narrator; is the daemon running in this domain?"
+            )
 
 
 class Planner(_Participant):
@@ -542,4 +645,6 @@ def _ask(node: ports.Node, service: str, question: dict[str, Any], timeout_s: fl
         raise RoomcastError(f"service {service}: the answer is no JSON: {error}; is the daemon of this version?") from error
     if not isinstance(answer, dict):
         raise RoomcastError(f"service {service}: the answer is no JSON object; is the daemon of this version?")
+    if answer.get("answer") == "none":
+        raise RoomcastError(f"service {service}: {answer.get('reason')}")
     return answer

@@ -1,0 +1,58 @@
+//! A hub alone, whose router is away: what it says and does by itself.
+
+#![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
+
+use std::path::Path;
+
+use roomcast_bridge::spool::{Dated, Place, Spool};
+use roomcast_bridge::wire::{Kind, Observation};
+use rustix::process::Signal;
+
+mod support;
+
+use support::{Process, bridge, eventually, free_port};
+
+/// A hub that has one narration to send, and nobody to send it to.
+fn hub(folder: &Path, input: &Path) -> Process {
+    let spool = folder.join("spool");
+    let observation = Observation { text: "They sit.".to_owned(), kind: Kind::Sentence, person: None };
+    Spool::open(&spool, 10).unwrap().append(vec![Dated::new(observation, 0, Place::default())]).unwrap();
+    let port = free_port();
+    let config = format!(
+        "[router]\nconnect = \"tcp/127.0.0.1:{port}\"\n[hub]\nname = \"hall-camera\"\nrobots = [\"robot-1\"]\nspool = {spool:?}\n"
+    );
+    let (file, input) = (folder.join("hub.toml"), input.to_owned());
+    std::fs::write(&file, config).unwrap();
+    Process::start(folder.join("hub.log"), move || {
+        let mut command = bridge();
+        command.arg("hub").arg("--config").arg(&file).arg("--input").arg(&input);
+        command
+    })
+}
+
+#[test]
+fn an_input_that_fails_is_told_while_narration_is_still_sent() {
+    let folder = tempfile::tempdir().unwrap();
+    // It can be opened, and not be read.
+    let mut hub = hub(folder.path(), folder.path());
+    eventually("the log tells of the input", || hub.said().contains("the input cannot be read any more").then_some(()));
+    assert!(hub.is_alive(), "the robot has not confirmed what was read before");
+    hub.signal(Signal::TERM);
+    assert_eq!(hub.wait(), 1);
+    assert!(hub.said().contains("cannot read"), "{}", hub.said());
+}
+
+/// `timeout` and terminals signal a process and then its group.
+#[test]
+fn a_doubled_signal_is_one_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = folder.path().join("lines");
+    std::fs::write(&input, "").unwrap();
+    let mut hub = hub(folder.path(), &input);
+    // Its handlers are there before it looks for the router.
+    eventually("it misses the router", || hub.said().contains("router").then_some(()));
+    hub.signal(Signal::INT);
+    hub.signal(Signal::INT);
+    assert_eq!(hub.wait(), 0);
+    assert!(hub.said().contains(r#"{"last":1,"confirmed":0,"refused":0,"lost":0}"#), "{}", hub.said());
+}
