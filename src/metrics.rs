@@ -21,12 +21,10 @@ use roomcast_ipc::{
     DecisionV1, Domain, IpcError, QuestionPort, RoomScoresV1, StatusClient, StatusResponseV1, Subscriber, clock,
     decision_flags, question, score_flags,
 };
-use sd_notify::NotifyState;
 
 use crate::http::{HttpError, Server, refusal};
 use roomcast_core::policy::PolicyName;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion};
-use roomcast_services::notify::notify;
 use roomcast_services::stop::Stop;
 
 /// Bounds of latency buckets in seconds: half a millisecond to ten seconds.
@@ -34,8 +32,6 @@ const BUCKETS_S: [f64; 14] = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1
 /// How long a scrape waits for the daemon's counters, and how long its answer holds for further scrapes.
 const PATIENCE: Duration = Duration::from_millis(500);
 const TICK: Duration = Duration::from_millis(100);
-/// How often systemd hears that this process lives, at most.
-const WATCHDOG: Duration = Duration::from_secs(1);
 /// What all policies count as that are not Roomcast's own.
 const OTHER_POLICY: &str = "other";
 /// What OpenMetrics wants to be called.
@@ -47,9 +43,6 @@ pub enum MetricsError {
     /// They cannot be served.
     #[error("metrics: {0}")]
     Http(#[from] HttpError),
-    /// The thread that answers has ended by itself.
-    #[error("the thread that serves metrics has ended unexpectedly; start this command again and report it")]
-    Ended,
     /// A service.
     #[error(transparent)]
     Ipc(#[from] IpcError),
@@ -416,9 +409,8 @@ pub fn run(
     let (status, habits) = (node.status_client()?, node.question_port(question::HABITS)?);
     let metrics = Arc::new(Mutex::new(Metrics::new()));
     let mut scrapes = Scrapes { status, habits, metrics: Arc::clone(&metrics), asked: None };
-    let server = Server::start(address, stop, move |request| scrapes.answer(request.uri.path()))?;
+    let mut server = Server::start(address, stop, move |request| scrapes.answer(request.uri.path()))?;
     ready(server.address());
-    let mut said = Instant::now();
     while !stop.requested() {
         scores.wait(TICK)?;
         let mut metrics = metrics.lock().unwrap_or_else(PoisonError::into_inner);
@@ -436,13 +428,7 @@ pub fn run(
             }
         }
         drop(metrics);
-        if server.is_finished() && !stop.requested() {
-            return Err(MetricsError::Ended);
-        }
-        if said.elapsed() >= WATCHDOG && server.is_turning() {
-            said = Instant::now();
-            notify(&[NotifyState::Watchdog]);
-        }
+        server.look_after()?;
     }
     server.join();
     Ok(())

@@ -774,6 +774,19 @@ impl Node {
         &self.config
     }
 
+    /// Tries once; none where the failure may pass.
+    pub(crate) fn try_once<T>(&self, open: impl FnOnce() -> Result<T, OpenFailure>) -> Result<Option<T>, IpcError> {
+        refuse_too_little_memory()?;
+        match open() {
+            Ok(port) => self.domain.commit_shared_memory().map(|()| Some(port)),
+            Err(OpenFailure::Final(error)) => Err(error),
+            Err(OpenFailure::Passing(_)) => {
+                self.remove_dead_participants();
+                Ok(None)
+            }
+        }
+    }
+
     /// Repeats while the failure may pass: a peer is starting, stopping, or has died a moment ago.
     pub(crate) fn retry<T>(&self, mut open: impl FnMut() -> Result<T, OpenFailure>) -> Result<T, IpcError> {
         refuse_too_little_memory()?;
