@@ -34,6 +34,8 @@ mod state_file;
 
 pub mod person_name;
 
+pub mod slug;
+
 pub mod message_text;
 
 pub mod token_bucket;
