@@ -633,7 +633,7 @@ impl Node {
     ///
     /// # Errors
     ///
-    /// [`IpcError::NameTaken`] when the other does not leave within 5 s.
+    /// [`IpcError::NameTaken`] when the other does not leave within 8 s.
     pub fn be_the_only_one(&self) -> Result<(), IpcError> {
         // From the lowest bits up: seconds, nanoseconds, process, counter.
         let age = |id: u128| [0, 32, 64, 96].map(|bit| (id >> bit) as u32);
