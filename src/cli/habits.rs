@@ -216,7 +216,7 @@ fn learn(args: &LearnArgs) -> CommandResult {
         let total = lessons.len();
         let learned = lessons::teach(board, lessons.clone(), |told| {
             if told % 1_000 == 0 {
-                eprintln!("roomcast: {told} of {total} narrations");
+                super::tell(format_args!("roomcast: {told} of {total} narrations"));
             }
         });
         let learned = learned.map_err(failed)?;
@@ -264,7 +264,7 @@ impl Lessons {
                     SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, &person)).map_err(input)?;
                 let faults = narrated.items.iter().filter_map(|item| Some(item.as_ref().err()?.to_string())).collect();
                 if narrated.unfit > 0 {
-                    eprintln!("roomcast: no rule fits {} intervals", narrated.unfit);
+                    super::tell(format_args!("roomcast: no rule fits {} intervals", narrated.unfit));
                 }
                 Ok(Self { lessons: Lesson::of_sensors(&narrated).0, zone: Zone::UTC, faults })
             }
@@ -294,9 +294,9 @@ impl Lessons {
     /// Says what is left out, and why.
     fn tell_faults(&self) {
         const TOLD: usize = 20;
-        self.faults.iter().take(TOLD).for_each(|fault| eprintln!("roomcast: {fault}"));
+        self.faults.iter().take(TOLD).for_each(|fault| super::tell(format_args!("roomcast: {fault}")));
         if self.faults.len() > TOLD {
-            eprintln!("roomcast: and {} more", self.faults.len() - TOLD);
+            super::tell(format_args!("roomcast: and {} more", self.faults.len() - TOLD));
         }
     }
 }
