@@ -44,8 +44,8 @@ struct Work {
 enum State {
     /// Nothing is under way.
     Free,
-    /// An order is given, and the robot's state does not show it yet. `news`: its state has changed since the order was first given.
-    Ordered { order: Order, since_ns: u64, tries: u32, news: bool },
+    /// An order is given, and the robot's state does not show it yet. `differed`: its state was another than ordered, then or since.
+    Ordered { order: Order, since_ns: u64, tries: u32, differed: bool },
     /// The robot is at work for a decision. `left_ns`: since when it is not any more.
     Working { since_ns: u64, left_ns: Option<u64>, paused_ns: Option<u64> },
 }
@@ -233,7 +233,8 @@ impl Driver {
         acts.push(Act::Order(order.clone()));
         // Whoever only says what it would do waits for nothing.
         if self.obeys {
-            self.state = State::Ordered { order, since_ns: now_ns, tries: 1, news: false };
+            let differed = !self.is_as_ordered(&order);
+            self.state = State::Ordered { order, since_ns: now_ns, tries: 1, differed };
         } else {
             (self.state, self.wish) = (State::Free, None);
         }
@@ -248,9 +249,7 @@ impl Driver {
             Sensed::Status(status) => {
                 self.online = true;
                 let before = self.status.replace(status);
-                if before != Some(status) {
-                    self.look_at_news(now_ns, &mut acts);
-                }
+                self.look_at_change(before, now_ns, &mut acts);
                 if status == Status::Docked && before != Some(status) && !matches!(self.state, State::Working { .. }) {
                     self.say(Report { battery: self.battery, ..Report::new(Kind::Docked) }, &mut acts);
                 }
@@ -309,8 +308,8 @@ impl Driver {
         }
         match self.state.clone() {
             State::Free => self.start(now_ns, acts),
-            State::Ordered { order, since_ns, tries, news } => {
-                self.look_at_order(order, (since_ns, tries), news, now_ns, acts);
+            State::Ordered { order, since_ns, tries, differed } => {
+                self.look_at_order(order, (since_ns, tries), differed, now_ns, acts);
             }
             State::Working { since_ns, left_ns, paused_ns } => {
                 self.look_at_work(since_ns, left_ns, paused_ns, now_ns, acts);
@@ -346,16 +345,17 @@ impl Driver {
         format!("the robot has an error: {fault}")
     }
 
-    /// The robot's state has changed. One that begins what it is to end is told again at once: it may not have heard it at its dock.
-    fn look_at_news(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
-        let (is_ending, status) = (self.is_ending(), self.status);
-        if let State::Ordered { order, since_ns, tries, news } = &mut self.state {
-            *news = true;
-            if is_ending && status == Some(Status::Cleaning) && *tries < TRIES {
-                (*since_ns, *tries) = (now_ns, *tries + 1);
-                acts.push(Act::Order(order.clone()));
-            }
+    /// The robot has told its state. One that begins what it is to end is told again at once: it may not have heard it at its dock.
+    fn look_at_change(&mut self, before: Option<Status>, now_ns: u64, acts: &mut Vec<Act>) {
+        let State::Ordered { order, since_ns, tries, differed } = self.state.clone() else { return };
+        let begins = self.status == Some(Status::Cleaning) && before != self.status;
+        let again = self.is_ending() && begins && tries < TRIES;
+        if again {
+            acts.push(Act::Order(order.clone()));
         }
+        let (since_ns, tries) = if again { (now_ns, tries + 1) } else { (since_ns, tries) };
+        let differed = differed || !self.is_as_ordered(&order);
+        self.state = State::Ordered { order, since_ns, tries, differed };
     }
 
     /// Whether the robot's state is what an order leads to.
@@ -372,7 +372,7 @@ impl Driver {
         &mut self,
         order: Order,
         (since_ns, tries): (u64, u32),
-        news: bool,
+        differed: bool,
         now_ns: u64,
         acts: &mut Vec<Act>,
     ) {
@@ -385,9 +385,9 @@ impl Driver {
             return self.start(now_ns, acts);
         }
         let (is_so, is_late) = (self.is_as_ordered(&order), now_ns.saturating_sub(since_ns) >= self.start_ns);
-        // A state from before the order is no answer: a robot at its dock may be about to leave it. One that stays as it is, is told again
-        // and taken for one that has nothing to end.
-        if is_so && (news || is_late && tries >= TRIES) {
+        // A state that was so before the order is no answer: a robot at its dock may be about to leave it. One that stays so is told again,
+        // and then taken for one that has nothing to end.
+        if is_so && (differed || is_late && tries >= TRIES) {
             if cleans {
                 return self.begin(now_ns, acts);
             }
@@ -399,7 +399,7 @@ impl Driver {
         }
         if tries < TRIES {
             acts.push(Act::Order(order.clone()));
-            self.state = State::Ordered { order, since_ns: now_ns, tries: tries + 1, news };
+            self.state = State::Ordered { order, since_ns: now_ns, tries: tries + 1, differed };
             return;
         }
         let away =

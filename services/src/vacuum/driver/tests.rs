@@ -207,6 +207,32 @@ fn a_robot_that_was_only_told_to_clean_is_told_not_to() {
     assert!(begun > 0, "some have begun before they heard that they are not to");
 }
 
+/// What a robot passes through before it begins is no sign that it has heard.
+#[test]
+fn a_robot_that_leaves_its_dock_is_not_taken_for_one_that_has_stopped() {
+    for (on_pause, order) in [(OnPause::Return, Order::Home), (OnPause::Pause, Order::Pause)] {
+        let mut driver = Driver::new(&RobotConfig { on_pause, ..config() }, 7);
+        driver.know_rooms(ROOMS.into_iter());
+        let say = |driver: &mut Driver, sensed: Sensed, at_s: u64| {
+            let acts = driver.sense(sensed, at_s * S);
+            acts.into_iter().filter(|act| matches!(act, Act::Order(_))).collect::<Vec<_>>()
+        };
+        say(&mut driver, Sensed::Segments(BTreeMap::from([("2".to_owned(), "hall".to_owned())])), 1);
+        say(&mut driver, Sensed::Status(Status::Docked), 1);
+        assert_eq!(driver.decide(&decision(1, action::GO, "hall-2"), 2 * S).len(), 1);
+        let told = [Act::Order(order)];
+        assert_eq!(driver.decide(&decision(2, action::PAUSE, ""), 3 * S), told);
+        for status in [Status::Docked, Status::Idle] {
+            assert_eq!(say(&mut driver, Sensed::Status(status), 4), []);
+        }
+        assert_eq!(say(&mut driver, Sensed::Status(Status::Cleaning), 5), told, "it is told again at once");
+        assert_eq!(say(&mut driver, Sensed::Status(Status::Cleaning), 6), [], "and once");
+        let then = if on_pause == OnPause::Return { Status::Returning } else { Status::Paused };
+        say(&mut driver, Sensed::Status(then), 7);
+        assert_eq!(driver.state, State::Free);
+    }
+}
+
 /// The same with another room in place of nothing: the robot is not taken to be in it while it is at the first one.
 #[test]
 fn a_robot_that_was_only_told_to_clean_goes_to_another_room() {
