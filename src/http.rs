@@ -18,6 +18,7 @@ use hyper::service::service_fn;
 use hyper::{HeaderMap, Method, Response, StatusCode, Uri};
 use hyper_util::rt::TokioIo;
 use roomcast_ipc::clock;
+use roomcast_services::notify::Watchdog;
 use roomcast_services::stop::Stop;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpListener;
@@ -51,6 +52,9 @@ pub enum HttpError {
     /// The thread that answers could not be started.
     #[error("cannot start the thread that serves HTTP: {0}; is a limit on tasks or descriptors set too low?")]
     Thread(std::io::Error),
+    /// The thread that answers has ended by itself.
+    #[error("the thread that serves HTTP has ended unexpectedly; start this command again and report it")]
+    Ended,
 }
 
 /// A request, as far as it is read.
@@ -68,6 +72,8 @@ pub struct Server {
     address: SocketAddr,
     turned_ns: Arc<AtomicU64>,
     thread: std::thread::JoinHandle<std::io::Result<()>>,
+    stop: Stop,
+    watchdog: Watchdog,
 }
 
 impl Server {
@@ -90,11 +96,12 @@ impl Server {
         let turned_ns = Arc::new(AtomicU64::new(clock::monotonic_ns()));
         let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build();
         let runtime = runtime.map_err(HttpError::Thread)?;
-        let (turned, stop) = (Arc::clone(&turned_ns), stop.clone());
+        let (turned, asked) = (Arc::clone(&turned_ns), stop.clone());
         let thread = std::thread::Builder::new()
             .name("serve".to_owned())
-            .spawn(move || LocalSet::new().block_on(&runtime, serve(listener, answer, &turned, &stop)));
-        Ok(Self { address, turned_ns, thread: thread.map_err(HttpError::Thread)? })
+            .spawn(move || LocalSet::new().block_on(&runtime, serve(listener, answer, &turned, &asked)));
+        let thread = thread.map_err(HttpError::Thread)?;
+        Ok(Self { address, turned_ns, thread, stop: stop.clone(), watchdog: Watchdog::default() })
     }
 
     /// Where it is, with the port that was found for port 0.
@@ -103,16 +110,19 @@ impl Server {
         self.address
     }
 
-    /// Whether the thread has ended.
-    #[must_use]
-    pub fn is_finished(&self) -> bool {
-        self.thread.is_finished()
-    }
-
-    /// Whether the thread turned lately.
-    #[must_use]
-    pub fn is_turning(&self) -> bool {
-        turns(self.turned_ns.load(Ordering::Relaxed), clock::monotonic_ns())
+    /// Tells systemd that this process lives, as long as the thread turns. Whoever has started the thread calls this at every turn of
+    /// its own.
+    ///
+    /// # Errors
+    /// [`HttpError::Ended`] where the thread has ended and nobody has asked it to.
+    pub fn look_after(&mut self) -> Result<(), HttpError> {
+        if self.thread.is_finished() && !self.stop.requested() {
+            return Err(HttpError::Ended);
+        }
+        if turns(self.turned_ns.load(Ordering::Relaxed), clock::monotonic_ns()) {
+            self.watchdog.lives();
+        }
+        Ok(())
     }
 
     /// Waits until the thread has ended, which looks at the wish to stop every tick.

@@ -21,12 +21,10 @@ use roomcast_ipc::{
     DecisionV1, Domain, IpcError, QuestionPort, RoomScoresV1, StatusClient, StatusResponseV1, Subscriber, clock,
     decision_flags, question, score_flags,
 };
-use sd_notify::NotifyState;
 
 use crate::http::{HttpError, Server, refusal};
 use roomcast_core::policy::PolicyName;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion};
-use roomcast_services::notify::notify;
 use roomcast_services::stop::Stop;
 
 /// Bounds of latency buckets in seconds: half a millisecond to ten seconds.
@@ -34,8 +32,6 @@ const BUCKETS_S: [f64; 14] = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1
 /// How long a scrape waits for the daemon's counters, and how long its answer holds for further scrapes.
 const PATIENCE: Duration = Duration::from_millis(500);
 const TICK: Duration = Duration::from_millis(100);
-/// How often systemd hears that this process lives, at most.
-const WATCHDOG: Duration = Duration::from_secs(1);
 /// What all policies count as that are not Roomcast's own.
 const OTHER_POLICY: &str = "other";
 /// What OpenMetrics wants to be called.
@@ -47,9 +43,6 @@ pub enum MetricsError {
     /// They cannot be served.
     #[error("metrics: {0}")]
     Http(#[from] HttpError),
-    /// The thread that answers has ended by itself.
-    #[error("the thread that serves metrics has ended unexpectedly; start this command again and report it")]
-    Ended,
     /// A service.
     #[error(transparent)]
     Ipc(#[from] IpcError),
@@ -416,9 +409,8 @@ pub fn run(
     let (status, habits) = (node.status_client()?, node.question_port(question::HABITS)?);
     let metrics = Arc::new(Mutex::new(Metrics::new()));
     let mut scrapes = Scrapes { status, habits, metrics: Arc::clone(&metrics), asked: None };
-    let server = Server::start(address, stop, move |request| scrapes.answer(request.uri.path()))?;
+    let mut server = Server::start(address, stop, move |request| scrapes.answer(request.uri.path()))?;
     ready(server.address());
-    let mut said = Instant::now();
     while !stop.requested() {
         scores.wait(TICK)?;
         let mut metrics = metrics.lock().unwrap_or_else(PoisonError::into_inner);
@@ -436,13 +428,7 @@ pub fn run(
             }
         }
         drop(metrics);
-        if server.is_finished() && !stop.requested() {
-            return Err(MetricsError::Ended);
-        }
-        if said.elapsed() >= WATCHDOG && server.is_turning() {
-            said = Instant::now();
-            notify(&[NotifyState::Watchdog]);
-        }
+        server.look_after()?;
     }
     server.join();
     Ok(())
@@ -470,23 +456,30 @@ impl Scrapes {
     fn text(&mut self) -> String {
         // A silent daemon holds up one scrape, and not each of those that come at once.
         let fresh = self.asked.is_some_and(|asked| asked.elapsed() < PATIENCE);
+        let begun = Instant::now();
         let answer = (!fresh).then(|| self.status.ask(PATIENCE).ok());
-        // Of whom nothing was learned there is nothing to ask.
-        let knows = matches!(&answer, Some(Some(status)) if status.habits_persons > 0);
-        let learned = knows.then(|| self.learned()).flatten();
+        let learned = answer.as_ref().and_then(|status| self.learned(status.as_ref()?, begun));
         let metrics = self.metrics.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(answer) = answer {
             self.asked = Some(Instant::now());
             metrics.ask(answer.as_ref());
-            metrics.habits(&learned.unwrap_or_default());
+        }
+        // Whoever has not answered has forgotten nobody.
+        if let Some(learned) = learned {
+            metrics.habits(&learned);
         }
         metrics.text(clock::monotonic_ns())
     }
 
-    /// What the daemon says that it has learned.
-    fn learned(&self) -> Option<HabitsAnswer> {
+    /// What the daemon says that it has learned, within what is left of the patience since then; none where it does not answer.
+    fn learned(&self, status: &StatusResponseV1, begun: Instant) -> Option<HabitsAnswer> {
+        if status.habits_persons == 0 {
+            // Of whom nothing was learned there is nothing to ask.
+            return Some(HabitsAnswer::default());
+        }
         let question = serde_json::to_string(&HabitsQuestion::Show).ok()?;
-        serde_json::from_str(&self.habits.ask(&question, PATIENCE).ok()?).ok()
+        let left = PATIENCE.saturating_sub(begun.elapsed());
+        serde_json::from_str(&self.habits.ask(&question, left).ok()?).ok()
     }
 }
 
@@ -596,6 +589,51 @@ mod tests {
         }
         metrics.habits(&HabitsAnswer::default());
         assert!(!metrics.text(2).contains("person=\"7\""));
+    }
+
+    /// A daemon may be too busy to say what it has learned, or be away: nobody is forgotten by that.
+    #[test]
+    fn who_does_not_answer_has_forgotten_nobody() {
+        let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(folder.path().join("d"), &format!("silent-{}", std::process::id())).unwrap();
+        let node = domain.open("test").unwrap();
+        let (status, habits) = (node.status_client().unwrap(), node.question_port(question::HABITS).unwrap());
+        let metrics = Arc::new(Mutex::new(Metrics::new()));
+        let ada = HabitsLine { person: 7, name: None, observations: 41.5, forecast: Vec::new() };
+        metrics.lock().unwrap().habits(&HabitsAnswer { persons: vec![ada], ..HabitsAnswer::default() });
+        let mut scrapes = Scrapes { status, habits, metrics, asked: None };
+        let knows_ada = |text: &str| text.contains("roomcast_habits_observations{person=\"7\"} 41.5");
+        let without = scrapes.text();
+        assert!(knows_ada(&without) && without.contains("roomcast_daemon_up 0"), "{without}");
+        // A daemon that answers for its counters alone, until somebody has learned of it.
+        let (stop, server) = (Stop::new(), node.status_server().unwrap());
+        let (asked, persons) = (stop.clone(), Arc::new(AtomicU64::new(1)));
+        let known = Arc::clone(&persons);
+        let daemon = std::thread::spawn(move || {
+            while !asked.requested() {
+                let habits_persons = known.load(Ordering::Relaxed) as u32;
+                server.answer(|| StatusResponseV1 { habits_persons, ..Default::default() }).unwrap();
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        });
+        let mut until = |word: &str| loop {
+            scrapes.asked = None;
+            let text = scrapes.text();
+            if text.contains(word) {
+                break text;
+            }
+        };
+        let busy = until("roomcast_daemon_up 1");
+        assert!(knows_ada(&busy), "{busy}");
+        persons.store(0, Ordering::Relaxed);
+        scrapes.asked = None;
+        while knows_ada(&scrapes.text()) {
+            scrapes.asked = None;
+        }
+        stop.request();
+        daemon.join().unwrap();
+        drop((scrapes, node));
+        let _left = domain.clean_up();
     }
 
     /// Metrics that are served in this process.

@@ -12,8 +12,9 @@ use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, 
 use hyper::{Response, StatusCode};
 use roomcast_core::semantic_map::{SceneError, SemanticMap};
 use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, ItemScores, MAX_HORIZONS, NarrationV1, PersonForecastV1,
-    PersonForecastsV1, PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, action, clock, presence, question, sequence,
+    DecisionV1, Domain, ForecastV1, IpcError, ItemScores, ItemScoresSubscriber, MAX_HORIZONS, NarrationV1, Node,
+    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, action, clock, presence,
+    question, sequence,
 };
 use roomcast_services::daemon::{flag_words, presence_word};
 use roomcast_services::message_text::said_of;
@@ -53,9 +54,6 @@ pub enum ViewError {
     /// A service.
     #[error(transparent)]
     Ipc(#[from] IpcError),
-    /// The thread that answers has ended by itself.
-    #[error("the thread that serves the page has ended unexpectedly; start this command again and report it")]
-    Ended,
 }
 
 /// The header line in which the page sends its key.
@@ -100,12 +98,12 @@ pub fn run(place: &Place, domain: &Domain, stop: &Stop, ready: impl FnOnce(Socke
     let moments = node.question_port(question::MOMENT)?;
     let shared = Arc::new(Mutex::new(Live::default()));
     let (answered, key) = (Arc::clone(&shared), place.key.clone());
-    let server = Server::start(place.address, stop, move |request| {
+    let mut server = Server::start(place.address, stop, move |request| {
         let mut live = answered.lock().unwrap_or_else(PoisonError::into_inner);
         answer(request, key.as_deref(), &mut *live)
     })?;
     ready(server.address());
-    let (mut items, mut asked) = (None, None::<Instant>);
+    let (mut things, mut asked) = (Things::default(), None::<Instant>);
     while !stop.requested() {
         scores.wait(TICK)?;
         let now_ns = clock::monotonic_ns();
@@ -130,18 +128,15 @@ pub fn run(place: &Place, domain: &Domain, stop: &Stop, ready: impl FnOnce(Socke
         if let Some(message) = decisions.newest()? {
             picture.decision(&message, now_ns);
         }
-        let is_looked_at = live.looked.is_some_and(|looked| looked.elapsed() < LOOKED);
-        items = match items {
-            _ if !is_looked_at => None,
-            None => Some(node.item_scores_subscriber()?),
-            own => own,
-        };
-        if let Some(message) = items.as_ref().map(|own| own.newest()).transpose()?.flatten() {
+        if let Some(message) = things.news()? {
             live.picture.items(&message);
         }
+        let is_looked_at = live.looked.is_some_and(|looked| looked.elapsed() < LOOKED);
         let map = live.picture.map();
         let is_new = map.is_some() && live.plan.as_ref().map(|plan| plan.map.as_str()) != map.as_deref();
+        // What takes a while keeps no reader waiting.
         drop(live);
+        things.follow(&node, is_looked_at);
         if is_new && asked.is_none_or(|asked| asked.elapsed() >= PATIENCE) {
             asked = Some(Instant::now());
             // A daemon that is busy is asked again; the rooms are listed meanwhile.
@@ -149,12 +144,39 @@ pub fn run(place: &Place, domain: &Domain, stop: &Stop, ready: impl FnOnce(Socke
                 moments.ask("{}", PATIENCE).ok().and_then(|text| Plan::of_moment(&Moment::from_json(&text).ok()?).ok());
             shared.lock().unwrap_or_else(PoisonError::into_inner).plan = plan;
         }
-        if server.is_finished() && !stop.requested() {
-            return Err(ViewError::Ended);
-        }
+        server.look_after()?;
     }
     server.join();
     Ok(())
+}
+
+/// The things' scores, which the daemon makes for whoever follows them. Where others have all
+/// the places the page does without.
+#[derive(Debug, Default)]
+struct Things {
+    scores: Option<ItemScoresSubscriber>,
+    /// When there was no place.
+    refused: Option<Instant>,
+}
+
+impl Things {
+    /// Follows them while somebody looks.
+    fn follow(&mut self, node: &Node, is_looked_at: bool) {
+        if !is_looked_at {
+            *self = Self::default();
+        } else if self.scores.is_none() && self.refused.is_none_or(|refused| refused.elapsed() >= PATIENCE) {
+            self.refused = Some(Instant::now());
+            self.scores = node.try_item_scores_subscriber().unwrap_or_else(|error| {
+                tracing::warn!(%error, "the page shows no scores of things");
+                None
+            });
+        }
+    }
+
+    /// The newest scores since the last call.
+    fn news(&self) -> Result<Option<ItemScores>, IpcError> {
+        Ok(self.scores.as_ref().map(ItemScoresSubscriber::newest).transpose()?.flatten())
+    }
 }
 
 /// Serves the page of a recording until it is asked to stop.
@@ -168,13 +190,11 @@ pub fn run_recording(
     ready: impl FnOnce(SocketAddr),
 ) -> Result<(), ViewError> {
     let (mut played, key) = (Played::new(recording), place.key.clone());
-    let server = Server::start(place.address, stop, move |request| answer(request, key.as_deref(), &mut played))?;
+    let mut server = Server::start(place.address, stop, move |request| answer(request, key.as_deref(), &mut played))?;
     ready(server.address());
     while !stop.requested() {
         std::thread::sleep(TICK);
-        if server.is_finished() && !stop.requested() {
-            return Err(ViewError::Ended);
-        }
+        server.look_after()?;
     }
     server.join();
     Ok(())
@@ -858,6 +878,32 @@ mod tests {
         }
         assert_eq!(quality.curve().len(), Quality::HOURS);
         assert!(quality.samples.len() <= 17);
+    }
+
+    /// Others have all the places of those who follow the things' scores: nobody waits for one, and the view goes on.
+    #[test]
+    fn the_page_does_without_scores_of_things_while_others_have_the_places() {
+        let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(folder.path().join("d"), &format!("things-{}", std::process::id())).unwrap();
+        let node = domain.open("test").unwrap();
+        let mut others = Vec::new();
+        while let Some(other) = node.try_item_scores_subscriber().unwrap() {
+            others.push(other);
+        }
+        assert!(!others.is_empty());
+        let mut things = Things::default();
+        things.follow(&node, true);
+        assert!(things.scores.is_none() && things.news().unwrap().is_none());
+        others.pop();
+        things.follow(&node, true);
+        assert!(things.scores.is_none(), "it tries again after a while, and not at each turn");
+        things.refused = None;
+        things.follow(&node, true);
+        assert!(things.scores.is_some());
+        things.follow(&node, false);
+        assert!(things.scores.is_none() && things.refused.is_none());
+        drop((others, node));
+        let _left = domain.clean_up();
     }
 
     /// The page of a system in which nothing runs is served, to those who ask this machine.

@@ -1076,6 +1076,96 @@ fn a_wrong_set_up_of_narrate_is_its_end() {
     }
 }
 
+/// Whoever wrote the wrong address is told so: the configuration, or the command line.
+#[test]
+fn a_broker_that_is_none_is_the_fault_of_who_names_it() {
+    let world = World::new("broker");
+    let config = world.directory.path().join("roomcast.toml");
+    for (address, part) in [("http://h", "no broker"), ("mqtt://ada:secret@h", "user name"), ("mqtts://h", "CA file")] {
+        std::fs::write(&config, format!("[mqtt]\nbroker = {address:?}\nrules = \"rules.toml\"\n")).unwrap();
+        for command in [&["narrate"][..], &["bridge", "mqtt"], &["robot"]] {
+            // A narrator has no broker unless it is told so.
+            let asked = if command == ["narrate"] { &["--mqtt"][..] } else { &[] };
+            let configured = [asked, &["--config", config.to_str().unwrap()]].concat();
+            let given = vec!["--mqtt", address];
+            for (more, code) in [(configured, exit_code::CONFIG), (given, exit_code::USAGE)] {
+                let output = world.command(command).args(&more).output().unwrap();
+                let said = String::from_utf8(output.stderr).unwrap();
+                assert_eq!(output.status.code(), Some(i32::from(code)), "{command:?} {more:?}: {said}");
+                assert!(said.contains(part) && !said.contains("secret"), "{command:?} {more:?}: {said}");
+            }
+        }
+    }
+}
+
+/// What goes on until it is stopped has done its work then, whatever it has heard on the way; what has an end has not.
+#[test]
+fn a_signal_ends_a_service_well_and_interrupts_work_that_has_an_end() {
+    let mut world = World::new("stopped");
+    let path = |world: &World, name: &str| world.directory.path().join(name).to_str().unwrap().to_owned();
+    let (fifo, lines) = (path(&world, "fifo"), path(&world, "lines"));
+    std::fs::write(&lines, "They sit.\n{\"no\": \"narration\"}\nThey stand up.\n").unwrap();
+    // No daemon and no planner is there: nothing of it is confirmed. Each says on standard error that it is at its work.
+    let until = |world: &World, process: usize, word: &str| {
+        let log = world.children[process].log.clone();
+        eventually(word, || std::fs::read_to_string(&log).ok().filter(|log| log.contains(word)));
+    };
+    for (number, signal) in [Signal::INT, Signal::TERM].into_iter().enumerate() {
+        let follows = world.start(&["narrate", "--fifo", &fifo, "--name", "follows", "--linger", "1000"]);
+        eventually("a FIFO", || Path::new(&fifo).exists().then_some(()));
+        std::fs::write(&fifo, std::fs::read(&lines).unwrap()).unwrap();
+        until(&world, follows, "skipped");
+        world.signal(follows, signal);
+        let (status, log) = world.wait(follows);
+        assert_eq!(status.code(), Some(i32::from(exit_code::OK)), "{log}");
+
+        let ends = world.start(&["narrate", &lines, "--name", "ends", "--linger", "1000"]);
+        until(&world, ends, "skipped");
+        world.signal(ends, signal);
+        let (status, log) = world.wait(ends);
+        assert_eq!(status.code(), Some(i32::from(exit_code::INTERRUPTED)), "{log}");
+        assert!(log.contains("interrupted: "), "{log}");
+
+        let mut piped = world.command(&["report", "-"]);
+        piped.stdin(Stdio::piped()).stderr(Stdio::piped());
+        let mut piped = piped.spawn().unwrap();
+        let mut said = std::io::BufReader::new(piped.stderr.take().unwrap());
+        piped.stdin.as_mut().unwrap().write_all(b"not a report\n").unwrap();
+        std::io::BufRead::read_line(&mut said, &mut String::new()).unwrap();
+        kill_process(Pid::from_raw(piped.id().cast_signed()).unwrap(), signal).unwrap();
+        assert_eq!(piped.wait().unwrap().code(), Some(i32::from(exit_code::OK)));
+
+        // A file of reports: it is read to its end, and then nobody is there to hear them.
+        let reports = path(&world, &format!("reports-{number}"));
+        std::fs::write(&reports, "not a report\n{\"report\": \"docked\"}\n").unwrap();
+        let log = File::create(path(&world, "log-report")).unwrap();
+        let mut whole = world.command(&["report", "-", "--wait", "1000"]);
+        let mut whole = whole.stdin(File::open(&reports).unwrap()).stderr(log).spawn().unwrap();
+        let log = path(&world, "log-report");
+        eventually("a bad line", || std::fs::read_to_string(&log).ok().filter(|log| log.contains("line 1")));
+        kill_process(Pid::from_raw(whole.id().cast_signed()).unwrap(), signal).unwrap();
+        assert_eq!(whole.wait().unwrap().code(), Some(i32::from(exit_code::INTERRUPTED)));
+    }
+}
+
+/// On a full disk, or where nobody reads, what is told on standard error is lost and the command goes on.
+#[test]
+fn standard_error_that_cannot_be_written_ends_no_command_by_a_panic() {
+    let world = World::new("untold");
+    let file = world.directory.path().join("reports");
+    std::fs::write(&file, "not a report\n").unwrap();
+    let full = || File::options().write(true).open("/dev/full").unwrap();
+    for (arguments, code) in [
+        (&["report", "-"][..], exit_code::INPUT),
+        (&["habits", "learn", file.to_str().unwrap()], exit_code::INPUT),
+        (&["narrate", "/nowhere/at-all"], exit_code::INPUT),
+    ] {
+        let mut command = world.command(arguments);
+        let status = command.stdin(File::open(&file).unwrap()).stdout(Stdio::null()).stderr(full()).status().unwrap();
+        assert_eq!(status.code(), Some(i32::from(code)), "{arguments:?}");
+    }
+}
+
 #[test]
 fn the_doctor_blames_the_part_that_is_wrong() {
     let world = World::new("doctor");

@@ -632,7 +632,7 @@ impl Node {
     ///
     /// # Errors
     ///
-    /// [`IpcError::NameTaken`] when the other does not leave within 5 s.
+    /// [`IpcError::NameTaken`] when the other does not leave within 8 s.
     pub fn be_the_only_one(&self) -> Result<(), IpcError> {
         // From the lowest bits up: seconds, nanoseconds, process, counter.
         let age = |id: u128| [0, 32, 64, 96].map(|bit| (id >> bit) as u32);
@@ -771,6 +771,19 @@ impl Node {
 
     pub(crate) fn config(&self) -> &Config {
         &self.config
+    }
+
+    /// Tries once; none where the failure may pass.
+    pub(crate) fn try_once<T>(&self, open: impl FnOnce() -> Result<T, OpenFailure>) -> Result<Option<T>, IpcError> {
+        refuse_too_little_memory()?;
+        match open() {
+            Ok(port) => self.domain.commit_shared_memory().map(|()| Some(port)),
+            Err(OpenFailure::Final(error)) => Err(error),
+            Err(OpenFailure::Passing(_)) => {
+                self.remove_dead_participants();
+                Ok(None)
+            }
+        }
     }
 
     /// Repeats while the failure may pass: a peer is starting, stopping, or has died a moment ago.

@@ -986,6 +986,16 @@ impl Node {
         self.retry(|| ItemScoresSubscriber::open(self))
     }
 
+    /// The same at the first try, for whoever can do without: none where others have all the places, or somebody is in the way for a
+    /// moment.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`], for what does not pass.
+    pub fn try_item_scores_subscriber(&self) -> Result<Option<ItemScoresSubscriber>, IpcError> {
+        self.try_once(|| ItemScoresSubscriber::open(self))
+    }
+
     /// The place that answers status requests.
     ///
     /// # Errors

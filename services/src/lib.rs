@@ -32,6 +32,8 @@ pub mod setup;
 
 mod state_file;
 
+pub mod slug;
+
 pub mod message_text;
 
 pub mod token_bucket;

@@ -47,6 +47,9 @@ fn program_items(program: &Program, person: &Who) -> Vec<Item> {
     items.collect()
 }
 
+/// What the input says next, and when that was read, where it comes as it happens.
+type Told = (Option<u64>, Result<Item, InputError>);
+
 /// Where narration comes from.
 pub enum Input {
     /// Everything is there.
@@ -151,6 +154,9 @@ pub struct Outcome {
     pub dropped: u64,
     /// Lines that were no narration.
     pub refused: u64,
+    /// The input was read to its end, and what was sent is settled or was waited for: nobody has stopped it before.
+    #[serde(skip)]
+    pub is_whole: bool,
 }
 
 /// Numbers narrations and keeps account of which are confirmed. Pure: time comes in as a number.
@@ -177,7 +183,7 @@ impl Account {
         }
     }
 
-    /// The next message, to be sent now.
+    /// The next message, of what is observed at this moment, unless the item says when it was.
     ///
     /// # Errors
     ///
@@ -325,8 +331,10 @@ impl Narrator {
         }
     }
 
-    fn send(&mut self, item: &Item) -> Result<(), IpcError> {
-        let message = self.account.next(item, clock::monotonic_ns(), clock::unix_ns());
+    /// Sends what was observed then.
+    fn send(&mut self, item: &Item, observed_ns: u64) -> Result<(), IpcError> {
+        let waited_ns = clock::monotonic_ns().saturating_sub(observed_ns);
+        let message = self.account.next(item, observed_ns, clock::unix_ns().saturating_sub(waited_ns));
         let message = message.map_err(|source| IpcError::Refused { service: NarrationV1::SERVICE.name, source })?;
         self.throttle.sent();
         self.narration.send(&message)
@@ -369,8 +377,8 @@ pub fn run(
     }
     // Reading may block for ever; the thread ends with its stream, or with the process.
     let reader = move || match input {
-        Input::Items(list) => list.into_iter().map(Ok).try_for_each(|item| items_in.send(item)).is_ok(),
-        Input::Log(list) => list.into_iter().try_for_each(|item| items_in.send(item)).is_ok(),
+        Input::Items(list) => list.into_iter().try_for_each(|item| items_in.send((None, Ok(item)))).is_ok(),
+        Input::Log(list) => list.into_iter().try_for_each(|item| items_in.send((None, item))).is_ok(),
         Input::Lines { name, stream, person, .. } => read_lines(&name, stream, &person, &items_in),
     };
     let reader = std::thread::Builder::new().name("reader".to_owned()).spawn(reader);
@@ -380,7 +388,7 @@ pub fn run(
     notify(&[NotifyState::Ready]);
     let mut log = Limiter::with_burst(REFUSAL_NS, REFUSALS_AT_ONCE);
     let mut warned = false;
-    while let Some(item) = next(&items, &mut sender, stop)? {
+    while let Some((read_ns, item)) = next(&items, &mut sender, stop)? {
         let item = match item {
             Ok(item) => item,
             Err(error) => {
@@ -392,10 +400,13 @@ pub fn run(
                 continue;
             }
         };
-        let due = Instant::now() + pace.before(&item);
+        let pause = pace.before(&item);
+        let due = Instant::now() + pause;
         while !stop.requested() && Instant::now() < due {
             sender.confirm(due.saturating_duration_since(Instant::now()))?;
         }
+        // However long it then waits for the daemon: that is no later observation. What is played is observed when its turn comes.
+        let observed_ns = read_ns.filter(|_| pause.is_zero()).unwrap_or_else(clock::monotonic_ns);
         loop {
             let wait = sender.throttle.wait(clock::monotonic_ns());
             if wait.is_zero() || stop.requested() {
@@ -417,13 +428,15 @@ pub fn run(
         if stop.requested() {
             break;
         }
-        sender.send(&item)?;
+        sender.send(&item, observed_ns)?;
         sender.take_line();
     }
+    let is_read = !stop.requested();
     let linger = Instant::now() + Duration::try_from_secs_f64(config.linger_s).unwrap_or(Duration::ZERO);
     while !stop.requested() && sender.account.under_way() > 0 && Instant::now() < linger {
         sender.confirm(TICK)?;
     }
+    sender.account.outcome.is_whole = is_read && (sender.account.under_way() == 0 || !stop.requested());
     // The daemon has it all; a recorder that looks now and then gets its chance before what was sent goes with its publisher.
     if sender.account.outcome.sent > 0 && !stop.requested() {
         sender.confirm(Duration::ZERO)?;
@@ -434,11 +447,7 @@ pub fn run(
 }
 
 /// The next item; none at the end. Meanwhile the ports are kept up.
-fn next(
-    items: &Receiver<Result<Item, InputError>>,
-    sender: &mut Narrator,
-    stop: &Stop,
-) -> Result<Option<Result<Item, InputError>>, IpcError> {
+fn next(items: &Receiver<Told>, sender: &mut Narrator, stop: &Stop) -> Result<Option<Told>, IpcError> {
     while !stop.requested() {
         match items.recv_timeout(TICK) {
             Ok(item) => return Ok(Some(item)),
@@ -450,14 +459,10 @@ fn next(
 }
 
 /// Returns whether the whole stream was read.
-fn read_lines(
-    name: &str,
-    stream: Box<dyn Read + Send>,
-    person: &Who,
-    items: &Sender<Result<Item, InputError>>,
-) -> bool {
+fn read_lines(name: &str, stream: Box<dyn Read + Send>, person: &Who, items: &Sender<Told>) -> bool {
     let mut stream = BufReader::new(stream);
     let mut bytes = Vec::new();
+    let tell = |item| items.send((Some(clock::monotonic_ns()), item));
     for line in 1.. {
         bytes.clear();
         let read = stream.by_ref().take(LINE_BYTES_MAX).read_until(b'\n', &mut bytes);
@@ -465,7 +470,7 @@ fn read_lines(
             Ok(0) => return true,
             Ok(_) if bytes.len() as u64 == LINE_BYTES_MAX && bytes.last() != Some(&b'\n') => {
                 if let Err(source) = stream.skip_until(b'\n') {
-                    let _gone = items.send(Err(InputError::Read { name: name.to_owned(), source }));
+                    let _gone = tell(Err(InputError::Read { name: name.to_owned(), source }));
                     return false;
                 }
                 Err(LineError::NoLine)
@@ -476,11 +481,11 @@ fn read_lines(
                 Err(_) => Err(LineError::NoLine),
             },
             Err(source) => {
-                let _gone = items.send(Err(InputError::Read { name: name.to_owned(), source }));
+                let _gone = tell(Err(InputError::Read { name: name.to_owned(), source }));
                 return false;
             }
         };
-        if items.send(item.map_err(|source| InputError::Line { line, source })).is_err() {
+        if tell(item.map_err(|source| InputError::Line { line, source })).is_err() {
             return false;
         }
     }
@@ -620,6 +625,81 @@ mod tests {
         observed_by(sat(Some(1_500_000_000)), 1_000_000_000).unwrap();
     }
 
+    /// Gives a line at a time, and counts them.
+    struct Given(std::sync::Arc<std::sync::atomic::AtomicU64>);
+
+    impl Read for Given {
+        fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+            let line = b"They sit.\n";
+            buffer[..line.len()].copy_from_slice(line);
+            self.0.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
+            Ok(line.len())
+        }
+    }
+
+    /// Without a daemon a narrator waits with its hands full: what it then tells was observed when it was read, and not when it is told.
+    #[test]
+    fn what_waited_for_a_daemon_was_observed_before() {
+        use std::sync::atomic::Ordering::SeqCst;
+        let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(folder.path().join("d"), &format!("waits-{}", std::process::id())).unwrap();
+        let node = domain.open("test").unwrap();
+        let (heard, scores) = (node.subscriber::<NarrationV1>().unwrap(), node.publisher::<RoomScoresV1>().unwrap());
+        let (stop, given) = (Stop::new(), std::sync::Arc::default());
+        let input = Input::Lines {
+            name: "test".to_owned(),
+            stream: Box::new(Given(std::sync::Arc::clone(&given))),
+            person: Who::Somebody,
+            settled: None,
+        };
+        let config = NarratorConfig { name: "test".to_owned(), linger_s: 0.0 };
+        let limits = IntakeLimits { rate_per_s: 0.0, ..IntakeLimits::default() };
+        let (own_stop, own_domain) = (stop.clone(), domain.clone());
+        let thread =
+            std::thread::spawn(move || run(&config, limits, &own_domain, input, Pace::Seconds(0.0), &own_stop));
+        // One is in hand, one on its way, and the one behind them was read after both.
+        while given.load(SeqCst) < UNDER_WAY + 3 {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let back_ns = clock::monotonic_ns();
+        let mut newest: Option<NarrationV1> = None;
+        let mut late = 0;
+        while newest.is_none_or(|newest| newest.sequence < UNDER_WAY + 8) {
+            heard.wait(TICK).unwrap();
+            while let Some(narration) = heard.receive().unwrap() {
+                let narration = narration.unwrap();
+                assert!(narration.observed_ns > 0 && narration.sequence > newest.map_or(0, |newest| newest.sequence));
+                let wall_ns = clock::unix_ns().saturating_sub(clock::monotonic_ns() - narration.observed_ns);
+                assert!(wall_ns.abs_diff(narration.observed_unix_ns) < 1_000_000_000, "both clocks say the same");
+                if narration.sequence <= UNDER_WAY + 2 {
+                    assert!(narration.observed_ns <= back_ns, "{}", narration.sequence);
+                } else {
+                    late += usize::from(narration.observed_ns > back_ns);
+                }
+                newest = Some(narration);
+            }
+            if let Some(newest) = &newest {
+                let mut confirms = RoomScoresV1 { epoch: 1, sequence: newest.sequence, ..Default::default() };
+                (confirms.room_count, confirms.source_count) = (1, 1);
+                confirms.room[0].id = text::encode("id", "kitchen").unwrap();
+                confirms.included[0] = roomcast_ipc::IncludedV1 {
+                    source: newest.source,
+                    epoch: newest.epoch,
+                    sequence: newest.sequence,
+                    accepted: newest.sequence,
+                    observed_ns: newest.observed_ns,
+                };
+                scores.send(&confirms).unwrap();
+            }
+        }
+        assert!(late > 0, "what was read since has its own time");
+        stop.request();
+        let outcome = thread.join().unwrap().unwrap();
+        assert!(!outcome.is_whole, "it was stopped before the end");
+        drop((heard, scores, node));
+        let _left = domain.clean_up();
+    }
+
     #[test]
     fn a_stream_is_read_to_its_end_over_bad_lines() {
         let long = "a".repeat(20_000);
@@ -628,7 +708,7 @@ mod tests {
         assert!(read_lines("test", Box::new(io::Cursor::new(text)), &Who::Somebody, &items_in));
         drop(items_in);
         let read: Vec<_> =
-            items.iter().map(|item| item.map(|item| item.text).map_err(|error| error.to_string())).collect();
+            items.iter().map(|(_, item)| item.map(|item| item.text).map_err(|error| error.to_string())).collect();
         assert_eq!(read.len(), 5);
         assert!(read[1].as_ref().unwrap_err().starts_with("line 3: "));
         assert!(read[3].as_ref().unwrap_err().starts_with("line 5: "));

@@ -2,8 +2,9 @@
 
 use serde_json::{Value, json};
 
-use super::names::{ahead, slug};
+use super::names::{PERSON, ahead, in_s, of_room};
 use roomcast_services::config::BridgeConfig;
+use roomcast_services::slug::slug;
 
 /// Who has made the entities, as discovery names it.
 pub(super) const ORIGIN: &str = "roomcast";
@@ -43,6 +44,13 @@ fn on_off(at: &str) -> String {
 /// A text, or unknown: Home Assistant 2024.3 shows `None` as a text.
 fn text(at: &str) -> String {
     format!("{{{{ {at} or 'unknown' }}}}")
+}
+
+/// Whoever has a name: how it is shown, and its part of topics and ids.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Named {
+    pub(super) part: String,
+    pub(super) name: String,
 }
 
 /// An entity.
@@ -129,7 +137,7 @@ impl<'a> Discovery<'a> {
 
     /// A room: how likely somebody is there now and later, and whether somebody is expected soon.
     pub(super) fn room(&mut self, id: &str) {
-        let (room, shown) = (slug(id), id.replace('-', " "));
+        let (room, shown) = (of_room(id), id.replace('-', " "));
         let topic = format!("rooms/{room}");
         let measured = |icon: &str| json!({ "unit_of_measurement": "%", "state_class": "measurement", "icon": icon });
         let mut now = measured("mdi:account-eye");
@@ -146,7 +154,7 @@ impl<'a> Discovery<'a> {
         };
         self.add(entity("sensor", format!("{room}_now"), format!("{shown} now"), percent("now"), now), true);
         for seconds in self.config.horizons_s.clone() {
-            let object = format!("{room}_in_{}_s", slug(&seconds.to_string()));
+            let object = format!("{room}{}", in_s(seconds));
             let name = format!("{shown} in {}", ahead(seconds));
             let template = percent(&format!("at['{seconds}']"));
             self.add(entity("sensor", object, name, template, measured("mdi:account-clock")), true);
@@ -157,8 +165,7 @@ impl<'a> Discovery<'a> {
     }
 
     /// A person: the likely room, also later, and whether they are at home.
-    pub(super) fn person(&mut self, name: &str) {
-        let person = slug(&name.to_lowercase());
+    pub(super) fn person(&mut self, Named { part: person, name }: &Named) {
         let topic = format!("persons/{person}");
         let entity = |component, object: String, name, template: String, more| Entity {
             component,
@@ -171,22 +178,21 @@ impl<'a> Discovery<'a> {
         let attributes = format!("{}/{topic}", self.config.topic);
         let now = json!({ "icon": "mdi:account", "json_attributes_topic": attributes });
         let template = text("value_json.likely");
-        self.add(entity("sensor", format!("person_{person}"), name.to_owned(), template, now), true);
+        self.add(entity("sensor", format!("{PERSON}{person}"), name.to_owned(), template, now), true);
         for seconds in self.config.horizons_s.clone() {
-            let object = format!("person_{person}_in_{}_s", slug(&seconds.to_string()));
+            let object = format!("{PERSON}{person}{}", in_s(seconds));
             let template = text(&format!("(value_json.at['{seconds}'] or {{}}).likely"));
             let (name, later) = (format!("{name} in {}", ahead(seconds)), json!({ "icon": "mdi:account-clock" }));
             self.add(entity("sensor", object, name, template, later), true);
         }
         let home = "{{ {'present': 'ON', 'away': 'OFF', 'gone': 'OFF'}.get(value_json.presence, 'None') }}".to_owned();
         let presence = json!({ "device_class": "presence" });
-        let object = format!("person_{person}_home");
+        let object = format!("{PERSON}{person}_home");
         self.add(entity("binary_sensor", object, format!("{name} home"), home, presence), true);
     }
 
     /// A robot: what it is to do, where and why.
-    pub(super) fn robot(&mut self, name: &str) {
-        let robot = slug(name);
+    pub(super) fn robot(&mut self, Named { part: robot, name }: &Named) {
         let topic = format!("robots/{robot}");
         let attributes = format!("{}/{topic}", self.config.topic);
         let entity = |part: &str, template: String, more: Value| Entity {

@@ -8,8 +8,8 @@ use roomcast_ipc::{
 };
 use serde_json::{Value, json};
 
-use super::discovery::Discovery;
-use super::names::slug;
+use super::discovery::{Discovery, Named};
+use super::names::{of_person, of_robot, of_room, unnamed_person, unnamed_robot};
 use super::outbox::Picture;
 use crate::flags::{action_word, decision_flag_names, forecast_flag_names};
 use roomcast_services::config::BridgeConfig;
@@ -116,26 +116,28 @@ impl Known {
         }
         for id in &rooms {
             let message = self.room(id, config);
-            put(format!("rooms/{}", slug(id)), &message);
+            put(format!("rooms/{}", of_room(id)), &message);
         }
-        let persons: Vec<String> = self.persons().map(|(_, person)| name_of(person)).collect();
-        for (all, person) in self.persons() {
-            put(format!("persons/{}", slug(&name_of(person).to_lowercase())), &person_message(all, person, config));
+        let named =
+            |person: &PersonForecastV1| Named { part: of_person(person.person, person.name()), name: name_of(person) };
+        let persons: Vec<Named> = self.persons().map(|(_, person)| named(person)).collect();
+        for ((all, person), Named { part, .. }) in self.persons().zip(&persons) {
+            put(format!("persons/{part}"), &person_message(all, person, config));
         }
         let own = sequence::source_of_name(robot);
-        let name = |number: u64| match self.planners.get(&number) {
-            _ if number == own => robot.to_owned(),
-            Some(name) => name.clone(),
-            None => format!("robot {number:016x}"),
+        let named = |number: u64| {
+            let known = self.planners.get(&number).map(String::as_str);
+            let known = if number == own { Some(robot) } else { known };
+            let name = known.map_or_else(|| unnamed_robot(number), str::to_owned);
+            Named { part: of_robot(number, known), name }
         };
-        let mut robots: Vec<String> = self.decisions.keys().map(|number| name(*number)).collect();
-        for decision in self.decisions.values() {
-            let name = name(decision.robot);
-            put(format!("robots/{}", slug(&name)), &decision_message(decision, &name));
+        let mut robots: Vec<Named> = self.decisions.keys().map(|number| named(*number)).collect();
+        for (decision, Named { part, name }) in self.decisions.values().zip(&robots) {
+            put(format!("robots/{part}"), &decision_message(decision, name));
         }
         // It has its place before it decides, and keeps it while its planner is away.
-        if !robots.iter().any(|other| other == robot) {
-            robots.push(robot.to_owned());
+        if !self.decisions.contains_key(&own) {
+            robots.push(named(own));
         }
         picture.insert(format!("{base}/status"), ONLINE.to_owned());
         picture.insert(format!("{base}/daemon"), if alive { ONLINE } else { OFFLINE }.to_owned());
@@ -224,7 +226,7 @@ fn nearest(horizons: &[f32], count: usize, seconds: f64) -> Option<usize> {
 /// What a person is called: the name, else the number.
 fn name_of(person: &PersonForecastV1) -> String {
     match person.name() {
-        "" => format!("person {}", person.person),
+        "" => unnamed_person(person.person),
         name => name.to_owned(),
     }
 }

@@ -14,7 +14,7 @@ use roomcast_services::config::Config;
 use roomcast_services::logging::Limiter;
 use roomcast_services::mqtt::{Broker, MqttError};
 use roomcast_services::mqtt_link::{Heard, Link, Will};
-use roomcast_services::notify::notify;
+use roomcast_services::notify::{Watchdog, notify};
 use roomcast_services::receive::receive;
 use roomcast_services::stop::Stop;
 use sd_notify::NotifyState;
@@ -45,8 +45,6 @@ const SILENCE_NS: u64 = 2_000_000_000;
 const WAIT: Duration = Duration::from_secs(10);
 /// How long the connection's thread may take for a turn before this process no longer says that it lives.
 const TURN_MAX_NS: u64 = 5_000_000_000;
-/// How often systemd hears that this process lives, at most.
-const WATCHDOG: Duration = Duration::from_secs(1);
 /// Complaints about malformed messages come at most so often.
 const QUIET_NS: u64 = 5_000_000_000;
 
@@ -232,7 +230,8 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
     let silent_ns = SILENCE_NS.max(config.daemon.heartbeat_ms.saturating_mul(1_000_000 * HEARTBEATS));
     let interval = Duration::from_secs_f64(config.bridge.interval_s);
     let start = Instant::now();
-    let (mut connection, mut drawn, mut asked, mut told) = (0, None::<Instant>, None::<Instant>, Instant::now());
+    let (mut connection, mut drawn, mut asked, mut watchdog) =
+        (0, None::<Instant>, None::<Instant>, Watchdog::default());
     let (mut looked, mut connected, mut healed) = (None::<Instant>, start, start);
     while !stop.requested() {
         ports.scores.wait(TICK)?;
@@ -280,9 +279,8 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
             _ => {}
         }
         let turns = |link: &Link| clock::monotonic_ns().saturating_sub(link.turned_ns()) <= TURN_MAX_NS;
-        if told.elapsed() >= WATCHDOG && link.as_ref().is_none_or(turns) {
-            told = Instant::now();
-            notify(&[NotifyState::Watchdog]);
+        if link.as_ref().is_none_or(turns) {
+            watchdog.lives();
         }
     }
     notify(&[NotifyState::Stopping]);

@@ -1,29 +1,61 @@
 //! Names of rooms, persons and robots as parts of MQTT topics and of Home Assistant's ids.
+//!
+//! Ordinary names stand there as they are. Whoever is told of chooses their own name, so no name may become what belongs to another: a part of
+//! a topic that could be mistaken gets a sum.
 
-use sha2::{Digest, Sha256};
+use roomcast_services::slug::{slug, summed};
 
-/// Most characters that are taken of a name.
-const LENGTH_MAX: usize = 40;
-/// Characters of the sum that tells names apart which would look alike.
-const SUM: usize = 8;
+/// What stands behind a person's part in the ids of the person's entities, and a room's in those of the room's, beside times ahead.
+const ENDINGS: [&str; 3] = ["_home", "_now", "_soon"];
+/// What ids of persons' entities begin with.
+pub(super) const PERSON: &str = "person_";
 
-fn is_safe(character: char) -> bool {
-    character.is_ascii_lowercase() || character.is_ascii_digit() || character == '-' || character == '_'
+/// What stands in ids for a time ahead.
+pub(super) fn in_s(seconds: f64) -> String {
+    format!("_in_{}_s", slug(&seconds.to_string()))
 }
 
-/// A name that is safe in a topic and in an id, the same at every start: the name itself where it is safe, else what is left of it
-/// with a sum of the whole name, so that no two names become one.
-pub(super) fn slug(name: &str) -> String {
-    if !name.is_empty() && name.len() <= LENGTH_MAX && name.chars().all(is_safe) {
-        return name.to_owned();
+/// A room's part of topics and ids.
+pub(super) fn of_room(id: &str) -> String {
+    if id.starts_with(PERSON) { summed(id, id) } else { slug(id) }
+}
+
+/// A person's part of topics and ids; of one without a name it is the number's alone.
+pub(super) fn of_person(number: u32, name: &str) -> String {
+    if name.is_empty() {
+        return slug(&unnamed_person(number));
     }
-    let lower = name.to_lowercase();
-    let safe: String = lower.chars().map(|c| if is_safe(c) { c } else { '_' }).take(LENGTH_MAX).collect();
-    let sum = hex::encode(Sha256::digest(name.as_bytes()));
-    let sum = sum.get(..SUM).unwrap_or(&sum);
-    match safe.trim_matches('_') {
-        "" => sum.to_owned(),
-        safe => format!("{safe}_{sum}"),
+    let name = name.to_lowercase();
+    let ends = ENDINGS.iter().any(|ending| name.ends_with(ending)) || name.contains("_in_") && name.ends_with("_s");
+    let is_like_unnamed =
+        name.strip_prefix("person ").is_some_and(|rest| rest.bytes().all(|byte| byte.is_ascii_digit()));
+    of_named(&name, ends, is_like_unnamed)
+}
+
+/// What a person without a name is called.
+pub(super) fn unnamed_person(number: u32) -> String {
+    format!("person {number}")
+}
+
+/// A robot's part of topics and ids; of one whose name is not known it is the number's alone.
+pub(super) fn of_robot(number: u64, name: Option<&str>) -> String {
+    let Some(name) = name else { return slug(&unnamed_robot(number)) };
+    let is_number = |rest: &str| rest.len() == 16 && rest.bytes().all(|byte| byte.is_ascii_hexdigit());
+    of_named(name, false, name.strip_prefix("robot ").is_some_and(is_number))
+}
+
+/// What a robot is called whose name is not known.
+pub(super) fn unnamed_robot(number: u64) -> String {
+    format!("robot {number:016x}")
+}
+
+/// A name's part: with a sum where it ends like the id of an entity, and with one that no name has where it is like a number's.
+fn of_named(name: &str, ends_like_id: bool, is_like_unnamed: bool) -> String {
+    match (ends_like_id, is_like_unnamed) {
+        // A name has no character zero.
+        (_, true) => summed(name, &format!("{name}\0")),
+        (true, false) => summed(name, name),
+        (false, false) => slug(name),
     }
 }
 
@@ -39,23 +71,20 @@ pub(super) fn ahead(seconds: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::collections::HashSet;
-
-    #[test]
-    fn odd_names_are_safe_and_stay_apart() {
-        assert_eq!(slug("living-room"), "living-room");
-        let odd = [
-            "", "a/b", "a+b", "a#b", "a b", "A b", "a_b", "<b>", "küche", "kuche", "\0", "🛏", "../..", "$SYS", "{{x}}",
-        ];
-        let long = ["x".repeat(41), format!("{}y", "x".repeat(41))];
-        let slugs: Vec<_> = odd.into_iter().map(slug).chain(long.iter().map(|name| slug(name))).collect();
-        assert!(slugs.iter().all(|slug| !slug.is_empty() && slug.chars().all(is_safe)), "{slugs:?}");
-        assert_eq!(slugs.iter().collect::<HashSet<_>>().len(), slugs.len(), "{slugs:?}");
-        assert!(slug("a/b").starts_with("a_b_"));
-    }
 
     #[test]
     fn times_ahead_are_words() {
         assert_eq!([30.0, 60.0, 90.0, 600.0, 3600.0].map(ahead), ["30 s", "1 min", "90 s", "10 min", "1 h"]);
+    }
+
+    /// People have automations on them.
+    #[test]
+    fn ordinary_names_have_the_parts_that_they_always_had() {
+        assert_eq!([of_room("living-room"), of_room("küche")], ["living-room", "k_che_d4b04d03"]);
+        assert_eq!([of_person(1, "Ada"), of_person(1, "ada lovelace")], ["ada", "ada_lovelace_177f85df"]);
+        assert_eq!(of_person(5, ""), "person_5_859ad6ea");
+        assert_eq!(of_robot(1, Some("robot")), "robot");
+        assert_eq!(of_robot(1, None), "robot_0000000000000001_372d6ea4");
+        assert_eq!(in_s(600.0), "_in_600_s");
     }
 }

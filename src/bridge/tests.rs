@@ -1,4 +1,5 @@
 use super::*;
+use proptest::prelude::*;
 use roomcast_ipc::{action, forecast_flags, presence, text};
 use roomcast_services::config::BridgeConfig;
 use serde_json::{Value, json};
@@ -283,6 +284,83 @@ fn discovery_is_one_device_with_unique_safe_ids_whatever_names_are_like() {
     }
     assert!(picture.keys().all(|topic| !topic.contains(['+', '#', '\0', ' '])), "{:?}", picture.keys());
     assert!(!discovery::is_own(b"{\"name\": \"lamp\"}", "roomcast") && !discovery::is_own(b"\xff", "roomcast"));
+}
+
+/// Names that are parts of what others become: endings of ids, numbers, sums, and what a name with a sum looks like.
+fn names() -> impl Strategy<Value = String> {
+    let word = proptest::sample::select(vec!["lily", "tom", "person", "robot", "x", "Ä", "in", "s", "5", "600"]);
+    let joint = proptest::sample::select(vec!["_", " ", "_in_", "-", ""]);
+    let ending = proptest::sample::select(vec![
+        "",
+        "",
+        "_in_600_s",
+        "_in_60_s",
+        "_in_1.5_s",
+        "_home",
+        "_now",
+        "_soon",
+        "_decision",
+        "_room",
+        "_s",
+        " 0000000000000005",
+    ]);
+    let name = (word.clone(), joint, word, ending).prop_map(|(a, b, c, d)| format!("{a}{b}{c}{d}"));
+    let name = proptest::prop_oneof![4 => name, 1 => Just("person 5".to_owned()), 1 => Just("lily".to_owned())];
+    // Also what a name becomes, and what it then becomes.
+    let names = (name, 0..4_u32, 0..3).prop_map(|(name, number, times)| {
+        let becomes = |name: String, _| match number {
+            0 => names::of_room(&name),
+            1 => names::of_person(5, &name),
+            2 => names::of_robot(5, Some(&name)),
+            _ => name,
+        };
+        (0..times).fold(name, becomes)
+    });
+    names.prop_filter("a name fits into a message", |name| name.len() <= roomcast_ipc::NAME_BYTES)
+}
+
+proptest::proptest! {
+    #![proptest_config(ProptestConfig { cases: 2_000, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Whatever rooms, persons and robots are called, none gets what belongs to another: all topics, ids and states are apart.
+    #[test]
+    fn nobodys_name_takes_anothers_place(
+        rooms in proptest::collection::btree_set(names(), 1..4),
+        named in proptest::collection::btree_set(names().prop_map(|name| name.to_lowercase()), 0..5),
+        robots in proptest::collection::btree_set(names(), 0..3),
+        unnamed in 0..3_u32,
+        unknown in 0..2_u64,
+        horizons_s in proptest::sample::subsequence(vec![1.5, 60.0, 600.0], 0..3),
+    ) {
+        let rooms: Vec<&str> = rooms.iter().map(String::as_str).collect();
+        let mut people: Vec<&str> = named.iter().map(String::as_str).collect();
+        people.extend(vec![""; unnamed as usize]);
+        let mut known = known(&rooms, &vec![[0.1; 3]; rooms.len()], &[]);
+        let mut told = persons(&scores(&rooms), &people);
+        (4..).zip(&mut told.person).for_each(|(number, person)| person.person = number);
+        known.take_persons(&told);
+        let participants: Vec<_> = robots.iter().map(|name| roomcast_services::planner::participant(name)).collect();
+        let numbers = robots.iter().map(|name| sequence::source_of_name(name)).chain((0..unknown).map(|n| 5 + n));
+        numbers.for_each(|robot| known.take_decision(&DecisionV1 { robot, ..Default::default() }));
+        known.take_planners(&participants, "own");
+        let config = BridgeConfig { horizons_s: horizons_s.clone(), ..BridgeConfig::default() };
+        let picture = known.picture(&config, "own", true);
+        let entities: Vec<Value> = picture
+            .iter()
+            .filter(|(topic, _)| topic.ends_with("/config"))
+            .map(|(_, payload)| serde_json::from_str(payload).unwrap())
+            .collect();
+        let (each, all_robots) = (2 + horizons_s.len(), robots.len() + unknown as usize);
+        let expected = 2 + each * (rooms.len() + people.len()) + 3 * (all_robots + 1);
+        let of = |key: &str| entities.iter().map(|entity| entity[key].to_string()).collect::<BTreeSet<_>>();
+        prop_assert_eq!(entities.len(), expected, "topics of {:?} {:?} {:?}", rooms, people, robots);
+        prop_assert_eq!(of("unique_id").len(), expected, "ids of {:?} {:?} {:?}", rooms, people, robots);
+        // Those of the home and of how the daemon is, and one for each.
+        let states = 2 + rooms.len() + people.len() + all_robots + 1;
+        prop_assert_eq!(of("state_topic").len(), states, "states of {:?} {:?} {:?}", rooms, people, robots);
+        let kept = picture.keys().filter(|topic| ["/rooms/", "/persons/", "/robots/"].iter().any(|kind| topic.contains(kind)));
+        prop_assert_eq!(kept.count(), states - 3, "messages of {:?} {:?} {:?}", rooms, people, robots);
+    }
 }
 
 #[test]

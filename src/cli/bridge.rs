@@ -68,13 +68,19 @@ pub fn run(args: &Args) -> CommandResult {
             true => {
                 let runs = domain.open("roomcast-remove").and_then(|node| node.participants());
                 if runs.is_ok_and(|names| names.iter().any(|name| name.starts_with("roomcast-bridge"))) {
-                    eprintln!("roomcast: a bridge runs in this domain: end it first, or it says everything again");
+                    super::tell(format_args!(
+                        "roomcast: a bridge runs in this domain: end it first, or it says everything again"
+                    ));
                 }
                 bridge::remove(&config, &broker, &stop)
             }
             false => bridge::run(&config, &domain, Way::Broker(&broker), &stop),
         }
     };
+    // To take everything away, and to print everything once, has an end; all else is a service.
+    if done.is_ok() && (args.remove || args.once) && stop.requested() {
+        return Err(service::interrupted("what the bridge was to do once may not be done"));
+    }
     done.map_err(|error| match error {
         BridgeError::Mqtt(error) => broker::failure(error),
         BridgeError::Ipc(_) | BridgeError::NoDaemon => Failure::new(exit_code::IPC, error),

@@ -32,7 +32,7 @@ impl Args {
     ///
     /// # Errors
     ///
-    /// When neither the command line nor the configuration names one.
+    /// When neither the command line nor the configuration names one, or what they name is none.
     pub fn broker(&self, config: &MqttConfig, client: String) -> Result<Broker, Failure> {
         let Some(address) = self.mqtt.clone().or_else(|| config.broker.clone()) else {
             return Err(Failure::new(
@@ -43,19 +43,30 @@ impl Args {
         // Files of the configuration belong to its broker.
         let own = self.mqtt.is_none();
         let configured = |path: &Option<PathBuf>| path.clone().filter(|_| own);
-        Ok(Broker {
+        let broker = Broker {
             address,
             client,
             credentials: self.mqtt_credentials.clone().or_else(|| configured(&config.credentials)),
             authority: self.mqtt_ca.clone().or_else(|| configured(&config.ca)),
-        })
+        };
+        match broker.options() {
+            // Whose it is, is known here alone. A CA file of the command line may not fit a configured address.
+            Err(error @ (MqttError::Address { .. } | MqttError::Login)) if own => {
+                Err(Failure::new(exit_code::CONFIG, error))
+            }
+            Err(error @ MqttError::Scheme { .. }) if own && self.mqtt_ca.is_none() => {
+                Err(Failure::new(exit_code::CONFIG, error))
+            }
+            Err(error) => Err(failure(error)),
+            Ok(_) => Ok(broker),
+        }
     }
 }
 
 /// The failure that an error of MQTT is.
 pub fn failure(error: MqttError) -> Failure {
     let code = match error {
-        MqttError::Address { .. } | MqttError::Scheme { .. } => exit_code::USAGE,
+        MqttError::Address { .. } | MqttError::Login | MqttError::Scheme { .. } => exit_code::USAGE,
         MqttError::Read { .. }
         | MqttError::Credentials { .. }
         | MqttError::Rules { .. }

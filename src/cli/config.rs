@@ -62,7 +62,7 @@ fn check_names(config: &Config, file: &Path) -> CommandResult {
     #[cfg(feature = "mqtt")]
     failures.extend(check_broker(&config.mqtt));
     for remark in limited {
-        eprintln!("roomcast: {}", visible(&remark));
+        super::tell(format_args!("roomcast: {}", visible(&remark)));
     }
     if failures.len() <= 1 {
         return failures.pop().map_or(Ok(()), Err);

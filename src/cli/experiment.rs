@@ -311,10 +311,10 @@ fn load_map(path: &Path) -> Result<SemanticMap, Failure> {
 /// Files that cannot be read are no reason to throw the others away, but are never passed over in silence.
 fn report_faults(faults: &[String]) {
     for fault in faults.iter().take(10) {
-        eprintln!("roomcast: skipped: {fault}");
+        super::tell(format_args!("roomcast: skipped: {fault}"));
     }
     if faults.len() > 10 {
-        eprintln!("roomcast: skipped {} more", faults.len() - 10);
+        super::tell(format_args!("roomcast: skipped {} more", faults.len() - 10));
     }
 }
 

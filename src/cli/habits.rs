@@ -1,6 +1,7 @@
 //! `roomcast habits`: what the daemon has learned of the home, to forget it, to take it elsewhere and back.
 
-use std::io::Read;
+use std::fs::File;
+use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
 #[cfg(feature = "lab")]
@@ -130,12 +131,15 @@ pub fn run(args: &Args) -> CommandResult {
         Action::Export { file, common } => {
             let answer = Asker::new(common)?.ask(&HabitsQuestion::Export)?;
             let text = answer.export.as_deref().unwrap_or_default();
-            write(file, text).map_err(|error| {
-                let remedy = match error.kind() {
-                    std::io::ErrorKind::AlreadyExists => "give a file that does not exist yet",
-                    _ => "give a file in a folder that can be written",
+            write_new(file, |whole| whole.write_all(text.as_bytes())).map_err(|error| {
+                let (code, remedy) = match error.kind() {
+                    ErrorKind::AlreadyExists => (exit_code::INPUT, "give a file that does not exist yet"),
+                    ErrorKind::StorageFull | ErrorKind::FileTooLarge | ErrorKind::QuotaExceeded => {
+                        (exit_code::FAILURE, "make room there, or give a file elsewhere")
+                    }
+                    _ => (exit_code::FAILURE, "give a file in a folder that can be written"),
                 };
-                Failure::new(exit_code::INPUT, format!("cannot write {}: {error}; {remedy}", file.display()))
+                Failure::new(code, format!("cannot write {}: {error}; {remedy}", file.display()))
             })?;
             print(&format!("{} bytes in {}.\n", text.len(), file.display()))
         }
@@ -144,13 +148,18 @@ pub fn run(args: &Args) -> CommandResult {
     }
 }
 
-/// Nobody else may read what somebody does all day.
-fn write(file: &Path, text: &str) -> std::io::Result<()> {
-    use std::io::Write;
-    use std::os::unix::fs::OpenOptionsExt;
-    let mut file = std::fs::OpenOptions::new().write(true).create_new(true).mode(0o600).open(file)?;
-    file.write_all(text.as_bytes())?;
-    file.sync_all()
+/// Makes a file, which stands there whole or not at all. Nobody else may read what somebody does all day: its owner alone can.
+fn write_new(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
+    // What is there is not replaced, and that is known before anything is written.
+    if path.symlink_metadata().is_ok() {
+        return Err(ErrorKind::AlreadyExists.into());
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut whole = tempfile::Builder::new().prefix(".roomcast-").tempfile_in(folder)?;
+    fill(whole.as_file_mut())?;
+    whole.as_file().sync_all()?;
+    whole.persist_noclobber(path).map_err(|error| error.error)?;
+    File::open(folder)?.sync_all()
 }
 
 /// Reads a file of at most so many bytes of text.
@@ -161,8 +170,8 @@ fn read(file: &Path, most: u64) -> Result<String, Failure> {
     };
     let mut text = String::new();
     let read = match file.as_os_str() == "-" {
-        true => std::io::stdin().take(most + 1).read_to_string(&mut text),
-        false => std::fs::File::open(file).and_then(|file| file.take(most + 1).read_to_string(&mut text)),
+        true => io::stdin().take(most + 1).read_to_string(&mut text),
+        false => File::open(file).and_then(|file| file.take(most + 1).read_to_string(&mut text)),
     };
     read.map_err(|error| fault(error.to_string()))?;
     if text.is_empty() || text.len() as u64 > most {
@@ -207,7 +216,7 @@ fn learn(args: &LearnArgs) -> CommandResult {
         let total = lessons.len();
         let learned = lessons::teach(board, lessons.clone(), |told| {
             if told % 1_000 == 0 {
-                eprintln!("roomcast: {told} of {total} narrations");
+                super::tell(format_args!("roomcast: {told} of {total} narrations"));
             }
         });
         let learned = learned.map_err(failed)?;
@@ -255,7 +264,7 @@ impl Lessons {
                     SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, &person)).map_err(input)?;
                 let faults = narrated.items.iter().filter_map(|item| Some(item.as_ref().err()?.to_string())).collect();
                 if narrated.unfit > 0 {
-                    eprintln!("roomcast: no rule fits {} intervals", narrated.unfit);
+                    super::tell(format_args!("roomcast: no rule fits {} intervals", narrated.unfit));
                 }
                 Ok(Self { lessons: Lesson::of_sensors(&narrated).0, zone: Zone::UTC, faults })
             }
@@ -285,9 +294,9 @@ impl Lessons {
     /// Says what is left out, and why.
     fn tell_faults(&self) {
         const TOLD: usize = 20;
-        self.faults.iter().take(TOLD).for_each(|fault| eprintln!("roomcast: {fault}"));
+        self.faults.iter().take(TOLD).for_each(|fault| super::tell(format_args!("roomcast: {fault}")));
         if self.faults.len() > TOLD {
-            eprintln!("roomcast: and {} more", self.faults.len() - TOLD);
+            super::tell(format_args!("roomcast: and {} more", self.faults.len() - TOLD));
         }
     }
 }
@@ -432,6 +441,32 @@ fn shown(answer: &HabitsAnswer) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// On a full disk there is no half of a file, which would be in the way of the next try.
+    #[test]
+    fn a_file_is_written_whole_or_not_at_all() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("habits.json");
+        let full = |whole: &mut File| {
+            whole.write_all(b"half")?;
+            Err(ErrorKind::StorageFull.into())
+        };
+        assert_eq!(write_new(&path, full).unwrap_err().kind(), ErrorKind::StorageFull);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+        write_new(&path, |whole| whole.write_all(b"all")).unwrap();
+        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+        // Nothing is replaced, also what came while it was written.
+        assert_eq!(write_new(&path, |_| panic!("it is there")).unwrap_err().kind(), ErrorKind::AlreadyExists);
+        let other = folder.path().join("other.json");
+        let come = |whole: &mut File| {
+            std::fs::write(&other, "theirs")?;
+            whole.write_all(b"ours")
+        };
+        assert_eq!(write_new(&other, come).unwrap_err().kind(), ErrorKind::AlreadyExists);
+        assert_eq!(std::fs::read_to_string(&other).unwrap(), "theirs");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
+    }
 
     #[test]
     fn a_text_is_the_sum_of_its_parts() {

@@ -42,7 +42,7 @@ pub fn run(args: &Args) -> CommandResult {
         let code = match error {
             MetricsError::Http(HttpError::NotLoopback(_)) => exit_code::CONFIG,
             MetricsError::Ipc(_) => exit_code::IPC,
-            MetricsError::Http(_) | MetricsError::Ended => exit_code::FAILURE,
+            MetricsError::Http(_) => exit_code::FAILURE,
         };
         Failure::new(code, error)
     })

@@ -1,7 +1,8 @@
 //! The command line: one file per subcommand, each with its `Args` and its `run`.
 
-// `println!` panics where standard output cannot be written, on a full disk for instance; `print` gives an error.
-#![warn(clippy::print_stdout)]
+// `println!` and `eprintln!` panic where standard output or standard error cannot be written, on a full disk for instance; `print` gives an
+// error, and `tell` goes on.
+#![warn(clippy::print_stdout, clippy::print_stderr)]
 
 use std::fmt;
 use std::io::Write;
@@ -10,7 +11,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use roomcast_core::text::visible_lines;
-use roomcast_services::daemon::DaemonError;
+use roomcast_services::daemon::{DaemonError, JournalError};
 use roomcast_services::setup::SetupError;
 
 use crate::exit_code;
@@ -113,7 +114,7 @@ impl From<DaemonError> for Failure {
         let code = match error {
             DaemonError::Setup(error) => return error.into(),
             DaemonError::Board(_) => exit_code::INPUT,
-            DaemonError::Ipc(_) => exit_code::IPC,
+            DaemonError::Ipc(_) | DaemonError::Journal(JournalError::Locked { .. }) => exit_code::IPC,
             DaemonError::Affinity(_) => exit_code::CONFIG,
             _ => exit_code::FAILURE,
         };
@@ -352,5 +353,16 @@ pub fn main() -> ExitCode {
             tell(format_args!("roomcast: {failure}"));
             ExitCode::from(failure.code)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_daemon_has_its_own_code_also_where_only_its_journal_shows_it() {
+        let code = |error: JournalError| Failure::from(DaemonError::Journal(error)).code;
+        assert_eq!(code(JournalError::Locked { path: "journal".into() }), exit_code::IPC);
     }
 }

@@ -108,7 +108,7 @@ pub fn run(args: &Args) -> CommandResult {
         if !patience.requested() {
             narrate_mqtt::join(listener)?;
         }
-        return report(args, &outcome, &domain);
+        return report(args, &outcome, &domain, stop.requested().then_some(Stopped::Service));
     }
     let source = match &args.sensors {
         Some(log) => read_sensors(log, args.rules.as_deref().unwrap_or(Path::new("rules.toml")), &person)?,
@@ -117,7 +117,23 @@ pub fn run(args: &Args) -> CommandResult {
         }
         None => Input::open(args.fifo.as_ref().unwrap_or(&args.input), person).map_err(input)?,
     };
-    report(args, &publish(&config, &domain, source, pace, &stop)?, &domain)
+    let has_end = args.sensors.is_some() || args.fifo.is_none() && service::has_end(&args.input);
+    let outcome = publish(&config, &domain, source, pace, &stop)?;
+    let stopped = match stop.requested() {
+        true if !has_end => Some(Stopped::Service),
+        true if !outcome.is_whole => Some(Stopped::Halfway),
+        _ => None,
+    };
+    report(args, &outcome, &domain, stopped)
+}
+
+/// What somebody has asked to stop.
+#[derive(Debug, Clone, Copy)]
+enum Stopped {
+    /// What goes on until it is stopped.
+    Service,
+    /// What has an end, before that.
+    Halfway,
 }
 
 fn publish(config: &Config, domain: &Domain, source: Input, pace: Pace, stop: &Stop) -> Result<Outcome, Failure> {
@@ -125,9 +141,18 @@ fn publish(config: &Config, domain: &Domain, source: Input, pace: Pace, stop: &S
         .map_err(|error| Failure::new(exit_code::IPC, error))
 }
 
-fn report(args: &Args, outcome: &Outcome, domain: &Domain) -> CommandResult {
+fn report(args: &Args, outcome: &Outcome, domain: &Domain, stopped: Option<Stopped>) -> CommandResult {
     if args.json {
         print_json(outcome)?;
+    }
+    match stopped {
+        // What was refused or not confirmed is in the log, and no fault of who stops it.
+        Some(Stopped::Service) => return Ok(()),
+        Some(Stopped::Halfway) => {
+            let Outcome { sent, confirmed, .. } = outcome;
+            return Err(service::interrupted(&format!("{sent} narrations were sent, {confirmed} of them confirmed")));
+        }
+        None => {}
     }
     let unconfirmed = outcome.sent - outcome.confirmed - outcome.dropped;
     if outcome.refused > 0 {

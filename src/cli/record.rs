@@ -130,7 +130,8 @@ pub fn run(args: &Args) -> CommandResult {
     let port = node.question_port(question::MOMENT).map_err(ipc)?;
     let (ask, asked) = bounded(1);
     let (tell, told) = bounded(1);
-    std::thread::spawn(move || {
+    let asking = std::thread::Builder::new().name("map".to_owned());
+    let asking = asking.spawn(move || {
         while asked.recv().is_ok() {
             let moment = port.ask("{}", PATIENCE).map_err(|error| error.to_string());
             let moment = moment.and_then(|text| Moment::from_json(&text).map_err(|error| error.to_string()));
@@ -139,6 +140,10 @@ pub fn run(args: &Args) -> CommandResult {
             }
         }
     });
+    asking.map_err(|error| {
+        let text = format!("cannot start the thread that asks for the map: {error}; is a limit on tasks set too low?");
+        Failure::new(exit_code::FAILURE, text)
+    })?;
     let mut known = None;
     let (mut scores_known, mut persons_known, mut forecasts_known) = (None, None, None);
     let (started, mut flushed) = (Instant::now(), Instant::now());

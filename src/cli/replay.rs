@@ -137,9 +137,14 @@ pub fn run(args: &Args) -> CommandResult {
     let (of, seconds) = (messages.len(), started.elapsed().as_secs_f64());
     let others =
         if args.all { "" } else { "; the others are scores, forecasts, decisions and reports, which --all replays" };
-    eprintln!("{sent} of {of} messages replayed in {seconds:.1} s{others}");
+    super::tell(format_args!("{sent} of {of} messages replayed in {seconds:.1} s{others}"));
+    if stop.requested() {
+        return Err(service::interrupted(&format!("{sent} of {of} messages were replayed")));
+    }
     if known > 0 {
-        eprintln!("the daemon has taken in {known} of them before and takes none twice; a fresh one would score them");
+        super::tell(format_args!(
+            "the daemon has taken in {known} of them before and takes none twice; a fresh one would score them"
+        ));
     }
     let (Some(heard), Some(last)) = (heard, last) else { return Ok(()) };
     // What waits in shared memory dies with its publisher, so this one lives until the daemon has it.
@@ -154,6 +159,11 @@ pub fn run(args: &Args) -> CommandResult {
             std::thread::sleep(TICK);
             return Ok(());
         }
+    }
+    if stop.requested() {
+        return Err(service::interrupted(&format!(
+            "{sent} of {of} messages were replayed, and nothing has confirmed the last one"
+        )));
     }
     Err(Failure::new(
         exit_code::IPC,

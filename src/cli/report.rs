@@ -1,6 +1,7 @@
 //! `roomcast report`: what a robot says of itself, to its planner.
 
 use std::io::{self, BufRead, Read};
+use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::{Duration, Instant};
 
@@ -135,12 +136,19 @@ pub fn run(args: &Args) -> CommandResult {
         }
         None => send_lines(&mut reporter, &publisher, &mut rooms, &stop, (&mut sent, &mut refused))?,
     }
-    if sent > 0 && !stop.requested() {
+    if stop.requested() {
+        // Who reads what a robot says goes on until it is stopped.
+        let follows = args.what == What::Lines && !service::has_end(Path::new("-"));
+        return if follows { Ok(()) } else { Err(service::interrupted(&format!("{} sent", count(sent, "report")))) };
+    }
+    if sent > 0 {
         let heard = wait(&publisher, robot, Duration::from_secs_f64(args.wait), &stop).map_err(ipc)?;
         let place = service::shown(&domain);
         match heard {
             Hearer::Planner => {}
-            Hearer::Others => eprintln!("roomcast: no planner of the robot `{robot}` runs in {place}; others listen"),
+            Hearer::Others => {
+                super::tell(format_args!("roomcast: no planner of the robot `{robot}` runs in {place}; others listen"))
+            }
             Hearer::OtherPlanner(other) => {
                 let text = format!(
                     "no planner of the robot `{robot}` runs in {place}, but one of `{other}`: give --robot {other}, or start \
@@ -148,7 +156,10 @@ pub fn run(args: &Args) -> CommandResult {
                 );
                 return Err(Failure::new(exit_code::IPC, text));
             }
-            Hearer::Nobody if stop.requested() => {}
+            Hearer::Nobody if stop.requested() => {
+                let text = format!("nobody has heard {} yet", count(sent, "report"));
+                return Err(service::interrupted(&text));
+            }
             Hearer::Nobody => {
                 let sent = count(sent, "report");
                 let text = format!(
@@ -189,7 +200,7 @@ fn send_lines(
             }
         };
         let mut complain = |error: String| {
-            eprintln!("roomcast: line {number}: {error}");
+            super::tell(format_args!("roomcast: line {number}: {error}"));
             *refused += 1;
         };
         let mut message = |report: &Report| {
@@ -383,7 +394,7 @@ mod tests {
     #[test]
     fn rooms_are_named_as_in_the_planners_map() {
         for scene in [None, Some("studio")] {
-            let map = setup::load_map(scene.map(std::path::Path::new)).unwrap();
+            let map = setup::load_map(scene.map(Path::new)).unwrap();
             let (id, label) = (map.rooms()[0].id.clone(), map.rooms()[0].label.to_uppercase());
             let names = Names::new(map, PartitionLevel::default());
             assert_eq!((names.id(&label), names.id("nowhere")), (Some(id.as_str()), None), "{scene:?}");

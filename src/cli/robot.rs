@@ -63,7 +63,7 @@ pub fn run(args: &Args) -> CommandResult {
     };
     let way = if config.robot.obey { Way::Obey } else { Way::Show(&mut show) };
     if !config.robot.obey {
-        eprintln!("roomcast: a dry run: what the robot would be told is printed; --obey tells it");
+        super::tell(format_args!("roomcast: a dry run: what the robot would be told is printed; --obey tells it"));
     }
     vacuum::run(&config, &domain, &broker, way, &stop).map_err(|error| match error {
         DriveError::Mqtt(error) => broker::failure(error),

@@ -263,11 +263,11 @@ fn import(args: &Import) -> CommandResult {
     let Imported { map, notes, boxed } = imported;
     if !boxed.is_empty() {
         let rooms: Vec<_> = boxed.iter().map(|room| format!("{room:?}")).collect();
-        eprintln!(
+        super::tell(format_args!(
             "roomcast: the polygon meets itself or has no area: {}; each of these rooms is the box around its polygon now; look at them with \
              `roomcast scene draw`",
             rooms.join(", ")
-        );
+        ));
     }
     write(&args.out, map.to_json().as_bytes())?;
     let mut text = format!(

@@ -107,6 +107,21 @@ pub fn shown(domain: &Domain) -> String {
     format!("the domain {} at {}", domain.name(), domain.root().display())
 }
 
+/// Whether what is read there has an end, so that being stopped before it is being interrupted. Whoever follows a pipe, a FIFO or a terminal
+/// goes on until somebody stops it. `-` is standard input, and a name that is no file's is one that Roomcast ships.
+pub fn has_end(path: &Path) -> bool {
+    if path.as_os_str() == "-" {
+        let about = rustix::fs::fstat(std::io::stdin());
+        return about.is_ok_and(|about| rustix::fs::FileType::from_raw_mode(about.st_mode).is_file());
+    }
+    std::fs::metadata(path).map_or(true, |about| about.is_file())
+}
+
+/// What a command ends with that was asked to stop before its work was done.
+pub fn interrupted(done: &str) -> Failure {
+    Failure::new(exit_code::INTERRUPTED, format!("interrupted: {done}"))
+}
+
 /// A stop on signals, and with the command that has started this one for itself.
 ///
 /// # Errors

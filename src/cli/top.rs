@@ -172,7 +172,7 @@ fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>, robot: String) -> Com
                 if limit.is_some() {
                     return Err(Failure::new(exit_code::IPC, told));
                 }
-                eprintln!("roomcast: {told}; this waits for it");
+                super::tell(format_args!("roomcast: {told}; this waits for it"));
                 silent_from = None;
             }
             continue;

@@ -34,7 +34,7 @@ pub fn run(args: &Args) -> CommandResult {
     let _log = logging::init();
     let place = if args.no_key { Place { address: args.listen, key: None } } else { Place::with_key(args.listen) };
     let ready = |address: SocketAddr| {
-        eprintln!("open {} in a browser on this machine", place.url(address));
+        super::tell(format_args!("open {} in a browser on this machine", place.url(address)));
         notify::notify(&[sd_notify::NotifyState::Ready]);
     };
     let served = match &args.recording {
@@ -55,7 +55,7 @@ pub fn run(args: &Args) -> CommandResult {
         let code = match &error {
             ViewError::Http(HttpError::NotLoopback(_)) => exit_code::USAGE,
             ViewError::Ipc(_) => exit_code::IPC,
-            ViewError::Http(_) | ViewError::Ended => exit_code::FAILURE,
+            ViewError::Http(_) => exit_code::FAILURE,
         };
         Failure::new(code, error)
     })

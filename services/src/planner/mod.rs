@@ -111,6 +111,8 @@ enum Pause {
     Trouble,
     /// No room is open to it.
     NoRoom,
+    /// Rooms of persons' sets are not entered, and the sets that belong to the scores have not come.
+    NoSets,
 }
 
 /// What ended the work before a decision.
@@ -244,10 +246,16 @@ impl Planner {
         }
     }
 
-    /// Rooms that are not to be entered because somebody may be there; none where sets are not looked at.
-    fn avoided(&self, now_ns: u64) -> Vec<bool> {
-        let Some(scores) = self.scores.as_ref().filter(|_| self.avoid_sets) else { return Vec::new() };
+    /// Rooms that are not to be entered because somebody may be there, no room where sets are not looked at; none where that is not known.
+    fn avoided(&self, now_ns: u64) -> Option<Vec<bool>> {
+        let Some(scores) = self.scores.as_ref().filter(|_| self.avoid_sets) else { return Some(Vec::new()) };
         outlook::in_sets(self.sets.as_deref(), scores, (now_ns, self.deadline_ns), self.stay_s())
+    }
+
+    /// Whether sets are to be looked at, and those that belong to the newest scores have not come.
+    #[must_use]
+    pub(crate) fn lacks_sets(&self, now_ns: u64) -> bool {
+        self.scores.is_some() && self.avoided(now_ns).is_none()
     }
 
     /// Takes note of what another robot is told, where rooms of others are not entered.
@@ -425,7 +433,8 @@ impl Planner {
 
     /// Whether the robot is free and something may have changed since the last decision.
     fn is_to_decide(&self, scores: &RoomScoresV1, now_ns: u64) -> bool {
-        let news = self.decided != Some((scores.epoch, scores.sequence));
+        let sets_came = self.pausing == Some(Pause::NoSets) && !self.lacks_sets(now_ns);
+        let news = sets_came || self.decided != Some((scores.epoch, scores.sequence));
         let again = news || now_ns >= self.decided_ns.saturating_add(LOOK_AGAIN_NS);
         match &self.robot.work {
             Some(work) => work.waits && self.round.undone() > 0 && again,
@@ -454,7 +463,10 @@ impl Planner {
     /// The policy's choice, among the rooms that the robot may go to.
     fn next(&mut self, outlook: &Outlook, here: Option<&[f64]>, now_ns: u64) -> Result<Next, PolicyError> {
         let (occupied, empty) = self.occupied;
-        let avoided = self.avoided(now_ns);
+        let Some(avoided) = self.avoided(now_ns) else {
+            let reason = "it is not known which rooms are in somebody's set: no room is entered until it is".to_owned();
+            return Ok(Next::Pause { why: Pause::NoSets, reason });
+        };
         let mut closed = self.interruption.held().to_vec();
         closed.resize(closed.len().max(avoided.len()), false);
         closed.iter_mut().zip(&avoided).for_each(|(closed, avoided)| *closed |= avoided);

@@ -43,22 +43,23 @@ impl<'a> Forecast<'a> {
     }
 }
 
-/// The rooms, of those of the scores, that are in the set of any person at any time of a stay of so many seconds that begins now. Of
-/// persons without sets nothing is said, nor where the sets are old or of other rooms.
+/// The rooms, of those of the scores, that are in the set of any person at any time of a stay of so many seconds that begins now. None where
+/// there are no sets of what the scores know: they are old, of fewer narrations, or of other rooms. A person of whom nothing was observed
+/// has no set, and is in no room of one.
 pub(super) fn in_sets(
     sets: Option<&PersonForecastsV1>,
     scores: &RoomScoresV1,
     (now_ns, deadline_ns): (u64, u64),
     stay_s: f64,
-) -> Vec<bool> {
+) -> Option<Vec<bool>> {
     let rooms = scores.rooms();
-    let usable = sets.filter(|sets| {
+    let sets = sets.filter(|sets| {
         sets.epoch == scores.epoch
+            && sets.sequence >= scores.sequence
             && now_ns.saturating_sub(sets.published_ns) <= deadline_ns
             && sets.room_count == scores.room_count
             && rooms.iter().zip(&sets.id).all(|(room, id)| *id == room.id)
-    });
-    let Some(sets) = usable else { return vec![false; rooms.len()] };
+    })?;
     let begin_s = now_ns.saturating_sub(sets.computed_ns) as f64 / 1e9;
     let grid = sets.horizons_s();
     let at = |index: usize| f64::from(grid[index]);
@@ -68,7 +69,7 @@ pub(super) fn in_sets(
     let horizons = || first..(last + 1).min(grid.len());
     let persons = sets.persons();
     let held = |room: usize| persons.iter().any(|own| horizons().any(|h| own.set_holds(h, room) == Some(true)));
-    (0..rooms.len()).map(held).collect()
+    Some((0..rooms.len()).map(held).collect())
 }
 
 /// What policies weigh.
@@ -154,18 +155,23 @@ mod tests {
         (sets.person[0].set_coverage, sets.person[1].set_coverage) = (0.9, 0.9);
         sets.person[0].room_set[..3].copy_from_slice(&[0b001, 0b001, 0b011]);
         sets.person[1].set_elsewhere = 0b111;
+        (scores.sequence, sets.sequence) = (4, 4);
         let of =
             |sets: &PersonForecastsV1, now_ns, stay_s| in_sets(Some(sets), &scores, (now_ns, 2_000_000_000), stay_s);
-        assert_eq!(of(&sets, 0, 60.0), [true, false, false]);
-        assert_eq!(of(&sets, 0, 61.0), [true, true, false]);
-        assert_eq!(of(&sets, 1_000_000_000, 60.0), [true, true, false], "the sets are a second old");
-        assert_eq!(of(&sets, 3_000_000_000, 60.0), [false; 3], "they are too old");
+        assert_eq!(of(&sets, 0, 60.0), Some(vec![true, false, false]));
+        assert_eq!(of(&sets, 0, 61.0), Some(vec![true, true, false]));
+        assert_eq!(of(&sets, 1_000_000_000, 60.0), Some(vec![true, true, false]), "the sets are a second old");
+        assert_eq!(of(&sets, 3_000_000_000, 60.0), None, "they are too old");
         sets.person[1].room_set[0] = 0b100;
-        assert_eq!(of(&sets, 0, 60.0), [true, false, true]);
+        assert_eq!(of(&sets, 0, 60.0), Some(vec![true, false, true]));
         sets.person[1].set_coverage = 0.0;
-        assert_eq!(of(&sets, 0, 60.0), [true, false, false]);
+        assert_eq!(of(&sets, 0, 60.0), Some(vec![true, false, false]));
+        assert_eq!(of(&PersonForecastsV1 { sequence: 5, ..sets }, 0, 60.0), of(&sets, 0, 60.0), "they know more");
+        assert_eq!(of(&PersonForecastsV1 { sequence: 3, ..sets }, 0, 60.0), None, "they are of the event before");
+        assert_eq!(of(&PersonForecastsV1 { epoch: 2, ..sets }, 0, 60.0), None, "they are another daemon's");
+        assert_eq!(in_sets(None, &scores, (0, 2_000_000_000), 60.0), None, "there are none");
         sets.id[1] = text::encode("id", "attic").unwrap();
-        assert_eq!(of(&sets, 0, 60.0), [false; 3], "they are of other rooms");
+        assert_eq!(of(&sets, 0, 60.0), None, "they are of other rooms");
     }
 
     #[test]

@@ -7,7 +7,7 @@ use super::round::nanoseconds;
 /// A robot that fails so often in a row without beginning its work has a fault of its own, and not of a room.
 const REFUSALS: u32 = 2;
 /// It is asked again after this, and each time after twice as long, up to the second.
-const REST_NS: (u64, u64) = (60_000_000_000, 600_000_000_000);
+pub(super) const REST_NS: (u64, u64) = (60_000_000_000, 600_000_000_000);
 /// Reporters whose numbers stay known.
 const REPORTERS: usize = 16;
 /// Decisions of former planners that still mean the work in hand.
@@ -104,6 +104,16 @@ impl Robot {
             let rest_ns = first_ns.saturating_mul(1 << more.min(16)).min(most_ns);
             self.rests_until_ns = at_ns.saturating_add(rest_ns);
         }
+    }
+
+    /// How often in a row it failed, and until when it is left alone, to be kept over a restart.
+    pub(super) fn trouble(&self) -> (u32, u64) {
+        (self.refusals, self.rests_until_ns)
+    }
+
+    /// Takes up what was kept.
+    pub(super) fn restore_trouble(&mut self, (refusals, rests_until_ns): (u32, u64)) {
+        (self.refusals, self.rests_until_ns) = (refusals, rests_until_ns);
     }
 
     /// It works, or stands at its dock: whatever was wrong with it is over.

@@ -21,7 +21,7 @@ use crate::stop::Stop;
 
 /// What the names of planners begin with.
 const PARTICIPANT: &str = "roomcast-planner ";
-/// The forecast comes right behind the scores that it belongs to. Decisions wait at most so long for it.
+/// The forecast comes right behind the scores that it belongs to, and the persons' sets behind it. Decisions wait at most so long for them.
 const FORECAST_PATIENCE: Duration = Duration::from_millis(5);
 /// Complaints about one kind of message come at most so often.
 const QUIET_NS: u64 = 5_000_000_000;
@@ -63,6 +63,10 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     // Where two robots go for one room, the one that makes way is to leave at once.
     let mut awaited: Vec<&dyn Awaited> = vec![&scores, &reports];
     awaited.extend(others.iter().map(|others| others as &dyn Awaited));
+    // A robot that pauses for want of sets goes on when they come.
+    awaited.extend(sets.iter().map(|sets| sets as &dyn Awaited));
+    let mut behind_scores: Vec<&dyn Awaited> = vec![&forecasts];
+    behind_scores.extend(sets.iter().map(|sets| sets as &dyn Awaited));
     notify(&[NotifyState::Ready]);
     while !stop.requested() {
         awake.wait(planner.idle(clock::monotonic_ns()), |patience| roomcast_ipc::wait_for_any(&awaited, patience))?;
@@ -79,18 +83,19 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
             while receive(&forecasts, &mut forecast, &mut log)? {
                 planner.take_forecast(&forecast);
             }
+            if let Some(sets) = &sets {
+                while receive(sets, &mut each, &mut log)? {
+                    planner.take_sets(&each);
+                }
+            }
             let left = waits_until.saturating_duration_since(Instant::now());
+            let lacks = planner.lacks_forecast() || planner.lacks_sets(clock::monotonic_ns());
             if !(has_scores
-                && planner.lacks_forecast()
+                && lacks
                 && !left.is_zero()
-                && awake.wait(left, |left| forecasts.wait(left))?)
+                && awake.wait(left, |left| roomcast_ipc::wait_for_any(&behind_scores, left))?)
             {
                 break;
-            }
-        }
-        if let Some(sets) = &sets {
-            while receive(sets, &mut each, &mut log)? {
-                planner.take_sets(&each);
             }
         }
         if let Some(others) = &others {

@@ -10,7 +10,7 @@ use roomcast_ipc::clock;
 use serde::{Deserialize, Serialize};
 
 use super::Planner;
-use super::robot::Work;
+use super::robot::{REST_NS, Work};
 use crate::state_file;
 
 /// How often the file says that a robot which charges was heard.
@@ -49,6 +49,9 @@ pub struct KeptRound {
     /// Reporters by their epoch, and the newest report of work or dock of each that the round rests on.
     #[serde(default)]
     told: Vec<(u64, u64)>,
+    /// How often in a row the robot failed before it began, and until when it is left alone.
+    #[serde(default)]
+    trouble: (u32, u64),
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -106,6 +109,7 @@ impl Planner {
                 .filter(|_| self.robot.charges)
                 .map(|heard_ns| heard_ns - heard_ns % MINUTE_NS),
             told: self.robot.told.clone(),
+            trouble: self.robot.trouble(),
         })
     }
 
@@ -135,6 +139,7 @@ impl Planner {
         self.asks_again = robot.work.is_some();
         robot.reports_work = kept.reports_work;
         robot.restore_told(&kept.told);
+        robot.restore_trouble(kept.trouble);
         // An older version kept no time: a robot that charges counts as heard when its round was taken up.
         robot.heard_ns = kept.heard_ns.or(kept.charges.then_some(scores.published_ns));
         (robot.battery, robot.charges) = (kept.battery, kept.charges && kept.battery.is_some());
@@ -189,7 +194,9 @@ impl RoundFile {
                 && work.began_ns <= work.ends_ns
                 && work.ends_ns <= now_ns.saturating_add(LONGEST_NS)
         };
-        let in_order = kept.work.as_ref().is_none_or(is_sane);
+        // So would one that says that the robot is left alone for longer than it ever is.
+        let rests = kept.trouble.1 <= now_ns.saturating_add(REST_NS.1);
+        let in_order = kept.work.as_ref().is_none_or(is_sane) && rests;
         let is_share = kept.battery.is_none_or(|battery| (0.0..=1.0).contains(&battery));
         (kept.boot == self.boot && past && in_order && is_share).then_some(kept)
     }
@@ -244,6 +251,8 @@ mod tests {
             file.write(&KeptRound { battery: Some(battery), ..planner.kept(&file.boot).unwrap() }).unwrap();
             assert_eq!(file.load(), None, "{battery}");
         }
+        file.write(&KeptRound { trouble: (2, u64::MAX), ..planner.kept(&file.boot).unwrap() }).unwrap();
+        assert_eq!(file.load(), None);
         let left = std::fs::read_dir(directory.path()).unwrap().count();
         assert_eq!(left, 1, "no half-written files");
     }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde_json::{Value, json};
 
 use crate::config::{RobotConfig, RobotKind};
+use crate::slug::slug;
 
 /// Most segments that a robot may tell of.
 const SEGMENTS_MAX: usize = 256;
@@ -77,9 +78,7 @@ impl Dialect {
     /// The dialect of the configured robot; `base` is what Roomcast's own topics begin with, `name` the robot's name in them.
     #[must_use]
     pub fn new(config: &RobotConfig, base: &str, name: &str) -> Self {
-        let safe = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c.to_ascii_lowercase() } else { '_' };
-        let name: String = name.chars().map(safe).collect();
-        Self { kind: config.kind, topic: config.topic.clone(), orders: format!("{base}/robots/{name}/order") }
+        Self { kind: config.kind, topic: config.topic.clone(), orders: format!("{base}/robots/{}/order", slug(name)) }
     }
 
     /// Below the robot's topic, what it says something by.
@@ -233,6 +232,17 @@ mod tests {
         assert_eq!(robot.order(&Order::Home), home);
     }
 
+    /// Two that share a topic would both do what one of them is told.
+    #[test]
+    fn robots_of_different_names_have_topics_of_their_own() {
+        let config = RobotConfig { kind: RobotKind::HomeAssistant, ..RobotConfig::default() };
+        let topics: std::collections::BTreeSet<_> = ["Vac", "vac", "Staubi Ä", "Staubi Ö", "staubi__", "robot"]
+            .map(|name| Dialect::new(&config, "roomcast", name).order(&Order::Stop).0)
+            .into();
+        assert_eq!(topics.len(), 6, "{topics:?}");
+        assert!(topics.contains("roomcast/robots/robot/order") && topics.contains("roomcast/robots/vac/order"));
+    }
+
     #[test]
     fn home_assistants_vacuums_are_understood_and_told() {
         let robot = dialect(RobotKind::HomeAssistant, "homeassistant/vacuum/dusty");
@@ -248,7 +258,7 @@ mod tests {
         let (topic, payload) = robot.order(&Order::Clean { segment: "2".into(), room: "a\"b".into() });
         assert_eq!(
             (topic.as_str(), payload.as_str()),
-            ("roomcast/robots/my_robot/order", r#"{"order":"clean","room":"a\"b","segment":"2"}"#)
+            ("roomcast/robots/my_robot_3621ba68/order", r#"{"order":"clean","room":"a\"b","segment":"2"}"#)
         );
     }
 }

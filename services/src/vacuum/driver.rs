@@ -44,8 +44,8 @@ struct Work {
 enum State {
     /// Nothing is under way.
     Free,
-    /// An order is given, and the robot's state does not show it yet.
-    Ordered { order: Order, since_ns: u64, tries: u32 },
+    /// An order is given, and the robot's state does not show it yet. `differed`: its state was another than ordered, then or since.
+    Ordered { order: Order, since_ns: u64, tries: u32, differed: bool },
     /// The robot is at work for a decision. `left_ns`: since when it is not any more.
     Working { since_ns: u64, left_ns: Option<u64>, paused_ns: Option<u64> },
 }
@@ -77,8 +77,6 @@ pub struct Driver {
     decided: Option<(u64, u64)>,
     /// What is to be done next, or is under way.
     wish: Option<Work>,
-    /// The robot is to stop, and after that to be home, where that is wanted.
-    rest: Option<Order>,
     state: State,
     /// A robot that charges in the middle of its work is not to go on by itself.
     forgets: bool,
@@ -116,7 +114,6 @@ impl Driver {
             is_new: true,
             decided: None,
             wish: None,
-            rest: None,
             state: State::Free,
             forgets: false,
             told_ns: 0,
@@ -186,7 +183,8 @@ impl Driver {
 
     fn go(&mut self, decision: &DecisionV1, now_ns: u64, acts: &mut Vec<Act>) {
         let (sequence, room) = (decision.sequence, decision.to().to_owned());
-        if let Some(work) = self.wish.as_mut().filter(|work| work.room == room && self.rest.is_none()) {
+        let is_ending = self.is_ending();
+        if let Some(work) = self.wish.as_mut().filter(|work| work.room == room && !is_ending) {
             // The same again, as from a planner that was started again.
             work.decision = sequence;
             if matches!(self.state, State::Working { .. }) {
@@ -203,7 +201,7 @@ impl Driver {
             return self.say(owed, acts);
         }
         if self.wish.is_some() && self.state != State::Free {
-            self.halt(Order::Stop, now_ns, acts);
+            self.order(Order::Stop, now_ns, acts);
         }
         self.wish = Some(Work { decision: sequence, room, asked_ns: now_ns });
     }
@@ -211,29 +209,34 @@ impl Driver {
     /// The work in hand ends: a person has come, or the robot is to wait.
     fn stop_work(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
         self.wish = None;
-        let moves = matches!(self.status, Some(Status::Cleaning | Status::Paused | Status::Idle));
+        let is_ordered = matches!(self.state, State::Ordered { .. });
+        // A robot that was told to clean may begin at any moment, whatever it has said so far, and one that is cut off goes on.
+        let begins = is_ordered && !self.is_ending();
+        let is_cut_off = self.status.is_none() && matches!(self.state, State::Working { .. });
+        let works = self.status == Some(Status::Cleaning) || begins || is_cut_off;
+        let moves = works || is_ordered || matches!(self.status, Some(Status::Paused | Status::Idle));
         match self.on_pause {
-            OnPause::GoOn => self.state = State::Free,
-            OnPause::Pause if self.status == Some(Status::Cleaning) => self.halt(Order::Pause, now_ns, acts),
-            OnPause::Return if moves || matches!(self.state, State::Ordered { .. }) => {
-                self.halt(Order::Home, now_ns, acts)
-            }
+            OnPause::Pause if works => self.order(Order::Pause, now_ns, acts),
+            OnPause::Return if moves => self.order(Order::Home, now_ns, acts),
+            // What ends other work is followed until it has.
+            _ if self.is_ending() => {}
             _ => self.state = State::Free,
         }
     }
 
-    /// Gives an order that ends work, before anything else is done.
-    fn halt(&mut self, order: Order, now_ns: u64, acts: &mut Vec<Act>) {
-        self.rest = Some(order.clone());
-        self.order(order, now_ns, acts);
+    /// Whether an order that ends work is under way, before anything else is done.
+    fn is_ending(&self) -> bool {
+        matches!(&self.state, State::Ordered { order, .. } if !matches!(order, Order::Clean { .. }))
     }
 
     fn order(&mut self, order: Order, now_ns: u64, acts: &mut Vec<Act>) {
         acts.push(Act::Order(order.clone()));
         // Whoever only says what it would do waits for nothing.
-        self.state = if self.obeys { State::Ordered { order, since_ns: now_ns, tries: 1 } } else { State::Free };
-        if !self.obeys {
-            (self.wish, self.rest) = (None, None);
+        if self.obeys {
+            let differed = !self.is_as_ordered(&order);
+            self.state = State::Ordered { order, since_ns: now_ns, tries: 1, differed };
+        } else {
+            (self.state, self.wish) = (State::Free, None);
         }
     }
 
@@ -246,6 +249,7 @@ impl Driver {
             Sensed::Status(status) => {
                 self.online = true;
                 let before = self.status.replace(status);
+                self.look_at_change(before, now_ns, &mut acts);
                 if status == Status::Docked && before != Some(status) && !matches!(self.state, State::Working { .. }) {
                     self.say(Report { battery: self.battery, ..Report::new(Kind::Docked) }, &mut acts);
                 }
@@ -304,7 +308,9 @@ impl Driver {
         }
         match self.state.clone() {
             State::Free => self.start(now_ns, acts),
-            State::Ordered { order, since_ns, tries } => self.look_at_order(order, since_ns, tries, now_ns, acts),
+            State::Ordered { order, since_ns, tries, differed } => {
+                self.look_at_order(order, (since_ns, tries), differed, now_ns, acts);
+            }
             State::Working { since_ns, left_ns, paused_ns } => {
                 self.look_at_work(since_ns, left_ns, paused_ns, now_ns, acts);
             }
@@ -323,7 +329,7 @@ impl Driver {
             Some(Status::Cleaning) if is_new => self.begin(now_ns, acts),
             Some(Status::Error) => self.end(Kind::Failed, &self.trouble(), acts),
             // Somebody else has sent it out.
-            Some(Status::Cleaning | Status::Manual) => self.halt(Order::Stop, now_ns, acts),
+            Some(Status::Cleaning | Status::Manual) => self.order(Order::Stop, now_ns, acts),
             _ => match self.segment(&work.room) {
                 Ok(segment) => self.order(Order::Clean { segment, room: work.room }, now_ns, acts),
                 // What segments there are is known soon after the connection.
@@ -339,8 +345,21 @@ impl Driver {
         format!("the robot has an error: {fault}")
     }
 
-    /// Whether the robot's state shows that it has heard an order.
-    fn has_heard(&self, order: &Order) -> bool {
+    /// The robot has told its state. One that begins what it is to end is told again at once: it may not have heard it at its dock.
+    fn look_at_change(&mut self, before: Option<Status>, now_ns: u64, acts: &mut Vec<Act>) {
+        let State::Ordered { order, since_ns, tries, differed } = self.state.clone() else { return };
+        let begins = self.status == Some(Status::Cleaning) && before != self.status;
+        let again = self.is_ending() && begins && tries < TRIES;
+        if again {
+            acts.push(Act::Order(order.clone()));
+        }
+        let (since_ns, tries) = if again { (now_ns, tries + 1) } else { (since_ns, tries) };
+        let differed = differed || !self.is_as_ordered(&order);
+        self.state = State::Ordered { order, since_ns, tries, differed };
+    }
+
+    /// Whether the robot's state is what an order leads to.
+    fn is_as_ordered(&self, order: &Order) -> bool {
         match order {
             Order::Clean { .. } => self.status == Some(Status::Cleaning),
             Order::Stop => !matches!(self.status, Some(Status::Cleaning | Status::Manual) | None),
@@ -349,36 +368,43 @@ impl Driver {
         }
     }
 
-    fn look_at_order(&mut self, order: Order, since_ns: u64, tries: u32, now_ns: u64, acts: &mut Vec<Act>) {
+    fn look_at_order(
+        &mut self,
+        order: Order,
+        (since_ns, tries): (u64, u32),
+        differed: bool,
+        now_ns: u64,
+        acts: &mut Vec<Act>,
+    ) {
         let cleans = matches!(order, Order::Clean { .. });
         if self.status == Some(Status::Error) {
-            self.rest = None;
             self.state = State::Free;
             if cleans {
                 self.end(Kind::Failed, &self.trouble(), acts);
             }
             return self.start(now_ns, acts);
         }
-        if self.has_heard(&order) {
+        let (is_so, is_late) = (self.is_as_ordered(&order), now_ns.saturating_sub(since_ns) >= self.start_ns);
+        // A state that was so before the order is no answer: a robot at its dock may be about to leave it. One that stays so is told again,
+        // and then taken for one that has nothing to end.
+        if is_so && (differed || is_late && tries >= TRIES) {
             if cleans {
                 return self.begin(now_ns, acts);
             }
-            self.rest = None;
             self.state = State::Free;
             return self.start(now_ns, acts);
         }
-        if now_ns.saturating_sub(since_ns) < self.start_ns {
+        if !is_late {
             return;
         }
         if tries < TRIES {
             acts.push(Act::Order(order.clone()));
-            self.state = State::Ordered { order, since_ns: now_ns, tries: tries + 1 };
+            self.state = State::Ordered { order, since_ns: now_ns, tries: tries + 1, differed };
             return;
         }
         let away =
             if self.online && self.status.is_some() { "does not do what it is told" } else { "is not connected" };
         let what = if cleans { "" } else { ", also not to stop" };
-        self.rest = None;
         self.state = State::Free;
         if cleans {
             // What it hears late is not to be begun.
@@ -435,7 +461,7 @@ impl Driver {
         }
         if now_ns.saturating_sub(since_ns) >= self.most_ns {
             self.end(Kind::Failed, "the robot is at it for longer than it may take", acts);
-            self.halt(Order::Home, now_ns, acts);
+            self.order(Order::Home, now_ns, acts);
         }
     }
 

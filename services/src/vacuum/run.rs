@@ -13,7 +13,7 @@ use crate::config::{Config, RobotKind};
 use crate::logging::Limiter;
 use crate::mqtt::{Broker, MqttError, shown};
 use crate::mqtt_link::Link;
-use crate::notify::notify;
+use crate::notify::{Watchdog, notify};
 use crate::reporter::{Report, Reporter};
 use crate::stop::Stop;
 
@@ -23,8 +23,6 @@ const TICK: Duration = Duration::from_millis(50);
 const ORDER_S: u32 = 10;
 /// How long the connection's thread may take for a turn before this process no longer says that it lives.
 const TURN_MAX_NS: u64 = 5_000_000_000;
-/// How often systemd hears that this process lives, at most.
-const WATCHDOG: Duration = Duration::from_secs(1);
 /// How long a robot has to speak before it is said that it does not; and to tell of its segments after that, before it is said which rooms
 /// it cannot do.
 const SETTLING: Duration = Duration::from_secs(5);
@@ -133,7 +131,7 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
     };
     let mut plan = Vec::new();
     let mut garbled = Limiter::new(QUIET_NS);
-    let (mut hearing, mut told) = (Hearing::Nothing { since: Instant::now() }, Instant::now());
+    let (mut hearing, mut watchdog) = (Hearing::Nothing { since: Instant::now() }, Watchdog::default());
     notify(&[NotifyState::Ready]);
     while !stop.requested() {
         decisions.wait(TICK)?;
@@ -171,9 +169,8 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
             show_plan(&driver, &mut plan);
         }
         let turned_ns = now_ns.saturating_sub(robot.link.turned_ns());
-        if told.elapsed() >= WATCHDOG && turned_ns <= TURN_MAX_NS {
-            told = Instant::now();
-            notify(&[NotifyState::Watchdog]);
+        if turned_ns <= TURN_MAX_NS {
+            watchdog.lives();
         }
     }
     notify(&[NotifyState::Stopping]);

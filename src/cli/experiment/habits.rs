@@ -96,7 +96,7 @@ pub(super) fn run(args: &HabitsArgs) -> CommandResult {
     drop(progress);
     if let Some(folder) = &args.out {
         page(&report, map.name()).write(folder).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
-        eprintln!("roomcast: wrote {}", folder.join("report.html").display());
+        crate::cli::tell(format_args!("roomcast: wrote {}", folder.join("report.html").display()));
     }
     if args.json {
         return print_json(&report);
@@ -177,7 +177,7 @@ fn report_unknown(what: &str, of: usize, unknown: &BTreeMap<String, usize>) {
     words.sort_by_key(|(_, times)| std::cmp::Reverse(**times));
     let shown: Vec<_> = words.iter().take(SHOWN).map(|(word, times)| format!("{word} ({times})")).collect();
     let more = if words.len() > SHOWN { ", ..." } else { "" };
-    eprintln!("roomcast: {times} of {of} {what}: {}{more}", shown.join(", "));
+    crate::cli::tell(format_args!("roomcast: {times} of {of} {what}: {}{more}", shown.join(", ")));
 }
 
 fn sensors(

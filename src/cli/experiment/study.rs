@@ -295,11 +295,11 @@ impl Setup<'_> {
         lacking.sort_unstable();
         lacking.dedup();
         if !lacking.is_empty() {
-            eprintln!(
+            crate::cli::tell(format_args!(
                 "roomcast: {} kinds of action were left out because a scene lacks their object, such as {}",
                 lacking.len(),
                 lacking.iter().take(5).copied().collect::<Vec<_>>().join(", ")
-            );
+            ));
         }
         if homes.is_empty() {
             return Err(Failure::new(
@@ -371,7 +371,7 @@ impl Setup<'_> {
     fn finish(&self, report: &Report, json: serde_json::Value) -> CommandResult {
         if let Some(folder) = &self.args.out {
             report.write(folder).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
-            eprintln!("roomcast: wrote {}", folder.join("report.html").display());
+            crate::cli::tell(format_args!("roomcast: wrote {}", folder.join("report.html").display()));
         }
         if self.args.json {
             return print_json(&json);

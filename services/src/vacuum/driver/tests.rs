@@ -29,6 +29,11 @@ struct Pair {
     dialect: Dialect,
     now_s: u64,
     reports: Vec<Report>,
+    /// How long orders are on their way, those that are, and which ones do not arrive.
+    delay_s: u64,
+    on_the_way: Vec<(u64, (String, String))>,
+    lost: Vec<usize>,
+    ordered: usize,
 }
 
 impl Pair {
@@ -41,6 +46,10 @@ impl Pair {
             dialect: Dialect::new(config, "roomcast", "robot"),
             now_s: 0,
             reports: Vec::new(),
+            delay_s: 0,
+            on_the_way: Vec::new(),
+            lost: Vec::new(),
+            ordered: 0,
         };
         pair.pass(1);
         pair.reports.clear();
@@ -51,11 +60,22 @@ impl Pair {
         for act in acts {
             match act {
                 Act::Order(order) => {
-                    let (topic, payload) = self.dialect.order(&order);
-                    self.robot.hear(&topic, &payload);
+                    if !self.lost.contains(&self.ordered) {
+                        self.on_the_way.push((self.now_s + self.delay_s, self.dialect.order(&order)));
+                    }
+                    self.ordered += 1;
                 }
                 Act::Report(report) => self.reports.push(report),
             }
+        }
+        self.arrive();
+    }
+
+    /// What has been on its way for long enough arrives.
+    fn arrive(&mut self) {
+        let now_s = self.now_s;
+        for (_, (topic, payload)) in self.on_the_way.extract_if(.., |(due_s, _)| *due_s <= now_s) {
+            self.robot.hear(&topic, &payload);
         }
     }
 
@@ -67,6 +87,7 @@ impl Pair {
     fn pass(&mut self, seconds: u64) {
         for _ in 0..seconds {
             self.now_s += 1;
+            self.arrive();
             self.robot.pass(1.0);
             for (topic, payload) in self.robot.say(false) {
                 if let Some(sensed) = self.dialect.hear(&topic, payload.as_bytes()) {
@@ -156,6 +177,75 @@ fn a_person_who_comes_in_sends_it_home_or_elsewhere() {
     pair.pass(700);
     assert_eq!(pair.of_work(), [(Kind::Started, Some(1)), (Kind::Started, Some(2)), (Kind::Finished, Some(2))]);
     assert_eq!(pair.robot.cleaned, ["4"]);
+}
+
+/// Somebody comes in before the robot has begun: whatever is late or lost, it does not clean the room with them in it.
+#[test]
+fn a_robot_that_was_only_told_to_clean_is_told_not_to() {
+    let mut begun = 0;
+    for on_pause in [OnPause::Return, OnPause::Pause] {
+        for (delay_s, after_s, lost) in (0..12).flat_map(|delay_s| {
+            (0..12).flat_map(move |after_s| [&[][..], &[1], &[1, 2], &[0]].map(|lost| (delay_s, after_s, lost)))
+        }) {
+            let mut pair = Pair::new(&RobotConfig { on_pause, ..config() }, 3600.0);
+            (pair.delay_s, pair.lost) = (delay_s, lost.to_vec());
+            pair.decide(&decision(1, action::GO, "hall-2"));
+            pair.pass(after_s);
+            pair.decide(&decision(2, action::PAUSE, ""));
+            pair.pass(delay_s + 1);
+            begun += usize::from(pair.robot.doing == Doing::Cleaning);
+            pair.pass(120);
+            let case =
+                format!("{on_pause}: {delay_s} s late, after {after_s} s, {lost:?} lost: {:?}", pair.robot.orders);
+            assert_ne!(pair.robot.doing, Doing::Cleaning, "{case}");
+            // It is left alone then.
+            let told = pair.robot.orders.len();
+            pair.pass(300);
+            assert_eq!((pair.robot.orders.len(), &pair.driver.state), (told, &State::Free), "{case}");
+        }
+    }
+    assert!(begun > 0, "some have begun before they heard that they are not to");
+}
+
+/// What a robot passes through before it begins is no sign that it has heard.
+#[test]
+fn a_robot_that_leaves_its_dock_is_not_taken_for_one_that_has_stopped() {
+    for (on_pause, order) in [(OnPause::Return, Order::Home), (OnPause::Pause, Order::Pause)] {
+        let mut driver = Driver::new(&RobotConfig { on_pause, ..config() }, 7);
+        driver.know_rooms(ROOMS.into_iter());
+        let say = |driver: &mut Driver, sensed: Sensed, at_s: u64| {
+            let acts = driver.sense(sensed, at_s * S);
+            acts.into_iter().filter(|act| matches!(act, Act::Order(_))).collect::<Vec<_>>()
+        };
+        say(&mut driver, Sensed::Segments(BTreeMap::from([("2".to_owned(), "hall".to_owned())])), 1);
+        say(&mut driver, Sensed::Status(Status::Docked), 1);
+        assert_eq!(driver.decide(&decision(1, action::GO, "hall-2"), 2 * S).len(), 1);
+        let told = [Act::Order(order)];
+        assert_eq!(driver.decide(&decision(2, action::PAUSE, ""), 3 * S), told);
+        for status in [Status::Docked, Status::Idle] {
+            assert_eq!(say(&mut driver, Sensed::Status(status), 4), []);
+        }
+        assert_eq!(say(&mut driver, Sensed::Status(Status::Cleaning), 5), told, "it is told again at once");
+        assert_eq!(say(&mut driver, Sensed::Status(Status::Cleaning), 6), [], "and once");
+        let then = if on_pause == OnPause::Return { Status::Returning } else { Status::Paused };
+        say(&mut driver, Sensed::Status(then), 7);
+        assert_eq!(driver.state, State::Free);
+    }
+}
+
+/// The same with another room in place of nothing: the robot is not taken to be in it while it is at the first one.
+#[test]
+fn a_robot_that_was_only_told_to_clean_goes_to_another_room() {
+    for (delay_s, lost) in (0..8).flat_map(|delay_s| [&[][..], &[1], &[0]].map(|lost| (delay_s, lost))) {
+        let mut pair = Pair::new(&config(), 300.0);
+        (pair.delay_s, pair.lost) = (delay_s, lost.to_vec());
+        pair.decide(&decision(1, action::GO, "hall-2"));
+        pair.pass(1);
+        pair.decide(&decision(2, action::GO, "office-4"));
+        pair.pass(600);
+        assert_eq!(pair.robot.cleaned, ["4"], "{delay_s} s late, {lost:?} lost: {:?}", pair.robot.orders);
+        assert_eq!(pair.of_work().last(), Some(&(Kind::Finished, Some(2))));
+    }
 }
 
 #[test]

@@ -1,0 +1,89 @@
+//! Names of rooms, persons and robots as parts of MQTT topics and of ids.
+
+use sha2::{Digest, Sha256};
+
+/// Most characters that are taken of a name.
+const LENGTH_MAX: usize = 40;
+/// Characters of the sum that tells names apart which would look alike.
+const SUM: usize = 8;
+
+fn is_safe(character: char) -> bool {
+    character.is_ascii_lowercase() || character.is_ascii_digit() || character == '-' || character == '_'
+}
+
+/// Whether a name looks like one that has its sum at its end.
+fn has_sum(name: &str) -> bool {
+    let sum = name.rsplit('_').next().unwrap_or_default();
+    sum.len() == SUM && sum.bytes().all(|byte| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte))
+}
+
+/// A name that is safe in a topic and in an id, the same at every start: the name itself where it is safe, else what is left of it
+/// with a sum of the whole name. No name becomes what another one is.
+///
+/// ```
+/// use roomcast_services::slug::slug;
+///
+/// assert_eq!((slug("living-room").as_str(), slug("Küche/2").as_str()), ("living-room", "k_che_2_ca913034"));
+/// assert_ne!(slug("k_che_2_ca913034"), slug("Küche/2"));
+/// ```
+#[must_use]
+pub fn slug(name: &str) -> String {
+    let is_plain = !name.is_empty() && name.len() <= LENGTH_MAX && name.chars().all(is_safe) && !has_sum(name);
+    if is_plain { name.to_owned() } else { summed(name, name) }
+}
+
+/// What is safe of a name, with a sum of a text that stands for it: for names that are safe, and mean something else where they stand.
+#[must_use]
+pub fn summed(name: &str, text: &str) -> String {
+    let lower = name.to_lowercase();
+    let safe: String = lower.chars().map(|c| if is_safe(c) { c } else { '_' }).take(LENGTH_MAX).collect();
+    let sum = hex::encode(Sha256::digest(text.as_bytes()));
+    let sum = sum.get(..SUM).unwrap_or(&sum);
+    match safe.trim_matches('_') {
+        "" => sum.to_owned(),
+        safe => format!("{safe}_{sum}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashSet;
+
+    #[test]
+    fn odd_names_are_safe_and_stay_apart() {
+        assert_eq!(slug("living-room"), "living-room");
+        let odd = [
+            "",
+            "a/b",
+            "a+b",
+            "a#b",
+            "a b",
+            "A b",
+            "a_b",
+            "<b>",
+            "küche",
+            "kuche",
+            "\0",
+            "🛏",
+            "../..",
+            "$SYS",
+            "{{x}}",
+            "Vac",
+            "vac",
+            "Staubi Ä",
+            "Staubi Ö",
+        ];
+        let long = ["x".repeat(41), format!("{}y", "x".repeat(41))];
+        let mut names: Vec<String> = odd.into_iter().map(str::to_owned).chain(long).collect();
+        // Names that are what others become, and what those become.
+        for _ in 0..2 {
+            names.extend(names.iter().map(|name| slug(name)).collect::<Vec<_>>());
+        }
+        let names: HashSet<_> = names.into_iter().collect();
+        let slugs: HashSet<_> = names.iter().map(|name| slug(name)).collect();
+        assert!(slugs.iter().all(|slug| !slug.is_empty() && slug.chars().all(is_safe)), "{slugs:?}");
+        assert_eq!(slugs.len(), names.len(), "{names:?} {slugs:?}");
+        assert!(slug("a/b").starts_with("a_b_"));
+    }
+}
