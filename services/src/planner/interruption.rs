@@ -37,6 +37,11 @@ impl Interruption {
         &self.held
     }
 
+    /// Whether a robot is met by somebody who is in its room with this probability.
+    pub(super) fn is_met(&self, likely: f64) -> bool {
+        self.on && likely >= self.at
+    }
+
     /// Leaves a room to whoever is there.
     pub(super) fn hold(&mut self, room: usize) {
         if let Some(held) = self.held.get_mut(room) {
@@ -99,10 +104,10 @@ impl Interruption {
         self.since_ns = None;
     }
 
-    /// Nobody is known any more: no room is left to anybody.
-    pub(super) fn forget(&mut self) {
+    /// Nobody is known: no room is left to anybody, and whoever is told to be in `room` from now on came after the robot.
+    pub(super) fn forget(&mut self, room: Option<usize>) {
         self.held.fill(false);
-        self.new_stay(None);
+        self.new_stay(room.map(|room| (room, 0.0)));
     }
 }
 
@@ -131,6 +136,18 @@ mod tests {
         assert!(!robot.look(6 * S, &[0.9, 0.0], None));
     }
 
+    /// Of the first person that anybody tells of, nobody knew when the robot was sent.
+    #[test]
+    fn the_first_who_is_told_of_interrupts() {
+        let mut robot = interruption(2);
+        robot.new_stay(Some((0, 0.0)));
+        robot.forget(Some(0));
+        assert!(!robot.look(0, &[0.98, 0.0], Some(0)) && robot.look(3 * S, &[0.98, 0.0], Some(0)));
+        // Who was known to be there when it was sent does not.
+        robot.new_stay(Some((1, 0.98)));
+        assert!(!robot.look(4 * S, &[0.0, 0.98], Some(1)) && !robot.look(9 * S, &[0.0, 0.98], Some(1)));
+    }
+
     #[test]
     fn the_room_is_free_again_only_when_it_is_likely_empty() {
         let mut robot = interruption(1);
@@ -151,7 +168,7 @@ mod tests {
         assert!(robot.look(9 * S, &[0.9], Some(0)) && robot.held()[0]);
         robot.look_away();
         assert!(robot.held()[0], "a forecast that is late says nothing");
-        robot.forget();
+        robot.forget(None);
         assert!(!robot.held()[0]);
     }
 

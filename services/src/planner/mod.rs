@@ -400,12 +400,12 @@ impl Planner {
     fn look_for_persons(&mut self, scores: &RoomScoresV1, now_ns: u64) {
         let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
         let Some(forecast) = forecast else { return self.interruption.look_away() };
-        if forecast.knows_nobody() {
-            return self.interruption.forget();
-        }
-        let likely = forecast.now();
         let works = self.robot.work.as_ref().filter(|work| !work.waits && self.round.stay_ns > 0);
         let room = works.map(|work| self.robot.room.filter(|_| work.started).unwrap_or(work.room));
+        if forecast.knows_nobody() {
+            return self.interruption.forget(room);
+        }
+        let likely = forecast.now();
         if !self.interruption.look(now_ns, &likely, room) {
             return;
         }
@@ -431,13 +431,20 @@ impl Planner {
         self.notice = Notice { cancels, flags: 0, why };
     }
 
+    /// Whether somebody is likely in the room where the robot waits.
+    fn is_met(&self, work: &Work, scores: &RoomScoresV1, now_ns: u64) -> bool {
+        let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
+        let likely = forecast.filter(|forecast| !forecast.knows_nobody()).map(|forecast| forecast.now());
+        likely.is_some_and(|likely| likely.get(work.room).is_some_and(|likely| self.interruption.is_met(*likely)))
+    }
+
     /// Whether the robot is free and something may have changed since the last decision.
     fn is_to_decide(&self, scores: &RoomScoresV1, now_ns: u64) -> bool {
         let sets_came = self.pausing == Some(Pause::NoSets) && !self.lacks_sets(now_ns);
         let news = sets_came || self.decided != Some((scores.epoch, scores.sequence));
         let again = news || now_ns >= self.decided_ns.saturating_add(LOOK_AGAIN_NS);
         match &self.robot.work {
-            Some(work) => work.waits && self.round.undone() > 0 && again,
+            Some(work) => work.waits && again && (self.round.undone() > 0 || self.is_met(work, scores, now_ns)),
             // Work that somebody began by hand may be interrupted.
             None if self.is_finished() => !self.notice.why.is_empty(),
             // A robot that is always free decides once per score, not as often as it looks.
