@@ -63,6 +63,11 @@ fn page() -> String {
             ("pixels of the rectangles around its rooms", &semantic_map::import::MAX_ROOM_PIXELS, "is refused"),
             ("bytes of an id or a label", &semantic_map::MAX_TEXT_BYTES, "is refused"),
             ("labels times partitions", &grounding::MAX_WEIGHTS, "is refused"),
+            (
+                "edges of footprints that are looked at to place items: for each item those of every footprint whose box it meets",
+                &grounding::MAX_LOOKS,
+                "is refused",
+            ),
         ],
     );
     table(
