@@ -160,5 +160,5 @@ fn read_sensors(log: &Path, rules: &Path, person: &Who) -> Result<Input, Failure
     let narrated = SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, person)).map_err(input)?;
     let (lines, unfit, silent) = (narrated.items.len(), narrated.unfit, narrated.silent);
     tracing::info!(lines, unfit, silent, log = %log.display(), "sensor log read");
-    Ok(Input::Log(narrated.items))
+    Ok(Input::Log { items: narrated.items, faults: narrated.faults })
 }
