@@ -132,7 +132,10 @@ fn report(args: &Args, outcome: &Outcome, domain: &Domain) -> CommandResult {
     let unconfirmed = outcome.sent - outcome.confirmed - outcome.dropped;
     if outcome.refused > 0 {
         let refused = outcome.refused;
-        return Err(Failure::new(exit_code::INPUT, format!("{refused} lines were no narration; the log names them")));
+        return Err(Failure::new(
+            exit_code::INPUT,
+            format!("{refused} lines were no narration; the log names the first of them"),
+        ));
     }
     if outcome.dropped > 0 {
         let (dropped, sent) = (outcome.dropped, outcome.sent);
