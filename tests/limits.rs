@@ -21,6 +21,7 @@ use roomcast_services::config::{self, Config};
 use roomcast_services::daemon::{
     self, ANSWERS_REMEMBERED, FORMER_SOURCES_MAX, HELD_S, QUESTION_NAME_BYTES_MAX, SOURCES_OF_A_PORT,
 };
+use roomcast_services::narrator::Faults;
 use roomcast_services::{mqtt, mqtt_link, mqtt_look, recording, reporter, sensor_log};
 
 const HEAD: &str = "# Limits
@@ -36,7 +37,7 @@ const FOOT: &str = "
 
 These numbers are written by hand, and no test compares them with the code:
 
-- A line of narration has at most 8192 bytes. A longer one is reported and skipped.
+- A line of narration has at most 8192 bytes, and so has one of a sensor log. A longer one is reported and skipped.
 - At most 4096 lines of MQTT rules with `quiet_s` wait for silence, and at most 1 MiB of them. Further ones are not said.
 - `roomcast model pull` fetches at most 64 GiB. A larger file is refused.
 - An answer of Home Assistant has at most 64 MiB, and all questions of one connection take at most 60 s. Beyond that the command ends with an error.
@@ -63,6 +64,11 @@ fn page() -> String {
             ("pixels of the rectangles around its rooms", &semantic_map::import::MAX_ROOM_PIXELS, "is refused"),
             ("bytes of an id or a label", &semantic_map::MAX_TEXT_BYTES, "is refused"),
             ("labels times partitions", &grounding::MAX_WEIGHTS, "is refused"),
+            (
+                "edges of footprints that are looked at to place items: for each item those of every footprint whose box it meets",
+                &grounding::MAX_LOOKS,
+                "is refused",
+            ),
         ],
     );
     table(
@@ -149,6 +155,7 @@ fn page() -> String {
         &[
             ("bytes of the configuration", &config::FILE_BYTES_MAX, "is refused"),
             ("bytes of a sensor log", &sensor_log::FILE_BYTES_MAX, "is refused"),
+            ("malformed lines of it that are told of by number", &Faults::TOLD, "is counted"),
             ("bytes of a line of `roomcast report`", &reporter::LINE_BYTES_MAX, "is reported and skipped"),
             ("bytes of a recording, unpacked", &recording::FILE_BYTES_MAX, "is refused"),
             ("bytes of a record or chunk of a recording", &recording::RECORD_BYTES_MAX, "is refused"),

@@ -23,10 +23,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::like_things::LikeThings;
 use crate::scorer::softmax::log_sum_exp_of;
-use crate::semantic_map::{Box3, ItemId, PartitionId, RoomId, SemanticMap, Space};
+use crate::semantic_map::{Box3, Footprint, ItemId, PartitionId, RoomId, SemanticMap, Space};
 
 /// Most entries of the matrix of labels by partitions: 256 MiB.
 pub const MAX_WEIGHTS: usize = 1 << 25;
+
+/// Most edges of footprints that are looked at to place a map's items: for each item those of every footprint whose box the item's meets.
+pub const MAX_LOOKS: usize = 1 << 26;
 
 /// Largest relative difference of volumes that is taken for a tie.
 const TIE: f64 = 1e-9;
@@ -100,6 +103,15 @@ pub enum GroundingError {
         /// Partitions.
         partitions: usize,
     },
+    /// More looks at edges of footprints than [`MAX_LOOKS`].
+    #[error(
+        "the map `{map}` has so many items near footprints of so many corners that more than {MAX_LOOKS} edges would be looked at; \
+         simplify the outlines: a corner per bend of a wall is enough"
+    )]
+    TooManyEdges {
+        /// The map's name.
+        map: String,
+    },
     /// Scores for another list of labels.
     #[error(
         "{given} label scores were given for {expected} labels; score exactly the list of `label_texts`, in its order"
@@ -152,6 +164,16 @@ impl Partition {
 
     fn distance_m(&self, point_m: &[f64; 3]) -> f64 {
         self.spaces.iter().map(|own| own.distance_m(point_m)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// How far its boxes are at least: it is no nearer than they.
+    fn box_distance_m(&self, point_m: &[f64; 3]) -> f64 {
+        self.spaces.iter().map(|own| own.bounds.distance_m(point_m)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Edges of its footprints.
+    fn edges(&self) -> usize {
+        self.spaces.iter().filter_map(|own| own.footprint.as_ref()).map(Footprint::corners).sum()
     }
 }
 
@@ -329,10 +351,10 @@ impl Grounding {
     }
 
     /// Assigns every item and adds up the shares. Takes time in proportion to items times partitions (and the corners of those with a
-    /// footprint whose box the item's meets), once per map.
+    /// footprint whose box the item's meets, at most [`MAX_LOOKS`]), once per map.
     ///
     /// # Errors
-    /// [`GroundingError::NoLabels`] and [`GroundingError::TooLarge`].
+    /// [`GroundingError::NoLabels`], [`GroundingError::TooLarge`] and [`GroundingError::TooManyEdges`].
     pub fn new(map: &SemanticMap, options: &GroundingOptions) -> Result<Self, GroundingError> {
         Self::with_labels(map, options, &[])
     }
@@ -364,20 +386,25 @@ impl Grounding {
         let rooms = if options.level == PartitionLevel::Part { rooms_as_partitions(map) } else { Vec::new() };
         let mut item_partition = Vec::with_capacity(map.items.len());
         let mut item_placement = Vec::with_capacity(map.items.len());
-        let (mut unassigned, mut shared_m3) = (Vec::new(), Vec::new());
+        let mut unassigned = Vec::new();
+        let mut placer = Placer { shared_m3: Vec::new(), looks: 0 };
         for (index, item) in (0u32..).zip(&map.items) {
-            let (partition, placement) = place(&item.bounds, &item.position_m, &partitions, &mut shared_m3)
+            let (partition, placement) = (placer.place(&item.bounds, &item.position_m, &partitions))
                 .or_else(|| {
-                    let (room, _) = place(&item.bounds, &item.position_m, &rooms, &mut shared_m3)?;
-                    let nearest = nearest(&item.position_m, &partitions, Some(RoomId(room.0)))?;
+                    let (room, _) = placer.place(&item.bounds, &item.position_m, &rooms)?;
+                    let nearest = placer.nearest(&item.position_m, &partitions, Some(RoomId(room.0)))?;
                     Some((nearest.0, Placement::NearestPart))
                 })
                 .map_or((None, Placement::Outside), |(partition, placement)| (Some(partition), placement));
             if partition.is_none() {
                 unassigned.extend(
-                    nearest(&item.position_m, &partitions, None)
+                    placer
+                        .nearest(&item.position_m, &partitions, None)
                         .map(|(nearest, distance_m)| (ItemId(index), Reason::Outside { nearest, distance_m })),
                 );
+            }
+            if placer.looks > MAX_LOOKS {
+                return Err(GroundingError::TooManyEdges { map: map.name.clone() });
             }
             item_partition.push(partition);
             item_placement.push(placement);
@@ -646,36 +673,64 @@ fn scored_labels(map: &SemanticMap, room_labels: bool, known: &[&str]) -> (Vec<S
     (labels, place_of)
 }
 
-/// Rules 1 to 3. Each volume is computed once; those that are not zero are kept in `shared_m3`, whose memory is used again.
-fn place(
-    bounds: &Box3,
-    position_m: &[f64; 3],
-    partitions: &[Partition],
-    shared_m3: &mut Vec<(u32, f64)>,
-) -> Option<(PartitionId, Placement)> {
-    shared_m3.clear();
-    let overlaps_m3 = (0u32..).zip(partitions.iter().map(|partition| partition.overlap_m3(bounds)));
-    shared_m3.extend(overlaps_m3.filter(|(_, overlap_m3)| *overlap_m3 > 0.0));
-    let largest_m3 = shared_m3.iter().map(|(_, overlap_m3)| *overlap_m3).fold(0.0, f64::max);
-    if largest_m3 > 0.0 {
-        let mut largest = shared_m3.iter().filter(|(_, overlap_m3)| *overlap_m3 >= largest_m3 * (1.0 - TIE));
-        let first = largest.next()?.0;
-        return Some(match largest.next_back() {
-            Some((last, _)) => (PartitionId(*last), Placement::Tie),
-            None => (PartitionId(first), Placement::Overlap),
-        });
-    }
-    let last = (0u32..).zip(partitions).filter(|(_, partition)| partition.contains(position_m)).last()?;
-    Some((PartitionId(last.0), Placement::Position))
+/// Finds items' partitions.
+struct Placer {
+    /// Volumes that are not zero; memory that is used again.
+    shared_m3: Vec<(u32, f64)>,
+    /// Edges of footprints that were looked at.
+    looks: usize,
 }
 
-/// The first of the nearest partitions, of one room or of all, and its distance in metres.
-fn nearest(position_m: &[f64; 3], partitions: &[Partition], room: Option<RoomId>) -> Option<(PartitionId, f64)> {
-    (0u32..)
-        .zip(partitions)
-        .filter(|(_, partition)| room.is_none_or(|room| partition.rooms.contains(&room)))
-        .map(|(index, partition)| (PartitionId(index), partition.distance_m(position_m)))
-        .min_by(|a, b| a.1.total_cmp(&b.1))
+impl Placer {
+    /// Rules 1 to 3. Each volume is computed once.
+    fn place(
+        &mut self,
+        bounds: &Box3,
+        position_m: &[f64; 3],
+        partitions: &[Partition],
+    ) -> Option<(PartitionId, Placement)> {
+        let Self { shared_m3, looks } = self;
+        let spaces = || partitions.iter().flat_map(|partition| &partition.spaces);
+        *looks += spaces().map(|space| space.edges_met(bounds)).sum::<usize>();
+        shared_m3.clear();
+        let overlaps_m3 = (0u32..).zip(partitions.iter().map(|partition| partition.overlap_m3(bounds)));
+        shared_m3.extend(overlaps_m3.filter(|(_, overlap_m3)| *overlap_m3 > 0.0));
+        let largest_m3 = shared_m3.iter().map(|(_, overlap_m3)| *overlap_m3).fold(0.0, f64::max);
+        if largest_m3 > 0.0 {
+            let mut largest = shared_m3.iter().filter(|(_, overlap_m3)| *overlap_m3 >= largest_m3 * (1.0 - TIE));
+            let first = largest.next()?.0;
+            return Some(match largest.next_back() {
+                Some((last, _)) => (PartitionId(*last), Placement::Tie),
+                None => (PartitionId(first), Placement::Overlap),
+            });
+        }
+        *looks += spaces().map(|space| space.edges_at(position_m)).sum::<usize>();
+        let last = (0u32..).zip(partitions).filter(|(_, partition)| partition.contains(position_m)).last()?;
+        Some((PartitionId(last.0), Placement::Position))
+    }
+
+    /// The first of the nearest partitions, of one room or of all, and its distance in metres.
+    fn nearest(
+        &mut self,
+        position_m: &[f64; 3],
+        partitions: &[Partition],
+        room: Option<RoomId>,
+    ) -> Option<(PartitionId, f64)> {
+        let mut best: Option<(PartitionId, f64)> = None;
+        let of_room = |partition: &Partition| room.is_none_or(|room| partition.rooms.contains(&room));
+        for (index, partition) in (0u32..).zip(partitions).filter(|(_, partition)| of_room(partition)) {
+            let least_m = best.map_or(f64::INFINITY, |(_, least_m)| least_m);
+            if partition.box_distance_m(position_m) >= least_m {
+                continue;
+            }
+            self.looks += partition.edges();
+            let distance_m = partition.distance_m(position_m);
+            if distance_m < least_m {
+                best = Some((PartitionId(index), distance_m));
+            }
+        }
+        best
+    }
 }
 
 #[cfg(test)]
@@ -817,6 +872,37 @@ mod tests {
                 Err(GroundingError::NotALogProbability { .. })
             ));
         }
+    }
+
+    /// A comb of nearly as many corners as a map may have, full of things.
+    #[test]
+    fn items_at_too_many_edges_are_refused() {
+        let teeth = crate::semantic_map::MAX_CORNERS / 4 - 1;
+        let tooth = |tooth: usize| {
+            let y = tooth as f64 * 0.01;
+            [[8.0, y], [8.0, y + 0.005], [1.0, y + 0.005], [1.0, y + 0.01]]
+        };
+        let north = teeth as f64 * 0.01;
+        let ring: Vec<_> = [[0.0, 0.0]].into_iter().chain((0..teeth).flat_map(tooth)).chain([[0.0, north]]).collect();
+        let grounded = |items: usize, at: f64| {
+            let item = |index: usize| {
+                serde_json::json!({"id": format!("mug-{index}"), "label": "mug", "position_m": [at, at, 1.0],
+                    "box": {"min_m": [at, at, 1.0], "max_m": [at + 0.1, at + 0.1, 1.1]}})
+            };
+            let scene = serde_json::json!({"format": "roomcast-scene", "version": 2, "name": "comb",
+                "rooms": [{"id": "comb", "label": "comb", "footprint": [ring]}],
+                "items": (0..items).map(item).collect::<Vec<_>>()});
+            let map = SemanticMap::from_json(&scene.to_string()).unwrap();
+            Grounding::new(&map, &GroundingOptions::default())
+        };
+        let most = MAX_LOOKS / (4 * teeth + 2);
+        assert!(grounded(most, 2.0).is_ok());
+        let refused = |result: Result<Grounding, GroundingError>| {
+            assert!(matches!(result, Err(GroundingError::TooManyEdges { .. })), "{:?}", result.err());
+        };
+        refused(grounded(most + 1, 2.0));
+        // Outside, the nearest of all is looked for.
+        refused(grounded(most + 1, 50.0));
     }
 
     #[test]

@@ -73,11 +73,12 @@ impl Lesson {
     pub fn of_sensors(log: &SensorLog) -> (Vec<Self>, usize) {
         let mut at_s = log.begins_s.unwrap_or_default();
         let mut lessons = Vec::new();
-        for item in log.items.iter().flatten() {
+        for item in &log.items {
             at_s += item.duration_s;
             lessons.extend(Self::of_item(item, Some((at_s.max(0.0) * 1e9) as u64)));
         }
-        let left_out = log.items.len() - lessons.len();
+        let malformed = usize::try_from(log.faults.count()).unwrap_or(usize::MAX);
+        let left_out = malformed.saturating_add(log.items.len() - lessons.len());
         (lessons, left_out)
     }
 

@@ -167,12 +167,6 @@ pub enum LineError {
         /// Which key and what is allowed there, or in which column.
         reason: String,
     },
-    /// A line of a sensor log is malformed.
-    #[error("{reason}")]
-    Sensor {
-        /// What is wrong with it.
-        reason: String,
-    },
     /// It is too long, or not UTF-8.
     #[error("not a line of UTF-8 with at most {LINE_BYTES_MAX} bytes")]
     NoLine,
@@ -207,6 +201,39 @@ pub enum InputError {
         /// Why.
         source: LineError,
     },
+}
+
+/// Lines that are no narration: how many there are, and of the first of them what is wrong, in words. However many there are, they take no
+/// more memory.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Faults {
+    told: Vec<String>,
+    count: u64,
+}
+
+impl Faults {
+    /// Of so many lines it is told what is wrong.
+    pub const TOLD: usize = 100;
+
+    /// Takes in what is wrong with a line.
+    pub fn add(&mut self, line: u64, reason: impl fmt::Display) {
+        self.count += 1;
+        if self.told.len() < Self::TOLD {
+            self.told.push(format!("line {line}: {reason}"));
+        }
+    }
+
+    /// What is wrong with the first of them, each with its line's number.
+    #[must_use]
+    pub fn told(&self) -> &[String] {
+        &self.told
+    }
+
+    /// How many there are.
+    #[must_use]
+    pub fn count(&self) -> u64 {
+        self.count
+    }
 }
 
 /// A line of JSON. What its keys may hold is checked key by key, so that an error names the key.

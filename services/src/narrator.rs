@@ -20,7 +20,7 @@ use sd_notify::NotifyState;
 
 use crate::config::{IntakeLimits, NarratorConfig};
 use crate::line::LINE_BYTES_MAX;
-pub use crate::line::{InputError, Item, LineError, Who, WhoError, line_item};
+pub use crate::line::{Faults, InputError, Item, LineError, Who, WhoError, line_item};
 use crate::logging::Limiter;
 use crate::notify::notify;
 use crate::setup;
@@ -54,8 +54,13 @@ type Told = (Option<u64>, Result<Item, InputError>);
 pub enum Input {
     /// Everything is there.
     Items(Vec<Item>),
-    /// Everything is there, among lines that are malformed.
-    Log(Vec<Result<Item, InputError>>),
+    /// Everything is there, and what is known of lines that are malformed.
+    Log {
+        /// What is narrated.
+        items: Vec<Item>,
+        /// The lines that are not.
+        faults: Faults,
+    },
     /// Lines, as they come.
     Lines {
         /// "standard input" or the file's name.
@@ -375,10 +380,19 @@ pub fn run(
     if let Input::Lines { settled, .. } = &mut input {
         sender.settled = settled.take();
     }
+    if let Input::Log { faults, .. } = &input {
+        sender.account.outcome.refused += faults.count();
+        faults.told().iter().for_each(|error| tracing::warn!(%error, "skipped"));
+        let further = faults.count() - faults.told().len() as u64;
+        if further > 0 {
+            tracing::warn!(further, "skipped further lines");
+        }
+    }
     // Reading may block for ever; the thread ends with its stream, or with the process.
     let reader = move || match input {
-        Input::Items(list) => list.into_iter().try_for_each(|item| items_in.send((None, Ok(item)))).is_ok(),
-        Input::Log(list) => list.into_iter().try_for_each(|item| items_in.send((None, item))).is_ok(),
+        Input::Items(items) | Input::Log { items, .. } => {
+            items.into_iter().try_for_each(|item| items_in.send((None, Ok(item)))).is_ok()
+        }
         Input::Lines { name, stream, person, .. } => read_lines(&name, stream, &person, &items_in),
     };
     let reader = std::thread::Builder::new().name("reader".to_owned()).spawn(reader);

@@ -20,11 +20,12 @@
 //! Pure: from the texts of log and rules to items with the times between them.
 
 use std::collections::HashMap;
+use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use csv::{ByteRecord, ReaderBuilder, Trim};
+use csv::{ByteRecord, Position, ReaderBuilder, Trim};
 
-use crate::line::{InputError, Item, LineError, Who, line_item};
+use crate::line::{Faults, Item, LINE_BYTES_MAX, Who, line_item};
 use crate::rule::{Keys, Saying};
 use roomcast_core::narration::Presence;
 use roomcast_core::text::{read_at_most, read_text_at_most};
@@ -37,8 +38,10 @@ const RULES_MAX: usize = 4_096;
 pub const RULES_BYTES_MAX: u64 = 4 << 20;
 /// Bytes of a log that are looked at together; lines are shorter, as a rule.
 const LINE_BYTES: usize = 256;
+/// Most characters of a field that an error quotes.
+const QUOTED_MAX: usize = 80;
 
-/// Why a log cannot be narrated at all. Single lines that are malformed are [`LineError::Sensor`].
+/// Why a log cannot be narrated at all. Single lines that are malformed are [`SensorLog::faults`].
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SensorError {
@@ -48,7 +51,7 @@ pub enum SensorError {
         /// The file.
         path: PathBuf,
         /// The system's word.
-        source: std::io::Error,
+        source: io::Error,
     },
     /// The log is larger than [`FILE_BYTES_MAX`].
     #[error("the sensor log {path} has more than {FILE_BYTES_MAX} bytes; split it by days")]
@@ -192,8 +195,10 @@ struct Said<'a> {
 /// A log as narration.
 #[derive(Debug, Default)]
 pub struct SensorLog {
-    /// What is said, in the order of time, and the lines that are malformed, before all else.
-    pub items: Vec<Result<Item, InputError>>,
+    /// What is said, in the order of time.
+    pub items: Vec<Item>,
+    /// Lines that are malformed, in their order.
+    pub faults: Faults,
     /// When the first of it is said, as [`Interval::start_s`].
     pub begins_s: Option<f64>,
     /// Intervals that no rule fits.
@@ -258,9 +263,7 @@ impl SensorRules {
         for (line, interval) in self.lines(log) {
             match interval {
                 Ok(interval) => self.say(&interval, person, line, &mut narrated, &mut said),
-                Err(reason) => {
-                    narrated.items.push(Err(InputError::Line { line, source: LineError::Sensor { reason } }));
-                }
+                Err(reason) => narrated.faults.add(line, reason),
             }
         }
         said.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
@@ -278,7 +281,7 @@ impl SensorRules {
                 continue;
             }
             let duration_s = before_s.replace(at_s).map_or(0.0, |before_s| at_s - before_s);
-            narrated.items.push(Ok(Item { duration_s, ..item }));
+            narrated.items.push(Item { duration_s, ..item });
         }
         narrated
     }
@@ -286,40 +289,41 @@ impl SensorRules {
     /// The intervals of a log that can be read, in its order, whether or not a rule fits them.
     #[must_use]
     pub fn intervals(&self, log: &[u8]) -> Vec<Interval> {
-        self.lines(log).into_iter().filter_map(|(_, interval)| interval.ok()).collect()
+        self.lines(log).filter_map(|(_, interval)| interval.ok()).collect()
     }
 
-    /// Every line with its number; heading and underline are passed over.
-    fn lines(&self, log: &[u8]) -> Vec<(u64, Result<Interval, String>)> {
+    /// Every line with its number, one at a time; heading and underline are passed over.
+    fn lines(&self, log: &[u8]) -> impl Iterator<Item = (u64, Result<Interval, String>)> {
         let delimiter = [b'\t', b';', b','].into_iter().find(|byte| log.contains(byte)).unwrap_or(b'\t');
         let mut builder = ReaderBuilder::new();
         builder.delimiter(delimiter).has_headers(false).flexible(true).trim(Trim::All).buffer_capacity(LINE_BYTES);
+        let mut reader = builder.from_reader(Line(&[]));
         let mut record = ByteRecord::new();
         let mut first = true;
-        let mut lines = Vec::new();
         // Line by line: a stray quotation mark spoils its own line, and does not swallow those behind it.
-        for (line, bytes) in (1..).zip(log.split(|byte| *byte == b'\n')) {
-            match builder.from_reader(bytes).read_byte_record(&mut record) {
-                Ok(false) => continue,
+        (1..).zip(log.split(|byte| *byte == b'\n')).filter_map(move |(line, bytes)| {
+            if bytes.len() as u64 > LINE_BYTES_MAX {
+                return Some((line, Err(format!("it has more than {LINE_BYTES_MAX} bytes"))));
+            }
+            // In this order: when it is sought first, a reader takes what it has for headings.
+            let begun = reader.seek_raw(SeekFrom::Start(0), Position::new());
+            *reader.get_mut() = Line(bytes);
+            match begun.and_then(|()| reader.read_byte_record(&mut record)) {
+                Ok(false) => return None,
                 Ok(true) => {}
-                Err(error) => {
-                    lines.push((line, Err(error.to_string())));
-                    continue;
-                }
+                Err(error) => return Some((line, Err(error.to_string()))),
             }
             let underline = record.iter().flatten().all(|byte| matches!(byte, b'-' | b' '));
             let heading =
                 std::mem::take(&mut first) && record.get(0).is_some_and(|field| seconds(&text(field)).is_none());
-            if !(underline || heading) {
-                lines.push((line, self.interval(&record, delimiter == b'\t')));
-            }
-        }
-        lines
+            (!underline && !heading).then(|| (line, self.interval(&record, delimiter == b'\t')))
+        })
     }
 
     fn interval(&self, record: &ByteRecord, tabs: bool) -> Result<Interval, String> {
         // Some of the public files align their columns by several tabs.
-        let fields: Vec<String> = record.iter().filter(|field| !(tabs && field.is_empty())).map(text).collect();
+        let fields = record.iter().filter(|field| !(tabs && field.is_empty()));
+        let fields: Vec<String> = fields.take(self.columns.len()).map(text).collect();
         if fields.len() < self.columns.len() {
             let (found, wanted) = (fields.len(), self.columns.len());
             return Err(format!("{found} fields, {wanted} are expected, with tabs, semicolons or commas between them"));
@@ -327,7 +331,8 @@ impl SensorRules {
         let mut interval = Interval { end_s: f64::NAN, ..Interval::default() };
         for (column, field) in self.columns.iter().zip(fields) {
             let time = || {
-                seconds(&field).ok_or_else(|| format!("{field:?} is no time; expected 2024-03-01 08:15:00, or seconds"))
+                let fault = || format!("{} is no time; expected 2024-03-01 08:15:00, or seconds", quoted(&field));
+                seconds(&field).ok_or_else(fault)
             };
             match column {
                 Column::Start => interval.start_s = time()?,
@@ -376,7 +381,7 @@ impl SensorRules {
                 });
                 match line_item(&json, person) {
                     Ok(item) => said.push(Said { at_s, rule, item }),
-                    Err(source) => narrated.items.push(Err(InputError::Line { line, source })),
+                    Err(source) => narrated.faults.add(line, source),
                 }
             }
         }
@@ -406,6 +411,30 @@ fn after_silence(said: Vec<Said<'_>>) -> Vec<Said<'_>> {
     kept
 }
 
+/// A line of a log, which a reader takes for a whole file.
+struct Line<'a>(&'a [u8]);
+
+impl Read for Line<'_> {
+    fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
+        self.0.read(to)
+    }
+}
+
+/// A reader begins again with a new line; that is at its beginning.
+impl Seek for Line<'_> {
+    fn seek(&mut self, _: SeekFrom) -> io::Result<u64> {
+        Ok(0)
+    }
+}
+
+/// The beginning of a field, for an error.
+fn quoted(field: &str) -> String {
+    match field.char_indices().nth(QUOTED_MAX) {
+        Some((end, _)) => format!("{:?}...", &field[..end]),
+        None => format!("{field:?}"),
+    }
+}
+
 fn text(field: &[u8]) -> String {
     String::from_utf8_lossy(field).into_owned()
 }
@@ -422,7 +451,7 @@ pub fn absences(log: &[u8]) -> Result<Vec<(f64, f64)>, String> {
     let named = SensorRules { columns: [columns, vec![Column::Sensor]].concat(), rules: Vec::new() };
     let (mut all, mut away, mut home) = (Vec::new(), Vec::new(), Vec::new());
     let mut some_named = false;
-    for ((line, interval), (_, with_name)) in reader.lines(log).into_iter().zip(named.lines(log)) {
+    for ((line, interval), (_, with_name)) in reader.lines(log).zip(named.lines(log)) {
         let Interval { start_s, end_s, .. } = interval.map_err(|reason| format!("line {line}: {reason}"))?;
         all.push((start_s, end_s));
         let Ok(Interval { sensor, .. }) = with_name else { continue };
@@ -487,11 +516,7 @@ mod tests {
     const LOG: &str = include_str!("../../tests/data/sensors.tsv");
 
     fn said(log: &SensorLog) -> Vec<(String, f64)> {
-        log.items
-            .iter()
-            .filter_map(|item| item.as_ref().ok())
-            .map(|item| (item.text.clone(), item.duration_s))
-            .collect()
+        log.items.iter().map(|item| (item.text.clone(), item.duration_s)).collect()
     }
 
     #[test]
@@ -513,7 +538,7 @@ mod tests {
         // The bed is left at 07:12:40; 20 seconds later somebody is in the bathroom.
         assert_eq!((log.begins_s, said(&log)[1].1), (seconds("2024-03-01 07:12:40"), 20.0));
         assert_eq!((log.unfit, log.silent), (1, 2));
-        assert_eq!(log.items.iter().filter(|item| item.is_err()).count(), 0);
+        assert_eq!(log.faults.count(), 0);
     }
 
     #[test]
@@ -522,9 +547,8 @@ mod tests {
         let log = "start,end,sensor,kind,place\n2024-03-01 08:00:00,2024-03-01 08:00:05,fridge,door,kitchen\nyesterday,,fridge,door,kitchen\n\
                    2024-03-01 08:00:09,2024-03-01 08:00:05,fridge,door,kitchen\n10,20\n30,40,oven,door,kitchen\n50,60,a\u{7}b,door,kitchen\n";
         let narrated = rules.narrate(log.as_bytes(), &Who::Somebody);
-        let errors: Vec<String> =
-            narrated.items.iter().filter_map(|item| item.as_ref().err()).map(|error| error.to_string()).collect();
-        assert_eq!(errors.len(), 4, "{errors:?}");
+        let errors = narrated.faults.told();
+        assert_eq!((errors.len(), narrated.faults.count()), (4, 4), "{errors:?}");
         for (error, part) in errors.iter().zip([
             "line 3: \"yesterday\" is no time",
             "line 4: it ends before",
@@ -545,7 +569,7 @@ mod tests {
             said(&narrated),
             [("They leave by the front door.".to_owned(), 0.0), ("They leave by the front door.".to_owned(), 60.5)]
         );
-        assert!(narrated.items.iter().all(|item| item.as_ref().unwrap().person == Who::Number(2)));
+        assert!(narrated.items.iter().all(|item| item.person == Who::Number(2)));
     }
 
     #[test]
@@ -557,7 +581,7 @@ mod tests {
             1000,1010,front_door,Magnetic,Hall\n1300,1310,front_door,Magnetic,Hall\n5000,5001,ceiling,PIR,Kitchen\n\
             5100,5110,front_door,Magnetic,Hall\n";
         let log = rules.narrate(log.as_bytes(), &Who::Number(4));
-        let said: Vec<_> = log.items.iter().map(|item| item.as_ref().unwrap()).collect();
+        let said = &log.items;
         let ada = Who::Name("ada".to_owned());
         let told: Vec<_> = said.iter().map(|item| (item.text.as_str(), item.person.clone(), item.duration_s)).collect();
         assert_eq!(
@@ -624,11 +648,53 @@ mod tests {
         let mut lines: Vec<_> = (0..500).map(|n| format!("{n}\t{n}\tdoor{n}\tmagnetic\thall")).collect();
         lines[100] = "100\t\"100\tdoor100\tmagnetic\thall".to_owned();
         let narrated = rules.narrate(lines.join("\r\n").as_bytes(), &Who::Somebody);
-        let (said, wrong): (Vec<_>, Vec<_>) = narrated.items.iter().partition(|item| item.is_ok());
-        assert_eq!((said.len(), wrong.len()), (499, 1));
-        assert!(wrong[0].as_ref().unwrap_err().to_string().starts_with("line 101:"), "{wrong:?}");
+        let wrong = narrated.faults.told();
+        assert_eq!((narrated.items.len(), wrong.len()), (499, 1));
+        assert!(wrong[0].starts_with("line 101:"), "{wrong:?}");
         // A quoted field may hold the separator, as before.
         let quoted = rules.narrate(b"1,2,\"door, left\",magnetic,hall\n", &Who::Somebody);
-        assert_eq!(quoted.items[0].as_ref().unwrap().text, "They open the door, left.");
+        assert_eq!(quoted.items[0].text, "They open the door, left.");
+    }
+
+    /// Row "a sensor log of malformed lines" of the attacks: what is kept of them does not grow with them.
+    #[test]
+    fn malformed_lines_are_counted_and_the_first_are_told() {
+        let rules = SensorRules::parse("[[rule]]\nsay = \"They open the {sensor}.\"").unwrap();
+        let long = "y".repeat(4_000);
+        let too_long = "z".repeat(LINE_BYTES_MAX as usize + 1);
+        let fields = "8,".repeat(4_000);
+        let log = format!(
+            "start,end,sensor,kind,place\n{long},1,door,-,-\n{too_long}\n{fields}\n{}1,2,fridge,-,-\n",
+            "x\n".repeat(100_000)
+        );
+        let SensorLog { items, faults, .. } = rules.narrate(log.as_bytes(), &Who::Somebody);
+        let said: Vec<_> = items.iter().map(|item| item.text.as_str()).collect();
+        assert_eq!(said, ["They open the fridge.", "They open the 8."]);
+        assert_eq!((faults.count(), faults.told().len()), (100_002, Faults::TOLD));
+        let told = faults.told();
+        assert!(told[0].starts_with("line 2: \"yyyy") && told[0].contains("yy\"... is no time"), "{}", told[0]);
+        assert_eq!(told[1], "line 3: it has more than 8192 bytes");
+        assert!(told[2].starts_with("line 5: 1 fields, 5 are expected"), "{}", told[2]);
+        assert!(told.iter().all(|text| text.len() < 200), "{told:?}");
+    }
+
+    /// As a file of its own, whatever the lines before it were: with a mark of the byte order, carriage returns, open quotation marks.
+    #[test]
+    fn each_line_is_read_as_if_it_were_alone() {
+        let rules = SensorRules::parse("[[rule]]\nsay = \"They open the {sensor}.\"").unwrap();
+        let line = [
+            "1,2,door,-,-",
+            "\u{feff}3,4,door,-,-",
+            "5,6,\"door",
+            "",
+            "7,8,door,-,-\r",
+            "\"9\",\"10\",\"a \"\"b\"\"\",-,-",
+            "-----",
+        ];
+        let all = rules.intervals(line.join("\n").as_bytes());
+        let alone: Vec<_> = line.iter().flat_map(|line| rules.intervals(format!("\n{line}").as_bytes())).collect();
+        assert_eq!(all, alone);
+        assert_eq!(all.iter().map(|interval| interval.start_s).collect::<Vec<_>>(), [1.0, 3.0, 7.0, 9.0]);
+        assert_eq!(all[3].sensor, "a \"b\"");
     }
 }

@@ -310,11 +310,15 @@ fn load_map(path: &Path) -> Result<SemanticMap, Failure> {
 
 /// Files that cannot be read are no reason to throw the others away, but are never passed over in silence.
 fn report_faults(faults: &[String]) {
-    for fault in faults.iter().take(10) {
-        super::tell(format_args!("roomcast: skipped: {fault}"));
-    }
-    if faults.len() > 10 {
-        super::tell(format_args!("roomcast: skipped {} more", faults.len() - 10));
+    report_first_faults(faults, faults.len() as u64);
+}
+
+/// As [`report_faults`], where they are so many in all.
+fn report_first_faults(first: &[String], count: u64) {
+    const TOLD: u64 = 10;
+    first.iter().take(TOLD as usize).for_each(|fault| super::tell(format_args!("roomcast: skipped: {fault}")));
+    if count > TOLD {
+        super::tell(format_args!("roomcast: skipped {} more", count - TOLD));
     }
 }
 

@@ -15,7 +15,7 @@ use roomcast_lab::simulation::homer::Day;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, Zone};
 use roomcast_services::lessons::{self, Lesson};
 use roomcast_services::logging;
-use roomcast_services::narrator::{Item, Who, line_item};
+use roomcast_services::narrator::{Faults, Item, Who, line_item};
 #[cfg(feature = "recordings")]
 use roomcast_services::recording;
 use roomcast_services::sensor_log::{self, SensorRules};
@@ -230,7 +230,7 @@ fn learn(args: &LearnArgs) -> CommandResult {
                 super::count(total, "narration"),
                 after_restart(&answer)
             ))?;
-            return match faults.len() {
+            return match usize::try_from(faults.count()).unwrap_or(usize::MAX) {
                 0 => Ok(()),
                 lines => Err(Failure::new(exit_code::INPUT, format!("{} left out", super::count(lines, "line")))),
             };
@@ -245,7 +245,7 @@ struct Lessons {
     /// In which its times are.
     zone: Zone,
     /// What cannot be learned from, each in words.
-    faults: Vec<String>,
+    faults: Faults,
 }
 
 impl Lessons {
@@ -256,25 +256,25 @@ impl Lessons {
         if let Some(folder) = &args.days {
             let days = super::experiment::days(folder)?;
             let items = day_items(&days, first_day_s(args.first_day.as_deref(), days.len())?, &person);
-            return Ok(Self { lessons: Lesson::of_lines(&items).0, zone: Zone::UTC, faults: Vec::new() });
+            return Ok(Self { lessons: Lesson::of_lines(&items).0, zone: Zone::UTC, faults: Faults::default() });
         }
         match (&args.sensors, &args.rules, &args.recording, &args.lines) {
             (Some(log), Some(rules), ..) => {
                 let narrated =
                     SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, &person)).map_err(input)?;
-                let faults = narrated.items.iter().filter_map(|item| Some(item.as_ref().err()?.to_string())).collect();
                 if narrated.unfit > 0 {
                     super::tell(format_args!("roomcast: no rule fits {} intervals", narrated.unfit));
                 }
-                Ok(Self { lessons: Lesson::of_sensors(&narrated).0, zone: Zone::UTC, faults })
+                let (lessons, _) = Lesson::of_sensors(&narrated);
+                Ok(Self { lessons, zone: Zone::UTC, faults: narrated.faults })
             }
             #[cfg(feature = "recordings")]
             (_, _, Some(recording), _) => {
                 let recording = recording::read(recording).map_err(|error| Failure::new(exit_code::INPUT, error))?;
-                Ok(Self { lessons: Lesson::of_recording(&recording), zone: Zone::local(), faults: Vec::new() })
+                Ok(Self { lessons: Lesson::of_recording(&recording), zone: Zone::local(), faults: Faults::default() })
             }
             (.., Some(lines)) => {
-                let (mut items, mut faults) = (Vec::new(), Vec::new());
+                let (mut items, mut faults) = (Vec::new(), Faults::default());
                 let now_unix_ns = roomcast_ipc::clock::unix_ns();
                 for (number, line) in (1..).zip(read(lines, sensor_log::FILE_BYTES_MAX)?.lines()) {
                     if line.trim().is_empty() {
@@ -282,7 +282,7 @@ impl Lessons {
                     }
                     match timed_item(line, &person, now_unix_ns) {
                         Ok(item) => items.push(item),
-                        Err(fault) => faults.push(format!("line {number}: {fault}")),
+                        Err(fault) => faults.add(number, fault),
                     }
                 }
                 Ok(Self { lessons: Lesson::of_lines(&items).0, zone: Zone::local(), faults })
@@ -294,9 +294,9 @@ impl Lessons {
     /// Says what is left out, and why.
     fn tell_faults(&self) {
         const TOLD: usize = 20;
-        self.faults.iter().take(TOLD).for_each(|fault| super::tell(format_args!("roomcast: {fault}")));
-        if self.faults.len() > TOLD {
-            super::tell(format_args!("roomcast: and {} more", self.faults.len() - TOLD));
+        self.faults.told().iter().take(TOLD).for_each(|fault| super::tell(format_args!("roomcast: {fault}")));
+        if self.faults.count() > TOLD as u64 {
+            super::tell(format_args!("roomcast: and {} more", self.faults.count() - TOLD as u64));
         }
     }
 }

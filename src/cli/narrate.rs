@@ -157,7 +157,10 @@ fn report(args: &Args, outcome: &Outcome, domain: &Domain, stopped: Option<Stopp
     let unconfirmed = outcome.sent - outcome.confirmed - outcome.dropped;
     if outcome.refused > 0 {
         let refused = outcome.refused;
-        return Err(Failure::new(exit_code::INPUT, format!("{refused} lines were no narration; the log names them")));
+        return Err(Failure::new(
+            exit_code::INPUT,
+            format!("{refused} lines were no narration; the log names the first of them"),
+        ));
     }
     if outcome.dropped > 0 {
         let (dropped, sent) = (outcome.dropped, outcome.sent);
@@ -185,5 +188,5 @@ fn read_sensors(log: &Path, rules: &Path, person: &Who) -> Result<Input, Failure
     let narrated = SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, person)).map_err(input)?;
     let (lines, unfit, silent) = (narrated.items.len(), narrated.unfit, narrated.silent);
     tracing::info!(lines, unfit, silent, log = %log.display(), "sensor log read");
-    Ok(Input::Log(narrated.items))
+    Ok(Input::Log { items: narrated.items, faults: narrated.faults })
 }

@@ -1,27 +1,29 @@
 //! Doors of a map that gives none: where rooms touch.
 
-use super::footprint::Space;
+use super::footprint::{Bands, Space};
 use super::{Door, MAX_TEXT_BYTES, Room, RoomId};
 
 /// How far apart two rooms may lie and touch, in metres: outlines are measured.
 const TOUCH_M: f64 = 0.1;
 /// The least stretch that a person can walk through, in metres.
 const LEAST_M: f64 = 0.5;
-/// How densely an outline is looked at, in metres; and the most points of one.
+/// How densely outlines are looked at, in metres; and the most points of a room's.
 const STEP_M: f64 = 0.05;
 const MOST_POINTS: f64 = 4_000.0;
+/// Most edges that are looked at for the doors of a map, over all points. Outlines that would take more are looked at less densely.
+const MOST_LOOKS: usize = 1 << 25;
 /// Where a door is, above the higher of both floors, in metres.
 const HANDLE_M: f64 = 1.0;
 
 /// A door in the middle of the longest stretch along which two rooms touch, for every two rooms that do.
 pub(super) fn found(rooms: &[Room]) -> Vec<Door> {
-    let outlines: Vec<_> = rooms.iter().map(|room| points(&room.space)).collect();
+    let seen = seen(rooms, MOST_LOOKS);
     let mut doors = Vec::new();
     for (here, room) in rooms.iter().enumerate() {
         for (there, other) in rooms.iter().enumerate().skip(here + 1) {
-            let found = passage(&room.space, &outlines[here], &other.space);
+            let found = seen[here].passage(&seen[there]);
             // A nook in the middle of a room touches no wall of it.
-            let found = found.or_else(|| passage(&other.space, &outlines[there], &room.space));
+            let found = found.or_else(|| seen[there].passage(&seen[here]));
             let Some([x, y, z]) = found else { continue };
             let id = format!("{}--{}", room.id, other.id);
             let id = if id.len() <= MAX_TEXT_BYTES { id } else { format!("door-{here}-{there}") };
@@ -32,20 +34,56 @@ pub(super) fn found(rooms: &[Room]) -> Vec<Door> {
     doors
 }
 
-/// Points along the outlines, a list per ring with the distance from one to the next.
-fn points(space: &Space) -> Vec<(f64, Vec<[f64; 2]>)> {
-    let rings = space.rings();
-    rings.iter().map(|ring| along(ring)).collect()
+/// A room that is looked at for doors.
+struct Seen<'a> {
+    space: &'a Space,
+    /// Its edges, where it is no box.
+    bands: Option<Bands>,
+    rings: Vec<Vec<[f64; 2]>>,
+    /// Points along each ring, with the distance from one to the next.
+    points: Vec<(f64, Vec<[f64; 2]>)>,
 }
 
-fn along(ring: &[[f64; 2]]) -> (f64, Vec<[f64; 2]>) {
-    let edges = || ring.iter().zip(ring.iter().cycle().skip(1));
-    let length_m = |(a, b): (&[f64; 2], &[f64; 2])| (b[0] - a[0]).hypot(b[1] - a[1]);
-    let step_m = STEP_M.max(edges().map(length_m).sum::<f64>() / MOST_POINTS);
+/// The rooms, with points as dense as the most looks allow: at least one per ring.
+fn seen(rooms: &[Room], most: usize) -> Vec<Seen<'_>> {
+    let mut seen: Vec<Seen> = Vec::with_capacity(rooms.len());
+    for Room { space, .. } in rooms {
+        let bands = space.footprint.as_ref().map(|footprint| Bands::new(footprint, TOUCH_M));
+        seen.push(Seen { space, bands, rings: space.rings(), points: Vec::new() });
+    }
+    let mut coarser = 1.0;
+    loop {
+        seen.iter_mut().for_each(|room| room.put_points(coarser));
+        let looks = looks(&seen);
+        let are_fewest = || seen.iter().flat_map(|room| &room.points).all(|(_, points)| points.len() <= 1);
+        if looks <= most || are_fewest() {
+            return seen;
+        }
+        coarser *= (looks as f64 / most as f64).max(2.0);
+    }
+}
+
+/// How many edges are looked at, at most.
+fn looks(seen: &[Seen]) -> usize {
+    let others = |here: usize| seen.iter().enumerate().filter(move |(there, _)| *there != here).map(|(_, room)| room);
+    seen.iter().enumerate().flat_map(|(here, room)| others(here).map(|other| room.looks(other))).sum()
+}
+
+/// Length of an edge in metres.
+fn length_m((a, b): (&[f64; 2], &[f64; 2])) -> f64 {
+    (b[0] - a[0]).hypot(b[1] - a[1])
+}
+
+fn edges(ring: &[[f64; 2]]) -> impl Iterator<Item = (&[f64; 2], &[f64; 2])> {
+    ring.iter().zip(ring.iter().cycle().skip(1))
+}
+
+/// Points along a ring.
+fn along(ring: &[[f64; 2]], step_m: f64) -> Vec<[f64; 2]> {
     let mut points = Vec::new();
     // How far along the edge the next point lies.
     let mut next_m = 0.0;
-    for (a, b) in edges() {
+    for (a, b) in edges(ring) {
         let edge_m = length_m((a, b));
         while next_m < edge_m {
             let part = next_m / edge_m;
@@ -54,52 +92,77 @@ fn along(ring: &[[f64; 2]]) -> (f64, Vec<[f64; 2]>) {
         }
         next_m -= edge_m;
     }
-    (step_m, points)
+    points
 }
 
-/// The middle of the longest stretch of the outline that touches the other room.
-fn passage(space: &Space, outline: &[(f64, Vec<[f64; 2]>)], other: &Space) -> Option<[f64; 3]> {
-    let (own, far) = (&space.bounds, &other.bounds);
-    let floor_m = own.min_m[2].max(far.min_m[2]);
-    let ceiling_m = own.max_m[2].min(far.max_m[2]);
-    let apart =
-        |axis: usize| own.min_m[axis] > far.max_m[axis] + TOUCH_M || far.min_m[axis] > own.max_m[axis] + TOUCH_M;
-    if ceiling_m <= floor_m || apart(0) || apart(1) {
-        return None;
+impl Seen<'_> {
+    fn put_points(&mut self, coarser: f64) {
+        let all_m: f64 = self.rings.iter().flat_map(|ring| edges(ring)).map(length_m).sum();
+        let step_m = coarser * STEP_M.max(all_m / MOST_POINTS);
+        self.points = self.rings.iter().map(|ring| (step_m, along(ring, step_m))).collect();
     }
-    let z = floor_m + HANDLE_M.min(0.5 * (ceiling_m - floor_m));
-    let near = |&[x, y]: &[f64; 2]| {
-        let point_m = [x, y, z];
-        far.distance_m(&point_m) <= TOUCH_M && other.distance_m(&point_m) <= TOUCH_M
-    };
-    let mut best: (f64, Option<[f64; 2]>) = (0.0, None);
-    for (step_m, points) in outline {
-        let touches: Vec<bool> = points.iter().map(near).collect();
-        // From a point that does not touch, so that no stretch is cut in two by the list's end.
-        let first = touches.iter().position(|touches| !touches).unwrap_or(0);
-        let count = points.len();
-        let mut run = 0;
-        for step in 0..=count {
-            let place = (first + step) % count.max(1);
-            if step < count && touches[place] {
-                run += 1;
-                continue;
-            }
-            let length_m = run as f64 * step_m;
-            if run > 0 && length_m > best.0 {
-                let middle = (first + step - run + run / 2) % count;
-                best = (length_m, Some(points[middle]));
-            }
-            run = 0;
+
+    /// The height at which one walks between the rooms; none where they cannot touch.
+    fn handle_m(&self, other: &Self) -> Option<f64> {
+        let (own, far) = (&self.space.bounds, &other.space.bounds);
+        let floor_m = own.min_m[2].max(far.min_m[2]);
+        let ceiling_m = own.max_m[2].min(far.max_m[2]);
+        let apart =
+            |axis: usize| own.min_m[axis] > far.max_m[axis] + TOUCH_M || far.min_m[axis] > own.max_m[axis] + TOUCH_M;
+        if ceiling_m <= floor_m || apart(0) || apart(1) {
+            return None;
         }
+        Some(floor_m + HANDLE_M.min(0.5 * (ceiling_m - floor_m)))
     }
-    // The ends of a stretch reach around the other room's corners.
-    best.1.filter(|_| best.0 - 2.0 * TOUCH_M >= LEAST_M).map(|[x, y]| [x, y, z])
+
+    /// Whether the box around it touches a point.
+    fn is_around(&self, [x, y]: [f64; 2], z: f64) -> bool {
+        self.space.bounds.distance_m(&[x, y, z]) <= TOUCH_M
+    }
+
+    /// How many edges of the other room are looked at for the points of this one.
+    fn looks(&self, other: &Self) -> usize {
+        let (Some(z), Some(bands)) = (self.handle_m(other), &other.bands) else { return 0 };
+        let points = self.points.iter().flat_map(|(_, points)| points);
+        points.filter(|point| other.is_around(**point, z)).map(|point| bands.looks(*point)).sum()
+    }
+
+    /// The middle of the longest stretch of the outline that touches the other room.
+    fn passage(&self, other: &Self) -> Option<[f64; 3]> {
+        let z = self.handle_m(other)?;
+        let near = |point: &[f64; 2]| {
+            other.is_around(*point, z) && other.bands.as_ref().is_none_or(|bands| bands.near(*point))
+        };
+        let mut best: (f64, Option<[f64; 2]>) = (0.0, None);
+        for (step_m, points) in &self.points {
+            let touches: Vec<bool> = points.iter().map(near).collect();
+            // From a point that does not touch, so that no stretch is cut in two by the list's end.
+            let first = touches.iter().position(|touches| !touches).unwrap_or(0);
+            let count = points.len();
+            let mut run = 0;
+            for step in 0..=count {
+                let place = (first + step) % count.max(1);
+                if step < count && touches[place] {
+                    run += 1;
+                    continue;
+                }
+                let length_m = run as f64 * step_m;
+                if run > 0 && length_m > best.0 {
+                    let middle = (first + step - run + run / 2) % count;
+                    best = (length_m, Some(points[middle]));
+                }
+                run = 0;
+            }
+        }
+        // The ends of a stretch reach around the other room's corners.
+        best.1.filter(|_| best.0 - 2.0 * TOUCH_M >= LEAST_M).map(|[x, y]| [x, y, z])
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::SemanticMap;
+    use super::{MOST_LOOKS, looks, seen};
     use serde_json::json;
 
     fn rooms(rooms: &serde_json::Value) -> SemanticMap {
@@ -125,6 +188,77 @@ mod tests {
         assert!((x - 4.0).abs() < 0.05 && (y - 2.0).abs() < 0.05 && z == 1.0, "{x} {y} {z}");
         assert!(map.doors_found() && !map.to_json().contains("a--b"), "a file without doors stays one");
         assert_eq!(SemanticMap::from_json(&map.to_json()).unwrap(), map);
+    }
+
+    /// A square of so many metres with triangular holes, shifted by so much.
+    fn holed(index: usize, side_m: f64, holes: usize, shift_m: f64) -> serde_json::Value {
+        let square = [[0.0, 0.0], [side_m, 0.0], [side_m, side_m], [0.0, side_m]];
+        let across = (holes as f64).sqrt().ceil();
+        let cell_m = (side_m - 0.1 * side_m) / across;
+        let hole = |hole: usize| {
+            let [x, y] = [hole as f64 % across, (hole as f64 / across).floor()].map(|at| 0.05 * side_m + at * cell_m);
+            vec![[x, y], [x + 0.8 * cell_m, y], [x + 0.4 * cell_m, y + 0.7 * cell_m]]
+        };
+        let shifted = |ring: Vec<[f64; 2]>| -> Vec<[f64; 2]> {
+            ring.into_iter().map(|corner| corner.map(|metres| metres + shift_m * index as f64)).collect()
+        };
+        let rings: Vec<_> = [square.to_vec()].into_iter().chain((0..holes).map(hole)).map(shifted).collect();
+        json!({"id": format!("room-{index}"), "label": "room", "footprint": rings})
+    }
+
+    /// Teeth from west to east or from south to north, each over the whole room, shifted by so much.
+    fn comb(index: usize, side_m: f64, teeth: usize, shift_m: f64, down: bool) -> serde_json::Value {
+        let pitch_m = side_m / teeth as f64;
+        let tooth = |tooth: usize| {
+            let y = tooth as f64 * pitch_m;
+            [[side_m, y], [side_m, y + 0.5 * pitch_m], [1.0, y + 0.5 * pitch_m], [1.0, y + pitch_m]]
+        };
+        let corners = [[0.0, 0.0]].into_iter().chain((0..teeth).flat_map(tooth)).chain([[0.0, side_m]]);
+        let turned = |[x, y]: [f64; 2]| if down { [y, x] } else { [x, y] };
+        let ring: Vec<_> = corners.map(|corner| turned(corner).map(|metres| metres + shift_m * index as f64)).collect();
+        json!({"id": format!("room-{index}"), "label": "room", "footprint": [ring]})
+    }
+
+    /// Row "a map whose outlines lie along one another" of the attacks: whatever a map within the limits has, so many edges are looked at.
+    #[test]
+    fn what_is_looked_at_for_doors_is_bounded() {
+        let many = |count: usize, room: &dyn Fn(usize) -> serde_json::Value| (0..count).map(room).collect::<Vec<_>>();
+        let cases = [
+            ("two rooms of holes", many(2, &|index| holed(index, 6_000.0, 1_665, 0.5))),
+            ("64 rooms of holes", many(64, &|index| holed(index, 6_000.0, 50, 0.5))),
+            ("two large combs", many(2, &|index| comb(index, 9_000.0, 1_249, 0.01, false))),
+            ("two large combs that cross", many(2, &|index| comb(index, 9_000.0, 1_249, 0.01, index == 1))),
+            ("64 small combs", many(64, &|index| comb(index, 9.0, 38, 0.01, true))),
+        ];
+        for (name, list) in cases {
+            let map = rooms(&json!(list));
+            let corners: usize =
+                map.rooms.iter().filter_map(|room| Some(room.space.footprint.as_ref()?.corners())).sum();
+            assert!((9_800..=10_000).contains(&corners), "{name}: {corners}");
+            let looked = looks(&seen(&map.rooms, MOST_LOOKS));
+            assert!(looked <= MOST_LOOKS, "{name}: {looked}");
+            let points: usize =
+                seen(&map.rooms, MOST_LOOKS).iter().flat_map(|room| &room.points).map(|(_, p)| p.len()).sum();
+            assert!(points <= 64 * 4_000 + corners, "{name}: {points}");
+        }
+        let dense = looks(&seen(&rooms(&json!(many(64, &|index| comb(index, 9.0, 38, 0.01, true)))).rooms, usize::MAX));
+        assert!(dense > MOST_LOOKS, "these rooms need the bound: {dense}");
+    }
+
+    /// A building of many rooms is looked at as densely as one of two.
+    #[test]
+    fn rooms_of_a_large_building_are_looked_at_densely() {
+        let room = |index: usize| {
+            let [west, south] = [(index % 8) as f64 * 6.0, (index / 8) as f64 * 5.0];
+            // Walls of 39 bends on each side.
+            let bend = |at: usize| [0.15 * at as f64, 0.03 * (at % 2) as f64];
+            let sides = (0..39).map(bend).chain((0..39).rev().map(|at| [bend(at)[0], 4.99 - bend(at)[1]]));
+            let ring: Vec<_> = sides.map(|[x, y]| [west + x, south + y]).collect();
+            json!({"id": format!("room-{index}"), "label": "room", "footprint": [ring]})
+        };
+        let map = rooms(&json!((0..64).map(room).collect::<Vec<_>>()));
+        assert!(looks(&seen(&map.rooms, usize::MAX)) < MOST_LOOKS / 8);
+        assert_eq!(map.doors().len(), 56, "one from each row to the next");
     }
 
     #[test]

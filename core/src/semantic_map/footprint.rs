@@ -5,8 +5,10 @@
 
 use super::Box3;
 
-/// Most corners of all footprints of a map together.
+/// Most corners of all footprints of a map together, and so of one.
 pub const MAX_CORNERS: usize = 10_000;
+/// What to do about more.
+pub(super) const FEWER_CORNERS: &str = "simplify the outlines: a corner per bend of a wall is enough";
 
 /// Share of a rectangle below which an overlap is taken for rounding.
 const NOTHING: f64 = 1e-9;
@@ -18,6 +20,7 @@ const ON_EDGE_M: f64 = 1e-9;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Footprint {
     rings: Vec<Vec<[f64; 2]>>,
+    corners: usize,
 }
 
 /// From one corner to the next.
@@ -65,12 +68,14 @@ fn edges_meet((a, b): Edge, (c, d): Edge) -> bool {
     straddles(turn(a, b, c), turn(a, b, d)) && straddles(turn(c, d, a), turn(c, d, b))
 }
 
+/// Whether the edge lies to the east of the point.
+fn is_east((a, b): Edge, point: [f64; 2]) -> bool {
+    (a[1] > point[1]) != (b[1] > point[1]) && point[0] < a[0] + (b[0] - a[0]) * (point[1] - a[1]) / (b[1] - a[1])
+}
+
 /// Whether the point lies within the ring, or on it.
 fn ring_contains(ring: &[[f64; 2]], point: [f64; 2]) -> bool {
-    let crosses = |&(a, b): &Edge| {
-        (a[1] > point[1]) != (b[1] > point[1]) && point[0] < a[0] + (b[0] - a[0]) * (point[1] - a[1]) / (b[1] - a[1])
-    };
-    edges(ring).filter(crosses).count() % 2 == 1
+    edges(ring).filter(|edge| is_east(*edge, point)).count() % 2 == 1
 }
 
 /// What an edge adds to the area of its ring within the rectangle from the origin to `size`: the integral of y, kept within the
@@ -99,6 +104,10 @@ impl Footprint {
         if rings.is_empty() {
             return Err(("has no ring".to_owned(), "give the outline as a list of [x, y]"));
         }
+        // First of all: checks take time in proportion to the square of it.
+        if rings.iter().map(Vec::len).sum::<usize>() > MAX_CORNERS {
+            return Err((format!("has more than {MAX_CORNERS} corners"), FEWER_CORNERS));
+        }
         let mut checked = Vec::with_capacity(rings.len());
         for (index, ring) in rings.iter().enumerate() {
             let mut ring = ring.clone();
@@ -121,7 +130,8 @@ impl Footprint {
             }
             checked.push(ring);
         }
-        let footprint = Self { rings: checked };
+        let corners = checked.iter().map(Vec::len).sum();
+        let footprint = Self { rings: checked, corners };
         footprint.check_edges()?;
         footprint.check_holes()?;
         Ok(footprint)
@@ -189,6 +199,11 @@ impl Footprint {
         &self.rings
     }
 
+    /// Corners of all rings, and so edges.
+    pub(crate) fn corners(&self) -> usize {
+        self.corners
+    }
+
     /// Edges of all rings.
     pub(super) fn edges(&self) -> impl Iterator<Item = Edge> {
         self.rings.iter().flat_map(|ring| edges(ring))
@@ -250,6 +265,54 @@ impl Footprint {
     }
 }
 
+/// A footprint's edges by the bands from south to north in which they lie, to ask of many points whether they are near.
+pub(super) struct Bands {
+    edges: Vec<Edge>,
+    reach_m: f64,
+    south_m: f64,
+    band_m: f64,
+    /// Per band the edges of which a point is within reach.
+    bands: Vec<Vec<u32>>,
+}
+
+impl Bands {
+    /// Bands to ask whether a point is within reach of the footprint.
+    pub(super) fn new(footprint: &Footprint, reach_m: f64) -> Self {
+        const EDGES_PER_BAND: usize = 8;
+        const MOST: usize = 64;
+        let edges: Vec<Edge> = footprint.edges().collect();
+        let [[_, south_m], [_, north_m]] = footprint.around();
+        let count = (edges.len() / EDGES_PER_BAND).clamp(1, MOST);
+        let band_m = (north_m - south_m) / count as f64;
+        let mut bands = Self { edges, reach_m, south_m, band_m, bands: vec![Vec::new(); count] };
+        // Rounding leaves no edge out.
+        let reach_m = reach_m + ON_EDGE_M;
+        for (place, &(a, b)) in (0u32..).zip(&bands.edges) {
+            let (from, to) = (bands.band(a[1].min(b[1]) - reach_m), bands.band(a[1].max(b[1]) + reach_m));
+            bands.bands[from..=to].iter_mut().for_each(|band| band.push(place));
+        }
+        bands
+    }
+
+    fn band(&self, y: f64) -> usize {
+        // What lies beyond belongs to the first or the last one.
+        (((y - self.south_m) / self.band_m) as usize).min(self.bands.len() - 1)
+    }
+
+    /// How many edges are looked at for a point.
+    pub(super) fn looks(&self, point: [f64; 2]) -> usize {
+        self.bands[self.band(point[1])].len()
+    }
+
+    /// Whether the point lies in the footprint, or within reach of it.
+    pub(super) fn near(&self, point: [f64; 2]) -> bool {
+        let edges = || self.bands[self.band(point[1])].iter().map(|place| self.edges[*place as usize]);
+        // Rings do not meet, so that a point in a hole has an even number of edges to its east.
+        edges().filter(|edge| is_east(*edge, point)).count() % 2 == 1
+            || edges().any(|edge| edge_distance_m(point, edge) <= self.reach_m)
+    }
+}
+
 /// What a room, a part or a group takes up: a box or, with a footprint, the prism over it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Space {
@@ -286,6 +349,18 @@ impl Space {
             return self.prism_overlap_m3(footprint, other);
         }
         boxes_m3
+    }
+
+    /// How many edges [`Space::overlap_m3`] looks at.
+    pub(crate) fn edges_met(&self, other: &Box3) -> usize {
+        let meets = |_: &&Footprint| self.bounds.overlap_m3(other) > 0.0;
+        self.footprint.as_ref().filter(meets).map_or(0, Footprint::corners)
+    }
+
+    /// How many edges [`Space::contains`] looks at.
+    pub(crate) fn edges_at(&self, point_m: &[f64; 3]) -> usize {
+        let holds = |_: &&Footprint| self.bounds.contains(point_m);
+        self.footprint.as_ref().filter(holds).map_or(0, Footprint::corners)
     }
 
     /// The same of a prism. Apart, so that boxes stay as quick as they are without.
@@ -406,6 +481,21 @@ pub(crate) mod tests {
         hits as f64 / (STEPS * STEPS) as f64 * (max[0] - min[0]) * (max[1] - min[1])
     }
 
+    /// What is beyond the limit is refused before its edges are looked at.
+    #[test]
+    fn a_footprint_of_too_many_corners_is_refused_at_once() {
+        let zigzag = |count: usize| -> Vec<[f64; 2]> {
+            let corner = |index: usize| [1.0 + 8.0 * (index % 2) as f64, 100.0 * index as f64 / count as f64];
+            // The last corners cross all others.
+            [[0.0, -1.0]].into_iter().chain((0..count).map(corner)).chain([[0.0, 101.0], [9.0, -1.0]]).collect()
+        };
+        let problem = |count: usize| Footprint::new(&[zigzag(count)]).unwrap_err().0;
+        assert!(problem(MAX_CORNERS - 3).contains("meets itself"), "{}", problem(MAX_CORNERS - 3));
+        assert_eq!(problem(MAX_CORNERS - 2), "has more than 10000 corners");
+        let holes = vec![vec![[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]; MAX_CORNERS / 3 + 1];
+        assert_eq!(Footprint::new(&holes).unwrap_err().0, "has more than 10000 corners");
+    }
+
     #[test]
     fn an_l_has_no_area_in_its_notch() {
         let room = space(&[L.to_vec()]);
@@ -472,6 +562,18 @@ pub(crate) mod tests {
             prop_assert!((area_m2 - sampled_m2).abs() <= 0.015 * size[0] * size[1] + 1e-9, "{area_m2} {sampled_m2}");
             let thing = Box3 { min_m: [min[0], min[1], 1.0], max_m: [max[0], max[1], 5.0] };
             prop_assert!((room.overlap_m3(&thing) - area_m2).abs() <= 1e-9);
+        }
+
+        /// Bands leave no edge out: near is what lies within reach.
+        #[test]
+        fn bands_agree_with_distances(rings in any_rings(), points in prop::collection::vec(prop::array::uniform2(-9.0..9.0f64), 1..60), reach_m in 0.0..2.0f64) {
+            let footprint = Footprint::new(&rings).unwrap();
+            let bands = Bands::new(&footprint, reach_m);
+            let corners = rings.iter().flatten().copied();
+            for point in points.into_iter().chain(corners) {
+                prop_assert_eq!(bands.near(point), footprint.distance_m(point) <= reach_m, "{:?}", point);
+                prop_assert!(bands.looks(point) <= footprint.corners());
+            }
         }
 
         /// Pieces of a divided rectangle add up to it.

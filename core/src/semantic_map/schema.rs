@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::footprint::{Footprint, MAX_CORNERS, Space};
+use super::footprint::{FEWER_CORNERS, Footprint, MAX_CORNERS, Space};
 use super::{Box3, Caption, Door, Group, Item, LabelId, Part, Room, RoomId, SemanticMap, doors};
 
 /// Largest scene file that is read, in bytes.
@@ -31,7 +31,8 @@ const ROUNDED_M: f64 = 0.01;
 pub(super) const MAX_PROSE_BYTES: usize = 4_096;
 pub(super) const MAX_CAPTIONS: usize = 64;
 pub(super) const MAX_ALIASES: usize = 1_000;
-const FARTHEST_M: f64 = 10_000.0;
+/// How far from the origin a map reaches, in metres along each axis.
+pub(super) const FARTHEST_M: f64 = 10_000.0;
 
 /// Why a scene cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -191,7 +192,27 @@ struct Extent<'a> {
 /// Counts and checks what footprints may cost.
 struct Corners {
     version: u32,
-    left: usize,
+    left: CornersLeft,
+}
+
+/// How many corners a map's footprints may still have.
+pub(super) struct CornersLeft(usize);
+
+impl CornersLeft {
+    /// Of a map without footprints.
+    pub(super) fn new() -> Self {
+        Self(MAX_CORNERS)
+    }
+
+    /// Takes those of the rings of an element, before anything else is done with them.
+    pub(super) fn take(&mut self, list: &'static str, index: usize, id: &str, rings: &Rings) -> Result<(), SceneError> {
+        let count: usize = rings.iter().map(Vec::len).sum();
+        self.0 = self.0.checked_sub(count).ok_or_else(|| {
+            let problem = format!("the map's footprints have more than {MAX_CORNERS} corners");
+            Place { list, index, id }.error("footprint", problem, FEWER_CORNERS)
+        })?;
+        Ok(())
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -320,11 +341,7 @@ impl Place<'_> {
             let problem = "is a key of version 2";
             return Err(self.error("footprint", problem, "write \"version\": 2 at the top of the file"));
         }
-        let count: usize = rings.iter().map(Vec::len).sum();
-        corners.left = corners.left.checked_sub(count).ok_or_else(|| {
-            let problem = format!("the map's footprints have more than {MAX_CORNERS} corners");
-            self.error("footprint", problem, "simplify the outlines: a corner per bend of a wall is enough")
-        })?;
+        corners.left.take(self.list, self.index, self.id, rings)?;
         rings.iter().flatten().try_for_each(|[x, y]| self.point("footprint", &[*x, *y, 0.0]))?;
         let footprint = Footprint::new(rings).map_err(|(problem, remedy)| self.error("footprint", problem, remedy))?;
 
@@ -387,7 +404,7 @@ pub(super) fn check_label(label: &str) -> Result<(), String> {
     Ok(())
 }
 
-fn check_count(list: &'static str, count: usize, most: usize) -> Result<(), SceneError> {
+pub(super) fn check_count(list: &'static str, count: usize, most: usize) -> Result<(), SceneError> {
     if count <= most {
         return Ok(());
     }
@@ -397,6 +414,11 @@ fn check_count(list: &'static str, count: usize, most: usize) -> Result<(), Scen
         problem: format!("{count} entries, more than {most}"),
         remedy: "split the building into several maps",
     })
+}
+
+/// Checks an element's id alone, for whoever works with ids before the map is checked.
+pub(super) fn check_id(list: &'static str, index: usize, id: &str) -> Result<(), SceneError> {
+    Place { list, index, id }.id()
 }
 
 /// Ids of one kind of element, to resolve references; refuses a second use of an id.
@@ -482,7 +504,8 @@ impl SemanticMap {
         check_count("groups", file.groups.len(), 10 * MAX_ROOMS)?;
         check_count("doors", file.doors.len(), 10 * MAX_ROOMS)?;
         check_count("items", file.items.len(), MAX_ITEMS)?;
-        check_count("aliases", file.aliases.values().map(Vec::len).sum(), MAX_ALIASES)?;
+        // A label without other words counts, too.
+        check_count("aliases", file.aliases.values().map(|others| others.len().max(1)).sum(), MAX_ALIASES)?;
         if file.rooms.is_empty() {
             return Err(scene.error("rooms", "has no entry", "give at least one room"));
         }
@@ -490,7 +513,7 @@ impl SemanticMap {
         // Rooms, parts and groups can all be partitions, so they share one space of ids.
         let mut partition_ids = Ids::new();
         let mut room_ids = Ids::new();
-        let mut corners = Corners { version: file.version, left: MAX_CORNERS };
+        let mut corners = Corners { version: file.version, left: CornersLeft::new() };
         let rooms = check_rooms(&file.rooms, &mut partition_ids, &mut room_ids, &mut corners)?;
         let parts = check_parts(&file.parts, &mut partition_ids, &room_ids, &rooms, &mut corners)?;
         let groups = check_groups(&file.groups, &mut partition_ids, &room_ids, &rooms, &mut corners)?;
@@ -994,6 +1017,8 @@ mod tests {
         };
         let items: Vec<Value> = (0..=MAX_ITEMS).map(item).collect();
         assert!(refused("/items", json!(items)).contains("100001 entries, more than 100000"));
+        let aliases: BTreeMap<String, Vec<String>> = (0..1_001).map(|at| (format!("thing {at}"), Vec::new())).collect();
+        assert!(refused("/aliases", json!(aliases)).contains("1001 entries, more than 1000"));
     }
 
     #[test]

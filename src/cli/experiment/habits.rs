@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::{LikeThingsArgs, ModelArgs, maps, report_faults};
+use super::{LikeThingsArgs, ModelArgs, maps, report_faults, report_first_faults};
 use crate::cli::choice::choice;
 use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
 use crate::exit_code;
@@ -190,9 +190,7 @@ fn sensors(
     let fault = |path: &Path, error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", path.display()));
     let rules = SensorRules::load(rules).map_err(|error| Failure::new(exit_code::INPUT, error))?;
     let narrated = rules.narrate_file(log, &Who::Somebody).map_err(|error| Failure::new(exit_code::INPUT, error))?;
-    let faults: Vec<String> =
-        narrated.items.iter().filter_map(|item| item.as_ref().err()).map(ToString::to_string).collect();
-    report_faults(&faults);
+    report_first_faults(narrated.faults.told(), narrated.faults.count());
     let partition = |room: u32| grounding.partitions().iter().position(|p| p.rooms.iter().any(|id| id.0 == room));
     let place = |words: &str| map.find_room(&words.replace('_', " ").to_lowercase()).and_then(|room| partition(room.0));
     let read_intervals = rules.intervals(&read(log)?);
@@ -224,7 +222,7 @@ fn sensors(
     let mut steps = Vec::new();
     // The first sentence has no time before it.
     let mut at_s = narrated.begins_s.unwrap_or(0.0);
-    for item in narrated.items.iter().flatten() {
+    for item in &narrated.items {
         at_s += item.duration_s;
         let Ok(Said::Sentence(sentence)) = said_of(item.kind, &item.text) else { continue };
         let label = mentions.last(sentence.as_str()).filter(|found| !found.is_left).map(|found| found.label);

@@ -31,6 +31,10 @@ const BARE: [&str; 5] = [CHARGER, "wall", "floor", "ceiling", "door"];
 /// How densely places for a piece are tried, in metres; and the most along one side of a room.
 const STEP_M: f64 = 0.1;
 const MOST_STEPS: f64 = 60.0;
+/// Most edges and things that are looked at to find places in a room; a piece for which none are left stands in the middle.
+const MOST_LOOKS: usize = 1 << 24;
+/// Most edges that are looked at to find the rooms of things; where none are left, boxes around footprints say it.
+const MOST_LOOKS_FOR_ROOMS: usize = 1 << 26;
 /// How near a wall a piece stands at it, and how far from a door it keeps, in metres.
 const AT_WALL_M: f64 = 0.15;
 const DOOR_M: f64 = 0.7;
@@ -45,10 +49,29 @@ fn usual(label: &str) -> &'static [Piece] {
 }
 
 /// The room that an item stands in: the one that it shares most with, else one that holds its position.
-fn holder(rooms: &[Room], item: &Item) -> Option<usize> {
-    let shared = rooms.iter().map(|room| room.space.overlap_m3(&item.bounds)).enumerate();
-    let most = shared.filter(|(_, shared_m3)| *shared_m3 > 0.0).max_by(|a, b| a.1.total_cmp(&b.1));
-    most.map(|(room, _)| room).or_else(|| rooms.iter().rposition(|room| room.space.contains(&item.position_m)))
+fn holder(rooms: &[Room], item: &Item, left: &mut usize) -> Option<usize> {
+    // Whether the room's footprint is looked at, beyond the box around it.
+    let mut is_exact = |edges: usize| {
+        let rest = left.checked_sub(edges);
+        *left = rest.unwrap_or(0);
+        rest.is_some()
+    };
+    let shared = rooms.iter().map(|Room { space, .. }| {
+        if is_exact(space.edges_met(&item.bounds)) {
+            space.overlap_m3(&item.bounds)
+        } else {
+            space.bounds.overlap_m3(&item.bounds)
+        }
+    });
+    let most = shared.enumerate().filter(|(_, shared_m3)| *shared_m3 > 0.0).max_by(|a, b| a.1.total_cmp(&b.1));
+    let holds = |Room { space, .. }: &Room| {
+        if is_exact(space.edges_at(&item.position_m)) {
+            space.contains(&item.position_m)
+        } else {
+            space.bounds.contains(&item.position_m)
+        }
+    };
+    most.map(|(room, _)| room).or_else(|| rooms.iter().rposition(holds))
 }
 
 /// Puts pieces into one room.
@@ -56,17 +79,20 @@ struct Furnisher<'a> {
     room: &'a Room,
     doors: Vec<[f64; 2]>,
     taken: Vec<Box3>,
+    /// How many edges and things may still be looked at.
+    left: usize,
 }
 
 impl Furnisher<'_> {
-    fn within(&self, bounds: &Box3) -> bool {
+    fn within(&mut self, bounds: &Box3) -> bool {
+        self.left = self.left.saturating_sub(self.room.space.edges_met(bounds));
         let volume_m3 = bounds.volume_m3();
         self.room.space.overlap_m3(bounds) >= volume_m3 * (1.0 - 1e-6)
     }
 
     /// The best place for a piece of this size on the floor: within the room, on nothing else, at a wall, away from doors.
-    fn place(&self, size_m: [f64; 3]) -> Option<Box3> {
-        let room = &self.room.space.bounds;
+    fn place(&mut self, size_m: [f64; 3]) -> Option<Box3> {
+        let room = self.room.space.bounds;
         let mut best: Option<(u32, Box3)> = None;
         for [width, depth] in [[size_m[0], size_m[1]], [size_m[1], size_m[0]]] {
             let free = [room.size_m()[0] - width, room.size_m()[1] - depth];
@@ -82,6 +108,10 @@ impl Furnisher<'_> {
                     let z = room.min_m[2];
                     let bounds =
                         Box3 { min_m: [x, y, z], max_m: [tidy(x + width), tidy(y + depth), tidy(z + size_m[2])] };
+                    self.left = self.left.saturating_sub(1 + self.taken.len());
+                    if self.left == 0 {
+                        return best.map(|(_, bounds)| bounds);
+                    }
                     if self.taken.iter().any(|other| other.overlap_m3(&bounds) > 0.0) || !self.within(&bounds) {
                         continue;
                     }
@@ -122,7 +152,8 @@ impl Furnisher<'_> {
             return around(below.centre_m(), above, [width, depth]);
         }
         const SMALLER: [f64; 4] = [1.0, 0.7, 0.5, 0.3];
-        let placed = SMALLER.iter().find_map(|part| self.place([part * width, part * depth, height]));
+        let mut parts = SMALLER.iter();
+        let placed = parts.find_map(|part| self.place([part * width, part * depth, height]));
         let bounds = placed.unwrap_or_else(|| around(self.room.space.centre_m(), 0.0, [0.1, 0.1]));
         self.taken.push(bounds);
         bounds
@@ -141,12 +172,13 @@ impl<'a> Standing<'a> {
     fn of(map: &'a SemanticMap) -> Vec<Self> {
         let mut rooms: Vec<Self> =
             map.rooms.iter().map(|_| Self { kinds: BTreeSet::new(), things: Vec::new() }).collect();
+        let mut left = MOST_LOOKS_FOR_ROOMS;
         for item in &map.items {
             let label = map.labels[item.label.0 as usize].as_str();
             if BARE.contains(&label) {
                 continue;
             }
-            if let Some(room) = holder(&map.rooms, item) {
+            if let Some(room) = holder(&map.rooms, item, &mut left) {
                 rooms[room].kinds.insert(label);
                 rooms[room].things.push((label, item.bounds));
             }
@@ -206,7 +238,7 @@ impl Imported {
             let doors = map.doors.iter().filter(|door| door.rooms.iter().any(|joined| joined.0 as usize == index));
             let doors = doors.map(|door| [door.position_m[0], door.position_m[1]]).collect();
             let taken = standing.things.iter().map(|(_, bounds)| *bounds).collect();
-            let mut furnisher = Furnisher { room, doors, taken };
+            let mut furnisher = Furnisher { room, doors, taken, left: MOST_LOOKS };
             for piece in pieces {
                 if let Some((_, bounds)) = standing.things.iter().find(|(label, _)| *label == piece.0) {
                     // What stands on a piece stands on the room's own.
@@ -308,6 +340,28 @@ mod tests {
         assert!(again.notes.iter().any(|note| note.contains("Every room has things")));
     }
 
+    /// However many things stand in a room that lacks some, so many are looked at.
+    #[test]
+    fn what_is_looked_at_to_find_places_is_bounded() {
+        let room = |side_m: f64| Room {
+            id: "room".to_owned(),
+            label: "room".to_owned(),
+            space: Box3 { min_m: [0.0; 3], max_m: [side_m, side_m, 2.5] }.into(),
+        };
+        let thing = Box3 { min_m: [0.0; 3], max_m: [9.0, 9.0, 0.5] };
+        let piece = ("bed".to_owned(), 2.0, 1.6, 0.5, 0.0);
+        let room = room(9.0);
+        let mut furnisher = Furnisher { room: &room, doors: Vec::new(), taken: vec![thing; 100_000], left: MOST_LOOKS };
+        let bounds = furnisher.put(&piece);
+        assert_eq!((bounds.centre_m()[0], furnisher.left), (4.5, 0), "in the middle");
+        let mut furnisher = Furnisher { room: &room, doors: Vec::new(), taken: Vec::new(), left: MOST_LOOKS };
+        furnisher.put(&piece);
+        assert!(furnisher.left > MOST_LOOKS - 100);
+        let item =
+            Item { id: "x".to_owned(), label: LabelId(0), captions: Vec::new(), position_m: [0.5; 3], bounds: thing };
+        assert_eq!(holder(&[room], &item, &mut 0), Some(0));
+    }
+
     /// What a home's devices are is not all that stands in a room.
     #[test]
     fn rooms_with_one_or_two_kinds_of_things_get_what_they_lack_on_request() {
@@ -323,11 +377,11 @@ mod tests {
             file["items"] = labels.iter().map(|label| beside(label)).collect();
             let map = SemanticMap::from_json(&file.to_string()).unwrap();
             let bed = map.items[0].clone();
-            let room = holder(&map.rooms, &bed).unwrap();
+            let room = holder(&map.rooms, &bed, &mut { usize::MAX }).unwrap();
             let imported = Imported { map, notes: Vec::new(), boxed: Vec::new() };
             let Imported { map, notes, .. } =
                 if sparse { imported.furnished_where_sparse() } else { imported.furnished() }.unwrap();
-            let own = map.items.iter().filter(|item| holder(&map.rooms, item) == Some(room));
+            let own = map.items.iter().filter(|item| holder(&map.rooms, item, &mut { usize::MAX }) == Some(room));
             let own: Vec<String> = own.map(|item| item.id.clone()).collect();
             (own, notes.join(" "), map)
         };

@@ -11,8 +11,8 @@ use serde_json::Value;
 use super::{Ids, ImportError, Imported, parse, room_aliases, room_label};
 use crate::names::{Names, plain_words};
 use crate::narration::{Presence, PresenceStatement};
-use crate::semantic_map::schema::{DoorEntry, FORMAT, ItemEntry, RoomEntry, SceneFile, VERSION};
-use crate::semantic_map::{Box3, MAX_TEXT_BYTES, SemanticMap};
+use crate::semantic_map::schema::{DoorEntry, FORMAT, ItemEntry, RoomEntry, SceneFile, VERSION, check_count, check_id};
+use crate::semantic_map::{Box3, MAX_ROOMS, MAX_TEXT_BYTES, SemanticMap};
 use crate::text::is_hidden;
 
 const EXPECTED: &str = "a registry of Home Assistant, from the folder `.storage`";
@@ -25,6 +25,11 @@ const THING_M: f64 = 0.3;
 const APART_M: f64 = 0.5;
 /// The part of topics before domain and object, as `mqtt_statestream` is set up in Home Assistant's own example.
 const BASE_TOPIC: &str = "homeassistant";
+/// Longest name of a device or an entity that is looked at, in bytes.
+const NAME_BYTES_MAX: usize = 1_024;
+/// So many of its words are.
+const NAME_WORDS_MAX: usize = 16;
+
 /// The texts of the registries.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Registries<'a> {
@@ -78,6 +83,24 @@ impl Area {
     fn aliases(&self) -> impl Iterator<Item = &str> {
         self.aliases.as_array().into_iter().flatten().filter_map(Value::as_str)
     }
+
+    /// What is needed of it for each of its entities.
+    fn texts(&self) -> AreaTexts {
+        let label = room_label(&self.name).unwrap_or_default();
+        let mut words = HashSet::new();
+        for text in [self.name.as_str(), &self.id, &label].into_iter().chain(self.aliases()) {
+            words.extend(Names::bare(text).split(' ').map(str::to_owned));
+        }
+        AreaTexts { words, comment: comment(&self.name) }
+    }
+}
+
+/// An area's names, made ready once.
+struct AreaTexts {
+    /// The words of all of them.
+    words: HashSet<String>,
+    /// Its name, for a comment.
+    comment: String,
 }
 
 #[derive(Default, Deserialize)]
@@ -178,13 +201,15 @@ impl Entity {
     }
 
     /// What it is a state of, in plain words; none where it is of no thing.
-    fn thing(&self, domain: &str, object: &str, device: Option<&Device>, area: &Area) -> Option<String> {
+    fn thing(
+        &self,
+        domain: &str,
+        object: &str,
+        device: Option<&Device>,
+        area_words: &HashSet<String>,
+    ) -> Option<String> {
         let device = device.and_then(|device| device.name_by_user.as_deref().or(device.name.as_deref()));
         let texts = [self.name.as_deref(), Some(object), device, self.original_name.as_deref()];
-        let label = room_label(&area.name).unwrap_or_default();
-        let of_area = [area.name.as_str(), &area.id, &label].into_iter().chain(area.aliases());
-        let area_words: HashSet<String> =
-            of_area.flat_map(|text| Names::bare(text).split(' ').map(str::to_owned).collect::<Vec<_>>()).collect();
         let door = ["door", "opening", "garage_door"].contains(&self.class());
         let kind = match domain {
             "light" => Some("lamp"),
@@ -198,7 +223,9 @@ impl Entity {
             "climate" => Some("radiator"),
             _ => None,
         };
-        let found = texts.into_iter().flatten().find_map(|text| thing_in(text, &area_words, kind));
+        // Many entities have one device.
+        let texts = texts.into_iter().flatten().filter(|text| text.len() <= NAME_BYTES_MAX);
+        let found = texts.into_iter().find_map(|text| thing_in(text, area_words, kind));
         found.or_else(|| kind.map(str::to_owned)).filter(|label| label.len() <= MAX_TEXT_BYTES)
     }
 
@@ -246,7 +273,8 @@ fn thing_in(text: &str, area_words: &HashSet<String>, kind: Option<&str>) -> Opt
     let words = names.entities();
     let bare = Names::bare(text);
     let number = |word: &str| word.chars().any(|c| c.is_ascii_digit());
-    let all: Vec<&str> = bare.split(' ').filter(|word| !word.is_empty() && !number(word)).collect();
+    let all: Vec<&str> =
+        bare.split(' ').filter(|word| !word.is_empty() && !number(word)).take(NAME_WORDS_MAX).collect();
     // The longest run of words that is a thing ("apple tv"); single words have to be more than a word of the room.
     let runs = (2..=all.len().min(4)).rev().flat_map(|count| all.windows(count));
     if let Some(known) = runs.map(|run| run.join(" ")).find_map(|run| of_kind(names.thing(&run)?, kind)) {
@@ -383,15 +411,19 @@ fn rooms(
     // An area without a floor is on the ground, which is rather above a cellar than in it.
     let height = |place: &usize| (order[*place].0.unsigned_abs(), order[*place].0 < 0);
     let ground = (0..order.len()).min_by_key(height).unwrap_or(0);
-    let storey = |area: &Area| {
-        let own = area.floor_id.as_deref();
-        order.iter().position(|(_, floor)| Some(*floor) == own).unwrap_or(ground)
-    };
+    let mut place_of: HashMap<&str, usize> = HashMap::new();
+    for (place, (_, floor)) in order.iter().enumerate() {
+        place_of.entry(floor).or_insert(place);
+    }
+    let mut storeys: Vec<Vec<&Area>> = vec![Vec::new(); order.len().max(1)];
+    for area in areas {
+        let own = area.floor_id.as_deref().and_then(|floor| place_of.get(floor).copied());
+        storeys[own.unwrap_or(ground)].push(area);
+    }
     let (mut rooms, mut doors) = (Vec::new(), Vec::new());
     let mut named = Vec::new();
     let mut below: Option<(String, [f64; 3])> = None;
-    for level in 0..order.len().max(1) {
-        let own: Vec<&Area> = areas.iter().filter(|area| storey(area) == level).collect();
+    for (level, own) in storeys.iter().enumerate() {
         let columns = (own.len() as f64).sqrt().ceil().max(1.0) as usize;
         for (place, area) in own.iter().enumerate() {
             let (column, row) = (place % columns, place / columns);
@@ -437,6 +469,9 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
         let remedy = "make areas in Home Assistant (Settings, Areas) and assign devices to them";
         return Err(ImportError::NoRooms { remedy });
     }
+    // Before rooms are made of them: what comes later takes time for each.
+    check_count("rooms", areas.len(), MAX_ROOMS)?;
+    areas.iter().enumerate().try_for_each(|(index, area)| check_id("rooms", index, &area.id))?;
     let floors: Floors = registry("core.floor_registry", registries.floors)?;
     let Devices { devices } = registry("core.device_registry", registries.devices)?;
     let Entities { entities } = registry("core.entity_registry", registries.entities)?;
@@ -448,7 +483,8 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
     let place_of: HashMap<&str, usize> = areas.iter().enumerate().map(|(place, area)| (&*area.id, place)).collect();
     let box_of: HashMap<&str, Box3> = rooms.iter().filter_map(|room| Some((&*room.id, room.r#box?))).collect();
     let (mut ids, mut items, mut rules) = (Ids::default(), Vec::new(), Rules::default());
-    let mut things: BTreeMap<(usize, String), usize> = BTreeMap::new();
+    let texts: Vec<AreaTexts> = areas.iter().map(Area::texts).collect();
+    let mut things: HashSet<(usize, String)> = HashSet::new();
     let mut count_in: HashMap<usize, usize> = HashMap::new();
     let mut homeless = 0;
     for entity in &entities {
@@ -469,11 +505,11 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
             homeless += 1;
             continue;
         };
-        let area = &areas[place];
+        let (area, texts) = (&areas[place], &texts[place]);
         let says_somebody = matches!(entity.says(domain, None), Says::Somebody);
-        let thing = if says_somebody { None } else { entity.thing(domain, object, device, area) };
+        let thing = if says_somebody { None } else { entity.thing(domain, object, device, &texts.words) };
         if let Some(label) = thing.clone().filter(|label| label.to_lowercase() == *label)
-            && !things.contains_key(&(place, label.clone()))
+            && !things.contains(&(place, label.clone()))
             && let Some(bounds) = box_of.get(&*area.id)
         {
             let number = count_in.entry(place).or_default();
@@ -486,7 +522,7 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
                 bounds.min_m[2],
             ];
             let own = Box3 { min_m, max_m: min_m.map(|metres| metres + THING_M) };
-            things.insert((place, label.clone()), items.len());
+            things.insert((place, label.clone()));
             items.push(ItemEntry {
                 id: ids.take(&label),
                 label,
@@ -499,11 +535,11 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
             Says::Nothing => {}
             Says::Somebody if !is_room(&area.id) => {}
             Says::Somebody => {
-                rules.about(&format!("{}, in {}", entity.entity_id, area.name));
+                rules.about(&format!("{}, in {}", entity.entity_id, texts.comment));
                 rules.rule(domain, object, &[("when", "on"), ("presence", "present"), ("room", &area.id)]);
             }
             Says::Sentences(sentences) => {
-                rules.about(&format!("{}, in {}", entity.entity_id, area.name));
+                rules.about(&format!("{}, in {}", entity.entity_id, texts.comment));
                 for (when, say) in &sentences {
                     rules.rule(domain, object, &[("when", when), ("say", say)]);
                 }
@@ -512,16 +548,21 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
     }
     // Persons of the page of persons, then those of configuration.yaml, which the registry of entities alone knows.
     let of_registry = |entity: &'_ Entity| entity.entity_id.strip_prefix("person.").map(str::to_owned);
+    let mut registered: HashMap<&str, &Entity> = HashMap::new();
+    for entity in &entities {
+        if let Some(id) = entity.unique_id.as_str() {
+            registered.entry(id).or_insert(entity);
+        }
+    }
     let mut people: Vec<(String, String)> = Vec::new();
     for person in &persons {
-        let registered = entities.iter().find(|entity| entity.unique_id.as_str() == Some(&*person.id));
+        let registered = registered.get(&*person.id).copied();
         let object = registered.and_then(of_registry).unwrap_or_else(|| slug(&person.name));
         people.push((object, comment(&person.name).trim().to_owned()));
     }
+    let mut known: HashSet<String> = people.iter().map(|(object, _)| object.clone()).collect();
     for entity in &entities {
-        let Some(object) = of_registry(entity).filter(|object| !people.iter().any(|(known, _)| known == object)) else {
-            continue;
-        };
+        let Some(object) = of_registry(entity).filter(|object| known.insert(object.clone())) else { continue };
         let name = entity.name.as_deref().or(entity.original_name.as_deref()).unwrap_or(&object);
         let name = comment(name).trim().to_owned();
         people.push((object, name));
@@ -796,6 +837,48 @@ mod tests {
         ] {
             assert_eq!(thing_in(text, &area_words, kind).as_deref(), expected, "{text}");
         }
+    }
+
+    /// Rows "floors times areas" and "entities times aliases" of the attacks: what is too much is refused before rooms are made of it, and
+    /// what is not is looked at once.
+    #[test]
+    fn large_registries_are_refused_or_read_once() {
+        let area = |index: usize, aliases: usize| {
+            let aliases: Vec<String> = (0..aliases).map(|alias| format!("alias {index} {alias}")).collect();
+            serde_json::json!({"id": format!("a{index}"), "name": format!("room {index}"), "floor_id": "f63", "aliases": aliases})
+        };
+        let areas = |count: usize, aliases: usize| {
+            let list: Vec<Value> = (0..count).map(|index| area(index, aliases)).collect();
+            serde_json::json!({"data": {"areas": list}}).to_string()
+        };
+        let read = |areas: &str, floors: &str, entities: &str| {
+            let registries =
+                Registries { areas, floors: Some(floors), entities: Some(entities), ..Registries::default() };
+            home_assistant(&registries, "x")
+        };
+        // The registry of floors is none: it is not even read.
+        let error = read(&areas(65, 0), "no registry", "").unwrap_err().to_string();
+        assert!(error.contains("65 entries, more than 64"), "{error}");
+        let long = areas(1, 0).replace("\"a0\"", &format!("\"{}\"", "a".repeat(129)));
+        let error = read(&long, "no registry", "").unwrap_err().to_string();
+        assert!(error.contains("`id`: is 129 bytes long"), "{error}");
+
+        let floor = |index: usize| serde_json::json!({"floor_id": format!("f{index}"), "level": index});
+        let floors = serde_json::json!({"data": {"floors": (0..64).map(floor).collect::<Vec<_>>()}}).to_string();
+        let entity = |index: usize| serde_json::json!({"entity_id": format!("light.alias_{index}_lamp"), "area_id": "a0", "unique_id": index.to_string()});
+        let entities: Vec<Value> = (0..20_000).map(entity).collect();
+        let entities = serde_json::json!({"data": {"entities": entities}}).to_string();
+        let home = read(&areas(1, 20_000), &floors, &entities).unwrap();
+        assert_eq!(home.imported.map.items.len(), 1, "all of them are the lamp of the room");
+        assert_eq!(home.imported.map.aliases.values().map(Vec::len).sum::<usize>(), 1_000);
+        let long = "fridge ".repeat(200);
+        let named = entities.replace("light.alias_0_lamp", "switch.x1").replacen(
+            "\"area_id\"",
+            &format!("\"name\": \"{long}\", \"area_id\""),
+            1,
+        );
+        let home = read(&areas(1, 0), &floors, &named).unwrap();
+        assert!(home.imported.map.find_label("fridge").is_none(), "a name as long as that names nothing");
     }
 
     #[test]

@@ -116,23 +116,26 @@ fn room_label(name: &str) -> Option<String> {
 fn room_aliases(rooms: &[RoomEntry], named: Vec<(usize, String)>) -> BTreeMap<String, Vec<String>> {
     let named: Vec<(usize, String)> =
         named.into_iter().filter_map(|(place, name)| Some((place, room_words(&name)?))).collect();
+    // The one room of a name; none where it is that of several.
+    let mut room_of: HashMap<&str, Option<usize>> = HashMap::new();
+    for (place, name) in &named {
+        let own = room_of.entry(name).or_insert(Some(*place));
+        *own = own.filter(|own| own == place);
+    }
+    let is_own = |room: &RoomEntry| rooms.iter().all(|other| other.id == room.id || other.label != room.label);
+    let key = |room: &RoomEntry| if is_own(room) { room.label.clone() } else { room.id.clone() };
+    let keys: Vec<Option<String>> =
+        rooms.iter().map(|room| Some(key(room)).filter(|key| schema::check_label(key).is_ok())).collect();
     let mut aliases = BTreeMap::<String, Vec<String>>::new();
     let mut left = MAX_ALIASES;
+    let mut known = HashSet::new();
     for (place, name) in &named {
-        let room = &rooms[*place];
-        let is_shared = named.iter().any(|(other, same)| other != place && same == name);
-        let is_own = rooms.iter().all(|other| other.id == room.id || other.label != room.label);
-        let key = if is_own { &room.label } else { &room.id };
-        if left == 0 || is_shared || *name == room.label || schema::check_label(key).is_err() {
-            continue;
-        }
-        let own = aliases.entry(key.clone()).or_default();
-        if !own.contains(name) {
-            own.push(name.clone());
+        let Some(key) = keys[*place].as_ref().filter(|_| room_of[name.as_str()].is_some()) else { continue };
+        if left > 0 && *name != rooms[*place].label && known.insert(name) {
+            aliases.entry(key.clone()).or_default().push(name.clone());
             left -= 1;
         }
     }
-    aliases.retain(|_, others| !others.is_empty());
     aliases
 }
 

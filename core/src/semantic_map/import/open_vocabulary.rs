@@ -18,9 +18,10 @@ use serde_json::{Map, Value};
 use super::{Ids, ImportError, Imported, parse, words};
 use crate::semantic_map::footprint::Footprint;
 use crate::semantic_map::schema::{
-    CaptionEntry, FORMAT, ItemEntry, MAX_CAPTIONS, Rings, RoomEntry, SHARE_MIN, SceneFile, VERSION,
+    CaptionEntry, CornersLeft, FORMAT, ItemEntry, MAX_CAPTIONS, Rings, RoomEntry, SHARE_MIN, SceneFile, VERSION,
+    check_count,
 };
-use crate::semantic_map::{Box3, MAX_TEXT_BYTES, SemanticMap};
+use crate::semantic_map::{Box3, MAX_ROOMS, MAX_TEXT_BYTES, SemanticMap};
 
 const EXPECTED: &str = "an open-vocabulary map: `objects` and `rooms`, or ConceptGraphs' object file";
 /// Height of a room whose polygon comes without one, in metres.
@@ -278,7 +279,9 @@ pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, Impor
 
     let mut room_ids = Ids::default();
     let mut rooms = Vec::new();
+    let mut corners = CornersLeft::new();
     for (index, room) in room_list.iter().enumerate() {
+        check_count("rooms", rooms.len(), MAX_ROOMS)?;
         let Some(bounds) = room.bounds(up) else {
             notes.push(format!("Left out rooms[{index}]: it has neither a box nor vertices."));
             continue;
@@ -289,7 +292,9 @@ pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, Impor
         let id = room_ids.take(&label);
         let outline =
             || -> Rings { vec![room.corners(up).unwrap_or_default().iter().map(|&[x, y, _]| [x, y]).collect()] };
-        let footprint = Some(outline()).filter(|_| !room.is_box(&bounds, up));
+        let footprint = if room.is_box(&bounds, up) { None } else { Some(outline()) };
+        // Also of those that turn out to be none.
+        footprint.iter().try_for_each(|rings| corners.take("rooms", index, &id, rings))?;
         rooms.push(match footprint {
             Some(rings) if Footprint::new(&rings).is_ok() => {
                 RoomEntry::outlined(id, label, rings, bounds.min_m[2], bounds.size_m()[2])
@@ -398,6 +403,28 @@ mod tests {
         assert_eq!(map.rooms[0].space.bounds, Box3 { min_m: [0.0, -5.0, 0.0], max_m: [4.0, -1.0, 3.2] });
         assert_eq!(map.items[0].bounds, Box3 { min_m: [1.0, -4.0, 0.0], max_m: [3.0, -2.0, 0.6] });
         assert!(Grounding::new(&map, &GroundingOptions::default()).unwrap().unassigned.is_empty());
+    }
+
+    /// Outlines that are none are refused before they are looked at, where all of them have more corners than a map.
+    #[test]
+    fn polygons_of_too_many_corners_are_refused_at_once() {
+        let crossed = |corners: usize| {
+            let zigzag = (0..corners - 2).map(|at| [(at % 2) as f64, at as f64 * 1e-3]);
+            serde_json::json!({"name": "room", "vertices": zigzag.chain([[-1.0, -1.0], [2.0, 9.0]]).collect::<Vec<_>>()})
+        };
+        let imported =
+            |rooms: Vec<Value>| open_vocabulary(&serde_json::json!({"rooms": rooms}).to_string(), "x", Up::Z);
+        let few = imported((0..10).map(|_| crossed(1_000)).collect()).unwrap();
+        assert_eq!(few.boxed.len(), 10, "they meet themselves");
+        let message = |rooms: Vec<Value>| imported(rooms).unwrap_err().to_string();
+        let many = message((0..11).map(|_| crossed(1_000)).collect());
+        assert!(
+            many.contains("rooms[10] (\"room-11\"), `footprint`: the map's footprints have more than 10000"),
+            "{many}"
+        );
+        assert!(message(vec![crossed(60_000)]).contains("more than 10000 corners; simplify"));
+        let rooms = message((0..9_000).map(|_| crossed(3)).collect());
+        assert!(rooms.contains("65 entries, more than 64"), "{rooms}");
     }
 
     #[test]

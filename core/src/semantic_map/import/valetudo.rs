@@ -6,7 +6,7 @@
 //! The frame is the robot's own, in metres, with y turned, so that the plan is not its mirror image: x is Valetudo's x / 100, y its
 //! -y / 100.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, HashMap};
 
 use serde::Deserialize;
 use serde_json::Value;
@@ -14,7 +14,9 @@ use serde_json::Value;
 use super::{Ids, ImportError, Imported, parse, room_aliases, room_label, room_words};
 use crate::names::Names;
 use crate::semantic_map::footprint::{Footprint, MAX_CORNERS};
-use crate::semantic_map::schema::{DoorEntry, FORMAT, ItemEntry, ROOM_HEIGHT_M, Rings, RoomEntry, SceneFile, VERSION};
+use crate::semantic_map::schema::{
+    DoorEntry, FARTHEST_M, FORMAT, ItemEntry, ROOM_HEIGHT_M, Rings, RoomEntry, SceneFile, VERSION,
+};
 use crate::semantic_map::{Box3, MAX_ROOMS, SemanticMap};
 
 const EXPECTED: &str = "a map as Valetudo exports it: `pixelSize` and `layers`";
@@ -26,10 +28,12 @@ pub const MAX_ROOM_PIXELS: usize = 4 * MAX_PIXELS;
 pub(crate) const TOLERANCE_M: f64 = 0.1;
 /// Most corners of all outlines before they are simplified.
 const MAX_STEPS: usize = 50_000;
+/// Most corners that are looked at to simplify them, over all tries. Only outlines of noise take more, and become boxes.
+const MAX_LOOKS: usize = 1 << 26;
 /// How often pixels that meet at a corner are looked for.
 const JOINING_ROUNDS: usize = 64;
 /// How far slits are looked for, in pixels.
-const MAX_REACH: i64 = 8;
+const MAX_REACH: usize = 8;
 /// Pixels farther from the origin than this are none.
 const FARTHEST: i64 = 1_000_000;
 /// How far two segments may lie apart at a door, in metres: robots leave a strip between them.
@@ -126,7 +130,8 @@ struct Raster {
 }
 
 impl Raster {
-    fn new(layers: &[(u8, Runs)]) -> Result<Self, ImportError> {
+    fn new(layers: &[(u8, Runs)], pixel_m: f64) -> Result<Self, ImportError> {
+        let fault = |message: String| ImportError::Json { element: "layers".to_owned(), message, expected: EXPECTED };
         let all = || layers.iter().flat_map(|(_, runs)| runs).filter(|(_, count)| *count > 0);
         let (mut min, mut max) = ([i64::MAX; 2], [i64::MIN; 2]);
         for &([x, y], count) in all() {
@@ -136,10 +141,13 @@ impl Raster {
         if min[0] > max[0] {
             return Err(ImportError::NoRooms { remedy: "the layers have no pixels; let the robot map the home first" });
         }
+        // No map reaches farther, so that tracing it would be for nothing.
+        if let Some(far) = min.into_iter().chain(max).find(|place| (*place as f64 * pixel_m).abs() > FARTHEST_M) {
+            return Err(fault(format!("has pixels at {far}, which lie farther than 10 km from the origin")));
+        }
         let size = [0, 1].map(|axis| usize::try_from(max[axis] - min[axis] + 1).unwrap_or(usize::MAX));
         let count = size[0].checked_mul(size[1]).filter(|count| *count <= MAX_PIXELS).ok_or_else(|| {
-            let message = format!("the map is {} x {} pixels, more than {MAX_PIXELS} in all", size[0], size[1]);
-            ImportError::Json { element: "layers".to_owned(), message, expected: EXPECTED }
+            fault(format!("the map is {} x {} pixels, more than {MAX_PIXELS} in all", size[0], size[1]))
         })?;
         let mut raster = Self { min, size, cells: vec![FREE; count] };
         for (mark, runs) in layers {
@@ -255,18 +263,29 @@ impl Mask {
         })
     }
 
-    /// For every pixel whether one within `reach` along an axis is set, or, with `all`, whether all are.
-    fn spread(&self, axis: usize, reach: i64, all: bool) -> Vec<bool> {
-        let step = |at: Cell, by: i64| if axis == 0 { [at[0] + by, at[1]] } else { [at[0], at[1] + by] };
-        let decide = |place: usize| {
-            let mut around = (-reach..=reach).map(|by| self.has(step(self.at(place), by)));
-            if all { around.all(|set| set) } else { around.any(|set| set) }
-        };
-        (0..self.set.len()).map(decide).collect()
+    /// For every pixel whether one within `reach` along an axis is set, or, with `all`, whether all are. Beyond the mask none is.
+    fn spread(&self, axis: usize, reach: usize, all: bool) -> Vec<bool> {
+        let [width, height] = self.size;
+        let (lines, count, line_step, step) =
+            if axis == 0 { (height, width, width, 1) } else { (width, height, 1, width) };
+        // Whether one that decides is near: one that is set or, with `all`, one that is not.
+        let mut near = vec![false; self.set.len()];
+        for line in 0..lines {
+            for back in [false, true] {
+                // How many pixels ago one that decides was.
+                let mut since = if all { 0 } else { reach };
+                for index in 0..count {
+                    let place = line * line_step + step * if back { count - 1 - index } else { index };
+                    since = if self.set[place] != all { 0 } else { since + 1 };
+                    near[place] |= since <= reach;
+                }
+            }
+        }
+        near.into_iter().map(|near| near != all).collect()
     }
 
     /// Pixels that are free in slits no wider than twice the reach: set after all were spread and drawn in again.
-    fn slits(&self, reach: i64) -> Vec<Cell> {
+    fn slits(&self, reach: usize) -> Vec<Cell> {
         let mut closed = Self { min: self.min, size: self.size, set: self.set.clone() };
         for all in [false, true] {
             for axis in [0, 1] {
@@ -282,17 +301,27 @@ impl Mask {
     /// Fills one of the free pixels wherever two pixels meet at a corner only, so that no outline touches itself.
     fn join_corners(&mut self) {
         // A filled pixel can meet another at its corner; more rounds than a map of rooms needs make a raster of noise a box.
+        // After the first round, only where something was filled.
+        let mut looked_at = vec![false; self.set.len()];
         for _ in 0..JOINING_ROUNDS {
             let mut filled = false;
             for place in 0..self.set.len() {
+                if std::mem::replace(&mut looked_at[place], true) {
+                    continue;
+                }
                 let [x, y] = self.at(place);
                 let [a, b, c, d] = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]].map(|cell| self.has(cell));
-                if a && d && !b && !c {
-                    self.put([x + 1, y]);
-                    filled = true;
-                } else if b && c && !a && !d {
-                    self.put([x, y]);
-                    filled = true;
+                let [x, y] = match (a && d && !b && !c, b && c && !a && !d) {
+                    (true, _) => [x + 1, y],
+                    (_, true) => [x, y],
+                    _ => continue,
+                };
+                self.put([x, y]);
+                filled = true;
+                for near in [[x, y], [x - 1, y], [x, y - 1], [x - 1, y - 1]] {
+                    if let Some(near) = self.place(near) {
+                        looked_at[near] = false;
+                    }
                 }
             }
             if !filled {
@@ -335,8 +364,8 @@ impl Mask {
     }
 }
 
-/// The corners that an outline needs to stay within the tolerance (Douglas and Peucker's).
-fn simplified(ring: &[[f64; 2]], tolerance_m: f64) -> Vec<[f64; 2]> {
+/// The corners that an outline needs to stay within the tolerance (Douglas and Peucker's). None where more are looked at than are left.
+fn simplified(ring: &[[f64; 2]], tolerance_m: f64, left: &mut usize) -> Option<Vec<[f64; 2]>> {
     let count = ring.len();
     let apart = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
     let far = (0..count).max_by(|&a, &b| apart(ring[0], ring[a]).total_cmp(&apart(ring[0], ring[b]))).unwrap_or(0);
@@ -344,6 +373,10 @@ fn simplified(ring: &[[f64; 2]], tolerance_m: f64) -> Vec<[f64; 2]> {
     (kept[0], kept[far]) = (true, true);
     let mut stretches = vec![(0, far), (far, count)];
     while let Some((from, to)) = stretches.pop() {
+        let rest = left.checked_sub(to - from);
+        // Without a rest, nothing shorter is tried either.
+        *left = rest.unwrap_or(0);
+        rest?;
         let (a, b) = (ring[from], ring[to % count]);
         let length = apart(a, b);
         let off = |index: usize| {
@@ -356,7 +389,7 @@ fn simplified(ring: &[[f64; 2]], tolerance_m: f64) -> Vec<[f64; 2]> {
             stretches.extend([(from, worst), (worst, to)]);
         }
     }
-    (0..count).filter(|index| kept[*index]).map(|index| ring[index]).collect()
+    Some((0..count).filter(|index| kept[*index]).map(|index| ring[index]).collect())
 }
 
 /// To a tenth of a millimetre.
@@ -364,27 +397,37 @@ fn tidy(metres: f64) -> f64 {
     (metres * 1e4).round() / 1e4
 }
 
-/// Outlines in metres that are a footprint, as simple as the tolerance allows.
-fn footprint(outlines: &[Vec<Cell>], pixel_m: f64, tolerance_m: f64) -> Option<Rings> {
+/// The outlines of a room, and the share of its pixels that lies apart from them; none where it has no pixels.
+type Traced = Option<(Vec<Vec<Cell>>, f64)>;
+
+/// The rooms' outlines in metres, each a footprint as simple as the tolerance allows, or none where it is no footprint. None at all where
+/// the map has too many corners then, or where more are looked at than are left.
+fn footprints(traced: &[Traced], pixel_m: f64, tolerance_m: f64, left: &mut usize) -> Option<Vec<Option<Rings>>> {
     let metres = |ring: &Vec<Cell>| -> Vec<[f64; 2]> {
         ring.iter().map(|&[x, y]| [x as f64 * pixel_m, -y as f64 * pixel_m]).collect()
     };
-    let rings: Rings = outlines.iter().map(metres).collect();
-    for part in [1.0, 0.5, 0.25, 0.0] {
-        let simple: Rings = rings.iter().map(|ring| simplified(ring, part * tolerance_m)).collect();
-        if let Ok(footprint) = Footprint::new(&simple) {
-            return Some(
-                footprint.rings().iter().map(|ring| ring.iter().map(|corner| corner.map(tidy)).collect()).collect(),
-            );
+    let mut corners = MAX_CORNERS;
+    let mut footprint = |outlines: &[Vec<Cell>]| -> Option<Option<Rings>> {
+        let rings: Rings = outlines.iter().map(metres).collect();
+        for part in [1.0, 0.5, 0.25, 0.0] {
+            let simple = rings.iter().map(|ring| simplified(ring, part * tolerance_m, left));
+            let simple: Rings = simple.collect::<Option<_>>()?;
+            let rest = corners.checked_sub(simple.iter().map(Vec::len).sum())?;
+            if let Ok(footprint) = Footprint::new(&simple) {
+                corners = rest;
+                let tidy = |ring: &Vec<[f64; 2]>| ring.iter().map(|corner| corner.map(tidy)).collect();
+                return Some(Some(footprint.rings().iter().map(tidy).collect()));
+            }
         }
-    }
-    None
+        Some(None)
+    };
+    traced.iter().map(|traced| traced.as_ref().map_or(Some(None), |(outlines, _)| footprint(outlines))).collect()
 }
 
 /// The outlines of a segment: of its largest piece, with slits closed, the outer one first, with holes only where other segments lie in it.
 /// None where a rectangle around it has more pixels than are left.
-fn outlines(raster: &Raster, mark: u8, largest: &[Cell], reach: i64, left: &mut usize) -> Option<Vec<Vec<Cell>>> {
-    let mut mask = Mask::around(largest, 2 * reach + 1, left)?;
+fn outlines(raster: &Raster, mark: u8, largest: &[Cell], reach: usize, left: &mut usize) -> Option<Vec<Vec<Cell>>> {
+    let mut mask = Mask::around(largest, 2 * reach as i64 + 1, left)?;
     let corner = mask.min;
     for slit in mask.slits(reach) {
         if [FREE, WALL, mark].contains(&raster.get(slit)) {
@@ -406,8 +449,8 @@ fn outlines(raster: &Raster, mark: u8, largest: &[Cell], reach: i64, left: &mut 
 }
 
 /// Where segments lie side by side without a wall between: per two of them, the pixels there.
-fn contacts(raster: &Raster, gap: i64) -> BTreeMap<(u8, u8), BTreeSet<Cell>> {
-    let mut contacts: BTreeMap<(u8, u8), BTreeSet<Cell>> = BTreeMap::new();
+fn contacts(raster: &Raster, gap: i64) -> BTreeMap<(u8, u8), Vec<Cell>> {
+    let mut contacts: BTreeMap<(u8, u8), Vec<Cell>> = BTreeMap::new();
     for ([x, y], mark) in raster.cells().filter(|(_, mark)| ![FREE, WALL].contains(mark)) {
         for [right, down] in [[1, 0], [0, 1]] {
             for step in 1..=gap + 1 {
@@ -417,7 +460,7 @@ fn contacts(raster: &Raster, gap: i64) -> BTreeMap<(u8, u8), BTreeSet<Cell>> {
                     other => {
                         if other != mark {
                             let pair = (mark.min(other), mark.max(other));
-                            contacts.entry(pair).or_default().insert([x + step * right / 2, y + step * down / 2]);
+                            contacts.entry(pair).or_default().push([x + step * right / 2, y + step * down / 2]);
                         }
                         break;
                     }
@@ -428,17 +471,29 @@ fn contacts(raster: &Raster, gap: i64) -> BTreeMap<(u8, u8), BTreeSet<Cell>> {
     contacts
 }
 
-/// The largest cluster of pixels, its middle, and how far it reaches in pixels.
-fn widest(mut cells: BTreeSet<Cell>) -> Option<(Cell, i64)> {
+/// The largest cluster of pixels of a raster, its middle, and how far it reaches in pixels. `waiting` has a place for each of the raster's
+/// pixels, none of them set, before and after.
+fn widest(raster: &Raster, mut cells: Vec<Cell>, waiting: &mut [bool]) -> Option<(Cell, i64)> {
     const NEAR: i64 = 2;
+    cells.sort_unstable();
+    let mut set =
+        |cell: Cell, to: bool| raster.place(cell).is_some_and(|place| std::mem::replace(&mut waiting[place], to));
+    for cell in &cells {
+        set(*cell, true);
+    }
     let mut best: Option<(Cell, i64)> = None;
-    while let Some(first) = cells.pop_first() {
-        let mut cluster = vec![first];
+    let mut cluster = Vec::new();
+    for first in cells {
+        if !set(first, false) {
+            continue;
+        }
+        cluster.clear();
+        cluster.push(first);
         let mut next = 0;
         while next < cluster.len() {
-            let [x, y] = cluster[next];
+            let [x, y]: Cell = cluster[next];
             for near in (-NEAR..=NEAR).flat_map(|right| (-NEAR..=NEAR).map(move |down| [x + right, y + down])) {
-                if cells.remove(&near) {
+                if set(near, false) {
                     cluster.push(near);
                 }
             }
@@ -524,7 +579,7 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
     }
     // Walls first: what a segment claims is floor.
     layers.sort_by_key(|(mark, _)| u8::from(*mark != WALL));
-    let raster = Raster::new(&layers)?;
+    let raster = Raster::new(&layers, pixel_m)?;
 
     let number_of = |index: usize| {
         let given = text_of(&segments[index].about.segment).filter(|_| divided);
@@ -537,9 +592,9 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
         return Err(ImportError::Names { unknown: unknown.clone(), there: numbers });
     }
 
-    let mut traced = Vec::new();
+    let mut traced: Vec<Traced> = Vec::new();
     let mut steps = 0;
-    let reach = ((TOLERANCE_M / pixel_m).round() as i64).clamp(0, MAX_REACH);
+    let reach = ((TOLERANCE_M / pixel_m).round() as usize).min(MAX_REACH);
     let (mut pieces, mut left) = (raster.largest_pieces(), MAX_ROOM_PIXELS);
     for mark in (1u8..).take(segments.len()) {
         let Some((largest, count)) = pieces.remove(&mark) else {
@@ -564,19 +619,16 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
     let words: Vec<Option<String>> = given.iter().map(|given| given.as_deref().and_then(room_words)).collect();
     let labels: Vec<Option<String>> = given.iter().map(|given| given.as_deref().and_then(room_label)).collect();
     let mut room_of: HashMap<u8, String> = HashMap::new();
-    let mut shapes: Vec<Option<Rings>>;
-    loop {
-        let shape = |traced: &Option<(Vec<Vec<Cell>>, f64)>| {
-            let (outlines, _) = traced.as_ref().filter(|_| tolerance_m.is_finite())?;
-            footprint(outlines, pixel_m, tolerance_m)
-        };
-        shapes = traced.iter().map(shape).collect();
-        let corners: usize = shapes.iter().flatten().flatten().map(Vec::len).sum();
-        if corners <= MAX_CORNERS {
-            break;
+    let mut left = MAX_LOOKS;
+    let shapes = loop {
+        if !tolerance_m.is_finite() {
+            break vec![None; traced.len()];
         }
-        tolerance_m = if tolerance_m < 1.0 { 2.0 * tolerance_m } else { f64::INFINITY };
-    }
+        if let Some(shapes) = footprints(&traced, pixel_m, tolerance_m, &mut left) {
+            break shapes;
+        }
+        tolerance_m = if tolerance_m < 1.0 && left > 0 { 2.0 * tolerance_m } else { f64::INFINITY };
+    };
     for (index, (traced, shape)) in traced.iter().zip(shapes).enumerate() {
         let number = &numbers[index];
         let Some((outlines, lost)) = traced else {
@@ -621,9 +673,12 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
 
     let mut doors = Vec::new();
     let gap = (GAP_M / pixel_m).round() as i64;
+    let mut waiting = vec![false; raster.cells.len()];
     for ((a, b), cells) in contacts(&raster, gap) {
         let (Some(a), Some(b)) = (room_of.get(&a), room_of.get(&b)) else { continue };
-        let Some(([x, y], _)) = widest(cells).filter(|(_, length)| *length as f64 * pixel_m >= DOOR_M) else {
+        let Some(([x, y], _)) =
+            widest(&raster, cells, &mut waiting).filter(|(_, length)| *length as f64 * pixel_m >= DOOR_M)
+        else {
             continue;
         };
         let position_m = [tidy((x as f64 + 0.5) * pixel_m), tidy(-(y as f64 + 0.5) * pixel_m), 1.0];
@@ -881,11 +936,70 @@ mod tests {
             (layer("[1, 2, 99999999999]"), "more than 4000000 pixels"),
             (layer("[0, 0, 9000000, 0, 1, 9000000]"), "more than 4000000 pixels"),
             (layer("[-9000000, 0, 1]"), "lies too far out"),
-            (layer("[0, 0, 1, 900000, 900000, 1]"), "900001 x 900001 pixels"),
+            (layer("[0, 0, 1, 19000, 19000, 1]"), "19001 x 19001 pixels"),
+            (layer("[0, 0, 1, 900000, 0, 1]"), "pixels at 900000, which lie farther than 10 km"),
         ] {
             let text = message(&json);
             assert!(text.contains(expected), "{expected}: {text}");
         }
+    }
+
+    /// Rows of one segment, every other one a pixel longer: an outline of as many teeth as rows.
+    fn teeth(rows: usize, pixel_cm: f64) -> String {
+        let runs: Vec<usize> = (0..rows).flat_map(|row| [0, row, 1 + row % 2]).collect();
+        let layer = serde_json::json!({"type": "segment", "metaData": {"segmentId": "1"}, "compressedPixels": runs});
+        serde_json::json!({"pixelSize": pixel_cm, "layers": [layer]}).to_string()
+    }
+
+    /// What lies too far out is refused before names are compared, and so before anything is traced.
+    #[test]
+    fn a_map_beyond_10_km_is_refused_before_it_is_traced() {
+        let unknown = segment_names("4 = \"attic\"").unwrap();
+        let error = valetudo(&teeth(24_800, 100.0), "x", &unknown).unwrap_err().to_string();
+        assert!(error.contains("pixels at 24799, which lie farther than 10 km"), "{error}");
+        assert!(matches!(valetudo(&teeth(100, 100.0), "x", &unknown), Err(ImportError::Names { .. })));
+    }
+
+    #[test]
+    fn what_is_looked_at_to_simplify_outlines_is_bounded() {
+        // Teeth that become shorter: each stretch is divided at its end.
+        let worst: Vec<[f64; 2]> =
+            (0..4_000).map(|at| [at as f64, 4e4 * (at % 2) as f64 / (1.0 + at as f64)]).collect();
+        let mut left = MAX_LOOKS;
+        assert!(simplified(&worst, 1e-3, &mut left).is_some());
+        let looked = MAX_LOOKS - left;
+        assert!(looked > 1_000_000, "{looked}");
+        let mut left = looked - 1;
+        assert_eq!((simplified(&worst, 1e-3, &mut left), left), (None, 0));
+        assert_eq!((simplified(&worst, 1e-3, &mut left), left), (None, 0), "nor is anything else looked at");
+        // A real outline takes little of it.
+        let mut left = MAX_LOOKS;
+        let traced = |rows: usize| {
+            let ring: Vec<Cell> = (0..rows as i64).flat_map(|row| [[row % 2, row], [row % 2, row + 1]]).collect();
+            Some((vec![[vec![[-9, 0]], ring, vec![[-9, rows as i64]]].concat()], 0.0))
+        };
+        assert!(footprints(&[traced(1_000)], 0.05, 0.1, &mut left).unwrap()[0].is_some());
+        assert!(MAX_LOOKS - left < 1_000_000, "{left}");
+        // More corners than a map may have; and then nothing is left to look.
+        assert_eq!(footprints(&[traced(5_000), traced(5_000)], 0.3, 0.1, &mut left), None);
+        assert_eq!(footprints(&[traced(1_000)], 0.05, 0.1, &mut 1_000), None);
+        // Whatever the outline, a map comes of it.
+        let map = valetudo(&teeth(24_800, 39.0), "x", &none()).unwrap();
+        assert_eq!(map.map.rooms.len(), 1);
+    }
+
+    /// Rows of two segments, one after the other: each pixel touches the other segment.
+    #[test]
+    fn segments_that_touch_everywhere_have_one_door() {
+        let layer = |first: usize| {
+            let runs: Vec<usize> = (0..200).flat_map(|row| [0, 2 * row + first, 400]).collect();
+            serde_json::json!({"type": "segment", "metaData": {"segmentId": (first + 1).to_string()}, "compressedPixels": runs})
+        };
+        let json = serde_json::json!({"pixelSize": 5, "layers": [layer(0), layer(1)]}).to_string();
+        let map = valetudo(&json, "x", &none()).unwrap().map;
+        assert_eq!(map.doors.len(), 1);
+        let [x, y, _] = map.doors[0].position_m;
+        assert!((x - 10.0).abs() < 0.2 && (y + 10.0).abs() < 0.2, "{x} {y}");
     }
 
     #[test]
@@ -936,6 +1050,43 @@ mod tests {
     }
 
     proptest! {
+        /// Pixel by pixel, as the words have it.
+        #[test]
+        fn spreading_looks_along_an_axis(cells in prop::collection::vec(any::<bool>(), 9 * 7), reach in 0..4usize, axis in 0..2usize, all: bool) {
+            let mask = Mask { min: [-2, 5], size: [9, 7], set: cells };
+            let step = |at: Cell, by: i64| if axis == 0 { [at[0] + by, at[1]] } else { [at[0], at[1] + by] };
+            let decide = |place: usize| {
+                let reach = reach as i64;
+                let mut around = (-reach..=reach).map(|by| mask.has(step(mask.at(place), by)));
+                if all { around.all(|set| set) } else { around.any(|set| set) }
+            };
+            prop_assert_eq!(mask.spread(axis, reach, all), (0..mask.set.len()).map(decide).collect::<Vec<_>>());
+        }
+
+        /// As if each round looked at every pixel.
+        #[test]
+        fn joining_leaves_no_corner(cells in prop::collection::vec(any::<bool>(), 12 * 12)) {
+            let mut mask = Mask { min: [0, 0], size: [12, 12], set: cells };
+            let mut every = Mask { min: mask.min, size: mask.size, set: mask.set.clone() };
+            mask.join_corners();
+            loop {
+                let before = every.set.clone();
+                for place in 0..every.set.len() {
+                    let [x, y] = every.at(place);
+                    let [a, b, c, d] = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]].map(|cell| every.has(cell));
+                    if a && d && !b && !c {
+                        every.put([x + 1, y]);
+                    } else if b && c && !a && !d {
+                        every.put([x, y]);
+                    }
+                }
+                if every.set == before {
+                    break;
+                }
+            }
+            prop_assert_eq!(mask.set, every.set);
+        }
+
         /// Any raster: what comes out is a checked map whose rooms hold their pixels, to the tolerance.
         #[test]
         fn rooms_hold_their_pixels(cells in prop::collection::vec(0..4u8, 24 * 24)) {

@@ -1,6 +1,6 @@
 //! VirtualHome's environment graphs: nodes with a class, a category and a box (y up), edges with a relation.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use serde::Deserialize;
 
@@ -135,19 +135,18 @@ fn aliases(
     let Some(json) = equivalence else { return Ok(aliases) };
     let table: BTreeMap<String, Vec<String>> =
         parse(json, "a table of equivalent class names: an object of lists of names")?;
-    let mut room_for = MAX_ALIASES;
+    let labels: HashSet<&str> = items.iter().map(|item| item.label.as_str()).collect();
+    let mut taken: HashSet<(String, String)> = HashSet::new();
     for (name, others) in &table {
         let alias = words(name);
         for label in others.iter().map(|other| words(other)) {
-            let known = items.iter().any(|item| item.label == label);
-            if !known || label == alias || aliases.get(&label).is_some_and(|own| own.contains(&alias)) {
+            if !labels.contains(label.as_str()) || label == alias || !taken.insert((label.clone(), alias.clone())) {
                 continue;
             }
-            if room_for == 0 {
+            if taken.len() > MAX_ALIASES {
                 notes.push(format!("Left out aliases after the first {MAX_ALIASES}."));
                 return Ok(aliases);
             }
-            room_for -= 1;
             aliases.entry(label).or_default().push(alias.clone());
         }
     }
