@@ -54,7 +54,9 @@ pub fn run(args: &Args) -> CommandResult {
         let map = setup::load_map(config.scene.path.as_deref())?;
         config.robot.segments = vacuum::by_ids(&config.robot.segments, &map);
     }
-    let client = format!("roomcast-robot-{}", config.robot.topic.replace('/', "-"));
+    // A broker ends the connection of whoever has a name before: a dry run has one of its own.
+    let dry = if config.robot.obey { String::new() } else { format!("-dry-run-{}", std::process::id()) };
+    let client = format!("roomcast-robot-{}{dry}", config.robot.topic.replace('/', "-"));
     let broker = args.broker.broker(&config.mqtt, client)?;
     let mut show = |topic: &str, payload: &str| {
         let line = serde_json::json!({ "topic": topic, "payload": payload });

@@ -10,6 +10,8 @@ const OVERTIME: u64 = 20;
 const SLOTS_MAX: u64 = 256;
 /// A room that the robot could not do is not tried again before so long, or before a stay would be over if that is shorter.
 const RETRY_NS: u64 = 60_000_000_000;
+/// After each further failure it rests for twice as long, so often.
+const DOUBLINGS_MAX: u32 = 5;
 
 /// One round of all rooms, by their places in the scores.
 #[derive(Debug)]
@@ -25,6 +27,8 @@ pub(super) struct Round {
     covered: Vec<bool>,
     /// When the robot last could not do the room.
     failed_ns: Vec<Option<u64>>,
+    /// How often it could not do it in a row.
+    failures: Vec<u32>,
 }
 
 impl Round {
@@ -36,6 +40,7 @@ impl Round {
             due_ns: None,
             covered: Vec::new(),
             failed_ns: Vec::new(),
+            failures: Vec::new(),
         }
     }
 
@@ -53,15 +58,15 @@ impl Round {
     }
 
     pub(super) fn cover(&mut self, room: usize) {
-        if let Some(covered) = self.covered.get_mut(room) {
-            *covered = true;
+        if let (Some(covered), Some(failures)) = (self.covered.get_mut(room), self.failures.get_mut(room)) {
+            (*covered, *failures) = (true, 0);
         }
     }
 
     /// The robot could not do the room.
     pub(super) fn fail(&mut self, room: usize, now_ns: u64) {
-        if let Some(failed_ns) = self.failed_ns.get_mut(room) {
-            *failed_ns = Some(now_ns);
+        if let (Some(failed_ns), Some(failures)) = (self.failed_ns.get_mut(room), self.failures.get_mut(room)) {
+            (*failed_ns, *failures) = (Some(now_ns), failures.saturating_add(1));
         }
     }
 
@@ -79,8 +84,9 @@ impl Round {
     /// Whether a room that failed may not be tried again yet.
     pub(super) fn rests(&self, room: usize, now_ns: u64) -> bool {
         let failed_ns = self.failed_ns.get(room).copied().flatten();
-        self.has_failed(room)
-            && failed_ns.is_some_and(|failed_ns| now_ns < failed_ns.saturating_add(self.stay_ns.min(RETRY_NS)))
+        let doublings = self.failures.get(room).map_or(0, |failures| failures.saturating_sub(1).min(DOUBLINGS_MAX));
+        let rest_ns = self.stay_ns.min(RETRY_NS) << doublings;
+        self.has_failed(room) && failed_ns.is_some_and(|failed_ns| now_ns < failed_ns.saturating_add(rest_ns))
     }
 
     /// The rooms are others: each new one was at `before(new)`, if it was there.
@@ -89,6 +95,9 @@ impl Round {
         self.covered = (0..rooms).map(|room| at(room).is_some_and(|old| self.is_done(old))).collect();
         self.failed_ns =
             (0..rooms).map(|room| at(room).and_then(|old| self.failed_ns.get(old).copied().flatten())).collect();
+        self.failures = (0..rooms)
+            .map(|room| at(room).and_then(|old| self.failures.get(old).copied()).unwrap_or_default())
+            .collect();
     }
 
     /// The round has come to its deadline, and another one of all rooms begins. No stay fits before the deadline any more, so it begins a little
@@ -147,6 +156,11 @@ mod tests {
         round.move_rooms(2, |_| None);
         round.fail(1, 5);
         assert!(round.has_failed(1) && round.rests(1, 5) && !round.rests(1, 5 + RETRY_NS) && !round.has_failed(0));
+        // A room that no map of the robot has cannot be done, however often it is tried.
+        round.fail(1, 5);
+        assert!(round.rests(1, 5 + RETRY_NS) && !round.rests(1, 5 + 2 * RETRY_NS));
+        (0..40).for_each(|_| round.fail(1, 5));
+        assert!(round.rests(1, 5 + 31 * RETRY_NS) && !round.rests(1, 5 + 32 * RETRY_NS));
         round.cover(1);
         assert!(!round.has_failed(1) && !round.rests(1, 5));
         // Places that no map has are no fault.
