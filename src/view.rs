@@ -592,6 +592,8 @@ impl Picture {
                         ids.iter().enumerate().filter(|(room, _)| holds(*room)).map(|(_, id)| *id).chain(out).collect()
                     };
                     card["sets"] = (0..horizons).map(set).collect::<Vec<_>>().into();
+                    let has = (0..horizons).map(|horizon| own.set_probability(horizon).map(short));
+                    card["set_has"] = has.collect::<Vec<_>>().into();
                     card["coverage"] = short(f64::from(own.set_coverage)).into();
                 }
                 card["elsewhere"] = own.elsewhere.get(..horizons).map(row).into();
@@ -743,8 +745,6 @@ mod tests {
     const STUDIO: &str = include_str!("../scenes/studio.json");
 
     #[test]
-    fn a_plan_has_every_room_and_thing() {
-    #[test]
     fn storeys_lie_beside_each_other_on_the_plan() {
         let room = |id: &str, floor_m: f64| json!({"id": id, "label": id, "box": {"min_m": [0.0, 0.0, floor_m], "max_m": [4.0, 4.0, floor_m + 2.5]}});
         let tub = json!({"id": "tub", "label": "bathtub", "position_m": [1.0, 1.0, 3.4], "box": {"min_m": [0.5, 0.5, 3.0], "max_m": [1.5, 1.5, 3.8]}});
@@ -761,6 +761,8 @@ mod tests {
         assert_eq!(Plan::of_moment(&moment(STUDIO)).unwrap().drawing["storeys"], json!([]));
     }
 
+    #[test]
+    fn a_plan_has_every_room_and_thing() {
         let plan = Plan::of_moment(&moment(STUDIO)).unwrap();
         let map = SemanticMap::from_json(STUDIO).unwrap();
         let rooms = plan.drawing["rooms"].as_array().unwrap();

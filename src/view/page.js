@@ -240,8 +240,9 @@ const show = () => {
     }
     if (person.sets) {
       // The promise is of a time ahead.
-      const set = person.sets[Math.max(0, when - 1)].map((id) => (state.rooms.find((room) => room.id === id) || { name: id }).name);
-      if (set.length) line(card, `in one of these with ${percent(person.coverage)}: ${set.join(", ")}`, "dim");
+      const at = Math.max(0, when - 1);
+      const set = person.sets[at].map((id) => (state.rooms.find((room) => room.id === id) || { name: id }).name);
+      if (set.length) line(card, `in one of these with ${percent(person.set_has[at])} (set for ${percent(person.coverage)} on the long run): ${set.join(", ")}`, "dim");
     }
     return card;
   });
