@@ -207,6 +207,8 @@ pub struct Subscriber<M: Message> {
     listener: Listener<Flavour>,
     /// The last wait ended with news that the listener still holds.
     woken: Cell<bool>,
+    /// How much of what was said before it gets.
+    history: usize,
 }
 
 /// What a [`Subscriber`] took: a good message, or why it was dropped.
@@ -248,21 +250,21 @@ impl Sender {
 }
 
 impl<M: Message> Subscriber<M> {
-    pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
+    pub(crate) fn open(node: &Node, history: usize) -> Result<Self, OpenFailure> {
         let quality = M::SERVICE;
         let factory = open_service::<M>(node)?;
         // The listener is there before the subscriber: no wake-up falls between the two.
         let events = open_event(node, quality.name, quality.publishers, quality.subscribers)?;
         let listener = events.listener_builder().create().map_err(|error| passing(quality.name, &error))?;
         let connections = Connections::default();
-        let subscriber = factory.subscriber_builder().buffer_size(quality.buffer);
+        let subscriber = factory.subscriber_builder().buffer_size(quality.buffer).history_request(history);
         let subscriber = subscriber.set_degradation_handler(connections.watch()).create();
         let subscriber = subscriber.map_err(|_| {
             occupied(node, &factory, &subscribers(&factory), quality.name, "subscriber", quality.subscribers)
         })?;
         wake(waker(node, quality.name).as_ref());
         let subscriber = RefCell::new(subscriber);
-        Ok(Self { subscriber, connections, factory, listener, woken: Cell::new(false) })
+        Ok(Self { subscriber, connections, factory, listener, woken: Cell::new(false), history })
     }
 
     /// Sleeps until there is news (a message, a publisher that comes, goes or dies) or `timeout` is over, whichever is first;
@@ -344,9 +346,9 @@ impl<M: Message> Subscriber<M> {
         }))
     }
 
-    /// Another subscriber in place of this one, whose connections are made from the start: publishers give it their history.
+    /// Another subscriber in place of this one, whose connections are made from the start: publishers give it as much of their history as it asks for.
     fn connect_again(&self) {
-        let subscriber = self.factory.subscriber_builder().buffer_size(M::SERVICE.buffer);
+        let subscriber = self.factory.subscriber_builder().buffer_size(M::SERVICE.buffer).history_request(self.history);
         match subscriber.set_degradation_handler(self.connections.watch()).create() {
             Ok(subscriber) => drop(self.subscriber.replace(subscriber)),
             // There may be no place for two at this moment.
@@ -944,7 +946,16 @@ impl Node {
     ///
     /// As [`Node::publisher`].
     pub fn subscriber<M: Message>(&self) -> Result<Subscriber<M>, IpcError> {
-        self.retry(|| Subscriber::open(self))
+        self.retry(|| Subscriber::open(self, M::SERVICE.history))
+    }
+
+    /// A subscriber of what is said from now on: publishers give it nothing of the service's history.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn subscriber_from_now<M: Message>(&self) -> Result<Subscriber<M>, IpcError> {
+        self.retry(|| Subscriber::open(self, 0))
     }
 
     /// The publisher of item scores.
