@@ -81,12 +81,12 @@ pub enum ConfigError {
         path: PathBuf,
     },
     /// Not TOML, an unknown key, or a value of the wrong kind.
-    #[error("the configuration {path} is malformed: {}\nsee `roomcast config` for every key with its default", in_words(.source))]
+    #[error("the configuration {path} is malformed: {}\nsee `roomcast config` for every key with its default", in_words(.error))]
     Parse {
         /// The file.
         path: PathBuf,
-        /// What, with line and column.
-        source: Box<toml::de::Error>,
+        /// What, with line and column. No source: it would be told once more, in the parser's words.
+        error: Box<toml::de::Error>,
     },
     /// A value outside its limits.
     #[error("the configuration's {key} is {value}: {remedy}")]
@@ -319,7 +319,7 @@ impl Config {
             _ => read(source),
         })?;
         let mut config: Self = toml::from_str(&text)
-            .map_err(|source| ConfigError::Parse { path: path.to_owned(), source: Box::new(source) })?;
+            .map_err(|error| ConfigError::Parse { path: path.to_owned(), error: Box::new(error) })?;
         let file = std::path::absolute(path).map_err(read)?;
         config.begin_paths_at(file.parent().unwrap_or(Path::new("/")));
         Ok(config)
@@ -660,6 +660,15 @@ mod tests {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), "[model]\nthreads = 999").unwrap();
         let error = Config::load(file.path()).unwrap_err();
+    #[test]
+    fn a_value_of_the_wrong_kind_is_told_once() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[planner]\nroom_time_s = \"5\"").unwrap();
+        let text = crate::logging::chain(&Config::load(file.path()).unwrap_err());
+        assert_eq!(text.matches("invalid type").count(), 1, "{text}");
+        assert!(text.contains("expected a number") && !text.contains("f64"), "{text}");
+    }
+
         let text = crate::logging::chain(&error);
         assert!(text.starts_with(&file.path().display().to_string()), "{text}");
         assert_eq!(text.matches("model.threads is 999").count(), 1, "{text}");
