@@ -1538,6 +1538,47 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
 }
 
 /// Waits until so many recorders have their last port.
+/// A narrator that runs on keeps what it said for whoever joins late, also what the home has forgotten since.
+#[test]
+fn a_recording_has_nothing_of_who_was_forgotten_before_it_began() {
+    let mut world = World::new("forgotten");
+    world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let narration = node.publisher::<NarrationV1>().unwrap();
+    let mut sequence = 0;
+    let mut tell = |name: &str, text: &str| {
+        sequence += 1;
+        let message = NarrationV1::new(narration_kind::SENTENCE, text).unwrap();
+        let source = sequence::source_of_name("test");
+        let person_name = roomcast_ipc::text::encode("name", name).unwrap();
+        narration.send(&NarrationV1 { source, epoch: 1, sequence, person_name, ..message }).unwrap();
+        scores_with(&scores, text, |scores| includes(scores, "test", sequence))
+    };
+    tell("Bob", "They open the fridge.");
+    tell("Ada", "They sit on the sofa.");
+    let forgotten = world.command(&["person", "forget", "bob"]).output().unwrap();
+    assert!(forgotten.status.success(), "{forgotten:?}");
+    let file = world.directory.path().join("later.mcap");
+    let recorder = world.start(&["record", file.to_str().unwrap()]);
+    recorder_listens(&node);
+    // What a narrator has to say next hands late listeners the history first.
+    tell("Ada", "They stand up.");
+    world.signal(recorder, Signal::TERM);
+    let (status, log) = world.wait(recorder);
+    assert!(status.success(), "{log}");
+    let recording = roomcast_services::recording::read(&file).unwrap();
+    let told = recording.messages.iter().filter_map(|(_, message)| match message {
+        roomcast_services::recording::Recorded::Narration(narration) => Some(narration.text().to_owned()),
+        _ => None,
+    });
+    assert_eq!(told.collect::<Vec<_>>(), ["They stand up."], "{log}");
+    let whole = String::from_utf8_lossy(&std::fs::read(&file).unwrap()).to_lowercase();
+    let moments = recording.moments.iter().map(|moment| serde_json::to_string(moment).unwrap().to_lowercase());
+    assert!(!whole.contains("bob") && moments.filter(|text| text.contains("bob")).count() == 0);
+}
+
 fn recorders_listen(node: &Node, count: usize) {
     let reports = node.publisher::<RobotReportV1>().unwrap();
     eventually("the recorders listen", || {
