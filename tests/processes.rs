@@ -1268,13 +1268,14 @@ fn errors_name_the_file_and_the_remedy_once() {
     let json = file("model.json", "{\n \"a\": 1}");
     let out = folder.path().join("out.json").to_str().unwrap().to_owned();
     let shipped = "studio, apartment-e0";
-    let cases: [(&[&str], &[&str]); 11] = [
+    let cases: [(&[&str], &[&str]); 12] = [
         (&["scene", "change", "studio", &empty, "--out", &out], &["changes /", "empty.json: EOF", "a JSON list"]),
         (&["scene", "change", "studio", "nope", "--out", &out], &["changes nope: cannot be read"]),
         (&["scene", "apply", &empty], &["changes /", "empty.json: EOF"]),
         (&["scene", "draw", "studio", "--scores", "nope"], &["scores nope: cannot be read"]),
         (&["score", "--scene", "nowhere"], &["no scene nowhere", shipped]),
         (&["score", "--program", "nowhere"], &["program nowhere", "p0-breakfast-and-television"]),
+        (&["narrate", "p0-breakfast"], &["no file p0-breakfast: ", "p0-breakfast-and-television"]),
         (&["score", "--program", &day], &["day.txt: line 5", "HOMER+", "`roomcast experiment`"]),
         (&["score", "--narration", "[Teleport] <mug> (1)"], &["unknown action `Teleport`", "`walk`"]),
         (&["experiment", "table2", "--scene", "studio", "--scene", "studio"], &["another of the scenes has its name"]),
@@ -1537,7 +1538,6 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     assert!(said.contains("the daemon has taken in 4 of them before and takes none twice"), "{said}");
 }
 
-/// Waits until so many recorders have their last port.
 /// A narrator that runs on keeps what it said for whoever joins late, also what the home has forgotten since.
 #[test]
 fn a_recording_has_nothing_of_who_was_forgotten_before_it_began() {
@@ -1579,6 +1579,7 @@ fn a_recording_has_nothing_of_who_was_forgotten_before_it_began() {
     assert!(!whole.contains("bob") && moments.filter(|text| text.contains("bob")).count() == 0);
 }
 
+/// Waits until so many recorders have their last port.
 fn recorders_listen(node: &Node, count: usize) {
     let reports = node.publisher::<RobotReportV1>().unwrap();
     eventually("the recorders listen", || {
