@@ -455,7 +455,7 @@ pub(super) fn may_be_one(one: &str, other: &str) -> bool {
     let may_be_one = one_title.zip(other_title).is_none_or(|(one, other)| is_same_title(one, other));
     // Most names are not as long.
     let is_as_long = one.split_whitespace().count() == other.split_whitespace().count();
-    may_be_one && is_as_long && (super::same_name(one, other) || Names::bare(one) == Names::bare(other))
+    may_be_one && is_as_long && super::same_but_for_accents(one, other)
 }
 
 /// Whether a name may be a person's: it is no thing, and no other word.

@@ -25,7 +25,7 @@ pub use action::{
     Action, ActionEntry, ActionError, LINE_BYTES_MAX, NAME_BYTES_MAX, OBJECTS_MAX, ObjectRef, table as action_table,
 };
 pub use history::{Histories, History, HistoryLimits, PERSONS_MAX, Voice};
-pub use person::{PERSON_NAME_BYTES_MAX, Pronoun, SOMEBODY, person_number, same_name};
+pub use person::{PERSON_NAME_BYTES_MAX, Pronoun, SOMEBODY, person_number, same_but_for_accents, same_name};
 pub use presence::{Presence, PresenceError, PresenceStatement};
 pub use program::{PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
 

@@ -1,5 +1,7 @@
 //! Who is who: the number of a person who is known by name.
 
+use crate::names::Names;
+
 /// Most bytes of a person's name; messages have as many.
 pub const PERSON_NAME_BYTES_MAX: usize = 48;
 
@@ -26,6 +28,12 @@ fn bare(name: &str) -> String {
 #[must_use]
 pub fn same_name(a: &str, b: &str) -> bool {
     bare(a) == bare(b)
+}
+
+/// Whether two names are one, also without regard to accents: "Zoë" and "Zoe". Titles count: "Grandma Edith" may live with her namesake.
+#[must_use]
+pub fn same_but_for_accents(a: &str, b: &str) -> bool {
+    same_name(a, b) || Names::bare(a) == Names::bare(b)
 }
 
 /// The number of a name, the same in every process and over restarts, unless the home says otherwise: 32-bit FNV-1a of the trimmed name in
