@@ -573,6 +573,7 @@ mod tests {
             leaving: 0.125,
             later: 0.125,
             set: Vec::new(),
+            set_probability: None,
         };
         let ada = HabitsLine { person: 7, name: Some("ada".to_owned()), observations: 41.5, forecast: vec![line] };
         metrics.habits(&HabitsAnswer { persons: vec![ada], ..HabitsAnswer::default() });

@@ -391,13 +391,14 @@ fn forecast_words(told: &PersonForecastsV1, own: &PersonForecastV1) -> String {
     words
 }
 
-/// Where a person is later, as sure as the sets are, and how much of that was learned. None where there are no sets.
+/// Where a person is later: the set, what coverage it is set for on the long run, what this forecast gives it, and how much was learned. None where there are no sets.
 fn set_words(told: &PersonForecastsV1, own: &PersonForecastV1) -> Option<String> {
     let horizon = told.horizons_s().iter().position(|horizon_s| *horizon_s >= SET_S)?;
     let minutes = told.horizons_s()[horizon] / 60.0;
     let places = set_places(told, own, horizon)?.join(", ");
-    let (sure, learned) = (100.0 * own.set_coverage, 100.0 * own.learned_share[SET_SHARE]);
-    Some(format!("  in {minutes:.0} min, {sure:.0} % sure: {places} ({learned:.0} % learned)"))
+    let (set_for, learned) = (100.0 * own.set_coverage, 100.0 * own.learned_share[SET_SHARE]);
+    let has = 100.0 * own.set_probability(horizon)?;
+    Some(format!("  in {minutes:.0} min, set for {set_for:.0} %, has {has:.0} %: {places} ({learned:.0} % learned)"))
 }
 
 /// The places of the set of a horizon: ids of rooms, and elsewhere. None where there are no sets.
@@ -720,10 +721,11 @@ mod tests {
         // Where the habits promise something, it has a line of its own.
         let ada = &mut forecasts.person[0];
         (ada.set_coverage, ada.room_set[1], ada.set_elsewhere, ada.learned_share[1]) = (0.9, 0b10, 0b10, 0.4);
+        (ada.probability[1][1], ada.elsewhere[1]) = (0.5, 0.125);
         view.forecasts(&forecasts);
         view.persons(&scores);
         let text = drawn(&view, 80, 24, 1_100_000_000);
-        let line = "in 60 min, 90 % sure: bathroom, elsewhere (40 % learned)";
+        let line = "in 60 min, set for 90 %, has 62 %: bathroom, elsewhere (40 % learned)";
         assert!(text.contains(line), "{line:?} is missing:\n{text}");
         // One person alone has a line too where it says more than the rooms.
         (scores.person_count, scores.persons) = (1, 1);

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, HeaderName, HeaderValue};
 use hyper::{Response, StatusCode};
-use roomcast_core::semantic_map::{SceneError, SemanticMap};
+use roomcast_core::semantic_map::{SceneError, SemanticMap, Storey, Storeys};
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, IpcError, ItemScores, ItemScoresSubscriber, MAX_HORIZONS, NarrationV1, Node,
     PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, action, clock, presence,
@@ -384,20 +384,30 @@ impl Plan {
         let point = |[x, y]: [f64; 2]| json!([metres(x), metres(y)]);
         let partitions = roomcast_core::grounding::partitions(map, moment.grounding.level);
         let names = roomcast_core::grounding::partition_names(&partitions);
+        let storeys = Storeys::of(map);
         let room = |(partition, name): (&roomcast_core::grounding::Partition, &String)| {
-            let rings = partition.spaces.iter().flat_map(|space| space.rings());
+            let rings = partition.spaces.iter().flat_map(|space| storeys.moved_space(space).rings());
             let rings: Vec<Vec<Value>> = rings.map(|ring| ring.into_iter().map(point).collect()).collect();
             json!({"id": partition.id, "name": name, "rings": rings})
         };
         let item = |item: &roomcast_core::semantic_map::Item| {
             let [x, y, _] = item.position_m;
-            json!({"id": item.id, "label": map.labels()[item.label.0 as usize], "at": point([x, y])})
+            let at = storeys.moved(storeys.of_item(map, item), [x, y]);
+            json!({"id": item.id, "label": map.labels()[item.label.0 as usize], "at": point(at)})
         };
-        let doors = map.doors().iter().map(|door| point([door.position_m[0], door.position_m[1]]));
+        let doors = map.doors().iter().flat_map(|door| {
+            // Between storeys, one on each.
+            let mut on = door.rooms.map(|room| storeys.of_space(&map.rooms()[room.0 as usize].space)).to_vec();
+            on.dedup();
+            let [x, y, _] = door.position_m;
+            on.into_iter().map(|storey| point(storeys.moved(storey, [x, y]))).collect::<Vec<_>>()
+        });
+        let storey = |own: &Storey| json!({"name": own.name(), "at": point([own.min_m[0], own.max_m[1]])});
+        let named = storeys.all().iter().filter(|_| storeys.all().len() > 1);
         let drawing = json!({
             "map": moment.map_fingerprint, "name": map.name(),
             "rooms": partitions.iter().zip(&names).map(room).collect::<Vec<_>>(),
-            "doors": doors.collect::<Vec<_>>(), "items": map.items().iter().map(item).collect::<Vec<_>>(),
+            "storeys": named.map(storey).collect::<Vec<_>>(), "doors": doors.collect::<Vec<_>>(), "items": map.items().iter().map(item).collect::<Vec<_>>(),
         });
         let names = partitions.iter().map(|partition| partition.id.clone()).zip(names);
         Ok(Self { map: moment.map_fingerprint.clone(), names: names.collect(), drawing })
@@ -602,6 +612,8 @@ impl Picture {
                         ids.iter().enumerate().filter(|(room, _)| holds(*room)).map(|(_, id)| *id).chain(out).collect()
                     };
                     card["sets"] = (0..horizons).map(set).collect::<Vec<_>>().into();
+                    let has = (0..horizons).map(|horizon| own.set_probability(horizon).map(short));
+                    card["set_has"] = has.collect::<Vec<_>>().into();
                     card["coverage"] = short(f64::from(own.set_coverage)).into();
                 }
                 card["elsewhere"] = own.elsewhere.get(..horizons).map(row).into();
@@ -751,6 +763,23 @@ mod tests {
     }
 
     const STUDIO: &str = include_str!("../scenes/studio.json");
+
+    #[test]
+    fn storeys_lie_beside_each_other_on_the_plan() {
+        let room = |id: &str, floor_m: f64| json!({"id": id, "label": id, "box": {"min_m": [0.0, 0.0, floor_m], "max_m": [4.0, 4.0, floor_m + 2.5]}});
+        let tub = json!({"id": "tub", "label": "bathtub", "position_m": [1.0, 1.0, 3.4], "box": {"min_m": [0.5, 0.5, 3.0], "max_m": [1.5, 1.5, 3.8]}});
+        let scene = json!({"format": "roomcast-scene", "version": 1, "name": "house", "rooms": [room("hall", 0.0), room("bathroom", 3.0)],
+            "doors": [{"id": "stairs", "rooms": ["hall", "bathroom"], "position_m": [2.0, 2.0, 3.0]}], "items": [tub]});
+        let drawing = Plan::of_moment(&moment(&scene.to_string())).unwrap().drawing;
+        let ring = |room: usize| drawing["rooms"][room]["rings"][0].clone();
+        assert_eq!(ring(0), json!([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]));
+        assert_eq!(ring(1), json!([[5.0, 0.0], [9.0, 0.0], [9.0, 4.0], [5.0, 4.0]]));
+        assert_eq!(drawing["doors"], json!([[2.0, 2.0], [7.0, 2.0]]), "one on each");
+        assert_eq!(drawing["items"][0]["at"], json!([6.0, 1.0]));
+        let names = json!([{"name": "floor at 0 m", "at": [0.0, 4.0]}, {"name": "floor at 3 m", "at": [5.0, 4.0]}]);
+        assert_eq!(drawing["storeys"], names);
+        assert_eq!(Plan::of_moment(&moment(STUDIO)).unwrap().drawing["storeys"], json!([]));
+    }
 
     #[test]
     fn a_plan_has_every_room_and_thing() {

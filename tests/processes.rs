@@ -1358,13 +1358,14 @@ fn errors_name_the_file_and_the_remedy_once() {
     let json = file("model.json", "{\n \"a\": 1}");
     let out = folder.path().join("out.json").to_str().unwrap().to_owned();
     let shipped = "studio, apartment-e0";
-    let cases: [(&[&str], &[&str]); 11] = [
+    let cases: [(&[&str], &[&str]); 12] = [
         (&["scene", "change", "studio", &empty, "--out", &out], &["changes /", "empty.json: EOF", "a JSON list"]),
         (&["scene", "change", "studio", "nope", "--out", &out], &["changes nope: cannot be read"]),
         (&["scene", "apply", &empty], &["changes /", "empty.json: EOF"]),
         (&["scene", "draw", "studio", "--scores", "nope"], &["scores nope: cannot be read"]),
         (&["score", "--scene", "nowhere"], &["no scene nowhere", shipped]),
         (&["score", "--program", "nowhere"], &["program nowhere", "p0-breakfast-and-television"]),
+        (&["narrate", "p0-breakfast"], &["no file p0-breakfast: ", "p0-breakfast-and-television"]),
         (&["score", "--program", &day], &["day.txt: line 5", "HOMER+", "`roomcast experiment`"]),
         (&["score", "--narration", "[Teleport] <mug> (1)"], &["unknown action `Teleport`", "`walk`"]),
         (&["experiment", "table2", "--scene", "studio", "--scene", "studio"], &["another of the scenes has its name"]),
@@ -1453,7 +1454,8 @@ fn a_configuration_is_held_to_what_this_machine_has() {
     let path = folder.path().join("roomcast.toml");
     let check = |text: &str| {
         std::fs::write(&path, text).unwrap();
-        let output = roomcast(&["config", "--check", path.to_str().unwrap()]).output().unwrap();
+        let mut command = roomcast(&["config", "--check", path.to_str().unwrap()]);
+        let output = command.env_remove("ROOMCAST_ROOT").env_remove("ROOMCAST_DOMAIN").output().unwrap();
         (output.status.success(), String::from_utf8(output.stderr).unwrap())
     };
     assert_eq!(check("[scene]\npath = \"ward\"\n"), (true, String::new()));
@@ -1624,6 +1626,47 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     let twice = other.command(&["replay", file.to_str().unwrap(), "--speed", "50"]).output().unwrap();
     let said = String::from_utf8(twice.stderr).unwrap();
     assert!(said.contains("the daemon has taken in 4 of them before and takes none twice"), "{said}");
+}
+
+/// A narrator that runs on keeps what it said for whoever joins late, also what the home has forgotten since.
+#[test]
+fn a_recording_has_nothing_of_who_was_forgotten_before_it_began() {
+    let mut world = World::new("forgotten");
+    world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let narration = node.publisher::<NarrationV1>().unwrap();
+    let mut sequence = 0;
+    let mut tell = |name: &str, text: &str| {
+        sequence += 1;
+        let message = NarrationV1::new(narration_kind::SENTENCE, text).unwrap();
+        let source = sequence::source_of_name("test");
+        let person_name = roomcast_ipc::text::encode("name", name).unwrap();
+        narration.send(&NarrationV1 { source, epoch: 1, sequence, person_name, ..message }).unwrap();
+        scores_with(&scores, text, |scores| includes(scores, "test", sequence))
+    };
+    tell("Bob", "They open the fridge.");
+    tell("Ada", "They sit on the sofa.");
+    let forgotten = world.command(&["person", "forget", "bob"]).output().unwrap();
+    assert!(forgotten.status.success(), "{forgotten:?}");
+    let file = world.directory.path().join("later.mcap");
+    let recorder = world.start(&["record", file.to_str().unwrap()]);
+    recorder_listens(&node);
+    // What a narrator has to say next hands late listeners the history first.
+    tell("Ada", "They stand up.");
+    world.signal(recorder, Signal::TERM);
+    let (status, log) = world.wait(recorder);
+    assert!(status.success(), "{log}");
+    let recording = roomcast_services::recording::read(&file).unwrap();
+    let told = recording.messages.iter().filter_map(|(_, message)| match message {
+        roomcast_services::recording::Recorded::Narration(narration) => Some(narration.text().to_owned()),
+        _ => None,
+    });
+    assert_eq!(told.collect::<Vec<_>>(), ["They stand up."], "{log}");
+    let whole = String::from_utf8_lossy(&std::fs::read(&file).unwrap()).to_lowercase();
+    let moments = recording.moments.iter().map(|moment| serde_json::to_string(moment).unwrap().to_lowercase());
+    assert!(!whole.contains("bob") && moments.filter(|text| text.contains("bob")).count() == 0);
 }
 
 /// Waits until so many recorders have their last port.

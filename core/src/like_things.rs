@@ -17,14 +17,15 @@
 
 use nalgebra::DMatrix;
 
+use crate::semantic_map::STOREY_M;
+
 /// m: the part of the thing that was in use.
 const AGAIN: f64 = 0.8;
 /// c: how near another room at no distance would be.
 const NEXT_DOOR: f64 = 0.4;
 /// d: over how many metres nearness falls to a third.
 const FALLS_M: f64 = 4.0;
-/// Rooms whose middles differ by more in height are on other storeys, and the way between them is so many times the difference.
-const STOREY_M: f64 = 1.5;
+/// Between rooms whose middles differ by more than [`STOREY_M`] in height the way is so many times the difference.
 const STAIRS: f64 = 4.0;
 
 /// The rooms of each label's things, and how near rooms are to one another. One per map.

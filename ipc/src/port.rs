@@ -211,6 +211,8 @@ pub struct Subscriber<M: Message> {
     listener: Listener<Flavour>,
     /// The last wait ended with news that the listener still holds.
     woken: Cell<bool>,
+    /// How much of what was said before it gets.
+    history: usize,
 }
 
 /// What a [`Subscriber`] took: a good message, or why it was dropped.
@@ -252,21 +254,21 @@ impl Sender {
 }
 
 impl<M: Message> Subscriber<M> {
-    pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
+    pub(crate) fn open(node: &Node, history: usize) -> Result<Self, OpenFailure> {
         let quality = M::SERVICE;
         let factory = open_service::<M>(node)?;
         // The listener is there before the subscriber: no wake-up falls between the two.
         let events = open_event(node, quality.name, quality.publishers, quality.subscribers)?;
         let listener = events.listener_builder().create().map_err(|error| passing(quality.name, &error))?;
         let connections = Connections::default();
-        let subscriber = factory.subscriber_builder().buffer_size(quality.buffer);
+        let subscriber = factory.subscriber_builder().buffer_size(quality.buffer).history_request(history);
         let subscriber = subscriber.set_degradation_handler(connections.watch()).create();
         let subscriber = subscriber.map_err(|_| {
             occupied(node, &factory, &subscribers(&factory), quality.name, "subscriber", quality.subscribers)
         })?;
         wake(waker(node, quality.name).as_ref());
         let (subscriber, former) = (RefCell::new(subscriber), RefCell::new(None));
-        Ok(Self { subscriber, former, connections, factory, listener, woken: Cell::new(false) })
+        Ok(Self { subscriber, former, connections, factory, listener, woken: Cell::new(false), history })
     }
 
     /// Sleeps until there is news (a message, a publisher that comes, goes or dies) or `timeout` is over, whichever is first;
@@ -360,14 +362,14 @@ impl<M: Message> Subscriber<M> {
         }))
     }
 
-    /// Another subscriber in place of this one, whose connections are made from the start: publishers give it their history. What this one
-    /// has got by good connections is taken first; what is in the history, too, comes twice.
+    /// Another subscriber in place of this one, whose connections are made from the start: publishers give it as much of their history as it asks
+    /// for. What this one has got by good connections is taken first; what is in the history, too, comes twice.
     fn connect_again(&self) {
         if self.former.borrow().is_some() {
             self.connections.failed.store(true, Ordering::Relaxed);
             return;
         }
-        let subscriber = self.factory.subscriber_builder().buffer_size(M::SERVICE.buffer);
+        let subscriber = self.factory.subscriber_builder().buffer_size(M::SERVICE.buffer).history_request(self.history);
         match subscriber.set_degradation_handler(self.connections.watch()).create() {
             Ok(subscriber) => drop(self.former.replace(Some(self.subscriber.replace(subscriber)))),
             // There may be no place for two at this moment.
@@ -965,7 +967,16 @@ impl Node {
     ///
     /// As [`Node::publisher`].
     pub fn subscriber<M: Message>(&self) -> Result<Subscriber<M>, IpcError> {
-        self.retry(|| Subscriber::open(self))
+        self.retry(|| Subscriber::open(self, M::SERVICE.history))
+    }
+
+    /// A subscriber of what is said from now on: publishers give it nothing of the service's history.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::publisher`].
+    pub fn subscriber_from_now<M: Message>(&self) -> Result<Subscriber<M>, IpcError> {
+        self.retry(|| Subscriber::open(self, 0))
     }
 
     /// The publisher of item scores.

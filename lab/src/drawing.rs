@@ -8,7 +8,7 @@ use svg::Document;
 use svg::node::element::{Circle, Definitions, Group, Line, LinearGradient, Path, Rectangle, Stop, Text};
 
 use roomcast_core::grounding::Grounding;
-use roomcast_core::semantic_map::{Box3, Footprint, PartitionId, SemanticMap, Space};
+use roomcast_core::semantic_map::{Box3, Footprint, PartitionId, SemanticMap, Space, Storeys};
 
 /// The font of all drawings; `png.rs` has it compiled in.
 pub(crate) const FONT: &str = "DejaVu Sans";
@@ -24,6 +24,8 @@ const MARGIN_PX: f64 = 36.0;
 const TITLE_PX: f64 = 76.0;
 const PANEL_PX: f64 = 300.0;
 const FOOT_PX: f64 = 56.0;
+/// What the names of storeys take above them, where there are several.
+const STOREY_PX: f64 = 26.0;
 
 const INK: &str = "#20242b";
 const QUIET: &str = "#6d7480";
@@ -228,15 +230,49 @@ fn rounded(pixels: f64) -> f64 {
     (pixels * 10.0).round() / 10.0
 }
 
+/// A thing as it lies on the plan.
+struct Thing {
+    bounds: Box3,
+    position_m: [f64; 2],
+    storey: usize,
+}
+
+/// A door as it lies on the plan.
+enum Door {
+    /// In the walls of two rooms, by their numbers.
+    Wall { position_m: [f64; 2], rooms: [usize; 2] },
+    /// Between storeys: a place on each.
+    Stairs([[f64; 2]; 2]),
+}
+
+impl Door {
+    fn places_m(&self) -> impl Iterator<Item = [f64; 2]> {
+        let (first, second) = match self {
+            Self::Wall { position_m, .. } => (*position_m, None),
+            Self::Stairs([lower, upper]) => (*lower, Some(*upper)),
+        };
+        std::iter::once(first).chain(second)
+    }
+}
+
 struct Plan<'a> {
     map: &'a SemanticMap,
     grounding: &'a Grounding,
     heat: Option<&'a Heat>,
     largest_share: f64,
+    storeys: Storeys,
+    /// What the map and its partitions consist of, as it lies on the plan: storeys beside each other.
+    rooms: Vec<Space>,
+    parts: Vec<Space>,
+    things: Vec<Thing>,
+    doors: Vec<Door>,
+    partitions: Vec<Vec<Space>>,
     /// Pixels per metre.
     scale: f64,
-    /// West and north end of the map, in metres.
+    /// West and north end of the plan, in metres.
     origin_m: [f64; 2],
+    /// The pixel where the plan begins.
+    top_px: f64,
     /// Pixels that the plan takes.
     size_px: [f64; 2],
     taken: Vec<Area>,
@@ -244,15 +280,31 @@ struct Plan<'a> {
 
 impl<'a> Plan<'a> {
     fn new(map: &'a SemanticMap, grounding: &'a Grounding, heat: Option<&'a Heat>) -> Self {
+        let storeys = Storeys::of(map);
         // The rooms set the frame; an item far outside would shrink them to nothing.
-        let rooms = map.rooms().iter().map(|room| room.space.bounds);
         let (mut min_m, mut max_m) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for bounds in rooms {
+        for storey in storeys.all() {
             for axis in 0..2 {
-                min_m[axis] = min_m[axis].min(bounds.min_m[axis]);
-                max_m[axis] = max_m[axis].max(bounds.max_m[axis]);
+                min_m[axis] = min_m[axis].min(storey.min_m[axis]);
+                max_m[axis] = max_m[axis].max(storey.max_m[axis]);
             }
         }
+        let moved = |space: &Space| storeys.moved_space(space);
+        let things = map.items().iter().map(|item| {
+            let (storey, [east_m, north_m, _]) = (storeys.of_item(map, item), item.position_m);
+            let position_m = storeys.moved(storey, [east_m, north_m]);
+            Thing { bounds: storeys.moved_box(storey, &item.bounds), position_m, storey }
+        });
+        let doors = map.doors().iter().map(|door| {
+            let [east_m, north_m, _] = door.position_m;
+            let rooms = door.rooms.map(|room| room.0 as usize);
+            let on = rooms.map(|room| storeys.of_space(&map.rooms()[room].space));
+            let [first, second] = on.map(|storey| storeys.moved(storey, [east_m, north_m]));
+            match on[0] == on[1] {
+                true => Door::Wall { position_m: first, rooms },
+                false => Door::Stairs([first, second]),
+            }
+        });
         let size_m = [max_m[0] - min_m[0], max_m[1] - min_m[1]];
         let scale = (PLAN_PX[0] / size_m[0]).min(PLAN_PX[1] / size_m[1]);
         Self {
@@ -260,8 +312,15 @@ impl<'a> Plan<'a> {
             grounding,
             heat,
             largest_share: heat.map_or(0.0, |heat| heat.item_share.iter().copied().fold(0.0, f64::max)),
+            rooms: map.rooms().iter().map(|room| moved(&room.space)).collect(),
+            parts: map.parts().iter().map(|part| moved(&part.space)).collect(),
+            things: things.collect(),
+            doors: doors.collect(),
+            partitions: grounding.partitions().iter().map(|own| own.spaces.iter().map(moved).collect()).collect(),
             scale,
             origin_m: [min_m[0], max_m[1]],
+            top_px: TITLE_PX + if storeys.all().len() > 1 { STOREY_PX } else { 0.0 },
+            storeys,
             size_px: size_m.map(|metres| metres * scale),
             taken: Vec::new(),
         }
@@ -272,7 +331,7 @@ impl<'a> Plan<'a> {
     }
 
     fn y(&self, north_m: f64) -> f64 {
-        TITLE_PX + (self.origin_m[1] - north_m) * self.scale
+        self.top_px + (self.origin_m[1] - north_m) * self.scale
     }
 
     fn east_m(&self, x: f64) -> f64 {
@@ -280,7 +339,7 @@ impl<'a> Plan<'a> {
     }
 
     fn north_m(&self, y: f64) -> f64 {
-        self.origin_m[1] - (y - TITLE_PX) / self.scale
+        self.origin_m[1] - (y - self.top_px) / self.scale
     }
 
     fn area(&self, bounds: &Box3) -> Area {
@@ -292,8 +351,15 @@ impl<'a> Plan<'a> {
         }
     }
 
-    fn frame(&self) -> Area {
-        Area { left: MARGIN_PX, right: MARGIN_PX + self.size_px[0], top: TITLE_PX, bottom: TITLE_PX + self.size_px[1] }
+    /// What a storey's rooms take up.
+    fn frame(&self, storey: usize) -> Area {
+        let storey = &self.storeys.all()[storey];
+        Area {
+            left: self.x(storey.min_m[0]),
+            right: self.x(storey.max_m[0]),
+            top: self.y(storey.max_m[1]),
+            bottom: self.y(storey.min_m[1]),
+        }
     }
 
     fn rectangle(&self, bounds: &Box3) -> Rectangle {
@@ -322,7 +388,7 @@ impl<'a> Plan<'a> {
         let panel_left = MARGIN_PX + self.size_px[0] + MARGIN_PX;
         let width = panel_left + PANEL_PX + MARGIN_PX;
         let panel = self.panel(panel_left);
-        let height = (TITLE_PX + self.size_px[1] + FOOT_PX).max(panel.1 + 24.0);
+        let height = (self.top_px + self.size_px[1] + FOOT_PX).max(panel.1 + 24.0);
         let names = self.partition_names();
         let furniture_names = self.furniture_names();
         let marked = self.marked_items();
@@ -336,6 +402,7 @@ impl<'a> Plan<'a> {
             .add(self.floors())
             .add(self.furniture())
             .add(self.walls())
+            .add(self.storey_names())
             .add(self.dots())
             .add(furniture_names)
             .add(names)
@@ -365,11 +432,11 @@ impl<'a> Plan<'a> {
     /// The partitions' floors, warm where a person is expected.
     fn floors(&self) -> Group {
         let mut floors = Group::new();
-        for room in self.map.rooms() {
-            floors = floors.add(self.outline(&room.space).set("fill", FLOOR));
+        for room in &self.rooms {
+            floors = floors.add(self.outline(room).set("fill", FLOOR));
         }
-        for (index, partition) in self.grounding.partitions().iter().enumerate() {
-            for space in &partition.spaces {
+        for (index, spaces) in self.partitions.iter().enumerate() {
+            for space in spaces {
                 let floor = self.outline(space);
                 floors = floors.add(match self.heat {
                     Some(heat) => floor.set("fill", colour(heat.partition_probability[index])).set("fill-opacity", 0.8),
@@ -382,25 +449,42 @@ impl<'a> Plan<'a> {
 
     fn walls(&self) -> Group {
         let mut walls = Group::new();
-        for part in self.map.parts() {
-            let outline = self.outline(&part.space);
+        for part in &self.parts {
+            let outline = self.outline(part);
             walls = walls.add(outline.set("fill", "none").set("stroke", QUIET).set("stroke-dasharray", "3 5"));
         }
-        for room in self.map.rooms() {
-            let outline = self.outline(&room.space);
+        for room in &self.rooms {
+            let outline = self.outline(room);
             walls = walls.add(
                 outline.set("fill", "none").set("stroke", WALL).set("stroke-width", 5).set("stroke-linejoin", "round"),
             );
         }
-        for door in self.map.doors() {
-            let rooms = door.rooms.map(|room| &self.map.rooms()[room.0 as usize].space);
-            walls = walls.add(self.door(&door.position_m, rooms));
+        for door in &self.doors {
+            walls = walls.add(match door {
+                Door::Wall { position_m, rooms } => self.door(position_m, rooms.map(|room| &self.rooms[room])),
+                Door::Stairs(places_m) => {
+                    let stairs = places_m.iter().map(|[east_m, north_m]| stairs(self.x(*east_m), self.y(*north_m)));
+                    stairs.fold(Group::new(), Group::add)
+                }
+            });
         }
         walls
     }
 
+    /// Above each storey which one it is, where there are several.
+    fn storey_names(&self) -> Group {
+        let mut names = Group::new();
+        for storey in self.storeys.all().iter().filter(|_| self.storeys.all().len() > 1) {
+            let (left, top) = (self.x(storey.min_m[0]), self.y(storey.max_m[1]));
+            let most_px = (self.x(storey.max_m[0]) - left).max(120.0);
+            let name = shortened(&storey.name(), 13.0, most_px);
+            names = names.add(Label { colour: QUIET, ..Label::new(&name, 13.0) }.at(left, top - 14.0));
+        }
+        names
+    }
+
     /// A gap in the nearest wall of each of the rooms, with the leaf and its swing.
-    fn door(&self, position_m: &[f64; 3], rooms: [&Space; 2]) -> Group {
+    fn door(&self, position_m: &[f64; 2], rooms: [&Space; 2]) -> Group {
         let walls = rooms.map(|room| wall(room, position_m));
         let nearest = if walls[1].distance_m < walls[0].distance_m { &walls[1] } else { &walls[0] };
         let mut door = Group::new();
@@ -443,7 +527,7 @@ impl<'a> Plan<'a> {
     }
 
     fn is_furniture(&self, index: usize) -> bool {
-        let bounds = &self.map.items()[index].bounds;
+        let bounds = &self.things[index].bounds;
         let size_m = bounds.size_m();
         let large = size_m[0].max(size_m[1]) >= FURNITURE_FROM_M && size_m[0].min(size_m[1]) > 0.05;
         large && bounds.min_m[2] < OVERHEAD_M && !self.is_structure(index)
@@ -471,7 +555,7 @@ impl<'a> Plan<'a> {
     fn furniture(&self) -> Group {
         let mut furniture = Group::new().set("stroke-width", 1);
         for index in self.furniture_order() {
-            let bounds = &self.map.items()[index].bounds;
+            let bounds = &self.things[index].bounds;
             // A rug lies under everything and hides nothing.
             let flat = bounds.max_m[2] < 0.1;
             let cold = if flat { RUG } else { FURNITURE };
@@ -491,12 +575,11 @@ impl<'a> Plan<'a> {
         let small = |index: &usize| !self.is_furniture(*index) && !self.is_structure(*index);
         let mut order: Vec<usize> = (0..self.map.items().len()).filter(small).collect();
         order.sort_by(|&a, &b| self.heat_of(a).unwrap_or(0.0).total_cmp(&self.heat_of(b).unwrap_or(0.0)));
-        let frame = self.frame();
         let mut dots = Group::new();
         for index in order {
-            let [east_m, north_m, _] = self.map.items()[index].position_m;
+            let Thing { position_m: [east_m, north_m], storey, .. } = self.things[index];
             let (x, y) = (self.x(east_m), self.y(north_m));
-            if !Area::around(x, y, 0.0, 0.0).within(&frame) {
+            if !Area::around(x, y, 0.0, 0.0).within(&self.frame(storey)) {
                 continue;
             }
             let dot = Circle::new().set("cx", rounded(x)).set("cy", rounded(y));
@@ -515,9 +598,9 @@ impl<'a> Plan<'a> {
     fn partition_names(&mut self) -> Group {
         let mut names = Group::new();
         let called = self.grounding.partition_names();
-        for (index, partition) in self.grounding.partitions().iter().enumerate() {
+        for (index, spaces) in self.partitions.iter().enumerate() {
             let largest = |a: &&Space, b: &&Space| floor_m2(a).total_cmp(&floor_m2(b));
-            let Some(space) = partition.spaces.iter().max_by(largest) else { continue };
+            let Some(space) = spaces.iter().max_by(largest) else { continue };
             let area = self.area(&space.bounds);
             let probability = self.heat.map(|heat| percent(heat.partition_probability[index]));
             let beside_px = |size_px: f64| probability.as_ref().map_or(0.0, |text| width_px(text, size_px) + 12.0);
@@ -560,19 +643,19 @@ impl<'a> Plan<'a> {
     fn quietest(&self, space: &Space, area: &Area, width: f64, height: f64) -> Area {
         let room_x = (area.right - area.left - width - 16.0).max(0.0);
         let room_y = (area.bottom - area.top - height - 16.0).max(0.0);
-        let things: Vec<Area> = (0..self.map.items().len())
+        let things: Vec<Area> = (0..self.things.len())
             .filter(|&index| !self.is_structure(index))
             .map(|index| {
-                let item = &self.map.items()[index];
+                let Thing { bounds, position_m: [east_m, north_m], .. } = &self.things[index];
                 if self.is_furniture(index) {
-                    self.area(&item.bounds)
+                    self.area(bounds)
                 } else {
-                    Area::around(self.x(item.position_m[0]), self.y(item.position_m[1]), 5.0, 5.0)
+                    Area::around(self.x(*east_m), self.y(*north_m), 5.0, 5.0)
                 }
             })
-            .chain(self.map.doors().iter().map(|door| {
+            .chain(self.doors.iter().flat_map(Door::places_m).map(|[east_m, north_m]| {
                 let size_px = 2.0 * DOOR_M * self.scale;
-                Area::around(self.x(door.position_m[0]), self.y(door.position_m[1]), size_px, size_px)
+                Area::around(self.x(east_m), self.y(north_m), size_px, size_px)
             }))
             .filter(|thing| thing.meets(area))
             .collect();
@@ -604,12 +687,13 @@ impl<'a> Plan<'a> {
         let order = self.furniture_order();
         let dots: Vec<Area> = (0..items.len())
             .filter(|&index| !self.is_furniture(index) && !self.is_structure(index))
-            .map(|index| Area::around(self.x(items[index].position_m[0]), self.y(items[index].position_m[1]), 4.0, 4.0))
+            .map(|index| self.things[index].position_m)
+            .map(|[east_m, north_m]| Area::around(self.x(east_m), self.y(north_m), 4.0, 4.0))
             .collect();
         let mut above: Vec<Area> = Vec::new();
         let mut names = Group::new();
         for &index in order.iter().rev() {
-            let area = self.area(&items[index].bounds);
+            let area = self.area(&self.things[index].bounds);
             let text = &self.map.labels()[items[index].label.0 as usize];
             let (width, height) = (area.right - area.left - 6.0, area.bottom - area.top - 4.0);
             if let Some(block) = TextBlock::fit(text, width, height) {
@@ -640,7 +724,7 @@ impl<'a> Plan<'a> {
             if !warm || self.is_structure(index) || self.is_furniture(index) {
                 continue;
             }
-            let [east_m, north_m, _] = self.map.items()[index].position_m;
+            let Thing { position_m: [east_m, north_m], storey, .. } = self.things[index];
             let (x, y) = (self.x(east_m), self.y(north_m));
             let text = &self.map.labels()[self.map.items()[index].label.0 as usize];
             let (size_px, width) = (11.5, width_px(text, 11.5) + 4.0);
@@ -652,7 +736,7 @@ impl<'a> Plan<'a> {
                 (0.0, -26.0),
                 (0.0, 27.0),
             ];
-            let frame = self.frame();
+            let frame = self.frame(storey);
             let free = places
                 .iter()
                 .map(|(dx, dy)| Area::around(x + dx, y + dy, width, size_px + 2.0))
@@ -670,7 +754,7 @@ impl<'a> Plan<'a> {
         let most_m = 160.0 / self.scale;
         let length_m = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1_000.0, 5_000.0];
         let length_m = length_m.into_iter().rfind(|length_m| *length_m <= most_m).unwrap_or(0.1);
-        let (left, y) = (MARGIN_PX, TITLE_PX + self.size_px[1] + 26.0);
+        let (left, y) = (MARGIN_PX, self.top_px + self.size_px[1] + 26.0);
         let right = left + length_m * self.scale;
         let line = format!("M {left} {} V {y} H {} V {}", y - 6.0, rounded(right), y - 6.0);
         let text = format!("{length_m} m");
@@ -775,6 +859,12 @@ impl<'a> Plan<'a> {
                 .add(Label { colour: QUIET, ..Label::new("part of a room", 12.0) }.at(left + 36.0, y));
             y += 24.0;
         }
+        if self.doors.iter().any(|door| matches!(door, Door::Stairs(_))) {
+            panel = panel
+                .add(stairs(left + 12.0, y))
+                .add(Label { colour: QUIET, ..Label::new("way to another storey", 12.0) }.at(left + 36.0, y));
+            y += 24.0;
+        }
         (panel, y)
     }
 
@@ -786,6 +876,19 @@ impl<'a> Plan<'a> {
         }
         warmest(&shares, count).into_iter().map(|label| (self.map.labels()[label].as_str(), shares[label])).collect()
     }
+}
+
+/// A way to another storey: a few steps.
+fn stairs(x: f64, y: f64) -> Group {
+    const HALF_PX: f64 = 8.0;
+    let (left, right) = (rounded(x - HALF_PX), rounded(x + HALF_PX));
+    let steps = [-HALF_PX, -0.5 * HALF_PX, 0.0, 0.5 * HALF_PX, HALF_PX].map(|down| rounded(y + down));
+    let mut lines = String::new();
+    for step in steps {
+        let _ = write!(lines, "M {left} {step} H {right} ");
+    }
+    let _ = write!(lines, "M {left} {} V {} M {right} {} V {}", steps[0], steps[4], steps[0], steps[4]);
+    Group::new().add(Path::new().set("d", lines).set("fill", "none").set("stroke", WALL).set("stroke-width", 1.2))
 }
 
 fn floor_m2(space: &Space) -> f64 {
@@ -806,7 +909,7 @@ struct Wall {
 }
 
 /// The wall of a room that is nearest to a place.
-fn wall(space: &Space, position_m: &[f64; 3]) -> Wall {
+fn wall(space: &Space, position_m: &[f64; 2]) -> Wall {
     let mut nearest =
         Wall { distance_m: f64::INFINITY, from_m: [0.0; 2], way: [1.0, 0.0], length_m: 0.0, along_m: 0.0 };
     for ring in space.rings() {
@@ -1043,6 +1146,50 @@ mod tests {
         // One in each wall, and the one of the legend, which is level.
         assert_eq!(ways.len(), 3, "{text}");
         assert!(ways[..2].iter().all(|way| (way - 1.0).abs() < 0.05), "{ways:?}");
+    }
+
+    /// A hall with a bathroom over it, as the import from Home Assistant writes them, and a door between the two.
+    #[test]
+    fn storeys_are_drawn_beside_each_other() {
+        let space =
+            |floor_m: f64| serde_json::json!({"min_m": [0.0, 0.0, floor_m], "max_m": [4.0, 4.0, floor_m + 2.5]});
+        let thing = |id: &str, at_m: [f64; 3]| {
+            let end_m = at_m.map(|metres| metres + 0.8);
+            serde_json::json!({"id": id, "label": id, "position_m": at_m.map(|metres| metres + 0.4), "box": {"min_m": at_m, "max_m": end_m}})
+        };
+        let scene = |upper_m: f64| {
+            let scene = serde_json::json!({"format": "roomcast-scene", "version": 1, "name": "house",
+                "rooms": [{"id": "hall", "label": "hall", "box": space(0.0)}, {"id": "bathroom", "label": "bathroom", "box": space(upper_m)}],
+                "doors": [{"id": "stairs", "rooms": ["hall", "bathroom"], "position_m": [2.0, 2.0, upper_m]}],
+                "items": [thing("bench", [1.0, 1.0, 0.0]), thing("bathtub", [1.0, 1.0, upper_m])]});
+            let map = SemanticMap::from_json(&scene.to_string()).unwrap();
+            svg(&map, &Grounding::new(&map, &GroundingOptions::default()).unwrap(), None).unwrap()
+        };
+        let text = scene(3.0);
+        let drawing = roxmltree::Document::parse(&text).unwrap();
+        let corner = |node: roxmltree::Node<'_, '_>| {
+            let steps: Vec<f64> = node.attribute("d")?.split(' ').filter_map(|step| step.parse().ok()).collect();
+            Some((steps[0], steps[2]))
+        };
+        let walls = drawing.descendants().filter(|node| node.attribute("stroke-linejoin") == Some("round"));
+        let walls: Vec<(f64, f64)> = walls.filter_map(corner).collect();
+        let [hall, bathroom] = walls[..] else { panic!("{walls:?}") };
+        assert!(bathroom.0.min(bathroom.1) > hall.0.max(hall.1), "{walls:?}");
+        let said: Vec<&str> = drawing.descendants().filter_map(|node| node.text()).map(str::trim).collect();
+        for name in ["floor at 0 m", "floor at 3 m", "bench", "bathtub", "way to another storey"] {
+            assert_eq!(said.iter().filter(|own| **own == name).count(), 1, "{name} in {said:?}");
+        }
+        // Each thing lies in its own room.
+        let things = drawing
+            .descendants()
+            .filter(|node| node.has_tag_name("rect") && node.attribute("fill-opacity") == Some("0.9"));
+        let lefts: Vec<f64> = things.map(|node| node.attribute("x").unwrap().parse().unwrap()).collect();
+        assert!(lefts[0] > hall.0 && lefts[0] < hall.1 && lefts[1] > bathroom.0 && lefts[1] < bathroom.1, "{lefts:?}");
+    }
+
+    #[test]
+    fn a_map_of_one_storey_names_none() {
+        assert!(!drawn(TWO_ROOMS, PartitionLevel::Room, false).contains("floor at"));
     }
 
     #[test]

@@ -22,9 +22,12 @@ pub struct HorizonLine {
     pub leaving: f64,
     /// Where the person was that much later at such times before.
     pub later: f64,
-    /// The smallest set of places that holds the person then, with the promised coverage: ids of rooms, and [`ELSEWHERE`].
+    /// The smallest set of places that holds the person then, with the promised coverage on the long run: ids of rooms, and [`ELSEWHERE`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub set: Vec<String>,
+    /// What this forecast gives the places of the set together; none where it is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub set_probability: Option<f64>,
 }
 
 /// How much of a forecast that was published was learned, and its set: what a recording has of it.
@@ -37,6 +40,9 @@ pub struct PublishedLine {
     /// As [`HorizonLine::set`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub set: Vec<String>,
+    /// As [`HorizonLine::set_probability`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub set_probability: Option<f64>,
 }
 
 /// A thing that somebody may turn to next, and why.
@@ -90,14 +96,15 @@ impl PersonHabits {
 
     fn of_person(forecasts: &PersonForecastsV1, own: &PersonForecastV1) -> Self {
         let published = LEARNED_SHARE_S.into_iter().zip(own.learned_share).map(|(ahead_s, learned)| {
-            let mut set = Vec::new();
+            let (mut set, mut set_probability) = (Vec::new(), None);
             if let Some(horizon) = forecasts.horizons_s().iter().position(|horizon_s| *horizon_s == ahead_s) {
                 let rooms = forecasts.rooms().enumerate();
                 let held = rooms.filter(|(room, _)| own.set_holds(horizon, *room) == Some(true));
                 set.extend(held.map(|(_, id)| id.to_owned()));
                 set.extend((own.set_holds_elsewhere(horizon) == Some(true)).then(|| ELSEWHERE.to_owned()));
+                set_probability = own.set_probability(horizon);
             }
-            PublishedLine { horizon_s: f64::from(ahead_s), learned: f64::from(learned), set }
+            PublishedLine { horizon_s: f64::from(ahead_s), learned: f64::from(learned), set, set_probability }
         });
         Self {
             person: own.person,
@@ -131,11 +138,17 @@ fn from(observations: &[f64; 4], first: &str) -> String {
     format!("from {all:.0} {first}, {one:.0} after the last thing, {two:.0} after two, {three:.0} after three")
 }
 
+/// What habit's part is called. Without an observation it is what habit begins with: that things are turned to again, and what others of the home do.
+fn habit(observations: &[f64; 4]) -> &'static str {
+    if observations.iter().all(|count| *count < 0.5) { "what habit begins with" } else { "habit" }
+}
+
 impl PersonHabits {
-    /// The places of a set, to the end of the line.
-    fn write_set(&self, f: &mut fmt::Formatter<'_>, set: &[String]) -> fmt::Result {
+    /// The places of a set, to the end of the line. It holds the person as often as it is set for on the long run alone.
+    fn write_set(&self, f: &mut fmt::Formatter<'_>, set: &[String], probability: Option<f64>) -> fmt::Result {
         if !set.is_empty() {
-            write!(f, "; {} sure: {}", percent(self.coverage), set.join(", "))?;
+            let own = probability.map_or_else(String::new, |p| format!(", {} by this forecast", percent(p)));
+            write!(f, "; set for {} on the long run{own}: {}", percent(self.coverage), set.join(", "))?;
         }
         writeln!(f)
     }
@@ -151,9 +164,10 @@ impl fmt::Display for PersonHabits {
             let Shares { probability, model, habit, recency, hour, staying, observations } = shares;
             writeln!(
                 f,
-                "    {label} {}: language model {}, habit {}, recency {}, hour {}, staying {}; {}",
+                "    {label} {}: language model {}, {} {}, recency {}, hour {}, staying {}; {}",
                 percent(*probability),
                 percent(*model),
+                self::habit(observations),
                 percent(*habit),
                 percent(*recency),
                 percent(*hour),
@@ -168,9 +182,10 @@ impl fmt::Display for PersonHabits {
             let RoomShares { probability, model, habit, things, hour, staying, observations } = shares;
             writeln!(
                 f,
-                "    {room} {}: language model {}, habit {}, the next thing {}, hour {}, staying {}; {}",
+                "    {room} {}: language model {}, {} {}, the next thing {}, hour {}, staying {}; {}",
                 percent(*probability),
                 percent(*model),
+                self::habit(observations),
                 percent(*habit),
                 percent(*things),
                 percent(*hour),
@@ -188,11 +203,11 @@ impl fmt::Display for PersonHabits {
                 percent(line.leaving),
                 percent(line.later),
             )?;
-            self.write_set(f, &line.set)?;
+            self.write_set(f, &line.set, line.set_probability)?;
         }
-        for PublishedLine { horizon_s, learned, set } in &self.published {
+        for PublishedLine { horizon_s, learned, set, set_probability } in &self.published {
             write!(f, "  In {}: {} of the forecast was learned", ahead(*horizon_s), percent(*learned))?;
-            self.write_set(f, set)?;
+            self.write_set(f, set, *set_probability)?;
         }
         Ok(())
     }
@@ -215,13 +230,14 @@ mod tests {
         (own.person, own.set_coverage, own.observations) = (7, 0.9, 41.0);
         (own.room_set[0], own.room_set[1], own.set_elsewhere, own.learned_share) =
             (0b10, 0b01, 0b10, [0.25, 0.5, 0.75]);
+        (own.probability[1][0], own.probability[0][1], own.elsewhere[1]) = (0.75, 0.25, 0.125);
         let learned = PersonHabits::of_published(&forecasts);
         assert_eq!(learned.len(), 1);
         assert_eq!(
             learned[0].to_string(),
             "What was learned, from 41 observations\n  \
-            In 1 min: 25 % of the forecast was learned; 90 % sure: bedroom\n  \
-            In 15 min: 50 % of the forecast was learned; 90 % sure: kitchen, elsewhere\n  \
+            In 1 min: 25 % of the forecast was learned; set for 90 % on the long run, 75 % by this forecast: bedroom\n  \
+            In 15 min: 50 % of the forecast was learned; set for 90 % on the long run, 38 % by this forecast: kitchen, elsewhere\n  \
             In 1 h: 75 % of the forecast was learned\n"
         );
     }
@@ -244,6 +260,7 @@ mod tests {
             leaving: 0.25,
             later: 0.25,
             set: vec!["kitchen".to_owned(), ELSEWHERE.to_owned()],
+            set_probability: Some(0.45),
         };
         let learned = PersonHabits {
             person: 1,
@@ -258,10 +275,21 @@ mod tests {
             "from 41 observations",
             "mug 50 %: language model 25 %, habit 50 %, recency 12 %, hour 12 %, staying 0 %; from 40 at all, 12 after",
             "In 15 min: forecast without habits 25 %",
-            "90 % sure: kitchen, elsewhere",
+            "; set for 90 % on the long run, 45 % by this forecast: kitchen, elsewhere",
         ] {
             assert!(text.contains(part), "{part}\n{text}");
         }
+        // At the first observation nothing was learned of what follows; the chance of a repetition is what habit begins with.
+        let young = Shares { habit: 0.98, observations: [0.0; 4], ..shares };
+        let young =
+            PersonHabits { things: vec![ThingReason { label: "mug".to_owned(), shares: young }], ..learned.clone() };
+        assert!(
+            young.to_string().contains(", what habit begins with 98 %, ") && !young.to_string().contains(", habit ")
+        );
+        // A recording of before does not say what the forecast gave the set.
+        let mut older = learned.clone();
+        older.forecast[0].set_probability = None;
+        assert!(older.to_string().contains("; set for 90 % on the long run: kitchen, elsewhere"));
         let json = serde_json::to_string(&learned).unwrap();
         assert_eq!(serde_json::from_str::<PersonHabits>(&json).unwrap(), learned);
     }

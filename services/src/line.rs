@@ -9,6 +9,7 @@ use std::str::FromStr;
 use serde::de::{Deserialize, Deserializer, Unexpected, Visitor};
 use serde_json::Value;
 
+use crate::embedded;
 use crate::message_text::said_of;
 use roomcast_core::narration::{
     Named, Observed, ObservedError, Presence, PresenceError, PresenceStatement, ProgramError,
@@ -183,6 +184,15 @@ pub enum InputError {
         name: String,
         /// The system's word.
         source: io::Error,
+    },
+    /// Neither a file nor the name of a shipped activity program.
+    #[error(
+        "there is no file {name}: give a program's file, a file of lines, or a shipped program by its name, {}",
+        embedded::program_names()
+    )]
+    Missing {
+        /// What was given.
+        name: String,
     },
     /// What is to be a FIFO is something else.
     #[error("{path} is there and is no named pipe: remove it, give another path, or leave out --fifo to read it once")]

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::habits_reason::PersonHabits;
 use roomcast_core::explanation::{self, Evidence, Explanation, TokenReason};
 use roomcast_core::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions};
-use roomcast_core::narration::same_name;
+use roomcast_core::narration::{Said, same_name};
 use roomcast_core::pipeline::{PersonScores, Pipeline};
 use roomcast_core::prompt::{BindingError, BindingSequence};
 use roomcast_core::scorer::correction::Correction;
@@ -278,13 +278,24 @@ impl Moment {
         self.names.get(&person).cloned().unwrap_or_else(|| format!("person {person}"))
     }
 
-    /// The number of a name or of a number.
+    /// The number of a name or of a number: also of the one person whose name differs by accents or a title alone.
     ///
     /// # Errors
-    /// When nobody has that name.
+    /// When nobody has that name, or several may be meant.
     pub fn find(&self, who: &str) -> Result<u32, MomentError> {
-        let named = || self.names.iter().find(|(_, name)| same_name(name, who)).map(|(number, _)| *number);
-        who.trim().parse().ok().or_else(named).ok_or_else(|| MomentError::NoName(who.to_owned()))
+        let of = |is_meant: &dyn Fn(&str) -> bool| -> Vec<u32> {
+            self.names.iter().filter(|(_, name)| is_meant(name)).map(|(number, _)| *number).collect()
+        };
+        if let Ok(number) = who.trim().parse() {
+            return Ok(number);
+        }
+        if let Some(number) = of(&|name| same_name(name, who)).first() {
+            return Ok(*number);
+        }
+        match of(&|name| Said::may_be_one(name, who))[..] {
+            [number] => Ok(number),
+            _ => Err(MomentError::NoName(who.to_owned())),
+        }
     }
 
     /// The moment as it is for one person alone.
@@ -405,6 +416,14 @@ mod tests {
         assert!(refused.contains("person 4") && !refused.contains('\u{1b}') && !refused.contains('\n'), "{refused}");
         assert!(Moment::from_json(&serde_json::to_string(&named).unwrap()).is_ok());
         assert!(named.find("ben").unwrap_err().to_string().contains("\"ben\""));
+        // By the names that other commands know them by, too.
+        let names = [(4, "Zoë"), (5, "Mrs. Novak"), (6, "Mr. Novak"), (7, "Grandma Edith"), (8, "Edith")];
+        let called = Moment { names: names.map(|(number, name)| (number, name.to_owned())).into(), ..moment.clone() };
+        for (who, number) in
+            [("Zoe", Some(4)), ("zoë", Some(4)), ("Novak", None), ("Edith", Some(8)), ("Mr. Novák", Some(6))]
+        {
+            assert_eq!(called.find(who).ok(), number, "{who}");
+        }
         let unknown = moment.of_person(3).unwrap_err().to_string();
         assert_eq!(unknown, "the moment knows nothing of person 3; it knows [0, 4]");
     }

@@ -93,6 +93,9 @@ impl Input {
         if let Some(shipped) = setup::shipped_program(path) {
             return Ok(Self::Items(program_items(&shipped?, &person)));
         }
+        if matches!(path.try_exists(), Ok(false)) {
+            return Err(InputError::Missing { name });
+        }
         let read = |source| InputError::Read { name: name.clone(), source };
         if std::fs::metadata(path).map_err(read)?.file_type().is_fifo() {
             // With a writer of its own the stream does not end when the last other writer leaves.
@@ -741,6 +744,9 @@ mod tests {
         assert!(matches!(Input::open(&file, Who::Somebody).unwrap(), Input::Items(items) if items.len() == 1));
         std::fs::write(&file, "They walk to the kitchen.\nThey sit.\n").unwrap();
         assert!(matches!(Input::open(&file, Who::Somebody).unwrap(), Input::Lines { .. }));
+        let missing = Input::open(Path::new("p0-breakfast"), Who::Somebody).err().unwrap().to_string();
+        assert!(missing.starts_with("there is no file p0-breakfast: "), "{missing}");
+        assert!(missing.contains("p0-breakfast-and-television, ") && missing.contains("g2-end-of-shift"), "{missing}");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{CommandResult, Failure, doctor};
+use super::{CommandResult, Failure, doctor, service};
 use crate::exit_code;
 use roomcast_core::text::visible;
 use roomcast_llama::affinity;
@@ -61,7 +61,7 @@ fn check_names(config: &Config, file: &Path) -> CommandResult {
     failures.extend(wrong.into_iter().map(|text| Failure::new(exit_code::CONFIG, text)));
     #[cfg(feature = "mqtt")]
     failures.extend(check_broker(&config.mqtt));
-    for remark in limited {
+    for remark in limited.into_iter().chain(service::overridden(config)) {
         super::tell(format_args!("roomcast: {}", visible(&remark)));
     }
     if failures.len() <= 1 {

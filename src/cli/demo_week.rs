@@ -266,7 +266,7 @@ pub(super) fn run(config: &Config, days: usize, seed: u64) -> CommandResult {
     );
     let _ = writeln!(
         text,
-        "{:<10} | without: loss  right | with: loss  right | {:<BAR_WIDTH$} learned | 90 % sure: places  held",
+        "{:<10} | without: loss  right | with: loss  right | {:<BAR_WIDTH$} learned | set for 90 %: places  held",
         "", "right, with habits"
     );
     super::print(&text)?;

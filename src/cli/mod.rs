@@ -60,6 +60,8 @@ mod record;
 #[cfg(feature = "recordings")]
 mod replay;
 mod report;
+#[cfg(test)]
+mod requirements;
 #[cfg(feature = "robot")]
 mod robot;
 mod scene;

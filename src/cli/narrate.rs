@@ -14,6 +14,10 @@ use roomcast_services::stop::Stop;
 
 use crate::exit_code;
 
+/// Other inputs than a broker. What requires `--mqtt` names them as well: clap lets a requirement drop where something given excludes it.
+#[cfg(feature = "mqtt")]
+const OTHER_INPUTS: [&str; 4] = ["input", "fifo", "sensors", "speed"];
+
 /// Arguments of `roomcast narrate`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -28,7 +32,7 @@ pub struct Args {
     /// Publish what an MQTT broker's devices say: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca; without a value, the
     /// broker of the configuration's section `[mqtt]`.
     #[cfg(feature = "mqtt")]
-    #[arg(long, value_name = "URL", conflicts_with_all = ["input", "fifo", "sensors", "speed"], num_args = 0..=1)]
+    #[arg(long, value_name = "URL", conflicts_with_all = OTHER_INPUTS, num_args = 0..=1)]
     mqtt: Option<Option<String>>,
     /// Publish a sensor log: intervals with sensor, kind and place, as public smart-home data sets have them.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["input", "fifo"], requires = "rules")]
@@ -39,15 +43,15 @@ pub struct Args {
     rules: Option<PathBuf>,
     /// A file with the broker's user name and password, a line each.
     #[cfg(feature = "mqtt")]
-    #[arg(long, value_name = "FILE", requires = "mqtt")]
+    #[arg(long, value_name = "FILE", requires = "mqtt", conflicts_with_all = OTHER_INPUTS)]
     mqtt_credentials: Option<PathBuf>,
     /// A PEM file with the certificates that the broker's is signed by.
     #[cfg(feature = "mqtt")]
-    #[arg(long, value_name = "FILE", requires = "mqtt")]
+    #[arg(long, value_name = "FILE", requires = "mqtt", conflicts_with_all = OTHER_INPUTS)]
     mqtt_ca: Option<PathBuf>,
     /// Connect to the broker, print each message with the rule that fits and what it would say, and publish nothing. Ends with Ctrl-C.
     #[cfg(feature = "mqtt")]
-    #[arg(long, requires = "mqtt")]
+    #[arg(long, requires = "mqtt", conflicts_with_all = OTHER_INPUTS)]
     dry_run: bool,
     /// This source's name, in place of the configuration's; it must differ between narrators.
     #[arg(long, value_name = "NAME")]

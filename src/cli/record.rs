@@ -111,7 +111,9 @@ pub fn run(args: &Args) -> CommandResult {
     let (config, domain) = args.service.load()?;
     let ipc = |error| Failure::new(exit_code::IPC, error);
     let node = domain.open("roomcast-record").map_err(ipc)?;
-    let narration = node.subscriber::<NarrationV1>().map_err(ipc)?;
+    // What narrators said before is not of this recording: it may be of somebody whom the home has forgotten since, and a replay would bring them
+    // back.
+    let narration = node.subscriber_from_now::<NarrationV1>().map_err(ipc)?;
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
     let persons = node.subscriber::<PersonScoresV1>().map_err(ipc)?;
     let forecast = node.subscriber::<ForecastV1>().map_err(ipc)?;

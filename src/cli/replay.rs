@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use roomcast_ipc::{
-    DecisionV1, ForecastV1, IpcError, Message, NarrationV1, Node, PersonForecastsV1, PersonScoresV1, Publisher,
-    RobotReportV1, RoomScoresV1, Subscriber,
+    DecisionV1, ForecastV1, IpcError, MAX_SOURCES, Message, NarrationV1, Node, PersonForecastsV1, PersonScoresV1,
+    Publisher, RobotReportV1, RoomScoresV1, Subscriber,
 };
 
 use super::{CommandResult, Failure, ranges, service};
@@ -114,8 +114,7 @@ pub fn run(args: &Args) -> CommandResult {
     let node = domain.open("roomcast-replay").map_err(ipc)?;
     let publishers = Publishers::open(&node, args.all).map_err(ipc)?;
     let heard = (!args.all).then(|| node.subscriber::<RoomScoresV1>()).transpose().map_err(ipc)?;
-    let known =
-        heard.as_ref().map(|heard| known_before(heard, &messages)).transpose().map_err(ipc)?.unwrap_or_default();
+    let known = heard.as_ref().map(|heard| known_before(heard, &messages)).transpose().map_err(ipc)?.flatten();
     let start_unix_ns = messages.first().map_or(0, |(time, _)| *time);
     let started = Instant::now();
     let mut sent = 0_u64;
@@ -141,10 +140,8 @@ pub fn run(args: &Args) -> CommandResult {
     if stop.requested() {
         return Err(service::interrupted(&format!("{sent} of {of} messages were replayed")));
     }
-    if known > 0 {
-        super::tell(format_args!(
-            "the daemon has taken in {known} of them before and takes none twice; a fresh one would score them"
-        ));
+    if let Some(known) = known {
+        super::tell(format_args!("{known}"));
     }
     let (Some(heard), Some(last)) = (heard, last) else { return Ok(()) };
     // What waits in shared memory dies with its publisher, so this one lives until the daemon has it.
@@ -175,10 +172,13 @@ pub fn run(args: &Args) -> CommandResult {
     ))
 }
 
-/// How many of the narrations the daemon's newest scores contain already.
-fn known_before(heard: &Subscriber<RoomScoresV1>, messages: &[(u64, Recorded)]) -> Result<usize, IpcError> {
+/// How many of the narrations the daemon has taken in already, in words, as far as its newest scores tell.
+fn known_before(heard: &Subscriber<RoomScoresV1>, messages: &[(u64, Recorded)]) -> Result<Option<String>, IpcError> {
     heard.wait(TICK)?;
-    let Some(scores) = heard.newest()? else { return Ok(0) };
+    Ok(heard.newest()?.and_then(|scores| known_words(&scores, messages)))
+}
+
+fn known_words(scores: &RoomScoresV1, messages: &[(u64, Recorded)]) -> Option<String> {
     let contained = |message: &NarrationV1| {
         let newest = scores.included().iter().find(|i| (i.source, i.epoch) == (message.source, message.epoch));
         newest.is_some_and(|newest| newest.sequence >= message.sequence)
@@ -187,7 +187,15 @@ fn known_before(heard: &Subscriber<RoomScoresV1>, messages: &[(u64, Recorded)]) 
         Recorded::Narration(message) => contained(message),
         _ => false,
     });
-    Ok(narrations.count())
+    // Of more sources the scores name the newest alone.
+    let names_all = scores.included().len() < MAX_SOURCES;
+    let how_many = match (narrations.count(), names_all) {
+        (0, true) => return None,
+        (0, false) => "may have taken in some".to_owned(),
+        (known, true) => format!("has taken in {known}"),
+        (known, false) => format!("has taken in at least {known}"),
+    };
+    Some(format!("the daemon {how_many} of them before and takes none twice; a fresh one would score them"))
 }
 
 fn sleep_until(started: Instant, due: Duration, publishers: &Publishers, stop: &Stop) -> Result<(), IpcError> {
@@ -199,4 +207,31 @@ fn sleep_until(started: Instant, due: Duration, publishers: &Publishers, stop: &
         publishers.tick()?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use roomcast_ipc::IncludedV1;
+
+    /// Nineteen narrators said one sentence each, and scores have places for sixteen.
+    #[test]
+    fn what_was_taken_in_before_is_not_counted_short() {
+        let narration = |source| {
+            Recorded::Narration(Box::new(NarrationV1 { source, epoch: 1, sequence: 1, ..NarrationV1::default() }))
+        };
+        let messages: Vec<(u64, Recorded)> = (1..=19).map(|source| (source, narration(source))).collect();
+        let told = |sources: std::ops::RangeInclusive<u64>| {
+            let mut scores = RoomScoresV1::default();
+            for (place, source) in scores.included.iter_mut().zip(sources) {
+                *place = IncludedV1 { source, epoch: 1, sequence: 1, ..IncludedV1::default() };
+                scores.source_count += 1;
+            }
+            known_words(&scores, &messages)
+        };
+        assert_eq!(told(20..=21), None);
+        assert!(told(1..=3).unwrap().contains("has taken in 3 of them"));
+        assert!(told(4..=19).unwrap().contains("has taken in at least 16 of them"));
+        assert!(told(20..=40).unwrap().contains("may have taken in some of them"));
+    }
 }

@@ -1,6 +1,6 @@
 //! What the commands of the services have in common: configuration and domain.
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -13,6 +13,29 @@ use crate::exit_code;
 use roomcast_services::config::Config;
 use roomcast_services::stop::Stop;
 
+/// What the environment says in place of the configuration, for every command that joins a domain.
+const ROOT_VARIABLE: &str = "ROOMCAST_ROOT";
+const DOMAIN_VARIABLE: &str = "ROOMCAST_DOMAIN";
+
+/// Which keys of a configuration have no effect here, because the environment says otherwise.
+pub fn overridden(config: &Config) -> Vec<String> {
+    overridden_by(config, |name| std::env::var_os(name))
+}
+
+fn overridden_by(config: &Config, variable: impl Fn(&str) -> Option<OsString>) -> Vec<String> {
+    let root = config.ipc.root.as_ref().map(|root| root.as_os_str());
+    let keys =
+        [(ROOT_VARIABLE, "ipc.root", root), (DOMAIN_VARIABLE, "ipc.domain", Some(OsStr::new(&config.ipc.domain)))];
+    let other = |(name, key, own): (&str, &str, Option<&OsStr>)| {
+        let value = variable(name).filter(|value| Some(value.as_os_str()) != own)?;
+        let value = value.to_string_lossy().into_owned();
+        Some(format!(
+            "{name} is set to {value:?} here, and commands that are started here take it in place of {key}; unset it to use the file's"
+        ))
+    };
+    keys.into_iter().filter_map(other).collect()
+}
+
 /// Arguments of every command that joins a domain.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -20,10 +43,10 @@ pub struct Args {
     #[arg(long, value_name = "FILE", env = "ROOMCAST_CONFIG")]
     config: Option<PathBuf>,
     /// The domain's root path, in place of the configuration's.
-    #[arg(long, value_name = "DIR", env = "ROOMCAST_ROOT")]
+    #[arg(long, value_name = "DIR", env = ROOT_VARIABLE)]
     root: Option<PathBuf>,
     /// The domain's name, in place of the configuration's.
-    #[arg(long, value_name = "NAME", env = "ROOMCAST_DOMAIN")]
+    #[arg(long, value_name = "NAME", env = DOMAIN_VARIABLE)]
     domain: Option<String>,
 }
 
@@ -32,8 +55,8 @@ impl Args {
     pub fn on_command_line(&self) -> bool {
         let given = |value: Option<&OsStr>, name| value.is_some() && value != std::env::var_os(name).as_deref();
         given(self.config.as_ref().map(|path| path.as_os_str()), "ROOMCAST_CONFIG")
-            || given(self.root.as_ref().map(|path| path.as_os_str()), "ROOMCAST_ROOT")
-            || given(self.domain.as_ref().map(OsStr::new), "ROOMCAST_DOMAIN")
+            || given(self.root.as_ref().map(|path| path.as_os_str()), ROOT_VARIABLE)
+            || given(self.domain.as_ref().map(OsStr::new), DOMAIN_VARIABLE)
     }
 
     /// The configuration file, if one is named.
@@ -131,4 +154,27 @@ pub fn stop() -> Result<Stop, Failure> {
     let stop = Stop::on_signals(exit_code::INTERRUPTED);
     stop.and_then(|stop| stage::leave_with_parent().map(|()| stop))
         .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot handle signals: {error}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_environment_overrides_is_told() {
+        let config: Config = toml::from_str("[ipc]\ndomain = \"roomcast\"").unwrap();
+        let told = |set: &[(&str, &str)]| {
+            overridden_by(&config, |name| set.iter().find(|(own, _)| *own == name).map(|(_, value)| value.into()))
+        };
+        assert!(told(&[]).is_empty() && told(&[("ROOMCAST_DOMAIN", "roomcast")]).is_empty());
+        let both = told(&[("ROOMCAST_DOMAIN", "other"), ("ROOMCAST_ROOT", "/run/a")]);
+        assert!(
+            both[0].starts_with("ROOMCAST_ROOT is set to \"/run/a\" here") && both[0].contains("ipc.root"),
+            "{both:?}"
+        );
+        assert!(
+            both[1].starts_with("ROOMCAST_DOMAIN is set to \"other\" here") && both[1].contains("ipc.domain"),
+            "{both:?}"
+        );
+    }
 }

@@ -110,6 +110,7 @@ const drawPlan = () => {
   if (!plan || !plan.rooms.length) return;
   const points = plan.rooms.flatMap((room) => room.rings.flat());
   const xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
+  // Several storeys lie beside each other, with their names above them.
   const least = [Math.min(...xs), Math.min(...ys)], most = [Math.max(...xs), Math.max(...ys)];
   const size = Math.max(most[0] - least[0], most[1] - least[1], 0.1);
   const unit = size / 100, margin = 2 * unit;
@@ -118,7 +119,8 @@ const drawPlan = () => {
   plan.width = svg.clientWidth;
   // North is up: y is turned round.
   const at = ([x, y]) => [x - least[0], most[1] - y];
-  svg.setAttribute("viewBox", `${-margin} ${-margin} ${most[0] - least[0] + 2 * margin} ${most[1] - least[1] + 2 * margin}`);
+  const top = margin + (plan.storeys.length ? 1.5 * letter : 0);
+  svg.setAttribute("viewBox", `${-margin} ${-top} ${most[0] - least[0] + 2 * margin} ${most[1] - least[1] + top + margin}`);
   const path = (rings) => rings.map((ring) => "M" + ring.map((p) => at(p).map((v) => v.toFixed(3)).join(" ")).join("L") + "Z").join("");
   const layers = ["floors", "heats", "things", "walls", "names"].map(() => svg.appendChild(made("g")));
   const [floors, heats, things, walls, names] = layers;
@@ -165,6 +167,10 @@ const drawPlan = () => {
   for (const [x, y] of plan.doors) {
     const [cx, cy] = at([x, y]);
     walls.append(made("circle", { cx, cy, r: 0.7 * unit, class: "door", "stroke-width": 0.25 * unit }));
+  }
+  for (const storey of plan.storeys) {
+    const [x, y] = at(storey.at);
+    names.append(made("text", { x, y: y - 0.5 * letter, "font-size": letter, "stroke-width": 0.3 * letter, class: "storey" }, storey.name));
   }
   plan.dots = {};
   for (const item of plan.items) {
@@ -234,8 +240,9 @@ const show = () => {
     }
     if (person.sets) {
       // The promise is of a time ahead.
-      const set = person.sets[Math.max(0, when - 1)].map((id) => (state.rooms.find((room) => room.id === id) || { name: id }).name);
-      if (set.length) line(card, `in one of these with ${percent(person.coverage)}: ${set.join(", ")}`, "dim");
+      const at = Math.max(0, when - 1);
+      const set = person.sets[at].map((id) => (state.rooms.find((room) => room.id === id) || { name: id }).name);
+      if (set.length) line(card, `in one of these with ${percent(person.set_has[at])} (set for ${percent(person.coverage)} on the long run): ${set.join(", ")}`, "dim");
     }
     return card;
   });

@@ -28,7 +28,8 @@ pub use action::{
 };
 pub use history::{Histories, History, HistoryLimits, PERSONS_MAX, Voice};
 pub use person::{
-    Named, PERSON_NAME_BYTES_MAX, Pronoun, ReadName, SOMEBODY, check_name, is_number, person_number, same_name,
+    Named, PERSON_NAME_BYTES_MAX, Pronoun, ReadName, SOMEBODY, check_name, is_number, person_number,
+    same_but_for_accents, same_name,
 };
 pub use presence::{Presence, PresenceError, PresenceStatement};
 pub use program::{PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};

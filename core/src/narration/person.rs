@@ -98,6 +98,12 @@ impl ReadName {
     }
 }
 
+/// Whether two names are one, also without regard to accents: "Zoë" and "Zoe". Titles count: "Grandma Edith" may live with her namesake.
+#[must_use]
+pub fn same_but_for_accents(a: &str, b: &str) -> bool {
+    same_name(a, b) || Names::bare(a) == Names::bare(b)
+}
+
 /// The number of a name, the same in every process and over restarts, unless the home says otherwise: 32-bit FNV-1a of the trimmed name in
 /// lower case without "the" before it, with the highest bit set, so that it is none of the small numbers that narrators give by hand. Never [`SOMEBODY`].
 ///

@@ -137,6 +137,11 @@ impl Footprint {
         Ok(footprint)
     }
 
+    /// The same with every corner moved alike.
+    pub(super) fn mapped(&self, moved: impl Fn([f64; 2]) -> [f64; 2]) -> Self {
+        Self { rings: self.rings.iter().map(|ring| ring.iter().map(|corner| moved(*corner)).collect()).collect() }
+    }
+
     /// No two edges meet but neighbours at their corner.
     fn check_edges(&self) -> Result<(), Fault> {
         let mut all: Vec<(usize, usize, Edge)> = (self.rings.iter().enumerate())

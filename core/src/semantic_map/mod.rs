@@ -9,9 +9,12 @@ mod doors;
 pub(crate) mod footprint;
 pub mod import;
 mod schema;
+mod storeys;
 
 pub use footprint::{Footprint, MAX_CORNERS, Space};
 pub use schema::{MAX_FILE_BYTES, MAX_ITEMS, MAX_ROOMS, MAX_TEXT_BYTES, SceneError, read_limited};
+pub(crate) use storeys::STOREY_M;
+pub use storeys::{Storey, Storeys};
 
 /// Index of an item in [`SemanticMap::items`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]

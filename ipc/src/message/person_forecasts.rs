@@ -93,6 +93,15 @@ impl PersonForecastV1 {
     pub fn set_holds_elsewhere(&self, horizon: usize) -> Option<bool> {
         (self.set_coverage > 0.0 && horizon < MAX_HORIZONS).then(|| self.set_elsewhere >> horizon & 1 == 1)
     }
+
+    /// What this forecast gives the places of the set of a horizon together. The coverage is that of many sets on the long run. None where there are
+    /// no sets.
+    #[must_use]
+    pub fn set_probability(&self, horizon: usize) -> Option<f64> {
+        let elsewhere = self.set_holds_elsewhere(horizon)?.then(|| self.elsewhere[horizon]);
+        let held = (0..MAX_ROOMS).filter(|room| self.set_holds(horizon, *room) == Some(true));
+        Some(held.map(|room| self.probability[room][horizon]).chain(elsewhere).map(f64::from).sum())
+    }
 }
 
 impl PersonForecastsV1 {

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::GroundingOptions;
 use roomcast_core::narration::history::{HistoryLimits, OBSERVATIONS_MAX};
-use roomcast_core::narration::{check_name, same_name};
+use roomcast_core::narration::{check_name, same_but_for_accents};
 use roomcast_core::pipeline::PipelineOptions;
 use roomcast_core::prepared::ANSWERS_MAX;
 use roomcast_core::prompt::{BINDING_BYTES_MAX, BindingSequence};
@@ -80,12 +80,12 @@ pub enum ConfigError {
         path: PathBuf,
     },
     /// Not TOML, an unknown key, or a value of the wrong kind.
-    #[error("the configuration {path} is malformed: {}\nsee `roomcast config` for every key with its default", in_words(.source))]
+    #[error("the configuration {path} is malformed: {}\nsee `roomcast config` for every key with its default", in_words(.error))]
     Parse {
         /// The file.
         path: PathBuf,
-        /// What, with line and column.
-        source: Box<toml::de::Error>,
+        /// What, with line and column. No source: it would be told once more, in the parser's words.
+        error: Box<toml::de::Error>,
     },
     /// A value outside its limits.
     #[error("the configuration's {key} is {value}: {remedy}")]
@@ -318,7 +318,7 @@ impl Config {
             _ => read(source),
         })?;
         let mut config: Self = toml::from_str(&text)
-            .map_err(|source| ConfigError::Parse { path: path.to_owned(), source: Box::new(source) })?;
+            .map_err(|error| ConfigError::Parse { path: path.to_owned(), error: Box::new(error) })?;
         let file = std::path::absolute(path).map_err(read)?;
         config.begin_paths_at(file.parent().unwrap_or(Path::new("/")));
         Ok(config)
@@ -396,7 +396,7 @@ impl Config {
         let IntakeLimits { rate_per_s, burst } = daemon.intake;
         let residents = format!("{:?}", persons.residents);
         let not_persons = format!("{:?}", persons.not_persons);
-        let is_one_of = |name: &str, names: &[String]| names.iter().any(|other| same_name(other, name));
+        let is_one_of = |name: &str, names: &[String]| names.iter().any(|other| same_but_for_accents(other, name));
         // By number, or by a name as `person rename` takes it.
         let is_person = |name: &String| name.trim().parse::<u32>().is_ok() || check_name(name).is_ok();
         let each_name_once =
@@ -448,7 +448,7 @@ impl Config {
             row("daemon.narrator.trust", &trust, known.iter().all(|known| (1..=100).contains(&known.trust)), "give 1 to 100"),
             row("daemon.narrator.share", &share, known.iter().all(|known| (1..=100).contains(&known.share)), "give 1 to 100"),
             row("daemon.narrator.rate_per_s", &rates, known.iter().all(|known| known.rate_per_s.is_none_or(is_rate)), "give 0 (no limit) or more"),
-            row("persons.residents", &residents, persons.residents.iter().all(is_person) && each_name_once, &format!("give each name or number once; a name is {plain}, with a letter or digit")),
+            row("persons.residents", &residents, persons.residents.iter().all(is_person) && each_name_once, &format!("give each name or number once (\"Zoë\" and \"Zoe\" are one); a name is {plain}, with a letter or digit")),
             row("persons.not_persons", &not_persons, are_no_residents, &format!("give names that no resident has, {plain}")),
             within("persons.visitor_s", persons.visitor_s, 1.0..=SECONDS_MAX),
             within("persons.asleep_s", persons.asleep_s, seconds.clone()),
@@ -598,7 +598,9 @@ mod tests {
             ("[[daemon.narrator]]\nname = \"a\"\ntrust = 101", "daemon.narrator.trust is 101"),
             ("[[daemon.narrator]]\nname = \"a\"\nrate_per_s = -1.0", "daemon.narrator.rate_per_s is -1"),
             ("[persons]\nresidents = [\"ada\", \"Ada\"]", "persons.residents is [\"ada\", \"Ada\"]"),
+            ("[persons]\nresidents = [\"Zoë\", \"zoe\"]", "persons.residents is [\"Zoë\", \"zoe\"]"),
             ("[persons]\nresidents = [\"ada\"]\nnot_persons = [\"Ada\"]", "persons.not_persons is [\"Ada\"]"),
+            ("[persons]\nresidents = [\"Zoë\"]\nnot_persons = [\"Zoe\"]", "persons.not_persons is [\"Zoe\"]"),
             ("[forecast]\nobject_s = 0", "forecast.object_s is 0"),
             ("[forecast]\nmistaken = 2", "forecast.mistaken is 2"),
             ("[habits]\nhalf_life_days = nan", "habits.half_life_days is NaN"),
@@ -626,6 +628,9 @@ mod tests {
             let error = toml::from_str::<Config>(toml).unwrap().check().unwrap_err().to_string();
             assert!(error.contains(part), "{toml}: {error}");
         }
+        // A grandmother may live with her namesake.
+        let namesakes = "[persons]\nresidents = [\"Grandma Edith\", \"Edith\"]";
+        toml::from_str::<Config>(namesakes).unwrap().check().unwrap();
         let fits = "[model]\ncores = [1, 0]\n[daemon]\njournal_bytes = 8192\n[ipc]\ndomain = \"a-1\"";
         toml::from_str::<Config>(fits).unwrap().check().unwrap();
     }
@@ -652,6 +657,15 @@ mod tests {
         assert_eq!(Config::load(&file).unwrap().scene.path, at("studio"));
         std::fs::write(&file, "[daemon]\nstate = \"\"\n").unwrap();
         assert!(Config::load(&file).unwrap_err().to_string().contains("daemon.state is empty"));
+    }
+
+    #[test]
+    fn a_value_of_the_wrong_kind_is_told_once() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[planner]\nroom_time_s = \"5\"").unwrap();
+        let text = crate::logging::chain(&Config::load(file.path()).unwrap_err());
+        assert_eq!(text.matches("invalid type").count(), 1, "{text}");
+        assert!(text.contains("expected a number") && !text.contains("f64"), "{text}");
     }
 
     #[test]

@@ -433,10 +433,15 @@ impl<M: LanguageModel> Board<M> {
         let (Some((sure, shares)), Some((_, sets))) = (self.home.shares(person), self.home.sets(person)) else {
             return Vec::new();
         };
+        let Some(probabilities) = self.home.probabilities(person) else { return Vec::new() };
         let rooms = self.snapshot.rooms();
-        let told = HORIZONS_S.iter().zip(shares.iter().zip(sets));
+        let told = HORIZONS_S.iter().zip(shares.iter().zip(sets).zip(probabilities));
         let told = told.filter(|(horizon_s, _)| LEARNED_SHARE_S.contains(horizon_s));
-        let line = |(horizon_s, (shares, set)): (&f32, (&WhenShares, &PlaceSet))| {
+        let line = |(horizon_s, ((shares, set), row)): (&f32, ((&WhenShares, &PlaceSet), &[f64]))| {
+            let of_places = row.split_last().map(|(elsewhere, known)| {
+                let of_rooms = known.iter().enumerate().filter(|(room, _)| set.rooms >> room & 1 == 1);
+                of_rooms.map(|(_, p)| p).chain(set.elsewhere.then_some(elsewhere)).sum()
+            });
             let held = rooms.iter().enumerate().filter(|(room, _)| set.rooms >> room & 1 == 1);
             let held = held.map(|(_, room)| room.id().to_owned());
             HorizonLine {
@@ -446,6 +451,7 @@ impl<M: LanguageModel> Board<M> {
                 leaving: sure * shares.semi_markov,
                 later: sure * shares.later,
                 set: held.chain(set.elsewhere.then(|| ELSEWHERE.to_owned())).collect(),
+                set_probability: of_places,
             }
         };
         told.map(line).collect()

@@ -518,6 +518,12 @@ impl HomeHabits {
         Some((self.memory.habits.options().sets.coverage, &ahead.sets))
     }
 
+    /// The latest forecast of a person, by horizon: the probability of each place, elsewhere last.
+    pub(super) fn probabilities(&self, person: u32) -> Option<impl Iterator<Item = &[f64]>> {
+        let ahead = self.ahead.get(&person).filter(|ahead| ahead.of.is_some())?;
+        Some(ahead.probability.chunks_exact(self.memory.habits.places().max(1)))
+    }
+
     /// How much of a person's latest forecast comes from what was learned, by horizon, 0 to 1.
     pub(super) fn learned_shares(&self, person: u32) -> Option<impl Iterator<Item = f64>> {
         let (sure, shares) = self.shares(person)?;

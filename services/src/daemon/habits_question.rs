@@ -229,9 +229,13 @@ pub(super) fn answer<M: LanguageModel>(
     (answer, after)
 }
 
+/// A count as it is told. What was taken out of sums that aged may leave a trace below zero, which is none.
+fn hundredth(count: f64) -> f64 {
+    ((count * 100.0).round() / 100.0).max(0.0) + 0.0
+}
+
 /// How often each room was visited.
 fn visits<M: LanguageModel>(board: &Board<M>) -> Vec<VisitsLine> {
-    let hundredth = |count: f64| (count * 100.0).round() / 100.0;
     let line =
         |(room, by_part): (&str, [f64; PARTS])| VisitsLine { room: room.to_owned(), by_part: by_part.map(hundredth) };
     board.room_ids().zip(board.habits().visits()).map(line).collect()
@@ -252,6 +256,12 @@ mod tests {
         assert!(importing.take("a", (3, 3), "z").is_err());
         assert_eq!(importing.take("b", (0, 1), "all"), Ok(Some("all".to_owned())));
         assert!(importing.take("c", (0, 0), "").is_err());
+    }
+
+    #[test]
+    fn no_count_is_less_than_nothing() {
+        let told = |count: f64| serde_json::to_string(&hundredth(count)).unwrap();
+        assert_eq!([-0.0, -1e-12, 0.0, 1.236, -0.004].map(told), ["0.0", "0.0", "0.0", "1.24", "0.0"]);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_services::config::Config;
+use roomcast_services::config::{Config, RobotKind};
 use serde::Serialize;
 
 /// How good a finding is.
@@ -79,6 +79,22 @@ pub(super) fn segment_of_no_room(config: &Config, map: &SemanticMap, file: &str)
     Some((found, remedy))
 }
 
+/// Two rooms of `[robot.segments]` that are one segment to the robot, which does neither, and what to do. Home Assistant's automation may do
+/// several rooms as one.
+pub(super) fn segment_of_two_rooms(config: &Config, map: &SemanticMap, file: &str) -> Option<(String, String)> {
+    let table = Some(&config.robot.segments).filter(|_| config.robot.kind == RobotKind::Valetudo)?;
+    let (room, other, segment) = table.iter().enumerate().find_map(|(at, (room, segment))| {
+        // Two names of one room may well have the same.
+        let is_another = |other: &str| map.find_room(other) != map.find_room(room);
+        let (other, _) = table.iter().skip(at + 1).find(|(other, own)| *own == segment && is_another(other))?;
+        Some((room, other, segment))
+    })?;
+    let found = format!(
+        "[robot.segments] of {file} gives {room:?} and {other:?} the same segment {segment:?}, so the robot does neither"
+    );
+    Some((found, "give each its own, and leave out a room that the robot has no segment for".to_owned()))
+}
+
 /// Which of these a text was probably meant to be: the nearest by letters that differ, where those are few.
 pub(super) fn nearest<'a>(text: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let most = (text.chars().count() / 4).clamp(1, 4);
@@ -106,6 +122,20 @@ fn letters_apart(one: &str, other: &str) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_segment_of_two_rooms_is_told() {
+        let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
+        let found = |text: &str| {
+            let config: Config = toml::from_str(text).unwrap();
+            segment_of_two_rooms(&config, &map, "home.toml").map(|(found, _)| found)
+        };
+        let twice = "[robot.segments]\nkitchen = \"1\"\nliving-room = \"1\"\n";
+        let told = "[robot.segments] of home.toml gives \"kitchen\" and \"living-room\" the same segment \"1\", so the robot does neither";
+        assert_eq!(found(twice).as_deref(), Some(told));
+        assert_eq!(found("[robot.segments]\n\"living room\" = \"1\"\nliving-room = \"1\"\nkitchen = \"2\"\n"), None);
+        assert_eq!(found(&format!("[robot]\nkind = \"home-assistant\"\n{twice}")), None);
+    }
 
     #[test]
     fn a_typo_is_told_from_another_word() {

@@ -5,14 +5,14 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use roomcast_core::grounding::Grounding;
-use roomcast_core::narration::same_name;
+use roomcast_core::narration::Said;
 use roomcast_core::semantic_map::{PartitionId, SemanticMap};
 use roomcast_ipc::Domain;
 use roomcast_services::config::Config;
 use roomcast_services::logging::chain;
 use roomcast_services::planner;
 
-use super::finding::{Finding, Place, segment_of_no_room, some_of};
+use super::finding::{Finding, Place, segment_of_no_room, segment_of_two_rooms, some_of};
 #[cfg(feature = "mqtt")]
 use super::home_mqtt;
 use crate::cli::count;
@@ -43,9 +43,12 @@ pub(super) fn checks(
 
 /// What is wrong with the names that a configuration file and its rules have, without a look at what runs.
 pub(super) fn names(config: &Config, home: Option<(&SemanticMap, &Grounding)>, place: &Place<'_>) -> Vec<Finding> {
-    let segment = home.and_then(|(map, _)| segment_of_no_room(config, map, &place.shown()));
-    let mut findings: Vec<Finding> =
-        segment.map(|(found, remedy)| Finding::wrong("robot", found, remedy)).into_iter().collect();
+    let shown = place.shown();
+    let segment = |(map, _): (&SemanticMap, &Grounding)| {
+        segment_of_no_room(config, map, &shown).or_else(|| segment_of_two_rooms(config, map, &shown))
+    };
+    let segment = home.and_then(segment).map(|(found, remedy)| Finding::wrong("robot", found, remedy));
+    let mut findings: Vec<Finding> = segment.into_iter().collect();
     #[cfg(feature = "mqtt")]
     if let Some(path) = config.mqtt.rules.as_deref() {
         findings.extend(home_mqtt::rules(path, home).0);
@@ -131,7 +134,7 @@ fn persons(config: &Config, place: &Place<'_>) -> Finding {
     let named = home_mqtt::persons_of_rules(config);
     #[cfg(not(feature = "mqtt"))]
     let named: Vec<String> = Vec::new();
-    let is_resident = |name: &str| residents.iter().any(|resident| same_name(resident, name));
+    let is_resident = |name: &str| residents.iter().any(|resident| Said::may_be_one(resident, name));
     let visitors: Vec<&str> = named.iter().map(String::as_str).filter(|name| !is_resident(name)).collect();
     let shown = place.shown();
     match (residents.is_empty(), named.is_empty()) {

@@ -341,8 +341,22 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
             "make the devices speak (open the door, switch the lamp); leave out the rules of devices that are gone";
         findings.push(Finding::limited("topics", found, remedy));
     } else {
-        findings
-            .push(Finding::good("topics", format!("{} seen, and every rule hears one", count(topics.len(), "topic"))));
+        let hears = |number: usize| topics.iter().any(|(topic, _)| rules.fits(number, topic));
+        let hearing = rules.about().filter(|rule| hears(rule.number)).count();
+        let seen = count(topics.len(), "topic");
+        findings.push(match hearing {
+            hearing if hearing == all => Finding::good("topics", format!("{seen} seen, and every rule hears one")),
+            0 => Finding::limited(
+                "topics",
+                format!("{shown}: nothing was said within {wait_s:.0} s under any topic of a rule; every rule fitted a message before"),
+                "switch something and ask again: a broker that was started again has no state until it changes, unless it keeps retained messages \
+                 (mosquitto: persistence true)",
+            ),
+            _ => Finding::good(
+                "topics",
+                format!("{seen} seen: {hearing} of {} hear one, the others fitted a message before", count(all, "rule")),
+            ),
+        });
     }
     if let Some(counted) = &counted {
         findings.push(never(rules, counted, &fitted, &shown.to_string()));
@@ -578,7 +592,47 @@ fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, Stri
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::doctor::finding::Verdict;
     use roomcast_core::grounding::GroundingOptions;
+
+    /// What was counted before is not what is heard now.
+    #[test]
+    fn topics_are_seen_only_where_something_is_said() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rules.toml");
+        let rule = |topic: &str| {
+            format!("[[rule]]\ntopic = \"home/{topic}\"\nwhen = \"on\"\nsay = \"They use the {topic}.\"\n")
+        };
+        std::fs::write(&path, rule("oven") + &rule("lamp")).unwrap();
+        let rules = Rules::load(&path).unwrap();
+        let fitted: BTreeMap<String, u64> = rules.keys().into_iter().map(|key| (key, 3)).collect();
+        let counted = serde_json::json!({"since_unix_s": 0, "fitted": fitted}).to_string();
+        let mut config = Config::default();
+        config.daemon.state = Some(folder.path().to_owned());
+        let source = roomcast_ipc::sequence::source_of_name(&config.narrator.name);
+        let state = config.daemon.state_directory().unwrap();
+        std::fs::create_dir_all(&state).unwrap();
+        std::fs::write(state.join(format!("rules-{source:016x}.json")), counted).unwrap();
+        let place = Place { config: &path, wait: std::time::Duration::from_secs(5) };
+        let told = |said: &[&str]| {
+            let mut seen = Seen::default();
+            let message = mqtt_look::Said { payload: b"on".to_vec(), retained: true };
+            seen.topics.extend(said.iter().map(|topic| (format!("home/{topic}"), message.clone())));
+            let findings = topics(&rules, &path, &seen, &config, &place);
+            let found = findings.into_iter().find(|own| own.check == "topics").unwrap();
+            (found.verdict, found.found)
+        };
+        let (verdict, found) = told(&[]);
+        assert_eq!(verdict, Verdict::Limited, "{found}");
+        assert!(
+            found
+                .ends_with("nothing was said within 5 s under any topic of a rule; every rule fitted a message before"),
+            "{found}"
+        );
+        let some = "1 topic seen: 1 of 2 rules hear one, the others fitted a message before";
+        assert_eq!(told(&["oven"]), (Verdict::Good, some.to_owned()));
+        assert_eq!(told(&["oven", "lamp"]), (Verdict::Good, "2 topics seen, and every rule hears one".to_owned()));
+    }
 
     #[test]
     fn a_rule_whose_thing_is_not_on_the_map_is_told_from_one_that_says_it_otherwise() {
