@@ -134,6 +134,25 @@ fn a_late_joiner_gets_the_newest_snapshot_from_a_tick_alone() {
     assert_eq!(eventually(|| late.newest().unwrap()).sequence, 2);
 }
 
+/// What a recorder hears: nothing that was said before it was there, and all that is said from then on.
+#[test]
+fn whoever_listens_from_now_gets_no_history() {
+    let private = Private::new("now");
+    let narrator = private.domain.open("narrator").unwrap();
+    let publisher = narrator.publisher::<NarrationV1>().unwrap();
+    publisher.send(&narration(1, "before")).unwrap();
+    let others = private.domain.open("others").unwrap();
+    let (late, from_now) =
+        (others.subscriber::<NarrationV1>().unwrap(), others.subscriber_from_now::<NarrationV1>().unwrap());
+    publisher.tick().unwrap();
+    publisher.send(&narration(2, "after")).unwrap();
+    let sequence = |subscriber: &roomcast_ipc::Subscriber<NarrationV1>| {
+        eventually(|| subscriber.receive().unwrap()).unwrap().sequence
+    };
+    assert_eq!([sequence(&late), sequence(&late), sequence(&from_now)], [1, 2, 2]);
+    assert!(from_now.receive().unwrap().is_none());
+}
+
 #[test]
 fn a_slow_subscriber_keeps_the_newest_and_the_publisher_does_not_wait() {
     let private = Private::new("slow");

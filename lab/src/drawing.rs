@@ -232,6 +232,7 @@ fn rounded(pixels: f64) -> f64 {
 
 /// A thing as it lies on the plan.
 struct Thing {
+    /// Heights are above the floor of its storey.
     bounds: Box3,
     position_m: [f64; 2],
     storey: usize,
@@ -292,8 +293,11 @@ impl<'a> Plan<'a> {
         let moved = |space: &Space| storeys.moved_space(space);
         let things = map.items().iter().map(|item| {
             let (storey, [east_m, north_m, _]) = (storeys.of_item(map, item), item.position_m);
-            let position_m = storeys.moved(storey, [east_m, north_m]);
-            Thing { bounds: storeys.moved_box(storey, &item.bounds), position_m, storey }
+            let mut bounds = storeys.moved_box(storey, &item.bounds);
+            for corner in [&mut bounds.min_m, &mut bounds.max_m] {
+                corner[2] -= storeys.all()[storey].floor_m;
+            }
+            Thing { bounds, position_m: storeys.moved(storey, [east_m, north_m]), storey }
         });
         let doors = map.doors().iter().map(|door| {
             let [east_m, north_m, _] = door.position_m;
@@ -402,7 +406,6 @@ impl<'a> Plan<'a> {
             .add(self.floors())
             .add(self.furniture())
             .add(self.walls())
-            .add(self.storey_names())
             .add(self.dots())
             .add(furniture_names)
             .add(names)
@@ -468,13 +471,13 @@ impl<'a> Plan<'a> {
                 }
             });
         }
-        walls
+        if self.storeys.all().len() > 1 { walls.add(self.storey_names()) } else { walls }
     }
 
-    /// Above each storey which one it is, where there are several.
+    /// Above each storey which one it is.
     fn storey_names(&self) -> Group {
         let mut names = Group::new();
-        for storey in self.storeys.all().iter().filter(|_| self.storeys.all().len() > 1) {
+        for storey in self.storeys.all() {
             let (left, top) = (self.x(storey.min_m[0]), self.y(storey.max_m[1]));
             let most_px = (self.x(storey.max_m[0]) - left).max(120.0);
             let name = shortened(&storey.name(), 13.0, most_px);
@@ -541,11 +544,11 @@ impl<'a> Plan<'a> {
 
     /// Indices of large things, what stands or lies higher after what bears it.
     fn furniture_order(&self) -> Vec<usize> {
-        let items = self.map.items();
-        let mut order: Vec<usize> = (0..items.len()).filter(|&index| self.is_furniture(index)).collect();
+        let things = &self.things;
+        let mut order: Vec<usize> = (0..things.len()).filter(|&index| self.is_furniture(index)).collect();
         // A headboard is higher than the blanket on its bed, so where a thing begins counts first, in steps that forgive a
         // millimetre.
-        let key = |index: usize| ((items[index].bounds.min_m[2] * 20.0).round(), items[index].bounds.max_m[2]);
+        let key = |index: usize| ((things[index].bounds.min_m[2] * 20.0).round(), things[index].bounds.max_m[2]);
         let compare = |(a0, a1): (f64, f64), (b0, b1): (f64, f64)| a0.total_cmp(&b0).then(a1.total_cmp(&b1));
         order.sort_by(|&a, &b| compare(key(a), key(b)));
         order
@@ -1175,7 +1178,8 @@ mod tests {
         let walls: Vec<(f64, f64)> = walls.filter_map(corner).collect();
         let [hall, bathroom] = walls[..] else { panic!("{walls:?}") };
         assert!(bathroom.0.min(bathroom.1) > hall.0.max(hall.1), "{walls:?}");
-        let said: Vec<&str> = drawing.descendants().filter_map(|node| node.text()).map(str::trim).collect();
+        let said: Vec<&str> =
+            drawing.descendants().filter(|node| node.is_text()).filter_map(|node| node.text()).map(str::trim).collect();
         for name in ["floor at 0 m", "floor at 3 m", "bench", "bathtub", "way to another storey"] {
             assert_eq!(said.iter().filter(|own| **own == name).count(), 1, "{name} in {said:?}");
         }
@@ -1183,7 +1187,8 @@ mod tests {
         let things = drawing
             .descendants()
             .filter(|node| node.has_tag_name("rect") && node.attribute("fill-opacity") == Some("0.9"));
-        let lefts: Vec<f64> = things.map(|node| node.attribute("x").unwrap().parse().unwrap()).collect();
+        let mut lefts: Vec<f64> = things.map(|node| node.attribute("x").unwrap().parse().unwrap()).collect();
+        lefts.sort_by(f64::total_cmp);
         assert!(lefts[0] > hall.0 && lefts[0] < hall.1 && lefts[1] > bathroom.0 && lefts[1] < bathroom.1, "{lefts:?}");
     }
 

@@ -33,7 +33,7 @@ struct MqttArgs {
     #[arg(long)]
     dry_run: bool,
     /// With --dry-run: end when everything was printed once.
-    #[arg(long, requires = "dry_run")]
+    #[arg(long, requires = "dry_run", conflicts_with = "remove")]
     once: bool,
     /// Take away everything that a bridge with these topics has left at the broker, and end.
     #[arg(long, conflicts_with = "dry_run")]

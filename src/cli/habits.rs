@@ -77,7 +77,7 @@ struct LearnArgs {
     #[arg(long, value_name = "LOG", requires = "rules")]
     sensors: Option<PathBuf>,
     /// The rules that make narration of the sensor log (docs/sensors.md).
-    #[arg(long, value_name = "FILE", requires = "sensors")]
+    #[arg(long, value_name = "FILE", requires = "sensors", conflicts_with_all = INPUTS.iter().filter(|input| **input != "sensors"))]
     rules: Option<PathBuf>,
     /// A recording (docs/recording.md).
     #[arg(long, value_name = "FILE")]
@@ -88,7 +88,7 @@ struct LearnArgs {
     days: Option<PathBuf>,
     /// The date of the first of these days; else the last one was yesterday.
     #[cfg(feature = "lab")]
-    #[arg(long, value_name = "YYYY-MM-DD", requires = "days")]
+    #[arg(long, value_name = "YYYY-MM-DD", requires = "days", conflicts_with = "rules", conflicts_with_all = INPUTS.iter().filter(|input| **input != "days"))]
     first_day: Option<String>,
     /// The person, by name or number, where nothing says who it was.
     #[arg(long)]

@@ -19,7 +19,11 @@ fn required_by(arg: &clap::Arg) -> Vec<String> {
 fn excludes(command: &clap::Command, one: &clap::Arg, other: &clap::Arg) -> bool {
     let names =
         |a: &clap::Arg, b: &clap::Arg| command.get_arg_conflicts_with(a).iter().any(|own| own.get_id() == b.get_id());
-    names(one, other) || names(other, one)
+    let alternatives = command.get_groups().any(|group| {
+        let has = |arg: &clap::Arg| group.get_args().any(|own| own == arg.get_id());
+        !group.clone().is_multiple() && has(one) && has(other)
+    });
+    alternatives || names(one, other) || names(other, one)
 }
 
 #[test]
@@ -32,7 +36,8 @@ fn what_excludes_a_required_argument_excludes_what_requires_it() {
             for required in required_by(arg) {
                 let target = command.get_arguments().find(|own| own.get_id() == required.as_str());
                 let target = target.unwrap_or_else(|| panic!("{words} has no {required}"));
-                let others = command.get_arguments().filter(|other| other.get_id() != arg.get_id());
+                let is_other = |other: &&clap::Arg| ![arg.get_id(), target.get_id()].contains(&other.get_id());
+                let others = command.get_arguments().filter(is_other);
                 let silent = others.filter(|other| excludes(command, target, other) && !excludes(command, arg, other));
                 dropped.extend(silent.map(|other| format!("{words}: {} with {}", arg.get_id(), other.get_id())));
                 requirements.push(format!("{words} {} {required}", arg.get_id()));

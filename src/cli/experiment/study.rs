@@ -123,15 +123,18 @@ pub(super) struct Table1Args {
     study: StudyArgs,
 }
 
+/// What `--setups` varies. What requires it names them as well: clap lets a requirement drop where something given excludes it.
+const OF_ONE_SETUP: [&str; 3] = ["items", "longest_act", "history"];
+
 /// Arguments of `roomcast experiment table2`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Table2Args {
     /// Also under every set-up that the paper leaves open, with intervals and at the naive policy's share of failures: any thing of a kind or the
     /// nearest, acts up to 10, 20 and 60 s, a window of 16 observations or the whole narration.
-    #[arg(long, conflicts_with_all = ["items", "longest_act", "history"])]
+    #[arg(long, conflicts_with_all = OF_ONE_SETUP)]
     setups: bool,
     /// With --setups, further models, such as trainings with other seeds; may be repeated. Intervals are over them, too.
-    #[arg(long, value_name = "FILE", requires = "setups")]
+    #[arg(long, value_name = "FILE", requires = "setups", conflicts_with_all = OF_ONE_SETUP)]
     also_model: Vec<PathBuf>,
     #[command(flatten)]
     study: StudyArgs,
