@@ -139,7 +139,10 @@ impl Footprint {
 
     /// The same with every corner moved alike.
     pub(super) fn mapped(&self, moved: impl Fn([f64; 2]) -> [f64; 2]) -> Self {
-        Self { rings: self.rings.iter().map(|ring| ring.iter().map(|corner| moved(*corner)).collect()).collect() }
+        Self {
+            rings: self.rings.iter().map(|ring| ring.iter().map(|corner| moved(*corner)).collect()).collect(),
+            corners: self.corners,
+        }
     }
 
     /// No two edges meet but neighbours at their corner.
