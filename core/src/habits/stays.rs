@@ -50,8 +50,6 @@ const MINUTES: u16 = 1;
 const HAZARD_STRENGTH: f64 = 2.0;
 /// How many samples the wider level is worth in what is counted directly.
 const LATER_STRENGTH: [f64; 3] = [8.0, 40.0, 40.0];
-/// How many samples the forecast without this home is worth in what is counted.
-const UNTRAINED: f64 = 10.0;
 /// Experts whose forecasts at the anchors are read from counts, and how many they are.
 const COUNTED_EXPERTS: [usize; COUNTED] = [1, 3, 4];
 const COUNTED: usize = 3;
@@ -91,23 +89,6 @@ pub(crate) struct Anchor {
     probabilities: Vec<f64>,
     first: usize,
     count: usize,
-}
-
-impl Anchor {
-    /// How far what was counted here counts, 0 to 1: before anything was, it knows no more than the forecast without this home.
-    fn known(&self) -> f64 {
-        let samples = (self.sampled - 2.0).max(0.0);
-        samples / (samples + UNTRAINED)
-    }
-}
-
-/// Mixes the forecast without this home, the first row, into those that are counted.
-fn back_off(known: f64, rows: &mut [f64], places: usize) {
-    let (shipped, others) = rows.split_at_mut(places);
-    for expert in COUNTED_EXPERTS {
-        let row = &mut others[(expert - 1) * places..expert * places];
-        row.iter_mut().zip(&*shipped).for_each(|(p, shipped)| *p = known * *p + (1.0 - known) * shipped);
-    }
 }
 
 /// How long one person stays, and where they were.
@@ -319,7 +300,6 @@ impl Stays {
                 let (persistence, rest) = rest.split_at_mut(places);
                 let (by_place, rest) = rest[places..].split_at_mut(places);
                 self.later(whose, frame, index, now_s, persistence, by_place, &mut rest[..places]);
-                back_off(self.anchors[index].known(), &mut scratch.rows, places);
                 let weights = *self.anchors[index].mixture.weights();
                 mix(&weights, &mut scratch.rows, places);
             }
@@ -401,7 +381,7 @@ impl Stays {
         rows.resize((EXPERTS + 1) * places, 0.0);
         rows[..places].copy_from_slice(out);
         rows[2 * places..3 * places].copy_from_slice(&semi[index * places..(index + 1) * places]);
-        let (mut weights, mut known) = ([0.0; EXPERTS], 0.0);
+        let mut weights = [0.0; EXPERTS];
         for (index, part) in [(lower, 1.0 - share), (Some(upper), share)] {
             match index {
                 Some(index) => {
@@ -418,17 +398,11 @@ impl Stays {
                     }
                 }
             }
-            known += part * index.map_or(1.0, |index| self.anchors[index].known());
             let of = self.anchors[index.unwrap_or(upper)].mixture.weights();
             weights.iter_mut().zip(of).for_each(|(sum, weight)| *sum += part * weight);
         }
-        back_off(known, rows, places);
         mix(&weights, rows, places);
         out.copy_from_slice(&rows[EXPERTS * places..]);
-        for expert in COUNTED_EXPERTS {
-            weights[0] += (1.0 - known) * weights[expert];
-            weights[expert] *= known;
-        }
         weights
     }
 

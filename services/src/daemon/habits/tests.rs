@@ -486,21 +486,6 @@ fn what_is_said_of_everybody_is_learned_of_each() {
     assert_eq!(exits(&house), [1.0, 1.0], "learned from the journal");
 }
 
-/// Of a home that nobody has watched yet the forecast is the one without habits, but for what the first observations say.
-#[test]
-fn a_home_of_which_nothing_is_known_is_forecast_as_without_habits() {
-    let ahead = |learn: bool| {
-        let mut house = House::new(learn);
-        house.say(3, 7 * H, "They sit on the sofa.");
-        house.until(7 * H + 120);
-        (house.ahead(3, QUARTER), house.ahead(3, HOUR))
-    };
-    let ((with, later), (without, later_without)) = (ahead(true), ahead(false));
-    for (with, without) in with.into_iter().zip(without).chain(later.into_iter().zip(later_without)) {
-        assert!((with - without).abs() < 0.1, "{with} {without}");
-    }
-}
-
 /// A machine that slept watched nobody: that time is no stay.
 #[test]
 fn a_night_in_which_the_machine_slept_is_not_counted() {
