@@ -74,6 +74,8 @@ pub(super) struct Known {
     pub(super) did_ns: i64,
     /// What was observed last: source, epoch, sequence.
     pub(super) last: (u64, u64, u64),
+    /// When that was, by its own time.
+    last_ns: i64,
     /// The number of the voice that told of them first.
     voice: u64,
     /// When one told of them whose word is guarded; the least number where none did.
@@ -450,8 +452,8 @@ impl Persons {
         let Some(known) = self.known.get(&observation.person) else { return at_ns };
         let (source, epoch, sequence) = known.last;
         let is_next = (source, epoch) == (observation.source, observation.epoch) && sequence <= observation.sequence;
-        let is_near = at_ns.saturating_add(ORDER_NS) >= known.heard_ns;
-        if is_next && is_near { at_ns.max(known.heard_ns) } else { at_ns }
+        let is_near = at_ns.saturating_add(ORDER_NS) >= known.last_ns;
+        if is_next && is_near { at_ns.max(known.last_ns) } else { at_ns }
     }
 
     /// Takes note that one has told of a person whose word is guarded.
@@ -483,6 +485,7 @@ impl Persons {
             heard_ns: at_ns,
             did_ns: i64::MIN,
             last: (0, 0, 0),
+            last_ns: at_ns,
             voice: voice.number,
             guarded_ns: i64::MIN,
             door_ns: i64::MIN,
@@ -501,6 +504,7 @@ impl Persons {
                 known.door_ns = at_ns.max(known.door_ns);
             }
         }
+        known.last_ns = at_ns;
         // What arrives late does not turn back time.
         let at_ns = at_ns.max(known.heard_ns);
         let presence = observation.said.presence();

@@ -1633,4 +1633,11 @@ fn the_later_line_of_a_source_counts_whatever_its_time_was_rounded_to() {
         let presence = house.board.persons().get(person_number("Ada")).unwrap().presence;
         assert_eq!(presence == Presence::Away, is_heard, "{earlier_ns} ns earlier");
     }
+    // What another source has said since is later all the same.
+    let mut house = House::new(&["Ada"]);
+    house.after(1, "Ada", "They open the fridge.");
+    house.after_by(9, "Ada", "They sit on the sofa.");
+    house.now_ns -= S / 2;
+    house.after(0, "Ada", "away");
+    assert_eq!(house.board.persons().get(person_number("Ada")).unwrap().presence, Presence::Present);
 }
