@@ -670,12 +670,10 @@ mod tests {
             .chars()
             .flat_map(|first| "aeiou".chars().map(move |second| format!("{first}{second}b")))
             .collect();
-        let mut longest = String::new();
         for joined in [" and ", ", ", " "] {
             let mut text = names.join(joined);
             text.truncate(SENTENCE_BYTES_MAX - 32);
-            longest = format!("{text} opens the fridge.");
-            let said = Said::of(Sentence::new(&longest).unwrap());
+            let said = Said::of(Sentence::new(&format!("{text} opens the fridge.")).unwrap());
             let mut asked = std::collections::BTreeMap::<String, usize>::new();
             let _ = said.about(|name| {
                 *asked.entry(name.to_owned()).or_default() += 1;
@@ -683,7 +681,6 @@ mod tests {
             });
             assert!(asked.values().all(|times| *times == 1) && asked.len() <= 128, "{joined:?}: {}", asked.len());
         }
-        assert!(longest.len() > 900);
     }
 
     #[test]

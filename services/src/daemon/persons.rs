@@ -22,7 +22,7 @@ const NIGHT_NS: i64 = 12 * 3_600_000_000_000;
 const LATE_NS: i64 = 60_000_000_000;
 
 /// Times of one source that are out of its order by no more are the errors of its clock, or of the way that they came.
-const ORDER_NS: i64 = 1_000_000_000;
+const ORDER_NS: i64 = 100_000_000;
 
 /// So long "he" and "she" mean whom their source told of last by name.
 const PRONOUN_NS: i64 = 60_000_000_000;

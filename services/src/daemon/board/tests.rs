@@ -595,5 +595,5 @@ fn a_room_that_is_added_makes_nobody_leave_theirs() {
     board.change_map(map).unwrap();
     board.step([], 30 * S, 30 * S).unwrap();
     let after = board.forecast(30 * S).probability[1][0];
-    assert!(before > 0.9 && (after - before).abs() < 0.02, "{before} {after}");
+    assert!(before > 0.8 && after > before - 0.02, "{before} {after}");
 }
