@@ -431,7 +431,9 @@ fn shown(answer: &HabitsAnswer) -> String {
         let name = name.clone().unwrap_or_default();
         table.add_row([person.to_string(), name, format!("{observations:.0}"), next(), next(), next()]);
     }
-    text += &format!("{table}\nThe last columns say how much of the forecast for then habits make up. With few observations they assume more than they know.\n");
+    text += &format!(
+        "{table}\nThe last columns say how much of the forecast for then habits make up. With few observations they assume more than they know.\n"
+    );
     if answer.persons.iter().any(|line| line.forecast.is_empty()) {
         text += "Of whom they have a -, nothing was observed since the daemon began.\n";
     }
