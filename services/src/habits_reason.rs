@@ -86,6 +86,7 @@ pub struct PersonHabits {
     pub coverage: f64,
 }
 
+#[cfg_attr(not(feature = "recording"), allow(dead_code, reason = "only recordings have it"))]
 impl PersonHabits {
     /// What a published forecast says of it, of everybody of whom anything was learned.
     #[must_use]

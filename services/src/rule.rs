@@ -26,6 +26,7 @@ impl Stated for Presence {
 }
 
 /// What a rule of MQTT says of who is where.
+#[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only rules of MQTT say it"))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Whereabouts {
@@ -125,6 +126,7 @@ impl Saying {
     }
 
     /// A key's text as it was given, placeholders and all.
+    #[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
     pub(crate) fn text(&self, key: &str) -> Option<&str> {
         self.keys.get(key).and_then(Value::as_str)
     }
@@ -137,6 +139,7 @@ impl Saying {
     }
 
     /// As [`Self::line`], but none where the line has more bytes than a line of narration may have. It is given up before it grows.
+    #[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
     pub(crate) fn short_line(&self, value_of: impl Fn(&str) -> String) -> Option<String> {
         let most = usize::try_from(LINE_BYTES_MAX).unwrap_or(usize::MAX);
         let mut keys = Map::new();
