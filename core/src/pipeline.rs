@@ -1055,6 +1055,19 @@ mod tests {
         }
     }
 
+    /// Whose prompt was read last is not always whose scores there are.
+    #[test]
+    fn tokens_of_somebody_who_is_forgotten_explain_nobody_else() {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let mut both = pipeline(&map, Effort::Exact, CORRECTED);
+        both.step([observation(1, 0), observation(2, 1)]).unwrap();
+        both.forget_person(1);
+        both.score().unwrap();
+        assert!(both.token_log_prob_nats(0).is_none());
+        both.step([observation(3, 0)]).unwrap();
+        assert!(both.token_log_prob_nats(0).is_some());
+    }
+
     #[test]
     fn what_was_guessed_is_answered_without_the_model() {
         let map = SemanticMap::from_json(TWO_ROOMS).unwrap();

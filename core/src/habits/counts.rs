@@ -474,6 +474,17 @@ mod tests {
         assert!((0..7).all(|key| counts.get(key, 0).is_some()));
     }
 
+    /// What is told of a year ago counts as if it had been counted then, also where the same was counted since.
+    #[test]
+    fn what_is_older_than_its_row_has_faded() {
+        let mut counts = counts(4, 16, 10_000.0);
+        counts.add(1, 1, 1.0, 30_000);
+        counts.add(1, 1, 1.0, 10_000);
+        counts.add(1, 2, 1.0, 0);
+        let seen = counts.get(1, 30_000).unwrap();
+        assert!((seen.count(1) - 1.25).abs() < 1e-3 && (seen.count(2) - 0.125).abs() < 1e-3, "{seen:?}");
+    }
+
     proptest! {
         /// As a map of maps would count, whatever is added, and never more than the limits.
         #[test]

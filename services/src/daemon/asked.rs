@@ -116,6 +116,26 @@ mod tests {
         assert_eq!((answered.get("3"), answered.get("0")), (Some(&3), None), "the oldest gave way");
     }
 
+    /// Somebody who is forgotten is in no answer that was given before.
+    #[test]
+    fn remembered_answers_can_be_cut_but_for_the_last() {
+        let mut answered = Answered::default();
+        for number in 1..=3 {
+            answered.put(number.to_string(), number);
+        }
+        answered.cut_before_last(|answer| *answer = 0);
+        assert_eq!(["1", "2", "3"].map(|id| *answered.get(id).unwrap()), [0, 0, 3]);
+    }
+
+    #[test]
+    fn a_question_with_something_behind_it_is_refused() {
+        let of = |text: &str| read::<PersonQuestion>(Ok::<_, String>(text)).is_ok();
+        assert!(of(r#" {"ask": "list"} "#));
+        for behind in ["x", "{}", ",", r#"{"ask": "forget", "id": "1", "who": "ada"}"#] {
+            assert!(!of(&format!(r#"{{"ask": "list"}} {behind}"#)), "{behind}");
+        }
+    }
+
     /// What is remembered is bounded: 64 answers with names of a megabyte took 64 MB for each service.
     #[test]
     fn a_question_with_a_long_name_is_refused() {
