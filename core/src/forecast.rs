@@ -412,7 +412,6 @@ impl Forecaster {
         (0..rooms).filter(fresh).for_each(|room| self.spent_s[room] = even * self.options.stay_s);
         // Where like things were in use is by the rooms before.
         self.in_use.clear();
-        self.predicted.clear();
     }
 
     /// Per room the probability that the next thing is there, as was expected last; none once the person was told to be in another room.

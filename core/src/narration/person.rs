@@ -35,8 +35,9 @@ pub fn same_name(a: &str, b: &str) -> bool {
 /// A name as it is compared with others, read once: who is known is looked up for every word of a sentence.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ReadName {
-    /// The whole of it, as [`same_name`] compares.
+    /// The whole of it, as [`same_name`] compares, and its number.
     whole: String,
+    number: u32,
     /// Without its title: the same, and without accents; and how many words these are.
     plain: String,
     bare: String,
@@ -57,6 +58,7 @@ impl ReadName {
         });
         Self {
             whole: bare(name),
+            number: person_number(name),
             plain: bare(rest),
             bare: Names::bare(rest),
             words: rest.split_whitespace().count(),
@@ -69,6 +71,12 @@ impl ReadName {
     #[must_use]
     pub fn whole(&self) -> &str {
         &self.whole
+    }
+
+    /// The number that follows from the name ([`person_number`]).
+    #[must_use]
+    pub fn number(&self) -> u32 {
+        self.number
     }
 
     /// What two names share that may be one person's: one of these is the same in both.

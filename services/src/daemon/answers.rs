@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use roomcast_core::narration::{Observation, SOMEBODY, Said, check_name};
+use roomcast_core::narration::{Named, Observation, SOMEBODY, Said};
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::text::has_words;
@@ -84,8 +84,8 @@ pub(super) fn answer_about_person<M: LanguageModel>(
             let (is_known, person) = (find(board, &who), board.persons().meant(&who));
             let is_learned = board.habits().persons().iter().any(|(known, _)| *known == person);
             let is_somebody = is_known.is_ok() || is_learned;
-            if !is_somebody && !who.trim().chars().all(char::is_numeric) {
-                check_name(&who)?;
+            if !is_somebody {
+                Named::parse(&who)?;
             }
             let (left, records) = forget(board, kept, person, &who, is_somebody);
             if records == 0 && !is_learned { is_known.map(|_| left) } else { Ok(left) }

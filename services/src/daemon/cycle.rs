@@ -21,9 +21,9 @@ pub struct Cycle<M> {
     board: Board<M>,
     /// What the next steps take into the histories, each with its number in the journal, 0 without one.
     waiting: VecDeque<(Entry, u64)>,
-    /// The journal's number of the newest record that the histories rest on: an observation, or whose one is.
+    /// The journal's number of the newest observation in the histories.
     entered_record: u64,
-    /// The same of the newest one that the scores rest on.
+    /// The same of the newest record that the scores rest on: an observation, or whose one is.
     scored_record: u64,
     /// There is something to score: new narration, a step that failed, or nothing scored yet.
     due: bool,
@@ -125,7 +125,7 @@ impl<M: LanguageModel> Cycle<M> {
         }
         self.due = !self.waiting.is_empty();
         self.fresh = true;
-        self.scored_record = self.entered_record;
+        self.scored_record = self.scored_record.max(self.entered_record);
         Ok(())
     }
 

@@ -31,7 +31,7 @@ const CLOCK_SET_S: f64 = 30.0;
 const AWAY_S: f64 = 7.0 * 86_400.0;
 /// How often time spent is counted.
 const TICK_NS: u64 = 60_000_000_000;
-/// Who looked at the clock for so long no more was suspended.
+/// A clock that nobody looked at for longer, though time spent is counted every minute, is that of a machine that slept.
 const ASLEEP_NS: u64 = 5 * TICK_NS;
 /// A room counts as the one where something was done if the person is believed to be there with more than this.
 const SURE: f64 = 0.5;
@@ -490,16 +490,19 @@ impl HomeHabits {
             sets.clear();
             let rows = probability.chunks_exact_mut(places).zip(self.shipped.chunks_exact(places));
             for ((row, shipped), horizon_s) in rows.zip(horizons_s) {
-                let mixed = |(p, shipped): (&mut f64, &f64)| *p = sure * *p + (1.0 - sure) * shipped;
-                if sure > SURE {
-                    self.memory.habits.room_set(person, horizon_s, row, &mut self.held);
+                // Where they are believed to be elsewhere than habits have them, sets are of what is believed.
+                let mix = |row: &mut [f64]| {
+                    row.iter_mut().zip(shipped).for_each(|(p, own)| *p = sure * *p + (1.0 - sure) * own);
+                };
+                let is_elsewhere = sure <= SURE;
+                if is_elsewhere {
+                    mix(row);
                 }
-                row.iter_mut().zip(shipped).for_each(mixed);
-                // Where they are believed to be elsewhere than habits have them, what is believed counts.
-                if sure <= SURE {
-                    self.memory.habits.room_set(person, horizon_s, row, &mut self.held);
-                }
+                self.memory.habits.room_set(person, horizon_s, row, &mut self.held);
                 sets.push(PlaceSet::of(&self.held));
+                if !is_elsewhere {
+                    mix(row);
+                }
             }
             (ahead.sure, ahead.of) = (sure, Some(of));
         }

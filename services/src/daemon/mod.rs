@@ -341,7 +341,7 @@ fn supervise(
         let (name, still_ns) = progress_ns.slowest(now_ns);
         let is_still = still_ns > config.daemon.hang_s.saturating_mul(1_000_000_000);
         // After a suspension nobody has moved for long: whoever has not moved by the next look either hangs.
-        if is_still && std::mem::replace(&mut was_still, is_still) {
+        if is_still && was_still {
             return Err(DaemonError::Hung { name, seconds: still_ns / 1_000_000_000 });
         }
         was_still = is_still;

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use roomcast_core::narration::{
     About, Observation, PERSONS_MAX, Presence, PresenceStatement, Pronoun, ReadName, SOMEBODY, Said, Voice, check_name,
-    is_number, person_number,
+    is_number,
 };
 use roomcast_core::text::has_words;
 use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
@@ -182,7 +182,7 @@ impl Persons {
     }
 
     fn number_of_read(&self, name: &ReadName) -> u32 {
-        let number = self.file.given_number(name).unwrap_or_else(|| person_number(name.whole()));
+        let number = self.file.given_number(name).unwrap_or_else(|| name.number());
         if self.is_number_named(number) || self.lives_here(name) {
             return number;
         }
@@ -209,12 +209,9 @@ impl Persons {
         // Whoever is known by a name has the number that they are known by, unless the home gave the name to somebody.
         let number = |read: &ReadName, own: u32| self.file.given_number(read).unwrap_or(own);
         let named = self.known.iter().filter_map(|(own, known)| Some((*own, &known.name.as_ref()?.read)));
-        let residents = self.config.residents.iter().zip(&self.residents);
-        let all = named.chain(self.file.sharing(name)).filter(|(_, read)| is_such(read));
-        let of_residents = residents.filter(|(_, read)| is_such(read));
-        all.map(|(own, read)| number(read, own))
-            .chain(of_residents.map(|(who, read)| number(read, person_number(who))))
-            .collect()
+        let residents = self.residents.iter().map(|read| (read.number(), read));
+        let all = named.chain(self.file.sharing(name)).chain(residents);
+        all.filter(|(_, read)| is_such(read)).map(|(own, read)| number(read, own)).collect()
     }
 
     /// Whose first name it is, of those who go by a longer one.
@@ -519,11 +516,12 @@ impl Persons {
 
     /// A person's name as it is written from now on: who lives here as the home writes them; others as they were called first, but for case.
     fn spelled(&self, number: u32, name: Name) -> Name {
-        let residents = self.config.residents.iter().zip(&self.residents);
-        let is_resident = |who: &str, read: &ReadName| {
-            read.whole() == name.read.whole() || read.may_be_one(&name.read) && self.file.number_of(who) == number
+        let mut residents = self.config.residents.iter().zip(&self.residents);
+        let own_number = |read: &ReadName| self.file.given_number(read).unwrap_or(read.number());
+        let is_resident = |read: &ReadName| {
+            read.whole() == name.read.whole() || read.may_be_one(&name.read) && own_number(read) == number
         };
-        if let Some((who, read)) = residents.into_iter().find(|(who, read)| is_resident(who, read)) {
+        if let Some((who, read)) = residents.find(|(_, read)| is_resident(read)) {
             return Name { said: who.as_str().into(), read: read.clone() };
         }
         let known = self.known.get(&number).and_then(|known| known.name.as_ref());
@@ -788,7 +786,7 @@ impl Persons {
     }
 
     fn is_read_known(&self, name: &ReadName) -> bool {
-        let number = self.file.given_number(name).unwrap_or_else(|| person_number(name.whole()));
+        let number = self.file.given_number(name).unwrap_or_else(|| name.number());
         self.is_number_named(number) || self.lives_here(name) || self.alike(name).len() == 1
     }
 

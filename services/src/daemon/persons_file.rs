@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::state_file;
-use roomcast_core::narration::{ReadName, SOMEBODY, check_name, person_number, same_name};
+use roomcast_core::narration::{ReadName, SOMEBODY, check_name, same_name};
 
 /// The file in the state directory.
 const FILE: &str = "persons.json";
@@ -77,9 +77,9 @@ impl Index {
             Self { names: persons.iter().map(|kept| ReadName::new(&kept.name)).collect(), ..Self::default() };
         for (at, kept) in persons.iter().enumerate() {
             index.by_number.entry(kept.number).or_insert(at);
-            for name in kept.names() {
-                index.by_name.entry(ReadName::new(name).whole().to_owned()).or_insert(at);
-                index.by_named_number.entry(person_number(name)).or_insert(at);
+            for name in kept.names().map(ReadName::new) {
+                index.by_name.entry(name.whole().to_owned()).or_insert(at);
+                index.by_named_number.entry(name.number()).or_insert(at);
             }
             let name = &index.names[at];
             for shared in name.shared().into_iter().chain(name.shared_for_short().into_iter().flatten()) {
@@ -124,7 +124,8 @@ impl PersonsFile {
     /// The number of a name: the one that the home gave it, or the one that follows from the name.
     #[must_use]
     pub fn number_of(&self, name: &str) -> u32 {
-        self.given_number(&ReadName::new(name)).unwrap_or_else(|| person_number(name))
+        let name = ReadName::new(name);
+        self.given_number(&name).unwrap_or(name.number())
     }
 
     /// The number that the home gave a name.
@@ -215,6 +216,8 @@ fn parse(text: &str) -> Result<Vec<KeptPerson>, String> {
 
 #[cfg(test)]
 mod tests {
+    use roomcast_core::narration::person_number;
+
     use super::*;
 
     fn ada() -> KeptPerson {

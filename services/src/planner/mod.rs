@@ -350,13 +350,14 @@ impl Planner {
             Next::Pause { why, reason } => Ok(self.pause(why, &format!("{ended}{reason}"), now_ns, now_unix_ns)),
             Next::Go { room, reason, flags: forced } => {
                 let idle = self.is_idle_in(room);
+                let room = self.better_stay(idle, room, &outlook, now_ns).unwrap_or(room);
                 if let Some(waiting) = waiting {
-                    if idle {
+                    // It changes its place without work for who comes there, if at all.
+                    if idle && (room == waiting.room || !self.is_met(&waiting, &scores, now_ns)) {
                         return Ok(None);
                     }
                     self.notice.cancels = self.own_decision(&waiting);
                 }
-                let room = self.better_stay(idle, room, &outlook, now_ns).unwrap_or(room);
                 let likely = outlook.over_stay(room, self.stay_s()).filter(|_| self.plans());
                 let likely = likely.or_else(|| outlook.likely.get(room).copied());
                 let decision = self.go(room, self.round.stay_ns, &format!("{ended}{reason}"), now_ns, now_unix_ns);

@@ -1100,6 +1100,22 @@ fn a_robot_waits_where_no_other_robot_is() {
     assert_eq!((home.decision(231).action, home.planner.room()), (action::GO, Some(0)));
 }
 
+/// With every room done it waits for the next round, and not beside somebody who comes in meanwhile.
+#[test]
+fn a_robot_that_waits_makes_room_for_who_comes() {
+    let mut home = Home::new(3, &PlannerConfig { round_s: Some(1_000.0), ..Default::default() });
+    home.likely = vec![0.0; 3];
+    (0..3).for_each(|stay| assert_eq!(home.decision(1 + 100 * stay).action, action::GO));
+    let waits = home.decision(301);
+    assert_eq!((waits.action, waits.covered), (action::STAY, 0b111), "{}", waits.reason());
+    let room = (0..3).find(|room| waits.to() == format!("room-{room}")).unwrap();
+    assert_eq!(home.look(310), None);
+    home.likely[room] = 0.9;
+    let leaves = home.look(312).unwrap();
+    assert_ne!(leaves.to(), waits.to(), "{}", leaves.reason());
+    assert_eq!(home.look(313), None);
+}
+
 /// One person is on the sofa; no other room is ever quite empty by the forecast. What is likely empty is done, one room after the other.
 #[test]
 fn rooms_that_are_likely_empty_are_done_without_waiting() {

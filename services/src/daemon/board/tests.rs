@@ -597,3 +597,20 @@ fn a_room_that_is_added_makes_nobody_leave_theirs() {
     let after = board.forecast(30 * S).probability[1][0];
     assert!(before > 0.8 && after > before - 0.02, "{before} {after}");
 }
+
+/// Of a flood a step takes a part, and what scores rest on never becomes less.
+#[test]
+fn a_flood_is_taken_in_parts() {
+    let mut cycle = crate::daemon::cycle::Cycle::new(board(), 250_000_000);
+    let heard = |number: u64| entry(0, number * S / 1000, "They open the fridge.");
+    (1..=600).for_each(|number| cycle.enter(heard(number), number));
+    cycle.step(S, S).unwrap();
+    assert_eq!((cycle.waiting(), cycle.step_due(S), cycle.scored_record()), (88, true, 512));
+    // Whose an observation is was written behind all of them.
+    cycle.rests_on(700);
+    cycle.step(S, S).unwrap();
+    assert_eq!((cycle.waiting(), cycle.step_due(S), cycle.scored_record()), (0, false, 700));
+    cycle.enter(heard(601), 601);
+    cycle.step(S, S).unwrap();
+    assert_eq!(cycle.scored_record(), 700);
+}
