@@ -30,7 +30,6 @@ impl Days {
             label: Some(self.label),
             room: Some(self.label % ROOMS),
             at_s: self.at_s,
-            mark: 0,
         };
         (turn, (0..LABELS).map(|label| 1.0 / (1 + (label + draw) % 17) as f64).collect())
     }

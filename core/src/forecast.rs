@@ -233,15 +233,15 @@ impl Forecaster {
     }
 
     /// Takes in that the person is in the house at `at_s`, and in `room` if that is known, as from a sensor: there they are then, but for
-    /// [`ForecastOptions::mistaken`], wherever they were believed to be.
-    pub fn enter(&mut self, at_s: f64, room: Option<usize>) {
+    /// [`ForecastOptions::mistaken`], wherever they were believed to be. What was seen before the last observation says nothing of now, and is not
+    /// taken in; gives whether it was.
+    pub fn enter(&mut self, at_s: f64, room: Option<usize>) -> bool {
         let rooms = self.belief.len();
-        // What was seen before the last observation says nothing of now.
         if self.away_since_s.is_none() && at_s < self.updated_s {
-            return;
+            return false;
         }
         let at_s = self.come_home(at_s);
-        let Some(entered) = room.filter(|room| *room < rooms) else { return };
+        let Some(entered) = room.filter(|room| *room < rooms) else { return true };
         self.sensed = true;
         let before = likeliest(&self.belief);
         let mistaken = self.options.mistaken;
@@ -250,6 +250,7 @@ impl Forecaster {
         if likeliest(&self.belief) != before {
             self.begin_elsewhere(at_s);
         }
+        true
     }
 
     /// Whatever was in hand is in another room, and what the model said came next was said of what was done there.
@@ -1041,8 +1042,8 @@ mod tests {
                 now_s += pause_s;
                 match what {
                     0 => forecaster.leave(now_s),
-                    1 => forecaster.enter(now_s, None),
-                    2 => forecaster.enter(now_s, Some(which % 4)),
+                    1 => _ = forecaster.enter(now_s, None),
+                    2 => _ = forecaster.enter(now_s, Some(which % 4)),
                     4 => forecaster.exclude(now_s, which % 4),
                     _ => forecaster.observe(now_s, Some(which.into()), &grounding, &[0.2, 0.8, 0.0]),
                 }

@@ -584,16 +584,28 @@ fn rooms_as_partitions(map: &SemanticMap) -> Vec<Partition> {
         .collect()
 }
 
-/// What to call partitions in front of people, in their order: by their labels, or by their ids where several bear one label, as the rooms
-/// of a ward do.
+/// What to call partitions, in their order, each otherwise: by their labels, or by their ids where several bear one label, as the rooms of a
+/// ward do, or where a label is the id of another that is called so.
 #[must_use]
 pub fn partition_names(partitions: &[Partition]) -> Vec<String> {
-    let mut bearers = HashMap::<&str, usize>::new();
-    partitions.iter().for_each(|partition| *bearers.entry(&partition.label).or_default() += 1);
-    let name = |partition: &Partition| {
-        if bearers[partition.label.as_str()] > 1 { partition.id.clone() } else { partition.label.clone() }
-    };
-    partitions.iter().map(name).collect()
+    let mut by_id = vec![false; partitions.len()];
+    loop {
+        let name = |(partition, by_id): (&Partition, &bool)| {
+            if *by_id { partition.id.clone() } else { partition.label.clone() }
+        };
+        let names: Vec<String> = partitions.iter().zip(&by_id).map(name).collect();
+        let mut bearers = HashMap::<&str, usize>::new();
+        names.iter().for_each(|name| *bearers.entry(name).or_default() += 1);
+        let is_shared: Vec<bool> = names.iter().map(|name| bearers[name.as_str()] > 1).collect();
+        let mut changes = false;
+        for (by_id, shared) in by_id.iter_mut().zip(is_shared) {
+            changes |= shared && !*by_id;
+            *by_id |= shared;
+        }
+        if !changes {
+            return names;
+        }
+    }
 }
 
 /// The partitions of a map at a level, in their order in a [`Grounding`].

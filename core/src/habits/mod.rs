@@ -21,7 +21,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::grounding::Grounding;
+use crate::grounding::{Grounding, partition_names};
 
 mod counts;
 mod frame;
@@ -103,8 +103,6 @@ pub struct Turn {
     pub room: Option<usize>,
     /// When, in seconds since 1970, local time.
     pub at_s: f64,
-    /// The journal's number of the observation, growing; what was learned already is not learned again. 0 for none.
-    pub mark: u64,
 }
 
 /// Where a person is.
@@ -245,7 +243,6 @@ pub struct Habits {
     counts: Counts,
     frame: Frame,
     persons: Vec<Person>,
-    mark: u64,
 }
 
 impl Habits {
@@ -262,7 +259,6 @@ impl Habits {
             counts: Counts::new(Limits { rows: options.contexts_max, entries: options.counts_max, half_life_min }),
             frame: Frame::new(Vec::new(), Vec::new(), Vec::new()),
             persons: Vec::new(),
-            mark: 0,
             options,
         }
     }
@@ -302,13 +298,12 @@ impl Habits {
         self.persons.iter_mut().for_each(|person| person.stays.forget_forecasts());
     }
 
-    /// Takes up the map that a grounding is of: its labels, its rooms by their words (by their ids where several have the same), and what
-    /// lies where.
+    /// Takes up the map that a grounding is of: its labels, its rooms by their names ([`partition_names`]), and what lies where.
     pub fn bind_to(&mut self, grounding: &Grounding) {
         let labels = grounding.label_texts().iter().map(|text| (*text).to_owned()).collect();
-        let partitions = grounding.partitions();
-        let alone = |label: &str| partitions.iter().filter(|other| other.label == label).count() == 1;
-        let rooms = partitions.iter().map(|room| if alone(&room.label) { &room.label } else { &room.id }).cloned();
+        // No room has the name of being out.
+        let own = |name: String| if name == ELSEWHERE_NAME { format!("room {name}") } else { name };
+        let rooms = partition_names(grounding.partitions()).into_iter().map(own);
         let weights = grounding.weights();
         let shares = (0..weights.nrows()).flat_map(|label| (0..weights.ncols()).map(move |room| (label, room)));
         self.bind(labels, rooms.collect(), shares.map(|cell| weights[cell]).collect());
@@ -420,16 +415,9 @@ impl Habits {
         );
     }
 
-    /// Whether something with this mark was learned before; it is noted as learned.
-    fn learns(&mut self, mark: u64) -> bool {
-        let new = mark == 0 || mark > self.mark;
-        self.mark = self.mark.max(mark);
-        self.options.learn && new
-    }
-
     /// Somebody turned to something: the last forecasts are compared with it, it is counted, and it is the context of what comes next.
     pub fn observe(&mut self, turn: &Turn) {
-        let learn = self.learns(turn.mark);
+        let learn = self.options.learn;
         let now_min = moment::minute(turn.at_s);
         let at = self.person(turn.person);
         let number = turn.label.and_then(|label| match learn {
@@ -480,13 +468,26 @@ impl Habits {
         let learn = self.options.learn;
         let Some(number) = self.place_number(place, moment::minute(at_s), learn) else { return };
         let Self { persons, counts, frame, .. } = self;
-        let Person { slot, stays, objects, .. } = &mut persons[at];
+        let Person { slot, stays, objects, observations, last_s, .. } = &mut persons[at];
         // Where they were when a forecast's time came is known only until they go on.
         stays.learn_due(counts, *slot, frame, at_s, learn);
+        // That they are still there is no news, and what they did at that time was counted.
+        if learn && stays.place != number && at_s > *last_s {
+            *observations += 1.0;
+        }
         stays.be(counts, *slot, number, at_s, learn);
         if stays.elsewhere() {
             objects.forget_activity();
         }
+    }
+
+    /// Somebody is no longer where they were, and nobody knows where they are instead.
+    pub fn lose(&mut self, person: u32, at_s: f64) {
+        let at = self.person(person);
+        let Self { persons, counts, frame, options, .. } = self;
+        let Person { slot, stays, .. } = &mut persons[at];
+        stays.learn_due(counts, *slot, frame, at_s, options.learn);
+        stays.be(counts, *slot, NONE, at_s, options.learn);
     }
 
     /// Where a person was told or seen to be last, if that is a place of the map.
@@ -656,12 +657,6 @@ impl Habits {
         }
     }
 
-    /// The last observation that was learned, by its mark.
-    #[must_use]
-    pub fn mark(&self) -> u64 {
-        self.mark
-    }
-
     /// Forgets a person; says whether anything was known.
     pub fn forget(&mut self, person: u32) -> bool {
         let Some(at) = self.persons.iter().position(|other| other.number == person) else { return false };
@@ -739,7 +734,6 @@ impl Habits {
         };
         Stored {
             version: stored::VERSION,
-            mark: self.mark,
             objects: names(&self.objects),
             places: names(&self.places),
             persons: self.persons.iter().map(person).collect(),
@@ -750,7 +744,6 @@ impl Habits {
     /// Takes up what was stored. No map is bound, and nobody is anywhere.
     fn restore(options: HabitsOptions, stored: &Stored) -> Result<Self, StoredError> {
         let mut habits = Self::new(options);
-        habits.mark = stored.mark;
         for (names, words, limit) in
             [(&stored.objects, &mut habits.objects, "things"), (&stored.places, &mut habits.places, "places")]
         {

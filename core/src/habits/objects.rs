@@ -122,6 +122,8 @@ pub(crate) struct Objects {
 #[derive(Debug, Clone, Default)]
 struct Forecast {
     labels: usize,
+    /// When it was made: what comes of it is counted for that hour.
+    at_s: f64,
     /// The label of the last object, and what each expert says of its being mentioned again.
     same: Option<usize>,
     again: [f64; AGAIN_EXPERTS],
@@ -221,7 +223,7 @@ impl Objects {
         let first = self.last[0];
         let same = frame.label(first).filter(|label| *label < labels);
         let mut forecast = std::mem::take(&mut self.forecast);
-        forecast.labels = labels;
+        (forecast.labels, forecast.at_s) = (labels, at_s);
         forecast.same = same;
         // Every row that is read is written first.
         forecast.rows.resize(ROWS * labels, 0.0);
@@ -466,6 +468,7 @@ impl Objects {
         for (order, kind) in KINDS.into_iter().enumerate() {
             counts.add(key(kind, slot, self.after(order)), number, 1.0, now_min);
         }
+        let at_s = if self.forecast.labels > 0 { self.forecast.at_s } else { at_s };
         let (part, kind_of_day) = (moment::part_of_day(at_s, 3), u16::from(moment::weekend(at_s)));
         counts.add(key(Kind::ObjectAfterHour, slot, [first, part, NONE]), number, 1.0, now_min);
         counts.add(key(Kind::ObjectHour, slot, [part, kind_of_day, NONE]), number, 1.0, now_min);

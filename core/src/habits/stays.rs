@@ -53,6 +53,8 @@ const LATER_STRENGTH: [f64; 3] = [8.0, 40.0, 40.0];
 /// Experts whose forecasts at the anchors are read from counts, and how many they are.
 const COUNTED_EXPERTS: [usize; COUNTED] = [1, 3, 4];
 const COUNTED: usize = 3;
+/// What nobody held for possible was unlikely to them: one surprise is not to silence whoever was sure for long.
+const FLOOR: f64 = 1e-3;
 /// Mean stay that the shipped forecast begins with, in seconds, and the exponent of its survival.
 const SHIPPED_STAY_S: f64 = 120.0;
 /// The same of a time out of the house.
@@ -206,7 +208,7 @@ impl Stays {
         }
     }
 
-    /// The person is in the place `number` at `now_s`.
+    /// The person is in the place `number` at `now_s`, or nobody knows where.
     pub(crate) fn be(&mut self, counts: &mut Counts, slot: u8, number: u16, now_s: f64, learn: bool) {
         let now_s = now_s.max(self.updated_s);
         self.advance(counts, slot, now_s, learn);
@@ -216,8 +218,10 @@ impl Stays {
         if self.place != NONE && learn {
             self.add_stay(counts, slot, dwell(now_s - self.entered_s), now_s, EXITS, 1.0);
             let (now_min, part) = (moment::minute(now_s), moment::part_of_day(now_s, PART_HOURS));
-            counts.add(key(Kind::Exit, slot, [self.place, NONE, NONE]), number, 1.0, now_min);
-            counts.add(key(Kind::ExitHour, slot, [self.place, part, NONE]), number, 1.0, now_min);
+            if number != NONE {
+                counts.add(key(Kind::Exit, slot, [self.place, NONE, NONE]), number, 1.0, now_min);
+                counts.add(key(Kind::ExitHour, slot, [self.place, part, NONE]), number, 1.0, now_min);
+            }
         }
         self.before = [std::mem::replace(&mut self.place, number), self.before[0]];
         self.entered_s = now_s;
@@ -264,7 +268,7 @@ impl Stays {
                 }
                 let Some(truth) = frame.place(truth).filter(|_| forecast) else { continue };
                 let row = |row: usize| &anchor.probabilities[(at * (EXPERTS + 1) + row) * places..][..places];
-                let given: [f64; EXPERTS] = std::array::from_fn(|expert| row(expert)[truth].max(1e-6));
+                let given: [f64; EXPERTS] = std::array::from_fn(|expert| row(expert)[truth].max(FLOOR));
                 anchor.mixture.learn(&given, &PRIOR, SHARE, (RATE_S / horizon_s).min(1.0));
                 let mixed = &anchor.probabilities[(at * (EXPERTS + 1) + EXPERTS) * places..][..places];
                 anchor.sets.learn(mixed, issued, truth);
@@ -470,27 +474,30 @@ impl Stays {
         }
     }
 
-    /// The hazard of leaving a place per second, after this long there, at this part of the day.
-    fn hazard(&self, whose: Whose<'_>, place: u16, bucket: usize, part: u16) -> f64 {
-        let middle_s = match DWELLS_S.get(bucket) {
-            Some(end_s) => 0.5 * (dwell_begin_s(bucket) + end_s),
-            None => 1.5 * dwell_begin_s(bucket),
-        };
-        let is_out = place == ELSEWHERE;
-        let mut rate = 2.0 / (if is_out { SHIPPED_AWAY_S } else { SHIPPED_STAY_S } + middle_s);
-        let bucket = bucket as u16;
-        let levels = [
-            (Kind::Stay, [NONE, bucket, NONE]),
-            (Kind::StayPlace, [place, bucket, NONE]),
-            (Kind::StayPlaceHour, [place, bucket, part]),
-        ];
-        for (kind, after) in levels.into_iter().skip(usize::from(is_out)) {
-            for seen in whose.of_others(kind, after).chain(whose.own(kind, after)) {
+    /// Per place and time spent there the hazard of leaving it per second at this part of the day, for the times spent that are `wanted`.
+    fn hazards(whose: Whose<'_>, frame: &Frame, part: u16, wanted: impl Fn(usize, usize) -> bool, hazard: &mut [f64]) {
+        let level = |kind: Kind, after: [u16; 3], rate: f64| {
+            let seen = whose.of_others(kind, after).chain(whose.own(kind, after));
+            seen.fold(rate, |rate, seen| {
                 let (exits, spent_s) = (seen.count(EXITS), 60.0 * seen.count(MINUTES));
-                rate = (exits + HAZARD_STRENGTH) / (spent_s + HAZARD_STRENGTH / rate);
+                (exits + HAZARD_STRENGTH) / (spent_s + HAZARD_STRENGTH / rate)
+            })
+        };
+        for bucket in (0..DWELLS).filter(|bucket| (0..frame.places()).any(|place| wanted(place, *bucket))) {
+            let middle_s = match DWELLS_S.get(bucket) {
+                Some(end_s) => 0.5 * (dwell_begin_s(bucket) + end_s),
+                None => 1.5 * dwell_begin_s(bucket),
+            };
+            let shipped = |stay_s: f64| 2.0 / (stay_s + middle_s);
+            let spent = bucket as u16;
+            let of_all_rooms = level(Kind::Stay, [NONE, spent, NONE], shipped(SHIPPED_STAY_S));
+            for place in (0..frame.places()).filter(|place| wanted(*place, bucket)) {
+                let number = frame.place_number(place).unwrap_or(NONE);
+                let wider = if number == ELSEWHERE { shipped(SHIPPED_AWAY_S) } else { of_all_rooms };
+                let of_place = level(Kind::StayPlace, [number, spent, NONE], wider);
+                hazard[place * DWELLS + bucket] = level(Kind::StayPlaceHour, [number, spent, part], of_place);
             }
         }
-        rate
     }
 
     /// Per horizon (ascending) and place, row by row, into `scratch.semi`. Says whether anything is known of where the person is.
@@ -507,11 +514,17 @@ impl Stays {
         let places = frame.places();
         let Scratch { mass, hazard, lead, leaving, leave, semi, .. } = scratch;
         let part = moment::part_of_day(now_s, PART_HOURS);
+        let (spent_s, farthest_s) =
+            (now_s - self.entered_s, horizons_s.last().map_or(0.0, |h| h.clamp(0.0, FARTHEST_S)));
         hazard.clear();
+        hazard.resize(places * DWELLS, 0.0);
+        // Nobody comes anywhere before now; this stay is older.
+        let (newest, oldest) = (dwell(farthest_s), dwell(spent_s + farthest_s));
+        let ages = |place, bucket| bucket <= newest || place == here && bucket >= dwell(spent_s) && bucket <= oldest;
+        Self::hazards(whose, frame, part, ages, hazard);
         lead.clear();
         for place in 0..places {
             let number = frame.place_number(place).unwrap_or(NONE);
-            hazard.extend((0..DWELLS).map(|bucket| self.hazard(whose, number, bucket, part)));
             let begin = lead.len();
             // Where this stay leads to the mixture knows better than even chances; it knows nothing of leaving the house.
             let others = (places - 1).max(1) as f64;
@@ -543,7 +556,7 @@ impl Stays {
         leaving.clear();
         leaving.resize(places, 0.0);
         let mut older = [0.0; DWELLS];
-        let (mut original, mut spent_s, mut ahead_s) = (1.0, now_s - self.entered_s, 0.0);
+        let (mut original, mut spent_s, mut ahead_s) = (1.0, spent_s, 0.0);
         for (horizon, row) in horizons_s.iter().zip(semi.chunks_exact_mut(places)) {
             let horizon_s = horizon.clamp(0.0, FARTHEST_S);
             while ahead_s < horizon_s {

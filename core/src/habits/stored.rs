@@ -14,6 +14,8 @@ pub(crate) const VERSION: u16 = 3;
 /// The oldest one that is read: it had fewer forecasts of rooms, and scores of sets one by one.
 pub(crate) const VERSION_2: u16 = 2;
 const CHECKSUM_BYTES: usize = 16;
+/// Bytes behind the version that say nothing.
+const UNUSED_BYTES: usize = 8;
 /// Largest state that is read, in bytes.
 pub const BYTES_MAX: usize = 16 << 20;
 
@@ -105,7 +107,6 @@ pub(crate) struct StoredRow {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Stored {
     pub(crate) version: u16,
-    pub(crate) mark: u64,
     pub(crate) objects: Vec<StoredName>,
     pub(crate) places: Vec<StoredName>,
     pub(crate) persons: Vec<StoredPerson>,
@@ -117,7 +118,7 @@ impl Stored {
         let mut out = Writer(Vec::with_capacity(64 * self.rows.len() + 4096));
         out.0.extend_from_slice(MAGIC);
         out.0.extend_from_slice(&self.version.to_le_bytes());
-        out.0.extend_from_slice(&self.mark.to_le_bytes());
+        out.0.extend_from_slice(&[0; UNUSED_BYTES]);
         for names in [&self.objects, &self.places] {
             out.length(names.len());
             for StoredName { name, seen_min } in names {
@@ -326,9 +327,9 @@ impl Reader<'_> {
     }
 
     fn stored(&mut self, version: u16) -> Option<Stored> {
+        self.take::<UNUSED_BYTES>()?;
         Some(Stored {
             version,
-            mark: self.take().map(u64::from_le_bytes)?,
             objects: self.list(Self::name)?,
             places: self.list(Self::name)?,
             persons: self.list(Self::person)?,

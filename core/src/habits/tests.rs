@@ -24,7 +24,7 @@ fn home(options: HabitsOptions) -> Habits {
 }
 
 fn turn(person: u32, label: usize, at_s: f64) -> Turn {
-    Turn { person, label: Some(label), room: Some(ROOM_OF[label]), at_s, mark: 0 }
+    Turn { person, label: Some(label), room: Some(ROOM_OF[label]), at_s }
 }
 
 /// The same morning on several days; gives the loss in nats per turn of each day, forecast before it is learned from.
@@ -102,28 +102,65 @@ fn what_was_learned_survives_another_map() {
     let labels = ["lamp", "mug", "kettle", "sofa", "shower", "bed"];
     habits.bind(words(&labels), words(&["hall", "kitchen", "bedroom", "bathroom"]), vec![0.25; 24]);
     let at_s = MONDAY_S + 11.0 * DAY_S;
-    habits.observe(&Turn { person: 0, label: Some(5), room: Some(2), at_s, mark: 0 });
+    habits.observe(&Turn { person: 0, label: Some(5), room: Some(2), at_s });
     assert!(habits.mix(0, at_s + 60.0, &[1.0 / 6.0; 6])[4] > 0.5);
     assert!(habits.next_rooms(0, at_s + 60.0, &[0.25; 4])[3] > 0.5);
 }
 
 #[test]
-fn nothing_is_learned_twice_or_when_it_may_not() {
-    let mut habits = home(HabitsOptions::default());
-    let marked = |mark| Turn { mark, ..turn(0, mark as usize % 5, MONDAY_S + 60.0 * mark as f64) };
-    (1..=10).for_each(|mark| habits.observe(&marked(mark)));
-    let mut again = Habits::from_bytes(*habits.options(), &habits.to_bytes()).unwrap();
-    again.bind(words(&LABELS), words(&ROOMS), shares());
-    // The journal tells everything once more.
-    (1..=10).for_each(|mark| again.observe(&marked(mark)));
-    assert_eq!((again.learned().counts, again.observations(0), again.mark()), (habits.learned().counts, 10.0, 10));
-    assert_eq!(again.counts.rows(), habits.counts.rows());
-    again.observe(&marked(11));
-    assert_eq!(again.observations(0), 11.0);
-
+fn nothing_is_learned_where_it_may_not() {
     let mut still = home(HabitsOptions { learn: false, ..HabitsOptions::default() });
     mornings(&mut still, 0, 2);
     assert_eq!(still.learned().counts, 0);
+}
+
+/// Of a home that only sensors watch as much is known as they said: it is the prior of whoever is new.
+#[test]
+fn what_is_seen_alone_counts_as_observed_and_is_the_prior_of_others() {
+    let mut habits = home(HabitsOptions::default());
+    for step in 0..200 {
+        let at_s = MONDAY_S + 300.0 * f64::from(step);
+        let place = Place::Room(usize::try_from(step).unwrap() % 2);
+        habits.be(0, place, at_s);
+        // That it is told again is no news.
+        habits.be(0, place, at_s + 100.0);
+    }
+    assert_eq!((habits.observations(0), habits.learned().observations), (200.0, 200.0));
+    let at_s = MONDAY_S + 300.0 * 200.0;
+    habits.be(1, Place::Room(0), at_s);
+    let (mut out, places) = (Vec::new(), habits.places());
+    habits.at(1, at_s, 300.0, &vec![1.0 / places as f64; places], &mut out);
+    let at_first = out.clone();
+    let mut alone = home(HabitsOptions::default());
+    alone.be(1, Place::Room(0), at_s);
+    alone.at(1, at_s, 300.0, &vec![1.0 / places as f64; places], &mut out);
+    assert!(at_first[1] > out[1] + 0.05, "{at_first:?} {out:?}");
+}
+
+/// Whoever has left for nobody knows where stays nowhere meanwhile.
+#[test]
+fn a_stay_ends_where_its_place_is_empty() {
+    let mut habits = home(HabitsOptions::default());
+    let (mut seen, at_s) = (Vec::new(), MONDAY_S);
+    habits.be(0, Place::Room(0), at_s);
+    habits.lose(0, at_s + 60.0);
+    assert_eq!(habits.place(0), None);
+    (2..120).for_each(|minute| habits.tick(0, at_s + 60.0 * f64::from(minute), &mut |_, p| p.fill(1.0)));
+    habits.be(0, Place::Room(1), at_s + 7_200.0);
+    for (key, _, counts) in habits.counts.rows() {
+        match parts(key).unwrap().0 {
+            Kind::StayPlace => seen.extend(counts),
+            Kind::Exit | Kind::Later => panic!("nobody knows where they went: {counts:?}"),
+            _ => {}
+        }
+    }
+    let minutes: f32 = seen.iter().filter(|(symbol, _)| *symbol == 1).map(|(_, count)| count).sum();
+    let exits: f32 = seen.iter().filter(|(symbol, _)| *symbol == 0).map(|(_, count)| count).sum();
+    assert!((minutes - 1.0).abs() < 1e-3 && exits == 1.0, "{seen:?}");
+    let places = habits.places();
+    let (shipped, mut out) = (vec![0.5 / (places - 1) as f64; places], Vec::new());
+    habits.lose(0, at_s + 7_260.0);
+    assert_eq!(habits.at(0, at_s + 7_300.0, 300.0, &shipped, &mut out).shipped, 1.0);
 }
 
 /// Watches somebody who is in the bedroom until seven, in the bathroom for half an hour, in the kitchen for one, out until six, and in
@@ -302,7 +339,7 @@ fn what_version_2_learned_is_still_known() {
     let (person, observations) = habits.persons().next().unwrap();
     assert_eq!(observations, 24.0);
     let at_s = 1_710_055_800.0;
-    habits.observe(&Turn { person, label: Some(2), room: Some(0), at_s, mark: 0 });
+    habits.observe(&Turn { person, label: Some(2), room: Some(0), at_s });
     let objects = habits.mix(person, at_s, &[1.0 / 3.0; 3]).to_vec();
     let rooms = habits.next_rooms(person, at_s, &[0.5; 2]).to_vec();
     assert!(objects[1] > 0.6 && rooms[1] > 0.6, "{objects:?} {rooms:?}");
@@ -327,7 +364,7 @@ fn memory_is_bounded() {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let label = (state >> 33) as usize % 150;
         let at_s = step as f64 * 80.0;
-        habits.observe(&Turn { person: (step % 2) as u32, label: Some(label), room: Some(label % 3), at_s, mark: 0 });
+        habits.observe(&Turn { person: (step % 2) as u32, label: Some(label), room: Some(label % 3), at_s });
     }
     let learned = habits.learned();
     assert!(learned.bytes <= 4 << 20, "{learned:?}");
@@ -430,7 +467,7 @@ proptest! {
         let mut habits = home(HabitsOptions { names_max: 3, contexts_max: 40, counts_max: 50, ..HabitsOptions::default() });
         let mut p = Vec::new();
         for (person, label, room, at_s) in told {
-            habits.observe(&Turn { person, label, room, at_s, mark: 0 });
+            habits.observe(&Turn { person, label, room, at_s });
             if let Some(room) = room {
                 habits.be(person, if room == 4 { Place::Elsewhere } else { Place::Room(room) }, at_s);
             }

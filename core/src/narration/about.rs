@@ -58,8 +58,8 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
         let is_not_so = clause::is_past_state(rest) || clause::is_unreal(rest);
         return if is_not_so { About::Nobody } else { About::Somebody };
     }
-    // What a group does is of no one person.
-    if clause::is(Word::Everybody, first) {
+    // What a group does is of no one person: "Everybody sings.", "Two people sit on a couch."
+    if clause::is(Word::Everybody, first) || clause::is_a_number_of(first, rest) {
         return About::Nobody;
     }
     if clause::is(Word::Determiner, first) {
@@ -76,8 +76,11 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
     // A word that ends like a verb begins what somebody does: "Opens the fridge."
     let is_plain = |word: &str| word.chars().all(|c| c.is_alphabetic() || c == '-') && !word.ends_with('s');
     let first = first.trim_end_matches('.');
-    let (name, verb) = match clause::is(Word::Title, first) {
-        true => (format!("{first} {second}"), rest.get(1).copied().unwrap_or_default()),
+    let third = rest.get(1).copied().unwrap_or_default();
+    // "Olga Petrova opens the fridge": a first word is written as a name in any case.
+    let has_last_name = !clause::is_verb(second) && is_name(second) && clause::may_be_a_person(first);
+    let (name, verb) = match clause::is(Word::Title, first) || has_last_name {
+        true => (format!("{first} {second}"), third),
         false => (first.to_owned(), second),
     };
     if (is_plain(first) || clause::is(Word::Title, first)) && clause::is_verb(verb) && clause::may_be_a_person(&name) {
@@ -137,7 +140,8 @@ mod tests {
 
     fn of(sentence: &str) -> String {
         let mut known = |name: &str| ["ada", "ben", "tom", "mr. klein", "lucas"].contains(&name);
-        let is_name = |name: &str| sentence.to_lowercase() != sentence && name == "igor";
+        let is_name =
+            |name: &str| sentence.to_lowercase() != sentence && ["igor", "olga", "petrova", "ilse"].contains(&name);
         match reading::with_plain(sentence, |plain| about(plain, &mut known, &is_name)) {
             About::Named(names) => names.join("+"),
             About::Stranger(name) => format!("new {name}"),
@@ -164,6 +168,10 @@ mod tests {
             ("Lucas sits on the sofa.", "lucas"),
             ("Igor sits down on the sofa.", "new igor"),
             ("Aunt Rosa goes to the bathroom.", "new aunt rosa"),
+            ("Olga Petrova opens the fridge.", "new olga petrova"),
+            ("Tante Ilse opens the fridge.", "new tante ilse"),
+            ("Ada Petrova opens the fridge.", "ada"),
+            ("Opens Petrova's door.", "somebody"),
             ("Mrs. Novak mops the floor.", "new mrs novak"),
             ("Grandma Ada opens the fridge.", "new grandma ada"),
             ("Will opens the fridge.", "new will"),
@@ -215,6 +223,7 @@ mod tests {
             "The kids sit down at the table.",
             "The parents watch television in the living room.",
             "A man and a woman are cooking.",
+            "Two people are sitting on a couch.",
             "Ada was in the bedroom.",
             "She had been in the bedroom all morning.",
             "If Ada cooks, the light goes on.",

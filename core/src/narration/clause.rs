@@ -253,6 +253,11 @@ pub(super) fn is(kind: Word, word: &str) -> bool {
     has(words, word)
 }
 
+/// Whether a subject begins with several persons without names: "two people", "three young women".
+pub(super) fn is_a_number_of(first: &str, rest: &[&str]) -> bool {
+    WORDS.numbers.iter().any(|number| number == first) && rest.iter().take(2).any(|noun| has(&WORDS.groups, noun))
+}
+
 /// Whether a word may say what one person does: "goes", "opened", "went".
 pub(super) fn is_verb(word: &str) -> bool {
     let ends = (word.ends_with('s') && !word.ends_with("ss")) || word.ends_with("ed");

@@ -546,6 +546,13 @@ impl Said {
         ReadName::new(known).may_be_called(&ReadName::new(name))
     }
 
+    /// What somebody of a longer name may be called for short, with a title or without: "ada" of "Dr. Ada Lovelace".
+    #[must_use]
+    pub fn first_name(name: &str) -> Option<&str> {
+        let (_, name) = clause::titled(name);
+        clause::first_name(name)
+    }
+
     /// Whether a name is another word for one person or several: "he", "everybody".
     #[must_use]
     pub fn is_pronoun(name: &str) -> bool {

@@ -1,5 +1,6 @@
 //! What the daemon answers to questions about its map and about persons: what is done, and what is said of it.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use roomcast_core::narration::{Named, Observation, SOMEBODY, Said};
@@ -109,8 +110,14 @@ fn forget<M: LanguageModel>(
     let file = board.persons().file().clone();
     let mut names = board.persons().names_of(person);
     names.extend(Some(who.trim().to_lowercase()).filter(|who| who.parse::<u32>().is_err()));
+    let others = board.persons().lines(0).into_iter().filter(|line| line.person != person);
+    let others: BTreeSet<String> = others.filter_map(|line| Some(line.name?.to_lowercase())).collect();
     let is_theirs = move |observation: &Observation, found: Option<u32>| {
-        let is_name = |name: &str| file.number_of(name) == person || names.iter().any(|own| Said::may_mean(own, name));
+        let is_own = |name: &str| file.number_of(name) == person || names.iter().any(|own| Said::may_mean(own, name));
+        // "Jonas Müller" is Jonas, where nobody else has that name.
+        let is_longer =
+            |name: &str| !others.contains(&name.to_lowercase()) && Said::first_name(name).is_some_and(is_own);
+        let is_name = |name: &str| is_own(name) || is_longer(name);
         let own = match (&observation.name, found) {
             (Some(name), _) => file.number_of(name) == person || names.iter().any(|own| Said::may_be_one(own, name)),
             (None, Some(found)) => found == person,

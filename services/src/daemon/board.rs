@@ -720,8 +720,10 @@ impl<M: LanguageModel> Board<M> {
                 }
             } else {
                 let room = room_named(&seen.words, &self.map, grounding);
-                own.enter(at_s, room);
-                self.home.is_in(seen.person, seen.at_ns, room.map(Whereabouts::Room), Some(own));
+                // A word that is older than what is known is news to neither.
+                if own.enter(at_s, room) {
+                    self.home.is_in(seen.person, seen.at_ns, room.map(Whereabouts::Room), Some(own));
+                }
             }
         }
         let histories = self.pipeline.histories();
@@ -922,7 +924,8 @@ fn follower(grounding: &Grounding, options: ForecastOptions, at_ns: i64) -> Fore
 /// The partition that a room's name means, by its own name or as the one that the room lies in.
 fn room_named(name: &str, map: &SemanticMap, grounding: &Grounding) -> Option<usize> {
     let partitions = grounding.partitions();
-    let own = partitions.iter().position(|partition| partition.id == name || partition.label == name);
+    let with_id = partitions.iter().position(|partition| partition.id == name);
+    let own = with_id.or_else(|| partitions.iter().position(|partition| partition.label == name));
     own.or_else(|| {
         let room = map.find_room(name)?;
         let mut within = (0..).zip(partitions).filter(|(_, partition)| partition.rooms.contains(&room));

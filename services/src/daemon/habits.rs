@@ -184,9 +184,8 @@ pub struct HomeHabits {
     /// What comes now was learned by a former run.
     recalling: bool,
     next: Next,
-    /// The newest observation that was not known before, and those of its persons who had it.
+    /// The newest observation that was not known before.
     newest: Option<Name>,
-    newest_of: Vec<u32>,
     labels: usize,
     ahead: BTreeMap<u32, Ahead>,
     /// Grows with everything that changes a forecast.
@@ -225,7 +224,6 @@ impl HomeHabits {
             recalling: false,
             next: Next::Nothing,
             newest: None,
-            newest_of: Vec::new(),
             labels: 0,
             ahead: BTreeMap::new(),
             state: 0,
@@ -336,7 +334,7 @@ impl HomeHabits {
     }
 
     /// The next observation is this one, of one who lives here or of a visitor, of whom nothing is learned; takes note of it.
-    /// One that is about several persons comes once for each of them.
+    /// One of several clauses, or about several persons, comes once for each of them.
     pub(super) fn next_is(&mut self, name: Name, person: u32, lives_here: bool) {
         if self.is_idle() || self.clock.is_none() {
             self.next = Next::Nothing;
@@ -344,12 +342,8 @@ impl HomeHabits {
         }
         if self.memory.heard.note(name) {
             self.newest = Some(name);
-            self.newest_of.clear();
         }
-        let new = self.newest == Some(name) && !self.newest_of.contains(&person);
-        if new {
-            self.newest_of.push(person);
-        }
+        let new = self.newest == Some(name);
         let lives_here = lives_here && (self.learn || self.has_room_for(person));
         self.next = match lives_here {
             true if self.learn && new && !self.recalling => Next::Learned,
@@ -376,7 +370,7 @@ impl HomeHabits {
         let habits = &mut self.memory.habits;
         habits.set_learning(self.next == Next::Learned);
         let room = likeliest.filter(|_| label.is_some() && sure > SURE);
-        habits.observe(&Turn { person, label, room, at_s, mark: 0 });
+        habits.observe(&Turn { person, label, room, at_s });
         // Whoever does something is in the house.
         if let Some(room) = likeliest.filter(|_| was_out && room.is_none()) {
             habits.be(person, Place::Room(room), at_s);
@@ -395,6 +389,17 @@ impl HomeHabits {
             habits.be(person, place, at_s);
         }
         habits.set_learning(self.learn);
+    }
+
+    /// Whoever was in a room is not there any more: those of the persons who are believed elsewhere now have left it, for nobody knows where.
+    pub(super) fn is_empty(&mut self, person: u32, at_ns: i64, room: usize, own: &Forecaster) {
+        let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };
+        let is_here = self.memory.habits.place(person) == Some(Place::Room(room));
+        if is_here && likeliest(own.belief()).0 != Some(room) {
+            self.memory.habits.set_learning(self.next == Next::Learned);
+            self.memory.habits.lose(person, at_s);
+            self.memory.habits.set_learning(self.learn);
+        }
     }
 
     /// Nobody follows a person any more: they left when they were last told of.
@@ -470,12 +475,14 @@ impl HomeHabits {
             ahead.of = None;
             let from_s = now_ns as f64 / 1e9;
             let out = own.elsewhere(from_s, 0.0);
-            let sure = match self.memory.habits.place(person)? {
-                Place::Elsewhere => out,
-                Place::Room(room) => (1.0 - out) * own.belief().get(room).copied().unwrap_or_default(),
+            let sure = match self.memory.habits.place(person) {
+                Some(Place::Elsewhere) => out,
+                Some(Place::Room(room)) => (1.0 - out) * own.belief().get(room).copied().unwrap_or_default(),
+                None => 0.0,
             };
             let places = self.memory.habits.places();
-            if own.belief().len() + 1 != places || sure <= 0.0 {
+            let is_known = self.memory.habits.persons().any(|(known, _)| known == person);
+            if own.belief().len() + 1 != places || !is_known {
                 return None;
             }
             self.shipped.clear();

@@ -243,7 +243,7 @@ mod tests {
         memory.habits.bind(vec!["bed".to_owned()], vec!["bedroom".to_owned()], vec![1.0]);
         for at in 1..5 {
             let at_s = 1e9 + 60.0 * f64::from(at);
-            memory.habits.observe(&Turn { person: 1, label: Some(0), room: Some(0), at_s, mark: 0 });
+            memory.habits.observe(&Turn { person: 1, label: Some(0), room: Some(0), at_s });
         }
         memory.habits.be(1, Place::Elsewhere, 1e9 + 600.0);
         memory.heard = Heard::new([(1, 2, 3), (4, 5, 6)]);

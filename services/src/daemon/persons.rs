@@ -232,6 +232,16 @@ impl Persons {
         numbers.next().is_none().then_some(number)
     }
 
+    /// By which name the one person is known of whose longer one nobody has told: "jonas" where a sentence says "jonas müller".
+    fn known_for_short<'a>(&self, name: &'a str) -> Option<&'a str> {
+        let is_whole_of = |first: &ReadName, known: &ReadName| !known.whole().contains(' ') && known.may_be_one(first);
+        let is_of_one = |first: &&str| {
+            let first = ReadName::new(first);
+            self.numbers_where(&first, |known| is_whole_of(&first, known)).len() == 1
+        };
+        Said::first_name(name).filter(|_| !self.is_called(name)).filter(is_of_one)
+    }
+
     /// Those who are known, do not live here and have a name: "the guest" is one of them.
     fn guests(&self) -> BTreeSet<u32> {
         let is_guest = |(number, known): &(u32, &Known)| known.presence != Presence::Gone && self.is_visitor(*number);
@@ -692,6 +702,7 @@ impl Persons {
             if is_new_guest && Said::is_guest(&name) {
                 return Some(name);
             }
+            let name = self.known_for_short(&name).map_or(name.clone(), str::to_owned);
             // Who goes by a longer name is told of by that.
             let number = self.called(&name)?;
             let known = self.is_called(&name).then(|| self.name_of(number)).flatten();

@@ -368,7 +368,7 @@ impl Watch<'_> {
             [objects, turns, next_rooms].into_iter().flat_map(|all| &mut all.chains).for_each(Chain::forget_cache);
         }
         self.last_s = step.at_s;
-        let turn = Turn { person: PERSON, label: step.label, room: step.room, at_s: step.at_s, mark: 0 };
+        let turn = Turn { person: PERSON, label: step.label, room: step.room, at_s: step.at_s };
         self.mixture.observe(&turn);
         self.without_model.observe(&turn);
         self.forecaster.observe(step.at_s, step.label.map(Into::into), self.grounding, &[]);

@@ -223,7 +223,14 @@ impl<M: LanguageModel> Board<M> {
         // What was observed before it comes first.
         self.follow();
         if let Some(room) = room_named(empty, &self.map, self.pipeline.grounding()) {
-            self.followed.values_mut().for_each(|own| own.exclude(seconds(at_ns), room));
+            let name = (observation.source, observation.epoch, observation.sequence);
+            let mut followed = std::mem::take(&mut self.followed);
+            for (person, own) in &mut followed {
+                own.exclude(seconds(at_ns), room);
+                self.home.next_is(name, *person, self.is_learned_of(*person));
+                self.home.is_empty(*person, at_ns, room, own);
+            }
+            self.followed = followed;
         }
     }
 

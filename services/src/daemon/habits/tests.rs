@@ -22,6 +22,8 @@ const BEGIN_NS: u64 = 1_000 * S;
 /// Indices of the rooms.
 const KITCHEN: usize = 0;
 const LIVING_ROOM: usize = 1;
+/// How an export calls counts of stays by place and time spent.
+const STAYS_BY_PLACE: u8 = 20;
 /// Horizons of the messages: a quarter of an hour, and an hour.
 const QUARTER: usize = 13;
 const HOUR: usize = 15;
@@ -169,6 +171,68 @@ fn a_start_with_a_wrong_clock_costs_at_most_a_week_of_fading() {
         // As much as a week without the daemon.
         assert!(after > 0.9 * before, "{after} of {before} with a clock of {wrong_ns}");
     }
+}
+
+/// Two clauses of one person in one narration are two things that happened.
+#[test]
+fn a_deed_and_a_departure_in_one_line_are_both_learned() {
+    let visits = |lines: &[&str]| {
+        let mut house = House::new(true);
+        for hour in 0..5 {
+            for (minute, line) in (0..).zip(lines) {
+                house.say(SOMEBODY, hour * H + minute * 60, line);
+            }
+            house.say(SOMEBODY, hour * H + 1_800, "Cara comes home.");
+        }
+        house.board.habits().visits()[KITCHEN].iter().sum::<f64>()
+    };
+    let apart = visits(&["Cara grabs the coffee maker.", "Cara leaves the house."]);
+    assert!(
+        (visits(&["Cara grabs the coffee maker. Cara leaves the house."]) - apart).abs() < 0.1 && apart > 4.9,
+        "{apart}"
+    );
+}
+
+/// What a sensor said before the last deed is no news, to the habits neither.
+#[test]
+fn a_late_word_of_a_sensor_moves_nobody() {
+    let mut house = House::new(true);
+    house.say(1, 0, "present in the kitchen");
+    house.say(1, 60, "They grab the coffee maker.");
+    let before = house.ahead(1, QUARTER);
+    let at_ns = house.now_ns;
+    house.now_ns -= 20 * S;
+    house.say(1, 0, "present in the living room");
+    house.now_ns = at_ns;
+    let after = house.ahead(1, QUARTER);
+    assert!(before.iter().zip(after).all(|(a, b)| (a - b).abs() < 1e-6), "{before:?} {after:?}");
+    assert_eq!(house.board.habits().visits()[KITCHEN].iter().sum::<f64>(), 0.0);
+}
+
+/// That a room is empty ends the stay of who is believed there, and nobody knows where they are until they are told of again.
+#[test]
+fn nobody_stays_where_it_is_empty() {
+    let mut house = House::new(true);
+    house.say(1, 0, "They grab the coffee maker.");
+    house.say(SOMEBODY, 60, "nobody in the kitchen");
+    house.until(7_200);
+    let minutes = |house: &House| {
+        let json: serde_json::Value = serde_json::from_str(&house.board.habits().to_json().unwrap()).unwrap();
+        let rows = json["rows"].as_array().unwrap().iter();
+        let stays = rows.filter(|row| row["kind"] == STAYS_BY_PLACE);
+        let counts = stays.flat_map(|row| row["counts"].as_array().unwrap().clone());
+        counts.filter(|count| count[0] == 1).map(|count| count[1].as_f64().unwrap()).sum::<f64>()
+    };
+    assert!((minutes(&house) - 1.0).abs() < 0.1, "{}", minutes(&house));
+    assert_eq!(house.board.habits().visits()[KITCHEN].iter().sum::<f64>(), 0.0, "where to is not known");
+    // Sets are of what is believed.
+    let [kitchen, living_room, _] = house.ahead(1, 0);
+    assert!(living_room > 0.9 && kitchen < 0.1);
+    let told = *house.board.person_forecasts(house.now_ns);
+    assert_eq!(told.persons()[0].set_holds(0, LIVING_ROOM), Some(true));
+    house.say(1, 7_260, "They sit on the sofa.");
+    house.say(1, 7_320, "away");
+    assert!(house.board.habits().visits()[LIVING_ROOM].iter().sum::<f64>() > 0.9);
 }
 
 /// Who leaves a home that nothing is known of is not back within the minute: rooms say nothing of how long people are out.

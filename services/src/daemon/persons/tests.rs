@@ -1002,6 +1002,34 @@ fn a_title_tells_apart_and_a_first_name_does_not() {
     assert_eq!((house.presence("Zoë"), house.known()), (Some(presence::PRESENT), 6));
 }
 
+/// Of whom a narrator tells by first and last name, though the home knows the first one alone.
+#[test]
+fn a_longer_name_is_the_same_person_in_deeds_and_where_they_are() {
+    let mut house = House::new(&["Jonas", "Anna", "Oma Trude"]);
+    let of = |house: &mut House| house.presence("Jonas");
+    for (text, expected) in [
+        ("Jonas Müller opens the fridge.", presence::PRESENT),
+        ("Jonas Müller leaves the house.", presence::AWAY),
+        ("Jonas Müller comes home.", presence::PRESENT),
+        ("Jonas Müller is away.", presence::AWAY),
+        ("Dr. Jonas Müller opens the fridge.", presence::PRESENT),
+        ("Dr. Jonas Müller goes to work.", presence::AWAY),
+        ("Jonas Müller is in the kitchen.", presence::PRESENT),
+    ] {
+        house.after(1, "somebody", text);
+        assert_eq!((of(&mut house), house.known()), (Some(expected), 1), "{text}");
+    }
+    // Whom a longer name is told of is that person, also where another one has a part of it.
+    house.after(1, "Jonas Meier", "They sit on the sofa.");
+    house.after(1, "somebody", "Jonas Meier leaves the house.");
+    assert_eq!((of(&mut house), house.presence("Jonas Meier")), (Some(presence::PRESENT), Some(presence::AWAY)));
+    // Whom nobody knows is nobody who is known.
+    house.after(1, "somebody", "Olga Petrova opens the fridge.");
+    house.after(1, "somebody", "Olga Petrova leaves the house.");
+    house.after(1, "somebody", "Two people are sitting on a couch.");
+    assert_eq!((of(&mut house), house.presence("Olga Petrova")), (Some(presence::PRESENT), Some(presence::AWAY)));
+}
+
 /// Whoever's narrator hears it: a sentence about somebody else whom it names is of them.
 #[test]
 fn a_sentence_about_others_is_theirs_by_whatever_key() {

@@ -438,7 +438,7 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
         if before != Some(person) {
             before = Some(person);
             match person {
-                Some(room) => forecaster.enter(now_s, Some(room)),
+                Some(room) => _ = forecaster.enter(now_s, Some(room)),
                 None => forecaster.leave(now_s),
             }
         }
