@@ -9,13 +9,14 @@ use std::fmt::Write;
 use std::path::Path;
 
 use roomcast_core::narration::history::{KEPT_NS, OBSERVATIONS_MAX};
-use roomcast_core::narration::{self, PERSONS_MAX, PROGRAM_BYTES_MAX, SENTENCE_BYTES_MAX, STEPS_MAX};
+use roomcast_core::narration::{self, DAY_MINUTES_MAX, PERSONS_MAX, PROGRAM_BYTES_MAX, SENTENCE_BYTES_MAX, STEPS_MAX};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_core::{grounding, guess, habits, prepared, prompt, semantic_map};
 use roomcast_ipc::{
     DecisionV1, MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES, NarrationV1,
     RoomScoresV1, question, sequence,
 };
+use roomcast_lab::experiment::habits::DAYS_MAX;
 use roomcast_llama::{SEQUENCES_MAX, THREADS_MAX};
 use roomcast_services::config::{self, Config};
 use roomcast_services::daemon::{
@@ -78,6 +79,8 @@ fn page() -> String {
             ("bytes of an action's line", &narration::LINE_BYTES_MAX, "is refused"),
             ("bytes of an activity program", &PROGRAM_BYTES_MAX, "is refused"),
             ("steps of an activity program", &STEPS_MAX, "is refused"),
+            ("minutes of a day of activities", &DAY_MINUTES_MAX, "is refused"),
+            ("days of `experiment habits`", &DAYS_MAX, "is refused"),
             ("bytes of a binding sequence", &prompt::BINDING_BYTES_MAX, "is refused"),
             ("observations of a person's window", &OBSERVATIONS_MAX, "is refused in the configuration"),
             ("narrators at once", &NarrationV1::SERVICE.publishers, "cannot join"),

@@ -1334,6 +1334,11 @@ fn folds_are_pooled_and_the_sealed_split_is_opened_once() {
     let manifest = path("folds/fold-1/manifest.json");
     let (code, _, said) = run("forecast", &["--manifest", &manifest, "--split", "sealed"]);
     assert!(code == input && said.contains("opened once"), "{said}");
+    // A record that cannot be written is found out before the model, which is none here, is looked at.
+    let nowhere = path("none/sealed.json");
+    let unread = ["--trained", &path("folds/none"), "--record", &nowhere, "--places", &none];
+    let (code, _, said) = run("sealed", &unread);
+    assert!(code == input && said.contains("cannot be written down") && said.contains("--record"), "{said}");
     let (_, shown, said) = run("sealed", &sealed);
     let shown = shown.unwrap_or_else(|| panic!("{said}"));
     let written = std::fs::read_to_string(&record).unwrap();

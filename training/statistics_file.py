@@ -93,13 +93,14 @@ def recency(before: list[str], following: str, decay: float) -> float:
 
 def fit(third: Table, frequency: Counter, calibration: list[Program]) -> dict[str, object]:
     """Discounts by order, and the weight and decay of the recency cache, that make the calibration split likeliest. The first object of
-    a program has nothing before it and is no case; nor is one that the training split does not know."""
-    model = KneserNey(third, sorted(frequency))
+    a program has nothing before it and is no case. Objects that the training split does not know are cases, as a map has such things too:
+    how much is kept for them is fitted by them alone."""
+    walks = [walk(program) for program in calibration]
+    model = KneserNey(third, sorted({*frequency, *itertools.chain(*walks)}))
     cases = []
-    for program in calibration:
-        visited = walk(program)
+    for visited in walks:
         for at, (context, following) in enumerate(contexts(visited)):
-            if at and following in frequency:
+            if at:
                 cases.append((context, following, visited[:at]))
     loss = lambda discounts: -sum(math.log(model.probability(context, following, discounts)) for context, following, _ in cases)
     discounts = [0.75] * 4

@@ -314,8 +314,8 @@ impl SensorRules {
                 Err(error) => return Some((line, Err(error.to_string()))),
             }
             let underline = record.iter().flatten().all(|byte| matches!(byte, b'-' | b' '));
-            let heading =
-                std::mem::take(&mut first) && record.get(0).is_some_and(|field| seconds(&text(field)).is_none());
+            // A first line with a time in it is none: its other times are wrong.
+            let heading = std::mem::take(&mut first) && !record.iter().any(|field| seconds(&text(field)).is_some());
             (!underline && !heading).then(|| (line, self.interval(&record, delimiter == b'\t')))
         })
     }
@@ -627,6 +627,8 @@ mod tests {
         assert_eq!(absences(home).unwrap(), [(30.0, 50.0)]);
         assert!(absences(b"10,20,Sleeping\n").unwrap_err().contains("third column"));
         assert!(absences(b"10,20,x\nnoon,20,x\n").unwrap_err().starts_with("line 2"));
+        // A heading has no time at all.
+        assert!(absences(b"noon\t2024-03-01 08:18:00\n").unwrap_err().starts_with("line 1"));
         assert_eq!(absences(b"").unwrap(), []);
     }
 

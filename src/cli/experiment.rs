@@ -422,37 +422,24 @@ fn forecast_text(report: &Report) -> String {
     ]);
     let mut rows: Vec<_> = report.rows.iter().collect();
     rows.sort_by(|a, b| (&a.scene, a.target, a.items).cmp(&(&b.scene, b.target, b.items)));
-    // Resampling one group gives the same cases again and again: no interval at all, and not one without width.
-    let with = |groups: usize, value: f64, [low, high]: [f64; 2]| match groups {
-        0 | 1 => format!("{value:.3}"),
-        _ => format!("{value:.3} [{low:.3}, {high:.3}]"),
+    let with = |(value, interval): (f64, Option<[f64; 2]>)| match interval {
+        None => format!("{value:.3}"),
+        Some([low, high]) => format!("{value:.3} [{low:.3}, {high:.3}]"),
     };
     for row in rows {
         let things = row.items.unwrap_or("any");
         let named = [row.scene.clone(), target_name(row.target), things.to_owned(), row.predictor.to_owned()];
-        let figures = |s: &Summary| {
-            [
-                (s.nll_nats, s.ci95.nll_nats),
-                (s.top1, s.ci95.top1),
-                (s.top5, s.ci95.top5),
-                (s.mrr, s.ci95.mrr),
-                (s.brier, s.ci95.brier),
-            ]
-            .map(|(value, interval)| with(report.programs, value, interval))
-        };
+        let figures = |s: &Summary| [s.nll(), s.top1(), s.top5(), s.mrr(), s.brier()].map(with);
         if let Some(less) = &row.model_less_this {
             differences.add_row(named.iter().cloned().chain(figures(less)));
         }
-        let of_activities = |s: &Summary| {
-            [(s.nll_nats, s.ci95.nll_nats), (s.top1, s.ci95.top1), (s.mrr, s.ci95.mrr), (s.ece, s.ci95.ece)]
-                .map(|(value, interval)| with(report.activities, value, interval))
-        };
+        let of_activities = |s: &Summary| [s.nll(), s.top1(), s.mrr(), s.ece()].map(with);
         let [nll, top1, mrr, ece] = of_activities(&row.macro_average);
         let less = row.model_less_this_by_activity.as_ref().map(of_activities);
         let [nll_less, top1_less, mrr_less, _] = less.unwrap_or_default();
         activities.add_row(named.iter().cloned().chain([nll, top1, mrr, ece, nll_less, top1_less, mrr_less]));
         let s = &row.summary;
-        let ece = with(report.programs, s.ece, s.ci95.ece);
+        let ece = with(s.ece());
         table.add_row(named.into_iter().chain([s.cases.to_string()]).chain(figures(s)).chain([ece]));
     }
     let mut text = format!(
@@ -470,10 +457,10 @@ fn forecast_text(report: &Report) -> String {
                 format!("{from:.2} to {to:.2}"),
                 third.programs.to_string(),
                 s.cases.to_string(),
-                with(third.programs, s.nll_nats, s.ci95.nll_nats),
-                with(third.programs, s.mrr, s.ci95.mrr),
-                with(report.activities, by.nll_nats, by.ci95.nll_nats),
-                with(report.activities, by.mrr, by.ci95.mrr),
+                with(s.nll()),
+                with(s.mrr()),
+                with(by.nll()),
+                with(by.mrr()),
             ]);
         }
         let _ = writeln!(
@@ -484,10 +471,11 @@ fn forecast_text(report: &Report) -> String {
     }
     let _ = writeln!(
         text,
-        "{} in {}; {:.1} % of the next objects are in the maps, and {} had the label of the last one and are no cases; scored by {}; {}; {} \
+        "{} in {}{}; {:.1} % of the next objects are in the maps, and {} had the label of the last one and are no cases; scored by {}; {}; {} \
          computed, the others from the cache",
         count(report.cases, "case"),
         count(report.programs, "program"),
+        left_out(report),
         100.0 * report.bound_share,
         report.same_label,
         report.correction,
@@ -505,11 +493,25 @@ fn forecast_text(report: &Report) -> String {
     text
 }
 
+/// Says how many programs have no case, where there are any.
+fn left_out(report: &Report) -> String {
+    match report.programs_without_case {
+        0 => String::new(),
+        without => format!(" ({without} more without a case)"),
+    }
+}
+
 /// The tables of the model card: next object and next room, both ways of binding, and the differences from the baselines.
 fn forecast_markdown(report: &Report) -> String {
-    let cell = |groups: usize, value: f64, [low, high]: [f64; 2]| match groups {
-        0 | 1 => format!("{value:.2}"),
-        _ => format!("{value:.2} [{low:.2}, {high:.2}]"),
+    let cell = |(value, interval): (f64, Option<[f64; 2]>)| match interval {
+        None => format!("{value:.2}"),
+        Some([low, high]) => format!("{value:.2} [{low:.2}, {high:.2}]"),
+    };
+    // Of a difference it matters most on which side of zero an end is.
+    let end = |end: f64| if end != 0.0 && end.abs() < 0.005 { format!("{end:+.3}") } else { format!("{end:.2}") };
+    let less_cell = |(value, interval): (f64, Option<[f64; 2]>)| match interval {
+        None => end(value),
+        Some([low, high]) => format!("{} [{}, {}]", end(value), end(low), end(high)),
     };
     let find = |scene: &str, predictor: &str, target: Target, items: Option<&str>| {
         report.rows.iter().find(|row| {
@@ -547,30 +549,28 @@ fn forecast_markdown(report: &Report) -> String {
     let (mut levels, mut programs, mut activities) = (Vec::new(), Vec::new(), Vec::new());
     for scene in &scenes {
         for predictor in order.into_iter().filter(|name| predictors.contains(name)) {
-            let figures = |of: &dyn Fn(&prediction::Row) -> Option<Summary>, groups: usize| -> Option<Vec<String>> {
+            type Cell<'a> = &'a dyn Fn((f64, Option<[f64; 2]>)) -> String;
+            let figures = |of: &dyn Fn(&prediction::Row) -> Option<Summary>, cell: Cell<'_>| -> Option<Vec<String>> {
                 let object = of(find(scene, predictor, Target::Object, None)?)?;
                 let mut cells = vec![
                     (*scene).to_owned(),
                     predictor.to_owned(),
-                    cell(groups, object.nll_nats, object.ci95.nll_nats),
-                    cell(groups, object.mrr, object.ci95.mrr),
-                    cell(groups, object.ece, object.ci95.ece),
+                    cell(object.nll()),
+                    cell(object.mrr()),
+                    cell(object.ece()),
                 ];
                 for items in &items {
                     let room = of(find(scene, predictor, Target::Room, Some(items))?)?;
                     let change = of(find(scene, predictor, Target::RoomChange, Some(items))?)?;
                     let to = of(find(scene, predictor, Target::RoomIfChanged, Some(items))?)?;
-                    cells.push(cell(groups, room.nll_nats, room.ci95.nll_nats));
-                    cells.push(cell(groups, room.ece, room.ci95.ece));
-                    cells.push(cell(groups, change.top1, change.ci95.top1));
-                    cells.push(cell(groups, to.top1, to.ci95.top1));
+                    cells.extend([room.nll(), room.ece(), change.top1(), to.top1()].map(cell));
                 }
                 Some(cells)
             };
-            levels.extend(figures(&|row| Some(row.summary), n));
+            levels.extend(figures(&|row| Some(row.summary), &cell));
             if ["model-near", "kneser-ney", "kneser-ney-cache", "frequency", "stay"].contains(&predictor) {
-                programs.extend(figures(&|row| row.model_less_this, n));
-                activities.extend(figures(&|row| row.model_less_this_by_activity, m));
+                programs.extend(figures(&|row| row.model_less_this, &less_cell));
+                activities.extend(figures(&|row| row.model_less_this_by_activity, &less_cell));
             }
         }
     }
@@ -594,10 +594,10 @@ fn forecast_markdown(report: &Report) -> String {
                 vec![
                     format!("{:.2} to {:.2}", third.nearness[0], third.nearness[1]),
                     third.programs.to_string(),
-                    cell(third.programs, s.nll_nats, s.ci95.nll_nats),
-                    cell(third.programs, s.mrr, s.ci95.mrr),
-                    cell(m, by.nll_nats, by.ci95.nll_nats),
-                    cell(m, by.mrr, by.ci95.mrr),
+                    less_cell(s.nll()),
+                    less_cell(s.mrr()),
+                    less_cell(by.nll()),
+                    less_cell(by.mrr()),
                 ]
             })
             .collect();
@@ -617,9 +617,10 @@ fn forecast_markdown(report: &Report) -> String {
     }
     let _ = writeln!(
         text,
-        "\n{}, {}, {}; {:.1} % of the next objects are in the maps; {} with the label of the last one are no cases; {}.",
+        "\n{}, {}{}, {}; {:.1} % of the next objects are in the maps; {} with the label of the last one are no cases; {}.",
         count(report.cases, "case"),
         count(n, "program"),
+        left_out(report),
         if m == 1 { "1 activity".to_owned() } else { format!("{m} activities") },
         100.0 * report.bound_share,
         report.same_label,

@@ -14,6 +14,7 @@ sys.path.insert(0, str(HERE))
 import data
 import narration
 import routines
+import statistics_file
 import things
 
 
@@ -84,3 +85,13 @@ def test_routines_that_are_none_are_refused():
     for text in ("fly kitchen", "sit a, b, c", "(sit a; { grab b & grab c }; open d", "(sit a / fly b)", "(grab a & grab b)", "{ sit a / sit b }"):
         with pytest.raises(ValueError):
             routines.check(routines.Routine("x", "home", "x", text))
+
+
+def test_kneser_ney_keeps_for_the_unknown_what_the_calibration_split_has_of_it():
+    program = lambda *objects: data.Program("", "", "", tuple(narration.parse_step(f"[Walk] <{name}> (1)") for name in objects))
+    known = ["fridge", "sofa", "bed", "table"]
+    frequency, _, _, third = statistics_file.count([program(*known)] * 20)
+    kept = lambda calibration: statistics_file.fit(third, frequency, calibration)["discounts"][0]
+    # Every second object that is turned to is one that the training split does not know, as a map's own things are.
+    assert kept([program("fridge", "harp", "sofa", "loom"), program("bed", "kiln", "table", "anvil")]) > 0.9
+    assert kept([program(*known), program("sofa", "fridge", "table", "bed")]) < 0.5

@@ -32,7 +32,7 @@ pub use person::{
     same_but_for_accents, same_name,
 };
 pub use presence::{Presence, PresenceError, PresenceStatement};
-pub use program::{PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
+pub use program::{DAY_MINUTES_MAX, PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
 
 /// Longest sentence of one observation, in bytes of UTF-8; the narration message holds as many.
 pub const SENTENCE_BYTES_MAX: usize = 1024;

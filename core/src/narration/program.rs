@@ -9,6 +9,8 @@ use crate::text::read_text_at_most;
 pub const PROGRAM_BYTES_MAX: usize = 1 << 20;
 /// Most steps of one program.
 pub const STEPS_MAX: usize = 10_000;
+/// The latest minute of a day of activities, since its midnight: a day may go on after the next one.
+pub const DAY_MINUTES_MAX: u32 = 48 * 60;
 
 /// Why a text is no program.
 #[derive(Debug, thiserror::Error)]
@@ -58,6 +60,14 @@ pub enum ProgramError {
     Day {
         /// The first line that no program has.
         line: usize,
+    },
+    /// An action of a day later than [`DAY_MINUTES_MAX`].
+    #[error("line {line}: minute {minute} of the day, more than {DAY_MINUTES_MAX}: give minutes since midnight")]
+    Late {
+        /// From 1.
+        line: usize,
+        /// Its time.
+        minute: f64,
     },
     /// There is no step at all.
     #[error("the program `{title}` has no step: add lines such as `[Walk] <kitchen> (1)`")]

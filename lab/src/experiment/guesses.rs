@@ -2,11 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use roomcast_core::forecast::Mentions;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::guess::{Counts, Guesser, Thread};
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::LanguageModel;
+use roomcast_core::semantic_map::SemanticMap;
 use serde::Serialize;
 
 use super::prediction::{NamedProgram, sentences};
@@ -22,8 +24,11 @@ pub struct Hits {
 }
 
 impl Hits {
+    fn new(k: &[usize]) -> Self {
+        Self { steps: 0, among: vec![0; k.len()] }
+    }
+
     fn add(&mut self, k: &[usize], rank: Option<usize>) {
-        self.among.resize(k.len(), 0);
         self.steps += 1;
         for (among, k) in self.among.iter_mut().zip(k) {
             *among += usize::from(rank.is_some_and(|rank| rank < *k));
@@ -52,10 +57,10 @@ pub struct Report {
 /// Tells each program from its start, once with a guesser that only follows and once with one that learns.
 ///
 /// # Errors
-/// When the model fails, or an object's name makes no sentence.
+/// When the model fails, an object's name makes no sentence, or nothing that is said is about a thing of the map.
 pub fn run<M: LanguageModel>(
     (programs, counts): (&[NamedProgram], &Counts),
-    grounding: &Grounding,
+    (map, grounding): (&SemanticMap, &Grounding),
     source: &mut ScoreSource<M>,
     (limits, binding): (HistoryLimits, &BindingSequence),
     k: &[usize],
@@ -65,9 +70,13 @@ pub fn run<M: LanguageModel>(
     let mut seeded = Guesser::new(counts, &labels);
     let mut learner = seeded.clone();
     let most = k.iter().copied().max().unwrap_or_default();
-    let mut report = Report { k: k.to_vec(), ..Report::default() };
+    let none = || Hits::new(k);
+    let mut report = Report { k: k.to_vec(), seed: none(), learning: none(), learning_by_action: BTreeMap::new() };
+    let mut mentions = Mentions::new(map, grounding);
+    let mut mentioned = false;
     for NamedProgram { program, .. } in programs {
         let told = sentences(&program.steps)?;
+        mentioned |= told.iter().any(|sentence| mentions.last(sentence.as_str()).is_some());
         let rows = source.score_steps(&told, limits, binding)?;
         let (mut thread, mut own) = (Thread::default(), Thread::default());
         for (at, sentence) in told.iter().enumerate() {
@@ -78,7 +87,7 @@ pub fn run<M: LanguageModel>(
                 let rank = rank_of(&learner.guess(&own, &rows[at], most));
                 report.learning.add(k, rank);
                 let verb = program.steps[at].verb().to_owned();
-                report.learning_by_action.entry(verb).or_default().add(k, rank);
+                report.learning_by_action.entry(verb).or_insert_with(none).add(k, rank);
             }
             seeded.follow(&mut thread, sentence.as_str());
             learner.hear(&mut own, sentence.as_str());
@@ -86,5 +95,35 @@ pub fn run<M: LanguageModel>(
         progress.step();
     }
     source.flush()?;
-    Ok(report)
+    if mentioned { Ok(report) } else { Err(ExperimentError::NothingBound { scene: map.name().to_owned() }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use roomcast_core::grounding::GroundingOptions;
+    use roomcast_core::narration::Program;
+    use roomcast_core::scorer::correction::CorrectionChoice;
+    use roomcast_core::scorer::table::TableModel;
+    use roomcast_core::scorer::{Method, Tokenisation};
+
+    #[test]
+    fn a_share_is_there_without_a_step_and_no_result_where_nothing_is_in_the_map() {
+        let map = SemanticMap::from_json(include_str!("../../../scenes/studio.json")).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let run_with = |step: &str| {
+            let program = Program::parse(&format!("T\nd\n\n{step}\n")).unwrap();
+            let programs = [NamedProgram { path: "a".into(), program, activity: "a".into() }];
+            let labels = grounding.label_texts();
+            let (method, tokens) = (Method::Trie, Tokenisation::Joint);
+            let correction = CorrectionChoice::default();
+            let mut source = ScoreSource::new(TableModel::new(1), &labels, method, tokens, correction, None).unwrap();
+            let how = (HistoryLimits::default(), &BindingSequence::default());
+            let told = (programs.as_slice(), &Counts::default());
+            run(told, (&map, &grounding), &mut source, how, &[8, 16], &Progress::hidden())
+        };
+        let report = run_with("[Walk] <fridge> (1)").unwrap();
+        assert_eq!((report.seed.steps, report.seed.among, report.learning.among), (0, vec![0; 2], vec![0; 2]));
+        assert!(matches!(run_with("[Walk] <spaceship> (1)"), Err(ExperimentError::NothingBound { .. })));
+    }
 }

@@ -123,8 +123,50 @@ pub struct Summary {
     pub brier: f64,
     /// Expected calibration error of the likeliest outcome's probability, over 15 bins.
     pub ece: f64,
-    /// Bootstrap intervals over groups.
-    pub ci95: Intervals,
+    /// Bootstrap intervals over groups; none where fewer than two have cases.
+    pub ci95: Option<Intervals>,
+}
+
+impl Summary {
+    fn with(&self, value: f64, of: impl Fn(&Intervals) -> [f64; 2]) -> (f64, Option<[f64; 2]>) {
+        (value, self.ci95.as_ref().map(of))
+    }
+
+    /// The likelihood and its interval.
+    #[must_use]
+    pub fn nll(&self) -> (f64, Option<[f64; 2]>) {
+        self.with(self.nll_nats, |ci95| ci95.nll_nats)
+    }
+
+    /// The share in which the likeliest outcome happened, and its interval.
+    #[must_use]
+    pub fn top1(&self) -> (f64, Option<[f64; 2]>) {
+        self.with(self.top1, |ci95| ci95.top1)
+    }
+
+    /// The share in which one of the five likeliest happened, and its interval.
+    #[must_use]
+    pub fn top5(&self) -> (f64, Option<[f64; 2]>) {
+        self.with(self.top5, |ci95| ci95.top5)
+    }
+
+    /// The mean reciprocal rank and its interval.
+    #[must_use]
+    pub fn mrr(&self) -> (f64, Option<[f64; 2]>) {
+        self.with(self.mrr, |ci95| ci95.mrr)
+    }
+
+    /// The Brier score and its interval.
+    #[must_use]
+    pub fn brier(&self) -> (f64, Option<[f64; 2]>) {
+        self.with(self.brier, |ci95| ci95.brier)
+    }
+
+    /// The calibration error and its interval.
+    #[must_use]
+    pub fn ece(&self) -> (f64, Option<[f64; 2]>) {
+        self.with(self.ece, |ci95| ci95.ece)
+    }
 }
 
 /// Sums up groups of cases; resamples whole groups, because the cases of one program depend on one another.
@@ -161,13 +203,15 @@ pub fn difference(groups: &[Sums], others: &[Sums], seed: u64) -> Summary {
     })
 }
 
-/// The draws depend on `seed` and the number of groups alone.
+/// Draws groups that have cases. The draws depend on `seed` and the number of these alone. One group drawn again and again is always the same:
+/// that is no interval without width, but none.
 fn bootstrap<const ROWS: usize>(
     rows: [&[Sums]; ROWS],
     seed: u64,
     value: impl Fn([Sums; ROWS]) -> [f64; METRICS.len()],
 ) -> Summary {
     let groups = rows.iter().map(|row| row.len()).min().unwrap_or(0);
+    let groups: Vec<usize> = (0..groups).filter(|group| rows.iter().any(|row| !row[*group].is_empty())).collect();
     let total = |groups: &[usize]| {
         rows.map(|row| {
             let mut sum = Sums::default();
@@ -175,30 +219,24 @@ fn bootstrap<const ROWS: usize>(
             sum
         })
     };
-    let all = total(&(0..groups).collect::<Vec<_>>());
+    let all = total(&groups);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut samples: [Vec<f64>; METRICS.len()] = Default::default();
-    for _ in 0..RESAMPLES {
-        let sample = total(&(0..groups).map(|_| rng.random_range(0..groups)).collect::<Vec<_>>());
+    for _ in 0..if groups.len() > 1 { RESAMPLES } else { 0 } {
+        let drawn: Vec<usize> = groups.iter().map(|_| groups[rng.random_range(0..groups.len())]).collect();
+        let sample = total(&drawn);
         if sample.iter().all(|sums| sums.cases > 0.0) {
             samples.iter_mut().zip(value(sample)).for_each(|(samples, mean)| samples.push(mean));
         }
     }
-    let interval = |index: usize| {
-        let mut values = samples[index].clone();
-        values.sort_by(f64::total_cmp);
-        let at = |share: f64| values.get((share * values.len() as f64) as usize).copied().unwrap_or(0.0);
-        [at(0.025), at(0.975)]
-    };
+    let ci95 = (!samples[0].is_empty()).then(|| {
+        let [nll_nats, top1, top5, mrr, brier, ece] = samples.map(|mut values| {
+            values.sort_by(f64::total_cmp);
+            [0.025, 0.975].map(|share| values[(share * values.len() as f64) as usize])
+        });
+        Intervals { nll_nats, top1, top5, mrr, brier, ece }
+    });
     let [nll_nats, top1, top5, mrr, brier, ece] = value(all);
-    let ci95 = Intervals {
-        nll_nats: interval(0),
-        top1: interval(1),
-        top5: interval(2),
-        mrr: interval(3),
-        brier: interval(4),
-        ece: interval(5),
-    };
     let cases = all.first().map_or(0.0, |sums| sums.cases) as usize;
     Summary { cases, nll_nats, top1, top5, mrr, brier, ece, ci95 }
 }
@@ -244,10 +282,25 @@ mod tests {
                 .collect()
         };
         let (few, many) = (summarise(&groups(20), 1), summarise(&groups(2000), 1));
-        let width = |s: &Summary| s.ci95.top1[1] - s.ci95.top1[0];
-        assert!(few.ci95.top1[0] <= few.top1 && few.top1 <= few.ci95.top1[1]);
+        let [low, high] = few.ci95.unwrap().top1;
+        let width = |s: &Summary| s.ci95.map(|ci95| ci95.top1[1] - ci95.top1[0]).unwrap();
+        assert!(low <= few.top1 && few.top1 <= high);
         assert!(width(&many) < 0.2 * width(&few));
         assert_eq!(summarise(&groups(20), 1), few);
+    }
+
+    /// A program without a case is none that was drawn, and one program has no interval.
+    #[test]
+    fn groups_without_cases_change_nothing_and_one_group_has_no_interval() {
+        let mut sums = [Sums::default(); 2];
+        sums[0].add(&[0.7, 0.3], 0);
+        sums[1].add(&[0.7, 0.3], 1);
+        let [one, other] = sums;
+        let none = Sums::default();
+        assert_eq!(summarise(&[none, one, none, other, none, none], 1), summarise(&[one, other], 1));
+        assert!(summarise(&[one, other], 1).ci95.is_some());
+        assert_eq!([summarise(&[one], 1), summarise(&[none, one], 1), summarise(&[], 1)].map(|s| s.ci95), [None; 3]);
+        assert_eq!(difference(&[one, none], &[one, none], 1).ci95, None);
     }
 
     /// An activity with many programs does not speak for the others.
@@ -283,11 +336,11 @@ mod tests {
         };
         let (better, worse) = (groups(0.1), groups(0.0));
         let (own, other) = (summarise(&better, 1), summarise(&worse, 1));
-        assert!(own.ci95.brier[1] > other.ci95.brier[0], "each by itself overlaps");
+        assert!(own.ci95.unwrap().brier[1] > other.ci95.unwrap().brier[0], "each by itself overlaps");
         let gain = difference(&better, &worse, 1);
-        assert!(gain.ci95.brier[1] < 0.0 && gain.ci95.nll_nats[1] < 0.0);
+        assert!(gain.ci95.is_some_and(|gain| gain.brier[1] < 0.0 && gain.nll_nats[1] < 0.0));
         assert!((gain.nll_nats - (own.nll_nats - other.nll_nats)).abs() < 1e-12);
         let none = difference(&better, &better, 1);
-        assert_eq!((none.nll_nats, none.ci95.mrr), (0.0, [0.0, 0.0]));
+        assert_eq!((none.nll_nats, none.ci95.unwrap().mrr), (0.0, [0.0, 0.0]));
     }
 }

@@ -51,6 +51,23 @@ pub enum ExperimentError {
         /// The scene's name.
         scene: String,
     },
+    /// More days than somebody is forecast in minute by minute.
+    #[error("{days} days, more than {}: give the first of them in a folder of their own", habits::DAYS_MAX)]
+    TooManyDays {
+        /// How many.
+        days: usize,
+    },
+    /// A log of more days than that, as one with a wrong year.
+    #[error(
+        "the log reaches from {from} to {to}, over more than {} days: correct the times that are wrong, or give a part of it",
+        habits::DAYS_MAX
+    )]
+    LongLog {
+        /// The date of its first time.
+        from: String,
+        /// The date of its last time.
+        to: String,
+    },
     /// The scorer or its cache.
     #[error(transparent)]
     Scores(ScoresError),

@@ -90,8 +90,10 @@ pub struct Row {
 pub struct Report {
     /// Cases of the target `object`, over all scenes.
     pub cases: usize,
-    /// Programs evaluated.
+    /// Programs evaluated: those with a case in any of the scenes.
     pub programs: usize,
+    /// Programs without one, which are left out.
+    pub programs_without_case: usize,
     /// Activities that they are ways of.
     pub activities: usize,
     /// Next objects with the label of the last one, which are no cases, over all scenes.
@@ -469,9 +471,8 @@ pub fn run<M: LanguageModel>(
     progress: &Progress,
     mut open: impl FnMut(usize, &Grounding) -> Result<ScoreSource<M>, ExperimentError>,
 ) -> Result<Report, ExperimentError> {
-    let mut report = Report { programs: parts.iter().map(|part| part.programs.len()).sum(), ..Report::default() };
+    let mut report = Report::default();
     let of_activity = activities(parts.iter().flat_map(|part| &part.programs));
-    report.activities = of_activity.iter().max().map_or(0, |most| most + 1);
     let mut unbound: BTreeMap<String, usize> = BTreeMap::new();
     // Per way of binding, over all maps.
     let mut all: Vec<Groups> = Vec::new();
@@ -510,6 +511,10 @@ pub fn run<M: LanguageModel>(
     }
     if let Some(groups) = all.first() {
         report.nearness = by_nearness(groups, parts, &of_activity, options.seed);
+        let with_case: Vec<usize> = (0..of_activity.len()).filter(|program| !groups[0][*program].is_empty()).collect();
+        report.programs = with_case.len();
+        report.programs_without_case = of_activity.len() - with_case.len();
+        report.activities = with_case.iter().map(|program| of_activity[*program]).collect::<BTreeSet<_>>().len();
     }
     let missing: usize = unbound.values().sum();
     report.bound_share = report.cases as f64 / (report.cases + missing) as f64;
@@ -704,6 +709,14 @@ mod tests {
         assert!(nll("markov2") <= nll("markov1") && nll("markov1") < nll("frequency"));
         assert!(nll("kneser-ney") < nll("markov1") && nll("kneser-ney-cache") < nll("frequency"));
         assert_eq!(report, run_with(std::slice::from_ref(&part)));
+        // A program of nothing that is there is no case, and no program that was drawn.
+        let mut more = part.clone();
+        let text = "T\nd\n\n[Walk] <spaceship> (1)\n[Grab] <antenna> (1)\n";
+        let nothing = Program::parse(text).unwrap();
+        more.programs.insert(1, NamedProgram { path: "n".into(), program: nothing, activity: "n".into() });
+        let beside = run_with(&[more]);
+        assert_eq!((&beside.rows, &beside.nearness, beside.programs), (&report.rows, &report.nearness, 3));
+        assert_eq!((beside.programs_without_case, beside.activities, report.programs_without_case), (1, 3, 0));
         // Programs of two parts with the same statistics are pooled to the same table.
         let [mut first, mut second] = [part.clone(), part.clone()];
         second.programs = first.programs.split_off(1);

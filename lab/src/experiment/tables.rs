@@ -397,7 +397,7 @@ pub fn horizon_report(rows: &[HorizonRow]) -> (Table, Vec<(String, String)>) {
     }
     let chart = |title: &str, y: &str, value: fn(&HorizonRow) -> f64| {
         let mut series: Vec<Series> = Vec::new();
-        for row in rows.iter().filter(|row| row.cases > 0) {
+        for row in rows {
             let point = (row.horizon_s as f64, value(row));
             match series.iter_mut().find(|s| s.name == row.predictor) {
                 Some(series) => series.points.push(point),

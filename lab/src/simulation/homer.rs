@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use roomcast_core::narration::program;
-use roomcast_core::narration::{Action, PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
+use roomcast_core::narration::{Action, DAY_MINUTES_MAX, PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
 
 /// Largest file of a day, in bytes. The longest of HOMER+ have 200 KiB.
 pub const DAY_BYTES_MAX: usize = 16 * PROGRAM_BYTES_MAX;
@@ -68,6 +68,9 @@ impl Day {
                 && minute.is_finite()
                 && let Some(last) = actions.last_mut()
             {
+                if minute > f64::from(DAY_MINUTES_MAX) {
+                    return Err(ProgramError::Late { line, minute });
+                }
                 now_min = minute.max(now_min);
                 last.done_min = now_min;
                 awaits_time = false;
@@ -140,6 +143,10 @@ mod tests {
             Day::parse("### a\n[FLY] <x> (1) [1]\n").unwrap_err().to_string().starts_with("line 2: unknown action")
         );
         assert!(Day::parse("### a\n").unwrap_err().to_string().contains("no step"));
+        // A day ends after midnight, and not in the year 19 000.
+        let ends = |minute: &str| Day::parse(&format!("### a\n[SIT] <x> (1) [1]\n{minute}\n"));
+        assert!(ends("1670.5").is_ok() && ends("2880").is_ok());
+        assert!(ends("1e13").unwrap_err().to_string().starts_with("line 3: minute 10000000000000"));
     }
 
     #[test]

@@ -200,6 +200,14 @@ pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
             "the sealed split was opened already; what was found is in this file, and it is not opened twice".into(),
         ));
     }
+    let write = |entries: &[Value]| {
+        let text = serde_json::to_string_pretty(entries).map_err(|e| failed(e.to_string()))?;
+        let no_record =
+            |error| failed(format!("what is found cannot be written down: {error}; name a file with --record"));
+        std::fs::write(record, text + "\n").map_err(no_record)
+    };
+    // Before anything is measured, too: the split is opened once.
+    write(&entries)?;
     let programs = args.asked.load()?;
     let trained = [Trained::read(&args.trained)?];
     let part = trained[0].part(&programs, SEALED)?;
@@ -216,7 +224,6 @@ pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
     let opened = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     entries.push(json!({ "opened_unix_s": opened, "model_sha256": hex::encode(sha256), "reports": reports }));
     // Written first: nobody sees what is not written down.
-    let text = serde_json::to_string_pretty(&entries).map_err(|e| failed(e.to_string()))?;
-    std::fs::write(record, text + "\n").map_err(|e| failed(e.to_string()))?;
+    write(&entries)?;
     args.asked.print(&reports)
 }

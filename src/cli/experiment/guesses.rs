@@ -46,13 +46,14 @@ pub(super) fn run(args: &GuessesArgs) -> CommandResult {
         None => programs,
     };
     let maps = maps(std::slice::from_ref(&args.scene))?;
-    let Some((_, grounding)) = maps.first() else { return Ok(()) };
+    let Some((map, grounding)) = maps.first() else { return Ok(()) };
     let counts = Counts::from_json(roomcast_services::embedded::FORMS);
     let counts = counts.map_err(|error| Failure::new(exit_code::FAILURE, error))?;
     let mut source = args.model.source(grounding)?;
     let progress = Progress::new("programs", programs.len());
     let told = (programs.as_slice(), &counts);
-    let report = guesses::run(told, grounding, &mut source, (args.model.limits(), &args.binding), &K, &progress)?;
+    let report =
+        guesses::run(told, (map, grounding), &mut source, (args.model.limits(), &args.binding), &K, &progress)?;
     drop(progress);
     if args.json { print_json(&report) } else { print(&text(&report)) }
 }

@@ -237,7 +237,7 @@ fn sensors(
         Some(path) => absences(&read(path)?).map_err(|error| fault(path, error))?,
         None => Vec::new(),
     };
-    Ok(Trace::of_sensors(steps, &intervals, &away, grounding.partitions().len()))
+    Ok(Trace::of_sensors(steps, &intervals, &away, grounding.partitions().len())?)
 }
 
 /// How a stretch of days is called.
@@ -310,7 +310,10 @@ fn cleaning(report: &Report) -> Table {
     let header = ["forecast", "policy", "disturbance (s/h)", "less", "coverage", "less"];
     let title = "Rounds of a robot, planned against the forecast without habits (model) and with them (mixture)";
     let mut cleaning = Table::new("cleaning", title, &header);
-    let with = |value: f64, [low, high]: [f64; 2]| format!("{value:.3} [{low:.3}, {high:.3}]");
+    let with = |value: f64, interval: Option<[f64; 2]>| match interval {
+        None => format!("{value:.3}"),
+        Some([low, high]) => format!("{value:.3} [{low:.3}, {high:.3}]"),
+    };
     for row in &report.cleaning {
         let less = row.less.map(|less| {
             let disturbance = with(less.disturbance_s_per_h, less.disturbance_ci95);

@@ -106,12 +106,12 @@ pub struct Row {
 pub struct Less {
     /// Seconds of disturbance per hour.
     pub disturbance_s_per_h: f64,
-    /// 95 % interval, by days.
-    pub disturbance_ci95: [f64; 2],
+    /// 95 % interval, by days; none where fewer than two have a whole round.
+    pub disturbance_ci95: Option<[f64; 2]>,
     /// Share of rooms that were done.
     pub coverage: f64,
     /// 95 % interval, by days.
-    pub coverage_ci95: [f64; 2],
+    pub coverage_ci95: Option<[f64; 2]>,
 }
 
 impl Cleaning {
@@ -185,23 +185,24 @@ impl Cleaning {
 
     /// The table, with intervals by bootstrap over days.
     pub(crate) fn rows(&self, seed: u64) -> Vec<Row> {
-        let days = self.robots.iter().map(|robot| robot.days.len()).max().unwrap_or(0);
+        // All robots work in the same rounds.
+        let whole = |robot: &Robot| (0..robot.days.len()).filter(|day| robot.days[*day].rooms > 0.0).collect();
+        let days: Vec<usize> = self.robots.first().map(whole).unwrap_or_default();
         let rates = |robot: usize, of: &[usize]| {
             let mut sums = Sums::default();
-            let own = &self.robots[robot].days;
-            of.iter().filter_map(|day| own.get(*day)).for_each(|day| sums.add(day));
+            of.iter().for_each(|day| sums.add(&self.robots[robot].days[*day]));
             sums.rates()
         };
-        let all: Vec<usize> = (0..days).collect();
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let resamples = if days.len() > 1 { RESAMPLES } else { 0 };
         let samples: Vec<Vec<usize>> =
-            (0..RESAMPLES).map(|_| (0..days).map(|_| rng.random_range(0..days)).collect()).collect();
+            (0..resamples).map(|_| days.iter().map(|_| days[rng.random_range(0..days.len())]).collect()).collect();
         let less = |own: usize, other: usize, of: &[usize]| {
             let (own, other) = (rates(own, of), rates(other, of));
             [own[0] - other[0], own[1] - other[1]]
         };
         let row = |(index, (predictor, policy)): (usize, (&'static str, &'static str))| {
-            let [disturbance_s_per_h, coverage] = rates(index, &all);
+            let [disturbance_s_per_h, coverage] = rates(index, &days);
             let compared = COMPARED.into_iter().find(|(own, _)| *own == index);
             let less = compared.map(|(own, other)| {
                 let mut values: [Vec<f64>; 2] = Default::default();
@@ -210,14 +211,15 @@ impl Cleaning {
                 }
                 let [disturbance_ci95, coverage_ci95] = values.map(|mut values| {
                     values.sort_by(f64::total_cmp);
-                    [0.025, 0.975].map(|share| values[(share * values.len() as f64) as usize])
+                    let at = |share: f64| values.get((share * values.len() as f64) as usize).copied();
+                    at(0.025).zip(at(0.975)).map(<[f64; 2]>::from)
                 });
-                let [disturbance_s_per_h, coverage] = less(own, other, &all);
+                let [disturbance_s_per_h, coverage] = less(own, other, &days);
                 Less { disturbance_s_per_h, disturbance_ci95, coverage, coverage_ci95 }
             });
             Row { predictor, policy, disturbance_s_per_h, coverage, less }
         };
-        if days == 0 { Vec::new() } else { ROBOTS.into_iter().enumerate().map(row).collect() }
+        if days.is_empty() { Vec::new() } else { ROBOTS.into_iter().enumerate().map(row).collect() }
     }
 }
 
@@ -246,7 +248,10 @@ mod tests {
         let rows = cleaning.rows(1);
         assert_eq!((rows[1].disturbance_s_per_h, rows[1].coverage, rows[0].coverage), (0.0, 1.0, 1.0), "{rows:?}");
         let less = rows[1].less.unwrap();
-        assert!(rows[0].disturbance_s_per_h > 100.0 && less.disturbance_ci95[1] < -50.0, "{rows:?}");
+        assert!(
+            rows[0].disturbance_s_per_h > 100.0 && less.disturbance_ci95.is_some_and(|[_, high]| high < -50.0),
+            "{rows:?}"
+        );
         assert_eq!((rows[4].disturbance_s_per_h, rows[4].coverage), (0.0, 1.0), "{rows:?}");
         assert!(Cleaning::new(3, 1).rows(1).is_empty());
     }

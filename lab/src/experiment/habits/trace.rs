@@ -12,6 +12,8 @@ use crate::simulation::homer::Day;
 
 /// Seconds of a day.
 pub(crate) const DAY_S: f64 = 86_400.0;
+/// The longest time that is watched, in days: somebody is forecast in every minute of it. A wrong year in a log would make it decades.
+pub const DAYS_MAX: usize = 1_100;
 
 /// One sentence.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,8 +50,10 @@ pub struct Trace {
     pub steps: Vec<Step>,
     /// From when the person is where; the rooms of the map, then elsewhere.
     pub(crate) places: Vec<(f64, usize)>,
-    /// When the home was watched, in order and apart from one another.
+    /// When the home was watched, in order; none begins before another ends.
     pub(crate) watched: Vec<(f64, f64)>,
+    /// When each day begins, in order: each of those given, or each of the calendar.
+    days: Vec<f64>,
 }
 
 impl Trace {
@@ -57,7 +61,7 @@ impl Trace {
     /// `items` says, the same for all days. The person is in the room of the last thing until the next one.
     ///
     /// # Errors
-    /// When an action makes no sentence.
+    /// When an action makes no sentence, or there are more than [`DAYS_MAX`] days.
     pub fn of_days(
         days: &[Day],
         map: &SemanticMap,
@@ -65,6 +69,9 @@ impl Trace {
         items: ItemChoice,
         seed: u64,
     ) -> Result<Self, ExperimentError> {
+        if days.len() > DAYS_MAX {
+            return Err(ExperimentError::TooManyDays { days: days.len() });
+        }
         let mut binder = Binder::new(map, grounding, items);
         binder.begin(seed, "home");
         let mut trace = Self::default();
@@ -82,8 +89,10 @@ impl Trace {
                 unseen.extend(activity.iter().map(|_| new));
             }
             for (timed, unseen) in day.actions.iter().zip(unseen) {
-                // A day may end after the next one has begun; times do not go back.
-                let at_s = (begin_s + 60.0 * timed.done_min).max(trace.steps.last().map_or(0.0, |step| step.at_s));
+                // A day may end after the next one has begun; times do not go back. Of several things at one time each is later by
+                // the least there is: where the person goes next is not known before it is said.
+                let at_s =
+                    (begin_s + 60.0 * timed.done_min).max(trace.steps.last().map_or(0.0, |step| step.at_s.next_up()));
                 let place = timed.action.objects().first().and_then(|object| {
                     let place = binder.bind(object, at_m)?;
                     let suffix = format!("-{}", object.id);
@@ -115,17 +124,39 @@ impl Trace {
                 }
                 span = Some((span.map_or(at_s, |(from_s, _)| from_s), at_s));
             }
+            // A day that goes on after midnight is one day all the same.
+            trace.days.extend(span.map(|(from_s, _)| from_s));
             trace.watched.extend(span);
         }
         Ok(trace)
     }
 
     /// A sensor log: what it narrates, and where somebody was by its intervals. At a moment the person is in the room of the interval
-    /// that covers it (of several, that which began last), else in that of the last one that began, else elsewhere if `away` covers it.
-    #[must_use]
-    pub fn of_sensors(mut steps: Vec<Step>, intervals: &[Interval], away: &[(f64, f64)], rooms: usize) -> Self {
+    /// that covers it (of several, that which began last), else elsewhere if `away` covers it, else in that of the last one that began.
+    /// The home is watched from the first sentence or interval to the last; absences before and after that count for nothing.
+    ///
+    /// # Errors
+    /// When it lasts longer than [`DAYS_MAX`].
+    pub fn of_sensors(
+        mut steps: Vec<Step>,
+        intervals: &[Interval],
+        away: &[(f64, f64)],
+        rooms: usize,
+    ) -> Result<Self, ExperimentError> {
         steps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
         let mut edges: Vec<f64> = intervals.iter().flat_map(|i| [i.from_s, i.to_s]).collect();
+        let times = || steps.iter().map(|step| step.at_s).chain(edges.iter().copied());
+        let (begin_s, end_s) = (times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max));
+        let midnight_s = (begin_s / DAY_S).floor() * DAY_S;
+        let days = (((end_s - midnight_s) / DAY_S).max(0.0) as usize).saturating_add(1);
+        if days > DAYS_MAX {
+            return Err(ExperimentError::LongLog { from: date(begin_s), to: date(end_s) });
+        }
+        let away: Vec<(f64, f64)> = away
+            .iter()
+            .map(|(from_s, to_s)| (from_s.max(begin_s), to_s.min(end_s)))
+            .filter(|(from_s, to_s)| from_s < to_s)
+            .collect();
         edges.extend(away.iter().flat_map(|(from_s, to_s)| [*from_s, *to_s]));
         edges.sort_by(f64::total_cmp);
         edges.dedup();
@@ -147,11 +178,9 @@ impl Trace {
                 places.push((*edge_s, place));
             }
         }
-        let begin = steps.first().map(|step| step.at_s).into_iter().chain(places.first().map(|place| place.0));
-        let end = steps.last().map(|step| step.at_s).into_iter().chain(edges.last().copied());
-        let (begin_s, end_s) = (begin.fold(f64::INFINITY, f64::min), end.fold(f64::NEG_INFINITY, f64::max));
         let watched = if begin_s < end_s { vec![(begin_s, end_s)] } else { Vec::new() };
-        Self { steps, places, watched }
+        let days = (0..days).map(|day| midnight_s + day as f64 * DAY_S).collect();
+        Ok(Self { steps, places, watched, days })
     }
 
     /// Where the person is at a moment, and since when: a room of the map, or elsewhere after the last one.
@@ -174,21 +203,35 @@ impl Trace {
 
     /// The day of a moment, from 0.
     pub(crate) fn day(&self, at_s: f64) -> usize {
-        let first = self.watched.first().map_or(0.0, |(from_s, _)| (from_s / DAY_S).floor());
-        ((at_s / DAY_S).floor() - first).max(0.0) as usize
+        self.days.partition_point(|begin_s| *begin_s <= at_s).saturating_sub(1)
     }
+}
+
+/// The date of a time, in the proleptic Gregorian calendar.
+fn date(at_s: f64) -> String {
+    // Counted from 1 March of the year 0, so that the leap day comes last, in eras of 400 years.
+    let days = ((at_s / DAY_S).floor() as i64).saturating_add(719_468);
+    let (era, of_era) = (days.div_euclid(146_097), days.rem_euclid(146_097));
+    let year = (of_era - of_era / 1_460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year + year / 4 - year / 100);
+    let month = (5 * of_year + 2) / 153;
+    let (day, month) = (of_year - (153 * month + 2) / 5 + 1, if month < 10 { month + 3 } else { month - 9 });
+    format!("{}-{month:02}-{day:02}", year + 400 * era + i64::from(month <= 2))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulation::homer::TimedAction;
+    use roomcast_core::grounding::GroundingOptions;
+    use roomcast_core::narration::Action;
 
     #[test]
     fn the_covering_interval_counts_then_the_last_one_then_the_absence() {
         let interval = |from_s, to_s, room| Interval { from_s, to_s, room: Some(room) };
         let intervals =
             [interval(0.0, 100.0, 0), interval(20.0, 30.0, 1), interval(150.0, 160.0, 1), interval(900.0, 901.0, 2)];
-        let trace = Trace::of_sensors(Vec::new(), &intervals, &[(200.0, 800.0)], 3);
+        let trace = Trace::of_sensors(Vec::new(), &intervals, &[(200.0, 800.0)], 3).unwrap();
         let place = |at_s| trace.place_at(at_s).map(|(_, place)| place);
         assert_eq!(
             [0.0, 25.0, 50.0, 140.0, 170.0, 500.0, 850.0, 950.0].map(place),
@@ -198,5 +241,44 @@ mod tests {
         let in_kitchen = |from_s, to_s| trace.time_in(0, from_s, to_s);
         assert_eq!([in_kitchen(0.0, 60.0), in_kitchen(25.0, 40.0), in_kitchen(110.0, 300.0)], [50.0, 10.0, 0.0]);
         assert_eq!((trace.time_in(3, 100.0, 1_000.0), trace.time_in(2, 2_000.0, 2_010.0)), (600.0, 10.0));
+    }
+
+    /// Absences in weeks before and after the log are no forecasts that came true.
+    #[test]
+    fn a_home_is_watched_as_long_as_its_log_lasts() {
+        let intervals = [Interval { from_s: 1_000.0, to_s: 4_600.0, room: Some(0) }];
+        let trace = Trace::of_sensors(Vec::new(), &intervals, &[(-9e6, 9e6), (4_700.0, 9e5)], 2).unwrap();
+        assert_eq!((trace.watched.as_slice(), trace.days.len()), (&[(1_000.0, 4_600.0)][..], 1));
+        let of_years = |to_s| Trace::of_sensors(Vec::new(), &[Interval { to_s, ..intervals[0] }], &[], 2);
+        assert!(of_years(DAY_S * (DAYS_MAX as f64 - 0.5)).is_ok());
+        for to_s in [DAY_S * (DAYS_MAX as f64 + 0.5), 1e300] {
+            let fault = of_years(to_s).unwrap_err().to_string();
+            assert!(fault.contains("1970-01-01"), "{fault}");
+        }
+        assert_eq!([0.0, 951_782_400.0, 1_709_251_199.0].map(date), ["1970-01-01", "2000-02-29", "2024-02-29"]);
+    }
+
+    #[test]
+    fn a_day_is_a_file_however_late_it_ends() {
+        let map = SemanticMap::from_json(include_str!("../../../../scenes/flat.json")).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let timed = |notation: &str, done_min| TimedAction {
+            activity: "a".into(),
+            action: Action::parse(notation).unwrap(),
+            done_min,
+        };
+        let day = Day {
+            actions: vec![
+                timed("[OPEN] <fridge> (1)", 480.0),
+                timed("[SIT] <bed> (1)", 1_500.0),
+                // At the same time in another room.
+                timed("[OPEN] <fridge> (1)", 1_500.0),
+            ],
+        };
+        let trace = Trace::of_days(&[day.clone(), day], &map, &grounding, ItemChoice::First, 1).unwrap();
+        assert_eq!(trace.steps.iter().map(|step| trace.day(step.at_s)).collect::<Vec<_>>(), [0, 0, 0, 1, 1, 1]);
+        for step in &trace.steps {
+            assert_eq!(trace.place_at(step.at_s).map(|(_, room)| room), step.room, "told before it is said");
+        }
     }
 }
