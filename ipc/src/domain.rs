@@ -759,10 +759,8 @@ impl Node {
         }
     }
 
-    /// Where answers of a service lie that are too long for shared memory.
-    pub(crate) fn answer_file(&self, service: &str) -> PathBuf {
-        let name = service.rsplit('/').next().unwrap_or(service);
-        self.domain.root.join(format!("{}{name}.answer", self.domain.prefix()))
+    pub(crate) fn domain(&self) -> &Domain {
+        &self.domain
     }
 
     pub(crate) fn inner(&self) -> &iceoryx2::node::Node<Flavour> {
