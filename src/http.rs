@@ -1,18 +1,19 @@
 //! A small HTTP server on a loopback address, for metrics and for the page of `roomcast view`.
 //!
+//! Requests have to name a loopback address or `localhost`: a page elsewhere, whose name leads here, reads nothing through somebody's browser.
 //! Any user of the machine can connect. What connections can take is bounded by [`CONNECTIONS_MAX`], [`HEADER_BYTES_MAX`] and
 //! [`REQUEST_TIME`], and each is closed after one answer.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::convert::Infallible;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use hyper::header::{ALLOW, HeaderValue};
+use hyper::header::{ALLOW, HOST, HeaderValue};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{HeaderMap, Method, Response, StatusCode, Uri};
@@ -176,7 +177,11 @@ pub async fn converse(
     answer: Rc<RefCell<impl FnMut(Request<'_>) -> Response<String>>>,
 ) {
     let service = service_fn(|request: hyper::Request<hyper::body::Incoming>| {
+        let host = request.headers().get(HOST).and_then(|host| host.to_str().ok());
         let response = match *request.method() {
+            _ if !host.is_some_and(is_own_name) => {
+                refusal(StatusCode::MISDIRECTED_REQUEST, "ask for a loopback address by its number, or for localhost")
+            }
             Method::GET => {
                 let mut answer = answer.borrow_mut();
                 (*answer)(Request { uri: request.uri(), headers: request.headers() })
@@ -201,6 +206,16 @@ pub async fn converse(
     }
 }
 
+/// Whether a request was meant for this machine: a name that a page elsewhere owns may lead here, too.
+fn is_own_name(host: &str) -> bool {
+    let name = match host.rsplit_once(':') {
+        Some((name, port)) if !port.ends_with(']') => name,
+        _ => host,
+    };
+    let address = name.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>();
+    name == "localhost" || address.is_ok_and(|address| address.is_loopback())
+}
+
 /// An answer that refuses, with a reason in words.
 #[must_use]
 pub fn refusal(status: StatusCode, why: &str) -> Response<String> {
@@ -212,6 +227,23 @@ pub fn refusal(status: StatusCode, why: &str) -> Response<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn requests_for_another_name_are_not_meant_for_this_machine() {
+        for host in ["127.0.0.1:9465", "localhost:9465", "localhost", "[::1]:9465", "127.0.0.1", "[::1]"] {
+            assert!(is_own_name(host), "{host}");
+        }
+        for host in [
+            "evil.example:9465",
+            "127.0.0.1.evil.example",
+            "192.168.1.2:9465",
+            "",
+            "localhost.evil.example:1",
+            "[::2]:9465",
+        ] {
+            assert!(!is_own_name(host), "{host}");
+        }
+    }
 
     #[test]
     fn a_serving_thread_that_stands_still_is_no_sign_of_life() {

@@ -669,7 +669,7 @@ mod tests {
         fn scrape(&self) -> Duration {
             let start = Instant::now();
             let mut stream = self.connect();
-            stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: here\r\n\r\n").unwrap();
+            stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
             let mut text = String::new();
             stream.read_to_string(&mut text).unwrap();
             assert!(text.starts_with("HTTP/1.1 200") && text.ends_with("# EOF\n"), "{text}");
@@ -698,6 +698,20 @@ mod tests {
     /// Half a second for a daemon that is not there, and as much for a busy machine.
     const SOON: Duration = Duration::from_secs(2);
 
+    /// The name of a page elsewhere may be made to lead here, and the browser that shows it would give it what it asks for.
+    #[test]
+    fn a_scrape_that_names_another_machine_is_refused() {
+        let served = Served::start("host");
+        for host in ["Host: evil.example\r\n", "Host: 192.168.1.2:9464\r\n", ""] {
+            let mut stream = served.connect();
+            write!(stream, "GET /metrics HTTP/1.1\r\n{host}\r\n").unwrap();
+            let mut text = String::new();
+            stream.read_to_string(&mut text).unwrap();
+            assert!(text.starts_with("HTTP/1.1 421") && !text.contains("roomcast_"), "{host:?}: {text}");
+        }
+        served.scrape();
+    }
+
     #[test]
     fn idle_connections_keep_no_scrape_out() {
         let served = Served::start("idle");
@@ -721,7 +735,7 @@ mod tests {
         {
             let before = resident_kb();
             let mut stream = served.connect();
-            let _gone = write!(stream, "GET /metrics HTTP/1.1\r\nHost: here\r\n{start}");
+            let _gone = write!(stream, "GET /metrics HTTP/1.1\r\nHost: localhost\r\n{start}");
             let mut written = 0;
             while written < all && stream.write_all(more.as_bytes()).is_ok() {
                 written += more.len();
@@ -736,7 +750,7 @@ mod tests {
     #[test]
     fn one_connection_has_one_answer_however_many_requests_it_sends() {
         let served = Served::start("pipelined");
-        let request = b"GET /metrics HTTP/1.1\r\nHost: here\r\n\r\n";
+        let request = b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n";
         let mut stream = served.connect();
         let _gone = stream.write_all(&request.repeat(1000));
         assert!(served.scrape() < SOON);

@@ -142,6 +142,11 @@ fn page() -> String {
             ("bytes of the name of a question that asks for a change", &QUESTION_NAME_BYTES_MAX, "is refused"),
             ("answers of a service that are remembered", &ANSWERS_REMEMBERED, "the oldest is forgotten"),
             ("bytes of an answer in shared memory", &question::ANSWER_BYTES_MAX, "lies in a file of the root path"),
+            (
+                "files of long answers of a service",
+                &question::ANSWER_FILES_MAX,
+                "the oldest is removed, and asked for again",
+            ),
             ("subscribers of scores", &RoomScoresV1::SERVICE.subscribers, "cannot join"),
             ("robots", &DecisionV1::SERVICE.publishers, "cannot join"),
         ],

@@ -7,7 +7,8 @@ use roomcast_ipc::{Domain, IpcError, QuestionPort, question};
 use zenoh::Wait;
 use zenoh::query::Query;
 
-use crate::config::Ask;
+use crate::config::{Ask, Config};
+use crate::keys::Keys;
 use crate::stop::Stop;
 
 /// Questions that wait for their answer; more are refused.
@@ -44,11 +45,12 @@ pub fn take(to: &SyncSender<Asked>, service: &'static str, query: Query) {
 /// # Errors
 ///
 /// [`IpcError`] when a service cannot be opened.
-pub fn run(domain: &Domain, services: &[&'static str], asked: &Receiver<Asked>, stop: &Stop) -> Result<(), IpcError> {
+pub fn run(config: &Config, domain: &Domain, asked: &Receiver<Asked>, stop: &Stop) -> Result<(), IpcError> {
     let node = domain.open("roomcast-zenoh-ask")?;
-    let mut ports = Vec::<(&str, QuestionPort)>::new();
-    for service in services {
-        ports.push((service, node.question_port(service)?));
+    let keys = Keys::new(&config.site.name, config.robot.key());
+    let mut ports = Vec::<(&str, String, QuestionPort)>::new();
+    for (name, service) in allowed(&config.ask) {
+        ports.push((service, keys.ask(name), node.question_port(service)?));
     }
     while !stop.requested() {
         let (service, query) = match asked.recv_timeout(TICK) {
@@ -59,7 +61,7 @@ pub fn run(domain: &Domain, services: &[&'static str], asked: &Receiver<Asked>, 
                 continue;
             }
         };
-        let Some((_, port)) = ports.iter().find(|(name, _)| *name == service) else { continue };
+        let Some((_, key, port)) = ports.iter().find(|(name, ..)| *name == service) else { continue };
         let text = query.payload().map(|payload| payload.to_bytes().into_owned()).unwrap_or_default();
         let answer = match String::from_utf8(text) {
             Ok(text) => port.ask(&text, PATIENCE).map_err(|error| error.to_string()),
@@ -67,9 +69,67 @@ pub fn run(domain: &Domain, services: &[&'static str], asked: &Receiver<Asked>, 
         };
         // Whoever asked may have left.
         let _answered = match answer {
-            Ok(answer) => query.reply(query.key_expr().clone(), answer).wait(),
+            // By the robot's own key: of answers with one key, as that of a question to all robots, whoever asked gets one.
+            Ok(answer) => query.reply(key, answer).wait(),
             Err(error) => query.reply_err(error).wait(),
         };
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::sync::mpsc::sync_channel;
+    use std::thread;
+
+    use super::*;
+
+    /// Answers to a question to all robots had one key, so that whoever asked got one of them, and not whose it was.
+    #[test]
+    fn each_robot_answers_a_question_to_all_by_its_own_key() {
+        let mut alone = zenoh::Config::default();
+        for (key, value) in
+            [("listen/endpoints", "[]"), ("scouting/multicast/enabled", "false"), ("scouting/gossip/enabled", "false")]
+        {
+            alone.insert_json5(key, value).unwrap();
+        }
+        let session = zenoh::open(alone).wait().unwrap();
+        let folder = tempfile::Builder::new().prefix("rcb-").tempdir_in("/tmp").unwrap();
+        let stop = Stop::default();
+        let robots = ["robot-1", "robot-2"];
+        let domains =
+            robots.map(|robot| Domain::new(folder.path().join(robot), &format!("ask-{}", std::process::id())).unwrap());
+        let answers = thread::scope(|scope| {
+            for (robot, domain) in robots.into_iter().zip(&domains) {
+                let mut config = Config::default();
+                (config.robot.name, config.ask.person) = (robot.to_owned(), true);
+                let (to, asked) = sync_channel(WAITING_MAX);
+                let key = Keys::new(&config.site.name, robot).ask("person");
+                let heard = move |query: Query| take(&to, question::PERSON, query);
+                session.declare_queryable(key).callback(heard).background().wait().unwrap();
+                let stop = &stop;
+                scope.spawn(move || run(&config, domain, &asked, stop).unwrap());
+                scope.spawn(move || {
+                    let port = domain.open("daemon").unwrap().answer_port(question::PERSON).unwrap();
+                    while !stop.requested() {
+                        port.answer(|asked| format!("{robot} was asked {}", asked.unwrap())).unwrap();
+                        thread::sleep(Duration::from_millis(1));
+                    }
+                });
+            }
+            let _ends = stop.at_end();
+            let replies =
+                session.get("roomcast/home/*/ask/person").payload("who").timeout(4 * PATIENCE).wait().unwrap();
+            let of = |sample: zenoh::sample::Sample| {
+                (sample.key_expr().to_string(), sample.payload().try_to_string().unwrap().into_owned())
+            };
+            replies.into_iter().map(|reply| of(reply.into_result().unwrap())).collect::<BTreeMap<_, _>>()
+        });
+        let own = |robot: &str| (format!("roomcast/home/{robot}/ask/person"), format!("{robot} was asked who"));
+        assert_eq!(answers, robots.map(own).into());
+        for domain in &domains {
+            domain.clean_up().unwrap();
+        }
+    }
 }

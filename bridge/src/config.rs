@@ -1,7 +1,7 @@
 //! The configuration: `default.toml` is the manual, and tested against this file.
 
 use std::fs;
-use std::io::Read;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use roomcast_core::grounding::PartitionLevel;
@@ -28,7 +28,7 @@ pub enum ConfigError {
         /// The file.
         path: PathBuf,
         /// The system's word.
-        source: std::io::Error,
+        source: io::Error,
     },
     /// It is too long.
     #[error("{path} has more than {FILE_BYTES_MAX} bytes; is it a configuration?")]
@@ -335,11 +335,11 @@ impl Default for Hub {
     }
 }
 
-/// What a file begins with.
-fn read_start(path: &Path) -> std::io::Result<String> {
+/// What a file begins with: no more of it than shows that it is too long. A device has no length, and no end.
+fn read_start(path: &Path) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    fs::File::open(path)?.take(FILE_BYTES_MAX).read_to_end(&mut bytes)?;
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
+    fs::File::open(path)?.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes)?;
+    Ok(bytes)
 }
 
 fn is_this_machine(host: &str) -> bool {
@@ -361,10 +361,11 @@ impl Config {
     /// [`ConfigError`] with the key, what it has, and what can be there.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
         let read = |source| ConfigError::Read { path: path.to_owned(), source };
-        if fs::metadata(path).map_err(read)?.len() > FILE_BYTES_MAX {
+        let bytes = read_start(path).map_err(read)?;
+        if bytes.len() as u64 > FILE_BYTES_MAX {
             return Err(ConfigError::TooLong { path: path.to_owned() });
         }
-        let text = fs::read_to_string(path).map_err(read)?;
+        let text = String::from_utf8(bytes).map_err(|error| read(io::Error::new(io::ErrorKind::InvalidData, error)))?;
         let mut config: Self = toml::from_str(&text)
             .map_err(|source| ConfigError::Malformed { path: path.to_owned(), source: Box::new(source) })?;
         config.begin_at(path.parent().unwrap_or(Path::new("")));
@@ -512,7 +513,7 @@ impl Router {
                             Err(error) => {
                                 return refuse(key, file.display(), format!("the file cannot be read: {error}"));
                             }
-                            Ok(text) if !text.contains(wanted) => {
+                            Ok(bytes) if !String::from_utf8_lossy(&bytes).contains(wanted) => {
                                 return refuse(key, file.display(), format!("a PEM file with {wanted:?} in it"));
                             }
                             Ok(_) => {}
@@ -572,6 +573,26 @@ mod tests {
         fs::write(folder.path().join("ca.pem"), "[router]").unwrap();
         let fault = Config::load(&file).unwrap().check_watch().unwrap_err().to_string();
         assert!(fault.starts_with("router.ca = ") && fault.contains("PEM"), "{fault}");
+    }
+
+    /// A device has no length by which it could be refused, and no end.
+    #[test]
+    fn no_more_is_read_than_a_configuration_may_have() {
+        for endless in ["/dev/zero", "/dev/full"] {
+            let fault = Config::load(Path::new(endless)).unwrap_err().to_string();
+            assert!(fault.contains("has more than 65536 bytes"), "{fault}");
+            assert_eq!(read_start(Path::new(endless)).unwrap().len() as u64, FILE_BYTES_MAX + 1);
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("bridge.toml");
+        let of = |bytes: u64| {
+            fs::write(&file, "#".repeat(usize::try_from(bytes).unwrap())).unwrap();
+            Config::load(&file)
+        };
+        assert!(of(FILE_BYTES_MAX).is_ok());
+        assert!(matches!(of(FILE_BYTES_MAX + 1), Err(ConfigError::TooLong { .. })));
+        fs::write(&file, b"\xff").unwrap();
+        assert!(matches!(Config::load(&file), Err(ConfigError::Read { .. })));
     }
 
     #[test]

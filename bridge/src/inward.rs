@@ -14,7 +14,7 @@ use crate::line::line;
 use crate::link::Link;
 use crate::relay::{Offered, Relay};
 use crate::stop::Stop;
-use crate::wire::{self, Arrived, Confirmed, Fault, Hex, Narrated};
+use crate::wire::{self, Arrived, Confirmed, Fault, Hex, Narrated, Numbered};
 
 /// Messages that wait to be looked at; more are dropped, and sent again by their hub.
 pub const HEARD_MAX: usize = 256;
@@ -188,18 +188,29 @@ impl Narrator {
     }
 
     fn hear_hub(&mut self, heard: &Heard, log: &mut Limiter) {
-        let narrated: Narrated = match wire::read(&heard.bytes) {
-            Ok(narrated) => narrated,
+        let narrated = wire::read::<Narrated>(&heard.bytes);
+        let numbered = match &narrated {
+            Ok(Narrated { epoch, sequence, first, .. }) => {
+                Ok(Numbered { epoch: *epoch, sequence: *sequence, first: *first })
+            }
+            Err(_) => wire::read(&heard.bytes),
+        };
+        let Numbered { epoch, sequence, first } = match numbered {
+            Ok(numbered) => numbered,
             Err(fault) => return self.refuse(&fault.0, log),
         };
-        let Narrated { epoch, sequence, first, sent_ns, clock, .. } = narrated;
         if epoch.0 == 0 || sequence == 0 || first == 0 {
             return self.refuse("epoch, sequence and first are 1 or more", log);
         }
+        let sent = narrated.as_ref().ok().map(|narrated| (narrated.clock.0, narrated.sent_ns));
+        let excess_ns = |relay: &mut Relay| {
+            let (clock, sent_ns) = sent?;
+            relay.excess_ns(epoch.0, clock, sent_ns, heard.now_ns)
+        };
         // What is not known yet counts as nothing.
-        let excess_ns = self.relay.excess_ns(epoch.0, clock.0, sent_ns, heard.now_ns).unwrap_or(0);
-        let arrived = Arrived { now_ns: heard.now_ns, now_unix_ns: clock::unix_ns(), excess_ns };
-        let (message, fault) = match narrated.message(&self.name, arrived) {
+        let held_up_ns = excess_ns(&mut self.relay).unwrap_or(0);
+        let arrived = Arrived { now_ns: heard.now_ns, now_unix_ns: clock::unix_ns(), excess_ns: held_up_ns };
+        let (message, fault) = match narrated.and_then(|narrated| narrated.message(&self.name, arrived)) {
             Ok(message) => (Some(message), None),
             // It has a number, and the ones after it are waited for: it is passed over.
             Err(fault) => (None, Some(fault)),
@@ -208,6 +219,8 @@ impl Narrator {
         if self.relay.offer(epoch.0, sequence, first, message) != Offered::Taken {
             return;
         }
+        // A start that was new is known now: its clock is followed from its first message on.
+        let _noted = excess_ns(&mut self.relay);
         if let Some(fault) = fault {
             self.refuse(&fault.0, log);
         }
@@ -248,5 +261,89 @@ impl Narrator {
         {
             (self.said, self.said_ns) = (confirmed, now_ns);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, json};
+
+    use super::*;
+
+    const S: u64 = 1_000_000_000;
+
+    /// A narrator with a port in a domain of its own.
+    struct OneHub {
+        narrator: Narrator,
+        domain: Domain,
+        _folder: tempfile::TempDir,
+    }
+
+    impl Drop for OneHub {
+        fn drop(&mut self) {
+            self.domain.clean_up().unwrap();
+        }
+    }
+
+    impl OneHub {
+        fn new(name: &str) -> Self {
+            let folder = tempfile::Builder::new().prefix("rcb-").tempdir_in("/tmp").unwrap();
+            let domain = Domain::new(folder.path().join("d"), &format!("{name}-{}", std::process::id())).unwrap();
+            let port = domain.open("test").unwrap().publisher().unwrap();
+            let from = From::Hub { key: String::new() };
+            Self { narrator: Narrator::new("hub", 1e6, from, port), domain, _folder: folder }
+        }
+
+        /// Hears a narration that was sent at so many seconds of its hub's clock, with some of its keys changed; gives what goes to the daemon.
+        fn hear(&mut self, sequence: u64, (sent_s, now_s): (u64, u64), changed: Value) -> Option<NarrationV1> {
+            let mut message = json!({
+                "epoch": Hex(9), "sequence": sequence, "first": 1, "age_ns": 0, "sent_ns": sent_s * S, "clock": Hex(1), "text": "They sit.",
+            });
+            message.as_object_mut().unwrap().extend(changed.as_object().unwrap().clone());
+            let bytes = serde_json::to_vec(&message).unwrap();
+            self.narrator.hear(&Heard { narrator: 0, now_ns: now_s * S, bytes }, &mut Limiter::default());
+            self.narrator.relay.send(now_s * S)
+        }
+    }
+
+    /// A hub of a later version has a kind that this one does not know: that narration is lost, and not those behind it.
+    #[test]
+    fn a_narration_of_an_unknown_form_is_passed_over_with_its_number() {
+        let mut heard = OneHub::new("form");
+        assert!(heard.hear(1, (1, 1), json!({})).is_some());
+        let forms = [
+            json!({"kind": "smell"}),
+            json!({"text": 7}),
+            json!({"text": null}),
+            json!({"person": {"name": "Ada"}}),
+            json!({"age_ns": -1}),
+            json!({"clock": "later"}),
+        ];
+        for (number, changed) in (2..).zip(&forms) {
+            assert_eq!(heard.hear(number, (2, 2), changed.clone()), None, "{changed}");
+        }
+        let passed_over = forms.len() as u64;
+        let confirmed = heard.narrator.relay.confirmed();
+        assert_eq!((confirmed.next, confirmed.refused), (2 + passed_over, passed_over));
+        assert_eq!(
+            heard.hear(2 + passed_over, (3, 3), json!({})).map(|message| message.sequence),
+            Some(2 + passed_over)
+        );
+        // Without a number nothing can be passed over.
+        for changed in [json!({"sequence": "three"}), json!({"epoch": 7}), json!({"first": 0}), json!({"first": null})]
+        {
+            assert_eq!(heard.hear(3 + passed_over, (4, 4), changed.clone()), None, "{changed}");
+        }
+        assert_eq!(heard.narrator.relay.confirmed().next, 3 + passed_over);
+    }
+
+    /// How long a hub that narrates seldom is held up is known from its second message on.
+    #[test]
+    fn the_first_message_of_a_start_says_how_fast_one_can_be() {
+        let mut heard = OneHub::new("delay");
+        let first = heard.hear(1, (1_000, 100), json!({})).unwrap();
+        assert_eq!(first.observed_ns, 100 * S, "nobody knows");
+        let second = heard.hear(2, (1_010, 170), json!({})).unwrap();
+        assert_eq!(second.observed_ns, 110 * S, "it was held up for a minute");
     }
 }

@@ -26,6 +26,7 @@ pub mod ros2;
 
 pub mod ask;
 pub mod inward;
+pub mod namesake;
 pub mod outward;
 pub mod peers;
 

@@ -51,13 +51,19 @@ impl Last {
         Arc::new(last)
     }
 
+    /// The random number of this start, which every message has.
+    #[must_use]
+    pub fn start(&self) -> u64 {
+        self.start.load(Ordering::Relaxed)
+    }
+
     fn told(&self) -> MutexGuard<'_, BTreeMap<String, Told>> {
         self.told.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn teller(&self) -> Teller {
         let number = self.number.fetch_add(1, Ordering::Relaxed) + 1;
-        Teller { start: self.start.load(Ordering::Relaxed), number, clock: self.clock }
+        Teller { start: self.start(), number, clock: self.clock }
     }
 
     /// Keeps a topic's value for who asks later; gives its bytes of now.

@@ -1,11 +1,11 @@
 //! The bridge of a robot: its threads, and what it declares at a router.
 
 use std::any::Any;
-use std::sync::Arc;
 use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
-use roomcast_ipc::IpcError;
+use roomcast_ipc::{IpcError, clock};
 use sd_notify::NotifyState;
 use zenoh::query::{Query, Reply};
 use zenoh::sample::Sample;
@@ -14,10 +14,14 @@ use zenoh::{Session, Wait};
 use crate::config::{Config, ConfigError};
 use crate::keys::Keys;
 use crate::link::{Declare, Link, LinkError};
+use crate::namesake::{self, Namesake};
 use crate::outward::{self, Last};
 use crate::ros2::run::{Places, Ros2Error};
 use crate::stop::Stop;
 use crate::{ask, habits, inward, peers, ros2};
+
+const NAMESAKE: &str = "another bridge tells in this robot's name: hubs and operators take both for one robot, and narration that one of them \
+    has taken never reaches the other: give each robot of the site a name of its own (robot.key, else robot.name)";
 
 /// Why a bridge ends.
 #[derive(Debug, thiserror::Error)]
@@ -53,7 +57,6 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
     let last = Last::new();
     let (ear, heard) = inward::ear();
     let (asking, asked) = sync_channel(ask::WAITING_MAX);
-    let questions = ask::allowed(&config.ask);
     // A narrator's number is its place; ROS 2's comes behind the hubs'.
     let ros2_ear = config.ros2.narration.then(|| (config.narrator.len(), ear.clone()));
     let (peer_ear, peers_heard) = peers::ear();
@@ -79,13 +82,12 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
             inward::run(config, domain, link, &heard, stopper)
         };
         let inward = start("inward").spawn_scoped(scope, inward).map_err(failed)?;
-        let answering = if questions.is_empty() {
+        let answering = if ask::allowed(&config.ask).is_empty() {
             None
         } else {
-            let services: Vec<_> = questions.iter().map(|(_, service)| *service).collect();
             let answer = move || {
                 let _ends = stopper.at_end();
-                ask::run(domain, &services, &asked, stopper)
+                ask::run(config, domain, &asked, stopper)
             };
             Some(start("ask").spawn_scoped(scope, answer).map_err(failed)?)
         };
@@ -168,6 +170,15 @@ fn declare(
         let own = Arc::clone(&last);
         let answer = move |query: Query| own.answer(&query);
         declared.push(Box::new(session.declare_queryable(keys.all_told()).callback(answer).wait()?));
+        let namesake = Mutex::new(Namesake::new(last.start()));
+        let robot = config.robot.key().to_owned();
+        let listen = move |sample: Sample| {
+            let mut namesake = namesake.lock().unwrap_or_else(PoisonError::into_inner);
+            if namesake::teller(&sample).is_some_and(|teller| namesake.hear(teller, clock::monotonic_ns())) {
+                tracing::error!(robot, "{NAMESAKE}");
+            }
+        };
+        declared.push(Box::new(session.declare_subscriber(keys.told("status")).callback(listen).wait()?));
         for (name, service) in ask::allowed(&config.ask) {
             let asking = asking.clone();
             let take = move |query: Query| ask::take(&asking, service, query);

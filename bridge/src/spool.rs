@@ -13,7 +13,7 @@ use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use roomcast_ipc::{clock, sequence};
-use rustix::fs::{FlockOperation, flock};
+use rustix::fs::{FlockOperation, OFlags, flock};
 use serde::{Deserialize, Serialize};
 
 use crate::delay::clock_id;
@@ -21,6 +21,8 @@ use crate::wire::{Hex, Kind, Observation};
 
 /// The file's name in its folder.
 const FILE: &str = "narration";
+/// The file by which no two hubs use one spool.
+const LOCK: &str = "lock";
 /// The file is written again when it has so many lines of narrations that are gone.
 const GONE_MAX: u64 = 4096;
 /// Longest line of the file.
@@ -141,16 +143,13 @@ impl Spool {
             move |source| SpoolError { path, what, source }
         };
         fs::DirBuilder::new().recursive(true).mode(0o700).create(folder).map_err(failed("cannot make its folder"))?;
-        let lock = OpenOptions::new()
-            .create(true)
-            .append(true)
-            .mode(0o600)
-            .open(folder.join("lock"))
-            .map_err(failed("cannot lock"))?;
+        let mut to_lock = OpenOptions::new();
+        to_lock.create(true).append(true).mode(0o600);
+        let lock = open_plain(&mut to_lock, &folder.join(LOCK)).map_err(failed("cannot lock"))?;
         flock(&lock, FlockOperation::NonBlockingLockExclusive)
             .map_err(|error| failed("another hub uses it")(error.into()))?;
         let new = |input| Head { epoch: Hex(sequence::random_epoch()), first: 1, input };
-        let found = match File::open(&path) {
+        let found = match open_plain(OpenOptions::new().read(true), &path) {
             Ok(file) => Some(read(BufReader::new(file)).map_err(failed("cannot read"))?),
             Err(error) if error.kind() == io::ErrorKind::NotFound => None,
             Err(error) => return Err(failed("cannot read")(error)),
@@ -394,6 +393,20 @@ fn read(mut file: impl BufRead) -> io::Result<Found> {
     }
 }
 
+/// Opens a plain file. Opening a FIFO would wait for its other end, deaf to signals.
+fn open_plain(options: &mut OpenOptions, path: &Path) -> io::Result<File> {
+    // A FIFO that nobody reads is refused by the system, since this does not wait for one.
+    let file = options.custom_flags(OFlags::NONBLOCK.bits().cast_signed()).open(path);
+    let is_other = match &file {
+        Ok(file) => !file.metadata()?.is_file(),
+        Err(_) => fs::metadata(path).is_ok_and(|about| !about.is_file()),
+    };
+    if is_other {
+        return Err(io::Error::other(format!("{} is no plain file: remove it", path.display())));
+    }
+    file
+}
+
 /// Replaces the file at once, so that a kill leaves the old one or the new one. Gives it, opened for more.
 fn write(path: &Path, head: Head, kept: &VecDeque<Kept>) -> io::Result<File> {
     let unfinished = path.with_extension("unfinished");
@@ -428,6 +441,28 @@ mod tests {
             let mut input = spool.input().unwrap_or_default();
             input.at += 10;
             spool.append(vec![Dated::new(observation("They sit."), 7, input)]).unwrap();
+        }
+    }
+
+    /// Opening a FIFO waits for its other end: the hub hung at its start, deaf to signals.
+    #[test]
+    fn what_is_no_plain_file_is_refused_at_once() {
+        for name in [FILE, LOCK] {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join(name);
+            for make in [
+                |path: &Path| {
+                    rustix::fs::mkfifoat(rustix::fs::CWD, path, rustix::fs::Mode::from_raw_mode(0o600)).unwrap()
+                },
+                |path: &Path| fs::create_dir(path).unwrap(),
+                |path: &Path| std::os::unix::fs::symlink("/dev/zero", path).unwrap(),
+            ] {
+                make(&path);
+                let error = Spool::open(folder.path(), 10).unwrap_err().to_string();
+                assert!(error.contains(&format!("{name} is no plain file: remove it")), "{error}");
+                fs::remove_file(&path).or_else(|_| fs::remove_dir(&path)).unwrap();
+            }
+            Spool::open(folder.path(), 10).unwrap();
         }
     }
 

@@ -1,5 +1,5 @@
 //! What narrators elsewhere and robots say to one another: JSON objects. A peer's bytes are believed only as far as they are checked here.
-//! Keys that this version does not know are passed over, so that a later one can add some.
+//! Keys that this version does not know are passed over, and so is a narration with a content that it cannot read: a later one can add some.
 
 use roomcast_core::narration::{Action, DeviceState, Named, Observed, PresenceStatement, SOMEBODY, Said, Sentence};
 use roomcast_ipc::{ALL_PERSONS, Message, NarrationV1, narration_kind, sequence, text};
@@ -170,6 +170,17 @@ pub struct Narrated {
     /// What was observed.
     #[serde(flatten)]
     pub observation: Observation,
+}
+
+/// Which narration it is, of one whose content this version cannot read: a later one may have a kind that this one does not know.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+pub struct Numbered {
+    /// As in [`Narrated`].
+    pub epoch: Hex,
+    /// As in [`Narrated`].
+    pub sequence: u64,
+    /// As in [`Narrated`].
+    pub first: u64,
 }
 
 /// Reads a peer's bytes.

@@ -412,6 +412,39 @@ fn a_hub_ends_when_every_robot_has_what_it_read() {
     drop(robot);
 }
 
+/// A copied configuration gives two robots one name. Hubs take them for one, and what one of them has taken the other never gets.
+#[test]
+fn two_robots_of_one_name_are_told_of() {
+    let Some(python) = python() else { return skipped(NO_ROUTER) };
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let _router = router(folder.path(), &python, port);
+    let start = |number: usize, name: &str| {
+        let config = folder.path().join(format!("{number}.toml"));
+        let (root, own) = (folder.path().join(number.to_string()), format!("{name}-{}", std::process::id()));
+        let text = format!(
+            "[router]\nconnect = \"tcp/127.0.0.1:{port}\"\n[robot]\nname = {name:?}\n[ipc]\nroot = {root:?}\ndomain = {own:?}\n"
+        );
+        std::fs::write(&config, text).unwrap();
+        Process::start(folder.path().join(format!("{number}.log")), move || {
+            let mut command = bridge();
+            command.arg("robot").arg("--config").arg(&config);
+            command
+        })
+    };
+    let mut bridges = [start(1, "robot-1"), start(2, "robot-1"), start(3, "robot-2")];
+    let tells = |bridge: &Process| bridge.said().contains("another bridge tells in this robot's name");
+    eventually("both of one name say so", || bridges[..2].iter().all(tells).then_some(()));
+    assert!(!tells(&bridges[2]), "it is the only one of its name");
+    // Whoever is started again hears what its killed start has said last, which is nobody else's.
+    bridges[0].kill();
+    std::fs::remove_file(&bridges[1].log).unwrap();
+    bridges[1].restart();
+    eventually("it is connected again", || bridges[1].said().contains("connected").then_some(()));
+    std::thread::sleep(Duration::from_secs(4));
+    assert!(!tells(&bridges[1]), "{}", bridges[1].said());
+}
+
 #[test]
 fn a_wrong_set_up_is_named() {
     let folder = tempfile::tempdir().unwrap();

@@ -40,6 +40,8 @@ const SHARED_MEMORY: &str = "/dev/shm";
 /// Shared memory that must be free before a participant joins or opens a port: more than the largest port takes. iceoryx2
 /// maps its memory before it is there, and whoever touches what is not ends by SIGBUS.
 const FREE_BYTES: u64 = 8 << 20;
+/// More files than a port opens for itself.
+const OPEN_BY_A_PORT_MAX: u64 = 32;
 /// Folders that iceoryx2 makes in the root.
 const FOLDERS: [&str; 2] = ["nodes", "services"];
 /// What iceoryx2 keeps of a participant in `nodes`, beside its folder.
@@ -759,10 +761,8 @@ impl Node {
         }
     }
 
-    /// Where answers of a service lie that are too long for shared memory.
-    pub(crate) fn answer_file(&self, service: &str) -> PathBuf {
-        let name = service.rsplit('/').next().unwrap_or(service);
-        self.domain.root.join(format!("{}{name}.answer", self.domain.prefix()))
+    pub(crate) fn domain(&self) -> &Domain {
+        &self.domain
     }
 
     pub(crate) fn inner(&self) -> &iceoryx2::node::Node<Flavour> {
@@ -800,9 +800,10 @@ impl Node {
                 Err(OpenFailure::Final(error)) => return Err(error),
                 Err(OpenFailure::Passing(error)) if start.elapsed() > OPEN_FOR => {
                     return Err(match error {
-                        IpcError::Open { service, cause, .. } => {
-                            IpcError::Open { service, cause, tried_ms: start.elapsed().as_millis() }
-                        }
+                        IpcError::Open { service, cause, .. } => match too_many_files() {
+                            Some((open, limit)) => IpcError::TooManyFiles { service, open, limit },
+                            None => IpcError::Open { service, cause, tried_ms: start.elapsed().as_millis() },
+                        },
                         other => other,
                     });
                 }
@@ -819,6 +820,18 @@ impl Node {
             }
         }
     }
+}
+
+/// How many files are open here and how many may be, where a port may find no more of them: iceoryx2 does not say that.
+fn too_many_files() -> Option<(u64, u64)> {
+    let limit = getrlimit(Resource::Nofile).current?;
+    let open = match fs::read_dir("/proc/self/fd") {
+        Ok(files) => files.count() as u64,
+        // To look takes a file, too.
+        Err(error) if error.raw_os_error() == Some(Errno::MFILE.raw_os_error()) => limit,
+        Err(_) => return None,
+    };
+    (open.saturating_add(OPEN_BY_A_PORT_MAX) > limit).then_some((open, limit))
 }
 
 /// An error in words where iceoryx2 would end by a signal.

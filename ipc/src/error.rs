@@ -172,6 +172,18 @@ pub enum IpcError {
         /// How long it was tried.
         tried_ms: u128,
     },
+    /// The service could not be opened, and hardly a file more may be open in this process.
+    #[error(
+        "service {service}: cannot open it: {open} files are open in this process, of at most {limit}: raise the limit (ulimit -n, LimitNOFILE=)"
+    )]
+    TooManyFiles {
+        /// Service name.
+        service: &'static str,
+        /// How many are open.
+        open: u64,
+        /// How many may be.
+        limit: u64,
+    },
     /// A port failed while in use.
     #[error("service {service}: {operation} failed: {cause}")]
     Port {

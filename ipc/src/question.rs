@@ -11,14 +11,18 @@
 //! came, so whoever asks for a change names it, and the daemon does a change of the same name once.
 //!
 //! Shared memory is set aside for every answer that may be under way, each as long as the longest. So an answer of more than
-//! [`ANSWER_BYTES_MAX`] bytes lies in a file of the domain's root path, and what comes by the service is [`ANSWER_IN_FILE`]. Where the file cannot
-//! be written, `{"answer":"none","reason":"..."}` comes.
+//! [`ANSWER_BYTES_MAX`] bytes lies in a file of the domain's root path, and `{"answer":"in-file","name":"NAME"}` comes by the service. The file is
+//! called `DOMAIN_SERVICE-NAME.answer`, with the domain's prefix and the last part of the service's name. NAME is sixteen hexadecimal digits, random
+//! for each answer: so nobody reads what somebody else was answered. Whoever has read the file removes it, since it may tell of persons. Of those that
+//! nobody has read the newest [`ANSWER_FILES_MAX`] stay. Where the file cannot be written, `{"answer":"none","reason":"..."}` comes.
 
 use std::cell::{Cell, RefCell};
+use std::collections::VecDeque;
 use std::fs;
 use std::io::{self, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::client::Client;
@@ -30,7 +34,7 @@ use iceoryx2::service::port_factory::request_response;
 
 use crate::domain::{Flavour, Node, OpenFailure, Place};
 use crate::port::{described, occupied, passing, port, request_response, request_response_failure, wake, waker};
-use crate::{IpcError, MessageError};
+use crate::{IpcError, MessageError, sequence};
 
 /// Changes to the map in use.
 pub const MAP_CHANGE: &str = "roomcast/v1/map-change";
@@ -49,14 +53,17 @@ pub const QUESTION_BYTES_MAX: usize = 1 << 20;
 /// Most bytes of an answer in shared memory.
 pub const ANSWER_BYTES_MAX: usize = 1 << 16;
 
-/// The answer that says: it lies in the file `NAME_SERVICE.answer` of the root path, with the domain's name and the last part of the
-/// service's. Whoever has read it removes it, since it may tell of persons. The next question removes one that nobody has read.
-pub const ANSWER_IN_FILE: &str = r#"{"answer":"in-file"}"#;
+/// Most files of long answers of a service: each of its clients waits for one answer at a time. Whoever comes too late for theirs asks again.
+pub const ANSWER_FILES_MAX: usize = CLIENTS;
 
+/// How the answer begins that says: it lies in the file of the name that follows.
+const IN_FILE: &str = r#"{"answer":"in-file","name":""#;
 /// How the answer begins that says: there is none, for the reason that follows, in a text of JSON without escapes.
 const NO_ANSWER: &str = r#"{"answer":"none","reason":""#;
-/// How it ends.
-const NO_ANSWER_END: &str = r#""}"#;
+/// How both end.
+const END: &str = r#""}"#;
+/// How the files of answers end.
+const FILE_END: &str = ".answer";
 
 const CLIENTS: usize = 8;
 /// A daemon that starts after a question was sent never gets it: it is asked again after this.
@@ -70,13 +77,14 @@ type Factory = request_response::PortFactory<Flavour, [u8], (), [u8], ()>;
 pub struct AnswerPort {
     server: Server<Flavour, [u8], (), [u8], ()>,
     service: &'static str,
-    /// For answers that are too long.
-    file: PathBuf,
+    files: AnswerFiles,
+    /// The files of answers that were given, the newest last. Mostly they are read and gone.
+    given: Mutex<VecDeque<PathBuf>>,
 }
 
 impl Drop for AnswerPort {
     fn drop(&mut self) {
-        self.forget_answer();
+        self.forget_answers();
     }
 }
 
@@ -98,17 +106,41 @@ impl AnswerPort {
             });
             occupied(node, &factory, &servers, service, "server", 1)
         })?;
-        let own = Self { server, service, file: node.answer_file(service) };
-        // A daemon that was killed may have left one.
-        own.forget_answer();
+        let own = Self { server, service, files: AnswerFiles::new(node, service), given: Mutex::default() };
+        // A daemon that was killed may have left some.
+        own.forget_answers();
         Ok(own)
     }
 
-    /// Removes an answer that was too long for shared memory and that nobody has read.
-    pub fn forget_answer(&self) {
-        // Mostly there is none.
-        let _gone = fs::remove_file(&self.file);
-        let _gone = fs::remove_file(unfinished(&self.file));
+    /// Removes all answers that were too long for shared memory and that nobody has read. Whoever was about to read one asks again.
+    pub fn forget_answers(&self) {
+        self.given().clear();
+        self.files.remove_all();
+    }
+
+    fn given(&self) -> MutexGuard<'_, VecDeque<PathBuf>> {
+        self.given.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Writes an answer that is too long for shared memory; gives what comes by the service in its place.
+    fn put_aside(&self, answer: &str) -> String {
+        let name = format!("{:016x}", sequence::random_epoch());
+        let file = self.files.of(&name);
+        // Nobody knows the name of a file that is not whole.
+        if let Err(error) = write_new(&file, answer) {
+            let _gone = fs::remove_file(&file);
+            return not_given(&format!(
+                "the answer of {} bytes cannot be written to {}: {error}; is the disk full?",
+                answer.len(),
+                file.display()
+            ));
+        }
+        let mut given = self.given();
+        given.push_back(file);
+        while given.len() > ANSWER_FILES_MAX {
+            let _gone = given.pop_front().map(fs::remove_file);
+        }
+        format!("{IN_FILE}{name}{END}")
     }
 
     /// Answers all questions that wait, each copied out of shared memory and checked; returns how many. What is no text, or too
@@ -130,19 +162,8 @@ impl AnswerPort {
                     .map_err(|error| MessageError::NotUtf8 { field: "question", at: error.valid_up_to() })
             };
             let mut answer = respond(question);
-            self.forget_answer();
             if answer.len() > ANSWER_BYTES_MAX {
-                answer = match write_whole(&self.file, &answer) {
-                    Ok(()) => ANSWER_IN_FILE.to_owned(),
-                    Err(error) => {
-                        self.forget_answer();
-                        not_given(&format!(
-                            "the answer of {} bytes cannot be written to {}: {error}; is the disk full?",
-                            answer.len(),
-                            self.file.display()
-                        ))
-                    }
-                };
+                answer = self.put_aside(&answer);
             }
             let response = request.loan_slice_uninit(answer.len());
             let sent = response.map(|response| response.write_from_slice(answer.as_bytes()).send());
@@ -163,7 +184,7 @@ pub struct QuestionPort {
     /// Nobody answered the last question: perhaps its connection could not be made, which iceoryx2 does not try again.
     unanswered: Cell<bool>,
     service: &'static str,
-    file: PathBuf,
+    files: AnswerFiles,
     waker: Option<Notifier<Flavour>>,
 }
 
@@ -171,8 +192,8 @@ impl QuestionPort {
     pub(crate) fn open(node: &Node, service: &'static str) -> Result<Self, OpenFailure> {
         let factory = open(node, service)?;
         let client = RefCell::new(client_of(&factory).map_err(|error| passing(service, &error))?);
-        let (unanswered, file, waker) = (Cell::new(false), node.answer_file(service), waker(node, service));
-        Ok(Self { client, factory, unanswered, service, file, waker })
+        let (unanswered, files, waker) = (Cell::new(false), AnswerFiles::new(node, service), waker(node, service));
+        Ok(Self { client, factory, unanswered, service, files, waker })
     }
 
     /// Asks, and waits for the answer; asks again now and then while none comes.
@@ -205,19 +226,20 @@ impl QuestionPort {
             while sent.elapsed() < ASK_AGAIN && start.elapsed() < timeout {
                 if let Some(answer) = pending.receive().map_err(|error| port(service, "receive", &error))? {
                     let mut copy = answer.payload().to_vec();
-                    if copy == ANSWER_IN_FILE.as_bytes() {
-                        copy = match fs::read(&self.file) {
+                    if let Some(name) = name_of(&copy) {
+                        let file = self.files.of(name);
+                        copy = match fs::read(&file) {
                             Ok(long) => long,
-                            // Somebody else has asked and read since: this is asked again.
+                            // It gave way to newer ones, or somebody was forgotten: this is asked again.
                             Err(error) if error.kind() == io::ErrorKind::NotFound => break,
                             Err(error) => return Err(port(service, "read the answer of", &error)),
                         };
-                        let _gone = fs::remove_file(&self.file);
+                        let _gone = fs::remove_file(&file);
                     }
                     let answer = String::from_utf8(copy).map_err(|error| {
                         refused(MessageError::NotUtf8 { field: "answer", at: error.utf8_error().valid_up_to() })
                     })?;
-                    let reason = answer.strip_prefix(NO_ANSWER).and_then(|rest| rest.strip_suffix(NO_ANSWER_END));
+                    let reason = answer.strip_prefix(NO_ANSWER).and_then(|rest| rest.strip_suffix(END));
                     return match reason {
                         Some(reason) => Err(IpcError::NotGiven { service, reason: reason.to_owned() }),
                         None => Ok(answer),
@@ -239,19 +261,55 @@ fn client_of(factory: &Factory) -> Result<Asker, ClientCreateError> {
 /// The answer that says why there is none.
 fn not_given(reason: &str) -> String {
     let plain = |character| if matches!(character, '"' | '\\') || character < ' ' { '?' } else { character };
-    format!("{NO_ANSWER}{}{NO_ANSWER_END}", reason.chars().map(plain).collect::<String>())
+    format!("{NO_ANSWER}{}{END}", reason.chars().map(plain).collect::<String>())
 }
 
-fn unfinished(path: &Path) -> PathBuf {
-    path.with_extension("unfinished")
+/// The name of the file that an answer lies in, where it says that it lies in one.
+fn name_of(answer: &[u8]) -> Option<&str> {
+    let answer = std::str::from_utf8(answer).ok()?;
+    answer.strip_prefix(IN_FILE)?.strip_suffix(END).filter(|name| is_name(name))
 }
 
-/// Replaces a file at once, so that nobody reads half of it.
-fn write_whole(path: &Path, text: &str) -> io::Result<()> {
-    let unfinished = unfinished(path);
-    let mut file = fs::OpenOptions::new().write(true).create_new(true).mode(0o600).open(&unfinished)?;
-    file.write_all(text.as_bytes())?;
-    fs::rename(&unfinished, path)
+/// No answer leads to another place than its service's files.
+fn is_name(name: &str) -> bool {
+    name.len() == 16 && name.bytes().all(|byte| byte.is_ascii_hexdigit())
+}
+
+/// The files of a service's long answers, in the root path.
+#[derive(Debug)]
+struct AnswerFiles {
+    root: PathBuf,
+    /// What their names begin with.
+    prefix: String,
+}
+
+impl AnswerFiles {
+    fn new(node: &Node, service: &str) -> Self {
+        let name = service.rsplit('/').next().unwrap_or(service);
+        let domain = node.domain();
+        Self { root: domain.root().to_owned(), prefix: format!("{}{name}-", domain.prefix()) }
+    }
+
+    fn of(&self, name: &str) -> PathBuf {
+        self.root.join(format!("{}{name}{FILE_END}", self.prefix))
+    }
+
+    /// Removes all, also those of a daemon before. Mostly there is none, and one that is just being removed is gone, too.
+    fn remove_all(&self) {
+        for entry in fs::read_dir(&self.root).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            let own = name.to_str().and_then(|name| name.strip_prefix(&self.prefix)?.strip_suffix(FILE_END));
+            if own.is_some_and(is_name) {
+                let _gone = fs::remove_file(entry.path());
+            }
+        }
+    }
+}
+
+/// Writes a file of its owner's alone that must not be there yet.
+fn write_new(path: &Path, text: &str) -> io::Result<()> {
+    let mut file = fs::OpenOptions::new().write(true).create_new(true).mode(0o600).open(path)?;
+    file.write_all(text.as_bytes())
 }
 
 fn open(node: &Node, service: &'static str) -> Result<Factory, OpenFailure> {

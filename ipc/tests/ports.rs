@@ -283,27 +283,81 @@ fn questions_in_words_are_answered_at_any_length_or_their_absence_is_said() {
     // Longer than what the ports were made for: they grow.
     let long = "ab".repeat(400_000);
     assert_eq!(client.ask(&long, patience).unwrap(), "ba".repeat(400_000));
-    // What it says may tell of persons: it goes when it was read, and what nobody has read goes with the next question.
-    let files = || std::fs::read_dir(private.domain.root()).unwrap().map(|file| file.unwrap().path());
-    let left =
-        || files().filter(|path| path.extension().is_some_and(|end| end == "answer" || end == "unfinished")).count();
-    assert_eq!(left(), 0);
-    for end in ["answer", "unfinished"] {
-        std::fs::write(private.domain.root().join(format!("{}moment.{end}", private.domain.prefix())), &long).unwrap();
-    }
-    assert_eq!((left(), client.ask("stressed", patience).unwrap(), left()), (2, "desserts".to_owned(), 0));
+    // What it says may tell of persons: it goes when it was read.
+    assert_eq!(answer_files(&private.domain), 0);
     // Where the file cannot be written, as on a full disk, whoever asks hears why, and at once.
-    let unfinished = private.domain.root().join(format!("{}moment.unfinished", private.domain.prefix()));
-    std::fs::create_dir(&unfinished).unwrap();
+    let (root, moved) = (private.domain.root(), private.domain.root().with_extension("moved"));
+    std::fs::rename(root, &moved).unwrap();
     let error = client.ask(&long, patience).unwrap_err();
     let why = error.to_string();
     assert!(matches!(error, IpcError::NotGiven { .. }) && why.contains("the answer of 800000 bytes cannot"), "{why}");
-    std::fs::remove_dir(&unfinished).unwrap();
+    std::fs::rename(&moved, root).unwrap();
     assert_eq!(client.ask(&long, patience).unwrap(), "ba".repeat(400_000));
     let too_long = "a".repeat(question::QUESTION_BYTES_MAX + 1);
     assert!(matches!(client.ask(&too_long, patience), Err(IpcError::Refused { .. })));
     stop.send(()).unwrap();
     thread.join().unwrap();
+}
+
+/// The files of answers that nobody has read.
+fn answer_files(domain: &Domain) -> usize {
+    let files = std::fs::read_dir(domain.root()).unwrap().map(|file| file.unwrap().path());
+    files.filter(|path| path.extension().is_some_and(|end| end == "answer")).count()
+}
+
+/// Several ask one service at once, each for a long answer of its own. All answers went through one file: a refused change read as done.
+#[test]
+fn nobody_reads_what_somebody_else_was_answered() {
+    const ASKERS: usize = 4;
+    let private = Private::new("mixed-up");
+    let node = private.domain.open("daemon").unwrap();
+    let server = node.answer_port(question::MOMENT).unwrap();
+    let domain = &private.domain;
+    std::thread::scope(|scope| {
+        let ask = |asker: usize| {
+            let node = domain.open("asker").unwrap();
+            let client = node.question_port(question::MOMENT).unwrap();
+            let own = asker.to_string().repeat(question::ANSWER_BYTES_MAX + 1);
+            for _ in 0..50 {
+                assert!(client.ask(&own, Duration::from_secs(60)).unwrap() == own, "asker {asker}");
+            }
+        };
+        let askers: Vec<_> = (1..=ASKERS).map(|asker| scope.spawn(move || ask(asker))).collect();
+        while !askers.iter().all(std::thread::ScopedJoinHandle::is_finished) {
+            server.answer(|asked| asked.unwrap().to_owned()).unwrap();
+        }
+    });
+    assert_eq!(answer_files(domain), 0, "each was read");
+}
+
+/// Answers that nobody reads are no more than a few; they go with the daemon, at its start, and where it forgets somebody.
+#[test]
+fn unread_answers_are_few_and_can_be_forgotten() {
+    let private = Private::new("unread");
+    let (domain, node) = (&private.domain, private.domain.open("daemon").unwrap());
+    let of_before = |service: &str| domain.root().join(format!("{}{service}-0123456789abcdef.answer", domain.prefix()));
+    for service in ["moment", "person"] {
+        std::fs::write(of_before(service), "of a daemon that was killed").unwrap();
+    }
+    let server = node.answer_port(question::MOMENT).unwrap();
+    assert!(!of_before("moment").exists() && of_before("person").exists(), "each service has its own");
+    std::fs::remove_file(of_before("person")).unwrap();
+    let client = node.question_port(question::MOMENT).unwrap();
+    // Whoever asks has left before the answer comes.
+    let unread = |times: usize| {
+        for _ in 0..times {
+            assert!(client.ask("{}", Duration::from_millis(1)).is_err());
+            server.answer(|_| "a".repeat(question::ANSWER_BYTES_MAX + 1)).unwrap();
+        }
+    };
+    unread(3 * question::ANSWER_FILES_MAX);
+    assert_eq!(answer_files(domain), question::ANSWER_FILES_MAX);
+    server.forget_answers();
+    assert_eq!(answer_files(domain), 0);
+    unread(1);
+    assert_eq!(answer_files(domain), 1);
+    drop(server);
+    assert_eq!(answer_files(domain), 0);
 }
 
 #[test]

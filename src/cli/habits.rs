@@ -129,8 +129,7 @@ pub fn run(args: &Args) -> CommandResult {
             print(&format!("Forgotten.{}\n", after_restart(&answer)))
         }
         Action::Export { file, common } => {
-            let answer = Asker::new(common)?.ask(&HabitsQuestion::Export)?;
-            let text = answer.export.as_deref().unwrap_or_default();
+            let (_, text) = Asker::new(common)?.export()?;
             write_new(file, |whole| whole.write_all(text.as_bytes())).map_err(|error| {
                 let (code, remedy) = match error.kind() {
                     ErrorKind::AlreadyExists => (exit_code::INPUT, "give a file that does not exist yet"),
@@ -209,10 +208,9 @@ fn learn(args: &LearnArgs) -> CommandResult {
     let (config, _) = args.common.service.load()?;
     let asker = Asker::new(&args.common)?;
     for attempt in 1..=ATTEMPTS {
-        let before = asker.ask(&HabitsQuestion::Export)?;
+        let (before, learned) = asker.export()?;
         let failed = |error| Failure::new(exit_code::FAILURE, error);
-        let board =
-            lessons::board(&config, before.export.as_deref().unwrap_or_default(), zone.clone()).map_err(failed)?;
+        let board = lessons::board(&config, &learned, zone.clone()).map_err(failed)?;
         let total = lessons.len();
         let learned = lessons::teach(board, lessons.clone(), |told| {
             if told % 1_000 == 0 {
@@ -396,6 +394,22 @@ impl Asker {
     fn ask(&self, question: &HabitsQuestion) -> Result<HabitsAnswer, Failure> {
         done(self.0.ask(question)?)
     }
+
+    /// All that was learned, and the answer that it came with.
+    fn export(&self) -> Result<(HabitsAnswer, String), Failure> {
+        exported(self.ask(&HabitsQuestion::Export)?)
+    }
+}
+
+/// What an answer to the question for all that was learned has of it. An answer without it is not one of nothing learned: that has its form, too.
+fn exported(mut answer: HabitsAnswer) -> Result<(HabitsAnswer, String), Failure> {
+    match answer.export.take().filter(|text| !text.is_empty()) {
+        Some(text) => Ok((answer, text)),
+        None => {
+            let text = "the daemon's answer does not have what was learned; use one version of Roomcast";
+            Err(Failure::new(exit_code::IPC, text))
+        }
+    }
 }
 
 /// The answer, if all of it was done.
@@ -443,6 +457,18 @@ fn shown(answer: &HabitsAnswer) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Nobody who means to keep what was learned is told that an empty file is that.
+    #[test]
+    fn an_answer_without_what_was_learned_is_no_export() {
+        for export in [None, Some(String::new())] {
+            let answer = HabitsAnswer { done: true, export, ..HabitsAnswer::default() };
+            assert_eq!(exported(answer).unwrap_err().code, exit_code::IPC);
+        }
+        let answer = HabitsAnswer { export: Some("{}".to_owned()), taken: 7, ..HabitsAnswer::default() };
+        let (answer, text) = exported(answer).unwrap();
+        assert_eq!((answer.taken, text.as_str()), (7, "{}"));
+    }
 
     /// On a full disk there is no half of a file, which would be in the way of the next try.
     #[test]

@@ -405,18 +405,46 @@ def test_the_map_is_changed_and_the_moment_told(daemon: Domain) -> None:
         assert tokens + label["prior_nats"] == pytest.approx(label["log_prob_nats"])
 
 
-def test_an_answer_that_is_too_long_for_shared_memory_is_read_from_its_file(domain: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ports, "_answer", lambda *_: ports._ANSWER_IN_FILE)
-    path = pathlib.Path(domain.root, f"{domain.prefix}moment.answer")
-    path.write_text('{"labels": []}')
-    assert moment(domain) == {"labels": []}
-    assert not path.exists(), "it may tell of persons"
+def test_an_answer_that_is_too_long_for_shared_memory_is_read_from_its_own_file(domain: Domain) -> None:
+    def whole(name: str) -> bytes | None:
+        return ports._whole(domain, ports.MOMENT, f'{{"answer":"in-file","name":"{name}"}}'.encode())
+
+    def path(name: str) -> pathlib.Path:
+        return pathlib.Path(domain.root, f"{domain.prefix}moment-{name}.answer")
+
+    own, other = "0123456789abcdef", "fedcba9876543210"
+    path(own).write_text("own")
+    path(other).write_text("other")
+    assert whole(own) == b"own" and not path(own).exists(), "it may tell of persons"
+    assert path(other).read_text() == "other", "somebody else's"
+    assert whole(own) is None, "it is asked again"
+    path(own).mkdir()
+    with pytest.raises(RoomcastError, match="service roomcast/v1/moment: the answer in .* cannot be read: Is a directory; ask again"):
+        whole(own)
+    assert whole("../../etc/passwd") == b'{"answer":"in-file","name":"../../etc/passwd"}', "no name leads elsewhere"
+
+
+def test_an_answer_whose_file_is_gone_is_asked_for_until_the_time_is_over() -> None:
+    class Told:
+        def receive(self) -> Told:
+            return self
+
+        def delete(self) -> None:
+            pass
+
+    asked: list[int] = []
+
+    def send() -> Told:
+        asked.append(len(asked))
+        return Told()
+
+    assert ports._answer(ports.MOMENT, send, lambda _: len(asked) if len(asked) == 50 else None, 0.5, 60) == 50
+
+
+def test_an_answer_that_is_not_given_says_why(domain: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ports, "_answer", lambda *_: b'{"answer":"none","reason":"the disk is full"}')
     with pytest.raises(RoomcastError, match="service roomcast/v1/moment: the disk is full"):
         moment(domain)
-    monkeypatch.setattr(ports, "_answer", lambda *_: ports._ANSWER_IN_FILE)
-    with pytest.raises(RoomcastError, match="service roomcast/v1/map-change: the answer in .* cannot be read: No such file.*; ask again"):
-        change_map([], domain)
 
 
 def test_a_long_moment_is_told(daemon: Domain) -> None:

@@ -37,7 +37,7 @@ impl Presence {
 
 /// Why a text says nothing about presence.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} is no presence: say `present`, `present in the kitchen`, `away` or `gone`")]
+#[error("{text:?} is no presence: say `present`, `present in the kitchen`, `nobody in the kitchen`, `away` or `gone`")]
 pub struct PresenceError {
     text: String,
 }
@@ -332,6 +332,17 @@ impl fmt::Display for PresenceStatement {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Whoever is told what can be said can say all of it, and no form of one person or room is left out.
+    #[test]
+    fn the_error_names_forms_that_are_read() {
+        let error = PresenceStatement::parse("empty kitchen").unwrap_err().to_string();
+        let forms: Vec<&str> = error.split('`').skip(1).step_by(2).collect();
+        assert_eq!(forms, ["present", "present in the kitchen", "nobody in the kitchen", "away", "gone"]);
+        for form in forms {
+            assert_eq!(PresenceStatement::parse(form).unwrap().to_string(), form);
+        }
+    }
 
     #[test]
     fn what_is_written_is_read() {

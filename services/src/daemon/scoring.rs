@@ -416,8 +416,9 @@ impl<M: LanguageModel> Scoring<M> {
                 let answer = answer_about_person(board, (journal.as_ref(), keeper.as_ref()), asked);
                 if changes {
                     // Answers that nobody has read may tell of them.
-                    moments.forget_answer();
-                    habits_questions.forget_answer();
+                    [&*moments, &*habits_questions, &*person_questions]
+                        .into_iter()
+                        .for_each(AnswerPort::forget_answers);
                     changed |= answer.done;
                     is_new = true;
                     let reason = answer.reason.as_deref().map(for_the_log);
@@ -437,13 +438,15 @@ impl<M: LanguageModel> Scoring<M> {
     /// Answers questions about habits.
     fn answer_about_habits(&mut self) -> Result<(), IpcError> {
         let Self { cycle, answered_habits, importing, ports, keeper, inbox, .. } = self;
-        let board = cycle.board_mut();
-        ports.habits_questions.answer(|asked| {
+        let (board, habits_questions) = (cycle.board_mut(), &ports.habits_questions);
+        habits_questions.answer(|asked| {
             answered_habits.answer::<HabitsQuestion>(asked, |asked| {
                 inbox.lend();
                 let (mut answer, after) = habits_question::answer(board, importing, asked, clock::monotonic_ns());
                 answer.kept = keeper.is_some();
                 if after == After::Forget {
+                    // Answers that nobody has read tell of what is forgotten.
+                    habits_questions.forget_answers();
                     if let Err(error) = write_habits(board, keeper.as_ref()) {
                         answer.reason = Some(format!(
                             "it holds until the daemon starts again: the habits file cannot be written: {error}"

@@ -116,7 +116,7 @@ impl Robot {
         (self.refusals, self.rests_until_ns) = (refusals, rests_until_ns);
     }
 
-    /// It works, or stands at its dock: whatever was wrong with it is over.
+    /// It works, or has come to its dock: whatever was wrong with it is over.
     pub(super) fn is_well(&mut self) {
         (self.refusals, self.rests_until_ns) = (0, 0);
     }
@@ -131,7 +131,7 @@ impl Robot {
         let minutes = (self.rests_until_ns.saturating_sub(now_ns)).div_ceil(60_000_000_000);
         let often = self.refusals;
         self.rests(now_ns).then(|| {
-            format!("the robot failed {often} times in a row before it began: it is asked again in {minutes} min, or when it is at its dock")
+            format!("the robot failed {often} times in a row before it began: it is asked again in {minutes} min, or when it comes to its dock")
         })
     }
 

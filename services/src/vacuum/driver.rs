@@ -19,6 +19,11 @@ const TRIES: u32 = 3;
 const SETTLE_NS: u64 = 3_000_000_000;
 /// Why a room has no segment before the robot has spoken.
 const UNHEARD: &str = "nothing was heard of the robot yet";
+/// The battery is told when it has changed by so much; at the dock by less, since a planner waits there for one that may be full.
+const BATTERY_STEP: f64 = 0.05;
+const BATTERY_STEP_DOCKED: f64 = 0.01;
+/// Shares are told in hundredths, whose differences are not exact.
+const BATTERY_EXACT: f64 = 1e-9;
 /// A robot at work is heard of at least so often: the planner takes one that is silent for lost.
 const TELL_NS: u64 = 30_000_000_000;
 
@@ -265,8 +270,8 @@ impl Driver {
             }
             Sensed::Battery(battery) => {
                 self.battery = Some(battery);
-                let far = self.told_battery.is_none_or(|told| (told - battery).abs() >= 0.05);
-                if far {
+                let step = if self.status == Some(Status::Docked) { BATTERY_STEP_DOCKED } else { BATTERY_STEP };
+                if self.told_battery.is_none_or(|told| (told - battery).abs() >= step - BATTERY_EXACT) {
                     self.tell(now_ns, &mut acts);
                 }
             }
@@ -467,10 +472,12 @@ impl Driver {
 
     /// The work is over, one way or the other.
     fn end(&mut self, kind: Kind, why: &str, acts: &mut Vec<Act>) {
+        let had_begun = matches!(self.state, State::Working { .. });
         self.report(kind, why, acts);
         self.outcome = self.wish.take().map(|work| Report { room: Some(work.room), ..note(kind, why) });
         self.state = State::Free;
-        if self.status == Some(Status::Docked) {
+        // That it came to its dock was not told while it counted as at work. A robot that never left it does not come there.
+        if had_begun && self.status == Some(Status::Docked) {
             self.say(Report { battery: self.battery, ..Report::new(Kind::Docked) }, acts);
         }
     }

@@ -7,6 +7,7 @@ import ctypes
 import errno
 import os
 import pathlib
+import re
 import stat
 import time
 from collections.abc import Callable
@@ -453,8 +454,9 @@ def _client_builder(node: Node, service: str, request: Any, response: Any) -> An
     )
 
 
-def _answer(service: str, send: Callable[[], Any], read: Callable[[Any], T], again_s: float, timeout_s: float) -> T:
-    """Sends a request and waits for the answer; sends it again now and then: a daemon that starts after it was sent never gets it."""
+def _answer(service: str, send: Callable[[], Any], read: Callable[[Any], T | None], again_s: float, timeout_s: float) -> T:
+    """Sends a request and waits for the answer; sends it again now and then: a daemon that starts after it was sent never gets it. Where
+    `read` makes nothing of the answer, it is sent again at once."""
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
         pending = send()
@@ -464,7 +466,9 @@ def _answer(service: str, send: Callable[[], Any], read: Callable[[Any], T], aga
             if answer is not None:
                 copy = read(answer)
                 answer.delete()
-                return copy
+                if copy is not None:
+                    return copy
+                break
             time.sleep(0.002)
     raise NoAnswerError(f"service {service}: no answer within {timeout_s} s; is the daemon running in this domain?")
 
@@ -496,7 +500,25 @@ class StatusClient:
 
 
 _QUESTION_BYTES_MAX = 1 << 20
-_ANSWER_IN_FILE = b'{"answer":"in-file"}'
+# Too long for shared memory, an answer lies in a file of its own random name, which comes in its place.
+_IN_FILE = re.compile(rb'\{"answer":"in-file","name":"([0-9a-fA-F]{16})"\}')
+
+
+def _whole(domain: Domain, service: str, answer: bytes) -> bytes | None:
+    """The answer, out of its file where it lies in one; none where that is gone: it gave way to newer ones, or somebody was forgotten."""
+    in_file = _IN_FILE.fullmatch(answer)
+    if in_file is None:
+        return answer
+    path = pathlib.Path(domain.root, f"{domain.prefix}{service.rsplit('/')[-1]}-{in_file[1].decode()}.answer")
+    try:
+        answer = path.read_bytes()
+        # It may tell of persons.
+        path.unlink(missing_ok=True)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise RoomcastError(f"service {service}: the answer in {path} cannot be read: {error.strerror}; ask again") from error
+    return answer
 
 
 def ask(node: Node, service: str, question: str, timeout_s: float = 10) -> str:
@@ -519,21 +541,10 @@ def ask(node: Node, service: str, question: str, timeout_s: float = 10) -> str:
         _wake(node, service)
         return pending
 
-    # Too long for shared memory, it lies in a file, which somebody else who has asked may have read and removed: then it is asked again.
-    path = pathlib.Path(node.domain.root, f"{node.domain.prefix}{service.rsplit('/')[-1]}.answer")
-    for tries_left in (2, 1, 0):
-        answer = _answer(service, send, lambda answer: bytes(answer.payload().as_memory_view()), 0.5, timeout_s)
-        if answer != _ANSWER_IN_FILE:
-            break
-        try:
-            answer = path.read_bytes()
-            # It may tell of persons.
-            path.unlink(missing_ok=True)
-            break
-        except OSError as error:
-            if tries_left and isinstance(error, FileNotFoundError):
-                continue
-            raise RoomcastError(f"service {service}: the answer in {path} cannot be read: {error.strerror}; ask again") from error
+    def read(answer: Any) -> bytes | None:
+        return _whole(node.domain, service, bytes(answer.payload().as_memory_view()))
+
+    answer = _answer(service, send, read, 0.5, timeout_s)
     try:
         return answer.decode()
     except UnicodeDecodeError as error:

@@ -266,6 +266,74 @@ fn a_stuck_robot_has_failed_and_says_why() {
     assert_eq!(pair.of_work(), [(Kind::Started, Some(3)), (Kind::Finished, Some(3))]);
 }
 
+/// The planner waits until the battery is at `battery_ready`, which may be full.
+#[test]
+fn a_robot_at_its_dock_tells_each_hundredth_of_its_battery_up_to_full() {
+    let mut driver = Driver::new(&config(), 7);
+    let mut told = Vec::new();
+    let mut sense = |driver: &mut Driver, sensed: Sensed, at_s: u64| {
+        for act in driver.sense(sensed, at_s * S) {
+            let Act::Report(report) = act else { continue };
+            told.extend(report.battery);
+        }
+    };
+    sense(&mut driver, Sensed::Status(Status::Docked), 1);
+    let levels: Vec<f64> = (12..=100).map(|level| f64::from(level) / 100.0).collect();
+    for (at_s, level) in levels.iter().enumerate() {
+        sense(&mut driver, Sensed::Battery(*level), 2 + at_s as u64);
+        sense(&mut driver, Sensed::Battery(*level), 2 + at_s as u64);
+    }
+    assert_eq!(told, levels, "each once");
+    // Elsewhere a twentieth is one, however its floating point comes out.
+    let mut driver = Driver::new(&config(), 7);
+    let mut told = Vec::new();
+    for level in (0..=100).rev() {
+        for act in driver.sense(Sensed::Battery(f64::from(level) / 100.0), S) {
+            let Act::Report(report) = act else { continue };
+            told.extend(report.battery.map(|battery| (100.0 * battery).round() as u32));
+        }
+    }
+    assert_eq!(told, (0..=20).rev().map(|step| 5 * step).collect::<Vec<_>>());
+}
+
+/// The planner takes `docked` for the end of whatever was wrong with a robot. One that has stood there all along, and does nothing that it is
+/// told, was asked again without a pause.
+#[test]
+fn a_docked_robot_that_follows_no_order_is_left_alone_for_longer_and_longer() {
+    let planning = PlannerConfig { room_time_s: 600.0, ..PlannerConfig::default() };
+    let number = sequence::source_of_name(&planning.robot);
+    let (mut planner, mut reporter) = (Planner::new(&planning, 1), Reporter::new(&planning.robot, 9).unwrap());
+    let mut driver = Driver::new(&config(), number);
+    driver.know_rooms(ROOMS.into_iter());
+    let forecaster = Forecaster::new(ROOMS.len(), ForecastOptions::default(), 0.0);
+    let (mut failed_s, mut said_docked) = (Vec::<u64>::new(), 0);
+    for second in 1..2 * 3600 {
+        let mut acts = driver.tick(second * S);
+        if second == 1 {
+            let known = segments(0.0).into_iter().map(|(segment, name, _)| (segment.to_owned(), name.to_owned()));
+            acts.extend(driver.sense(Sensed::Segments(known.collect()), S));
+            acts.extend(driver.sense(Sensed::Status(Status::Docked), S));
+        }
+        let (scores, forecast) = tell(&forecaster, second);
+        planner.take(&scores);
+        planner.take_forecast(&forecast);
+        if let Some(decision) = planner.decide(second * S, 0).unwrap() {
+            acts.extend(driver.decide(&decision, second * S));
+        }
+        for act in acts {
+            let Act::Report(report) = act else { continue };
+            said_docked += usize::from(report.kind == Kind::Docked);
+            failed_s.extend((report.kind == Kind::Failed).then_some(second));
+            planner.take_report(&reporter.message(&report, second * S, 0).unwrap(), second * S).unwrap();
+        }
+    }
+    let gaps: Vec<u64> = failed_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    assert!(said_docked == 1 && failed_s.len() >= 8, "docked {said_docked} times, failed at {failed_s:?}");
+    for (gap, minutes) in gaps.iter().skip(1).zip([1, 2, 4, 8, 10, 10]) {
+        assert!(*gap >= 60 * minutes, "failed at {failed_s:?}");
+    }
+}
+
 #[test]
 fn a_robot_that_has_to_charge_in_the_middle_has_not_finished_and_does_not_go_on_by_itself() {
     let mut pair = Pair::new(&config(), 3600.0);
