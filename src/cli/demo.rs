@@ -594,7 +594,7 @@ fn wrapped(line: &str, columns: usize, indent: usize) -> String {
     let mut rest = line.to_owned();
     loop {
         let fits = cut(&rest, columns);
-        let words = fits.trim_end().rfind(' ').filter(|at| !fits[..*at].trim_start().is_empty());
+        let words = fits.rfind(' ').filter(|at| !fits[..*at].trim_start().is_empty());
         let (false, Some(at)) = (fits.len() == rest.len(), words) else {
             // It fits, or has no gap: the terminal breaks it.
             text.push_str(&rest);

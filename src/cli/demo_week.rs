@@ -275,7 +275,7 @@ pub(super) fn run(config: &Config, days: usize, seed: u64) -> CommandResult {
 }
 
 /// How wide the table with the bars is.
-const WIDE: usize = 105;
+const WIDE: usize = 113;
 /// The least width of a terminal that the table fits into without them.
 #[cfg(test)]
 const NARROW: usize = 60;

@@ -651,7 +651,7 @@ pub(crate) mod tests {
     #[test]
     fn the_volume_that_two_spaces_share_is_that_of_their_outlines() {
         let prism = |corners: &[[f64; 2]]| {
-            let footprint = Footprint::new(&vec![corners.to_vec()]).unwrap();
+            let footprint = Footprint::new(&[corners.to_vec()]).unwrap();
             let [least, most] = footprint.around();
             let bounds = Box3 { min_m: [least[0], least[1], 0.0], max_m: [most[0], most[1], 2.5] };
             Space { bounds, footprint: Some(footprint) }
