@@ -560,7 +560,7 @@ impl<'a> Show<'a> {
         // Writing into a text cannot fail.
         let _ = write!(
             text,
-            "{rows}\n\nSimulated: means over {} that begin in a random room, with the same person and seed; `roomcast experiment table2`\n\
+            "{rows}\n\nSimulated: means over {} that begin in a random room, with the same person and seed; `roomcast experiment table2` \
              --scene {} --program {} --room-time {} --seed {} gives the same.",
             count(plot.restarts as usize, "robot"),
             args.scene.display(),
@@ -582,9 +582,12 @@ pub(super) fn columns() -> usize {
     size.map(|(columns, _)| usize::from(columns)).filter(|columns| *columns > 0).unwrap_or(usize::MAX)
 }
 
+/// The longest line of prose, where the terminal has room for more.
+const PROSE: usize = 125;
+
 /// A text for the terminal, each of its lines wrapped between words.
 pub(super) fn prose(text: &str) -> String {
-    let columns = columns();
+    let columns = columns().min(PROSE);
     text.lines().map(|line| wrapped(line, columns, 0)).collect::<Vec<_>>().join("\n")
 }
 

@@ -259,7 +259,7 @@ pub(super) fn run(config: &Config, days: usize, seed: u64) -> CommandResult {
     let life = Life::new(days, with.map(), with.pipeline().grounding(), seed)?;
     let is_wide = columns() >= WIDE;
     let text = format!(
-        "{} days of one person in {}: {} observations. Once a minute the daemon says where the person will be a quarter of an\n\
+        "{} days of one person in {}: {} observations. Once a minute the daemon says where the person will be a quarter of an \
          hour later, without habits and with what it has learned by then; a day's figures are the means of its minutes.",
         days,
         with.map().name(),
