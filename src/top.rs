@@ -271,6 +271,8 @@ impl View {
         let lines: Vec<_> = (self.narration.iter().skip(from))
             .map(|(source, text)| Line::from(vec![Span::from(format!("{source}: ")).dim(), Span::from(text.clone())]))
             .collect();
+        let nothing = || vec![Line::from("nothing since this began").dim()];
+        let lines = if lines.is_empty() { nothing() } else { lines };
         frame.render_widget(Paragraph::new(lines).block(titled("narration")), area);
     }
 
@@ -738,7 +740,9 @@ mod tests {
         assert!(drawn(&full(), 80, 24, 9_000_000_000).contains("daemon silent for 8.0 s"));
         let empty = drawn(&View::default(), 80, 24, 0);
         assert!(
-            empty.contains("no daemon has been heard yet") && empty.contains("no decision has been heard yet"),
+            empty.contains("no daemon has been heard yet")
+                && empty.contains("no decision has been heard yet")
+                && empty.contains("nothing since this began"),
             "{empty}"
         );
     }

@@ -174,6 +174,32 @@ fn a_limit_on_files_sizes_is_an_error_in_words() {
     assert!(ends_in_words(world.command(&[], &["daemon"]), "no limit"), "the next one starts");
 }
 
+/// A limit on memory that the model fits into and its context does not: the error names both, and what may be lowered.
+#[test]
+fn too_little_memory_for_a_context_is_told_of_as_that() {
+    let world = World::new("address-space");
+    let mut told = Vec::new();
+    for megabytes in (100..400).step_by(10) {
+        let mut command = Command::new("prlimit");
+        command.arg(format!("--as={}", megabytes * 1_000_000)).arg(env!("CARGO_BIN_EXE_roomcast"));
+        command.args(["score", "--narration", "They open the fridge."]).current_dir(world.directory.path());
+        let output = command.output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).lines().last().unwrap_or_default().to_owned();
+        assert!(!said.contains("/proc/self/fd"), "{megabytes} MB: {said}");
+        if said.contains("for a context of") {
+            assert!(
+                said.contains("raise the limit on memory") && said.contains("lower model.context_tokens"),
+                "{said}"
+            );
+            told.push(megabytes);
+        }
+        if output.status.success() {
+            break;
+        }
+    }
+    assert!(!told.is_empty(), "no limit was between the model and its context");
+}
+
 #[test]
 fn full_shared_memory_is_an_error_in_words() {
     if !may_mount() {

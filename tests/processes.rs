@@ -1674,6 +1674,26 @@ fn a_recording_has_nothing_of_who_was_forgotten_before_it_began() {
     assert!(!whole.contains("bob") && moments.filter(|text| text.contains("bob")).count() == 0);
 }
 
+/// What was answered before somebody was forgotten is told again to whoever asks the same question again, without them.
+#[test]
+fn who_is_forgotten_is_in_no_answer_that_is_given_again() {
+    let mut world = World::new("answered");
+    world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let port = node.question_port(question::HABITS).unwrap();
+    let ask = |question: &str| port.ask(question, Duration::from_secs(20)).unwrap();
+    let lines = "{\"person\": \"ada\", \"text\": \"They open the fridge.\"}\n".repeat(3);
+    assert_eq!(world.narrate("camera", &lines).0, 0);
+    eventually("something is learned of her", || ask(r#"{"ask": "show"}"#).contains("ada").then_some(()));
+    let question = r#"{"ask": "forget", "id": "7", "who": "nobody"}"#;
+    let first = ask(question);
+    assert!(first.contains("ada") && first == ask(question), "{first}");
+    let forgotten = world.command(&["person", "forget", "ada"]).output().unwrap();
+    assert!(forgotten.status.success(), "{forgotten:?}");
+    let again = ask(question);
+    assert!(!again.contains("ada") && again.contains("nothing was learned of"), "{again}");
+}
+
 /// Waits until so many recorders have their last port.
 fn recorders_listen(node: &Node, count: usize) {
     let reports = node.publisher::<RobotReportV1>().unwrap();
@@ -1858,6 +1878,43 @@ fn a_recorded_household_is_explained_by_name() {
     let text = explain(&[]);
     assert!(text.contains("Cleopatra") && !text.contains("They lie on the bed."), "{text}");
     assert!(explain(&["--person", "cleopatra"]).contains("They dry the dishes."));
+}
+
+/// Sentences that name nobody are of whom the daemon took them for, also where nobody was ever named.
+#[test]
+fn a_recorded_sentence_without_a_person_is_explained_as_the_daemon_took_it() {
+    let early = [
+        "{\"text\": \"They open the fridge.\", \"person\": \"ada\"}\n{\"text\": \"They take a shower.\", \"person\": \"ben\"}\n",
+        "{\"presence\": \"present\", \"person\": \"ada\"}\n{\"presence\": \"away\", \"person\": \"ben\"}\n",
+    ];
+    for (round, early) in early.into_iter().enumerate() {
+        let mut world = World::new(&format!("record-by-fit-{round}"));
+        world.start_daemon();
+        let node = world.domain.open("test").unwrap();
+        let scores = node.subscriber::<RoomScoresV1>().unwrap();
+        scores_with(&scores, "the first scores", |_| true);
+        assert_eq!(world.narrate("early", early).0, 0);
+        let file = world.directory.path().join("home.mcap");
+        let recorder = world.start(&["record", file.to_str().unwrap()]);
+        recorder_listens(&node);
+        let lines = ["They grab the milk.", "They dry themselves with the towel.", "They close the fridge."];
+        for (number, line) in lines.iter().enumerate() {
+            assert_eq!(world.narrate(&format!("camera-{number}"), &format!("{line}\n")).0, 0);
+        }
+        world.signal(recorder, Signal::TERM);
+        let (status, log) = world.wait(recorder);
+        assert!(status.success(), "{log}");
+        let explain = |more: &[&str]| {
+            let output = roomcast(&["explain", "--recording", file.to_str().unwrap()]).args(more).output().unwrap();
+            assert!(output.status.success(), "{output:?}");
+            String::from_utf8(output.stdout).unwrap()
+        };
+        let text = explain(&[]);
+        assert!(difference_of(&text) < 5e-3 && !text.contains("They contain"), "{text}");
+        let of_ada = explain(&["--person", "ada"]);
+        let is_hers = |line: &str| of_ada.contains(line);
+        assert!(is_hers("They grab the milk.") && is_hers("They close the fridge."), "{of_ada}");
+    }
 }
 
 #[test]

@@ -429,3 +429,53 @@ fn every_service_says_again_and_again_that_it_lives() {
         }
     }
 }
+
+/// Where the package puts the files of the source: its documents lie as they do here.
+fn packaged_documents() -> Vec<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let manifest: toml::Table = std::fs::read_to_string(root.join("Cargo.toml")).unwrap().parse().unwrap();
+    let assets = manifest["package"]["metadata"]["deb"]["assets"].as_array().unwrap();
+    let mut documents = Vec::new();
+    for asset in assets {
+        let [from, to] = [0, 1].map(|at| asset[at].as_str().unwrap());
+        let Some(folder) = to.strip_prefix("usr/share/doc/roomcast/") else { continue };
+        let (parent, pattern) = from.rsplit_once('/').map_or(("", from), |(parent, pattern)| (parent, pattern));
+        assert_eq!(parent, folder.trim_end_matches('/'), "a document lies as in the source");
+        let (before, after) = pattern.split_once('*').unwrap_or((pattern, ""));
+        let names = std::fs::read_dir(root.join(parent)).unwrap().map(|entry| entry.unwrap().file_name());
+        let names = names.map(|name| name.into_string().unwrap());
+        let fits = |name: &String| match pattern.contains('*') {
+            true => name.starts_with(before) && name.ends_with(after),
+            false => name == pattern,
+        };
+        let count = documents.len();
+        documents.extend(names.filter(fits).map(|name| Path::new(parent).join(name)));
+        assert!(documents.len() > count, "{from} is no file");
+    }
+    documents
+}
+
+#[test]
+fn links_of_packaged_documents_lead_to_packaged_files() {
+    let documents = packaged_documents();
+    let mut links = 0;
+    for document in documents.iter().filter(|path| path.extension().is_some_and(|ending| ending == "md")) {
+        let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(document)).unwrap();
+        for link in text.split("](").skip(1).filter_map(|rest| rest.split([')', '#', ' ']).next()) {
+            if link.is_empty() || link.contains("://") {
+                continue;
+            }
+            let mut target = document.parent().unwrap().to_owned();
+            for step in Path::new(link).components() {
+                match step {
+                    std::path::Component::ParentDir => assert!(target.pop(), "{link} in {}", document.display()),
+                    step => target.push(step),
+                }
+            }
+            links += 1;
+            let is_there = documents.iter().any(|there| there.starts_with(&target));
+            assert!(is_there, "{link} in {} leads nowhere in the package", document.display());
+        }
+    }
+    assert!(links > 100, "{links}");
+}

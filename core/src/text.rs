@@ -15,14 +15,26 @@ pub fn read_at_most(path: &Path, bytes_max: u64) -> io::Result<Option<Vec<u8>>> 
     Ok((bytes.len() as u64 <= bytes_max).then_some(bytes))
 }
 
-/// The same as text.
+/// What editors on Windows put before a text: no part of it.
+pub const BYTE_ORDER_MARK: char = '\u{feff}';
+
+/// A text without a byte order mark at its beginning.
+#[must_use]
+pub fn without_mark(text: &str) -> &str {
+    text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text)
+}
+
+/// The same as text, without a byte order mark.
 ///
 /// # Errors
 /// As [`read_at_most`], and [`io::ErrorKind::InvalidData`] when it is not UTF-8, [`io::ErrorKind::FileTooLarge`] when it is larger.
 pub fn read_text_at_most(path: &Path, bytes_max: u64) -> io::Result<String> {
     let too_large = || io::Error::new(io::ErrorKind::FileTooLarge, format!("it has more than {bytes_max} bytes"));
     let bytes = read_at_most(path, bytes_max)?.ok_or_else(too_large)?;
-    String::from_utf8(bytes).map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not UTF-8"))
+    let mut text =
+        String::from_utf8(bytes).map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not UTF-8"))?;
+    text.drain(..text.len() - without_mark(&text).len());
+    Ok(text)
 }
 
 /// Whether a character has no place in them: control characters, which would reach terminals and logs; and those without a shape of their

@@ -64,7 +64,7 @@ const SMALL_CALL_TOKENS: usize = 64;
 #[strum(serialize_all = "lowercase")]
 #[serde(rename_all = "lowercase")]
 pub enum CacheType {
-    /// Half precision: half the memory, and differences of up to 1e-2 nats per token between scoring methods, because
+    /// Half precision: two thirds of the memory of `mixed`, and differences of up to 1e-2 nats per token between scoring methods, because
     /// llama.cpp multiplies values by half precision differently at other batch sizes.
     F16,
     /// Keys in half precision, values in single. llama.cpp multiplies half-precision keys in tiles, but takes single-precision ones one by
@@ -74,7 +74,7 @@ pub enum CacheType {
     /// Single precision: methods differ by the order of their sums alone. Quantised weights can make hundredths of a nat of
     /// that, once in some hundred prompts.
     F32,
-    /// Blocks of 32 eight-bit numbers, as Q8_0 weights are, read by llama.cpp's fused attention: a third of the memory of [`Self::Mixed`],
+    /// Blocks of 32 eight-bit numbers, as Q8_0 weights are, read by llama.cpp's fused attention: a third of the memory of `mixed`,
     /// and no work for positions that nobody sees. Faster behind short narrations, slower behind long ones and with larger models. Scores of
     /// unquantised weights move by less than 5e-2 nats, those of Q8_0 weights hardly further than these weights do by themselves.
     Q8,
@@ -373,7 +373,11 @@ impl LlamaModel {
         let batch_tokens = options.context_parameters(weights.n_ctx_train()).n_batch();
         let small_tokens = small_tokens(weights.n_params(), SMALL_CALL_TOKENS.min(batch_tokens as usize));
         Ok(Self {
-            loaded: load_context(Arc::new(weights), options, batch_tokens).map_err(fail)?,
+            loaded: load_context(Arc::new(weights), options, batch_tokens).map_err(|reason| ModelError::Context {
+                model: info.name.clone(),
+                context_tokens,
+                reason,
+            })?,
             batch: LlamaBatch::new(batch_tokens as usize, sequences.cast_signed()),
             batch_tokens: batch_tokens as usize,
             info,

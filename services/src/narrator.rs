@@ -27,6 +27,7 @@ use crate::setup;
 use crate::stop::Stop;
 use crate::token_bucket::TokenBucket;
 use roomcast_core::narration::Program;
+use roomcast_core::text::without_mark;
 
 /// Narrations that may be under way unconfirmed: what the service's history holds for a daemon that restarts.
 const UNDER_WAY: u64 = NarrationV1::SERVICE.history as u64;
@@ -492,7 +493,7 @@ fn read_lines(name: &str, stream: Box<dyn Read + Send>, person: &Who, items: &Se
                 }
                 Err(LineError::NoLine)
             }
-            Ok(_) => match std::str::from_utf8(&bytes) {
+            Ok(_) => match std::str::from_utf8(&bytes).map(|text| if line == 1 { without_mark(text) } else { text }) {
                 Ok(text) if text.trim().is_empty() => continue,
                 Ok(text) => line_item(text, person).and_then(|item| observed_by(item, clock::unix_ns())),
                 Err(_) => Err(LineError::NoLine),
@@ -715,6 +716,17 @@ mod tests {
         assert!(!outcome.is_whole, "it was stopped before the end");
         drop((heard, scores, node));
         let _left = domain.clean_up();
+    }
+
+    /// Editors on Windows put one before a file.
+    #[test]
+    fn a_byte_order_mark_is_no_part_of_the_first_line() {
+        let (items_in, items) = bounded(16);
+        let text = "\u{feff}They open the fridge.\n\u{feff}They grab the milk.\n";
+        assert!(read_lines("test", Box::new(io::Cursor::new(text)), &Who::Somebody, &items_in));
+        drop(items_in);
+        let told: Vec<bool> = items.iter().map(|(_, item)| item.is_ok()).collect();
+        assert_eq!(told, [true, false], "elsewhere it is a hidden character");
     }
 
     #[test]

@@ -78,7 +78,14 @@ pub enum SetupError {
 pub fn load_model(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaModel, SetupError> {
     Ok(match path {
         Some(path) => LlamaModel::load(path, options)?,
-        None => LlamaModel::load(&ModelFile::create().map_err(SetupError::Embedded)?.path(), options)?,
+        None => {
+            let file = ModelFile::create().map_err(SetupError::Embedded)?;
+            LlamaModel::load(&file.path(), options).map_err(|error| match error {
+                // Its path means something to this process alone.
+                ModelError::Load { reason, .. } => ModelError::Load { path: embedded::MODEL_NAME.to_owned(), reason },
+                error => error,
+            })?
+        }
     })
 }
 

@@ -3,6 +3,7 @@
 use std::str::FromStr;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use roomcast_core::policy::PolicyName;
 use roomcast_core::scorer::correction::{Continuation, CorrectionChoice, prior_weight};
 use strum::{EnumMessage, ParseError, VariantArray};
 
@@ -19,6 +20,11 @@ where
         }
     };
     PossibleValuesParser::new(T::VARIANTS.iter().map(shown).collect::<Vec<_>>()).try_map(|name| name.parse::<T>())
+}
+
+/// Accepts the names of policies, and offers them.
+pub fn policy() -> impl TypedValueParser<Value = PolicyName> {
+    PossibleValuesParser::new(PolicyName::ALL.map(PolicyName::as_str)).try_map(|name| name.parse::<PolicyName>())
 }
 
 /// The first sentence of a documentation comment, without the marks of links.

@@ -22,7 +22,7 @@ use roomcast_ipc::{
 
 use super::demo_robot::DemoRobot;
 use super::stage::Stage;
-use super::{CommandResult, Failure, count, demo_week, ranges, service, table};
+use super::{CommandResult, Failure, choice, count, demo_week, ranges, service, table};
 use crate::bar::bar;
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
@@ -61,7 +61,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// The robot's policy.
-    #[arg(long, value_name = "POLICY", default_value_t = PolicyName::CoverageAware)]
+    #[arg(long, value_name = "POLICY", value_parser = choice::policy(), default_value_t = PolicyName::CoverageAware)]
     policy: PolicyName,
     /// Seed of every draw: of the robot's policy, of the person, and of the simulated robots.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = ranges::any())]
@@ -142,7 +142,7 @@ pub fn run(args: &Args) -> CommandResult {
     }
     result?;
     // Whoever read has left: the show ends as well, and quietly.
-    if unheard { Ok(()) } else { super::print(&format!("{summary}\n")) }
+    if unheard { Ok(()) } else { super::print(&format!("{}\n", prose(&summary))) }
 }
 
 fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &Stop) -> CommandResult {
@@ -495,16 +495,19 @@ impl<'a> Show<'a> {
     fn say(&mut self, lines: &[String]) {
         self.erase();
         let mut out = io::stdout().lock();
+        let columns = columns();
         for line in lines {
+            // What is said of a moment goes on below what is said, and not below the time.
+            let indent = if line.starts_with(' ') { INDENT } else { 0 };
             // A closed pipe ends the show; the processes are ended by their own guard.
-            self.unheard |= writeln!(out, "{line}").is_err();
+            self.unheard |= writeln!(out, "{}", wrapped(line, columns, indent)).is_err();
         }
         self.unheard |= out.flush().is_err();
     }
 
     /// Draws the live panel: a line that the terminal would wrap could not be erased by counting lines, so it is cut.
     fn draw(&mut self, lines: &[String]) {
-        let columns = crossterm::terminal::size().map_or(usize::MAX, |(columns, _)| usize::from(columns));
+        let columns = columns();
         self.say(&lines.iter().map(|line| cut(line, columns)).collect::<Vec<_>>());
         self.panel = self.panel.map(|_| lines.len());
     }
@@ -557,7 +560,7 @@ impl<'a> Show<'a> {
         // Writing into a text cannot fail.
         let _ = write!(
             text,
-            "{rows}\n\nSimulated: means over {} that begin in a random room, with the same person and seed; `roomcast experiment table2`\n\
+            "{rows}\n\nSimulated: means over {} that begin in a random room, with the same person and seed; `roomcast experiment table2` \
              --scene {} --program {} --room-time {} --seed {} gives the same.",
             count(plot.restarts as usize, "robot"),
             args.scene.display(),
@@ -566,6 +569,45 @@ impl<'a> Show<'a> {
             args.seed,
         );
         text
+    }
+}
+
+/// Where lines begin that have a time before them.
+const INDENT: usize = 10;
+
+/// How wide the terminal is; any width where there is none.
+pub(super) fn columns() -> usize {
+    let size = io::stdout().is_terminal().then(crossterm::terminal::size).and_then(Result::ok);
+    // A terminal that does not know says 0.
+    size.map(|(columns, _)| usize::from(columns)).filter(|columns| *columns > 0).unwrap_or(usize::MAX)
+}
+
+/// The longest line of prose, where the terminal has room for more.
+const PROSE: usize = 125;
+
+/// A text for the terminal, each of its lines wrapped between words.
+pub(super) fn prose(text: &str) -> String {
+    let columns = columns().min(PROSE);
+    text.lines().map(|line| wrapped(line, columns, 0)).collect::<Vec<_>>().join("\n")
+}
+
+/// A line as several of so many columns, broken between words; those after the first begin with `indent` spaces.
+fn wrapped(line: &str, columns: usize, indent: usize) -> String {
+    let mut text = String::new();
+    let mut rest = line.to_owned();
+    loop {
+        let fits = cut(&rest, columns);
+        let words = fits.rfind(' ').filter(|at| !fits[..*at].trim_start().is_empty());
+        let (false, Some(at)) = (fits.len() == rest.len(), words) else {
+            // It fits, or has no gap: the terminal breaks it.
+            text.push_str(&rest);
+            return text;
+        };
+        // A word that ends where the line does is whole.
+        let at = if rest[fits.len()..].starts_with(' ') { fits.len() } else { at };
+        text.push_str(rest[..at].trim_end());
+        text.push('\n');
+        rest = format!("{:indent$}{}", "", rest[at..].trim_start());
     }
 }
 
@@ -594,6 +636,17 @@ fn top_labels(items: &[roomcast_ipc::ItemScoreV1]) -> Vec<(String, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lines_break_between_words() {
+        assert_eq!(wrapped("one two three", 20, 0), "one two three");
+        assert_eq!(wrapped("one two three", 7, 0), "one two\nthree");
+        assert_eq!(wrapped("one two three", 8, 0), "one two\nthree");
+        assert_eq!(wrapped("one two three", 6, 0), "one\ntwo\nthree");
+        assert_eq!(wrapped("     3 s  robot goes on", 16, INDENT), "     3 s  robot\n          goes\n          on");
+        assert_eq!(wrapped("indivisible", 4, 0), "indivisible", "the terminal breaks it");
+        assert_eq!(wrapped("", 0, 0), "");
+    }
 
     #[test]
     fn lines_are_cut_by_the_columns_that_they_take() {

@@ -5,12 +5,12 @@
 //! stands beside it. Once a minute both say where the person will be a quarter of an hour later, and are measured then.
 
 use std::collections::VecDeque;
-use std::fmt::Write as _;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use roomcast_ipc::PersonForecastV1;
 
+use super::demo::{columns, prose};
 use super::{CommandResult, Failure};
 use crate::bar::bar;
 use crate::exit_code;
@@ -257,29 +257,55 @@ pub(super) fn run(config: &Config, days: usize, seed: u64) -> CommandResult {
     };
     let (with, without) = (board(true)?, board(false)?);
     let life = Life::new(days, with.map(), with.pipeline().grounding(), seed)?;
-    let mut text = format!(
-        "{} days of one person in {}: {} observations. Once a minute the daemon says where the person will be a quarter of an\n\
-         hour later, without habits and with what it has learned by then; a day's figures are the means of its minutes.\n\n",
+    let is_wide = columns() >= WIDE;
+    let text = format!(
+        "{} days of one person in {}: {} observations. Once a minute the daemon says where the person will be a quarter of an \
+         hour later, without habits and with what it has learned by then; a day's figures are the means of its minutes.",
         days,
         with.map().name(),
         life.said().len()
     );
-    let _ = writeln!(
-        text,
-        "{:<10} | without: loss  right | with: loss  right | {:<BAR_WIDTH$} learned | set for 90 %: places  held",
-        "", "right, with habits"
-    );
-    super::print(&text)?;
+    super::print(&format!("{}\n\n{}\n", prose(&text), heading(is_wide)))?;
     let mut all = Vec::new();
     watch(&life, with, without, |day, cases| {
         all.extend_from_slice(cases);
-        super::print(&line(WEEKDAYS[day % 7], &Figures::of(cases)))
+        super::print(&line(WEEKDAYS[day % 7], &Figures::of(cases), is_wide))
     })?;
-    super::print(&format!("{}\n", line("all days", &Figures::of(&all))))
+    super::print(&format!("{}\n", line("all days", &Figures::of(&all), is_wide)))
 }
 
-fn line(name: &str, figures: &Figures) -> String {
+/// How wide the table with the bars is.
+const WIDE: usize = 113;
+/// The least width of a terminal that the table fits into without them.
+#[cfg(test)]
+const NARROW: usize = 60;
+
+fn heading(is_wide: bool) -> String {
+    if is_wide {
+        return format!(
+            "{:<10} | without: loss  right | with: loss  right | {:<BAR_WIDTH$} learned | set for 90 %: places  held",
+            "", "right, with habits"
+        );
+    }
+    format!(
+        "{:<9}  {:<12}  {:<12}  {:7}  set for 90 %\n{:<9}  {:>5} {:>6}  {:>5} {:>6}  learned  {:>4} {:>6}",
+        "", "without", "with", "", "", "nats", "right", "nats", "right", "size", "held"
+    )
+}
+
+fn line(name: &str, figures: &Figures, is_wide: bool) -> String {
     let Figures { without, with, learned, sets, held, size, .. } = figures;
+    if !is_wide {
+        let sets = if *sets > 0.0 { format!("{size:>4.1} {:>4.0} %", 100.0 * held) } else { "none yet".to_owned() };
+        return format!(
+            "{name:<9}  {:>5.2} {:>4.0} %  {:>5.2} {:>4.0} %  {:>5.0} %  {sets:>11}\n",
+            without[0],
+            100.0 * without[1],
+            with[0],
+            100.0 * with[1],
+            100.0 * learned
+        );
+    }
     let sets = if *sets > 0.0 { format!("{size:.1}  {:.0} %", 100.0 * held) } else { "none yet".to_owned() };
     format!(
         "{name:<10} | {:>9.2} nats {:>4.0} % | {:>5.2} nats {:>4.0} % | {:<BAR_WIDTH$} {:>5.0} % | {sets:>17}\n",
@@ -333,7 +359,12 @@ mod tests {
             let hits = cases.iter().filter(|case| right(&case.with, case.truth)).count() as f64 / n;
             assert!((figures.with[0] - loss).abs() < 1e-9 && (figures.with[1] - hits).abs() < 2e-2, "{figures:?}");
             assert!(cases.iter().all(|case| (case.with.iter().sum::<f64>() - 1.0).abs() < 1e-4));
-            assert!(line("Monday", &figures).contains(&format!("{:.2} nats", figures.with[0])));
+            assert!(line("Monday", &figures, true).contains(&format!("{:.2} nats", figures.with[0])));
+            for (is_wide, most) in [(true, WIDE), (false, NARROW)] {
+                let table = heading(is_wide) + "\n" + &line("Wednesday", &figures, is_wide);
+                let widths = table.lines().map(|line| line.chars().count());
+                assert!(widths.max() <= Some(most), "{table}");
+            }
         }
         let of = |day: usize| Figures::of(&days[day].1);
         let (first, last, plain) = (of(0).with, of(4).with, of(4).without);

@@ -142,11 +142,16 @@ pub fn run(args: &Args) -> CommandResult {
     }
     for (person, explanation) in &persons {
         let name = moment.name_of(*person);
-        let heading = name.chars().take(1).flat_map(char::to_uppercase).chain(name.chars().skip(1));
-        let _ = write!(text, "{}\n\n{explanation}\n", heading.collect::<String>());
+        let _ = write!(text, "{}\n\n{explanation}\n", heading(&name));
         let _ = moment.habits_of(*person).map_or(Ok(()), |own| writeln!(text, "{own}"));
     }
     super::print(&text)
+}
+
+/// A name over what is said of somebody: each word begins with a capital.
+fn heading(name: &str) -> String {
+    let capital = |word: &str| word.chars().take(1).flat_map(char::to_uppercase).chain(word.chars().skip(1)).collect();
+    name.split(' ').map(capital).collect::<Vec<String>>().join(" ")
 }
 
 /// Per partition the probability that it is the next one of any of the persons, the likeliest first.

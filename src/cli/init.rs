@@ -68,8 +68,8 @@ pub struct Args {
     /// A PEM file with the certificates that the broker's is signed by.
     #[arg(long, value_name = "FILE")]
     mqtt_ca: Option<PathBuf>,
-    /// A robot's map: the file that Valetudo exports, or `mqtt` for the map that it tells the broker.
-    #[arg(long, value_name = "FILE|mqtt")]
+    /// A robot's map: the file that Valetudo exports, or `mqtt` for the map that it tells the broker; `none` for a home without.
+    #[arg(long, value_name = "FILE|mqtt|none")]
     valetudo: Option<PathBuf>,
     /// Names for the segments of the robot's map: a TOML file with a line such as `11 = "kitchen"` each.
     #[arg(long, value_name = "FILE")]
@@ -102,7 +102,7 @@ struct Found {
     seen: Seen,
     home_assistant: Option<(PathBuf, Home)>,
     robot: Option<String>,
-    /// The file with the robot's map, or `mqtt`.
+    /// The file with the robot's map, `mqtt`, or `none`.
     valetudo: Option<PathBuf>,
     residents: Vec<String>,
     notes: Vec<String>,
@@ -537,6 +537,7 @@ fn robot_map(args: &Args, found: &Found) -> Result<Option<Imported>, Failure> {
         found.seen.topics.get(&format!("{robot}{MAP}"))
     };
     let (json, from) = match &found.valetudo {
+        Some(path) if is_none(path) => return Ok(None),
         Some(path) if !over_broker => (read("map", path)?, path.clone()),
         _ => match told() {
             Some(said) => {

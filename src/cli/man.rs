@@ -1,8 +1,8 @@
 //! `roomcast man`: the manual pages of all commands, for packages.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use clap::CommandFactory;
+use clap::{Command, CommandFactory};
 
 use super::{Cli, CommandResult, Failure};
 use crate::exit_code;
@@ -22,11 +22,46 @@ pub struct Args {
 /// When the folder cannot be written.
 pub fn run(args: &Args) -> CommandResult {
     let folder = &args.folder;
-    std::fs::create_dir_all(folder).and_then(|()| clap_mangen::generate_to(Cli::command(), folder)).map_err(|error| {
+    let mut command = Cli::command().disable_help_subcommand(true);
+    command.build();
+    let source = command.get_version().map_or_else(String::new, |version| format!("roomcast {version}"));
+    std::fs::create_dir_all(folder).and_then(|()| write(&command, &source, folder)).map_err(|error| {
         let text = format!(
             "failed to write manual pages into {}: {error}; choose a folder that may be written",
             folder.display()
         );
         Failure::new(exit_code::FAILURE, text)
     })
+}
+
+/// A page of that name is of another program in the same package; what stands below `roomcast bridge` has pages of its own.
+const OTHER_PROGRAM: &str = "roomcast-bridge";
+
+/// Writes the pages of a command and of those below it.
+fn write(command: &Command, source: &str, folder: &Path) -> std::io::Result<()> {
+    for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
+        write(below, source, folder)?;
+    }
+    if command.get_display_name() == Some(OTHER_PROGRAM) {
+        return Ok(());
+    }
+    clap_mangen::Man::new(command.clone()).source(source).generate_to(folder).map(|_| ())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two programs are in one package: no page has the name of the other one, and all say whose they are.
+    #[test]
+    fn pages_are_of_this_program() {
+        let folder = tempfile::tempdir().unwrap();
+        run(&Args { folder: folder.path().to_owned() }).unwrap();
+        let page = |name: &str| std::fs::read_to_string(folder.path().join(name));
+        assert!(page("roomcast-bridge.1").is_err());
+        let header = format!("roomcast-bridge-mqtt 1  \"roomcast {}\"", env!("CARGO_PKG_VERSION"));
+        let mqtt = page("roomcast-bridge-mqtt.1").unwrap();
+        assert!(mqtt.lines().any(|line| line == format!(".TH {header} ")), "{}", &mqtt[..400]);
+        assert!(page("roomcast.1").is_ok() && page("roomcast-scene-check.1").is_ok());
+    }
 }

@@ -216,6 +216,8 @@ enum Command {
     /// Explain the scores of one moment: rooms, labels, tokens, items and the narration behind them.
     #[cfg(all(feature = "lab", feature = "recordings"))]
     Explain(explain::Args),
+    /// Say what a running daemon has learned of the home, forget it, or take it elsewhere.
+    Habits(habits::Args),
     /// Set up a home: its map, rules and configuration from Home Assistant and a robot vacuum; asks for what is not given.
     #[cfg(feature = "home")]
     Init(init::Args),
@@ -232,8 +234,6 @@ enum Command {
     /// Serve metrics of a running system for Prometheus, on a loopback address.
     #[cfg(feature = "metrics")]
     Metrics(metrics::Args),
-    /// Say what a running daemon has learned of the home, forget it, or take it elsewhere.
-    Habits(habits::Args),
     /// Inspect, check and fetch language models.
     Model(model::Args),
     /// Publish what a person does: activity programs, JSON lines, plain sentences.

@@ -163,7 +163,10 @@ fn report(args: &Args, outcome: &Outcome, domain: &Domain, stopped: Option<Stopp
         let refused = outcome.refused;
         return Err(Failure::new(
             exit_code::INPUT,
-            format!("{refused} lines were no narration; the log names the first of them"),
+            match refused {
+                1 => "1 line was no narration; the log names it".to_owned(),
+                _ => format!("{refused} lines were no narration; the log names the first of them"),
+            },
         ));
     }
     if outcome.dropped > 0 {

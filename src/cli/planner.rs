@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::choice::choice;
+use super::choice::{self, choice};
 use super::{CommandResult, Failure, ranges, service};
 use roomcast_core::policy::PolicyName;
 use roomcast_services::config::{Forced, PlannerConfig, Reports};
@@ -19,7 +19,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME")]
     robot: Option<String>,
     /// The policy, in place of the configuration's.
-    #[arg(long, value_name = "POLICY")]
+    #[arg(long, value_name = "POLICY", value_parser = choice::policy())]
     policy: Option<PolicyName>,
     /// The seed of its random choices, in place of the configuration's.
     #[arg(long, value_name = "N", value_parser = ranges::any())]

@@ -19,7 +19,7 @@ use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use roomcast_core::semantic_map::delta;
 use roomcast_core::semantic_map::import::{self, ImportError, Imported, Up};
-use roomcast_core::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap};
+use roomcast_core::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap, Space};
 use roomcast_services::daemon::{MapAnswer, MapQuestion, Outcome};
 
 /// Arguments of `roomcast scene`.
@@ -425,9 +425,71 @@ fn warnings(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
             warnings.push(format!("items[{index}] ({:?}): position_m lies {distance_m:.2} m outside its box", item.id));
         }
     }
+    warnings.extend(overlaps(map, grounding));
+    warnings.extend(odd_aliases(map));
     for (index, partition) in (0u32..).zip(grounding.partitions()) {
         if !grounding.item_partition().contains(&Some(PartitionId(index))) {
             warnings.push(format!("no item lies in {:?}; only its name can give it a score", partition.id));
+        }
+    }
+    warnings
+}
+
+/// How much of a room may lie in another one without a word, as a share of its volume: walls have a thickness.
+const OVERLAP_SHARE: f64 = 0.05;
+/// Most items that one warning names.
+const NAMED_MAX: usize = 5;
+
+/// Rooms that take up the same space, but for a nook that stands after the room around it.
+fn overlaps(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
+    let mut warnings = Vec::new();
+    for (index, later) in map.rooms().iter().enumerate() {
+        for earlier in &map.rooms()[..index] {
+            let shared_m3 = earlier.space.shared_m3(&later.space);
+            let (earlier_m3, later_m3) = (earlier.space.volume_m3(), later.space.volume_m3());
+            let is_nook = shared_m3 >= (1.0 - OVERLAP_SHARE) * later_m3 && later_m3 < earlier_m3;
+            if is_nook || shared_m3 <= OVERLAP_SHARE * earlier_m3.min(later_m3) {
+                continue;
+            }
+            let lies = |space: &Space, index: usize| space.shared_m3(&map.items()[index].bounds.into()) > 0.0;
+            let tied = grounding.item_placement().iter().enumerate().filter(|(_, rule)| **rule == Placement::Tie);
+            let tied = tied.filter(|(index, _)| lies(&earlier.space, *index) && lies(&later.space, *index));
+            let tied: Vec<_> = tied.map(|(index, _)| map.items()[index].id.as_str()).collect();
+            let more = tied.len().saturating_sub(NAMED_MAX);
+            let named = tied[..tied.len().min(NAMED_MAX)].join(", ");
+            let items = match (tied.len(), more) {
+                (0, _) => String::new(),
+                (_, 0) => format!(" ({named})"),
+                _ => format!(" ({named} and {more} more)"),
+            };
+            warnings.push(format!(
+                "{:?} and {:?} share {shared_m3:.1} m³: what lies there is in {:?}, which stands last{items}; correct the outlines, or \
+                 write a nook after the room around it",
+                earlier.id, later.id, later.id
+            ));
+        }
+    }
+    warnings
+}
+
+/// Aliases that mean nothing: of no label, or words that are a label themselves.
+fn odd_aliases(map: &SemanticMap) -> Vec<String> {
+    let is_label = |words: &str| map.labels().iter().any(|label| label == words);
+    let is_known = |words: &str| {
+        let mut rooms = map.rooms().iter();
+        is_label(words) || rooms.any(|room| room.id == words || room.label == words)
+    };
+    let mut warnings = Vec::new();
+    for (label, others) in map.aliases() {
+        if !is_known(label) {
+            let meant = others.iter().find(|words| is_known(words));
+            let meant =
+                meant.map_or_else(String::new, |words| format!("; {words:?} is one: is it the other way round?"));
+            warnings.push(format!("aliases: {label:?} is no label and no room of this map{meant}"));
+        } else if let Some(words) = others.iter().find(|words| *words != label && is_known(words)) {
+            warnings.push(format!(
+                "aliases: {words:?} of {label:?} is a label or a room of this map itself, and means that; remove it"
+            ));
         }
     }
     warnings
@@ -619,4 +681,66 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
         let _ = writeln!(text, "warning  {warning}");
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn warned(rooms: &Value, items: &Value, aliases: &Value) -> Vec<String> {
+        let scene = json!({
+            "format": "roomcast-scene", "version": 1, "name": "home", "rooms": rooms, "items": items, "aliases": aliases,
+        });
+        let map = SemanticMap::from_json(&scene.to_string()).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        [overlaps(&map, &grounding), odd_aliases(&map)].concat()
+    }
+
+    fn room(id: &str, west: f64, east: f64) -> Value {
+        json!({"id": id, "label": id, "box": {"min_m": [west, 0, 0], "max_m": [east, 4, 2.5]}})
+    }
+
+    fn item(label: &str, x: f64) -> Value {
+        let bounds = json!({"min_m": [x, 1, 0], "max_m": [x + 0.5, 1.5, 1]});
+        json!({"id": format!("{label}-1"), "label": label, "position_m": [x, 1, 1], "box": bounds})
+    }
+
+    #[test]
+    fn rooms_that_overlap_by_mistake_are_told_of() {
+        let items = json!([item("fridge", 1.0), item("sofa", 6.0)]);
+        let of = |rooms: &[Value]| warned(&json!(rooms), &items, &json!({}));
+        let (kitchen, living) = (room("kitchen", 0.0, 3.0), room("living", 0.0, 8.0));
+        // Typed with a wrong corner, the room takes all that is in the other one.
+        let said = of(&[kitchen.clone(), living.clone()]);
+        assert_eq!(said.len(), 1);
+        assert!(
+            said[0].starts_with("\"kitchen\" and \"living\" share 30.0 m³: what lies there is in \"living\""),
+            "{said:?}"
+        );
+        assert!(said[0].contains("(fridge-1)"), "{said:?}");
+        assert_eq!(of(&[living, kitchen.clone()]), [""; 0], "a nook is written after the room around it");
+        let partly = of(&[room("living", 2.0, 8.0), kitchen.clone()]);
+        assert!(
+            partly.len() == 1 && partly[0].contains("share 10.0 m³") && !partly[0].contains("fridge"),
+            "{partly:?}"
+        );
+        assert_eq!(of(&[room("living", 2.9, 8.0), kitchen]), [""; 0], "a wall");
+    }
+
+    #[test]
+    fn aliases_that_mean_nothing_are_told_of() {
+        let of = |aliases: Value| {
+            let items = json!([item("sofa", 1.0), item("television", 2.0)]);
+            warned(&json!([room("kitchen", 0.0, 3.0)]), &items, &aliases)
+        };
+        assert_eq!(of(json!({"sofa": ["couch"], "kitchen": ["galley"]})), [""; 0]);
+        let reversed = of(json!({"couch": ["sofa"]}));
+        assert_eq!(
+            reversed,
+            ["aliases: \"couch\" is no label and no room of this map; \"sofa\" is one: is it the other way round?"]
+        );
+        assert_eq!(of(json!({"couch": ["settee"]})), ["aliases: \"couch\" is no label and no room of this map"]);
+        let label = of(json!({"sofa": ["television"]}));
+        assert!(label.len() == 1 && label[0].contains("\"television\" of \"sofa\" is a label"), "{label:?}");
+    }
 }

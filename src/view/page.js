@@ -263,7 +263,7 @@ const show = () => {
     item.append(" ", html("span", `${told.who} · ${ago(told.age_s)}`, "dim"));
     return item;
   });
-  element("narration").replaceChildren(...(said.length ? said : [html("li", state.live ? "Nothing has been heard yet." : "Nothing was said until then.")]));
+  element("narration").replaceChildren(...(said.length ? said : [html("li", state.live ? "Nothing since the view began." : "Nothing was said until then.")]));
   showQuality();
   if (!state.live) {
     element("time-controls").hidden = state.length_s === 0;

@@ -282,6 +282,7 @@ fn rooms_with_devices_alone_get_furniture_on_request() {
     };
     let (devices, said) = made("plain", &["--bare"]);
     assert!(devices.len() == 3 && !said.contains("--furnish"), "{devices:?} {said}");
+    assert_eq!(made("without", &["--bare", "--valetudo", "none"]).0, devices);
     let (things, said) = made("typical", &[]);
     assert_eq!(things, devices);
     let note = "Rooms with one or two kinds of things alone: kuche, wohnzimmer. `--furnish sparse` assumes";

@@ -1,8 +1,10 @@
 """Prints every robot's decisions, and says so when none came for a minute."""
 
+from contextlib import suppress
+
 from roomcast import Action, Decision, Subscription
 
-with Subscription(Decision, "example-decisions") as subscription:
+with suppress(KeyboardInterrupt), Subscription(Decision, "example-decisions") as subscription:
     while True:
         decision = subscription.next(timeout_s=60)
         if decision is None:

@@ -1,8 +1,10 @@
 """Prints, for each horizon of a forecast, the room that is most likely occupied then."""
 
+from contextlib import suppress
+
 from roomcast import Forecast, Subscription
 
-with Subscription(Forecast, "example-forecast") as subscription:
+with suppress(KeyboardInterrupt), Subscription(Forecast, "example-forecast") as subscription:
     for forecast in subscription:
         for index, horizon_s in enumerate(forecast.horizons_s):
             room = max(forecast.rooms, key=lambda room: room.probabilities[index])

@@ -1,8 +1,10 @@
 """Prints the item that scores most in each snapshot; the daemon sends item scores as long as somebody follows them."""
 
+from contextlib import suppress
+
 from roomcast import ItemScoresSubscription
 
-with ItemScoresSubscription("example-items") as subscription:
+with suppress(KeyboardInterrupt), ItemScoresSubscription("example-items") as subscription:
     for scores in subscription:
         likely = max(scores.items, key=lambda item: item.log_score_nats, default=None)
         if likely is not None:

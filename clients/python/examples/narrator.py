@@ -1,10 +1,11 @@
 """A narrator in ten lines: sends the lines of standard input as sentences, and prints what the daemon makes of them."""
 
 import sys
+from contextlib import suppress
 
 from roomcast import Narrator
 
-with Narrator("example-narrator") as narrator:
+with suppress(KeyboardInterrupt), Narrator("example-narrator") as narrator:
     for line in sys.stdin:
         narrator.say(line.strip())
         scores = narrator.wait_until_included()

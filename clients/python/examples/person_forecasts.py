@@ -1,8 +1,10 @@
 """Prints, for each person and horizon, the places that they are in with the coverage of the sets, or else the likeliest room."""
 
+from contextlib import suppress
+
 from roomcast import PersonForecasts, Subscription
 
-with Subscription(PersonForecasts, "example-person-forecasts") as subscription:
+with suppress(KeyboardInterrupt), Subscription(PersonForecasts, "example-person-forecasts") as subscription:
     for forecasts in subscription:
         for person in forecasts.persons:
             for index, horizon_s in enumerate(forecasts.horizons_s):

@@ -1,8 +1,10 @@
 """A planner in ten lines: sends the robot where the person is least likely to go next."""
 
+from contextlib import suppress
+
 from roomcast import Planner
 
-with Planner("calm-planner") as planner:
+with suppress(KeyboardInterrupt), Planner("calm-planner") as planner:
     for scores in planner.scores():
         calmest = min(scores.rooms, key=lambda room: room.probability)
         planner.decide(calmest.id, f"{calmest.probability:.0%} likely to be next")

@@ -1,10 +1,11 @@
 """A robot in ten lines: follows its decisions and reports what becomes of them. Its work is a pause."""
 
 import time
+from contextlib import suppress
 
 from roomcast import Action, Robot
 
-with Robot("robot") as robot:
+with suppress(KeyboardInterrupt), Robot("robot") as robot:
     for decision in robot.decisions():
         if decision.action == Action.PAUSE:
             robot.docked(battery=0.9)

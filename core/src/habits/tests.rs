@@ -516,7 +516,6 @@ fn several_times_at_once_are_as_each_by_itself() {
     assert!(all[0] > 0.7 && all[3 * 4 + 2] > 0.5, "{all:?}");
 }
 
-/// Setting the clock is no time spent, and nothing is learned of time that nobody watched.
 #[test]
 fn visits_are_counted_by_room_and_part_of_the_day_of_all_persons_together() {
     let mut habits = home(HabitsOptions { half_life_days: 0.0, ..HabitsOptions::default() });
@@ -542,6 +541,7 @@ fn visits_are_counted_by_room_and_part_of_the_day_of_all_persons_together() {
     assert_eq!(habits.visits(at_s(24.0)), [[0.0; PARTS]]);
 }
 
+/// Setting the clock is no time spent, and nothing is learned of time that nobody watched.
 #[test]
 fn time_that_nobody_watched_is_not_learned() {
     let mut habits = home(HabitsOptions::default());

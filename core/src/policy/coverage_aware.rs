@@ -578,13 +578,7 @@ mod tests {
     fn a_closed_room_is_planned_around_and_keeps_its_people_in_the_price() {
         // Somebody is in room 0. Room 1 costs 120 s: less than the 240 s that the time of one person is worth.
         let (covered, closed, shared_s) = ([false, false, true], [true, false, false], [480.0, 120.0, 0.0]);
-        let state = RobotState {
-            covered: &covered,
-            closed: &closed,
-            room_time_s: 600.0,
-            expected_shared_s: &shared_s,
-            ..RobotState::default()
-        };
+        let state = RobotState { covered: &covered, closed: &closed, room_time_s: 600.0, expected_shared_s: &shared_s };
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let choice = CoverageAware::new(None).choose(&state, &[0.5; 3], &mut rng).unwrap();
         assert_eq!(

@@ -27,8 +27,6 @@ pub use uncovered_first::UncoveredFirst;
 /// What a policy may know of the robot when it is free to choose.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RobotState<'a> {
-    /// Where it is; `None` outside every partition.
-    pub partition: Option<PartitionId>,
     /// Per partition: its work there is done.
     pub covered: &'a [bool],
     /// Per partition: it is not to be gone to now, as one that somebody has just come into. Empty where all may be.
@@ -285,7 +283,7 @@ mod tests {
             let mut closed: Vec<bool> = scores.iter().map(|_| rng.random()).collect();
             closed[0] &= closed.contains(&false) && scores.len() > 1;
             let state = RobotState {
-                partition: None, covered: &covered, closed: &closed, room_time_s: 60.0, expected_shared_s: &expected,
+                covered: &covered, closed: &closed, room_time_s: 60.0, expected_shared_s: &expected,
             };
             for name in PolicyName::ALL {
                 prop_assert_eq!(name.as_str().parse::<PolicyName>(), Ok(name));

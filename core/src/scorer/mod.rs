@@ -62,6 +62,19 @@ pub enum ModelError {
         /// What the loader said.
         reason: String,
     },
+    /// The file is sound, and there is no room to work with it.
+    #[error(
+        "the model {model} gets no memory for a context of {context_tokens} tokens ({reason}): raise the limit on memory \
+         (MemoryMax=, ulimit -v), or lower model.context_tokens, or choose a smaller model.cache"
+    )]
+    Context {
+        /// The model's name.
+        model: String,
+        /// How many tokens it was to hold.
+        context_tokens: u32,
+        /// What the loader said.
+        reason: String,
+    },
     /// Text that cannot be tokenised.
     #[error("failed to tokenise {text:?}: {reason}")]
     Tokenise {

@@ -7,8 +7,9 @@ use std::collections::HashMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::schema::{DoorEntry, ItemEntry, RoomEntry, VERSION, place};
+use super::schema::{DoorEntry, ItemEntry, RoomEntry, VERSION, element_of, place};
 use super::{Box3, SceneError, SemanticMap};
+use crate::text::without_mark;
 
 /// One change. In JSON the key `change` names it: `{"change": "move-item", "id": "mug-1", "position_m": [..], "box": {..}}`.
 ///
@@ -94,9 +95,9 @@ pub enum DeltaError {
 /// [`DeltaError::Json`].
 pub fn parse_changes(json: &str) -> Result<Vec<MapChange>, DeltaError> {
     let fail = |element: String, message: String| DeltaError::Json { element, message };
-    let mut parser = serde_json::Deserializer::from_str(json);
+    let mut parser = serde_json::Deserializer::from_str(without_mark(json));
     let changes = serde_path_to_error::deserialize(&mut parser)
-        .map_err(|error| fail(error.path().to_string(), error.inner().to_string()))?;
+        .map_err(|error| fail(element_of(error.path()), error.inner().to_string()))?;
     parser.end().map_err(|error| fail("end".to_owned(), error.to_string()))?;
     Ok(changes)
 }

@@ -261,13 +261,19 @@ impl Footprint {
             || self.edges().any(|own| other.edges().any(|edge| edges_meet(own, edge)))
     }
 
-    /// The middle of the widest stretch from west to east at this y.
-    fn widest(&self, y: f64) -> Option<f64> {
+    /// Where its edges cross this y, from west to east: between each two of them is a stretch of it.
+    fn crossings(&self, y: f64) -> Vec<f64> {
         let mut crossings: Vec<f64> = (self.edges())
             .filter(|(a, b)| (a[1] > y) != (b[1] > y))
             .map(|(a, b)| a[0] + (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]))
             .collect();
         crossings.sort_by(f64::total_cmp);
+        crossings
+    }
+
+    /// The middle of the widest stretch from west to east at this y.
+    fn widest(&self, y: f64) -> Option<f64> {
+        let crossings = self.crossings(y);
         let widest = crossings.chunks_exact(2).max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
         Some(0.5 * (widest[0] + widest[1]))
     }
@@ -393,6 +399,40 @@ impl Space {
         let [x, y, z] = *point_m;
         let above_m = (self.bounds.min_m[2] - z).max(z - self.bounds.max_m[2]).max(0.0);
         footprint.distance_m([x, y]).hypot(above_m)
+    }
+
+    /// The volume in cubic metres that two of them share. That of two prisms is added up over stripes of one of them.
+    #[must_use]
+    pub fn shared_m3(&self, other: &Self) -> f64 {
+        const STRIPES: u32 = 64;
+        if self.bounds.overlap_m3(&other.bounds) <= 0.0 {
+            return 0.0;
+        }
+        let (Some(_), Some(footprint)) = (&self.footprint, &other.footprint) else {
+            let of_box = if self.footprint.is_some() { (self, other) } else { (other, self) };
+            return of_box.0.overlap_m3(&of_box.1.bounds);
+        };
+        let Box3 { min_m, max_m } = other.bounds;
+        let width_m = (max_m[1] - min_m[1]) / f64::from(STRIPES);
+        let stripe_m3 = |stripe: u32| -> f64 {
+            let south_m = min_m[1] + width_m * f64::from(stripe);
+            let crossings = footprint.crossings(south_m + 0.5 * width_m);
+            let within = crossings.chunks_exact(2).map(|stretch| Box3 {
+                min_m: [stretch[0], south_m, min_m[2]],
+                max_m: [stretch[1], south_m + width_m, max_m[2]],
+            });
+            within.map(|stretch| self.overlap_m3(&stretch)).sum()
+        };
+        (0..STRIPES).map(stripe_m3).sum()
+    }
+
+    /// Its volume in cubic metres.
+    #[must_use]
+    pub fn volume_m3(&self) -> f64 {
+        match &self.footprint {
+            Some(footprint) => footprint.area_m2() * self.bounds.size_m()[2],
+            None => self.bounds.volume_m3(),
+        }
     }
 
     /// Whether they share more than a face.
@@ -603,6 +643,33 @@ pub(crate) mod tests {
                 let [least, most] = footprint.around();
                 prop_assert!((footprint.area_within_m2(least, most) - footprint.area_m2()).abs() < 1e-9);
                 prop_assert!(footprint.area_m2() > 0.0);
+            }
+        }
+    }
+
+    /// Of two prisms as of boxes, whichever is asked.
+    #[test]
+    fn the_volume_that_two_spaces_share_is_that_of_their_outlines() {
+        let prism = |corners: &[[f64; 2]]| {
+            let footprint = Footprint::new(&[corners.to_vec()]).unwrap();
+            let [least, most] = footprint.around();
+            let bounds = Box3 { min_m: [least[0], least[1], 0.0], max_m: [most[0], most[1], 2.5] };
+            Space { bounds, footprint: Some(footprint) }
+        };
+        let square = |west: f64| prism(&[[west, 0.0], [west + 2.0, 0.0], [west + 2.0, 2.0], [west, 2.0]]);
+        let half = prism(&[[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]]);
+        let flat = Space::from(square(0.0).bounds);
+        assert!((half.volume_m3() - 5.0).abs() < 1e-9 && (flat.volume_m3() - 10.0).abs() < 1e-9);
+        for (one, other, expected_m3) in [
+            (&half, &square(0.0), 5.0),
+            (&half, &flat, 5.0),
+            (&half, &square(1.0), 1.25),
+            (&half, &square(2.0), 0.0),
+            (&square(0.5), &flat, 7.5),
+            (&flat, &flat, 10.0),
+        ] {
+            for shared_m3 in [one.shared_m3(other), other.shared_m3(one)] {
+                assert!((shared_m3 - expected_m3).abs() < 0.02, "{shared_m3} instead of {expected_m3}");
             }
         }
     }

@@ -1,6 +1,6 @@
 //! The scene file, versions 1 and 2: reading, checking, writing. `scenes/README.md` documents it field by field.
 
-use crate::text::is_hidden;
+use crate::text::{is_hidden, without_mark};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::File;
 use std::io::{self, Read};
@@ -246,6 +246,18 @@ pub(super) fn place(element: &str) -> String {
     if element == "." { String::new() } else { format!("{element}: ") }
 }
 
+/// The element at which a parser stopped. Of a text that is no JSON it does not know the last step.
+pub(super) fn element_of(path: &serde_path_to_error::Path) -> String {
+    let known = path.iter().take_while(|segment| !matches!(segment, serde_path_to_error::Segment::Unknown));
+    let mut element = String::new();
+    for segment in known {
+        let is_index = matches!(segment, serde_path_to_error::Segment::Seq { .. });
+        element.push_str(if is_index || element.is_empty() { "" } else { "." });
+        element.push_str(&segment.to_string());
+    }
+    if element.is_empty() { ".".to_owned() } else { element }
+}
+
 /// Where a text ends, for a message.
 fn within(element: &str) -> String {
     if element == "." { String::new() } else { format!(", within {element}") }
@@ -462,14 +474,14 @@ impl SemanticMap {
         if text.len() as u64 > MAX_FILE_BYTES {
             return Err(SceneError::FileTooLarge);
         }
-        let mut parser = serde_json::Deserializer::from_str(text);
+        let mut parser = serde_json::Deserializer::from_str(without_mark(text));
         let json_error = |element: String, message: String| SceneError::Json { element, message };
         let file: SceneFile = serde_path_to_error::deserialize(&mut parser).map_err(|error| {
             if error.inner().is_eof() {
-                let (line, element) = (error.inner().line(), error.path().to_string());
+                let (line, element) = (error.inner().line(), element_of(error.path()));
                 return SceneError::CutOff { line, element };
             }
-            json_error(error.path().to_string(), error.inner().to_string())
+            json_error(element_of(error.path()), error.inner().to_string())
         })?;
         parser.end().map_err(|error| json_error("end".to_owned(), error.to_string()))?;
         Self::check(file)
@@ -998,6 +1010,24 @@ mod tests {
             let text = refused(pointer, value.clone());
             assert!(text.contains(expected), "{pointer} = {value}: {text}");
         }
+    }
+
+    #[test]
+    fn text_that_is_no_json_is_told_of_by_line_and_by_what_is_known_of_its_place() {
+        let colon = TWO_ROOMS.replacen("\"label\": \"mug\"", "\"label\" \"mug\"", 1);
+        let comma = TWO_ROOMS.trim_end().strip_suffix('}').unwrap().to_owned() + ",}";
+        for (text, expected) in [(colon, "items[0]: expected `:` at line "), (comma, "trailing comma at line ")] {
+            assert_ne!(text, TWO_ROOMS);
+            let said = message(&SemanticMap::from_json(&text).unwrap_err());
+            assert!(said.starts_with(expected), "{said}");
+        }
+    }
+
+    /// Editors on Windows write it.
+    #[test]
+    fn a_byte_order_mark_is_no_part_of_a_map() {
+        let marked = SemanticMap::from_json(&format!("\u{feff}{TWO_ROOMS}")).unwrap();
+        assert_eq!(marked, SemanticMap::from_json(TWO_ROOMS).unwrap());
     }
 
     #[test]

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use super::timeline::Timeline;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::policy::{Policy, PolicyError, RobotState};
-use roomcast_core::semantic_map::{PartitionId, SemanticMap};
+use roomcast_core::semantic_map::SemanticMap;
 
 /// Why a simulation cannot be run.
 #[derive(Debug, thiserror::Error)]
@@ -260,7 +260,6 @@ pub fn run(
             // A last slot that is too short to do a room in is no reason to plan for coverage.
             let slots = if whole { (cost.steps - from) / room_time_s } else { 1 };
             let state = RobotState {
-                partition: u32::try_from(room).ok().map(PartitionId),
                 covered: if whole { &covered } else { &all_done },
                 closed: &[],
                 room_time_s: room_time_s as f64,

@@ -82,6 +82,11 @@ impl<T: Answer> Answered<T> {
 }
 
 impl<T> Answered<T> {
+    /// Takes something out of all answers.
+    pub(super) fn cut(&mut self, cut: impl FnMut(&mut T)) {
+        self.0.iter_mut().map(|(_, answer)| answer).for_each(cut);
+    }
+
     /// Takes something out of all answers but the last.
     pub(super) fn cut_before_last(&mut self, cut: impl FnMut(&mut T)) {
         let before = self.0.len().saturating_sub(1);
@@ -125,6 +130,8 @@ mod tests {
         }
         answered.cut_before_last(|answer| *answer = 0);
         assert_eq!(["1", "2", "3"].map(|id| *answered.get(id).unwrap()), [0, 0, 3]);
+        answered.cut(|answer| *answer = 0);
+        assert_eq!(["1", "2", "3"].map(|id| *answered.get(id).unwrap()), [0, 0, 0]);
     }
 
     #[test]

@@ -13,6 +13,8 @@
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -164,9 +166,11 @@ enum Work {
     Forget(Box<Memory>, Sender<io::Result<()>>),
 }
 
-/// Writes the file beside the scoring, whose thread waits for no disk.
+/// Writes the file beside the scoring, whose thread waits for the disk only where somebody is forgotten, and at the end.
 #[derive(Debug)]
 pub(super) struct Keeper {
+    /// What was to be written last is not.
+    failed: Arc<AtomicBool>,
     work: Option<Sender<Work>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -175,8 +179,15 @@ impl Keeper {
     /// Starts the thread.
     pub(super) fn start(file: HabitsFile) -> io::Result<Self> {
         let (work, queue) = bounded(1);
-        let thread = std::thread::Builder::new().name("habits".to_owned()).spawn(move || run(&file, &queue))?;
-        Ok(Self { work: Some(work), thread: Some(thread) })
+        let failed = Arc::new(AtomicBool::new(false));
+        let told = Arc::clone(&failed);
+        let thread = std::thread::Builder::new().name("habits".to_owned()).spawn(move || run(&file, &queue, &told))?;
+        Ok(Self { failed, work: Some(work), thread: Some(thread) })
+    }
+
+    /// Whether what was handed over last could not be written: it is to be handed over again. Says it once.
+    pub(super) fn has_failed(&self) -> bool {
+        self.failed.swap(false, Ordering::Relaxed)
     }
 
     /// Hands over what is to be written, unless the last one waits still.
@@ -213,9 +224,11 @@ impl Drop for Keeper {
     }
 }
 
-fn run(file: &HabitsFile, queue: &Receiver<Work>) {
+fn run(file: &HabitsFile, queue: &Receiver<Work>, failed: &AtomicBool) {
     let write = |memory: &Memory| {
-        file.write(memory).inspect_err(|error| {
+        let written = file.write(memory);
+        failed.store(written.is_err(), Ordering::Relaxed);
+        written.inspect_err(|error| {
             tracing::warn!(%error, directory = %file.directory.display(), "what was learned of the home cannot be written; the daemon goes on, and tries again later");
         })
     };
@@ -309,6 +322,28 @@ mod tests {
         assert!(keeper.forget(learned(), Duration::from_secs(60)).is_err());
         keeper.finish(Some(learned()));
         assert!(load(directory.path()).1.habits.learned().counts > 0);
+    }
+
+    /// A disk that was full for a while: what was not written is handed over again, though nothing was learned since.
+    #[test]
+    fn what_could_not_be_written_is_asked_for_again() {
+        let directory = tempfile::tempdir().unwrap();
+        let folder = directory.path().join("later");
+        let (file, _) = load(&folder);
+        let keeper = Keeper::start(file).unwrap();
+        let wait = |is_done: &dyn Fn() -> bool| {
+            while !is_done() {
+                std::thread::yield_now()
+            }
+        };
+        assert!(keeper.write(learned()) && !folder.exists());
+        wait(&|| keeper.failed.load(Ordering::Relaxed));
+        assert!(keeper.has_failed() && !keeper.has_failed());
+        fs::create_dir(&folder).unwrap();
+        assert!(keeper.write(learned()));
+        wait(&|| folder.join(FILE).exists());
+        drop(keeper);
+        assert!(load(&folder).1.habits.learned().counts > 0);
     }
 
     proptest::proptest! {

@@ -179,7 +179,7 @@ pub(super) fn answer<M: LanguageModel>(
             Ok(())
         }
         HabitsQuestion::Forget { who: Some(who), .. } => {
-            let person = who.trim().parse().unwrap_or_else(|_| board.persons().number_of(&who));
+            let person = board.persons().meant(&who);
             if !board.habits_mut().forget(person) {
                 return Err(format!(
                     "nothing was learned of {who:?}: `roomcast habits show` says of whom something was"
@@ -229,9 +229,9 @@ pub(super) fn answer<M: LanguageModel>(
     (answer, after)
 }
 
-/// A count as it is told. What was taken out of sums that aged may leave a trace below zero, which is none.
+/// A count as it is told. The sum of no counts is a zero with a sign, which it loses here.
 fn hundredth(count: f64) -> f64 {
-    ((count * 100.0).round() / 100.0).max(0.0) + 0.0
+    (count * 100.0).round() / 100.0 + 0.0
 }
 
 /// How often each room was visited.
@@ -243,7 +243,15 @@ fn visits<M: LanguageModel>(board: &Board<M>) -> Vec<VisitsLine> {
 
 #[cfg(test)]
 mod tests {
+    use roomcast_core::grounding::{Grounding, GroundingOptions};
+    use roomcast_core::habits::{HabitsOptions, Place};
+    use roomcast_core::narration::person_number;
+    use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+    use roomcast_core::scorer::table::TableModel;
+    use roomcast_core::semantic_map::SemanticMap;
+
     use super::*;
+    use crate::daemon::{HomeHabits, Memory, Zone};
 
     #[test]
     fn parts_make_a_whole_in_their_order() {
@@ -261,7 +269,29 @@ mod tests {
     #[test]
     fn no_count_is_less_than_nothing() {
         let told = |count: f64| serde_json::to_string(&hundredth(count)).unwrap();
-        assert_eq!([-0.0, -1e-12, 0.0, 1.236, -0.004].map(told), ["0.0", "0.0", "0.0", "1.24", "0.0"]);
+        assert_eq!([-0.0, std::iter::empty::<f64>().sum(), 0.0, 1.236].map(told), ["0.0", "0.0", "0.0", "1.24"]);
+    }
+
+    /// Whoever is meant is whom a question about persons means: a number is one in digits alone.
+    #[test]
+    fn a_name_that_reads_like_a_number_is_a_name() {
+        let ada = person_number("ada");
+        let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
+        let options = GroundingOptions::default();
+        let grounding = Grounding::new(&map, &options).unwrap();
+        let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+        let mut memory = Memory::new(HabitsOptions::default());
+        memory.habits.bind(Vec::new(), vec!["kitchen".to_owned()], Vec::new());
+        memory.habits.be(ada, Place::Room(0), 1e9);
+        memory.habits.be(ada, Place::Elsewhere, 1e9 + 3_600.0);
+        let board = Board::new(pipeline, map, options, 1).unwrap();
+        let mut board = board.with_habits(HomeHabits::new(memory, Zone::UTC));
+        let mut is_done = |who: String| {
+            let question = HabitsQuestion::Forget { id: "1".to_owned(), who: Some(who) };
+            answer(&mut board, &mut Importing::default(), Ok(question), 0).0.done
+        };
+        assert!(!is_done(format!("+{ada}")));
+        assert!(is_done(format!(" {ada} ")) && !is_done("ada".to_owned()), "it is forgotten");
     }
 
     #[test]

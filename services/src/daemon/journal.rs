@@ -39,7 +39,7 @@ use self::disk::Folder;
 pub use self::disk::{Disk, Half};
 use self::forget::{IsTheirs, each_record};
 use crate::state_file;
-use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use crossbeam::channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, bounded};
 use roomcast_core::narration::{Observation, PresenceStatement, Said, Sentence};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_ipc::{MAX_ROOMS, NAME_BYTES, Sender as Port};
@@ -217,6 +217,7 @@ struct Sink {
 }
 
 impl Sink {
+    /// Waits where the queue is full. Whoever holds the sink waits with it, so that records have the numbers of their order.
     fn send(&mut self, record: Vec<u8>) -> u64 {
         if let Some(work) = &self.work
             && work.send(Work::Append(record)).is_ok()
@@ -313,7 +314,8 @@ impl JournalHandle {
     }
 
     /// Takes out of the journal what a person did, before and after a restart of the machine: the observations of which `is_theirs` says so,
-    /// which is told whose those are found to be that named nobody. Gives how many they are. Waits at most `patience` for it.
+    /// which is told whose those are found to be that named nobody. Gives how many they are. Waits at most `patience` for the writer to take it
+    /// up, and as long for it to be done.
     ///
     /// # Errors
     ///
@@ -326,11 +328,13 @@ impl JournalHandle {
     ) -> io::Result<usize> {
         let (done, answer) = bounded(1);
         let work = self.sink.lock().unwrap_or_else(PoisonError::into_inner).work.clone();
-        let sent = work.map(|work| work.send(Work::Forget { person, is_theirs: Box::new(is_theirs), done }));
-        match sent.map(|sent| sent.map(|()| answer.recv_timeout(patience))) {
-            Some(Ok(Ok(result))) => result,
-            Some(Ok(Err(_))) => Err(io::Error::from(io::ErrorKind::TimedOut)),
-            _ => Err(io::Error::other("the journal is closed")),
+        let forget = Work::Forget { person, is_theirs: Box::new(is_theirs), done };
+        match work.map(|work| work.send_timeout(forget, patience)) {
+            Some(Ok(())) => {
+                answer.recv_timeout(patience).unwrap_or_else(|_| Err(io::Error::from(io::ErrorKind::TimedOut)))
+            }
+            Some(Err(SendTimeoutError::Timeout(_))) => Err(io::Error::from(io::ErrorKind::TimedOut)),
+            Some(Err(SendTimeoutError::Disconnected(_))) | None => Err(io::Error::other("the journal is closed")),
         }
     }
 

@@ -11,7 +11,7 @@ use roomcast_core::narration::{ReadName, SOMEBODY, check_name, same_name};
 
 /// The file in the state directory.
 const FILE: &str = "persons.json";
-/// Most bytes of it that are read: ten thousand persons.
+/// Most bytes of it that are read, and written: ten thousand persons.
 const FILE_BYTES_MAX: u64 = 1 << 20;
 /// Former names that a person keeps, the newest.
 const FORMER_MAX: usize = 8;
@@ -162,7 +162,7 @@ impl PersonsFile {
     /// Puts a person in place of the one with that number. The file changes first: where it cannot be written, nothing does.
     ///
     /// # Errors
-    /// When the state directory cannot be written.
+    /// When the state directory cannot be written, or the file would have more bytes than are read.
     pub fn put(&mut self, person: KeptPerson) -> std::io::Result<()> {
         let others = self.persons.iter().filter(|kept| kept.number != person.number).cloned();
         self.replace(others.chain([person.clone()]).collect())
@@ -188,12 +188,26 @@ impl PersonsFile {
             )));
         }
         if let Some(path) = &self.path {
-            state_file::replace_for_good(path, serde_json::to_string_pretty(&persons)?.as_bytes())?;
+            state_file::replace_for_good(path, text_of(&persons)?.as_bytes())?;
         }
         self.index = Index::new(&persons);
         self.persons = persons;
         Ok(())
     }
+}
+
+/// What the file is to hold: lines for people, and a single one where lines would be too long to be read again. That one is never longer than
+/// what was read, so somebody can always be forgotten.
+fn text_of(persons: &[KeptPerson]) -> std::io::Result<String> {
+    let is_readable = |text: &String| text.len() as u64 <= FILE_BYTES_MAX;
+    let lines = serde_json::to_string_pretty(persons)?;
+    let text = if is_readable(&lines) { lines } else { serde_json::to_string(persons)? };
+    Some(text).filter(is_readable).ok_or_else(|| {
+        std::io::Error::new(
+            std::io::ErrorKind::FileTooLarge,
+            format!("{FILE} would have more than {FILE_BYTES_MAX} bytes: forget somebody, or give a shorter name"),
+        )
+    })
 }
 
 /// Reads the file; a name or number that stands twice would make two persons of one.
@@ -243,6 +257,31 @@ mod tests {
         let mut nowhere = PersonsFile::load(&directory.path().join("missing"));
         nowhere.put(ada()).unwrap_err();
         assert!(nowhere.persons().is_empty());
+    }
+
+    /// What is written can be read at the next start, however many persons there are.
+    #[test]
+    fn a_file_that_would_be_too_long_is_not_written() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join(FILE);
+        let person = |number: u32| KeptPerson {
+            number,
+            name: format!("n{number}{}", "x".repeat(40)),
+            resident: None,
+            former: Vec::new(),
+        };
+        let count = (1..).find(|count| text_of(&(0..*count * 100).map(person).collect::<Vec<_>>()).is_err()).unwrap();
+        let most: Vec<_> = (0..(count - 1) * 100).map(person).collect();
+        std::fs::write(&path, serde_json::to_string(&most).unwrap()).unwrap();
+        let mut file = PersonsFile::load(directory.path());
+        file.put(person(5).renamed("Ada")).unwrap();
+        let again = PersonsFile::load(directory.path());
+        assert_eq!((again.persons().len(), again.of_number(5).unwrap().name.as_str()), (most.len(), "Ada"));
+        let refused = (0..100).find_map(|more| file.put(person(1_000_000 + more)).err()).unwrap().to_string();
+        assert!(refused.contains("more than 1048576 bytes: forget somebody"), "{refused}");
+        assert_eq!(PersonsFile::load(directory.path()).persons(), file.persons());
+        file.remove(5).unwrap();
+        assert!(PersonsFile::load(directory.path()).of_number(5).is_none());
     }
 
     #[test]

@@ -245,6 +245,12 @@ impl<M: LanguageModel> Scoring<M> {
         let waited = self.cycle.waiting();
         let done = self.cycle.step(now_ns, clock::unix_ns());
         self.tally.merged += ((waited - self.cycle.waiting()) as u64).saturating_sub(1);
+        // Whose an observation is does not depend on scores: a model that fails takes nothing of it.
+        let (journal, mut attributed) = (&self.journal, 0);
+        self.cycle.board_mut().tell_whose(|outcome| {
+            attributed = journal.as_ref().map_or(0, |journal| journal.append(outcome));
+        });
+        self.cycle.rests_on(attributed);
         if let Err(error) = done {
             self.tally.failed_steps += 1;
             if let Some(held_back) = self.log.pass(now_ns) {
@@ -252,11 +258,6 @@ impl<M: LanguageModel> Scoring<M> {
             }
             return false;
         }
-        let (journal, mut attributed) = (&self.journal, 0);
-        self.cycle.board_mut().tell_whose(|outcome| {
-            attributed = journal.as_ref().map_or(0, |journal| journal.append(outcome));
-        });
-        self.cycle.rests_on(attributed);
         if let Some(journal) = &self.journal
             && !journal.wait_for(self.cycle.scored_record(), JOURNAL_PATIENCE)
             && let Some(held_back) = self.log.pass(now_ns)
@@ -402,7 +403,7 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Answers questions about persons; returns whether somebody was forgotten or has another name.
     fn answer_about_persons(&mut self) -> Result<bool, IpcError> {
-        let Self { cycle, answered_persons, ports, journal, keeper, inbox, .. } = self;
+        let Self { cycle, answered_persons, answered_habits, ports, journal, keeper, inbox, .. } = self;
         let Ports { moments, habits_questions, person_questions, .. } = ports;
         let board = cycle.board_mut();
         let mut changed = false;
@@ -429,6 +430,7 @@ impl<M: LanguageModel> Scoring<M> {
             if is_new {
                 // Those before may tell of somebody who is forgotten now.
                 answered_persons.cut_before_last(|answer| answer.persons.clear());
+                answered_habits.cut(|answer| answer.persons.clear());
             }
             told
         })?;
@@ -440,13 +442,15 @@ impl<M: LanguageModel> Scoring<M> {
         let Self { cycle, answered_habits, importing, ports, keeper, inbox, .. } = self;
         let (board, habits_questions) = (cycle.board_mut(), &ports.habits_questions);
         habits_questions.answer(|asked| {
-            answered_habits.answer::<HabitsQuestion>(asked, |asked| {
+            let mut is_new = false;
+            let told = answered_habits.answer::<HabitsQuestion>(asked, |asked| {
                 inbox.lend();
                 let (mut answer, after) = habits_question::answer(board, importing, asked, clock::monotonic_ns());
                 answer.kept = keeper.is_some();
                 if after == After::Forget {
-                    // Answers that nobody has read tell of what is forgotten.
+                    // Answers that nobody has read tell of what is forgotten, and so do those that are remembered.
                     habits_questions.forget_answers();
+                    is_new = true;
                     if let Err(error) = write_habits(board, keeper.as_ref()) {
                         answer.reason = Some(format!(
                             "it holds until the daemon starts again: the habits file cannot be written: {error}"
@@ -457,7 +461,11 @@ impl<M: LanguageModel> Scoring<M> {
                     tracing::info!(reason, kept = answer.kept, "habits were forgotten or replaced");
                 }
                 answer
-            })
+            });
+            if is_new {
+                answered_habits.cut_before_last(|answer| answer.persons.clear());
+            }
+            told
         })?;
         Ok(())
     }
@@ -469,6 +477,9 @@ impl<M: LanguageModel> Scoring<M> {
         let is_due = now_ns.saturating_sub(self.saved_ns) >= self.save_ns;
         let Some(keeper) = self.keeper.as_ref().filter(|_| is_due) else { return };
         self.saved_ns = now_ns;
+        if keeper.has_failed() {
+            board.habits_mut().keep_changed();
+        }
         if let Some(memory) = board.habits_mut().memory_if_changed()
             && !keeper.write(memory)
         {
@@ -480,7 +491,11 @@ impl<M: LanguageModel> Scoring<M> {
     fn finish_habits(&mut self) {
         // What was observed last, too.
         self.cycle.tidy();
-        let memory = self.cycle.board_mut().habits_mut().memory_if_changed();
+        let habits = self.cycle.board_mut().habits_mut();
+        if self.keeper.as_ref().is_some_and(Keeper::has_failed) {
+            habits.keep_changed();
+        }
+        let memory = habits.memory_if_changed();
         if let Some(keeper) = &mut self.keeper {
             keeper.finish(memory);
         }

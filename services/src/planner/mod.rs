@@ -24,7 +24,7 @@ use roomcast_ipc::{
 use crate::config::{Forced, PlannerConfig};
 use roomcast_core::grounding::PartitionLevel;
 use roomcast_core::policy::{Choice, Policy, PolicyError, PolicyName, RobotState};
-use roomcast_core::semantic_map::{PartitionId, SemanticMap};
+use roomcast_core::semantic_map::SemanticMap;
 
 mod interruption;
 mod others;
@@ -549,7 +549,6 @@ impl Planner {
             return Ok(None);
         }
         let state = RobotState {
-            partition: self.robot.room.and_then(|room| u32::try_from(room).ok()).map(PartitionId),
             covered: self.round.covered(),
             closed,
             room_time_s: self.stay_s(),

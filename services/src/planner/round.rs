@@ -70,10 +70,19 @@ impl Round {
         }
     }
 
-    /// When the robot last could not do a room, of those that are still to do.
-    pub(super) fn failed(&self) -> impl Iterator<Item = (usize, u64)> {
-        let failed = self.failed_ns.iter().enumerate().filter_map(|(room, failed_ns)| Some((room, (*failed_ns)?)));
-        failed.filter(|(room, _)| !self.is_done(*room))
+    /// When the robot last could not do a room, of those that are still to do, and how often in a row.
+    pub(super) fn failed(&self) -> impl Iterator<Item = (usize, u64, u32)> {
+        let failed = self.failed_ns.iter().zip(&self.failures).enumerate();
+        let failed = failed.filter_map(|(room, (failed_ns, failures))| Some((room, (*failed_ns)?, *failures)));
+        failed.filter(|(room, ..)| !self.is_done(*room))
+    }
+
+    /// Takes up what another run has seen of a room.
+    pub(super) fn restore_failed(&mut self, room: usize, failed_ns: u64, failures: u32) {
+        self.fail(room, failed_ns);
+        if let Some(known) = self.failures.get_mut(room) {
+            *known = failures.max(1);
+        }
     }
 
     /// Whether the robot could not do a room, which is still to do.

@@ -35,6 +35,9 @@ pub struct KeptRound {
     /// Rooms that the robot could not do, and when.
     #[serde(default)]
     failed: Vec<(String, u64)>,
+    /// How often in a row it could not do each of them; once where an older version did not keep it.
+    #[serde(default)]
+    failures: Vec<u32>,
     /// Rooms that were left to a person.
     #[serde(default)]
     held: Vec<String>,
@@ -87,7 +90,8 @@ impl Planner {
             began_ns: self.round.began_ns,
             due_ns: self.round.due_ns,
             done: done.map(|(room, _)| id(room)).collect(),
-            failed: self.round.failed().map(|(room, failed_ns)| (id(room), failed_ns)).collect(),
+            failed: self.round.failed().map(|(room, failed_ns, _)| (id(room), failed_ns)).collect(),
+            failures: self.round.failed().map(|(_, _, failures)| failures).collect(),
             held: held.map(|(room, _)| id(room)).collect(),
             room: self.robot.room.map(id),
             // Of a robot that decides with every score no work outlasts the planner.
@@ -120,8 +124,9 @@ impl Planner {
         for done in kept.done.iter().filter_map(|id| room(id)) {
             self.round.cover(done);
         }
-        for (failed, failed_ns) in &kept.failed {
-            room(failed).into_iter().for_each(|room| self.round.fail(room, *failed_ns));
+        for ((failed, failed_ns), failures) in kept.failed.iter().zip(kept.failures.iter().chain(std::iter::repeat(&1)))
+        {
+            room(failed).into_iter().for_each(|room| self.round.restore_failed(room, *failed_ns, *failures));
         }
         kept.held.iter().filter_map(|id| room(id)).for_each(|room| self.interruption.hold(room));
         (self.round.began_ns, self.round.due_ns) = (kept.began_ns, kept.due_ns);
@@ -228,6 +233,28 @@ mod tests {
 
     use super::*;
     use crate::config::PlannerConfig;
+
+    /// A room that fails again and again rests as long after a restart as before it.
+    #[test]
+    fn how_often_a_room_failed_outlasts_a_restart() {
+        let with_room = || {
+            let mut planner = Planner::new(&PlannerConfig::default(), 1);
+            planner.take(&RoomScoresV1 { room_count: 1, ..RoomScoresV1::default() });
+            planner
+        };
+        let mut planner = with_room();
+        (0..3).for_each(|_| planner.round.fail(0, 5));
+        let kept = serde_json::to_string(&planner.kept("boot").unwrap()).unwrap();
+        let restored = |kept: &str| {
+            let mut again = with_room();
+            again.restore(&serde_json::from_str(kept).unwrap());
+            again.round.failed().collect::<Vec<_>>()
+        };
+        assert_eq!(restored(&kept), [(0, 5, 3)]);
+        let older = kept.replace("\"failures\":[3],", "");
+        assert!(older != kept);
+        assert_eq!(restored(&older), [(0, 5, 1)]);
+    }
 
     #[test]
     fn a_round_comes_back_whole_or_not_at_all() {

@@ -537,11 +537,18 @@ impl Recording {
         let claimed = heard().filter(|(message, _)| claimed(message)).map(|(message, _)| (message, true));
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
         for (message, is_claimed) in claimed.chain(unclaimed.map(|(message, _)| (message, false))) {
-            let Taken::Accepted { observation, .. } = intake.take(message, Sender::simulated(message.source), 0) else {
-                continue;
-            };
+            // The time of an observation is compared with what the daemon says of persons, so it is kept as it is.
+            let taken = intake.take(message, Sender::simulated(message.source), message.observed_ns);
+            let Taken::Accepted { observation, .. } = taken else { continue };
             let last = narration.last().map(|(person, _)| *person);
-            let person = self.person_of(&observation, scores.epoch).or(last).unwrap_or_default();
+            let likely = last.or_else(|| match told.map(PersonScoresV1::persons) {
+                // Where nobody tells of persons there is one, without a name.
+                None | Some([]) => Some(0),
+                Some([only]) => Some(only.person),
+                Some(_) => None,
+            });
+            // Of several, nobody is said to have done what the recording does not say that they did.
+            let Some(person) = self.person_of(&observation, scores.epoch).or(likely) else { continue };
             let of_person = narration.iter().filter(|(of, _)| *of == person).count();
             let is_contained = match told_of(person) {
                 Some(told) => message.observed_ns > 0 && message.observed_ns <= told.observed_ns,
@@ -643,7 +650,8 @@ impl Recording {
         known.into_iter().next().or(stated).and_then(|name| self.named(&name, epoch))
     }
 
-    /// Whose an observation is, by the daemon's word, which tells of the newest one in a step, or by its own. None where neither says it.
+    /// Whose an observation is, by the daemon's word, which tells of the newest one of each person in a step, or by its own. None where
+    /// neither says it.
     fn person_of(&self, observation: &Observation, epoch: u64) -> Option<u32> {
         let told = |is_theirs: &dyn Fn(&PersonV1) -> bool| {
             self.messages.iter().find_map(|(_, told)| match told {
@@ -862,6 +870,60 @@ mod tests {
         scores.window = 3;
         recording.messages[2].1 = Recorded::RoomScores(Box::new(scores));
         assert_eq!(contained(&recording), ["They open the fridge.", "They grab the milk."]);
+    }
+
+    /// Sentences that name nobody, of two persons in turn: the daemon says whose each was.
+    #[test]
+    fn a_sentence_without_a_person_is_of_whom_the_daemon_says() {
+        let (ada, ben) = (person_number("ada"), person_number("ben"));
+        let (mut windows, mut messages) = ([0_u64, 0], Vec::new());
+        let mut tell = |at: u64, sequence: u64, who: usize, text: &str, name: &str| {
+            let message = NarrationV1::new(roomcast_ipc::narration_kind::SENTENCE, text).unwrap();
+            let person_name = text::encode("name", name).unwrap();
+            let observed_ns = at * 1_000_000_000;
+            let person = SOMEBODY;
+            let narration = NarrationV1 { source: 7, epoch: 1, sequence, observed_ns, person, person_name, ..message };
+            windows[who] += 1;
+            let mut scores =
+                RoomScoresV1 { epoch: 3, sequence, window: sequence, source_count: 1, ..Default::default() };
+            scores.included[0] = IncludedV1 { source: 7, epoch: 1, sequence, ..IncludedV1::default() };
+            let mut persons = PersonScoresV1 { epoch: 3, sequence, ..Default::default() };
+            for (of, (number, name)) in [(ada, "ada"), (ben, "ben")].into_iter().enumerate() {
+                if windows[of] == 0 {
+                    continue;
+                }
+                let told = &mut persons.person[persons.person_count as usize];
+                (told.person, told.name, told.window) = (number, text::encode("name", name).unwrap(), windows[of]);
+                told.presence = presence::PRESENT;
+                told.flags = if of == who && narration.person_name().is_empty() { person_flags::BY_FIT } else { 0 };
+                told.observed_ns = if of == who { observed_ns } else { 1 };
+                persons.person_count += 1;
+            }
+            (persons.persons, scores.persons) = (persons.person_count, persons.person_count);
+            messages.push((at, Recorded::Narration(Box::new(narration))));
+            messages.push((at, Recorded::RoomScores(Box::new(scores))));
+            messages.push((at, Recorded::PersonScores(Box::new(persons))));
+        };
+        tell(1, 1, 0, "They open the fridge.", "ada");
+        tell(2, 2, 1, "They take a shower.", "ben");
+        tell(3, 3, 0, "They grab the milk.", "");
+        tell(4, 4, 1, "They dry themselves with the towel.", "");
+        tell(5, 5, 0, "They close the fridge.", "");
+        let of = |messages: &[(u64, Recorded)]| -> Vec<(u32, String)> {
+            let recording = Recording { messages: messages.to_vec(), moments: Vec::new() };
+            let narration = recording.moment(None, None).unwrap().narration;
+            narration.into_iter().map(|(person, sentence)| (person, sentence.as_str().to_owned())).collect()
+        };
+        let of_whom: Vec<u32> = of(&messages).into_iter().map(|(person, _)| person).collect();
+        assert_eq!(of_whom, [ada, ben, ada, ben, ada]);
+        // The first sentence of all, of somebody of whom a sensor alone has told: no person 0 comes of it.
+        let first_plain = of(&messages[6..]);
+        assert_eq!(first_plain[0], (ada, "They grab the milk.".to_owned()));
+        // What the daemon was not heard to tell of is nobody's, where several may have said it.
+        let is_heard = |at: u64, told: &Recorded| at != 3 || matches!(told, Recorded::Narration(_));
+        let unheard = messages[6..].iter().filter(|(at, told)| is_heard(*at, told));
+        let texts: Vec<String> = of(&unheard.cloned().collect::<Vec<_>>()).into_iter().map(|(_, text)| text).collect();
+        assert_eq!(texts, ["They dry themselves with the towel.", "They close the fridge."]);
     }
 
     #[test]

@@ -363,12 +363,14 @@ class Subscriber(Generic[T]):
 
     def wait(self, timeout_s: float) -> None:
         """Sleeps until there is news or the time is over."""
+        failure = None
         try:
             self._listener.timed_wait(iox2.Duration.from_secs_f64(max(0.0, timeout_s)))
         except iox2.ListenerWaitError as error:
-            # A signal ends the sleep, and Python's handler follows.
-            if "InterruptSignal" not in str(error):
-                raise RoomcastError(f"service {self._service.name}: wait failed: {error!r}; leave the domain and join again") from error
+            failure = error
+        # A signal ends the sleep, and Python's handler follows: out here, so that what it raises does not seem to follow from another error.
+        if failure is not None and "InterruptSignal" not in str(failure):
+            raise RoomcastError(f"service {self._service.name}: wait failed: {failure!r}; leave the domain and join again") from failure
 
     def receive(self) -> T | None:
         """Takes the oldest good message that waits; malformed ones are dropped and counted."""

@@ -4,10 +4,10 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 
-use super::schema::{self, MAX_ALIASES, RoomEntry, SceneError};
+use super::schema::{self, MAX_ALIASES, RoomEntry, SceneError, element_of};
 use super::{MAX_TEXT_BYTES, SemanticMap};
 use crate::names::{Names, plain_words};
-use crate::text::is_hidden;
+use crate::text::{is_hidden, without_mark};
 
 mod furnish;
 mod home_assistant;
@@ -67,9 +67,9 @@ pub enum ImportError {
 
 fn parse<'a, T: serde::Deserialize<'a>>(json: &'a str, expected: &'static str) -> Result<T, ImportError> {
     let fail = |element: String, message: String| ImportError::Json { element, message, expected };
-    let mut parser = serde_json::Deserializer::from_str(json);
+    let mut parser = serde_json::Deserializer::from_str(without_mark(json));
     let value = serde_path_to_error::deserialize(&mut parser)
-        .map_err(|error| fail(error.path().to_string(), error.inner().to_string()))?;
+        .map_err(|error| fail(element_of(error.path()), error.inner().to_string()))?;
     parser.end().map_err(|error| fail("end".to_owned(), error.to_string()))?;
     Ok(value)
 }

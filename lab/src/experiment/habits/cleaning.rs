@@ -152,7 +152,6 @@ impl Cleaning {
             let expected_shared_s: Vec<f64> = likely.iter().map(|p| p * STAY_S).collect();
             let closed = if robot.avoids_sets { sight.set } else { &[] };
             let state = RobotState {
-                partition: None,
                 covered: &robot.covered,
                 closed,
                 room_time_s: STAY_S,
