@@ -11,6 +11,8 @@ mod bar;
 #[cfg(feature = "bridge")]
 mod bridge;
 mod cli;
+#[cfg(feature = "demo")]
+mod columns;
 mod exit_code;
 #[cfg(any(feature = "bridge", feature = "top", feature = "view"))]
 mod flags;

@@ -10,9 +10,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use roomcast_ipc::PersonForecastV1;
 
-use super::demo::{columns, prose};
 use super::{CommandResult, Failure};
 use crate::bar::bar;
+use crate::columns::{columns, prose};
 use crate::exit_code;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::HabitsOptions;
