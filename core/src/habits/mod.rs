@@ -219,6 +219,11 @@ impl Person {
         }
     }
 
+    /// How much is known: what they did, and for how many minutes it is known where they were.
+    fn known_of(&self) -> f64 {
+        self.observations + self.stays.watched_min()
+    }
+
     /// What is known now of the room of the next thing.
     fn known(&self, at_s: f64) -> Known {
         let Self { pace_s, objects, stays, .. } = self;
@@ -325,7 +330,7 @@ impl Habits {
             return at;
         }
         if self.persons.len() >= PERSONS_MAX {
-            let least = |a: &&Person, b: &&Person| a.observations.total_cmp(&b.observations);
+            let least = |a: &&Person, b: &&Person| a.known_of().total_cmp(&b.known_of());
             if let Some(least) = self.persons.iter().min_by(least).map(|person| person.number) {
                 self.forget(least);
             }
@@ -341,10 +346,10 @@ impl Habits {
         let mut others = [None; OTHERS_MAX];
         let mut least = [0.0; OTHERS_MAX];
         for (_, other) in self.persons.iter().enumerate().filter(|(index, _)| *index != at) {
-            if let Some(rank) = (0..OTHERS_MAX).find(|rank| other.observations > least[*rank]) {
+            if let Some(rank) = (0..OTHERS_MAX).find(|rank| other.known_of() > least[*rank]) {
                 others[rank..].rotate_right(1);
                 least[rank..].rotate_right(1);
-                (others[rank], least[rank]) = (Some(other.slot), other.observations);
+                (others[rank], least[rank]) = (Some(other.slot), other.known_of());
             }
         }
         others
@@ -468,13 +473,9 @@ impl Habits {
         let learn = self.options.learn;
         let Some(number) = self.place_number(place, moment::minute(at_s), learn) else { return };
         let Self { persons, counts, frame, .. } = self;
-        let Person { slot, stays, objects, observations, last_s, .. } = &mut persons[at];
+        let Person { slot, stays, objects, .. } = &mut persons[at];
         // Where they were when a forecast's time came is known only until they go on.
         stays.learn_due(counts, *slot, frame, at_s, learn);
-        // That they are still there is no news, and what they did at that time was counted.
-        if learn && stays.place != number && at_s > *last_s {
-            *observations += 1.0;
-        }
         stays.be(counts, *slot, number, at_s, learn);
         if stays.elsewhere() {
             objects.forget_activity();

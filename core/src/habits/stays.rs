@@ -53,6 +53,8 @@ const LATER_STRENGTH: [f64; 3] = [8.0, 40.0, 40.0];
 /// Experts whose forecasts at the anchors are read from counts, and how many they are.
 const COUNTED_EXPERTS: [usize; COUNTED] = [1, 3, 4];
 const COUNTED: usize = 3;
+/// Samples that a horizon begins with, of which half stayed.
+const SAMPLED: f64 = 2.0;
 /// What nobody held for possible was unlikely to them: one surprise is not to silence whoever was sure for long.
 const FLOOR: f64 = 1e-3;
 /// Mean stay that the shipped forecast begins with, in seconds, and the exponent of its survival.
@@ -133,7 +135,7 @@ impl Stays {
                 Anchor {
                     mixture: FixedShare::new(PRIOR),
                     stayed: 1.0,
-                    sampled: 2.0,
+                    sampled: SAMPLED,
                     sets: AdaptiveSets::new(sets),
                     waiting: vec![Waiting::default(); slots],
                     probabilities: Vec::new(),
@@ -143,6 +145,11 @@ impl Stays {
             }),
             scratch: Scratch::default(),
         }
+    }
+
+    /// For about how many minutes it was known where they were.
+    pub(crate) fn watched_min(&self) -> f64 {
+        self.anchors[0].sampled - SAMPLED
     }
 
     /// Another map: waiting forecasts say nothing of its rooms.
