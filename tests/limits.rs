@@ -39,6 +39,7 @@ const FOOT: &str = "
 These numbers are written by hand, and no test compares them with the code:
 
 - A line of narration has at most 8192 bytes, and so has one of a sensor log. A longer one is reported and skipped.
+- `persons.json` has at most 1 MiB, read or written. A change that would make it longer is refused.
 - At most 4096 lines of MQTT rules with `quiet_s` wait for silence, and at most 1 MiB of them. Further ones are not said.
 - `roomcast model pull` fetches at most 64 GiB. A larger file is refused.
 - An answer of Home Assistant has at most 64 MiB, and all questions of one connection take at most 60 s. Beyond that the command ends with an error.
