@@ -1863,11 +1863,7 @@ fn a_recorded_household_is_explained_by_name() {
     world.signal(recorder, Signal::TERM);
     let (status, log) = world.wait(recorder);
     assert!(status.success(), "{log}");
-    let explain = |more: &[&str]| {
-        let output = roomcast(&["explain", "--recording", file.to_str().unwrap()]).args(more).output().unwrap();
-        assert!(output.status.success(), "{output:?}");
-        String::from_utf8(output.stdout).unwrap()
-    };
+    let explain = |more: &[&str]| explain_recording(&file, more);
     let recording = roomcast_services::recording::read(&file).unwrap();
     let last = recording.moment(None, None).unwrap().scores;
     for sequence in last.sequence - 3..=last.sequence {
@@ -1878,6 +1874,13 @@ fn a_recorded_household_is_explained_by_name() {
     let text = explain(&[]);
     assert!(text.contains("Cleopatra") && !text.contains("They lie on the bed."), "{text}");
     assert!(explain(&["--person", "cleopatra"]).contains("They dry the dishes."));
+}
+
+/// What `explain` says of a recording.
+fn explain_recording(file: &Path, more: &[&str]) -> String {
+    let output = roomcast(&["explain", "--recording", file.to_str().unwrap()]).args(more).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    String::from_utf8(output.stdout).unwrap()
 }
 
 /// Sentences that name nobody are of whom the daemon took them for, also where nobody was ever named.
@@ -1904,11 +1907,7 @@ fn a_recorded_sentence_without_a_person_is_explained_as_the_daemon_took_it() {
         world.signal(recorder, Signal::TERM);
         let (status, log) = world.wait(recorder);
         assert!(status.success(), "{log}");
-        let explain = |more: &[&str]| {
-            let output = roomcast(&["explain", "--recording", file.to_str().unwrap()]).args(more).output().unwrap();
-            assert!(output.status.success(), "{output:?}");
-            String::from_utf8(output.stdout).unwrap()
-        };
+        let explain = |more: &[&str]| explain_recording(&file, more);
         let text = explain(&[]);
         assert!(difference_of(&text) < 5e-3 && !text.contains("They contain"), "{text}");
         let of_ada = explain(&["--person", "ada"]);

@@ -55,7 +55,8 @@ const COUNTED_EXPERTS: [usize; COUNTED] = [1, 3, 4];
 const COUNTED: usize = 3;
 /// Samples that a horizon begins with, of which half stayed.
 const SAMPLED: f64 = 2.0;
-/// What nobody held for possible was unlikely to them: one surprise is not to silence whoever was sure for long.
+/// The least probability that weights are learned from: one surprise is not to silence whoever was sure for long. The mixture's bound is that of
+/// forecasts with this least.
 const FLOOR: f64 = 1e-3;
 /// Mean stay that the shipped forecast begins with, in seconds, and the exponent of its survival.
 const SHIPPED_STAY_S: f64 = 120.0;

@@ -207,16 +207,12 @@ impl Trace {
     }
 }
 
-/// The date of a time, in the proleptic Gregorian calendar.
+/// The date of a time.
 fn date(at_s: f64) -> String {
-    // Counted from 1 March of the year 0, so that the leap day comes last, in eras of 400 years.
-    let days = ((at_s / DAY_S).floor() as i64).saturating_add(719_468);
-    let (era, of_era) = (days.div_euclid(146_097), days.rem_euclid(146_097));
-    let year = (of_era - of_era / 1_460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year + year / 4 - year / 100);
-    let month = (5 * of_year + 2) / 153;
-    let (day, month) = (of_year - (153 * month + 2) / 5 + 1, if month < 10 { month + 3 } else { month - 9 });
-    format!("{}-{month:02}-{day:02}", year + 400 * era + i64::from(month <= 2))
+    match tz::UtcDateTime::from_timespec(at_s.floor() as i64, 0) {
+        Ok(time) => format!("{}-{:02}-{:02}", time.year(), time.month(), time.month_day()),
+        Err(_) => format!("second {at_s:.0} since 1970"),
+    }
 }
 
 #[cfg(test)]
