@@ -125,7 +125,7 @@ fn page() -> String {
             ("persons of whom something is learned", &habits::PERSONS_MAX, "whoever was learned least of gives way"),
             ("names of things", &options.names_max, "the one seen longest ago gives way"),
             ("contexts, of 28 bytes", &options.contexts_max, "the least useful gives way"),
-            ("counts, of 12 bytes", &options.counts_max, "the least useful gives way"),
+            ("blocks of four counts, of 28 bytes", &options.blocks_max, "the least useful gives way"),
             ("bytes of the file", &habits::BYTES_MAX, "is set aside"),
             ("bytes of an import", &daemon::IMPORT_BYTES_MAX, "is refused"),
         ],

@@ -1,17 +1,20 @@
 //! How often what followed what: counts of symbols by context, bounded, and forgotten with a half-life.
 //!
-//! A context is an exact 64-bit key. Its row holds the decayed number of observations and a chain of (symbol, count). Decay is
-//! lazy: a row is brought up to date when it is touched, and read through a factor otherwise. At the limit a hand goes round and
-//! the least useful of the rows that it meets (fewest decayed observations) gives way, as in sampled eviction of caches. Rows and
-//! entries live in two slabs with free lists, so that nothing is allocated once they have grown to their limits.
+//! A context is an exact 64-bit key. Its row holds the decayed number of observations and a chain of blocks, each of up to four
+//! symbols with their counts: a walk waits for memory once per block. Decay is lazy: a row is brought up to date when it is touched,
+//! and read through a factor otherwise. At the limit a hand goes round and the least useful of the rows that it meets (fewest decayed
+//! observations) gives way, as in sampled eviction of caches. Rows and blocks live in two slabs with free lists, so that nothing is
+//! allocated once they have grown to their limits.
 
 use super::moment;
 
-/// No further row or entry.
+/// No further row or block.
 const END: u32 = u32::MAX;
 /// The key of a free row, which no context has.
 const FREE: u64 = u64::MAX;
-/// Entries with less than this left are dropped when their row is touched.
+/// The symbol of a free place in a block; no symbol is counted under it.
+const NOTHING: u16 = u16::MAX;
+/// Counts with less than this left are dropped when their row is touched.
 const FORGOTTEN: f32 = 0.02;
 /// A row is brought up to date when its counts are worth less than this; before, what is added counts for more in their place.
 const WORTH: f32 = 0.7;
@@ -31,19 +34,35 @@ struct Row {
     touched_min: u32,
 }
 
-/// A symbol's count: 12 bytes.
+/// Up to four symbols with their counts: 28 bytes. Free places can be anywhere.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Entry {
+struct Block {
     next: u32,
-    count: f32,
-    symbol: u16,
+    counts: [f32; BLOCK],
+    symbols: [u16; BLOCK],
 }
+
+const BLOCK: usize = 4;
+const EMPTY: Block = Block { next: END, counts: [0.0; BLOCK], symbols: [NOTHING; BLOCK] };
+
+impl Block {
+    fn iter(self) -> impl Iterator<Item = (u16, f32)> {
+        self.symbols.into_iter().zip(self.counts).filter(|(symbol, _)| *symbol != NOTHING)
+    }
+
+    fn len(&self) -> usize {
+        self.symbols.iter().filter(|symbol| **symbol != NOTHING).count()
+    }
+}
+
+/// A symbol's place in a block.
+type Place = (u32, usize);
 
 /// How much may be held, and for how long.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Limits {
     pub(crate) rows: usize,
-    pub(crate) entries: usize,
+    pub(crate) blocks: usize,
     /// Minutes after which a count is worth half; not positive for never.
     pub(crate) half_life_min: f64,
 }
@@ -54,11 +73,11 @@ pub(crate) struct Counts {
     limits: Limits,
     buckets: Vec<u32>,
     rows: Vec<Row>,
-    entries: Vec<Entry>,
+    blocks: Vec<Block>,
     free_row: u32,
-    free_entry: u32,
+    free_block: u32,
     live_rows: usize,
-    live_entries: usize,
+    live_counts: usize,
     hand: usize,
 }
 
@@ -73,12 +92,8 @@ pub(crate) struct Seen<'a> {
 impl Seen<'_> {
     /// Every symbol seen here, with its decayed count.
     pub(crate) fn symbols(&self) -> impl Iterator<Item = (u16, f64)> {
-        let mut at = self.first;
-        std::iter::from_fn(move || {
-            let entry = self.counts.entries.get(at as usize)?;
-            at = entry.next;
-            Some((entry.symbol, f64::from(entry.count * self.factor)))
-        })
+        let Self { counts, first, factor } = *self;
+        counts.chain(first).flat_map(Block::iter).map(move |(symbol, count)| (symbol, f64::from(count * factor)))
     }
 
     /// The decayed count of one symbol.
@@ -97,31 +112,30 @@ fn bucket_of(key: u64, buckets: usize) -> usize {
 
 impl Counts {
     pub(crate) fn new(limits: Limits) -> Self {
-        let limits =
-            Limits { rows: limits.rows.clamp(1, 1 << 24), entries: limits.entries.clamp(1, 1 << 24), ..limits };
+        let limits = Limits { rows: limits.rows.clamp(1, 1 << 24), blocks: limits.blocks.clamp(1, 1 << 24), ..limits };
         Self {
             limits,
             buckets: vec![END; 16],
             rows: Vec::new(),
-            entries: Vec::new(),
+            blocks: Vec::new(),
             free_row: END,
-            free_entry: END,
+            free_block: END,
             live_rows: 0,
-            live_entries: 0,
+            live_counts: 0,
             hand: 0,
         }
     }
 
-    /// Rows and entries in use.
+    /// Contexts, and counts in all of them.
     pub(crate) fn len(&self) -> (usize, usize) {
-        (self.live_rows, self.live_entries)
+        (self.live_rows, self.live_counts)
     }
 
     /// Bytes held in memory.
     pub(crate) fn bytes(&self) -> usize {
         self.buckets.capacity() * size_of::<u32>()
             + self.rows.capacity() * size_of::<Row>()
-            + self.entries.capacity() * size_of::<Entry>()
+            + self.blocks.capacity() * size_of::<Block>()
     }
 
     fn factor(&self, touched_min: u32, now_min: u32) -> f32 {
@@ -130,6 +144,16 @@ impl Counts {
             return 1.0;
         }
         ((-f64::from(age_min) / self.limits.half_life_min) as f32).exp2()
+    }
+
+    /// The blocks from one on.
+    fn chain(&self, first: u32) -> impl Iterator<Item = Block> {
+        let mut at = first;
+        std::iter::from_fn(move || {
+            let block = *self.blocks.get(at as usize)?;
+            at = block.next;
+            Some(block)
+        })
     }
 
     fn find(&self, key: u64) -> Option<u32> {
@@ -153,6 +177,7 @@ impl Counts {
 
     /// Adds to the count of `symbol` in the context `key`. Says whether the symbol is new there.
     pub(crate) fn add(&mut self, key: u64, symbol: u16, weight: f64, now_min: u32) -> bool {
+        debug_assert_ne!(symbol, NOTHING);
         let row = match self.find(key) {
             Some(row) => row,
             None => self.insert(key, now_min),
@@ -166,63 +191,80 @@ impl Counts {
             false => (self.decay(row, factor, now_min, symbol), weight as f32),
         };
         self.rows[row as usize].total += weight;
-        if let Some(known) = known {
-            self.entries[known as usize].count += weight;
-            return false;
-        }
-        let entry = self.new_entry(row);
-        let first = self.rows[row as usize].first;
-        self.entries[entry as usize] = Entry { next: first, count: weight, symbol };
-        self.rows[row as usize].first = entry;
+        let (at, place) = match known {
+            Ok((at, place)) => {
+                self.blocks[at as usize].counts[place] += weight;
+                return false;
+            }
+            Err(Some(free)) => free,
+            Err(None) => (self.new_block(row), 0),
+        };
+        let block = &mut self.blocks[at as usize];
+        (block.symbols[place], block.counts[place]) = (symbol, weight);
+        self.live_counts += 1;
         true
     }
 
-    /// The entry of a symbol, which is the row's first then: what comes often is found soon.
-    fn bring_forward(&mut self, row: u32, symbol: u16) -> Option<u32> {
+    /// The place of a symbol, which is the row's first then: what comes often is found soon. If it has none, a free one of the row's.
+    fn bring_forward(&mut self, row: u32, symbol: u16) -> Result<Place, Option<Place>> {
         let first = self.rows[row as usize].first;
-        let (mut at, mut before) = (first, END);
+        let (mut at, mut free) = (first, None);
         while at != END {
-            let Entry { next, symbol: own, .. } = self.entries[at as usize];
-            if own == symbol {
-                if before != END {
-                    self.entries[before as usize].next = next;
-                    self.entries[at as usize].next = first;
-                    self.rows[row as usize].first = at;
+            let Block { next, symbols, counts } = self.blocks[at as usize];
+            if let Some(place) = symbols.iter().position(|own| *own == symbol) {
+                let front = &mut self.blocks[first as usize];
+                let behind = (
+                    std::mem::replace(&mut front.symbols[0], symbol),
+                    std::mem::replace(&mut front.counts[0], counts[place]),
+                );
+                let block = &mut self.blocks[at as usize];
+                if (at, place) != (first, 0) {
+                    (block.symbols[place], block.counts[place]) = behind;
                 }
-                return Some(at);
+                return Ok((first, 0));
             }
-            (before, at) = (at, next);
+            free = free.or_else(|| symbols.iter().position(|own| *own == NOTHING).map(|place| (at, place)));
+            at = next;
         }
-        None
+        Err(free)
     }
 
-    /// Brings a row up to date, and drops what is forgotten; gives the entry of a symbol.
-    fn decay(&mut self, row: u32, factor: f32, now_min: u32, symbol: u16) -> Option<u32> {
-        let Row { touched_min, first, .. } = self.rows[row as usize];
+    /// Brings a row up to date, and drops what is forgotten; gives the place of a symbol, or a free one of the row's.
+    fn decay(&mut self, row: u32, factor: f32, now_min: u32, symbol: u16) -> Result<Place, Option<Place>> {
+        let touched_min = self.rows[row as usize].touched_min;
         self.rows[row as usize].touched_min = touched_min.max(now_min);
-        let mut known = None;
-        let (mut at, mut before, mut total) = (first, END, 0.0);
+        self.keep(row, |_, count| {
+            *count *= factor;
+            *count >= FORGOTTEN
+        });
+        self.rows[row as usize].total =
+            self.chain(self.rows[row as usize].first).flat_map(Block::iter).map(|(_, count)| count).sum();
+        self.bring_forward(row, symbol)
+    }
+
+    /// Drops the counts of a row that are not wanted, and blocks of which nothing is left.
+    fn keep(&mut self, row: u32, mut wanted: impl FnMut(u16, &mut f32) -> bool) {
+        let (mut at, mut before) = (self.rows[row as usize].first, END);
         while at != END {
-            let entry = &mut self.entries[at as usize];
-            entry.count *= factor;
-            let Entry { next, count, symbol: own } = *entry;
-            if count < FORGOTTEN {
+            let block = &mut self.blocks[at as usize];
+            for (symbol, count) in block.symbols.iter_mut().zip(&mut block.counts) {
+                if *symbol != NOTHING && !wanted(*symbol, count) {
+                    (*symbol, *count) = (NOTHING, 0.0);
+                    self.live_counts -= 1;
+                }
+            }
+            let Block { next, symbols, .. } = *block;
+            if symbols == EMPTY.symbols {
                 match before {
                     END => self.rows[row as usize].first = next,
-                    before => self.entries[before as usize].next = next,
+                    before => self.blocks[before as usize].next = next,
                 }
-                self.give_back_entry(at);
+                self.give_back_block(at);
             } else {
-                if own == symbol {
-                    known = Some(at);
-                }
-                total += count;
                 before = at;
             }
             at = next;
         }
-        self.rows[row as usize].total = total;
-        known
     }
 
     fn insert(&mut self, key: u64, now_min: u32) -> u32 {
@@ -267,39 +309,43 @@ impl Counts {
         self.buckets = wider;
     }
 
-    fn new_entry(&mut self, keep: u32) -> u32 {
-        while self.free_entry == END && self.entries.len() >= self.limits.entries {
-            if !self.evict(Some(keep), self.rows[keep as usize].touched_min) {
-                // Only the row itself is left: its own oldest entries give way.
-                self.shorten(keep);
+    /// A further block of a row, its first then.
+    fn new_block(&mut self, row: u32) -> u32 {
+        while self.free_block == END && self.blocks.len() >= self.limits.blocks {
+            if !self.evict(Some(row), self.rows[row as usize].touched_min) {
+                // Only the row itself is left: a block of its own gives way.
+                self.shorten(row);
             }
         }
-        self.live_entries += 1;
-        match self.free_entry {
+        let block = Block { next: self.rows[row as usize].first, ..EMPTY };
+        let at = match self.free_block {
             END => {
-                reserve(&mut self.entries, self.limits.entries);
-                self.entries.push(Entry { next: END, count: 0.0, symbol: 0 });
-                self.entries.len() as u32 - 1
+                reserve(&mut self.blocks, self.limits.blocks);
+                self.blocks.push(block);
+                self.blocks.len() as u32 - 1
             }
             free => {
-                self.free_entry = self.entries[free as usize].next;
+                self.free_block = std::mem::replace(&mut self.blocks[free as usize], block).next;
                 free
             }
-        }
+        };
+        self.rows[row as usize].first = at;
+        at
     }
 
-    fn give_back_entry(&mut self, at: u32) {
-        self.entries[at as usize].next = std::mem::replace(&mut self.free_entry, at);
-        self.live_entries -= 1;
+    fn give_back_block(&mut self, at: u32) {
+        let block = &mut self.blocks[at as usize];
+        self.live_counts -= block.len();
+        *block = Block { next: std::mem::replace(&mut self.free_block, at), ..EMPTY };
     }
 
     fn shorten(&mut self, row: u32) {
         let first = self.rows[row as usize].first;
-        if first != END {
-            let Entry { next, count, .. } = self.entries[first as usize];
+        if let Some(block) = self.blocks.get(first as usize) {
+            let (next, gone) = (block.next, block.iter().map(|(_, count)| count).sum::<f32>());
             self.rows[row as usize].first = next;
-            self.rows[row as usize].total -= count;
-            self.give_back_entry(first);
+            self.rows[row as usize].total -= gone;
+            self.give_back_block(first);
         }
     }
 
@@ -341,11 +387,11 @@ impl Counts {
                 before = row.next;
             }
         }
-        let mut entry = first;
-        while entry != END {
-            let next = self.entries[entry as usize].next;
-            self.give_back_entry(entry);
-            entry = next;
+        let mut block = first;
+        while block != END {
+            let next = self.blocks[block as usize].next;
+            self.give_back_block(block);
+            block = next;
         }
         let row = &mut self.rows[at as usize];
         // The hand passes over it.
@@ -361,14 +407,14 @@ impl Counts {
         }
     }
 
-    /// Drops every row for which `wanted` is false, and every entry for which `symbol_wanted` is.
+    /// Drops every row for which `wanted` is false, and every count for which `symbol_wanted` is.
     pub(crate) fn retain(
         &mut self,
         mut wanted: impl FnMut(u64) -> bool,
         mut symbol_wanted: impl FnMut(u64, u16) -> bool,
     ) {
         for at in 0..self.rows.len() as u32 {
-            let Row { key, first, .. } = self.rows[at as usize];
+            let key = self.rows[at as usize].key;
             if self.find(key) != Some(at) {
                 continue;
             }
@@ -376,21 +422,13 @@ impl Counts {
                 self.remove(at);
                 continue;
             }
-            let (mut entry, mut before) = (first, END);
-            while entry != END {
-                let Entry { next, count, symbol } = self.entries[entry as usize];
-                if symbol_wanted(key, symbol) {
-                    before = entry;
-                } else {
-                    match before {
-                        END => self.rows[at as usize].first = next,
-                        before => self.entries[before as usize].next = next,
-                    }
-                    self.rows[at as usize].total -= count;
-                    self.give_back_entry(entry);
-                }
-                entry = next;
-            }
+            let mut gone = 0.0;
+            self.keep(at, |symbol, count| {
+                let wanted = symbol_wanted(key, symbol);
+                gone += if wanted { 0.0 } else { *count };
+                wanted
+            });
+            self.rows[at as usize].total -= gone;
         }
     }
 
@@ -401,13 +439,7 @@ impl Counts {
             std::iter::from_fn(move || {
                 let row = self.rows.get(at as usize)?;
                 at = row.next;
-                let mut entry = row.first;
-                let symbols = std::iter::from_fn(|| {
-                    let Entry { next, count, symbol } = *self.entries.get(entry as usize)?;
-                    entry = next;
-                    Some((symbol, count))
-                });
-                Some((row.key, row.touched_min, symbols.collect()))
+                Some((row.key, row.touched_min, self.chain(row.first).flat_map(Block::iter).collect()))
             })
         });
         let mut rows: Vec<StoredRow> = live.collect();
@@ -436,8 +468,8 @@ mod tests {
 
     const DAY_MIN: u32 = 1440;
 
-    fn counts(rows: usize, entries: usize, half_life_min: f64) -> Counts {
-        Counts::new(Limits { rows, entries, half_life_min })
+    fn counts(rows: usize, blocks: usize, half_life_min: f64) -> Counts {
+        Counts::new(Limits { rows, blocks, half_life_min })
     }
 
     #[test]
@@ -508,13 +540,12 @@ mod tests {
         #[test]
         fn limits_hold_and_totals_are_sums(
             adds in prop::collection::vec((0..500u64, 0..30u16, 0..200_000u32), 0..400),
-            rows in 1..20usize, entries in 1..30usize,
+            rows in 1..20usize, blocks in 1..30usize,
         ) {
-            let mut counts = counts(rows, entries, 10_000.0);
+            let mut counts = counts(rows, blocks, 10_000.0);
             for (key, symbol, minute) in adds {
                 counts.add(key, symbol, 1.0, minute);
-                let (live_rows, live_entries) = counts.len();
-                prop_assert!(live_rows <= rows && live_entries <= entries);
+                prop_assert!(counts.len().0 <= rows && counts.blocks.len() <= blocks);
                 // What is older than its row is worth less there.
                 let older_min = counts.rows[counts.find(key).unwrap() as usize].touched_min.saturating_sub(minute);
                 let worth = 0.9 * (-f64::from(older_min) / 10_000.0).exp2();

@@ -69,8 +69,8 @@ pub struct HabitsOptions {
     pub activity_gap_s: f64,
     /// Contexts that are kept, at most: 24 bytes each, and 4 for finding them.
     pub contexts_max: usize,
-    /// Counts that are kept, at most: 12 bytes each.
-    pub counts_max: usize,
+    /// Blocks of up to four counts that are kept, at most: 28 bytes each.
+    pub blocks_max: usize,
     /// Names of things that are kept, at most.
     pub names_max: usize,
     /// What room sets promise.
@@ -85,7 +85,7 @@ impl Default for HabitsOptions {
             half_life_days: 60.0,
             activity_gap_s: 1_800.0,
             contexts_max: 1 << 16,
-            counts_max: 3 << 15,
+            blocks_max: 3 << 14,
             names_max: 2_048,
             sets: SetOptions::default(),
         }
@@ -261,7 +261,7 @@ impl Habits {
         Self {
             objects: Words::new(options.names_max),
             places,
-            counts: Counts::new(Limits { rows: options.contexts_max, entries: options.counts_max, half_life_min }),
+            counts: Counts::new(Limits { rows: options.contexts_max, blocks: options.blocks_max, half_life_min }),
             frame: Frame::new(Vec::new(), Vec::new(), Vec::new()),
             persons: Vec::new(),
             options,

@@ -68,12 +68,10 @@ impl Reliance {
     ) -> (Option<(usize, f64)>, f64) {
         let Some(seen) = seen else { return (None, 0.0) };
         let (mut total, mut kinds) = (0.0, 0);
-        for (symbol, count) in seen.symbols() {
-            if index(symbol).is_some() {
-                total += count;
-                kinds += 1;
-            }
-        }
+        seen.symbols().filter(|(symbol, _)| index(*symbol).is_some()).for_each(|(_, count)| {
+            total += count;
+            kinds += 1;
+        });
         if total <= 0.0 {
             return (None, 0.0);
         }
@@ -81,11 +79,11 @@ impl Reliance {
         let left = self.cells[cell][0];
         p.iter_mut().for_each(|p| *p *= left);
         let scale = (1.0 - left) / total;
-        for (symbol, count) in seen.symbols() {
+        seen.symbols().for_each(|(symbol, count)| {
             if let Some(p) = index(symbol).and_then(|index| p.get_mut(index)) {
                 *p += count * scale;
             }
-        }
+        });
         (Some((cell, left)), total)
     }
 
@@ -120,7 +118,7 @@ mod tests {
     #[test]
     fn a_home_of_routines_is_relied_on_and_one_without_is_not() {
         let mut reliance = Reliance::new();
-        let mut counts = Counts::new(Limits { rows: 4, entries: 64, half_life_min: 0.0 });
+        let mut counts = Counts::new(Limits { rows: 4, blocks: 64, half_life_min: 0.0 });
         counts.add(1, 3, 1.0, 0);
         let index = |symbol: u16| Some(usize::from(symbol));
         let forecast = |reliance: &Reliance| {
@@ -149,7 +147,7 @@ mod tests {
             adds in prop::collection::vec((0..12u16, 0.1..3.0f64), 0..40),
             learned in prop::collection::vec((0..CELLS, 0.0..=1.0f64), 0..300), order in 0..ORDERS,
         ) {
-            let mut counts = Counts::new(Limits { rows: 4, entries: 64, half_life_min: 0.0 });
+            let mut counts = Counts::new(Limits { rows: 4, blocks: 64, half_life_min: 0.0 });
             for (symbol, weight) in adds {
                 counts.add(1, symbol, weight, 0);
             }

@@ -19,23 +19,21 @@ pub(crate) fn smooth(
 ) -> (f64, f64) {
     let Some(seen) = seen else { return (1.0, 0.0) };
     let (mut total, mut freed) = (0.0, 0.0);
-    for (symbol, count) in seen.symbols() {
-        if index(symbol).is_some() {
-            total += count;
-            freed += count.min(discount);
-        }
-    }
+    seen.symbols().filter(|(symbol, _)| index(*symbol).is_some()).for_each(|(_, count)| {
+        total += count;
+        freed += count.min(discount);
+    });
     if total <= 0.0 {
         return (1.0, 0.0);
     }
     let scale = 1.0 / (total + concentration);
     let kept = (concentration + freed) * scale;
     p.iter_mut().for_each(|p| *p *= kept);
-    for (symbol, count) in seen.symbols() {
+    seen.symbols().for_each(|(symbol, count)| {
         if let Some(p) = index(symbol).and_then(|index| p.get_mut(index)) {
             *p += (count - count.min(discount)) * scale;
         }
-    }
+    });
     (kept, total)
 }
 
@@ -51,7 +49,7 @@ mod tests {
             adds in prop::collection::vec((0..12u16, 0.1..3.0f64), 0..40),
             discount in 0.0..1.0f64, concentration in 0.01..10.0f64,
         ) {
-            let mut counts = Counts::new(Limits { rows: 4, entries: 64, half_life_min: 0.0 });
+            let mut counts = Counts::new(Limits { rows: 4, blocks: 64, half_life_min: 0.0 });
             for (symbol, weight) in adds {
                 counts.add(1, symbol, weight, 0);
             }

@@ -463,7 +463,7 @@ proptest! {
     fn forecasts_are_probabilities_whatever_is_told(
         told in prop::collection::vec((0..3u32, prop::option::of(0..7usize), prop::option::of(0..5usize), -1e5..1e7f64), 0..60),
     ) {
-        let mut habits = home(HabitsOptions { names_max: 3, contexts_max: 40, counts_max: 50, ..HabitsOptions::default() });
+        let mut habits = home(HabitsOptions { names_max: 3, contexts_max: 40, blocks_max: 50, ..HabitsOptions::default() });
         let mut p = Vec::new();
         for (person, label, room, at_s) in told {
             habits.observe(&Turn { person, label, room, at_s });
