@@ -44,8 +44,9 @@ pub(crate) const PRIOR: [[f64; EXPERTS]; GATES] = [
     [0.10, 0.11, 0.03, 0.03, 0.03, 0.70],
     [0.20, 0.05, 0.03, 0.03, 0.03, 0.66],
 ];
-/// The model's weight before anything was seen: a first day of few things is no worse than the model alone.
-pub(crate) const FIRST: f64 = 0.95;
+/// The model's weight before anything was seen, by how well the last objects are known: a first day of few things is no worse than the
+/// model alone, and a second day like the first need not wait until the weights have learned what its counts say.
+pub(crate) const FIRST: [f64; GATES] = [0.95, 0.9, 0.5, 0.2, 0.95];
 /// The powers that the product of forecasts begins with: of model, habit, hour and recency.
 const POWERS: [f64; FACTORS] = [0.65, 0.3, 0.1, 0.05];
 pub(crate) const FACTORS: usize = 4;
@@ -170,7 +171,7 @@ impl Objects {
             last: [NONE; LAST],
             times: 0,
             recent: Vec::with_capacity(RECENT_MAX),
-            mixtures: PRIOR.map(|prior| FixedShare::beginning_with(FIRST, prior)),
+            mixtures: std::array::from_fn(|gate| FixedShare::beginning_with(FIRST[gate], PRIOR[gate])),
             together: std::array::from_fn(|_| Together::steady(POWERS)),
             again: FixedShare::new(AGAIN_PRIOR),
             base: FixedShare::new(BASE),

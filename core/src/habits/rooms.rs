@@ -28,8 +28,8 @@ use super::whose::Whose;
 pub(crate) const EXPERTS: usize = 10;
 pub(crate) const GATES: usize = 2;
 pub(crate) const PRIOR: [f64; EXPERTS] = [0.1, 0.04, 0.04, 0.04, 0.04, 0.04, 0.04, 0.03, 0.03, 0.6];
-/// The model's weight before anything was seen, of staying and leaving and of where to.
-pub(crate) const FIRST: [f64; 2] = [0.4, 0.8];
+/// The model's weight before anything was seen, of staying and leaving and of where to; the second of each where habit knows what came last.
+pub(crate) const FIRST: [[f64; GATES]; 2] = [[0.4, 0.4], [0.8, 0.65]];
 /// The powers that the products begin with: of staying and leaving those of habit, short, objects, hour, before, pace, dwell and staying; of
 /// where to those of model, habit, short, objects, hour, before, pace and dwell.
 pub(crate) const FACTORS: usize = 8;
@@ -133,8 +133,8 @@ pub(crate) struct Rooms {
 impl Rooms {
     pub(crate) fn new() -> Self {
         Self {
-            staying: [FixedShare::beginning_with(FIRST[0], PRIOR); GATES],
-            destination: [FixedShare::beginning_with(FIRST[1], PRIOR); GATES],
+            staying: FIRST[0].map(|first| FixedShare::beginning_with(first, PRIOR)),
+            destination: FIRST[1].map(|first| FixedShare::beginning_with(first, PRIOR)),
             base: FixedShare::new(BASE),
             staying_together: std::array::from_fn(|_| Together::new(STAYING_POWERS)),
             destination_together: std::array::from_fn(|_| Together::new(DESTINATION_POWERS)),

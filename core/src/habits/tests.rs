@@ -429,7 +429,7 @@ proptest! {
             at_s += 60.0;
             let steps = ((at_s - MONDAY_S) / 60.0) as usize;
             // Of which other one each gate begins by itself; of the same one again there is one mixture.
-            let others: f64 = objects::GATES as f64 * mixture::bound_nats(objects::FIRST, objects::SHARE, 1);
+            let others: f64 = objects::FIRST.iter().map(|first| mixture::bound_nats(*first, objects::SHARE, 1)).sum();
             let again = mixture::bound_nats(objects::AGAIN_PRIOR[0], objects::SHARE, 1);
             let bound = others + again + 2.0 * steps as f64 * -(1.0 - objects::SHARE).ln();
             prop_assert!(mixture <= model + bound + 1e-4 * steps as f64, "{mixture} {model} {bound}");
@@ -453,8 +453,8 @@ proptest! {
             model -= p[ROOM_OF[label]].ln();
             habits.observe(&turn(0, label, at_s));
             at_s += 60.0;
-            let begun = rooms::FIRST.iter().map(|first| mixture::bound_nats(*first, rooms::SHARE, 1)).sum::<f64>();
-            let bound = rooms::GATES as f64 * begun + 2.0 * (step + 1) as f64 * -(1.0 - rooms::SHARE).ln();
+            let begun = rooms::FIRST.as_flattened().iter().map(|first| mixture::bound_nats(*first, rooms::SHARE, 1)).sum::<f64>();
+            let bound = begun + 2.0 * (step + 1) as f64 * -(1.0 - rooms::SHARE).ln();
             prop_assert!(mixture <= model + bound + 1e-3 * (step + 1) as f64, "{mixture} {model} {bound}");
         }
     }
