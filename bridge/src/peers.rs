@@ -165,11 +165,7 @@ fn message(robot: &str, decision: &Decision, decided_ns: u64) -> Result<Decision
         decided_ns,
         decided_unix_ns: clock::unix_ns(),
         stay_ns: decision.stay_ns,
-        action: match decision.action.as_str() {
-            "go" => action::GO,
-            "pause" => action::PAUSE,
-            _ => action::STAY,
-        },
+        action: action::of_word(&decision.action),
         minor: 1,
         to: text::encode("to", &decision.to).map_err(|error| Fault(error.to_string()))?,
         reason: text::encode_cut(&decision.reason),
