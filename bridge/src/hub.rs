@@ -19,7 +19,7 @@ use crate::delay::clock_id;
 use crate::delivery::Delivery;
 use crate::keys::Keys;
 use crate::limiter::Limiter;
-use crate::line::{LINE_BYTES_MAX, line};
+use crate::line::{LINE_BYTES_MAX, line_of};
 use crate::link::{Declare, Link, LinkError};
 use crate::robot::notify;
 use crate::spool::{Dated, Place, Spool, SpoolError};
@@ -247,10 +247,9 @@ impl Hub {
                 }
             };
             for (bytes, at) in first.into_iter().chain(lines.try_iter().take(LINES_MAX)) {
-                match self.read(&bytes, at) {
-                    Ok(dated) => self.unsaved.push(dated),
-                    Err(None) => {}
-                    Err(Some(fault)) => {
+                match Self::read(&bytes, at) {
+                    Ok(dated) => self.unsaved.extend(dated),
+                    Err(fault) => {
                         self.refused += 1;
                         if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
                             tracing::warn!(narrator = self.name, %fault, held_back, "a line is no narration");
@@ -274,16 +273,10 @@ impl Hub {
         Ok(ended)
     }
 
-    fn read(&self, bytes: &[u8], at: Place) -> Result<Dated, Option<Fault>> {
-        if bytes.len() as u64 > LINE_BYTES_MAX {
-            return Err(Some(Fault(format!("a line has at most {LINE_BYTES_MAX} bytes"))));
-        }
-        let text = std::str::from_utf8(bytes).map_err(|_| Some(Fault("a line is UTF-8".to_owned())))?;
-        if text.trim().is_empty() {
-            return Err(None);
-        }
-        let (observation, age_ns) = line(text, clock::unix_ns()).map_err(Some)?;
-        Ok(Dated::new(observation, age_ns, at))
+    fn read(bytes: &[u8], at: Place) -> Result<Option<Dated>, Fault> {
+        let is_first = at.at == bytes.len() as u64;
+        let read = line_of(bytes, is_first, clock::unix_ns())?;
+        Ok(read.map(|(observation, age_ns)| Dated::new(observation, age_ns, at)))
     }
 
     /// Takes what robots say of how far they are.
@@ -492,5 +485,13 @@ mod tests {
             assert_eq!(begins(Some(other)), Place { file, at: 0 });
         }
         assert_eq!(begins(None), Place { file, at: 8 });
+    }
+
+    #[test]
+    fn a_mark_before_the_first_line_is_no_part_of_it() {
+        let text = "\u{feff}They sit.\n".as_bytes();
+        let at = text.len() as u64;
+        assert!(Hub::read(text, Place { file: 1, at }).unwrap().is_some());
+        Hub::read(text, Place { file: 1, at: at + 5 }).unwrap_err();
     }
 }

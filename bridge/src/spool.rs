@@ -17,7 +17,7 @@ use rustix::fs::{FlockOperation, OFlags, flock};
 use serde::{Deserialize, Serialize};
 
 use crate::delay::clock_id;
-use crate::wire::{Hex, Kind, Observation};
+use crate::wire::{Hex, Kind, Observation, Who};
 
 /// The file's name in its folder.
 const FILE: &str = "narration";
@@ -234,7 +234,7 @@ impl Spool {
             return Ok(None);
         }
         if count > 0 {
-            let nothing = Observation { text: String::new(), kind: Kind::Sentence, person: None };
+            let nothing = Observation { text: String::new(), kind: Kind::Sentence, person: Who::Somebody };
             let nothing = Dated::new(nothing, 0, self.input().unwrap_or_default());
             self.append((0..count).map(|_| nothing.clone()).collect())?;
             self.taken += count;
@@ -433,7 +433,7 @@ mod tests {
     use super::*;
 
     fn observation(text: &str) -> Observation {
-        Observation { text: text.to_owned(), kind: Kind::Sentence, person: None }
+        Observation { text: text.to_owned(), kind: Kind::Sentence, person: Who::Somebody }
     }
 
     fn append(spool: &mut Spool, count: u64) {

@@ -12,7 +12,7 @@ use roomcast_bridge::line::line;
 use roomcast_bridge::relay::{Offered, Relay};
 use roomcast_bridge::spool::{Dated, Place, Spool};
 use roomcast_bridge::told::Teller;
-use roomcast_bridge::wire::{Arrived, BYTES_MAX, Confirmed, Hex, Kind, Narrated, Observation, Person, read};
+use roomcast_bridge::wire::{Arrived, BYTES_MAX, Confirmed, Hex, Kind, Narrated, Observation, Who, read};
 use roomcast_ipc::{Message, NAME_BYTES};
 use roomcast_ros2::types::{Text, decode_string, encode};
 
@@ -53,7 +53,7 @@ fn observation(kind: u8) -> Observation {
         2 => (Kind::Device, "the oven is on"),
         _ => (Kind::Presence, "present in the kitchen"),
     };
-    Observation { text: text.to_owned(), kind, person: Some(Person::Name("Ada".to_owned())) }
+    Observation { text: text.to_owned(), kind, person: Who::Name("Ada".to_owned()) }
 }
 
 proptest! {

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use roomcast_bridge::spool::{Dated, Place, Spool};
-use roomcast_bridge::wire::{Kind, Observation};
+use roomcast_bridge::wire::{Kind, Observation, Who};
 use rustix::process::Signal;
 
 mod support;
@@ -15,7 +15,7 @@ use support::{Process, bridge, eventually, free_port};
 /// A hub that has one narration to send, and nobody to send it to.
 fn hub(folder: &Path, input: &Path) -> Process {
     let spool = folder.join("spool");
-    let observation = Observation { text: "They sit.".to_owned(), kind: Kind::Sentence, person: None };
+    let observation = Observation { text: "They sit.".to_owned(), kind: Kind::Sentence, person: Who::Somebody };
     Spool::open(&spool, 10).unwrap().append(vec![Dated::new(observation, 0, Place::default())]).unwrap();
     let port = free_port();
     let config = format!(
