@@ -1,6 +1,7 @@
 //! Names for the bits of messages, as people and programs read them.
 
-use roomcast_ipc::{action, decision_flags, forecast_flags, score_flags};
+pub use roomcast_ipc::action::word as action_word;
+use roomcast_ipc::{decision_flags, forecast_flags, score_flags};
 
 /// The names of the bits that are set, of those that a message has.
 fn set(flags: u32, names: &[(u32, &'static str)]) -> Vec<&'static str> {
@@ -58,16 +59,6 @@ pub fn decision_flag_names(flags: u32) -> Vec<&'static str> {
             (decision_flags::ROBOT_SILENT, "robot-silent"),
         ],
     )
-}
-
-/// The name of an action of a decision.
-#[must_use]
-pub fn action_word(action: u32) -> &'static str {
-    match action {
-        action::GO => "go",
-        action::PAUSE => "pause",
-        _ => "stay",
-    }
 }
 
 #[cfg(test)]

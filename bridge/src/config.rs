@@ -250,6 +250,8 @@ pub struct Ros2 {
     pub level: PartitionLevel,
     /// A Nav2 map's YAML file.
     pub map: Option<PathBuf>,
+    /// The height of the floor that it is of, where the scene has several storeys.
+    pub floor_m: Option<f64>,
     /// A mask has the likeliest moment within so long.
     pub horizon_s: f64,
     /// A mask is sent at most so often.
@@ -267,6 +269,7 @@ impl Default for Ros2 {
             scene: None,
             level: PartitionLevel::Room,
             map: None,
+            floor_m: None,
             horizon_s: 300.0,
             mask_s: 5.0,
         }
@@ -307,6 +310,9 @@ impl Ros2 {
             if !(0.1..=86_400.0).contains(&seconds) {
                 return refuse(key, seconds, "0.1 to 86400");
             }
+        }
+        if let Some(floor_m) = self.floor_m.filter(|floor_m| !floor_m.is_finite()) {
+            return refuse("ros2.floor_m", floor_m, "a height in metres");
         }
         if self.map.is_some() && self.scene.is_none() {
             return refuse("ros2.map", "", "the mask needs ros2.scene, which says where rooms are");

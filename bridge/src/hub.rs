@@ -1,9 +1,9 @@
 //! A hub: lines of narration of this machine, kept on disk until every robot has confirmed them.
 
 use std::any::Any;
-use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
-use std::os::unix::fs::{FileTypeExt, MetadataExt};
+use std::fs::{self, File};
+use std::io::{self, BufRead, BufReader, Read};
+use std::os::unix::fs::{DirEntryExt, FileExt, FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread;
@@ -19,10 +19,10 @@ use crate::delay::clock_id;
 use crate::delivery::Delivery;
 use crate::keys::Keys;
 use crate::limiter::Limiter;
-use crate::line::{LINE_BYTES_MAX, line};
+use crate::line::{LINE_BYTES_MAX, line_of};
 use crate::link::{Declare, Link, LinkError};
 use crate::robot::notify;
-use crate::spool::{Dated, Place, Spool, SpoolError};
+use crate::spool::{Dated, Place, Spool, SpoolError, open_plain};
 use crate::stop::Stop;
 use crate::wire::{self, Confirmed, Fault, Hex, Narrated};
 
@@ -69,52 +69,163 @@ const UNHEARD_NS: u64 = 15_000_000_000;
 /// A line that was read, up to this place of the input.
 type Line = (Vec<u8>, Place);
 
-/// Opens a file that is followed, behind what was read of it; at its end where nobody knows how much that was. Gives where it is.
-fn follow(path: &Path, from: Option<Place>) -> io::Result<(BufReader<File>, Place)> {
-    let mut file = File::open(path)?;
-    let about = file.metadata()?;
-    let at = match from {
-        None => about.len(),
-        Some(Place { at: 0, .. }) => 0,
-        Some(from) => {
-            let mut before = [0];
-            let is_same = from.file == about.ino() && from.at <= about.len() && {
-                file.seek(SeekFrom::Start(from.at - 1))?;
-                file.read_exact(&mut before)?;
-                before == *b"\n"
-            };
-            if !is_same {
-                tracing::warn!(path = %path.display(), "the input is not the file that it was: it is read from its start");
-            }
-            if is_same { from.at } else { 0 }
-        }
-    };
-    file.seek(SeekFrom::Start(at))?;
-    Ok((BufReader::new(file), Place { file: about.ino(), at }))
+/// So many bytes before a place say whether a file is still the one that was read.
+const TAIL_BYTES: usize = 64;
+
+/// The last bytes that were read.
+#[derive(Debug, Default)]
+struct Tail(Vec<u8>);
+
+impl Tail {
+    /// Those before a place of a file.
+    fn before(file: &File, at: u64) -> io::Result<Self> {
+        let bytes = at.min(TAIL_BYTES as u64);
+        let mut tail = vec![0; bytes as usize];
+        file.read_exact_at(&mut tail, at - bytes)?;
+        Ok(Self(tail))
+    }
+
+    fn push(&mut self, bytes: &[u8]) {
+        self.0.extend_from_slice(bytes.get(bytes.len().saturating_sub(TAIL_BYTES)..).unwrap_or_default());
+        self.0.drain(..self.0.len().saturating_sub(TAIL_BYTES));
+    }
+
+    fn sum(&self) -> u32 {
+        crc32fast::hash(&self.0)
+    }
+
+    /// Whether a line ended with them, or none has begun.
+    fn is_line_end(&self) -> bool {
+        self.0.last().is_none_or(|last| *last == b'\n')
+    }
 }
 
-/// Reads lines until the input ends. A file that grows is followed from `from`; of one that became shorter or was replaced, from its start.
+/// A file that grows. Where other bytes stand before those that come next it was written over, and gives nothing more.
+struct Followed {
+    file: File,
+    at: u64,
+    tail: Tail,
+}
+
+impl Followed {
+    fn is_written_over(&self) -> bool {
+        Tail::before(&self.file, self.at).map_or(true, |tail| tail.0 != self.tail.0)
+    }
+}
+
+impl Read for Followed {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = self.file.read_at(buffer, self.at)?;
+        // Looked at after reading: so nothing can be written over it in between.
+        if read == 0 || self.is_written_over() {
+            return Ok(0);
+        }
+        self.tail.push(buffer.get(..read).unwrap_or_default());
+        self.at += read as u64;
+        Ok(read)
+    }
+}
+
+/// Whether a file was read up to this place.
+fn is_at(file: &File, place: Place) -> io::Result<bool> {
+    if file.metadata()?.ino() != place.file {
+        return Ok(false);
+    }
+    let is_same = |tail: Tail| place.before.map_or_else(|| tail.is_line_end(), |sum| sum == tail.sum());
+    match Tail::before(file, place.at) {
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(false),
+        tail => tail.map(is_same),
+    }
+}
+
+/// The file that was read up to this place, where it has another name in its folder by now, as logs are rotated.
+fn renamed(path: &Path, place: Place) -> Option<File> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let named = fs::read_dir(folder).ok()?.flatten().filter(|entry| entry.ino() == place.file);
+    let mut files = named.filter_map(|entry| open_plain(File::options().read(true), &entry.path()).ok());
+    files.find(|file| is_at(file, place).unwrap_or(false))
+}
+
+/// Opens a file that is followed, behind what was read of it; at its end where nobody knows how much that was. One that was renamed since is read
+/// first. Gives where it is.
+fn follow(path: &Path, from: Option<Place>) -> io::Result<(BufReader<Followed>, Place)> {
+    let mut file = open_plain(File::options().read(true), path)?;
+    let at = match from {
+        None => file.metadata()?.len(),
+        Some(Place { at: 0, .. }) => 0,
+        Some(from) if is_at(&file, from)? => from.at,
+        Some(from) => match renamed(path, from) {
+            Some(before) => {
+                tracing::info!(path = %path.display(), "the input was renamed: what is left of it is read first");
+                file = before;
+                from.at
+            }
+            None => {
+                tracing::warn!(path = %path.display(), "the input is not the file that it was: it is read from its start");
+                0
+            }
+        },
+    };
+    let (tail, ino) = (Tail::before(&file, at)?, file.metadata()?.ino());
+    let place = Place { file: ino, at, before: Some(tail.sum()) };
+    Ok((BufReader::new(Followed { file, at, tail }), place))
+}
+
+/// Where lines come from.
+enum Input {
+    /// A stream that ends.
+    Stream(Box<dyn BufRead>),
+    /// A file that is followed.
+    Followed(BufReader<Followed>),
+}
+
+impl Input {
+    fn reader(&mut self) -> &mut dyn BufRead {
+        match self {
+            Self::Stream(stream) => stream,
+            Self::Followed(file) => file,
+        }
+    }
+
+    /// What was read before the place where it is opened.
+    fn tail(&self) -> Tail {
+        match self {
+            Self::Stream(_) => Tail::default(),
+            Self::Followed(file) => Tail(file.get_ref().tail.0.clone()),
+        }
+    }
+
+    /// Whether a followed file is another one by now, or has other bytes before those that come next.
+    fn is_other(&self, path: &Path, place: Place) -> bool {
+        let Self::Followed(file) = self else { return false };
+        // While it is being replaced there may be none.
+        let Ok(about) = fs::metadata(path) else { return false };
+        about.ino() != place.file || file.get_ref().is_written_over()
+    }
+}
+
+/// Reads lines until the input ends. A file that grows is followed from `from`; of one that was written over or replaced, from its start.
 /// Of a line that is too long the beginning is given, and the rest passed over.
 fn read_lines(path: &Path, from: Option<Place>, lines: &SyncSender<Line>, stop: &Stop) -> io::Result<()> {
-    let standard = path.as_os_str() == "-";
-    let is_file = !standard && std::fs::metadata(path)?.is_file();
-    let fifo = !standard && std::fs::metadata(path)?.file_type().is_fifo();
-    let mut place = Place::default();
-    let mut input: Box<dyn BufRead> = if standard {
-        Box::new(BufReader::new(io::stdin()))
-    } else if is_file {
-        let (file, at) = follow(path, from)?;
-        place = at;
-        Box::new(file)
+    let (mut input, mut place) = if path.as_os_str() == "-" {
+        (Input::Stream(Box::new(BufReader::new(io::stdin()))), Place::default())
+    } else if fs::metadata(path)?.is_file() {
+        let (file, place) = follow(path, from)?;
+        (Input::Followed(file), place)
     } else {
         // With a writer of its own a FIFO does not end when the last other writer leaves.
-        Box::new(BufReader::new(File::options().read(true).write(fifo).open(path)?))
+        let fifo = fs::metadata(path)?.file_type().is_fifo();
+        let stream = BufReader::new(File::options().read(true).write(fifo).open(path)?);
+        (Input::Stream(Box::new(stream)), Place::default())
     };
-    let (mut text, mut is_rest, mut was_other) = (Vec::new(), false, false);
+    let mut tail = input.tail();
+    // At the end of a file a line may have begun, of which nobody knows the beginning.
+    let (mut text, mut is_rest, mut was_other, mut is_told) = (Vec::new(), !tail.is_line_end(), false, false);
     while !stop.requested() {
-        let left = (LINE_BYTES_MAX + 1).saturating_sub(text.len() as u64).max(1);
-        let read = input.by_ref().take(left).read_until(b'\n', &mut text)? as u64;
-        place.at += read;
+        let (had, left) = (text.len(), (LINE_BYTES_MAX + 1).saturating_sub(text.len() as u64).max(1));
+        let read = input.reader().take(left).read_until(b'\n', &mut text)? as u64;
+        tail.push(text.get(had..).unwrap_or_default());
+        place = Place { at: place.at + read, before: Some(tail.sum()), ..place };
         let is_whole = text.ends_with(b"\n");
         if is_whole || text.len() as u64 > LINE_BYTES_MAX {
             let text = std::mem::take(&mut text);
@@ -122,22 +233,26 @@ fn read_lines(path: &Path, from: Option<Place>, lines: &SyncSender<Line>, stop: 
                 return Ok(());
             }
         } else if read == 0 {
-            if !is_file {
+            if let Input::Stream(_) = input {
                 if !text.is_empty() && !is_rest {
                     let _last = lines.send((text, place));
                 }
                 return Ok(());
             }
-            // While it is being replaced there may be none.
-            let is_other =
-                std::fs::metadata(path).is_ok_and(|about| about.ino() != place.file || about.len() < place.at);
+            let is_other = input.is_other(path, place);
             // What was written to the old one until now is read first.
-            if is_other
-                && was_other
-                && let Ok((file, start)) = follow(path, Some(Place::default()))
-            {
-                tracing::warn!(path = %path.display(), "the input became shorter or is another file: it is read from its start");
-                (input, place, text, is_rest) = (Box::new(file), start, Vec::new(), false);
+            if is_other && was_other {
+                match follow(path, Some(Place::default())) {
+                    Ok((file, start)) => {
+                        tracing::warn!(path = %path.display(), "the input was written over or is another file: it is read from its start");
+                        (input, place, text, is_rest) = (Input::Followed(file), start, Vec::new(), false);
+                        (tail, is_told) = (Tail::default(), false);
+                    }
+                    Err(error) if !std::mem::replace(&mut is_told, true) => {
+                        tracing::warn!(path = %path.display(), %error, "the input cannot be followed: it is waited for");
+                    }
+                    Err(_) => {}
+                }
             }
             was_other = is_other;
             thread::sleep(Duration::from_millis(50));
@@ -247,10 +362,9 @@ impl Hub {
                 }
             };
             for (bytes, at) in first.into_iter().chain(lines.try_iter().take(LINES_MAX)) {
-                match self.read(&bytes, at) {
-                    Ok(dated) => self.unsaved.push(dated),
-                    Err(None) => {}
-                    Err(Some(fault)) => {
+                match Self::read(&bytes, at) {
+                    Ok(dated) => self.unsaved.extend(dated),
+                    Err(fault) => {
                         self.refused += 1;
                         if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
                             tracing::warn!(narrator = self.name, %fault, held_back, "a line is no narration");
@@ -274,16 +388,10 @@ impl Hub {
         Ok(ended)
     }
 
-    fn read(&self, bytes: &[u8], at: Place) -> Result<Dated, Option<Fault>> {
-        if bytes.len() as u64 > LINE_BYTES_MAX {
-            return Err(Some(Fault(format!("a line has at most {LINE_BYTES_MAX} bytes"))));
-        }
-        let text = std::str::from_utf8(bytes).map_err(|_| Some(Fault("a line is UTF-8".to_owned())))?;
-        if text.trim().is_empty() {
-            return Err(None);
-        }
-        let (observation, age_ns) = line(text, clock::unix_ns()).map_err(Some)?;
-        Ok(Dated::new(observation, age_ns, at))
+    fn read(bytes: &[u8], at: Place) -> Result<Option<Dated>, Fault> {
+        let is_first = at.at == bytes.len() as u64;
+        let read = line_of(bytes, is_first, clock::unix_ns())?;
+        Ok(read.map(|(observation, age_ns)| Dated::new(observation, age_ns, Some(at))))
     }
 
     /// Takes what robots say of how far they are.
@@ -450,47 +558,169 @@ mod tests {
     use super::*;
     use std::io::Write;
 
+    /// A file that is followed by a thread of its own.
+    struct Reading {
+        lines: Receiver<Line>,
+        stop: Stop,
+        thread: Option<thread::JoinHandle<io::Result<()>>>,
+    }
+
+    impl Reading {
+        fn start(path: &Path, from: Option<Place>) -> Self {
+            let (to, lines) = sync_channel(16);
+            let stop = Stop::default();
+            let (path, reading) = (path.to_owned(), stop.clone());
+            let thread = Some(thread::spawn(move || read_lines(&path, from, &to, &reading)));
+            Self { lines, stop, thread }
+        }
+
+        fn heard(&self) -> Line {
+            self.lines.recv_timeout(Duration::from_secs(60)).unwrap()
+        }
+
+        fn text(&self) -> String {
+            String::from_utf8(self.heard().0).unwrap()
+        }
+    }
+
+    impl Drop for Reading {
+        fn drop(&mut self) {
+            self.stop.request();
+            self.thread.take().unwrap().join().unwrap().unwrap();
+        }
+    }
+
+    fn ino(path: &Path) -> u64 {
+        fs::metadata(path).unwrap().ino()
+    }
+
+    /// A place behind this text of a file.
+    fn behind(file: u64, text: &str) -> Place {
+        let mut tail = Tail::default();
+        tail.push(text.as_bytes());
+        Place { file, at: text.len() as u64, before: Some(tail.sum()) }
+    }
+
+    fn append(path: &Path, text: &[u8]) {
+        File::options().append(true).open(path).unwrap().write_all(text).unwrap();
+    }
+
     #[test]
     fn a_file_is_followed_from_a_place() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("lines");
-        std::fs::write(&path, "one\ntwo\nthr").unwrap();
-        let (to, lines) = sync_channel(16);
-        let stop = Stop::default();
-        let (own, reading) = (path.clone(), stop.clone());
-        let file = std::fs::metadata(&path).unwrap().ino();
-        let thread = thread::spawn(move || read_lines(&own, Some(Place { file, at: 4 }), &to, &reading));
-        let heard = || lines.recv_timeout(Duration::from_secs(60)).unwrap();
-        assert_eq!(heard(), (b"two\n".to_vec(), Place { file, at: 8 }));
-        let append = |text: &[u8]| File::options().append(true).open(&path).unwrap().write_all(text).unwrap();
-        append(b"ee\n");
-        assert_eq!(heard(), (b"three\n".to_vec(), Place { file, at: 14 }));
-        std::fs::write(&path, "new\n").unwrap();
-        assert_eq!(heard(), (b"new\n".to_vec(), Place { file, at: 4 }));
+        fs::write(&path, "one\ntwo\nthr").unwrap();
+        let file = ino(&path);
+        let reading = Reading::start(&path, Some(behind(file, "one\n")));
+        assert_eq!(reading.heard(), (b"two\n".to_vec(), behind(file, "one\ntwo\n")));
+        append(&path, b"ee\n");
+        assert_eq!(reading.heard(), (b"three\n".to_vec(), behind(file, "one\ntwo\nthree\n")));
+        fs::write(&path, "new\n").unwrap();
+        assert_eq!(reading.heard(), (b"new\n".to_vec(), behind(file, "new\n")));
         // It is replaced by a longer one.
-        std::fs::rename(&path, folder.path().join("old")).unwrap();
-        std::fs::write(&path, "another\n").unwrap();
-        let another = std::fs::metadata(&path).unwrap().ino();
-        assert_eq!(heard(), (b"another\n".to_vec(), Place { file: another, at: 8 }));
+        fs::rename(&path, folder.path().join("old")).unwrap();
+        fs::write(&path, "another\n").unwrap();
+        assert_eq!(reading.heard(), (b"another\n".to_vec(), behind(ino(&path), "another\n")));
         // The rest of a line that is too long is no line.
-        append(&[vec![b'x'; 3 * LINE_BYTES_MAX as usize], b"\nlast\n".to_vec()].concat());
-        assert_eq!(heard().0.len() as u64, LINE_BYTES_MAX + 1);
-        assert_eq!(heard().0, b"last\n");
-        stop.request();
-        thread.join().unwrap().unwrap();
+        append(&path, &[vec![b'x'; 3 * LINE_BYTES_MAX as usize], b"\nlast\n".to_vec()].concat());
+        assert_eq!(reading.heard().0.len() as u64, LINE_BYTES_MAX + 1);
+        assert_eq!(reading.text(), "last\n");
+    }
+
+    /// Half a sentence may say what nobody said.
+    #[test]
+    fn a_file_that_is_written_over_by_a_longer_one_is_read_from_its_start() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lines");
+        fs::write(&path, "Ada sits down.\nAda gets").unwrap();
+        let reading = Reading::start(&path, Some(Place::default()));
+        assert_eq!(reading.text(), "Ada sits down.\n");
+        // At once, so that it is never seen to be shorter.
+        let over = b"Ben opens the door of the big wardrobe.\nBen grabs the milk.\n";
+        File::options().write(true).open(&path).unwrap().write_all_at(over, 0).unwrap();
+        assert_eq!(reading.text(), "Ben opens the door of the big wardrobe.\n");
+        assert_eq!(reading.text(), "Ben grabs the milk.\n");
     }
 
     #[test]
     fn a_file_that_is_not_what_it_was_is_read_from_its_start() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("lines");
-        std::fs::write(&path, "one\ntwo\n").unwrap();
-        let file = std::fs::metadata(&path).unwrap().ino();
-        let begins = |from| follow(&path, from).unwrap().1;
-        assert_eq!(begins(Some(Place { file, at: 4 })), Place { file, at: 4 });
-        for other in [Place { file: file + 1, at: 4 }, Place { file, at: 5 }, Place { file, at: 9 }] {
-            assert_eq!(begins(Some(other)), Place { file, at: 0 });
+        fs::write(&path, "one\ntwo\n").unwrap();
+        let file = ino(&path);
+        let begins = |from| follow(&path, from).unwrap().1.at;
+        assert_eq!(begins(Some(behind(file, "one\n"))), 4);
+        assert_eq!(begins(Some(Place { before: None, ..behind(file, "one\n") })), 4, "a spool of before");
+        for other in [
+            behind(file + 1, "one\n"),
+            behind(file, "six\n"),
+            behind(file, "one\ntwo\nthree\n"),
+            Place { before: None, ..behind(file, "one\nt") },
+        ] {
+            assert_eq!(begins(Some(other)), 0, "{other:?}");
         }
-        assert_eq!(begins(None), Place { file, at: 8 });
+        assert_eq!(begins(None), 8);
+    }
+
+    /// Where nobody knows how much was read, a line may have begun at the end.
+    #[test]
+    fn the_rest_of_a_line_of_which_nobody_knows_the_beginning_is_no_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lines");
+        fs::write(&path, "Ada sits down.\nAda does not le").unwrap();
+        let reading = Reading::start(&path, None);
+        append(&path, b"ave.\n");
+        let first = loop {
+            append(&path, b"Ben sits down.\n");
+            if let Ok((line, _)) = reading.lines.recv_timeout(Duration::from_millis(200)) {
+                break line;
+            }
+        };
+        assert_eq!(first, b"Ben sits down.\n");
+    }
+
+    #[test]
+    fn a_tail_is_the_last_bytes() {
+        let mut tail = Tail::default();
+        assert!(tail.is_line_end(), "no line has begun");
+        for (bytes, is_line_end) in [(vec![b'x'; 200], false), (b"y".to_vec(), false), (b"\n".to_vec(), true)] {
+            tail.push(&bytes);
+            assert_eq!((tail.0.len(), tail.is_line_end()), (TAIL_BYTES, is_line_end));
+        }
+        assert!(tail.0.ends_with(b"xxy\n"));
+    }
+
+    /// It has another name when the hub is back, and lines that it had not read.
+    #[test]
+    fn a_file_that_was_renamed_is_read_to_its_end_first() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lines");
+        fs::write(&path, "one\ntwo\nthree\n").unwrap();
+        let from = behind(ino(&path), "one\n");
+        fs::rename(&path, folder.path().join("lines.1")).unwrap();
+        fs::write(&path, "four\n").unwrap();
+        let reading = Reading::start(&path, Some(from));
+        assert_eq!([(); 3].map(|()| reading.text()), ["two\n", "three\n", "four\n"]);
+    }
+
+    /// Reading a folder fails, and opening a FIFO waits for its other end.
+    #[test]
+    fn what_is_no_plain_file_is_not_followed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lines");
+        fs::create_dir(&path).unwrap();
+        let refused = || follow(&path, Some(Place::default())).err().unwrap().to_string();
+        assert!(refused().contains("no plain file"));
+        fs::remove_dir(&path).unwrap();
+        let mode = rustix::fs::Mode::from_raw_mode(0o600);
+        rustix::fs::mkfifoat(rustix::fs::CWD, &path, mode).unwrap();
+        assert!(refused().contains("no plain file"));
+    }
+
+    #[test]
+    fn a_mark_before_the_first_line_is_no_part_of_it() {
+        let text = "\u{feff}They sit.\n";
+        assert!(Hub::read(text.as_bytes(), behind(1, text)).unwrap().is_some());
+        Hub::read(text.as_bytes(), behind(1, &format!("One.\n{text}"))).unwrap_err();
     }
 }

@@ -37,7 +37,7 @@ const SILENCE_NS: u64 = 2_000_000_000;
 #[derive(Debug, Default)]
 pub struct Last {
     told: Mutex<BTreeMap<String, Told>>,
-    start: AtomicU64,
+    start: u64,
     number: AtomicU64,
     clock: u64,
 }
@@ -46,15 +46,13 @@ impl Last {
     /// Nothing told yet.
     #[must_use]
     pub fn new() -> Arc<Self> {
-        let last = Self { clock: clock_id(), ..Self::default() };
-        last.start.store(sequence::random_epoch(), Ordering::Relaxed);
-        Arc::new(last)
+        Arc::new(Self { start: sequence::random_epoch(), clock: clock_id(), ..Self::default() })
     }
 
     /// The random number of this start, which every message has.
     #[must_use]
     pub fn start(&self) -> u64 {
-        self.start.load(Ordering::Relaxed)
+        self.start
     }
 
     fn told(&self) -> MutexGuard<'_, BTreeMap<String, Told>> {

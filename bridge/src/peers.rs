@@ -28,7 +28,9 @@ pub struct Heard {
     robot: String,
     topic: String,
     bytes: Vec<u8>,
+    /// When it was received, by this machine's monotonic clock and by its wall clock.
     now_ns: u64,
+    now_unix_ns: u64,
 }
 
 /// Where a subscriber puts what it hears.
@@ -51,7 +53,8 @@ impl Ear {
         {
             let bytes = sample.payload().to_bytes().into_owned();
             let (robot, topic) = (robot.to_owned(), topic.to_owned());
-            let _dropped = self.0.try_send(Heard { robot, topic, bytes, now_ns: clock::monotonic_ns() });
+            let (now_ns, now_unix_ns) = (clock::monotonic_ns(), clock::unix_ns());
+            let _dropped = self.0.try_send(Heard { robot, topic, bytes, now_ns, now_unix_ns });
         }
     }
 }
@@ -134,7 +137,7 @@ impl Peers {
         let back = std::mem::replace(&mut peer.silent, false);
         let Some(decision) = decision else { return Ok(peer.last.filter(|_| back)) };
         let age_ns = stamp.age_ns.saturating_add(excess_ns);
-        let message = message(&heard.robot, &decision, heard.now_ns.saturating_sub(age_ns))?;
+        let message = message(heard, &decision, age_ns)?;
         let old = |last: DecisionV1| last.epoch == message.epoch && last.sequence >= message.sequence;
         if peer.last.is_some_and(old) && !back {
             return Ok(None);
@@ -157,19 +160,15 @@ impl Peers {
     }
 }
 
-fn message(robot: &str, decision: &Decision, decided_ns: u64) -> Result<DecisionV1, Fault> {
+fn message(heard: &Heard, decision: &Decision, age_ns: u64) -> Result<DecisionV1, Fault> {
     let message = DecisionV1 {
-        robot: sequence::source_of_name(robot),
+        robot: sequence::source_of_name(&heard.robot),
         epoch: decision.epoch.0,
         sequence: decision.sequence,
-        decided_ns,
-        decided_unix_ns: clock::unix_ns(),
+        decided_ns: heard.now_ns.saturating_sub(age_ns),
+        decided_unix_ns: heard.now_unix_ns.saturating_sub(age_ns),
         stay_ns: decision.stay_ns,
-        action: match decision.action.as_str() {
-            "go" => action::GO,
-            "pause" => action::PAUSE,
-            _ => action::STAY,
-        },
+        action: action::of_word(&decision.action),
         minor: 1,
         to: text::encode("to", &decision.to).map_err(|error| Fault(error.to_string()))?,
         reason: text::encode_cut(&decision.reason),
@@ -226,9 +225,10 @@ mod tests {
     use crate::told::{self, Teller};
 
     const S: u64 = 1_000_000_000;
+    const NOW_UNIX_NS: u64 = 1_700_000_000 * S;
 
     fn heard(robot: &str, topic: &str, bytes: Vec<u8>, now_ns: u64) -> Heard {
-        Heard { robot: robot.to_owned(), topic: topic.to_owned(), bytes, now_ns }
+        Heard { robot: robot.to_owned(), topic: topic.to_owned(), bytes, now_ns, now_unix_ns: NOW_UNIX_NS }
     }
 
     fn told(sequence: u64, to: &str) -> Vec<u8> {
@@ -258,6 +258,18 @@ mod tests {
         let status = told::status("robot-2", None, None).bytes(Teller { start: 1, number: 3, clock: 1 });
         let back = peers.hear(&heard("robot-2", "status", status, now_ns + 1)).unwrap().unwrap();
         assert_eq!((back.to(), back.action), ("kitchen", action::GO));
+    }
+
+    /// Who joins asks for what was told before: both clocks date it by its age.
+    #[test]
+    fn a_decision_of_before_is_dated_by_both_clocks() {
+        let decided = String::from_utf8(told(1, "hall")).unwrap();
+        let age = decided.rfind("\"age_ns\":").unwrap();
+        let decided = format!("{}\"age_ns\":{}}}", &decided[..age], 600 * S);
+        let now_ns = 10_000 * S;
+        let heard = heard("robot-2", "decision", decided.into_bytes(), now_ns);
+        let decision = Peers::new("robot-1").hear(&heard).unwrap().unwrap();
+        assert_eq!((decision.decided_ns, decision.decided_unix_ns), (now_ns - 600 * S, NOW_UNIX_NS - 600 * S));
     }
 
     #[test]

@@ -17,7 +17,7 @@ use rustix::fs::{FlockOperation, OFlags, flock};
 use serde::{Deserialize, Serialize};
 
 use crate::delay::clock_id;
-use crate::wire::{Hex, Kind, Observation};
+use crate::wire::{Hex, Kind, Observation, Who};
 
 /// The file's name in its folder.
 const FILE: &str = "narration";
@@ -52,6 +52,9 @@ pub struct Place {
     pub file: u64,
     /// So many bytes of it were read.
     pub at: u64,
+    /// A checksum of the bytes before that, which says whether it is still the same file; none in a spool of an earlier version.
+    #[serde(default)]
+    pub before: Option<u32>,
 }
 
 /// The file's first line, and what is confirmed later.
@@ -82,13 +85,13 @@ pub struct Dated {
     observation: Observation,
     observed_ns: u64,
     observed_unix_ns: u64,
-    input: Place,
+    input: Option<Place>,
 }
 
 impl Dated {
-    /// Something that was observed so long before now, whenever it is kept.
+    /// Something that was observed so long before now, whenever it is kept; with it the input was read so far, where anybody knows.
     #[must_use]
-    pub fn new(observation: Observation, age_ns: u64, input: Place) -> Self {
+    pub fn new(observation: Observation, age_ns: u64, input: Option<Place>) -> Self {
         let observed_ns = clock::monotonic_ns().saturating_sub(age_ns);
         Self { observation, observed_ns, observed_unix_ns: clock::unix_ns().saturating_sub(age_ns), input }
     }
@@ -103,8 +106,8 @@ pub struct Kept {
     clock: Hex,
     observed_ns: u64,
     observed_unix_ns: u64,
-    /// How far the input was read with it.
-    input: Place,
+    /// How far the input was read with it; none where nobody knows.
+    input: Option<Place>,
     /// What was observed.
     #[serde(flatten)]
     pub observation: Observation,
@@ -114,7 +117,10 @@ pub struct Kept {
 #[derive(Debug)]
 pub struct Spool {
     path: PathBuf,
+    folder: File,
     file: File,
+    /// Whether the file's name is on disk, too.
+    is_named: bool,
     head: Head,
     clock: Hex,
     kept: VecDeque<Kept>,
@@ -172,10 +178,27 @@ impl Spool {
                 (new(None), VecDeque::new())
             }
         };
+        let is_folder = OFlags::DIRECTORY.bits().cast_signed();
+        let opened = OpenOptions::new().read(true).custom_flags(is_folder).open(folder);
+        let folder = opened.map_err(failed("cannot open its folder"))?;
         let file = write(&path, head, &kept).map_err(failed("cannot write"))?;
         let (clock, noted) = (Hex(clock_id()), (head.first, clock::monotonic_ns()));
-        let mut spool =
-            Self { path, file, head, clock, kept, keep, gone: 0, noted, cut_at: None, taken: 0, _lock: lock };
+        let mut spool = Self {
+            path,
+            folder,
+            file,
+            is_named: false,
+            head,
+            clock,
+            kept,
+            keep,
+            gone: 0,
+            noted,
+            cut_at: None,
+            taken: 0,
+            _lock: lock,
+        };
+        spool.name()?;
         spool.trim();
         Ok(spool)
     }
@@ -201,7 +224,7 @@ impl Spool {
     /// How much of the input is in what was kept; none where nobody knows.
     #[must_use]
     pub fn input(&self) -> Option<Place> {
-        self.kept.back().map_or(self.head.input, |kept| Some(kept.input))
+        self.kept.back().map_or(self.head.input, |kept| kept.input)
     }
 
     /// A narration that is kept.
@@ -234,8 +257,8 @@ impl Spool {
             return Ok(None);
         }
         if count > 0 {
-            let nothing = Observation { text: String::new(), kind: Kind::Sentence, person: None };
-            let nothing = Dated::new(nothing, 0, self.input().unwrap_or_default());
+            let nothing = Observation { text: String::new(), kind: Kind::Sentence, person: Who::Somebody };
+            let nothing = Dated::new(nothing, 0, self.input());
             self.append((0..count).map(|_| nothing.clone()).collect())?;
             self.taken += count;
         }
@@ -256,9 +279,19 @@ impl Spool {
             lines.extend(line(&entry).map_err(|error| self.failed("cannot write", error))?);
             fresh.push(kept);
         }
+        self.name()?;
         self.write_lines(&lines, true)?;
         self.kept.extend(fresh);
         self.trim();
+        Ok(())
+    }
+
+    /// The file's name is on disk when this returns: until then a power loss brings the file back that it has replaced.
+    fn name(&mut self) -> Result<(), SpoolError> {
+        if !self.is_named {
+            self.folder.sync_all().map_err(|error| self.failed("cannot write its folder", error))?;
+            self.is_named = true;
+        }
         Ok(())
     }
 
@@ -292,8 +325,10 @@ impl Spool {
         let over = (sequence.min(self.last()) + 1).saturating_sub(self.head.first);
         self.forget(usize::try_from(over).unwrap_or(usize::MAX));
         if self.gone >= GONE_MAX && self.gone > self.kept.len() as u64 {
+            // Where it fails it is tried again when as many more are gone.
+            self.gone = 0;
             self.file = write(&self.path, self.head, &self.kept).map_err(|error| self.failed("cannot write", error))?;
-            (self.gone, self.cut_at) = (0, None);
+            (self.cut_at, self.is_named) = (None, false);
             self.noted = (self.head.first, clock::monotonic_ns());
         }
         self.note()
@@ -314,7 +349,7 @@ impl Spool {
 
     fn forget(&mut self, count: usize) {
         for kept in self.kept.drain(..count.min(self.kept.len())) {
-            (self.head.first, self.head.input) = (kept.sequence + 1, Some(kept.input));
+            (self.head.first, self.head.input) = (kept.sequence + 1, kept.input);
             self.gone += 1;
         }
     }
@@ -385,7 +420,7 @@ fn read(mut file: impl BufRead) -> io::Result<Found> {
                     found.kept.clear();
                     head.first = kept.sequence;
                 }
-                head.input = head.input.or(Some(kept.input));
+                head.input = head.input.or(kept.input);
                 found.kept.push_back(kept);
             }
             _ => {}
@@ -394,7 +429,7 @@ fn read(mut file: impl BufRead) -> io::Result<Found> {
 }
 
 /// Opens a plain file. Opening a FIFO would wait for its other end, deaf to signals.
-fn open_plain(options: &mut OpenOptions, path: &Path) -> io::Result<File> {
+pub(crate) fn open_plain(options: &mut OpenOptions, path: &Path) -> io::Result<File> {
     // A FIFO that nobody reads is refused by the system, since this does not wait for one.
     let file = options.custom_flags(OFlags::NONBLOCK.bits().cast_signed()).open(path);
     let is_other = match &file {
@@ -407,7 +442,8 @@ fn open_plain(options: &mut OpenOptions, path: &Path) -> io::Result<File> {
     file
 }
 
-/// Replaces the file at once, so that a kill leaves the old one or the new one. Gives it, opened for more.
+/// Replaces the file at once, so that a kill leaves the old one or the new one. Gives it, opened for more: what is written then is in the
+/// file of that name, whatever fails afterwards.
 fn write(path: &Path, head: Head, kept: &VecDeque<Kept>) -> io::Result<File> {
     let unfinished = path.with_extension("unfinished");
     // One that is left of an earlier write may have another mode.
@@ -415,17 +451,15 @@ fn write(path: &Path, head: Head, kept: &VecDeque<Kept>) -> io::Result<File> {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
         _ => {}
     }
-    let mut file = BufWriter::new(OpenOptions::new().create_new(true).write(true).mode(0o600).open(&unfinished)?);
+    let mut file = BufWriter::new(OpenOptions::new().create_new(true).append(true).mode(0o600).open(&unfinished)?);
     file.write_all(&line(&Entry::Head(head))?)?;
     for own in kept {
         file.write_all(&line(&Entry::Kept { epoch: head.epoch, kept: own.clone() })?)?;
     }
-    file.into_inner().map_err(io::IntoInnerError::into_error)?.sync_data()?;
+    let file = file.into_inner().map_err(io::IntoInnerError::into_error)?;
+    file.sync_data()?;
     fs::rename(&unfinished, path)?;
-    if let Some(folder) = path.parent() {
-        File::open(folder)?.sync_all()?;
-    }
-    OpenOptions::new().append(true).open(path)
+    Ok(file)
 }
 
 #[cfg(test)]
@@ -433,14 +467,14 @@ mod tests {
     use super::*;
 
     fn observation(text: &str) -> Observation {
-        Observation { text: text.to_owned(), kind: Kind::Sentence, person: None }
+        Observation { text: text.to_owned(), kind: Kind::Sentence, person: Who::Somebody }
     }
 
     fn append(spool: &mut Spool, count: u64) {
         for _ in 0..count {
             let mut input = spool.input().unwrap_or_default();
             input.at += 10;
-            spool.append(vec![Dated::new(observation("They sit."), 7, input)]).unwrap();
+            spool.append(vec![Dated::new(observation("They sit."), 7, Some(input))]).unwrap();
         }
     }
 
@@ -541,7 +575,7 @@ mod tests {
     fn what_waits_for_the_disk_is_of_when_it_was_observed() {
         let folder = tempfile::tempdir().unwrap();
         let mut spool = Spool::open(folder.path(), 100).unwrap();
-        let dated = Dated::new(observation("They sit."), 7, Place::default());
+        let dated = Dated::new(observation("They sit."), 7, None);
         std::thread::sleep(std::time::Duration::from_millis(5));
         spool.append(vec![dated]).unwrap();
         assert!(spool.age_ns(spool.get(1).unwrap()) >= 5_000_007);
@@ -567,6 +601,51 @@ mod tests {
         let last = spool.last();
         drop(spool);
         assert_eq!(Spool::open(folder.path(), 100_000).unwrap().last(), last);
+    }
+
+    /// A followed file was read from its start at the start after, and all of it said again.
+    #[test]
+    fn a_place_that_nobody_knows_stays_unknown() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join(FILE), "nonsense\n").unwrap();
+        let mut spool = Spool::open(folder.path(), 100).unwrap();
+        assert_eq!(spool.number_on(4).unwrap(), Some(3));
+        assert_eq!(spool.input(), None);
+        drop(spool);
+        let mut spool = Spool::open(folder.path(), 100).unwrap();
+        assert_eq!((spool.last(), spool.input()), (3, None));
+        spool.confirm(3).unwrap();
+        assert_eq!(spool.input(), None);
+    }
+
+    /// A spool of before has no checksum.
+    #[test]
+    fn places_of_an_earlier_version_are_read() {
+        let place: Place = serde_json::from_str(r#"{"file":3,"at":5}"#).unwrap();
+        assert_eq!(place, Place { file: 3, at: 5, before: None });
+    }
+
+    /// The spool went on in a file without a name, which a kill takes along.
+    #[test]
+    fn what_is_kept_is_in_the_file_of_the_spool_though_its_folder_fails() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut spool = Spool::open(folder.path(), 100_000).unwrap();
+        append(&mut spool, 10);
+        spool.gone = GONE_MAX;
+        // A pipe cannot be synced, as a folder on a failing disk.
+        let whole = std::mem::replace(&mut spool.folder, rustix::pipe::pipe().unwrap().0.into());
+        spool.confirm(1).unwrap();
+        spool.append(vec![Dated::new(observation("They sit."), 0, None)]).unwrap_err();
+        assert_eq!(spool.last(), 10, "what is not on disk is not kept");
+        spool.folder = whole;
+        append(&mut spool, 1);
+        let found = read(BufReader::new(File::open(folder.path().join(FILE)).unwrap())).unwrap();
+        assert_eq!((found.head.unwrap().first, found.kept.len()), (2, 10));
+        // One that cannot be written again is not tried at each turn.
+        fs::create_dir(spool.path.with_extension("unfinished")).unwrap();
+        spool.gone = GONE_MAX;
+        spool.confirm(2).unwrap_err();
+        spool.confirm(3).unwrap();
     }
 
     #[test]
@@ -598,7 +677,7 @@ mod tests {
         append(&mut spool, 130);
         assert_eq!((spool.first(), spool.last()), (31, 130));
         for _ in 0..50 {
-            let dated = || Dated::new(observation("They sit."), 0, Place::default());
+            let dated = || Dated::new(observation("They sit."), 0, None);
             spool.append((0..100).map(|_| dated()).collect()).unwrap();
             spool.confirm(spool.last()).unwrap();
         }

@@ -139,7 +139,7 @@ pub fn persons(message: &PersonForecastsV1) -> Told {
                 })
                 .collect();
             json!({
-                "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+                "person": person.person, "name": person.name(), "presence": presence::word(person.presence),
                 "flags": person.flags, "rooms": rooms, "coverage": rounded(person.set_coverage), "sets": sets,
                 "elsewhere": person.elsewhere.iter().take(horizons).copied().map(rounded).collect::<Vec<_>>(),
             })
@@ -150,15 +150,6 @@ pub fn persons(message: &PersonForecastsV1) -> Told {
         "persons": persons,
     });
     Told::new(&content, message.computed_ns)
-}
-
-fn presence_word(number: u32) -> &'static str {
-    match number {
-        presence::PRESENT => "present",
-        presence::AWAY => "away",
-        presence::GONE => "gone",
-        _ => "unknown",
-    }
 }
 
 /// A decision's content, written at once: it is waited for.
@@ -184,15 +175,10 @@ struct Decided<'a> {
 /// A decision, of a checked message.
 #[must_use]
 pub fn decision(decision: &DecisionV1) -> Told {
-    let word = match decision.action {
-        action::GO => "go",
-        action::PAUSE => "pause",
-        _ => "stay",
-    };
     let content = Decided {
         epoch: Hex(decision.epoch),
         sequence: decision.sequence,
-        action: word,
+        action: action::word(decision.action),
         from: decision.from(),
         to: decision.to(),
         policy: decision.policy(),

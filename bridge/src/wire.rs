@@ -1,8 +1,8 @@
 //! What narrators elsewhere and robots say to one another: JSON objects. A peer's bytes are believed only as far as they are checked here.
 //! Keys that this version does not know are passed over, and so is a narration with a content that it cannot read: a later one can add some.
 
-use roomcast_core::narration::{Action, DeviceState, Named, Observed, PresenceStatement, SOMEBODY, Said, Sentence};
-use roomcast_ipc::{ALL_PERSONS, Message, NarrationV1, narration_kind, sequence, text};
+pub use roomcast_core::narration::line::{Kind, Who};
+use roomcast_ipc::{Message, NarrationV1, sequence, text};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Most bytes of a peer's message; a narration's text has 1024, and each of them six at most in JSON.
@@ -27,71 +27,6 @@ impl<'de> Deserialize<'de> for Hex {
     }
 }
 
-/// What a text is ([`narration_kind`]).
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Kind {
-    /// A plain sentence.
-    #[default]
-    Sentence,
-    /// An action in VirtualHome's notation.
-    Action,
-    /// A device's state.
-    Device,
-    /// Where a person is.
-    Presence,
-}
-
-impl Kind {
-    fn number(self) -> u32 {
-        match self {
-            Self::Sentence => narration_kind::SENTENCE,
-            Self::Action => narration_kind::ACTION,
-            Self::Device => narration_kind::DEVICE,
-            Self::Presence => narration_kind::PRESENCE,
-        }
-    }
-}
-
-/// Whom it is of; without one, somebody, whom the daemon makes out.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(untagged)]
-pub enum Person {
-    /// By number.
-    Number(u32),
-    /// By name, or by a number in digits.
-    Name(String),
-}
-
-impl Person {
-    /// Digits as the number that they are: so the robot that hears them need not know that they are one.
-    #[must_use]
-    pub fn of_digits(self) -> Self {
-        match &self {
-            Self::Name(text) => match Named::parse(text) {
-                Ok(Named::Number(number)) => Self::Number(number),
-                _ => self,
-            },
-            Self::Number(_) => self,
-        }
-    }
-
-    /// Writes who it is into a message. The daemon drops a message of anybody else, and waits for its number.
-    fn put(&self, message: &mut NarrationV1) -> Result<(), Fault> {
-        match self {
-            Self::Number(SOMEBODY) => return Err(Fault(format!("person: a number is less than {SOMEBODY}"))),
-            Self::Number(number) => message.person = *number,
-            Self::Name(text) => match Named::parse(text).map_err(|why| Fault(format!("person: {why}")))? {
-                Named::Number(number) => message.person = number,
-                Named::Name(name) => {
-                    message.person_name = text::encode("person", name).map_err(|error| Fault(error.to_string()))?;
-                }
-            },
-        }
-        Ok(())
-    }
-}
-
 /// What was observed.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Observation {
@@ -100,9 +35,9 @@ pub struct Observation {
     /// What it is.
     #[serde(default, skip_serializing_if = "is_sentence")]
     pub kind: Kind,
-    /// Whom it is of.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub person: Option<Person>,
+    /// Whom it is of; where that is somebody, the daemon makes out who.
+    #[serde(default, skip_serializing_if = "Who::is_somebody")]
+    pub person: Who,
 }
 
 fn is_sentence(kind: &Kind) -> bool {
@@ -123,32 +58,10 @@ impl Observation {
     pub fn message(&self) -> Result<NarrationV1, Fault> {
         let fault = |error: &dyn std::fmt::Display| Fault(error.to_string());
         let content = self.text.trim();
-        let mut message = NarrationV1::new(self.kind.number(), content).map_err(|error| fault(&error))?;
-        message.person = ALL_PERSONS;
-        if let Some(person) = &self.person {
-            person.put(&mut message)?;
-        }
-        self.kind.read(content)?;
-        Ok(message)
-    }
-}
-
-impl Kind {
-    /// Whether the daemon can read a text as this.
-    fn read(self, content: &str) -> Result<(), Fault> {
-        let read = || -> Result<(), Box<dyn std::error::Error>> {
-            match self {
-                Self::Sentence => drop(Said::of(Sentence::new(content)?)),
-                Self::Action => drop(Observed::Action(Action::parse(content)?).sentence()?),
-                Self::Device => match DeviceState::parse(content) {
-                    Some(device) => drop(device.sentence()?),
-                    None => drop(Sentence::new(content)?),
-                },
-                Self::Presence => drop(PresenceStatement::parse(content)?),
-            }
-            Ok(())
-        };
-        read().map_err(|error| Fault(error.to_string()))
+        let message = NarrationV1::new(self.kind.number(), content).map_err(|error| fault(&error))?;
+        let person_name = text::encode("person", self.person.name()).map_err(|error| fault(&error))?;
+        self.kind.said(content).map_err(|error| fault(&error))?;
+        Ok(NarrationV1 { person: self.person.number(), person_name, ..message })
     }
 }
 
@@ -244,6 +157,8 @@ pub struct Confirmed {
 
 #[cfg(test)]
 mod tests {
+    use roomcast_ipc::{ALL_PERSONS, narration_kind};
+
     use super::*;
 
     const GOOD: &str = r#"{"epoch":"00000000000000ff","sequence":3,"first":1,"age_ns":5,"sent_ns":9,"clock":"0000000000000001","text":"They grab the mug."}"#;
@@ -310,7 +225,7 @@ mod tests {
         fn any_bytes_are_taken_without_a_panic(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..300), text in ".{0,40}") {
             let _read = read::<Narrated>(&bytes);
             for kind in [Kind::Sentence, Kind::Action, Kind::Device, Kind::Presence] {
-                let _message = Observation { text: text.clone(), kind, person: Some(Person::Name(text.clone())) }.message();
+                let _message = Observation { text: text.clone(), kind, person: Who::Name(text.clone()) }.message();
             }
         }
     }

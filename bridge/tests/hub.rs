@@ -4,8 +4,8 @@
 
 use std::path::Path;
 
-use roomcast_bridge::spool::{Dated, Place, Spool};
-use roomcast_bridge::wire::{Kind, Observation};
+use roomcast_bridge::spool::{Dated, Spool};
+use roomcast_bridge::wire::{Kind, Observation, Who};
 use rustix::process::Signal;
 
 mod support;
@@ -15,8 +15,8 @@ use support::{Process, bridge, eventually, free_port};
 /// A hub that has one narration to send, and nobody to send it to.
 fn hub(folder: &Path, input: &Path) -> Process {
     let spool = folder.join("spool");
-    let observation = Observation { text: "They sit.".to_owned(), kind: Kind::Sentence, person: None };
-    Spool::open(&spool, 10).unwrap().append(vec![Dated::new(observation, 0, Place::default())]).unwrap();
+    let observation = Observation { text: "They sit.".to_owned(), kind: Kind::Sentence, person: Who::Somebody };
+    Spool::open(&spool, 10).unwrap().append(vec![Dated::new(observation, 0, None)]).unwrap();
     let port = free_port();
     let config = format!(
         "[router]\nconnect = \"tcp/127.0.0.1:{port}\"\n[hub]\nname = \"hall-camera\"\nrobots = [\"robot-1\"]\nspool = {spool:?}\n"

@@ -1,40 +1,20 @@
 //! What a narration message says: its text, read as its kind.
 
-use roomcast_core::narration::{Action, DeviceState, Observed, ObservedError, PresenceStatement, Said, Sentence};
-use roomcast_ipc::narration_kind;
+use roomcast_core::narration::line::Kind;
+use roomcast_core::narration::{ObservedError, Said};
 
-/// The sentence that a message's text becomes, read as its kind says ([`narration_kind`]): the kind is the narrator's word, so a sentence
-/// that looks like an action stays a sentence; a device's state may be told in any words. Narrators ask this before they send, so that
-/// they send nothing that the daemon refuses.
-///
-/// # Errors
-/// The text's fault, as that kind.
-fn sentence_of(kind: u32, text: &str) -> Result<Sentence, ObservedError> {
-    if kind == narration_kind::ACTION {
-        return Ok(Observed::Action(Action::parse(text)?).sentence()?);
-    }
-    if kind == narration_kind::DEVICE
-        && let Some(device) = DeviceState::parse(text)
-    {
-        return Ok(device.sentence()?);
-    }
-    Ok(Sentence::new(text)?)
-}
-
-/// What a message's text says, read as its kind says: presence, or a sentence, which may say in plain words that its person leaves.
+/// What a message's text says, read as its kind says ([`roomcast_ipc::narration_kind`]): presence, or a sentence.
 ///
 /// # Errors
 /// The text's fault, as that kind.
 pub fn said_of(kind: u32, text: &str) -> Result<Said, ObservedError> {
-    if kind == narration_kind::PRESENCE {
-        return Ok(Said::Presence(PresenceStatement::parse(text)?));
-    }
-    Ok(Said::of(sentence_of(kind, text)?))
+    Kind::of_number(kind).unwrap_or_default().said(text)
 }
 
 #[cfg(test)]
 mod tests {
     use roomcast_core::{narration, semantic_map, text};
+    use roomcast_ipc::narration_kind;
 
     use super::*;
 
@@ -47,6 +27,21 @@ mod tests {
         assert_eq!(said(narration_kind::ACTION, "[Grab] <mug> (1)").unwrap(), "They grab the mug.");
         let error = said(narration_kind::PRESENCE, "in the kitchen").unwrap_err().to_string();
         assert!(error.contains("say `present`"), "{error}");
+    }
+
+    /// What is read has the numbers of what is sent.
+    #[test]
+    fn a_kind_is_the_messages_kind() {
+        let numbers = [
+            (Kind::Sentence, narration_kind::SENTENCE),
+            (Kind::Action, narration_kind::ACTION),
+            (Kind::Device, narration_kind::DEVICE),
+            (Kind::Presence, narration_kind::PRESENCE),
+        ];
+        for (kind, number) in numbers {
+            assert_eq!((kind.number(), Kind::of_number(number)), (number, Some(kind)));
+        }
+        assert_eq!(Kind::of_number(narration_kind::PRESENCE + 1), None);
     }
 
     /// Somebody has one number in messages and in the core, and a name one length.

@@ -19,15 +19,14 @@ use roomcast_ipc::{
 use sd_notify::NotifyState;
 
 use crate::config::{IntakeLimits, NarratorConfig};
-use crate::line::LINE_BYTES_MAX;
 pub use crate::line::{Faults, InputError, Item, LineError, Who, WhoError, line_item};
+use crate::line::{LINE_BYTES_MAX, item_by};
 use crate::logging::Limiter;
 use crate::notify::notify;
 use crate::setup;
 use crate::stop::Stop;
 use crate::token_bucket::TokenBucket;
 use roomcast_core::narration::Program;
-use roomcast_core::text::without_mark;
 
 /// Narrations that may be under way unconfirmed: what the service's history holds for a daemon that restarts.
 const UNDER_WAY: u64 = NarrationV1::SERVICE.history as u64;
@@ -35,8 +34,6 @@ const TICK: Duration = Duration::from_millis(100);
 /// So many refused lines are told at once, for whoever writes a file by hand, and then one in this time: a broker has any number of them.
 const REFUSALS_AT_ONCE: u64 = 32;
 const REFUSAL_NS: u64 = 1_000_000_000;
-/// How far a time of observation may lie ahead: clocks differ, and a number of seconds is rounded.
-const AHEAD_NS: u64 = 1_000_000_000;
 
 /// The items of a program, each with the duration that its action takes.
 #[must_use]
@@ -483,21 +480,20 @@ fn read_lines(name: &str, stream: Box<dyn Read + Send>, person: &Who, items: &Se
     let tell = |item| items.send((Some(clock::monotonic_ns()), item));
     for line in 1.. {
         bytes.clear();
-        let read = stream.by_ref().take(LINE_BYTES_MAX).read_until(b'\n', &mut bytes);
+        let read = stream.by_ref().take(LINE_BYTES_MAX + 1).read_until(b'\n', &mut bytes);
         let item = match read {
             Ok(0) => return true,
-            Ok(_) if bytes.len() as u64 == LINE_BYTES_MAX && bytes.last() != Some(&b'\n') => {
-                if let Err(source) = stream.skip_until(b'\n') {
+            Ok(_) => {
+                let is_cut = bytes.len() as u64 > LINE_BYTES_MAX && bytes.last() != Some(&b'\n');
+                if is_cut && let Err(source) = stream.skip_until(b'\n') {
                     let _gone = tell(Err(InputError::Read { name: name.to_owned(), source }));
                     return false;
                 }
-                Err(LineError::NoLine)
+                match item_by(&bytes, line == 1, person, clock::unix_ns()).transpose() {
+                    Some(item) => item,
+                    None => continue,
+                }
             }
-            Ok(_) => match std::str::from_utf8(&bytes).map(|text| if line == 1 { without_mark(text) } else { text }) {
-                Ok(text) if text.trim().is_empty() => continue,
-                Ok(text) => line_item(text, person).and_then(|item| observed_by(item, clock::unix_ns())),
-                Err(_) => Err(LineError::NoLine),
-            },
             Err(source) => {
                 let _gone = tell(Err(InputError::Read { name: name.to_owned(), source }));
                 return false;
@@ -508,19 +504,6 @@ fn read_lines(name: &str, stream: Box<dyn Read + Send>, person: &Who, items: &Se
         }
     }
     true
-}
-
-/// The item, unless it was observed later than now.
-fn observed_by(item: Item, now_unix_ns: u64) -> Result<Item, LineError> {
-    match item.observed_unix_ns {
-        Some(observed_ns) if observed_ns > now_unix_ns.saturating_add(AHEAD_NS) => {
-            let ahead_s = (observed_ns - now_unix_ns) as f64 / 1e9;
-            Err(LineError::Json {
-                reason: format!("\"observed_unix_s\" lies {ahead_s:.0} s ahead; give a time in the past"),
-            })
-        }
-        _ => Ok(item),
-    }
 }
 
 /// Makes a FIFO that only this user can write to; one that is there stays.
@@ -638,9 +621,6 @@ mod tests {
         // Before the machine's start, and a little ahead by another clock.
         assert_eq!(times(&sat(Some(1_000)), 500, 10_000), (0, 1_000));
         assert_eq!(times(&sat(Some(10_001)), 500, 10_000), (500, 10_000));
-        let error = observed_by(sat(Some(61_000_000_000)), 1_000_000_000).unwrap_err().to_string();
-        assert!(error.contains("\"observed_unix_s\" lies 60 s ahead; give a time in the past"), "{error}");
-        observed_by(sat(Some(1_500_000_000)), 1_000_000_000).unwrap();
     }
 
     /// Gives a line at a time, and counts them.

@@ -231,15 +231,6 @@ fn name_of(person: &PersonForecastV1) -> String {
     }
 }
 
-fn presence_of(person: &PersonForecastV1) -> &'static str {
-    match person.presence {
-        presence::PRESENT => "present",
-        presence::AWAY => "away",
-        presence::GONE => "gone",
-        _ => "unknown",
-    }
-}
-
 /// Where somebody is at a horizon: the likeliest room, or "away"; nothing of whom nothing is known.
 fn likely(all: &PersonForecastsV1, person: &PersonForecastV1, horizon: usize) -> Value {
     let elsewhere = person.elsewhere.get(horizon).copied().map_or(0.0, f64::from);
@@ -275,7 +266,7 @@ fn person_message(all: &PersonForecastsV1, person: &PersonForecastV1, config: &B
     let flag = |flag: u32| person.flags & flag != 0;
     let mut told = json!({
         "person": name_of(person),
-        "presence": presence_of(person),
+        "presence": presence::word(person.presence),
         "asleep": flag(person_flags::ASLEEP),
         "visitor": flag(person_flags::VISITOR),
         "at": ahead,

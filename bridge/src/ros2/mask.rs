@@ -5,6 +5,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use roomcast_core::grounding::Partition;
+use roomcast_core::semantic_map::{Storey, Storeys};
 use roomcast_ros2::types::{Header, MapMetaData, OccupancyGrid, Point, Pose, Quaternion};
 
 /// A certain person's room. Nav2's keepout filter makes 100 a lethal cost of 254; this is 249, below those that a robot's body must not
@@ -21,6 +22,37 @@ const YAML_BYTES_MAX: u64 = 64 << 10;
 pub struct MapError {
     path: PathBuf,
     problem: String,
+}
+
+/// The storey that a map is of is not known: it has one, and the scene another, or several.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("the storeys of ros2.scene: {storeys}; ros2.floor_m says in metres which of these floors ros2.map is of")]
+pub struct StoreyError {
+    storeys: String,
+}
+
+/// A floor is known by its height to so many metres.
+const FLOOR_M: f64 = 1.0;
+
+/// Which storey of a scene has its floor at this height; without one there has to be only one.
+///
+/// # Errors
+///
+/// [`StoreyError`].
+pub fn storey(storeys: &Storeys, floor_m: Option<f64>) -> Result<usize, StoreyError> {
+    let apart_m = |floor_m: f64| move |(_, storey): &(usize, &Storey)| (storey.floor_m - floor_m).abs();
+    let all = storeys.all();
+    let storey = match floor_m {
+        None if all.len() < 2 => Some(0),
+        None => None,
+        Some(floor_m) => {
+            let apart_m = apart_m(floor_m);
+            let nearest = (0..).zip(all).min_by(|a, b| apart_m(a).total_cmp(&apart_m(b)));
+            nearest.filter(|nearest| apart_m(nearest) <= FLOOR_M).map(|(storey, _)| storey)
+        }
+    };
+    let names = || all.iter().map(Storey::name).collect::<Vec<_>>().join(", ");
+    storey.ok_or_else(|| StoreyError { storeys: names() })
 }
 
 /// Where and how large a Nav2 map is.
@@ -102,15 +134,15 @@ pub struct Mask {
 }
 
 impl Mask {
-    /// Assigns the cells by their middles. Scene and map have one frame, and the floor is at `floor_m`.
+    /// Assigns the cells by their middles to the rooms of a storey. Scene and map have one frame.
     #[must_use]
-    pub fn new(grid: Grid, rooms: &[Partition]) -> Self {
+    pub fn new(grid: Grid, rooms: &[Partition], storeys: &Storeys, storey: usize) -> Self {
         let cells = (0..grid.height).flat_map(|row| (0..grid.width).map(move |column| (column, row)));
         let of = |(column, row)| {
             let [x, y] = grid.centre_m(column, row);
             let within = |room: &Partition| {
-                let spaces = room.spaces.iter();
-                spaces.into_iter().any(|space| space.contains(&[x, y, space.centre_m()[2]]))
+                let mut spaces = room.spaces.iter().filter(|space| storeys.of_space(space) == storey);
+                spaces.any(|space| space.contains(&[x, y, space.centre_m()[2]]))
             };
             rooms.iter().position(within).and_then(|room| u16::try_from(room).ok())
         };
@@ -148,9 +180,42 @@ mod tests {
 
     use super::*;
 
-    fn rooms() -> Vec<Partition> {
-        let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/two_rooms.json");
-        partitions(&SemanticMap::load(scene).unwrap(), PartitionLevel::Room)
+    fn scene() -> SemanticMap {
+        SemanticMap::load(Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/two_rooms.json")).unwrap()
+    }
+
+    fn mask(grid: Grid) -> (Vec<Partition>, Mask) {
+        let (scene, rooms) = (scene(), partitions(&scene(), PartitionLevel::Room));
+        let mask = Mask::new(grid, &rooms, &Storeys::of(&scene), 0);
+        (rooms, mask)
+    }
+
+    /// A robot was kept out of the kitchen by who was in the bedroom above it.
+    #[test]
+    fn a_mask_has_the_rooms_of_one_storey() {
+        let room = |id: &str, floor_m: f64| serde_json::json!({"id": id, "label": id, "box": {"min_m": [0.0, 0.0, floor_m], "max_m": [4.0, 4.0, floor_m + 2.5]}});
+        let text = serde_json::json!({
+            "format": "roomcast-scene", "version": 1, "name": "home", "doors": [], "items": [],
+            "rooms": [room("bedroom", 2.6), room("kitchen", 0.0), room("cellar", -2.6)],
+        });
+        let scene = SemanticMap::from_json(&text.to_string()).unwrap();
+        let (rooms, storeys) = (partitions(&scene, PartitionLevel::Room), Storeys::of(&scene));
+        let grid = Grid { resolution_m: 1.0, width: 5, height: 1, origin: [0.0, 0.0, 0.0] };
+        let values: Vec<i8> = rooms
+            .iter()
+            .map(|room| ["bedroom", "kitchen", "cellar"].iter().position(|id| room.id == *id).unwrap() as i8 + 1)
+            .collect();
+        for (floor_m, value) in [(2.5, 1), (0.0, 2), (-0.3, 2), (-2.6, 3)] {
+            let storey = storey(&storeys, Some(floor_m)).unwrap();
+            let drawn = Mask::new(grid, &rooms, &storeys, storey).draw(&values, Header::default());
+            assert_eq!(drawn.data, [value, value, value, value, 0], "{floor_m}");
+        }
+        for unknown in [None, Some(9.0), Some(-1.3)] {
+            let error = storey(&storeys, unknown).unwrap_err().to_string();
+            assert!(error.contains("floor at -2.6 m, floor at 0 m, floor at 2.6 m; ros2.floor_m"), "{error}");
+        }
+        let flat = Storeys::of(&self::scene());
+        assert_eq!(storey(&flat, None), Ok(0));
     }
 
     #[test]
@@ -163,10 +228,10 @@ mod tests {
 
     #[test]
     fn cells_have_their_rooms_value_and_others_nothing() {
-        let rooms = rooms();
-        let [left, bottom, _] = rooms[0].spaces[0].bounds.min_m;
+        let [left, bottom, _] = scene().rooms()[0].space.bounds.min_m;
         let grid = Grid { resolution_m: 0.5, width: 40, height: 40, origin: [left - 1.0, bottom - 1.0, 0.0] };
-        let drawn = Mask::new(grid, &rooms).draw(&[98, 5], Header::default());
+        let (rooms, drawn) = mask(grid);
+        let drawn = drawn.draw(&[98, 5], Header::default());
         assert_eq!((drawn.data.len(), drawn.data[0]), (1600, 0));
         let at = |room: usize| {
             let [x, y, _] = rooms[room].spaces[0].centre_m();
@@ -176,7 +241,7 @@ mod tests {
         assert_eq!((at(0), at(1)), (98, 5));
         // A map that is turned by a quarter has the same rooms.
         let turned = Grid { origin: [left + 19.0, bottom - 1.0, std::f64::consts::FRAC_PI_2], ..grid };
-        let mut values = Mask::new(turned, &rooms).draw(&[98, 5], Header::default()).data;
+        let mut values = mask(turned).1.draw(&[98, 5], Header::default()).data;
         let mut before = drawn.data;
         values.sort_unstable();
         before.sort_unstable();

@@ -5,13 +5,13 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use roomcast_core::grounding::{Partition, partitions};
-use roomcast_core::semantic_map::{SceneError, SemanticMap};
+use roomcast_core::semantic_map::{SceneError, SemanticMap, Storeys};
 use roomcast_ipc::{Domain, ForecastV1, IpcError, PersonScoresV1, RoomScoresV1, Subscriber, clock};
 use roomcast_ros2::content::{diagnostics, of_all, of_one, slug};
 use roomcast_ros2::markers::markers;
 use roomcast_ros2::types::{CostmapFilterInfo, Header, Message, Text};
 
-use super::mask::{self, Grid, MapError, Mask};
+use super::mask::{self, Grid, MapError, Mask, StoreyError};
 use super::node::{Kept, Node};
 use crate::config::Ros2;
 use crate::inward::Ear;
@@ -39,6 +39,9 @@ pub enum Ros2Error {
     /// The Nav2 map.
     #[error(transparent)]
     Map(#[from] MapError),
+    /// The storey that it is of.
+    #[error(transparent)]
+    Storey(#[from] StoreyError),
     /// A service of the robot.
     #[error(transparent)]
     Ipc(#[from] IpcError),
@@ -63,7 +66,11 @@ impl Places {
         let scene = scene.map_err(|source| Ros2Error::Scene { path: path.clone(), source: Box::new(source) })?;
         let rooms = partitions(&scene, config.level);
         let grid = config.map.as_deref().map(Grid::load).transpose()?;
-        let mask = grid.map(|grid| Mask::new(grid, &rooms));
+        let storeys = Storeys::of(&scene);
+        let mask = match grid {
+            Some(grid) => Some(Mask::new(grid, &rooms, &storeys, mask::storey(&storeys, config.floor_m)?)),
+            None => None,
+        };
         Ok(Self { rooms, mask })
     }
 }

@@ -16,6 +16,7 @@ pub mod action;
 mod clause;
 mod deeds;
 pub mod history;
+pub mod line;
 mod person;
 mod presence;
 pub mod program;

@@ -14,6 +14,22 @@ pub mod action {
     pub const GO: u32 = 1;
     /// The robot stops its work and waits where it disturbs nobody, at its dock if it has one.
     pub const PAUSE: u32 = 2;
+
+    /// The word for an action, as people and other programs read it; `stay` for a number that this version does not know.
+    #[must_use]
+    pub fn word(action: u32) -> &'static str {
+        match action {
+            GO => "go",
+            PAUSE => "pause",
+            _ => "stay",
+        }
+    }
+
+    /// The action of a word; [`STAY`] for one that this version does not know.
+    #[must_use]
+    pub fn of_word(word: &str) -> u32 {
+        [GO, PAUSE].into_iter().find(|action| self::word(*action) == word).unwrap_or(STAY)
+    }
 }
 
 /// Bits of [`DecisionV1::flags`].
@@ -138,5 +154,18 @@ impl Message for DecisionV1 {
         }
         text::decode("reason", &self.reason)?;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_action_goes_through_its_word() {
+        for (number, word) in [(action::STAY, "stay"), (action::GO, "go"), (action::PAUSE, "pause")] {
+            assert_eq!((action::word(number), action::of_word(word)), (word, number));
+        }
+        assert_eq!((action::word(99), action::of_word("dance")), ("stay", action::STAY));
     }
 }

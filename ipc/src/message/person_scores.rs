@@ -28,6 +28,17 @@ pub mod presence {
     pub const AWAY: u32 = 2;
     /// Out of the house, and not expected back.
     pub const GONE: u32 = 3;
+
+    /// The word for a presence, as people and other programs read it; `unknown` for a number that this version does not know.
+    #[must_use]
+    pub fn word(presence: u32) -> &'static str {
+        match presence {
+            PRESENT => "present",
+            AWAY => "away",
+            GONE => "gone",
+            _ => "unknown",
+        }
+    }
 }
 
 layout! {

@@ -922,13 +922,6 @@ pub fn flag_words(flags: u32) -> impl Iterator<Item = &'static str> {
     words.into_iter().filter(move |(flag, _)| flags & flag != 0).map(|(_, word)| word)
 }
 
-/// A word for a message's presence.
-#[must_use]
-pub fn presence_word(value: u32) -> &'static str {
-    let all = [Presence::Unknown, Presence::Present, Presence::Away, Presence::Gone];
-    all.into_iter().find(|presence| presence_value(*presence) == value).unwrap_or_default().as_str()
-}
-
 /// What a message calls a presence.
 pub(super) fn presence_value(of: Presence) -> u32 {
     match of {

@@ -1669,3 +1669,12 @@ fn the_later_line_of_a_source_counts_whatever_its_time_was_rounded_to() {
     house.after(0, "Ada", "away");
     assert_eq!(house.board.persons().get(person_number("Ada")).unwrap().presence, Presence::Present);
 }
+
+/// Messages and narration have one word for a presence.
+#[test]
+fn a_presence_has_one_word() {
+    use roomcast_core::narration::Presence;
+    for all in [Presence::Unknown, Presence::Present, Presence::Away, Presence::Gone] {
+        assert_eq!(presence::word(presence_value(all)), all.as_str());
+    }
+}

@@ -1,0 +1,573 @@
+//! One line of narration: a sentence, an action, a device's state, or a JSON object that says of whom, when, and who is in the house.
+//! `docs/json-lines.md` is the manual. Narrators, hubs and ROS 2 all read their lines here, so that none takes what another one refuses.
+//! Pure: from a line's text to what it says.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::de::{Deserialize, Deserializer, Unexpected, Visitor};
+use serde::{Serialize, Serializer};
+use serde_json::Value;
+
+use super::{
+    Action, DeviceState, Named, Observed, ObservedError, PERSON_NAME_BYTES_MAX, Presence, PresenceError,
+    PresenceStatement, SOMEBODY, Said, Sentence,
+};
+use crate::text::{visible, without_mark};
+
+/// Longest line, in bytes, its end included.
+pub const LINE_BYTES_MAX: u64 = 8192;
+/// How far a time of observation may lie ahead: clocks differ, and a number of seconds is rounded.
+const AHEAD_NS: u64 = 1_000_000_000;
+
+/// How a text is read. Messages have the numbers.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[repr(u32)]
+pub enum Kind {
+    /// A plain sentence.
+    #[default]
+    Sentence = 0,
+    /// An action in VirtualHome's notation.
+    Action = 1,
+    /// A device's state.
+    Device = 2,
+    /// Where a person is.
+    Presence = 3,
+}
+
+impl Kind {
+    const ALL: [Self; 4] = [Self::Sentence, Self::Action, Self::Device, Self::Presence];
+
+    /// Its number in messages.
+    #[must_use]
+    pub fn number(self) -> u32 {
+        self as u32
+    }
+
+    /// The kind of a number in messages.
+    #[must_use]
+    pub fn of_number(number: u32) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.number() == number)
+    }
+
+    /// The kind of a text that stands alone.
+    fn of(text: &str) -> Result<Self, ObservedError> {
+        Ok(match Observed::parse(text)? {
+            Observed::Action(_) => Self::Action,
+            Observed::Device(_) => Self::Device,
+            Observed::Sentence(_) => Self::Sentence,
+        })
+    }
+
+    /// What a text says, read as this: presence, or a sentence, which may say in plain words that its person leaves. The kind is the
+    /// narrator's word, so a sentence that looks like an action stays a sentence; a device's state may be told in any words. Narrators ask
+    /// this before they send, so that they send nothing that the daemon refuses.
+    ///
+    /// # Errors
+    /// The text's fault, as this kind.
+    pub fn said(self, text: &str) -> Result<Said, ObservedError> {
+        let sentence = match self {
+            Self::Presence => return Ok(Said::Presence(PresenceStatement::parse(text)?)),
+            Self::Action => Observed::Action(Action::parse(text)?).sentence()?,
+            Self::Device => match DeviceState::parse(text) {
+                Some(device) => device.sentence()?,
+                None => Sentence::new(text)?,
+            },
+            Self::Sentence => Sentence::new(text)?,
+        };
+        Ok(Said::of(sentence))
+    }
+}
+
+/// Whom an observation is of.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
+pub enum Who {
+    /// Somebody: the daemon takes the person whom it fits best.
+    #[default]
+    Somebody,
+    /// The person of this number.
+    Number(u32),
+    /// The person of this name, which has letters or digits and fits into a message.
+    Name(String),
+}
+
+/// Why a text names no person.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{text:?} is no person: give a number from 0 to {}, or a name of at most {} bytes with letters", SOMEBODY - 1, PERSON_NAME_BYTES_MAX)]
+pub struct WhoError {
+    text: String,
+}
+
+impl Who {
+    /// The number in a message; that of somebody where a name says who it is, or nothing does.
+    #[must_use]
+    pub fn number(&self) -> u32 {
+        if let Self::Number(number) = self { *number } else { SOMEBODY }
+    }
+
+    /// The name in a message; empty where there is none.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        if let Self::Name(name) = self { name } else { "" }
+    }
+
+    /// Whether nothing says who it is.
+    #[must_use]
+    pub fn is_somebody(&self) -> bool {
+        *self == Self::Somebody
+    }
+
+    /// As it stands in a line of JSON; null for somebody.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        match self {
+            Self::Somebody => Value::Null,
+            Self::Number(number) => (*number).into(),
+            Self::Name(name) => name.as_str().into(),
+        }
+    }
+}
+
+impl From<u32> for Who {
+    /// [`SOMEBODY`] is somebody, as in messages.
+    fn from(number: u32) -> Self {
+        if number == SOMEBODY { Self::Somebody } else { Self::Number(number) }
+    }
+}
+
+impl FromStr for Who {
+    type Err = WhoError;
+
+    /// A number, or else a name.
+    fn from_str(text: &str) -> Result<Self, WhoError> {
+        match Named::parse(text) {
+            Ok(Named::Number(number)) => Ok(Self::Number(number)),
+            Ok(Named::Name(name)) => Ok(Self::Name(name.to_owned())),
+            Err(_) => Err(WhoError { text: text.trim().chars().take(80).collect() }),
+        }
+    }
+}
+
+impl Serialize for Who {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.json().serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Who {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct OfWhom;
+        impl Visitor<'_> for OfWhom {
+            type Value = Who;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(f, "a person's number from 0 to {}, or name", SOMEBODY - 1)
+            }
+
+            fn visit_i64<E: serde::de::Error>(self, number: i64) -> Result<Who, E> {
+                let inside = u32::try_from(number).ok().filter(|number| *number != SOMEBODY);
+                inside.map(Who::Number).ok_or_else(|| E::invalid_value(Unexpected::Signed(number), &self))
+            }
+
+            fn visit_u64<E: serde::de::Error>(self, number: u64) -> Result<Who, E> {
+                match i64::try_from(number) {
+                    Ok(number) => self.visit_i64(number),
+                    Err(_) => Err(E::invalid_value(Unexpected::Unsigned(number), &self)),
+                }
+            }
+
+            fn visit_unit<E>(self) -> Result<Who, E> {
+                Ok(Who::Somebody)
+            }
+
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Who, E> {
+                text.parse().map_err(E::custom)
+            }
+        }
+        deserializer.deserialize_any(OfWhom)
+    }
+}
+
+/// What a line says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Line {
+    /// How the text is read.
+    pub kind: Kind,
+    /// The text, in the notation of its kind.
+    pub text: String,
+    /// The person observed.
+    pub person: Who,
+    /// When it was observed, in Unix nanoseconds; none for now.
+    pub observed_unix_ns: Option<u64>,
+}
+
+/// Why a line is no narration.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum LineError {
+    /// It is no observation.
+    #[error(transparent)]
+    Observed(#[from] ObservedError),
+    /// It says nothing about presence.
+    #[error(transparent)]
+    Presence(#[from] PresenceError),
+    /// It is malformed JSON, or a key is.
+    #[error("{reason}; docs/json-lines.md has every key with an example")]
+    Json {
+        /// Which key and what is allowed there, or in which column.
+        reason: String,
+    },
+    /// It is too long, or not UTF-8.
+    #[error("not a line of UTF-8 with at most {LINE_BYTES_MAX} bytes")]
+    NoLine,
+}
+
+/// The text of a line's bytes, its end included; none of a blank line. What editors on Windows put before the first line is no part of it.
+///
+/// # Errors
+/// [`LineError::NoLine`].
+pub fn text_of(bytes: &[u8], is_first: bool) -> Result<Option<&str>, LineError> {
+    if bytes.len() as u64 > LINE_BYTES_MAX {
+        return Err(LineError::NoLine);
+    }
+    let text = std::str::from_utf8(bytes).map_err(|_| LineError::NoLine)?;
+    let text = if is_first { without_mark(text) } else { text };
+    Ok(Some(text).filter(|text| !text.trim().is_empty()))
+}
+
+/// A line of JSON. What its keys may hold is checked key by key, so that an error names the key.
+#[derive(Debug, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct JsonLine {
+    text: Option<Value>,
+    kind: Option<Value>,
+    presence: Option<Value>,
+    room: Option<Value>,
+    person: Option<Value>,
+    observed_unix_s: Option<Value>,
+}
+
+impl Line {
+    /// Reads one line: JSON if it opens with `{`, an action if with `[`, a device state or a sentence otherwise. It is of `person` where it
+    /// does not say. What is JSON and no object is none of them.
+    ///
+    /// # Errors
+    /// [`LineError`] with the key, where it is JSON, and what is allowed.
+    pub fn read(line: &str, person: &Who) -> Result<Self, LineError> {
+        let line = line.trim();
+        if line.starts_with('{') {
+            return Self::of_json(line, person);
+        }
+        if serde_json::from_str::<Value>(line).is_ok() {
+            return Err(reason(
+                "a line of JSON is an object, such as {\"text\": \"They sit down.\"}; a sentence stands without quotes",
+            ));
+        }
+        let kind = Kind::of(line)?;
+        kind.said(line)?;
+        Ok(Self { kind, text: line.to_owned(), person: person.clone(), observed_unix_ns: None })
+    }
+
+    fn of_json(line: &str, person: &Who) -> Result<Self, LineError> {
+        let json: JsonLine = serde_json::from_str(line).map_err(|error| reason(&error_of_one_line(&error)))?;
+        let text = json.text.as_ref().map(|text| string("text", text)).transpose()?;
+        let presence = json.presence.as_ref().map(|presence| string("presence", presence)).transpose()?;
+        let (kind, text) = match (text, presence) {
+            (Some(text), None) if json.room.is_none() => {
+                let kind = json.kind.as_ref().map_or_else(|| Ok(Kind::of(text)?), kind_of)?;
+                (kind, text.trim().to_owned())
+            }
+            (None, Some(presence)) if json.kind.is_none() => {
+                let room = json.room.as_ref().map(|room| string("room", room)).transpose()?;
+                (Kind::Presence, statement(presence, room)?.to_string())
+            }
+            (Some(_), Some(_)) => {
+                return Err(reason("\"text\" and \"presence\" exclude each other; send two lines"));
+            }
+            (None, None) => return Err(reason("give \"text\" or \"presence\"")),
+            (Some(_), None) => {
+                return Err(reason("\"room\" goes with \"presence\": \"present\", and not with \"text\""));
+            }
+            (None, Some(_)) => return Err(reason("\"kind\" goes with \"text\", and not with \"presence\"")),
+        };
+        let own = json.person.as_ref().filter(|person| !person.is_null());
+        // That nobody is in a room is of everybody.
+        let is_empty = match kind.said(&text)? {
+            Said::Presence(statement) => kind == Kind::Presence && statement.empty_room().is_some(),
+            Said::Sentence(_) => false,
+        };
+        let person = match own {
+            Some(_) if is_empty => {
+                return Err(reason("that nobody is in a room is of everybody; leave \"person\" out"));
+            }
+            Some(own) => Who::deserialize(own).map_err(|error| reason(&format!("\"person\": {error}")))?,
+            None if is_empty => Who::Somebody,
+            None => person.clone(),
+        };
+        let observed_unix_ns = json.observed_unix_s.as_ref().map(unix_ns).transpose()?;
+        Ok(Self { kind, text, person, observed_unix_ns })
+    }
+
+    /// The line, unless it was observed later than now.
+    ///
+    /// # Errors
+    /// [`LineError`] with how far ahead that is.
+    pub fn observed_by(self, now_unix_ns: u64) -> Result<Self, LineError> {
+        match self.observed_unix_ns {
+            Some(observed_ns) if observed_ns > now_unix_ns.saturating_add(AHEAD_NS) => {
+                let ahead_s = (observed_ns - now_unix_ns) as f64 / 1e9;
+                Err(reason(&format!("\"observed_unix_s\" lies {ahead_s:.0} s ahead; give a time in the past")))
+            }
+            _ => Ok(self),
+        }
+    }
+}
+
+fn kind_of(value: &Value) -> Result<Kind, LineError> {
+    const ALLOWED: &str = "\"sentence\", \"action\", \"device\" or \"presence\"";
+    Kind::deserialize(value).map_err(|_| key_error("kind", value, ALLOWED))
+}
+
+/// Who is where, in the words of a line's keys.
+fn statement(presence: &str, room: Option<&str>) -> Result<PresenceStatement, LineError> {
+    let room = room.map(|room| room.trim().strip_prefix("the ").unwrap_or(room));
+    let presence = match presence {
+        "present" => return Ok(PresenceStatement::new(Presence::Present, room)?),
+        "empty" => {
+            let room = room.ok_or_else(|| reason("\"presence\": \"empty\" needs a \"room\""))?;
+            return Ok(PresenceStatement::empty(room)?);
+        }
+        "away" => Presence::Away,
+        "gone" => Presence::Gone,
+        _ => {
+            let allowed = "\"present\", \"away\", \"gone\" or \"empty\"";
+            return Err(key_error("presence", &presence.into(), allowed));
+        }
+    };
+    match room {
+        Some(_) => {
+            Err(reason("\"room\" goes with \"presence\": \"present\" or \"empty\" alone; leave one of them out"))
+        }
+        None => Ok(PresenceStatement::new(presence, None)?),
+    }
+}
+
+/// Whole nanoseconds of seconds since 1970; what lies in the future is for whoever has a clock.
+fn unix_ns(value: &Value) -> Result<u64, LineError> {
+    const ALLOWED: &str = "seconds since 1970, as in 1709280900.5, or leave it out for now";
+    match value.as_f64() {
+        // About the year 2500. 0 is what a clock that was never set says.
+        Some(seconds) if (1.0..=1.7e10).contains(&seconds) => Ok((seconds * 1e9) as u64),
+        _ => Err(key_error("observed_unix_s", value, ALLOWED)),
+    }
+}
+
+fn string<'a>(key: &str, value: &'a Value) -> Result<&'a str, LineError> {
+    value.as_str().ok_or_else(|| key_error(key, value, "a text"))
+}
+
+fn key_error(key: &str, value: &Value, allowed: &str) -> LineError {
+    let mut shown = value.to_string();
+    if let Some((end, _)) = shown.char_indices().nth(80) {
+        shown.truncate(end);
+    }
+    reason(&format!("\"{key}\" is {shown}; give {allowed}"))
+}
+
+fn reason(reason: &str) -> LineError {
+    LineError::Json { reason: reason.to_owned() }
+}
+
+/// A parser's error about a text of one line, which it calls the first.
+#[must_use]
+pub fn error_of_one_line(error: &serde_json::Error) -> String {
+    // It quotes a key as it came.
+    let said = visible(&error.to_string()).into_owned();
+    let position = format!(" at line {} column {}", error.line(), error.column());
+    let place = |said: &str| format!("{said} at column {}", error.column());
+    said.strip_suffix(&position).map_or_else(|| said.clone(), place)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A log has one line for each refused one, whatever its keys are.
+    #[test]
+    fn a_refused_line_forges_no_line_of_a_log() {
+        let keys = [r"\u001b[2J", r"a\nWARN forged", r"\u202e", r"\r"];
+        for key in keys {
+            let refused = Line::read(&format!(r#"{{"{key}": 1}}"#), &Who::Somebody).unwrap_err().to_string();
+            assert!(!refused.contains(crate::text::is_hidden) && refused.contains("\\u"), "{refused}");
+        }
+    }
+
+    fn item(line: &str) -> Result<Line, LineError> {
+        Line::read(line, &Who::Number(3))
+    }
+
+    fn said(kind: Kind, text: &str, person: Who) -> Line {
+        Line { kind, text: text.to_owned(), person, observed_unix_ns: None }
+    }
+
+    #[test]
+    fn every_form_of_line_becomes_an_item() {
+        let sentence = |text, person| said(Kind::Sentence, text, person);
+        assert_eq!(item("They sit down.").unwrap(), sentence("They sit down.", Who::Number(3)));
+        let action = said(Kind::Action, "[Grab] <mug> (1)", Who::Number(3));
+        assert_eq!(item("[Grab] <mug> (1)").unwrap(), action);
+        let device = said(Kind::Device, "the oven is on", Who::Number(3));
+        assert_eq!(item("the oven is on").unwrap(), device);
+        // Who leaves is said in a sentence, too, which the daemon understands.
+        assert_eq!(item("Ada leaves the house.").unwrap(), sentence("Ada leaves the house.", Who::Number(3)));
+        for (json, person) in [
+            (r#"{"text": "They sit down.", "person": 9}"#, Who::Number(9)),
+            (r#"{"text": "They sit down.", "person": "9"}"#, Who::Number(9)),
+            (r#"{"text": "They sit down.", "person": " Ada "}"#, Who::Name("Ada".to_owned())),
+            (r#"{"text": "They sit down.", "person": null}"#, Who::Number(3)),
+        ] {
+            assert_eq!(item(json).unwrap(), sentence("They sit down.", person), "{json}");
+        }
+        for bad in ["[Fly] <mug> (1)", "...", "a\u{7}b", r#"{"text": "They sit.", "kind": "action"}"#] {
+            item(bad).unwrap_err();
+        }
+    }
+
+    #[test]
+    fn presence_is_said_by_json() {
+        for (json, text, person) in [
+            (r#"{"room": "the hall", "presence": "empty"}"#, "nobody in the hall", Who::Somebody),
+            (r#"{"person": "ada", "presence": "away"}"#, "away", Who::Name("ada".to_owned())),
+            (r#"{"presence": "gone", "person": 7}"#, "gone", Who::Number(7)),
+            (r#"{"presence": "present"}"#, "present", Who::Number(3)),
+            (r#"{"presence": "present", "room": "kitchen"}"#, "present in the kitchen", Who::Number(3)),
+            (r#"{"text": "away", "kind": "presence", "person": "ada"}"#, "away", Who::Name("ada".to_owned())),
+            (r#"{"text": " nobody in the hall", "kind": "presence"}"#, "nobody in the hall", Who::Somebody),
+            (r#"{"presence": "present", "room": "the living room"}"#, "present in the living room", Who::Number(3)),
+        ] {
+            assert_eq!(item(json).unwrap(), said(Kind::Presence, text, person), "{json}");
+        }
+    }
+
+    #[test]
+    fn an_error_names_the_key_and_what_is_allowed() {
+        for (json, part) in [
+            ("{\"txt\": \"a\"}", "unknown field `txt`, expected one of `text`, `kind`, `presence`, `room`, `person`"),
+            ("{\"text\": \"They sit.\"", "at column 20"),
+            ("{}", "give \"text\" or \"presence\""),
+            (r#"{"text": 3}"#, "\"text\" is 3; give a text"),
+            (r#"{"text": "They sit.", "kind": "word"}"#, "\"kind\" is \"word\"; give \"sentence\", \"action\","),
+            (r#"{"text": "They sit.", "presence": "away"}"#, "\"text\" and \"presence\" exclude each other"),
+            (r#"{"text": "They sit.", "room": "hall"}"#, "\"room\" goes with \"presence\""),
+            (
+                r#"{"presence": "away", "room": "hall"}"#,
+                "\"room\" goes with \"presence\": \"present\" or \"empty\" alone",
+            ),
+            (r#"{"presence": "present", "room": ""}"#, "is no presence"),
+            (r#"{"presence": "present", "room": 3}"#, "\"room\" is 3; give a text"),
+            (
+                r#"{"presence": "asleep"}"#,
+                "\"presence\" is \"asleep\"; give \"present\", \"away\", \"gone\" or \"empty\"",
+            ),
+            (r#"{"presence": "empty"}"#, "\"presence\": \"empty\" needs a \"room\""),
+            (r#"{"presence": "empty", "room": "hall", "person": "ada"}"#, "is of everybody; leave \"person\" out"),
+            (r#"{"text": "nobody in the hall", "kind": "presence", "person": 3}"#, "leave \"person\" out"),
+            (r#"{"presence": "unknown"}"#, "\"presence\" is \"unknown\""),
+            (r#"{"presence": "away", "kind": "sentence"}"#, "\"kind\" goes with \"text\""),
+            (r#"{"text": "They sit.", "person": -1}"#, "\"person\": invalid value: integer `-1`, expected a person's"),
+            (r#"{"text": "They sit.", "person": 4294967295}"#, "number from 0 to 4294967294, or name"),
+            (r#"{"text": "They sit.", "person": 1.5}"#, "\"person\": invalid type: floating point `1.5`"),
+            (r#"{"text": "They sit.", "person": ""}"#, "\"person\": \"\" is no person"),
+            (r#"{"text": "They sit.", "person": "-3"}"#, "\"person\": \"-3\" is no person"),
+            (r#"{"text": "They sit.", "observed_unix_s": "noon"}"#, "\"observed_unix_s\" is \"noon\"; give seconds"),
+            (r#"{"text": "They sit.", "observed_unix_s": -1}"#, "\"observed_unix_s\" is -1"),
+            (r#"{"text": "They sit.", "observed_unix_s": 0}"#, "\"observed_unix_s\" is 0; give seconds since 1970"),
+            ("null", "a line of JSON is an object"),
+            ("12345", "a line of JSON is an object"),
+            ("[1, 2]", "a line of JSON is an object"),
+            (r#""They sit.""#, "a sentence stands without quotes"),
+        ] {
+            let error = item(json).unwrap_err().to_string();
+            assert!(error.contains(part), "{json}: {error}");
+            let manual = error.contains("docs/json-lines.md") || error.contains("is no presence");
+            assert!(manual && !error.contains("line 1"), "{json}: {error}");
+        }
+        assert!(item(r#"{"text": ".", "kind": "sentence"}"#).unwrap_err().to_string().contains("no letter or digit"));
+    }
+
+    /// The lines of the manual's blocks of one kind.
+    fn manual(kind: &str) -> Vec<&'static str> {
+        const MANUAL: &str = include_str!("../../../docs/json-lines.md");
+        let fence = format!("```json {kind}\n");
+        let blocks = MANUAL.split(&fence[..]).skip(1);
+        blocks.flat_map(|block| block.split("```").next().unwrap_or_default().lines()).collect()
+    }
+
+    #[test]
+    fn every_example_of_the_manual_is_narration_and_every_key_has_one() {
+        let examples = manual("narration");
+        for line in &examples {
+            item(line).unwrap_or_else(|error| panic!("{line}: {error}"));
+        }
+        for key in ["text", "kind", "presence", "room", "person", "observed_unix_s"] {
+            assert!(examples.iter().any(|line| line.contains(&format!("\"{key}\":"))), "{key}");
+        }
+        // Reports are another command's, which refuses narration as this one refuses them.
+        let reports = manual("report");
+        assert_eq!(reports.len(), 8);
+        for line in reports {
+            serde_json::from_str::<serde_json::Map<String, Value>>(line).unwrap();
+            assert!(item(line).unwrap_err().to_string().contains("unknown field `report`"), "{line}");
+        }
+    }
+
+    #[test]
+    fn a_time_of_observation_is_kept_to_the_microsecond() {
+        let item = item(r#"{"text": "They sit.", "observed_unix_s": 1709280900.5}"#).unwrap();
+        assert_eq!(item.observed_unix_ns, Some(1_709_280_900_500_000_000));
+    }
+
+    #[test]
+    fn what_lies_ahead_was_not_observed() {
+        let by = |observed_s: u64, now_ns| {
+            let line = item(&format!(r#"{{"text": "They sit.", "observed_unix_s": {observed_s}}}"#)).unwrap();
+            line.observed_by(now_ns)
+        };
+        let error = by(61, 1_000_000_000).unwrap_err().to_string();
+        assert!(error.contains("\"observed_unix_s\" lies 60 s ahead; give a time in the past"), "{error}");
+        by(2, 1_500_000_000).unwrap();
+    }
+
+    #[test]
+    fn who_it_is_goes_through_json() {
+        for (who, json) in [
+            (Who::Somebody, "null"),
+            (Who::Number(7), "7"),
+            (Who::Name("Ada".to_owned()), "\"Ada\""),
+            (Who::Number(7), "\" 7\""),
+        ] {
+            assert_eq!(serde_json::from_str::<Who>(json).unwrap(), who, "{json}");
+            assert_eq!(serde_json::from_value::<Who>(serde_json::to_value(&who).unwrap()).unwrap(), who);
+        }
+        assert_eq!(Who::from(SOMEBODY), Who::Somebody);
+        for refused in ["", " ", "...", "4294967295", "a\u{202e}b", "me", &"a".repeat(49)] {
+            refused.parse::<Who>().unwrap_err();
+        }
+    }
+
+    #[test]
+    fn bytes_are_a_line() {
+        let longest = " ".repeat(LINE_BYTES_MAX as usize - 2) + "a\n";
+        assert_eq!(text_of(longest.as_bytes(), false), Ok(Some(longest.as_str())));
+        for none in [format!(" {longest}").as_bytes(), b"\xff\n"] {
+            assert_eq!(text_of(none, true), Err(LineError::NoLine));
+        }
+        let marked = "\u{feff}They sit.\n";
+        assert_eq!(text_of(marked.as_bytes(), true), Ok(Some("They sit.\n")));
+        assert_eq!(text_of(marked.as_bytes(), false), Ok(Some(marked)));
+        for blank in ["", "\n", " \r\n", "\u{feff}\n"] {
+            assert_eq!(text_of(blank.as_bytes(), true), Ok(None));
+        }
+    }
+}
