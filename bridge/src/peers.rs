@@ -170,7 +170,8 @@ fn message(robot: &str, decision: &Decision, decided_ns: u64) -> Result<Decision
             "pause" => action::PAUSE,
             _ => action::STAY,
         },
-        minor: 1,
+        minor: 2,
+        robot_name: text::encode_cut(robot),
         to: text::encode("to", &decision.to).map_err(|error| Fault(error.to_string()))?,
         reason: text::encode_cut(&decision.reason),
         ..DecisionV1::default()

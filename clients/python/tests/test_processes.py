@@ -57,6 +57,7 @@ def test_a_decision_arrives(domain: Domain) -> None:
         assert decision is not None
         assert (decision.to_room, decision.reason) == ("kitchen", "nobody is there")
         assert (decision.robot, decision.sequence, decision.action) == (source_of_name("py-planner"), 1, 1)
+        assert decision.robot_name == "py-planner"
         assert decision.stay_ns == 60_000_000_000
         planner.decide("hall", "a" * 1000)
         decision = decisions.next(timeout_s=1)

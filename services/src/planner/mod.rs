@@ -37,7 +37,7 @@ mod run;
 mod state;
 
 pub use reports::ReportFault;
-pub use run::{participant, robot_of, run};
+pub use run::run;
 pub use state::KeptRound;
 
 use interruption::Interruption;
@@ -63,6 +63,7 @@ pub struct Planner {
     policy: Box<dyn Policy>,
     rng: ChaCha8Rng,
     number: u64,
+    name: [u8; NAME_BYTES],
     epoch: u64,
     sequence: u64,
     deadline_ns: u64,
@@ -138,6 +139,7 @@ impl Planner {
             policy: config.policy.policy(),
             rng: ChaCha8Rng::seed_from_u64(config.seed),
             number: sequence::source_of_name(&config.robot),
+            name: text::encode_cut(&config.robot),
             epoch,
             sequence: 0,
             deadline_ns: config.deadline_ms.saturating_mul(1_000_000),
@@ -293,7 +295,8 @@ impl Planner {
             let likely = outlook.over_stay(work.room, self.stay_s()).filter(|_| self.plans());
             let likely = likely.or_else(|| outlook.likely.get(work.room).copied()).unwrap_or_default().clamp(0.0, 1.0);
             let decision = self.go(work.room, left_ns, reason, now_ns, now_unix_ns);
-            let decision = DecisionV1 { probability: likely, ..decision };
+            let owed = if left_ns == 0 { decision_flags::OWED } else { 0 };
+            let decision = DecisionV1 { probability: likely, flags: decision.flags | owed, ..decision };
             if let Some(work) = &mut self.robot.work {
                 work.asked_by(decision.epoch, decision.sequence);
             }
@@ -648,9 +651,10 @@ impl Planner {
             covered: covered.fold(0, |bits, (room, covered)| bits | u64::from(*covered) << room),
             action: action::STAY,
             flags: flags | reported | silent,
-            minor: 1,
+            minor: 2,
             cancels,
             policy: text::encode_cut(self.policy.name().as_str()),
+            robot_name: self.name,
             reason: text::encode_cut(&format!("{why}{reason}")),
             ..Default::default()
         };

@@ -388,7 +388,9 @@ impl Home {
 fn without_reports_the_clock_says_what_is_done_and_with_them_the_robot() {
     let mut home = Home::new(3, &PlannerConfig::default());
     let first = home.decision(1);
-    assert_eq!((first.covered, first.has(decision_flags::REPORTED), first.minor), (0, false, 1));
+    assert_eq!((first.covered, first.has(decision_flags::REPORTED), first.minor), (0, false, 2));
+    assert_eq!(first.robot_name(), PlannerConfig::default().robot);
+    assert!(!first.has(decision_flags::OWED));
     // By the clock.
     let second = home.decision(101);
     assert_eq!((second.covered, second.cancels), (0b001, 0));
@@ -1170,6 +1172,7 @@ fn a_restarted_planner_asks_for_the_report_that_is_owed() {
     home.planner = Planner::new(&config, 2).with_kept(kept);
     let again = home.decision(150);
     assert_eq!((again.to(), again.action, again.stay_ns), (first.to(), action::GO, 0));
+    assert!(again.has(decision_flags::OWED));
     assert!(again.reason().contains("asks what became of"), "{}", again.reason());
     assert_eq!(home.look(151), None);
     home.answer(152, report_kind::FINISHED, &again);

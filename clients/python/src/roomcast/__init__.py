@@ -478,7 +478,7 @@ class Planner(_Participant):
             raise ValueError(f"stay_s is {stay_s}; give seconds from 0 to 1e9")
         if not 0 <= cancels <= self.sequence:
             raise ValueError(f"cancels is {cancels}; give the sequence of an earlier decision, at most {self.sequence}, or 0 for none")
-        message = layouts.DecisionV1(robot=self.robot, epoch=self.epoch, sequence=self.sequence + 1, action=action, cancels=cancels)
+        message = layouts.DecisionV1(robot=self.robot, epoch=self.epoch, sequence=self.sequence + 1, action=action, cancels=cancels, minor=2)
         message.decided_ns, message.decided_unix_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME), time.time_ns()
         message.stay_ns = round(stay_s * 1e9)
         if self._last is not None:
@@ -489,6 +489,7 @@ class Planner(_Participant):
         layouts.write_text("from", getattr(message, "from"), self.room)
         layouts.write_text("to", message.to, room)
         layouts.write_text("policy", message.policy, layouts.cut(self.name, layouts.NAME_BYTES))
+        layouts.write_text("robot_name", message.robot_name, layouts.cut(self.name, layouts.NAME_BYTES))
         layouts.write_text("reason", message.reason, layouts.cut(reason, layouts.REASON_BYTES))
         self._publisher.send(message)
         self.sequence += 1
