@@ -249,6 +249,7 @@ mod tests {
             (first.robot, first.to(), first.action),
             (sequence::source_of_name("robot-2"), "kitchen", action::GO)
         );
+        assert_eq!(first.robot_name(), "robot-2");
         assert_eq!(peers.hear(&heard("robot-2", "decision", told(1, "kitchen"), now_ns)).unwrap(), None);
         peers.hear(&heard("robot-2", "decision", told(u64::MAX, "hall"), now_ns)).err().unwrap();
         assert!(peers.fallen_silent(now_ns + S).is_empty());
