@@ -1,7 +1,5 @@
 //! The monotonic clock where the machine was suspended: in a time namespace that has its boot clock set ahead, as a suspension leaves it.
 
-#![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
-
 use std::process::Command;
 
 use roomcast_ipc::clock::monotonic_ns;
